@@ -1,0 +1,34 @@
+"""Named errors: one class per kind of cause, so that callers can tell bad input from bad luck.
+
+Every message says what was expected, what was found, where, and what to do about it.
+"""
+
+from __future__ import annotations
+
+
+class CagemapError(Exception):
+    """Base of every error that cagemap raises on purpose."""
+
+
+class InvalidMeshError(CagemapError, ValueError):
+    """A control mesh that the method cannot take (non-manifold, flipped, degenerate, ...)."""
+
+
+class InvalidLandmarksError(CagemapError, ValueError):
+    """Landmarks that do not fit the two meshes (out of range, repeated, too few)."""
+
+
+class DirectionError(CagemapError, ValueError):
+    """Target and source were exchanged."""
+
+
+class ParameterError(CagemapError, ValueError):
+    """A parameter outside its range, or array shapes that disagree."""
+
+
+class FormatError(CagemapError, ValueError):
+    """A file that cannot be read as what it claims to be, or a format that is not supported."""
+
+
+class SolverError(CagemapError, RuntimeError):
+    """A linear or eigenvalue solve that did not reach its accuracy."""

@@ -1,0 +1,107 @@
+"""The control mesh ("cage"): polygons of any size, with face-varying UVs and per-face materials."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class ControlMesh:
+    """A polygon mesh that a subdivision surface is built on.
+
+    Faces are stored concatenated: face ``f`` has the vertices
+    ``face_indices[face_offsets[f]:face_offsets[f + 1]]``, counter-clockwise seen from outside.
+
+    Attributes
+    ----------
+    positions : (n, 3) float64
+        Vertex positions in the file's own length unit.
+    face_offsets : (m + 1,) int64
+        Where each face starts in ``face_indices``; the first entry is 0.
+    face_indices : (c,) int64
+        Vertex of every face corner.
+    uvs : (p, 2) float64 or None
+        Face-varying texture coordinates, v up (v = 0 is the bottom image row).
+    uv_indices : (c,) int64 or None
+        UV of every face corner. Two faces share a UV edge where they share both indices; anything else is a seam.
+    face_materials : (m,) int64 or None
+        Index into ``material_names`` for every face.
+    material_names : tuple of str
+    material_colors : (q, 3) float64 or None
+        Linear RGB diffuse colour of every material, NaN where unknown.
+    name : str
+        What messages call the mesh; usually its file name.
+    """
+
+    positions: FloatArray
+    face_offsets: IndexArray
+    face_indices: IndexArray
+    uvs: FloatArray | None = None
+    uv_indices: IndexArray | None = None
+    face_materials: IndexArray | None = None
+    material_names: tuple[str, ...] = ()
+    material_colors: FloatArray | None = None
+    name: str = "mesh"
+
+    @classmethod
+    def from_faces(cls, positions: object, faces: object, *, name: str = "mesh") -> ControlMesh:
+        """Build from a sequence of faces, each a sequence of vertex numbers (0-based).
+
+        ``faces`` may also be an (m, d) integer array.
+        """
+        vertices = np.array(positions, dtype=np.float64).reshape(-1, 3)
+        lists = [np.asarray(face, dtype=np.int64) for face in faces]  # type: ignore[attr-defined]
+        sizes = np.array([len(face) for face in lists], dtype=np.int64)
+        offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        indices = np.concatenate(lists) if lists else np.zeros(0, dtype=np.int64)
+        return cls(vertices, offsets, indices, name=name)
+
+    @property
+    def n_vertices(self) -> int:
+        """Number of control vertices."""
+        return len(self.positions)
+
+    @property
+    def n_faces(self) -> int:
+        """Number of control faces."""
+        return len(self.face_offsets) - 1
+
+    @property
+    def face_sizes(self) -> IndexArray:
+        """(m,) number of corners of every face."""
+        return np.diff(self.face_offsets)
+
+    @property
+    def corner_faces(self) -> IndexArray:
+        """(c,) face of every corner."""
+        return np.repeat(np.arange(self.n_faces), self.face_sizes)
+
+    @property
+    def next_corners(self) -> IndexArray:
+        """(c,) the corner that follows every corner around its face."""
+        following = np.arange(1, len(self.face_indices) + 1)
+        following[self.face_offsets[1:] - 1] = self.face_offsets[:-1]
+        return following
+
+    @property
+    def is_triangle_mesh(self) -> bool:
+        """Whether every face is a triangle (what Loop subdivision needs)."""
+        return bool(np.all(self.face_sizes == 3))
+
+    def face(self, index: int) -> IndexArray:
+        """Vertex numbers of one face."""
+        return self.face_indices[self.face_offsets[index] : self.face_offsets[index + 1]]
+
+    def with_positions(self, positions: FloatArray) -> ControlMesh:
+        """Return the same connectivity with other vertex positions."""
+        return replace(self, positions=np.asarray(positions, dtype=np.float64))
+
+    def with_uvs(self, uvs: FloatArray | None, uv_indices: IndexArray | None) -> ControlMesh:
+        """Return the same mesh with other texture coordinates."""
+        return replace(self, uvs=uvs, uv_indices=uv_indices)
