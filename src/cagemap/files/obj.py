@@ -1,0 +1,324 @@
+"""Wavefront OBJ: polygons of any size, UV seams and material colours, kept in the file's own order."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import FormatError
+from cagemap.files.atomic import atomic_path
+from cagemap.files.mtl import read_material_colors, write_materials
+from cagemap.files.text import at_line, check_writable_name, first_few, read_text
+from cagemap.mesh import ControlMesh, FloatArray, IndexArray
+
+_KEYWORDS = {"v": 1, "vt": 2, "f": 3, "fo": 3, "usemtl": 4, "mtllib": 5}
+_POSITION, _UV, _FACE, _USE_MATERIAL, _MATERIAL_FILE = 1, 2, 3, 4, 5
+
+# Bytes of a face line: what separates corners, what separates the numbers of one corner, and what makes a number.
+_BLANK, _SLASH, _NUMBER = 1, 2, 3
+_BYTE_CLASS = np.zeros(256, dtype=np.int8)
+_BYTE_CLASS[[ord(" "), ord("\n")]] = _BLANK
+_BYTE_CLASS[ord("/")] = _SLASH
+_BYTE_CLASS[[ord(character) for character in "0123456789+-"]] = _NUMBER
+
+
+@dataclass(frozen=True)
+class _Statements:
+    """The statements of a file, without comments' whole lines; ``numbers`` are the physical line numbers, from 1."""
+
+    path: Path
+    lines: list[str]
+    numbers: IndexArray
+    kinds: NDArray[np.int8]
+
+    def rows(self, kind: int) -> IndexArray:
+        return np.flatnonzero(self.kinds == kind)
+
+    def fail(self, row: int, expected: str, remedy: str) -> FormatError:
+        return FormatError(at_line(self.path, int(self.numbers[row]), expected, self.lines[row], remedy))
+
+
+def read_obj(path: str | Path) -> ControlMesh:
+    """Read a control mesh from an OBJ file.
+
+    Vertices and faces keep the numbering of the ``v`` and ``f`` lines. Polygons stay polygons, texture coordinates
+    keep their own indices, ``usemtl`` becomes a per-face material with the ``Kd`` colour of its ``.mtl`` (NaN where
+    that is missing). Normals, points, lines, groups and smoothing are ignored; several objects become one mesh.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, a line is malformed (named by its number), an index is out of range, a coordinate
+        is not finite, or only some faces have texture coordinates.
+    """
+    file = Path(path)
+    statements = _split_statements(file, read_text(file, "an OBJ file"))
+    positions = _read_table(statements, _POSITION, "v", required=3, kept=3)
+    if len(positions) == 0:
+        raise FormatError(f"{file}: expected an OBJ file with 'v' lines, found none. Export the control mesh again.")
+    face_rows = statements.rows(_FACE)
+    if len(face_rows) == 0:
+        raise FormatError(
+            f"{file}: expected polygons, found {len(positions)} vertices and no 'f' line. "
+            "Export the control mesh with its faces."
+        )
+    corners = _read_corners(statements, face_rows)
+    face_indices = _resolve(statements, corners, corners.vertices, _POSITION, "vertex")
+    uvs, uv_indices = _read_uvs(statements, corners)
+    names, face_materials = _read_materials(statements, face_rows)
+    return ControlMesh(
+        positions=positions,
+        face_offsets=np.concatenate([[0], np.cumsum(corners.sizes)]).astype(np.int64),
+        face_indices=face_indices,
+        uvs=uvs,
+        uv_indices=uv_indices,
+        face_materials=face_materials,
+        material_names=names,
+        material_colors=_read_colors(statements, names) if names else None,
+        name=file.name,
+    )
+
+
+def _split_statements(path: Path, text: str) -> _Statements:
+    """Join continued lines and sort the statements by keyword."""
+    text = text.replace("\t", " ")
+    continuations = None
+    if "\\" in text:
+        # A comment may end in a backslash (a Windows path) without swallowing the line that follows.
+        text = re.sub(r"(?m)^ *#.*$", "", text)
+        text = re.sub(r"\\ *\n", "\0", text)
+        continuations = np.array([line.count("\0") for line in text.split("\n")], dtype=np.int64)
+        text = text.replace("\0", " ")
+    lines = [line.strip() for line in text.split("\n")]
+    numbers = np.arange(1, len(lines) + 1, dtype=np.int64)
+    if continuations is not None:
+        numbers += np.cumsum(continuations) - continuations
+    kinds = np.fromiter((_KEYWORDS.get(line.partition(" ")[0], 0) for line in lines), np.int8, len(lines))
+    return _Statements(path, lines, numbers, kinds)
+
+
+def _read_table(statements: _Statements, kind: int, keyword: str, *, required: int, kept: int) -> FloatArray:
+    """Read the first ``kept`` numbers of every line of a kind; what follows (weights, colours) is left alone."""
+    rows = statements.rows(kind)
+    fields = [statements.lines[row].partition("#")[0].split()[1 : kept + 1] for row in rows]
+    short = [row for row, field in zip(rows, fields, strict=True) if len(field) < required]
+    if short:
+        expected = f"'{keyword}' and at least {required} number{'s' if required > 1 else ''}"
+        raise statements.fail(short[0], expected, "The file may be cut short; export it again.")
+    padded = [field if len(field) == kept else field + ["0"] * (kept - len(field)) for field in fields]
+    try:
+        values = list(map(float, chain.from_iterable(padded)))
+    except ValueError:
+        broken = next(i for i, field in enumerate(fields) if not all(map(_is_number, field)))
+        raise statements.fail(rows[broken], f"'{keyword}' and numbers", "Export it again.") from None
+    table = np.array(values, dtype=np.float64).reshape(-1, kept)
+    infinite = np.flatnonzero(~np.isfinite(table).all(axis=1))
+    if len(infinite):
+        what = "finite positions" if kind == _POSITION else "finite texture coordinates"
+        remedy = f"{len(infinite)} such line(s); repair them in the modelling program and export again."
+        raise statements.fail(rows[infinite[0]], what, remedy)
+    return table
+
+
+def _is_number(token: str) -> bool:
+    try:
+        float(token)
+    except ValueError:
+        return False
+    return True
+
+
+@dataclass(frozen=True)
+class _Corners:
+    """Corners of all faces as written: 1-based or negative numbers, 0 where a corner has no texture coordinate."""
+
+    rows: IndexArray
+    sizes: IndexArray
+    vertices: IndexArray
+    uvs: IndexArray
+    has_uv: NDArray[np.bool_]
+
+    @property
+    def faces(self) -> IndexArray:
+        return np.repeat(np.arange(len(self.sizes)), self.sizes)
+
+
+def _read_corners(statements: _Statements, rows: IndexArray) -> _Corners:
+    """Read the corners ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn`` of every face, in any mixture.
+
+    The text of all faces is one array of bytes; where corners and numbers begin follows from comparing neighbours.
+    """
+    bodies = [statements.lines[row].partition("#")[0].partition(" ")[2] for row in rows]
+    text = "\n".join(bodies) + "\n"
+    data = np.frombuffer(text.encode("utf-8"), dtype=np.uint8)
+    kind = _BYTE_CLASS[data]
+    before = np.concatenate([np.array([_BLANK], dtype=np.int8), kind[:-1]])
+    line_of_byte = np.cumsum(data == ord("\n"), dtype=np.int32)
+
+    def fail(byte: int) -> FormatError:
+        # The newline itself belongs to the line before it; the bytes here never are one.
+        row = rows[line_of_byte[byte]]
+        return statements.fail(row, "'f' and corners such as 3, 3/7, 3//2 or 3/7/2", "Export the control mesh again.")
+
+    unknown = np.flatnonzero(kind == 0)
+    if len(unknown):
+        raise fail(unknown[0])
+    corner_starts = np.flatnonzero((kind != _BLANK) & (before == _BLANK))
+    number_starts = np.flatnonzero((kind == _NUMBER) & (before != _NUMBER))
+    try:
+        numbers = np.array(list(map(int, text.replace("/", " ").split())), dtype=np.int64)
+    except (ValueError, OverflowError):
+        bad = next(i for i, body in enumerate(bodies) if not all(map(_is_index, body.replace("/", " ").split())))
+        raise statements.fail(rows[bad], "'f' and whole numbers", "Export the control mesh again.") from None
+
+    slashes = np.cumsum(kind == _SLASH, dtype=np.int32) - (kind == _SLASH)
+    corner_of_number = np.searchsorted(corner_starts, number_starts, side="right") - 1
+    place = slashes[number_starts] - slashes[corner_starts[corner_of_number]]
+    if len(place) and place.max() > 2:
+        raise fail(number_starts[np.argmax(place > 2)])
+    vertices = np.zeros(len(corner_starts), dtype=np.int64)
+    has_vertex = np.zeros(len(corner_starts), dtype=bool)
+    uvs, has_uv = vertices.copy(), has_vertex.copy()
+    vertices[corner_of_number[place == 0]] = numbers[place == 0]
+    has_vertex[corner_of_number[place == 0]] = True
+    uvs[corner_of_number[place == 1]] = numbers[place == 1]
+    has_uv[corner_of_number[place == 1]] = True
+    if not has_vertex.all():
+        raise fail(corner_starts[np.argmin(has_vertex)])
+    sizes = np.bincount(line_of_byte[corner_starts], minlength=len(rows)).astype(np.int64)
+    if sizes.min() == 0:
+        row = rows[np.argmin(sizes)]
+        raise statements.fail(row, "'f' and at least three corners", "The file may be cut short; export it again.")
+    return _Corners(rows, sizes, vertices, uvs, has_uv)
+
+
+def _is_index(token: str) -> bool:
+    try:
+        return -(2**63) <= int(token) < 2**63
+    except ValueError:
+        return False
+
+
+def _resolve(statements: _Statements, corners: _Corners, numbers: IndexArray, kind: int, what: str) -> IndexArray:
+    """Turn 1-based numbers, and negative ones that count back from their own line, into 0-based indices."""
+    before = np.cumsum(statements.kinds == kind)
+    count = int(before[-1])
+    indices = np.where(numbers < 0, before[np.repeat(corners.rows, corners.sizes)] + numbers, numbers - 1)
+    outside = np.flatnonzero((indices < 0) | (indices >= count) | (numbers == 0))
+    if len(outside):
+        face = corners.faces[outside[0]]
+        raise statements.fail(
+            corners.rows[face],
+            f"{what} numbers from 1 to {count} (this face is number {face}, 0-based, and names {numbers[outside[0]]})",
+            f"{len(np.unique(corners.faces[outside]))} face(s) are affected; export the mesh again.",
+        )
+    return indices.astype(np.int64)
+
+
+def _read_uvs(statements: _Statements, corners: _Corners) -> tuple[FloatArray | None, IndexArray | None]:
+    """Read texture coordinates: of all faces, or of none."""
+    if not corners.has_uv.any():
+        return None, None
+    if not corners.has_uv.all():
+        bare = np.unique(corners.faces[~corners.has_uv])
+        raise FormatError(
+            f"{statements.path}: expected texture coordinates on all {len(corners.sizes)} faces or on none, got "
+            f"{len(bare)} face(s) without: {first_few(bare)} (0-based; the first is line "
+            f"{statements.numbers[corners.rows[bare[0]]]}). Unwrap those faces too, or export without UVs."
+        )
+    uvs = _read_table(statements, _UV, "vt", required=1, kept=2)
+    return uvs, _resolve(statements, corners, corners.uvs, _UV, "texture vertex")
+
+
+def _read_materials(statements: _Statements, face_rows: IndexArray) -> tuple[tuple[str, ...], IndexArray | None]:
+    """Material of every face: the last ``usemtl`` above it; faces above the first one get a material named ''."""
+    rows = statements.rows(_USE_MATERIAL)
+    if len(rows) == 0:
+        return (), None
+    stated = ["", *(statements.lines[row].partition(" ")[2].strip() for row in rows)]
+    used = np.searchsorted(rows, face_rows)
+    order = np.unique(used, return_index=True)
+    names = tuple(dict.fromkeys(stated[i] for i in order[0][np.argsort(order[1])]))
+    number = {name: i for i, name in enumerate(names)}
+    return names, np.array([number.get(name, -1) for name in stated], dtype=np.int64)[used]
+
+
+def _read_colors(statements: _Statements, names: Sequence[str]) -> FloatArray:
+    """(q, 3) diffuse colours of the materials from the ``mtllib`` files; the first file that knows a name wins."""
+    known: dict[str, tuple[float, float, float]] = {}
+    for row in statements.rows(_MATERIAL_FILE):
+        for file in _material_files(statements.path.parent, statements.lines[row].partition(" ")[2].strip()):
+            known = read_material_colors(file) | known
+    unknown = (np.nan, np.nan, np.nan)
+    return np.array([known.get(name, unknown) for name in names], dtype=np.float64)
+
+
+def _material_files(folder: Path, stated: str) -> list[Path]:
+    """Files that an ``mtllib`` line names and that exist: the whole rest of the line, else each word of it."""
+    for names in ([stated], stated.split()):
+        found = [folder / name.replace("\\", "/") for name in names if name]
+        found = [file for file in found if file.is_file()]
+        if found:
+            return found
+    return []
+
+
+def write_obj(path: str | Path, mesh: ControlMesh) -> None:
+    """Write a mesh as OBJ, and a ``.mtl`` of the same stem beside it where the mesh has materials.
+
+    Numbers are written with as many digits as it takes to read the same float64 back.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be written, or a material name has a line break.
+    """
+    file = Path(path)
+    for name in mesh.material_names:
+        check_writable_name(name)
+    library = file.with_suffix(".mtl")
+    parts = [f"mtllib {library.name}\n"] if mesh.face_materials is not None else []
+    parts.append(_format_lines("v %r %r %r\n", mesh.positions))
+    if mesh.uvs is not None:
+        parts.append(_format_lines("vt %r %r\n", mesh.uvs))
+    parts.extend(_format_faces(mesh))
+    if mesh.face_materials is not None:
+        write_materials(library, mesh.material_names, mesh.material_colors)
+    with atomic_path(file) as temporary:
+        temporary.write_bytes("".join(parts).encode("utf-8"))
+
+
+def _format_lines(pattern: str, table: FloatArray) -> str:
+    return (pattern * len(table)) % tuple(np.asarray(table, dtype=np.float64).ravel().tolist())
+
+
+def _format_faces(mesh: ControlMesh) -> list[str]:
+    """Format the faces in order, with a ``usemtl`` wherever the material changes."""
+    indices = mesh.face_indices[:, None] + 1
+    corner = " %d"
+    if mesh.uv_indices is not None:
+        indices = np.column_stack([indices, mesh.uv_indices + 1])
+        corner = " %d/%d"
+    if mesh.face_materials is None or mesh.n_faces == 0:
+        runs = np.array([0, mesh.n_faces])
+    else:
+        changes = np.flatnonzero(np.diff(mesh.face_materials)) + 1
+        runs = np.concatenate([[0], changes, [mesh.n_faces]])
+    patterns = {size: "f" + corner * size + "\n" for size in np.unique(mesh.face_sizes).tolist()}
+    sizes = mesh.face_sizes.tolist()
+    parts = []
+    for first, last in zip(runs[:-1].tolist(), runs[1:].tolist(), strict=True):
+        if mesh.face_materials is not None and mesh.n_faces:
+            name = mesh.material_names[mesh.face_materials[first]]
+            if first or name:
+                parts.append(f"usemtl {name}\n")
+        pattern = "".join([patterns[size] for size in sizes[first:last]])
+        numbers = indices[mesh.face_offsets[first] : mesh.face_offsets[last]]
+        parts.append(pattern % tuple(numbers.ravel().tolist()))
+    return parts

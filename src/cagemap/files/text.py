@@ -1,0 +1,63 @@
+"""What the text formats share: reading a file as text, and messages that name a place in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from cagemap.errors import FormatError
+
+
+def read_bytes(path: Path, what: str) -> bytes:
+    """Read a whole file; a missing, unreadable or empty one is a FormatError that says which."""
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise FormatError(f"{path}: expected {what}, there is no such file. Check the name and the folder.") from None
+    except IsADirectoryError:
+        raise FormatError(f"{path}: expected {what}, got a folder. Name a file inside it.") from None
+    except (OSError, ValueError) as error:
+        raise FormatError(f"{path}: cannot be read ({error}). Check its permissions.") from None
+    if not content.strip():
+        raise FormatError(f"{path}: expected {what}, got an empty file. Export it again.")
+    return content
+
+
+def read_text(path: Path, what: str) -> str:
+    r"""Read a text file with line ends made ``\n``.
+
+    UTF-8 is expected; a file that is not (an old exporter's accented material names) is read byte by byte as Latin-1,
+    which never fails and leaves the numbers alone.
+    """
+    content = read_bytes(path, what)
+    if b"\0" in content:
+        raise FormatError(
+            f"{path}: expected {what}, which is plain text, got binary data or UTF-16. Export it again as text (UTF-8)."
+        )
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = content.decode("latin-1")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def at_line(path: Path, number: int, expected: str, got: str, remedy: str) -> str:
+    """Message about one line of a file; what was found is cut to a readable length."""
+    shown = got if len(got) <= 80 else got[:77] + "..."
+    return f"{path}, line {number}: expected {expected}, got '{shown}'. {remedy}"
+
+
+def first_few(values: Iterable[object], limit: int = 8) -> str:
+    """List the first values, and say how many more there are."""
+    items = [str(value) for value in values]
+    more = f", ... ({len(items) - limit} more)" if len(items) > limit else ""
+    return ", ".join(items[:limit]) + more
+
+
+def check_writable_name(name: str) -> None:
+    """Refuse a name that cannot stand on one line of a text file."""
+    if name != name.strip() or any(character in name for character in "\r\n\0") or name.endswith("\\"):
+        raise FormatError(
+            f"material name {name!r}: expected no line breaks, no blanks at its ends and no backslash at "
+            "its end, which a text file cannot hold. Rename the material."
+        )
