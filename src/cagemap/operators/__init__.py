@@ -1,1 +1,19 @@
+"""Mass and stiffness of a surface, and their restriction to every level (SEC)."""
 
+from cagemap.operators.laplacian import (
+    stiffness,
+    triangle_areas,
+    triangle_cotangents,
+    vertex_areas,
+)
+from cagemap.operators.sec import Operators, build_operators, restrict
+
+__all__ = [
+    "Operators",
+    "build_operators",
+    "restrict",
+    "stiffness",
+    "triangle_areas",
+    "triangle_cotangents",
+    "vertex_areas",
+]

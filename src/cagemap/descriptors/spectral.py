@@ -1,0 +1,121 @@
+"""Spectral descriptors from eigenvalues and basis rows (paper, section 5.1), never an n x n matrix.
+
+A filter rho_t turns an eigenvalue into a weight. A landmark descriptor is rho_t(Lambda~) Phi~(v, :)^T, directly in
+coefficients; a signature is the diagonal of Phi~ rho_t(Lambda~) Phi~^T, a function that has still to be projected.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cagemap.errors import ParameterError
+from cagemap.mesh import FloatArray
+
+# [SOG09]: the diffusion times that the spectrum can tell apart.
+HEAT_RANGE = 4.0 * np.log(10.0)
+# [ASC11]: width of a wave kernel filter, in steps between neighbouring energies.
+WAVE_WIDTH = 7.0
+
+
+def heat_times(eigenvalues: FloatArray, count: int) -> FloatArray:
+    """Diffusion times, log-spaced in [4 ln 10 / lambda_k, 4 ln 10 / lambda_1].
+
+    Parameters
+    ----------
+    eigenvalues : (k,) array
+        In ascending order, the first being that of the constant (0). Unit 1 / area.
+    count : int
+
+    Returns
+    -------
+    (count,) array, ascending
+    """
+    positive = _positive(eigenvalues)
+    return np.geomspace(HEAT_RANGE / positive.max(), HEAT_RANGE / positive.min(), count)
+
+
+def heat_filters(eigenvalues: FloatArray, times: FloatArray) -> FloatArray:
+    """Heat kernel filters rho_t(lambda) = exp(-lambda t), one column a time; (k, q)."""
+    return np.exp(-np.outer(eigenvalues, times))
+
+
+def wave_energies(eigenvalues: FloatArray, count: int) -> tuple[FloatArray, float]:
+    """Energies of the wave kernel and the filters' width, both in log eigenvalue ([ASC11]).
+
+    Returns
+    -------
+    energies : (count,) array, ascending
+    width : float
+    """
+    positive = _positive(eigenvalues)
+    low, high = np.log(positive.min()), np.log(positive.max())
+    width = WAVE_WIDTH * (high - low) / count
+    if high - 2.0 * width <= low + 2.0 * width:  # too few energies for the full inset on both sides
+        width = (high - low) / 8.0
+    return np.linspace(low + 2.0 * width, high - 2.0 * width, count), float(width)
+
+
+def wave_filters(eigenvalues: FloatArray, energies: FloatArray, width: float) -> FloatArray:
+    """Wave kernel filters exp(-(e - log lambda)^2 / (2 width^2)), each column summing to 1; (k, q).
+
+    The constant function has no energy and gets weight 0.
+    """
+    logs = np.log(np.maximum(eigenvalues, np.finfo(float).tiny))
+    filters = np.exp(-((energies[None, :] - logs[:, None]) ** 2) / (2.0 * width**2))
+    filters[eigenvalues <= _zero(eigenvalues)] = 0.0
+    return filters / np.maximum(filters.sum(axis=0), np.finfo(float).tiny)
+
+
+def landmark_descriptors(rows: FloatArray, filters: FloatArray) -> FloatArray:
+    """Coefficients of the landmark descriptors rho_t(Lambda~) Phi~(v, :)^T (paper, Definition 3).
+
+    Parameters
+    ----------
+    rows : (p, k) array
+        Basis rows Phi~(v, :) of the p landmarks.
+    filters : (k, q) array
+        rho_t of every eigenvalue, one column a parameter t.
+
+    Returns
+    -------
+    (k, p q) array
+        Column i q + j belongs to landmark i and filter j.
+    """
+    k = rows.shape[1]
+    if filters.shape[0] != k:
+        raise ParameterError(f"expected {k} filter rows, one for each basis function, got {filters.shape[0]}")
+    return (rows.T[:, :, None] * filters[:, None, :]).reshape(k, -1)
+
+
+def signatures(rows: FloatArray, filters: FloatArray) -> FloatArray:
+    """Values of the signature descriptors diag(Phi~ rho_t(Lambda~) Phi~^T) (paper, Definition 3).
+
+    Parameters
+    ----------
+    rows : (b, k) array
+        Basis rows of any set of vertices.
+    filters : (k, q) array
+
+    Returns
+    -------
+    (b, q) array
+    """
+    return (rows * rows) @ filters
+
+
+def normalise_columns(columns: FloatArray) -> FloatArray:
+    """Scale every descriptor (column of coefficients) to unit norm; zero columns stay zero."""
+    norms = np.linalg.norm(columns, axis=0)
+    return columns / np.where(norms > 0.0, norms, 1.0)
+
+
+def _zero(eigenvalues: FloatArray) -> float:
+    """Below this an eigenvalue is that of the constant function."""
+    return 1e-8 * float(np.max(eigenvalues, initial=0.0))
+
+
+def _positive(eigenvalues: FloatArray) -> FloatArray:
+    positive = eigenvalues[eigenvalues > _zero(eigenvalues)]
+    if len(positive) < 2:
+        raise ParameterError(f"descriptors need at least 2 eigenvalues above 0, got {len(positive)}: raise k")
+    return positive
