@@ -1,0 +1,342 @@
+"""Closest points on a triangle mesh, with a preference for agreeing normals.
+
+A bounding-volume tree over the triangles in Morton order. The tree is implicit (node ``i`` has the children ``2 i + 1``
+and ``2 i + 2``), so that building it is a handful of array operations and only the search is a compiled kernel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import ParameterError
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+_LEAF_SIZE = 4
+_STACK_SIZE = 64
+_CHUNK = 512  # neighbouring queries that one thread answers in a row, each starting from the last answer
+
+
+@dataclass(frozen=True)
+class TriangleTree:
+    """Triangles of a surface, ordered for closest-point search.
+
+    Attributes
+    ----------
+    lower, upper : (nodes, 3) float64
+        Bounding boxes of an implicit complete binary tree; padding nodes are empty (lower > upper).
+    order : (t,) int64
+        Triangle of the mesh at every position of the tree.
+    corners : (t, 3, 3) float64
+        Corner positions in tree order.
+    normals : (t, 3) float64
+        Unit normals in tree order, zero for degenerate triangles.
+    """
+
+    lower: FloatArray
+    upper: FloatArray
+    order: IndexArray
+    corners: FloatArray
+    normals: FloatArray
+
+
+def triangle_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
+    """(t, 3) normals of length twice the area, by the right-hand rule."""
+    a, b, c = (positions[triangles[:, k]] for k in range(3))
+    return np.cross(b - a, c - a)
+
+
+def vertex_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
+    """(n, 3) unit vertex normals, area-weighted means of the adjacent triangles' normals."""
+    per_triangle = triangle_normals(positions, triangles)
+    corners = triangles.ravel()
+    sums = [np.bincount(corners, np.repeat(per_triangle[:, d], 3), minlength=len(positions)) for d in range(3)]
+    return normalized(np.column_stack(sums).astype(np.float64))
+
+
+def normalized(vectors: FloatArray) -> FloatArray:
+    """Rows scaled to unit length; zero rows stay zero."""
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
+
+
+def build_tree(positions: FloatArray, triangles: IndexArray) -> TriangleTree:
+    """Order the triangles of a surface for :func:`closest_points`.
+
+    Parameters
+    ----------
+    positions : (n, 3) float64
+    triangles : (t, 3) int64
+
+    Raises
+    ------
+    ParameterError
+        If there is no triangle or a position is not finite.
+    """
+    if len(triangles) == 0:
+        raise ParameterError("expected at least one triangle to search, got none: pass a non-empty surface")
+    if not np.isfinite(positions).all():
+        bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
+        raise ParameterError(f"expected finite positions, got {len(bad)} that are not, first at vertices {bad[:5]}")
+    corners = positions[triangles]
+    order = np.argsort(_morton_codes(corners.mean(axis=1)), kind="stable")
+    corners = np.ascontiguousarray(corners[order])
+    n_leaves = 1 << int(np.ceil(np.log2(max(1, -(-len(order) // _LEAF_SIZE)))))
+    lower = np.full((2 * n_leaves - 1, 3), np.inf)
+    upper = np.full((2 * n_leaves - 1, 3), -np.inf)
+    starts = np.arange(0, len(order), _LEAF_SIZE)
+    first_leaf = n_leaves - 1
+    lower[first_leaf : first_leaf + len(starts)] = np.minimum.reduceat(corners.min(axis=1), starts, axis=0)
+    upper[first_leaf : first_leaf + len(starts)] = np.maximum.reduceat(corners.max(axis=1), starts, axis=0)
+    while first_leaf > 0:
+        parents = slice((first_leaf - 1) // 2, first_leaf)
+        children = slice(first_leaf, 2 * first_leaf + 1)
+        lower[parents] = lower[children].reshape(-1, 2, 3).min(axis=1)
+        upper[parents] = upper[children].reshape(-1, 2, 3).max(axis=1)
+        first_leaf = (first_leaf - 1) // 2
+    normals = normalized(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    return TriangleTree(lower, upper, order.astype(np.int64), corners, normals)
+
+
+def closest_points(
+    tree: TriangleTree,
+    points: FloatArray,
+    normals: FloatArray | None = None,
+    *,
+    normal_weight: float = 0.0,
+    minimum_cosine: float = -2.0,
+    guess: IndexArray | None = None,
+) -> tuple[IndexArray, FloatArray, FloatArray]:
+    """Closest point of a surface for every query, in position and normal.
+
+    Minimises ``|q - p|^2 + w^2 |n_q - n_p|^2`` over the surface's points ``p``, ``n_p`` being the normal of the
+    triangle that holds ``p``. Only triangles whose normal makes a cosine of at least ``minimum_cosine`` with ``n_q``
+    are allowed.
+
+    Parameters
+    ----------
+    tree : TriangleTree
+    points : (m, 3) float64
+    normals : (m, 3) float64, optional
+        Unit normals of the queries; needed by the two options below.
+    normal_weight : float
+        ``w``, a length: how far away a point may be to win over one with the opposite normal is ``2 w``.
+    minimum_cosine : float
+        Below -1 every triangle is allowed.
+    guess : (m,) int64, optional
+        A triangle for every query that is probably near; makes the search faster, never changes the minimum.
+
+    Returns
+    -------
+    triangle : (m,) int64
+        -1 where no triangle is allowed.
+    barycentric : (m, 3) float64
+    distance : (m,) float64
+        Euclidean ``|q - p|``, infinite where no triangle is allowed.
+    """
+    queries = np.ascontiguousarray(points, dtype=np.float64)
+    directions = np.zeros_like(queries) if normals is None else np.ascontiguousarray(normals, dtype=np.float64)
+    if normals is None and (normal_weight > 0 or minimum_cosine > -1):
+        raise ParameterError("expected normals of the queries, got none: normal_weight and minimum_cosine need them")
+    start = np.full(len(queries), -1, dtype=np.int64)
+    if guess is not None:
+        position_in_tree = np.empty(len(tree.order), dtype=np.int64)
+        position_in_tree[tree.order] = np.arange(len(tree.order))
+        start = np.where(guess >= 0, position_in_tree[guess], -1)
+    sequence = np.argsort(_morton_codes(queries)) if guess is None else np.arange(len(queries))
+    found, barycentric, squared = _search(
+        tree.lower,
+        tree.upper,
+        tree.corners,
+        tree.normals,
+        queries,
+        directions,
+        normal_weight**2,
+        minimum_cosine,
+        start,
+        sequence,
+    )
+    triangle = np.where(found >= 0, tree.order[found], -1)
+    return triangle, barycentric, np.sqrt(squared)
+
+
+def closest_points_slowly(
+    positions: FloatArray,
+    triangles: IndexArray,
+    points: FloatArray,
+    normals: FloatArray,
+    *,
+    normal_weight: float = 0.0,
+    minimum_cosine: float = -2.0,
+) -> tuple[IndexArray, FloatArray, FloatArray]:
+    """Do what :func:`closest_points` does by trying every triangle: the reference of the kernel, for small inputs."""
+    a, b, c = (positions[triangles[:, k]][None] for k in range(3))
+    q = points[:, None]
+    candidates = [_plane_foot(q, a, b, c)]
+    for first, second, slots in ((a, b, (0, 1)), (b, c, (1, 2)), (c, a, (2, 0))):
+        edge = second - first
+        t = np.clip(np.einsum("mtd,mtd->mt", q - first, edge) / np.einsum("mtd,mtd->mt", edge, edge), 0, 1)
+        weights = np.zeros((*t.shape, 3))
+        weights[..., slots[0]], weights[..., slots[1]] = 1 - t, t
+        candidates.append(weights)
+    stacked = np.stack(candidates, axis=2)  # (m, t, 4, 3)
+    feet = np.einsum("mtsk,tkd->mtsd", stacked, positions[triangles])
+    squared = np.where(stacked.min(axis=-1) < 0, np.inf, ((feet - q[:, :, None]) ** 2).sum(axis=-1))
+    best = squared.argmin(axis=2)
+    rows, columns = np.indices(best.shape)
+    squared, stacked = squared[rows, columns, best], stacked[rows, columns, best]
+    cosine = normals @ normalized(triangle_normals(positions, triangles)).T
+    cost = np.where(cosine >= minimum_cosine, squared + normal_weight**2 * 2 * (1 - cosine), np.inf)
+    triangle = cost.argmin(axis=1)
+    m = np.arange(len(points))
+    return triangle, stacked[m, triangle], np.sqrt(squared[m, triangle])
+
+
+def _plane_foot(q: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
+    """(m, t, 3) barycentric coordinates of the foot of the perpendicular on every triangle's plane."""
+    normal = np.cross(b - a, c - a)
+    area = np.einsum("mtd,mtd->mt", normal, normal)
+    beta = np.einsum("mtd,mtd->mt", np.cross(q - a, c - a), normal) / area
+    gamma = np.einsum("mtd,mtd->mt", np.cross(b - a, q - a), normal) / area
+    return np.stack([1 - beta - gamma, beta, gamma], axis=-1)
+
+
+def _morton_codes(points: FloatArray) -> IndexArray:
+    """(t,) positions of points along a space-filling curve, 21 bits an axis."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    extent = max(float((high - low).max()), np.finfo(float).tiny)
+    cells = np.minimum((points - low) / extent * 2**21, 2**21 - 1).astype(np.uint64)
+    code = np.zeros(len(points), dtype=np.uint64)
+    for axis in range(3):
+        code |= _spread_bits(cells[:, axis]) << np.uint64(axis)
+    return code.astype(np.int64)
+
+
+def _spread_bits(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Insert two zero bits before each of the lowest 21 bits."""
+    spread = values
+    for shift, mask in (
+        (32, 0x1F00000000FFFF),
+        (16, 0x1F0000FF0000FF),
+        (8, 0x100F00F00F00F00F),
+        (4, 0x10C30C30C30C30C3),
+        (2, 0x1249249249249249),
+    ):
+        spread = (spread | (spread << np.uint64(shift))) & np.uint64(mask)
+    return spread
+
+
+@numba.njit(cache=True, inline="always")
+def _box_distance(lower, upper, node, x, y, z):  # type: ignore[no-untyped-def]
+    dx = max(lower[node, 0] - x, 0.0, x - upper[node, 0])
+    dy = max(lower[node, 1] - y, 0.0, y - upper[node, 1])
+    dz = max(lower[node, 2] - z, 0.0, z - upper[node, 2])
+    return dx * dx + dy * dy + dz * dz
+
+
+@numba.njit(cache=True)
+def _closest_in_triangle(corners, t, x, y, z):  # type: ignore[no-untyped-def]
+    """Barycentric coordinates of corners 1 and 2, squared distance (Ericson, Real-Time Collision Detection 5.1.5)."""
+    ax, ay, az = corners[t, 0, 0], corners[t, 0, 1], corners[t, 0, 2]
+    abx, aby, abz = corners[t, 1, 0] - ax, corners[t, 1, 1] - ay, corners[t, 1, 2] - az
+    acx, acy, acz = corners[t, 2, 0] - ax, corners[t, 2, 1] - ay, corners[t, 2, 2] - az
+    px, py, pz = x - ax, y - ay, z - az
+    d1 = abx * px + aby * py + abz * pz
+    d2 = acx * px + acy * py + acz * pz
+    bx, by, bz = px - abx, py - aby, pz - abz
+    d3 = abx * bx + aby * by + abz * bz
+    d4 = acx * bx + acy * by + acz * bz
+    cx, cy, cz = px - acx, py - acy, pz - acz
+    d5 = abx * cx + aby * cy + abz * cz
+    d6 = acx * cx + acy * cy + acz * cz
+    va = d3 * d6 - d5 * d4
+    vb = d5 * d2 - d1 * d6
+    vc = d1 * d4 - d3 * d2
+    v, w = 0.0, 0.0
+    if d1 <= 0.0 and d2 <= 0.0:
+        v, w = 0.0, 0.0
+    elif d3 >= 0.0 and d4 <= d3:
+        v, w = 1.0, 0.0
+    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        v, w = d1 / (d1 - d3), 0.0
+    elif d6 >= 0.0 and d5 <= d6:
+        v, w = 0.0, 1.0
+    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        v, w = 0.0, d2 / (d2 - d6)
+    elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
+        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        v = 1.0 - w
+    else:
+        total = va + vb + vc
+        v, w = vb / total, vc / total
+    ex = px - v * abx - w * acx
+    ey = py - v * aby - w * acy
+    ez = pz - v * abz - w * acz
+    return v, w, ex * ex + ey * ey + ez * ez
+
+
+@numba.njit(cache=True, parallel=True)
+def _search(lower, upper, corners, normals, queries, directions, weight2, minimum_cosine, start, sequence):  # type: ignore[no-untyped-def]
+    """Depth-first branch and bound, the nearer child first: box distances bound the cost because normals only add."""
+    n_queries, n_triangles = len(queries), len(corners)
+    first_leaf = (len(lower) - 1) // 2
+    found = np.full(n_queries, -1, dtype=np.int64)
+    barycentric = np.zeros((n_queries, 3))
+    squared = np.full(n_queries, np.inf)
+    for chunk in numba.prange((n_queries + _CHUNK - 1) // _CHUNK):
+        nodes = np.empty(_STACK_SIZE, dtype=np.int64)
+        bounds = np.empty(_STACK_SIZE)
+        last = np.int64(-1)
+        for k in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, n_queries)):
+            i = sequence[k]
+            x, y, z = queries[i, 0], queries[i, 1], queries[i, 2]
+            nx, ny, nz = directions[i, 0], directions[i, 1], directions[i, 2]
+            best = np.inf
+            best_v, best_w, best_squared = 0.0, 0.0, np.inf
+            best_t = np.int64(-1)
+            t = start[i] if start[i] >= 0 else last
+            if t >= 0:
+                cosine = nx * normals[t, 0] + ny * normals[t, 1] + nz * normals[t, 2]
+                if cosine >= minimum_cosine:
+                    best_v, best_w, best_squared = _closest_in_triangle(corners, t, x, y, z)
+                    best = best_squared + weight2 * 2.0 * (1.0 - cosine)
+                    best_t = t
+            nodes[0], bounds[0] = 0, _box_distance(lower, upper, 0, x, y, z)
+            size = 1
+            while size > 0:
+                size -= 1
+                node = nodes[size]
+                if bounds[size] >= best:
+                    continue
+                if node < first_leaf:
+                    left, right = 2 * node + 1, 2 * node + 2
+                    dl = _box_distance(lower, upper, left, x, y, z)
+                    dr = _box_distance(lower, upper, right, x, y, z)
+                    if dl < dr:
+                        nodes[size], bounds[size] = right, dr
+                        nodes[size + 1], bounds[size + 1] = left, dl
+                    else:
+                        nodes[size], bounds[size] = left, dl
+                        nodes[size + 1], bounds[size + 1] = right, dr
+                    size += 2
+                    continue
+                begin = (node - first_leaf) * _LEAF_SIZE
+                for t in range(begin, min(begin + _LEAF_SIZE, n_triangles)):
+                    cosine = nx * normals[t, 0] + ny * normals[t, 1] + nz * normals[t, 2]
+                    penalty = weight2 * 2.0 * (1.0 - cosine)
+                    if cosine < minimum_cosine or penalty >= best:
+                        continue
+                    v, w, d2 = _closest_in_triangle(corners, t, x, y, z)
+                    if d2 + penalty < best:
+                        best = d2 + penalty
+                        best_t, best_v, best_w, best_squared = t, v, w, d2
+            last = best_t
+            found[i], squared[i] = best_t, best_squared
+            if best_t >= 0:
+                barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = 1.0 - best_v - best_w, best_v, best_w
+    return found, barycentric, squared

@@ -1,0 +1,211 @@
+"""Quality figures and closest points, on surfaces where every answer is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
+
+from cagemap.errors import ParameterError
+from cagemap.point_map.quality import (
+    covered_share,
+    dirichlet_energy,
+    flipped_triangles,
+    measure_quality,
+    stretches,
+    surface_area,
+    weighted_percentiles,
+)
+from cagemap.point_map.surface_points import (
+    build_tree,
+    closest_points,
+    closest_points_slowly,
+    normalized,
+    triangle_normals,
+    vertex_normals,
+)
+from cagemap.point_map.truth import compare_with_truth, round_trip, true_map
+
+
+def sphere(n: int, radii: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> tuple[np.ndarray, np.ndarray]:
+    """Fibonacci points on an ellipsoid and their convex hull, outward triangles."""
+    i = np.arange(n) + 0.5
+    polar, azimuth = np.arccos(1 - 2 * i / n), np.pi * (1 + 5**0.5) * i
+    unit = np.column_stack([np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)])
+    triangles = ConvexHull(unit).simplices.astype(np.int64)
+    inward = np.einsum("td,td->t", triangle_normals(unit, triangles), unit[triangles[:, 0]]) < 0
+    triangles[inward] = triangles[inward][:, ::-1]
+    return unit * np.array(radii), triangles
+
+
+def grid(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Unit square in the plane z = 0 of n x n vertices, normals up."""
+    x, y = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, n), indexing="ij")
+    i = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+    triangles = np.concatenate([np.column_stack([i, i + n, i + n + 1]), np.column_stack([i, i + n + 1, i + 1])])
+    return np.column_stack([x.ravel(), y.ravel(), np.zeros(n * n)]), triangles
+
+
+def vertex_map(triangles: np.ndarray, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A map that sends target vertex i to the source vertex ``vertices[i]``."""
+    holder = np.zeros(triangles.max() + 1, dtype=np.int64)
+    holder[triangles.ravel()] = np.repeat(np.arange(len(triangles)), 3)
+    triangle = holder[vertices]
+    return triangle, (triangles[triangle] == vertices[:, None]).astype(np.float64)
+
+
+@settings(deadline=None, max_examples=15)
+@given(seed=st.integers(10, 10_000), weight=st.sampled_from([0.0, 0.3]), cosine=st.sampled_from([-2.0, 0.2]))
+def test_closest_points_agree_with_trying_every_triangle(seed: int, weight: float, cosine: float) -> None:
+    rng = np.random.default_rng(seed)
+    positions = rng.standard_normal((30, 3))
+    triangles = np.array([rng.choice(30, 3, replace=False) for _ in range(50)])
+    points, normals = rng.standard_normal((20, 3)), normalized(rng.standard_normal((20, 3)))
+    options = {"normal_weight": weight, "minimum_cosine": cosine}
+    guess = rng.integers(-1, 50, 20)
+    expected, barycentric, distance = closest_points_slowly(positions, triangles, points, normals, **options)
+    for start in (None, guess):
+        found, b, d = closest_points(build_tree(positions, triangles), points, normals, guess=start, **options)
+        # Two triangles may share the closest vertex or edge: the point is unique, its triangle is not.
+        np.testing.assert_allclose(d, distance, atol=1e-12)
+        foot = np.einsum("mk,mkd->md", b, positions[triangles[found]])
+        if weight == 0.0 and cosine < -1:
+            reference = np.einsum("mk,mkd->md", barycentric, positions[triangles[expected]])
+            np.testing.assert_allclose(foot, reference, atol=1e-9)
+        np.testing.assert_allclose(np.linalg.norm(foot - points, axis=1), d, atol=1e-12)
+
+
+def test_closest_points_returns_nothing_where_no_normal_agrees() -> None:
+    positions, triangles = grid(4)
+    down = np.tile([0.0, 0.0, -1.0], (2, 1))
+    triangle, _, distance = closest_points(build_tree(positions, triangles), positions[:2], down, minimum_cosine=0.0)
+    assert (triangle == -1).all()
+    assert np.isinf(distance).all()
+
+
+def test_stretches_are_the_singular_values_of_an_affine_map() -> None:
+    rng = np.random.default_rng(5)
+    positions, triangles = grid(5)
+    matrix = rng.standard_normal((2, 2))
+    image = positions.copy()
+    image[:, :2] = positions[:, :2] @ matrix.T
+    expected = np.linalg.svd(matrix, compute_uv=False)
+    largest, smallest = stretches(positions, image, triangles)
+    np.testing.assert_allclose(largest, expected[0], rtol=1e-9)
+    np.testing.assert_allclose(smallest, expected[1], rtol=1e-9)
+    energy = dirichlet_energy(positions, image, triangles)
+    np.testing.assert_allclose(energy, 0.5 * (matrix**2).sum(), rtol=1e-9)
+
+
+def test_stretches_of_a_degenerate_triangle_are_one() -> None:
+    positions = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])
+    largest, smallest = stretches(positions, 3 * positions, np.array([[0, 1, 2]]))
+    assert (largest[0], smallest[0]) == (1.0, 1.0)
+
+
+def test_a_vertex_pulled_across_its_ring_flips_triangles_and_loses_trust() -> None:
+    positions, triangles = grid(9)
+    up = np.tile([0.0, 0.0, 1.0], (len(positions), 1))
+    image = positions.copy()
+    middle = 4 * 9 + 4
+    assert not flipped_triangles(image, triangles, up).any()
+    image[middle, 0] += 1.5 / 8
+    flipped = flipped_triangles(image, triangles, up)
+    assert flipped.any()
+    assert (triangles[flipped] == middle).any(axis=1).all()
+
+
+@pytest.mark.parametrize("n", [200, 900])
+def test_the_identity_has_perfect_figures(n: int) -> None:
+    positions, triangles = sphere(n, (1.0, 0.6, 0.4))
+    triangle, barycentric = vertex_map(triangles, np.arange(n))
+    landmarks = np.array([[3, 3], [50, 50]])
+    figures = measure_quality(5 * positions, triangles, 0.1 * positions, triangles, triangle, barycentric, landmarks)
+    assert figures.flipped_area == 0
+    assert figures.coverage == 1
+    assert figures.dirichlet == pytest.approx(1, abs=1e-9)
+    np.testing.assert_allclose(figures.area_ratios, 1, atol=1e-6)
+    np.testing.assert_allclose(figures.aspect_ratios, 1, atol=1e-4)
+    np.testing.assert_allclose(figures.trust, 1)
+    assert figures.warnings == ()
+    assert figures.summary()["landmark_error_worst"] == pytest.approx(0, abs=1e-12)
+
+
+def test_coverage_is_the_share_of_area_reached() -> None:
+    positions, triangles = grid(41)
+    image = positions * np.array([0.5, 1.0, 1.0])
+    # Half an edge length (1/40) beyond the reached half still counts, and boundary rows have half the area.
+    assert covered_share(image, triangles, positions, triangles) == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_mirrored_map_is_called_inside_out_and_missed_landmarks_are_named() -> None:
+    n = 400
+    positions, triangles = sphere(n, (1.0, 0.7, 0.5))
+    mirrored = positions * np.array([-1.0, 1.0, 1.0])
+    triangle, barycentric, _ = closest_points(build_tree(positions, triangles), mirrored)
+    landmarks = np.array([[10, 10]])
+    figures = measure_quality(
+        positions, triangles, positions, triangles, triangle, barycentric, landmarks, ["left ear"]
+    )
+    assert figures.flipped_area > 0.9
+    assert "inside out" in figures.warnings[0]
+    assert any("left ear" in warning for warning in figures.warnings)
+
+
+def test_truth_figures_see_a_known_shift() -> None:
+    positions, triangles = grid(33)
+    truth = true_map(positions, triangles, positions, triangles)
+    assert truth[2].all()
+    shifted = positions + np.array([0.01, 0.0, 0.0])
+    triangle, barycentric, _ = closest_points(build_tree(positions, triangles), shifted)
+    figures = compare_with_truth(
+        positions, triangles, positions, triangles, triangle, barycentric, truth, np.array([[0, 0]])
+    )
+    inside = positions[:, 0] < 0.98
+    np.testing.assert_allclose(figures.errors[inside], 0.01, atol=1e-12)
+    assert figures.maximum == pytest.approx(0.01)
+    assert figures.worst_landmark == pytest.approx(0.01)
+    assert 0.9 < figures.dirichlet_ratio <= 1
+
+
+def test_truth_keeps_apart_two_sheets_that_touch() -> None:
+    positions, triangles = grid(9)
+    both = np.concatenate([positions, positions + np.array([0, 0, 1e-3])])
+    sheets = np.concatenate([triangles[:, ::-1], triangles + len(positions)])  # lower one faces down
+    triangle, _, known = true_map(both, sheets, both + np.array([0, 0, 8e-4]), sheets)
+    assert known.all()
+    below = np.arange(len(both)) < len(positions)
+    np.testing.assert_array_equal(triangle >= len(triangles), ~below)
+
+
+def test_round_trip_of_a_permutation_and_its_inverse_is_zero() -> None:
+    rng = np.random.default_rng(8)
+    positions, triangles = sphere(300)
+    permutation = rng.permutation(300)
+    forward = vertex_map(triangles, permutation)
+    backward = vertex_map(triangles, np.argsort(permutation))
+    np.testing.assert_allclose(round_trip(positions, triangles, triangles, forward, backward), 0, atol=1e-12)
+
+
+def test_vertex_normals_of_a_sphere_are_radial() -> None:
+    positions, triangles = sphere(2000)
+    cosine = np.einsum("nd,nd->n", vertex_normals(positions, triangles), positions)
+    assert cosine.min() > 0.999  # second order in the spacing, which is 0.08
+
+
+def test_surface_area_and_percentiles() -> None:
+    positions, triangles = grid(6)
+    assert surface_area(3 * positions, triangles) == pytest.approx(9)
+    values = np.array([3.0, 1.0, 2.0])
+    np.testing.assert_array_equal(weighted_percentiles(values, np.array([1.0, 98.0, 1.0]), (50, 99.5)), [1, 3])
+
+
+def test_a_map_of_another_size_is_refused() -> None:
+    positions, triangles = sphere(100)
+    triangle, barycentric = vertex_map(triangles, np.arange(100))
+    with pytest.raises(ParameterError, match="exchanged"):
+        measure_quality(positions, triangles, positions, triangles, triangle[:50], barycentric, np.zeros((0, 2), int))
+    with pytest.raises(ParameterError, match="source"):
+        measure_quality(positions, triangles, positions, triangles, triangle + 500, barycentric, np.zeros((0, 2), int))
