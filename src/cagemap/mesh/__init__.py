@@ -1,5 +1,35 @@
 """Control meshes: the value, its checks, and small named shapes."""
 
 from cagemap.mesh.control_mesh import ControlMesh, FloatArray, IndexArray
+from cagemap.mesh.shapes import (
+    bipyramid,
+    creature,
+    cube,
+    disk,
+    grid,
+    icosahedron,
+    poles,
+    pyramid,
+    tetrahedron,
+    torus,
+    triangulated,
+    voxels,
+)
 
-__all__ = ["ControlMesh", "FloatArray", "IndexArray"]
+__all__ = [
+    "ControlMesh",
+    "FloatArray",
+    "IndexArray",
+    "bipyramid",
+    "creature",
+    "cube",
+    "disk",
+    "grid",
+    "icosahedron",
+    "poles",
+    "pyramid",
+    "tetrahedron",
+    "torus",
+    "triangulated",
+    "voxels",
+]

@@ -1,0 +1,208 @@
+"""Subdivision matrices S: one row of masks per vertex of the finer level, rows in the order vertices, edges, faces."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, diags_array, vstack
+
+from cagemap.mesh import FloatArray
+from cagemap.refinement.schemes import CREASE_VERTEX, CatmullClark, Loop, Scheme
+from cagemap.refinement.topology import BoolArray, CornerTable, IntArray, Topology
+
+
+def vertex_kinds(topology: Topology, scheme: Scheme) -> tuple[BoolArray, BoolArray]:
+    """Which vertices follow the crease rule of the boundary curve, and which are corners that stay in place."""
+    corner = topology.boundary & (topology.valences == 1)
+    if scheme.boundary == "edge_only":
+        corner = np.zeros_like(corner)
+    return topology.boundary & ~corner, corner
+
+
+class RowFiller:
+    """Writes rows of known lengths straight into CSR arrays; each row starts with its own vertex's weight."""
+
+    def __init__(self, lengths: NDArray[np.integer]) -> None:
+        self.indptr = np.zeros(len(lengths) + 1, dtype=np.int32)
+        np.cumsum(lengths, out=self.indptr[1:])
+        self.indices = np.empty(self.indptr[-1], dtype=np.int32)
+        self.data = np.empty(self.indptr[-1], dtype=np.float64)
+
+    def put(
+        self, rows: NDArray[np.integer] | slice, offset: IntArray | int, columns: IntArray, weights: object
+    ) -> None:
+        """Set entry number ``offset`` of each of ``rows``."""
+        at = self.indptr[:-1][rows] + offset
+        self.indices[at] = columns
+        self.data[at] = weights
+
+    def matrix(self, n_columns: int, *, repeats: bool) -> csr_array:
+        """Finish, with the columns of every row ascending; ``repeats`` says that a column may occur twice in a row."""
+        matrix = csr_array((self.data, self.indices, self.indptr), shape=(len(self.indptr) - 1, n_columns))
+        matrix.sort_indices()
+        if repeats:
+            matrix.sum_duplicates()
+        return matrix
+
+
+def put_sharp_rows(
+    rows: RowFiller, topology: Topology, crease: BoolArray, corner: BoolArray, weights: tuple[float, float]
+) -> None:
+    """Fill the rows of crease vertices with ``weights`` (own, each neighbour along the curve), of corners with 1."""
+    table = topology.table
+    curve = topology.boundary_corners
+    starts, ends = table.vertices[curve], table.vertices[table.following[curve]]
+    numbers = np.arange(table.n_vertices, dtype=np.int32)
+    rows.put(numbers[crease], 0, numbers[crease], weights[0])
+    rows.put(numbers[corner], 0, numbers[corner], 1.0)
+    rows.put(starts[crease[starts]], 1, ends[crease[starts]], weights[1])
+    rows.put(ends[crease[ends]], 2, starts[crease[ends]], weights[1])
+
+
+def put_smooth_rows(
+    rows: RowFiller, topology: Topology, smooth: BoolArray, own: FloatArray, *rings: tuple[IntArray, FloatArray]
+) -> None:
+    """Fill the rows of smooth vertices: own weight, then for every corner around one entry per ring.
+
+    ``own`` is per vertex; a ring is, per corner, the vertex and, per vertex, the weight.
+    """
+    table = topology.table
+    numbers = np.flatnonzero(smooth).astype(np.int32)
+    rows.put(numbers, 0, numbers, own[numbers])
+    around = np.flatnonzero(smooth[table.vertices]) if not smooth.all() else slice(None)
+    centres = table.vertices[around]
+    first = 1 + len(rings) * topology.ranks[around]
+    for place, (columns, weights) in enumerate(rings):
+        rows.put(centres, first + place, columns[around], weights[centres])
+
+
+def _put_edge_rows(rows: RowFiller, topology: Topology, end_weight: float, *others: tuple[int, float]) -> None:
+    """Fill the rows of edge points: the two ends, then, on both sides, vertices so many corners behind the edge."""
+    table = topology.table
+    forward, backward = topology.edge_corners.T
+    interior = backward >= 0
+    numbers = np.arange(table.n_vertices, table.n_vertices + table.n_edges, dtype=np.int32)
+    weight = np.where(interior, end_weight, 0.5)
+    rows.put(numbers, 0, table.vertices[forward], weight)
+    rows.put(numbers, 1, table.vertices[table.following[forward]], weight)
+    place = 2
+    for side in (forward[interior], backward[interior]):
+        for steps, other_weight in others:
+            corner = side
+            for _ in range(steps):
+                corner = table.previous[corner]
+            rows.put(numbers[interior], place, table.vertices[corner], other_weight)
+            place += 1
+
+
+def _vertex_row_lengths(topology: Topology, smooth: BoolArray, corner: BoolArray, n_rings: int) -> IntArray:
+    lengths = np.where(smooth, 1 + n_rings * topology.valences, 3)
+    lengths[corner] = 1
+    return lengths
+
+
+def quad_matrix(topology: Topology, scheme: CatmullClark) -> csr_array:
+    """One step of Catmull-Clark on a mesh of quads, from the masks written out for quads."""
+    table = topology.table
+    crease, corner = vertex_kinds(topology, scheme)
+    smooth = ~topology.boundary
+    interior = topology.edge_corners[:, 1] >= 0
+    rows = RowFiller(
+        np.concatenate(
+            [
+                _vertex_row_lengths(topology, smooth, corner, 2),
+                np.where(interior, 6, 2),
+                np.full(table.n_faces, 4),
+            ]
+        )
+    )
+    own, neighbour, opposite = scheme.quad_vertex_weights(topology.valences)
+    neighbours = table.vertices[table.following]
+    opposites = neighbours[table.following]
+    put_smooth_rows(rows, topology, smooth, own, (neighbours, neighbour), (opposites, opposite))
+    put_sharp_rows(rows, topology, crease, corner, CREASE_VERTEX)
+    end_weight, other_weight = scheme.quad_edge_weights()
+    _put_edge_rows(rows, topology, end_weight, (1, other_weight), (2, other_weight))
+    faces_start = rows.indptr[table.n_vertices + table.n_edges]
+    rows.indices[faces_start:] = table.vertices
+    rows.data[faces_start:] = 0.25
+    # Two quads share two edges exactly around an interior vertex of valence 2, once refined; a cage may do as it likes.
+    return rows.matrix(table.n_vertices, repeats=True)
+
+
+def triangle_matrix(topology: Topology, scheme: Loop) -> csr_array:
+    """One step of Loop."""
+    table = topology.table
+    crease, corner = vertex_kinds(topology, scheme)
+    smooth = ~topology.boundary
+    interior = topology.edge_corners[:, 1] >= 0
+    rows = RowFiller(
+        np.concatenate([_vertex_row_lengths(topology, smooth, corner, 1), np.where(interior, 4, 2).astype(np.int32)])
+    )
+    own, neighbour = scheme.vertex_weights(topology.valences)
+    put_smooth_rows(rows, topology, smooth, own, (table.vertices[table.following], neighbour))
+    put_sharp_rows(rows, topology, crease, corner, CREASE_VERTEX)
+    _put_edge_rows(rows, topology, scheme.edge_weights()[0], (1, scheme.edge_weights()[1]))
+    return rows.matrix(table.n_vertices, repeats=True)
+
+
+def polygon_matrix(topology: Topology, scheme: CatmullClark) -> csr_array:
+    """One step of Catmull-Clark on faces of any size, as the paper states it: through the new face points.
+
+    Used for the control mesh, and by tests as the definition that `quad_matrix` must reproduce.
+    """
+    table = topology.table
+    crease, corner = vertex_kinds(topology, scheme)
+    smooth = ~topology.boundary
+    shape = (table.n_corners, table.n_vertices)
+    here = _selection(table.vertices, shape)
+    ends = _selection(table.vertices[table.following], shape)
+    of_face = _selection(table.faces, (table.n_corners, table.n_faces))
+    of_edge = _selection(table.edges, (table.n_corners, table.n_edges))
+    sizes = np.bincount(table.faces, minlength=table.n_faces)
+    face_points = diags_array(1 / sizes) @ (of_face.T @ here)
+
+    own, neighbour, face = scheme.vertex_weights(topology.valences)
+    vertex_points = (
+        diags_array(np.where(smooth, own, 0.0))
+        + diags_array(np.where(smooth, neighbour, 0.0)) @ (here.T @ ends)
+        + diags_array(np.where(smooth, face, 0.0)) @ (here.T @ of_face) @ face_points
+        + _sharp_vertex_points(topology, crease, corner)
+    )
+    interior = topology.edge_corners[:, 1] >= 0
+    forward = topology.edge_corners[:, 0]
+    end_weight, face_weight = scheme.edge_weights()
+    edge_points = (
+        diags_array(np.where(interior, end_weight, 0.5)) @ (here[forward] + ends[forward])
+        + diags_array(np.where(interior, face_weight, 0.0)) @ (of_edge.T @ of_face) @ face_points
+    )
+    stacked = csr_array(vstack([vertex_points, edge_points, face_points], format="csr"))
+    stacked.eliminate_zeros()
+    stacked.sort_indices()
+    return stacked
+
+
+def _selection(columns: IntArray, shape: tuple[int, int]) -> csr_array:
+    """Matrix with a single 1 in every row."""
+    return csr_array((np.ones(shape[0]), columns, np.arange(shape[0] + 1, dtype=np.int32)), shape=shape)
+
+
+def _sharp_vertex_points(topology: Topology, crease: BoolArray, corner: BoolArray) -> csr_array:
+    n = topology.table.n_vertices
+    rows = RowFiller(np.where(crease, 3, np.where(corner, 1, 0)))
+    put_sharp_rows(rows, topology, crease, corner, CREASE_VERTEX)
+    return rows.matrix(n, repeats=False)
+
+
+def subdivision_matrix(topology: Topology, scheme: Scheme) -> csr_array:
+    """S of one step: (n_fine, n_coarse) CSR, rows sum to 1, int32 indices ascending in every row."""
+    if isinstance(scheme, Loop):
+        return triangle_matrix(topology, scheme)
+    if _all_quads(topology.table):
+        return quad_matrix(topology, scheme)
+    return polygon_matrix(topology, scheme)
+
+
+def _all_quads(table: CornerTable) -> bool:
+    sizes = np.bincount(table.faces, minlength=table.n_faces)
+    return bool(np.all(sizes == 4))

@@ -1,0 +1,330 @@
+"""Refine a control mesh: every level's mesh, and the matrices between levels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array, eye_array
+
+from cagemap.errors import InvalidMeshError, ParameterError
+from cagemap.mesh import ControlMesh, FloatArray, IndexArray
+from cagemap.refinement.face_varying import refine_uvs
+from cagemap.refinement.matrices import subdivision_matrix
+from cagemap.refinement.schemes import CatmullClark, Loop, Scheme
+from cagemap.refinement.topology import (
+    CornerTable,
+    IntArray,
+    Topology,
+    control_table,
+    control_topology,
+    quad_children,
+    split_quad_topology,
+    split_quads,
+    split_triangle_topology,
+    split_triangles,
+    triangle_children,
+)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Level:
+    """One level's mesh.
+
+    Attributes
+    ----------
+    positions : (n, 3) float64
+        Vertices, in the control mesh's length unit; refined positions, not limit positions.
+    faces : (m, 4) or (m, 3) int64, or None
+        None only at level 0, where faces are not all quads (or all triangles): see ``Refinement.control``.
+        From level 1 on, (m, 4) under Catmull-Clark and (m, 3) under Loop.
+    face_parents : (m,) int64
+        Control face that every face comes from.
+    uvs : (p, 2) float64 or None
+    uv_indices : like faces, or None
+        UV of every face corner.
+    """
+
+    positions: FloatArray
+    faces: IndexArray | None
+    face_parents: IndexArray
+    uvs: FloatArray | None = None
+    uv_indices: IndexArray | None = None
+
+    @property
+    def n_vertices(self) -> int:
+        """Number of vertices."""
+        return len(self.positions)
+
+    @property
+    def n_faces(self) -> int:
+        """Number of faces."""
+        return len(self.face_parents)
+
+    def __repr__(self) -> str:
+        return f"Level({self.n_vertices} vertices, {self.n_faces} faces)"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Refinement:
+    """A control mesh and its refined levels, ``X^{l+1} = S^l X^l``.
+
+    Attributes
+    ----------
+    control : ControlMesh
+    scheme : CatmullClark or Loop
+    matrices : tuple of (n_{l+1}, n_l) csr_array
+        ``matrices[l]`` is S^l. Rows sum to 1 and stand in the order vertices, edges, faces (Loop: vertices, edges), so
+        vertex i of a level is vertex i of every finer one.
+    levels : tuple of Level
+        ``levels[0]`` is the control mesh, ``levels[-1]`` the finest.
+    """
+
+    control: ControlMesh
+    scheme: Scheme
+    matrices: tuple[csr_array, ...]
+    levels: tuple[Level, ...]
+
+    @property
+    def finest(self) -> Level:
+        """The finest level."""
+        return self.levels[-1]
+
+    @property
+    def n_levels(self) -> int:
+        """Number of refinement steps L; levels are numbered 0 to L."""
+        return len(self.matrices)
+
+    def product(self, fine: int, coarse: int) -> csr_array:
+        """``S^{fine,coarse} = S^{fine-1} ... S^{coarse}``, (n_fine, n_coarse); the identity if the levels are equal."""
+        self._check_order(fine, coarse)
+        if fine == coarse:
+            return csr_array(eye_array(self.levels[fine].n_vertices, format="csr"))
+        # From the coarse side: the left factor then always has short rows.
+        product = self.matrices[coarse]
+        for level in range(coarse + 1, fine):
+            product = self.matrices[level] @ product
+        product.sort_indices()
+        return product
+
+    def prolong(self, values: FloatArray, coarse: int, fine: int) -> FloatArray:
+        """Refine functions: ``S^{fine,coarse} values``, one factor after the other.
+
+        Parameters
+        ----------
+        values : (n_coarse,) or (n_coarse, q)
+
+        Returns
+        -------
+        (n_fine,) or (n_fine, q)
+        """
+        self._check_order(fine, coarse)
+        self._check_rows(values, coarse)
+        for level in range(coarse, fine):
+            values = self.matrices[level] @ values
+        return values
+
+    def restrict(self, values: FloatArray, fine: int, coarse: int) -> FloatArray:
+        """Transpose of `prolong`: ``(S^{fine,coarse})^T values``, one factor after the other.
+
+        Parameters
+        ----------
+        values : (n_fine,) or (n_fine, q)
+
+        Returns
+        -------
+        (n_coarse,) or (n_coarse, q)
+        """
+        self._check_order(fine, coarse)
+        self._check_rows(values, fine)
+        for level in reversed(range(coarse, fine)):
+            values = self.matrices[level].T @ values
+        return values
+
+    def _check_order(self, fine: int, coarse: int) -> None:
+        if not 0 <= coarse <= fine <= self.n_levels:
+            raise ParameterError(
+                f"levels: expected 0 <= coarse <= fine <= {self.n_levels}, got coarse {coarse} and fine {fine}; "
+                "level 0 is the control mesh, and the finest level is the number of refinement steps"
+            )
+
+    def _check_rows(self, values: FloatArray, level: int) -> None:
+        if np.shape(values)[:1] != (self.levels[level].n_vertices,):
+            raise ParameterError(
+                f"values: expected {self.levels[level].n_vertices} rows, one per vertex of level {level}, "
+                f"got shape {np.shape(values)}"
+            )
+
+    def __str__(self) -> str:
+        head = f"{self.control.name}: {self.scheme}"
+        lines = [head, f"{'level':>5} {'vertices':>10} {'faces':>10} {'nonzeros of S':>14}"]
+        for number, level in enumerate(self.levels):
+            nonzeros = str(self.matrices[number].nnz) if number < self.n_levels else "-"
+            lines.append(f"{number:>5} {level.n_vertices:>10} {level.n_faces:>10} {nonzeros:>14}")
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        sizes = ", ".join(str(level.n_vertices) for level in self.levels)
+        return f"Refinement({self.control.name!r}, {self.scheme}, vertices per level: {sizes})"
+
+
+def default_scheme(control: ControlMesh) -> Scheme:
+    """Loop for triangle meshes, Catmull-Clark for all others, with USD's boundary rule."""
+    return Loop() if control.is_triangle_mesh else CatmullClark()
+
+
+def refine(control: ControlMesh, levels: int, scheme: Scheme | None = None) -> Refinement:
+    """Subdivide a control mesh ``levels`` times.
+
+    Parameters
+    ----------
+    control : ControlMesh
+        Oriented manifold mesh; triangles only under Loop.
+    levels : int
+        Number of steps, 0 or more. Each multiplies the number of faces by about 4.
+    scheme : CatmullClark or Loop, optional
+        Default: `default_scheme`.
+
+    Returns
+    -------
+    Refinement
+
+    Raises
+    ------
+    InvalidMeshError
+        If the mesh is not an oriented manifold, or Loop is asked for a mesh with faces other than triangles.
+    ParameterError
+        If ``levels`` is negative or leads past 2^31 matrix entries.
+
+    Notes
+    -----
+    Time and memory are linear in the finest level's size. UVs are refined linearly inside their islands.
+
+    Examples
+    --------
+    >>> from cagemap.mesh import cube
+    >>> [level.n_vertices for level in refine(cube(), 2).levels]
+    [8, 26, 98]
+    """
+    scheme = default_scheme(control) if scheme is None else scheme
+    _check(control, levels, scheme)
+    topology = control_topology(control)
+    _check_size(topology.table, levels)
+    uv_table = None
+    if control.uvs is not None and control.uv_indices is not None:
+        uv_table = control_table(control, control.uv_indices, len(control.uvs))
+    level = control_level(control)
+    matrices, result = [], [level]
+    for step in range(levels):
+        if step:
+            topology = split_topology(topology, scheme)
+            uv_table = None if uv_table is None else split_table(uv_table, scheme)
+        matrix = subdivision_matrix(topology, scheme)
+        level = _next_level(level, topology.table, uv_table, matrix, scheme)
+        matrices.append(matrix)
+        result.append(level)
+    return Refinement(control, scheme, tuple(matrices), tuple(result))
+
+
+def split_table(table: CornerTable, scheme: Scheme) -> CornerTable:
+    """Corner table of the next level."""
+    return split_triangles(table) if isinstance(scheme, Loop) else split_quads(table)
+
+
+def split_topology(topology: Topology, scheme: Scheme) -> Topology:
+    """Topology of the next level."""
+    return split_triangle_topology(topology) if isinstance(scheme, Loop) else split_quad_topology(topology)
+
+
+def topology_of(refinement: Refinement, level: int) -> Topology:
+    """Topology of any level, written down again from the control mesh (cheap; nothing is kept between calls)."""
+    topology = control_topology(refinement.control)
+    for _ in range(level):
+        topology = split_topology(topology, refinement.scheme)
+    return topology
+
+
+def control_level(control: ControlMesh) -> Level:
+    """Level 0 of any refinement of ``control``."""
+    size = int(control.face_sizes[0]) if control.n_faces else 0
+    uniform = size in (3, 4) and bool(np.all(control.face_sizes == size))
+    uv_indices = control.uv_indices if control.uvs is not None else None
+    return Level(
+        positions=control.positions,
+        faces=control.face_indices.reshape(-1, size) if uniform else None,
+        face_parents=np.arange(control.n_faces),
+        uvs=control.uvs if uv_indices is not None else None,
+        uv_indices=uv_indices.reshape(-1, size) if uniform and uv_indices is not None else None,
+    )
+
+
+def _children(table: CornerTable, scheme: Scheme) -> IntArray:
+    return triangle_children(table) if isinstance(scheme, Loop) else quad_children(table)
+
+
+def _next_level(
+    level: Level, table: CornerTable, uv_table: CornerTable | None, matrix: csr_array, scheme: Scheme
+) -> Level:
+    faces = _children(table, scheme).astype(np.int64)
+    parents = np.repeat(level.face_parents, 4) if isinstance(scheme, Loop) else level.face_parents[table.faces]
+    positions = matrix @ level.positions
+    if uv_table is None or level.uvs is None:
+        return Level(positions, faces, parents)
+    uvs = refine_uvs(uv_table, level.uvs, with_face_points=isinstance(scheme, CatmullClark))
+    return Level(positions, faces, parents, uvs, _children(uv_table, scheme).astype(np.int64))
+
+
+def _check(control: ControlMesh, levels: int, scheme: Scheme) -> None:
+    if levels < 0:
+        raise ParameterError(f"levels: expected 0 or more refinement steps, got {levels}")
+    if isinstance(scheme, Loop) and not control.is_triangle_mesh:
+        others = np.flatnonzero(control.face_sizes != 3)
+        shown = ", ".join(str(face) for face in others[:5]) + (", ..." if len(others) > 5 else "")
+        raise InvalidMeshError(
+            f"{control.name}: Loop expects triangles only, got {len(others)} other faces: {shown}; "
+            "use Catmull-Clark, which takes faces of any size"
+        )
+    if control.uv_indices is not None and control.uvs is not None and len(control.uv_indices):
+        low, high = int(control.uv_indices.min()), int(control.uv_indices.max())
+        if low < 0 or high >= len(control.uvs):
+            raise InvalidMeshError(
+                f"{control.name}: expected UV numbers in 0..{len(control.uvs) - 1}, got {low} to {high}"
+            )
+
+
+def _check_size(table: CornerTable, levels: int) -> None:
+    entries = 25 * table.n_corners * 4 ** max(levels - 2, 0)
+    if entries >= 2**31:
+        raise ParameterError(
+            f"levels: expected fewer than 2^31 matrix entries, got about {entries} with {levels} levels of "
+            f"{table.n_faces} control faces; ask for fewer levels"
+        )
+
+
+def triangles(faces: IndexArray) -> IndexArray:
+    """Triangles of refined faces, by the one rule: quad q is (0, 1, 2), number 2q, and (0, 2, 3), number 2q + 1.
+
+    Parameters
+    ----------
+    faces : (m, 4) or (m, 3) int64
+        Vertex (or UV) numbers.
+
+    Returns
+    -------
+    (2 m, 3) or (m, 3) int64
+    """
+    if faces.shape[1] == 3:
+        return faces
+    return faces[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+
+
+def triangulate_control(mesh: ControlMesh) -> IndexArray:
+    """Fans of the control faces, (t, 3): face (v0, v1, ..., vk) gives (v0, v1, v2), (v0, v2, v3), ... in face order.
+
+    Agrees with `triangles` on quads. Triangle numbers per face: ``np.repeat(np.arange(m), mesh.face_sizes - 2)``.
+    """
+    counts = mesh.face_sizes - 2
+    first = np.repeat(mesh.face_offsets[:-1], counts)
+    step = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
+    corners = np.column_stack([first, first + step + 1, first + step + 2])
+    return mesh.face_indices[corners]

@@ -1,0 +1,143 @@
+"""Subdivision masks: the numbers of each scheme, and nothing about meshes.
+
+The rules are OpenSubdiv's, which is what USD, Blender, Maya and Houdini run.
+
+.. [CC78] E. Catmull, J. Clark. Recursively generated B-spline surfaces on arbitrary topological meshes. 1978.
+.. [Loop87] C. Loop. Smooth subdivision surfaces based on triangles. Master's thesis, University of Utah, 1987.
+.. [HKD93] M. Halstead, M. Kass, T. DeRose. Efficient, fair interpolation using Catmull-Clark surfaces. 1993.
+.. [HDD94] H. Hoppe et al. Piecewise smooth surface reconstruction. 1994.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from cagemap.errors import ParameterError
+from cagemap.mesh import FloatArray, IndexArray
+
+Boundary = Literal["edge_and_corner", "edge_only"]
+
+# Boundary curves are uniform cubic B-splines in both schemes: (own vertex, each of the two neighbours along the curve).
+CREASE_VERTEX = (3 / 4, 1 / 8)
+CREASE_LIMIT = (2 / 3, 1 / 6)
+
+
+def _check_boundary(boundary: str) -> None:
+    if boundary not in get_args(Boundary):
+        raise ParameterError(
+            f"boundary: expected one of {', '.join(get_args(Boundary))}, got {boundary!r}; "
+            "USD's default is edge_and_corner, Blender's is edge_only"
+        )
+
+
+@dataclass(frozen=True)
+class CatmullClark:
+    """Catmull-Clark subdivision of polygon meshes [CC78]_.
+
+    Attributes
+    ----------
+    boundary : {"edge_and_corner", "edge_only"}
+        Whether a boundary vertex with a single face stays where it is (``edge_and_corner``, USD's default)
+        or is smoothed along the boundary curve like the others (``edge_only``).
+    """
+
+    boundary: Boundary = "edge_and_corner"
+
+    def __post_init__(self) -> None:
+        _check_boundary(self.boundary)
+
+    @staticmethod
+    def vertex_weights(valence: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Smooth vertex rule: weights of the vertex, of each neighbour, and of each new face point.
+
+        ``(n - 2)/n v + 1/n^2 sum e_i + 1/n^2 sum f_i``; the vertex has no weight at n = 2.
+        """
+        n = np.asarray(valence, dtype=np.float64)
+        return (n - 2) / n, 1 / n**2, 1 / n**2
+
+    @staticmethod
+    def quad_vertex_weights(valence: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The same rule among quads: weights of the vertex, of each neighbour, of each diagonally opposite vertex."""
+        n = np.asarray(valence, dtype=np.float64)
+        return 1 - 7 / (4 * n), 3 / (2 * n**2), 1 / (4 * n**2)
+
+    @staticmethod
+    def edge_weights() -> tuple[float, float]:
+        """Smooth edge rule: weights of each end and of each new face point."""
+        return 1 / 4, 1 / 4
+
+    @staticmethod
+    def quad_edge_weights() -> tuple[float, float]:
+        """The same rule among quads: weights of each end and of each of the four other vertices."""
+        return 3 / 8, 1 / 16
+
+    @staticmethod
+    def limit_weights(valence: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Limit position among quads [HKD93]_: weights of the vertex, each neighbour, each opposite vertex.
+
+        ``(n^2 v + 4 sum e_i + sum f_i) / (n (n + 5))``.
+        """
+        n = np.asarray(valence, dtype=np.float64)
+        return n / (n + 5), 4 / (n * (n + 5)), 1 / (n * (n + 5))
+
+    @staticmethod
+    def tangent_weights(valence: IndexArray, rank: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Limit tangents among quads [HKD93]_, for the neighbour and the opposite vertex number ``rank`` of the ring.
+
+        Returns the weights ``(neighbour, opposite)`` of the first tangent, then of the second, which is the first
+        turned by a quarter.
+        """
+        theta = 2 * np.pi / valence
+        a = 1 + np.cos(theta) + np.cos(theta / 2) * np.sqrt(2 * (9 + np.cos(theta)))
+        here, there = theta * rank, theta * (rank + 1)
+        return a * np.cos(here), np.cos(here) + np.cos(there), a * np.sin(here), np.sin(here) + np.sin(there)
+
+
+@dataclass(frozen=True)
+class Loop:
+    """Loop subdivision of triangle meshes [Loop87]_, with Loop's own cosine weight (OpenSubdiv's; not 3/(8n)).
+
+    Attributes
+    ----------
+    boundary : {"edge_and_corner", "edge_only"}
+        As for `CatmullClark`.
+    """
+
+    boundary: Boundary = "edge_and_corner"
+
+    def __post_init__(self) -> None:
+        _check_boundary(self.boundary)
+
+    @staticmethod
+    def vertex_weights(valence: IndexArray) -> tuple[FloatArray, FloatArray]:
+        """Smooth vertex rule: weights of the vertex and of each neighbour.
+
+        ``(1 - n b) v + b sum e_i`` with ``b = (5/8 - (3/8 + cos(2 pi/n)/4)^2) / n``.
+        """
+        n = np.asarray(valence, dtype=np.float64)
+        b = (5 / 8 - (3 / 8 + np.cos(2 * np.pi / n) / 4) ** 2) / n
+        return 1 - n * b, b
+
+    @staticmethod
+    def edge_weights() -> tuple[float, float]:
+        """Smooth edge rule: weights of each end and of each of the two vertices across."""
+        return 3 / 8, 1 / 8
+
+    @classmethod
+    def limit_weights(cls, valence: IndexArray) -> tuple[FloatArray, FloatArray]:
+        """Limit position [HDD94]_: weights of the vertex and of each neighbour, ``1 / (n + 3/(8 b))`` each."""
+        n = np.asarray(valence, dtype=np.float64)
+        each = 1 / (n + 3 / (8 * cls.vertex_weights(valence)[1]))
+        return 1 - n * each, each
+
+    @staticmethod
+    def tangent_weights(valence: IndexArray, rank: IndexArray) -> tuple[FloatArray, FloatArray]:
+        """Limit tangents [HDD94]_: weights of neighbour number ``rank`` in the first and the second tangent."""
+        angle = 2 * np.pi * rank / valence
+        return np.cos(angle), np.sin(angle)
+
+
+Scheme = CatmullClark | Loop
