@@ -1,1 +1,38 @@
+"""Pictures of surfaces as image arrays, ray-cast without a screen."""
 
+from cagemap.pictures.camera import BACK, FRONT, SIDE, VIEWS, Camera, View, frame
+from cagemap.pictures.colors import (
+    AMOUNT,
+    BALANCE,
+    distinct_colors,
+    position_colors,
+    scalar_colors,
+    to_display,
+    to_linear,
+)
+from cagemap.pictures.overlay import draw_dots
+from cagemap.pictures.render import Image, Model, Skin, render, sample_texture, visible
+
+__all__ = [
+    "AMOUNT",
+    "BACK",
+    "BALANCE",
+    "FRONT",
+    "SIDE",
+    "VIEWS",
+    "Camera",
+    "Image",
+    "Model",
+    "Skin",
+    "View",
+    "distinct_colors",
+    "draw_dots",
+    "frame",
+    "position_colors",
+    "render",
+    "sample_texture",
+    "scalar_colors",
+    "to_display",
+    "to_linear",
+    "visible",
+]

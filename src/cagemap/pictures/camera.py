@@ -1,0 +1,111 @@
+"""Cameras that frame a surface: directions from a figure that faces +Z with +Y up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cagemap.errors import ParameterError
+from cagemap.mesh import FloatArray
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera.
+
+    Attributes
+    ----------
+    eye : (3,) float64
+        Where it stands, in the mesh's own length unit.
+    axes : (3, 3) float64
+        Rows: right, up, and backward (from what is looked at towards the eye). Orthonormal.
+    half_height : float
+        Tangent of half the vertical opening angle.
+    """
+
+    eye: FloatArray
+    axes: FloatArray
+    half_height: float
+
+    def rays(self, width: int, height: int, offset: tuple[float, float] = (0.5, 0.5)) -> FloatArray:
+        """(height * width, 3) directions through one point of every pixel, row 0 at the top; not of unit length.
+
+        ``offset`` is the point in the pixel, (column, row) from 0 to 1.
+        """
+        right = (2.0 * (np.arange(width) + offset[0]) / width - 1.0) * self.half_height * width / height
+        up = (1.0 - 2.0 * (np.arange(height) + offset[1]) / height) * self.half_height
+        across = right[:, None] * self.axes[0] - self.axes[2]  # (width,3)
+        return (up[:, None, None] * self.axes[1] + across).reshape(-1, 3)
+
+    def project(self, points: FloatArray, width: int, height: int) -> FloatArray:
+        """(p, 2) image position (column, row) in pixels of points (p, 3) before the camera."""
+        right, up, back = ((points - self.eye) @ self.axes.T).T
+        depth = np.maximum(-back, np.finfo(np.float64).tiny)
+        return np.stack(
+            [
+                (right / depth / self.half_height * height / width + 1.0) * width / 2,
+                (1.0 - up / depth / self.half_height) * height / 2,
+            ],
+            axis=1,
+        )
+
+
+@dataclass(frozen=True)
+class View:
+    """A named direction to look from.
+
+    Attributes
+    ----------
+    name : str
+    azimuth, elevation : float
+        Degrees; azimuth 0 looks at the front (+Z), 90 at the figure's own left (+X).
+    """
+
+    name: str
+    azimuth: float
+    elevation: float
+
+
+FRONT = View("front", 35.0, 12.0)
+SIDE = View("side", 90.0, 6.0)
+BACK = View("back", 215.0, 14.0)
+VIEWS = (FRONT, SIDE, BACK)
+
+
+def frame(
+    positions: FloatArray, view: View = FRONT, *, aspect: float = 4 / 3, opening: float = 28.0, margin: float = 0.06
+) -> Camera:
+    """Camera that looks at the surface from ``view`` and keeps all of it in the image.
+
+    Parameters
+    ----------
+    positions : (n, 3) float64
+    aspect : float
+        Image width / height.
+    opening : float
+        Vertical opening angle in degrees.
+    margin : float
+        Free border as a fraction of the image.
+
+    Raises
+    ------
+    ParameterError
+        If there is no finite point to look at.
+    """
+    if len(positions) == 0 or not np.isfinite(positions).all():
+        raise ParameterError("frame: expected finite positions (n, 3) with n > 0; nothing to look at otherwise.")
+    azimuth, elevation = np.radians([view.azimuth, view.elevation])
+    back = np.array([np.sin(azimuth) * np.cos(elevation), np.sin(elevation), np.cos(azimuth) * np.cos(elevation)])
+    right = np.cross([0.0, 1.0, 0.0], back)
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(back, right), back])
+    local = positions @ axes.T  # (n,3) in camera axes
+    centre = (local.min(0) + local.max(0)) / 2
+    local = local - centre
+    tangent = float(np.tan(np.radians(opening) / 2))
+    usable = tangent * (1.0 - margin)
+    # |x| <= (distance - z) * usable * aspect for every point, and the same upwards.
+    distance = float(np.max(local[:, 2] + np.maximum(np.abs(local[:, 0]) / aspect, np.abs(local[:, 1])) / usable))
+    distance = max(distance, 1e-12 * (1.0 + float(np.abs(centre).max())))
+    return Camera(axes.T @ (centre + np.array([0.0, 0.0, distance])), axes, tangent)

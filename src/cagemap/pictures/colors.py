@@ -1,0 +1,75 @@
+"""Colours as numbers: encodings, scales, colours that show a map. Displayed colours are sRGB in [0, 1]."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cagemap.mesh import FloatArray
+
+# Anchors of two perceptual scales (viridis-like for amounts, blue-white-red for "less / more"), evenly spaced.
+AMOUNT = np.array(
+    [[68, 1, 84], [71, 44, 122], [59, 81, 139], [44, 113, 142], [33, 144, 141], [39, 173, 129], [92, 200, 99],
+     [170, 220, 50], [253, 231, 37]]
+) / 255.0  # fmt: skip
+BALANCE = np.array(
+    [[33, 78, 146], [67, 133, 190], [146, 197, 222], [222, 232, 238], [247, 246, 244], [249, 221, 205], [240, 160, 128],
+     [205, 82, 75], [150, 22, 45]]
+) / 255.0  # fmt: skip
+
+
+def to_linear(display: FloatArray) -> FloatArray:
+    """Light from sRGB display values (IEC 61966-2-1)."""
+    return np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)
+
+
+def to_display(linear: FloatArray) -> FloatArray:
+    """Display values from light, clipped to [0, 1]."""
+    light = np.clip(linear, 0.0, 1.0)
+    return np.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055)
+
+
+def scalar_colors(values: FloatArray, low: float, high: float, scale: FloatArray = AMOUNT) -> FloatArray:
+    """(n, 3) colours of values (n,) on a scale from ``low`` to ``high``; NaN becomes grey."""
+    span = high - low if high > low else 1.0
+    at = np.clip((np.nan_to_num(values, nan=low) - low) / span, 0.0, 1.0) * (len(scale) - 1)
+    anchors = np.arange(len(scale))
+    colors = np.stack([np.interp(at, anchors, scale[:, channel]) for channel in range(3)], axis=1)
+    colors[np.isnan(values)] = 0.6
+    return colors
+
+
+def position_colors(points: FloatArray, reference: FloatArray, cells: int = 24) -> FloatArray:
+    """Colours that tell where on the source a point lies: hue from x, y, z, with a faint checker to show stretch.
+
+    Painting the source with its own positions and the target with the positions its vertices map to shows the map.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        Positions on the source surface.
+    reference : (m, 3) float64
+        All positions of the source; fixes the range.
+    cells : int
+        Checker cells along the longest side of the bounding box; 0 for none.
+
+    Returns
+    -------
+    (n, 3) float64
+    """
+    low, high = reference.min(0), reference.max(0)
+    span = np.maximum(high - low, 1e-9 * max(float((high - low).max()), np.finfo(np.float64).tiny))
+    unit = np.clip((points - low) / span, 0.0, 1.0)
+    colors = 0.16 + 0.78 * unit
+    if cells:
+        steps = np.floor((points - low) * (cells / float(span.max()))).astype(np.int64)
+        colors = colors * np.where(steps.sum(1) % 2 == 0, 1.0, 0.86)[:, None]
+    return colors
+
+
+def distinct_colors(count: int) -> FloatArray:
+    """(count, 3) colours that neighbouring indices can be told apart by (hue by the golden ratio)."""
+    hue = (np.arange(count) * 0.61803398875 + 0.02) % 1.0
+    lightness = np.where(np.arange(count) % 2 == 0, 0.92, 0.72)
+    channel = (hue[:, None] * 6 + np.array([0.0, 4.0, 2.0])) % 6
+    pure = np.clip(np.abs(channel - 3.0) - 1.0, 0.0, 1.0)
+    return lightness[:, None] * (1.0 - 0.78 * (1.0 - pure))

@@ -1,0 +1,276 @@
+"""Pictures without a screen: ray casting with Embree, shading with NumPy.
+
+The light is a soft sky (fixed directions, so pictures are noise-free and repeatable) plus a key light from the upper
+left and a little light from the eye; a sky-lit floor gives the contact shadow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from numpy.typing import NDArray
+
+from cagemap.errors import ParameterError
+from cagemap.mesh import FloatArray, IndexArray
+from cagemap.pictures.camera import Camera
+from cagemap.pictures.colors import to_display, to_linear
+from cagemap.point_map.surface_points import vertex_normals
+
+Image = NDArray[np.uint8]
+_CLAY = np.array([0.80, 0.78, 0.75])
+_WHITE = np.ones(3)
+_SKY_DIRECTIONS = 10  # of each subpixel; the sky a pixel sees has samples**2 times as many
+
+
+@dataclass(frozen=True)
+class Skin:
+    """What colours a surface: the first of texture, vertex colours, face colours that is given, otherwise clay.
+
+    Attributes
+    ----------
+    vertex_colors : (n, 3) sRGB in [0, 1] or None
+    face_colors : (t, 3) sRGB in [0, 1] or None
+        One per triangle.
+    texture : (H, W, 3) or (H, W, 4) sRGB in [0, 1] or None
+        Row 0 is the top: row = (1 - v) H. Alpha is ignored.
+    corner_uvs : (t, 3, 2) float64 or None
+        UV of every corner of every triangle.
+    """
+
+    vertex_colors: FloatArray | None = None
+    face_colors: FloatArray | None = None
+    texture: FloatArray | None = None
+    corner_uvs: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class Model:
+    """A triangulated surface ready to be cast rays at; keep it for several views.
+
+    Attributes
+    ----------
+    positions : (n, 3) float64
+    triangles : (t, 3) int64
+    """
+
+    positions: FloatArray
+    triangles: IndexArray
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be drawn."""
+        if self.triangles.ndim != 2 or self.triangles.shape[1:] != (3,) or len(self.triangles) == 0:
+            raise ParameterError(
+                f"Model: expected triangles (t, 3) with t > 0, got {self.triangles.shape}. "
+                "Split quads with cagemap.refinement.triangles first."
+            )
+
+    @cached_property
+    def scale(self) -> float:
+        """Longest side of the bounding box."""
+        return float(np.ptp(self.positions, axis=0).max()) or 1.0
+
+    @cached_property
+    def centre(self) -> FloatArray:
+        """(3,) middle of the bounding box."""
+        return np.asarray((self.positions.min(0) + self.positions.max(0)) / 2)
+
+    @cached_property
+    def scene(self) -> Any:
+        """Embree's tree, over positions moved and scaled to a unit box (Embree computes in single precision)."""
+        scene = EmbreeScene()
+        unit = ((self.positions - self.centre) / self.scale).astype(np.float32)
+        TriangleMesh(scene, unit, self.triangles.astype(np.int32))
+        return scene
+
+    @cached_property
+    def normals(self) -> FloatArray:
+        """(n, 3) unit vertex normals, face normals weighted by area."""
+        return vertex_normals(self.positions, self.triangles)
+
+
+def render(
+    model: Model,
+    skin: Skin,
+    camera: Camera,
+    *,
+    width: int = 800,
+    height: int = 600,
+    samples: int = 2,
+    background: FloatArray = _WHITE,
+    floor: bool = True,
+) -> Image:
+    """Draw a surface.
+
+    Parameters
+    ----------
+    camera : Camera
+        From ``frame``.
+    samples : int
+        Rays per pixel along each axis; 2 or 3 for smooth edges.
+    background : (3,) sRGB
+    floor : bool
+        Whether the surface stands on a floor that shows its soft shadow.
+
+    Returns
+    -------
+    (height, width, 3) uint8
+        Row 0 is the top.
+    """
+    _check_skin(model, skin)
+    light = np.zeros((width * height, 3))
+    for index in range(samples * samples):
+        offset = ((index % samples + 0.5) / samples, (index // samples + 0.5) / samples)
+        directions = camera.rays(width, height, offset)
+        light += _radiance(model, skin, camera, directions, index, to_linear(background), floor)
+    shown = to_display(light / samples**2)
+    return np.round(shown * 255).astype(np.uint8).reshape(height, width, 3)
+
+
+def visible(model: Model, camera: Camera, points: FloatArray) -> NDArray[np.bool_]:
+    """(p,) whether the camera sees points (p, 3) of the surface."""
+    towards = points - camera.eye
+    distance = np.linalg.norm(towards, axis=1)
+    hit = _cast(model, _to_unit(model, camera.eye), towards / distance[:, None])
+    return np.asarray(hit["tfar"] * model.scale > distance - 0.01 * model.scale)
+
+
+def _check_skin(model: Model, skin: Skin) -> None:
+    expected = {
+        "vertex_colors": (len(model.positions), 3),
+        "face_colors": (len(model.triangles), 3),
+        "corner_uvs": (len(model.triangles), 3, 2),
+    }
+    for name, shape in expected.items():
+        given = getattr(skin, name)
+        if given is not None and given.shape != shape:
+            raise ParameterError(f"Skin.{name}: expected shape {shape} for this model, got {given.shape}.")
+    if (skin.texture is None) != (skin.corner_uvs is None):
+        raise ParameterError("Skin: texture and corner_uvs go together; give both or neither.")
+
+
+def _to_unit(model: Model, points: FloatArray) -> FloatArray:
+    """Points in the unit box that the scene is built in."""
+    return (points - model.centre) / model.scale
+
+
+def _cast(model: Model, origins: NDArray[Any], directions: FloatArray) -> dict[str, NDArray[Any]]:
+    """First hits of rays from origins in the unit box; ``tfar`` is in lengths of the directions given."""
+    starts = np.broadcast_to(origins, directions.shape)
+    hits: dict[str, NDArray[Any]] = model.scene.run(
+        np.ascontiguousarray(starts, np.float32), np.ascontiguousarray(directions, np.float32), output=1
+    )
+    return hits
+
+
+def _radiance(
+    model: Model, skin: Skin, camera: Camera, directions: FloatArray, index: int, background: FloatArray, floor: bool
+) -> FloatArray:
+    """(r, 3) linear light along one ray of every pixel."""
+    radiance = np.tile(background, (len(directions), 1))
+    hits = _cast(model, _to_unit(model, camera.eye), directions)
+    struck = np.flatnonzero(hits["primID"] >= 0)
+    triangle = hits["primID"][struck].astype(np.int64)
+    corner = np.stack([1.0 - hits["u"][struck] - hits["v"][struck], hits["u"][struck], hits["v"][struck]], axis=1)
+    # Corners, not distances: the hit in double precision lies on the triangle whatever the distance of the eye.
+    vertices = model.triangles[triangle]
+    points = np.einsum("rc,rcd->rd", corner, model.positions[vertices])
+    normals = np.einsum("rc,rcd->rd", corner, model.normals[vertices])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    # Inside faces of an open surface are lit as if they faced the eye.
+    normals *= np.where(np.einsum("rd,rd->r", normals, directions[struck]) > 0, -1.0, 1.0)[:, None]
+    radiance[struck] = _colors(skin, model, triangle, corner) * _light(model, camera, points, normals, index)
+    if floor:
+        _shade_floor(model, camera, directions, hits["primID"] < 0, index, radiance)
+    return radiance
+
+
+def _colors(skin: Skin, model: Model, triangle: IndexArray, corner: FloatArray) -> FloatArray:
+    """(r, 3) linear surface colour at hits."""
+    if skin.texture is not None and skin.corner_uvs is not None:
+        uv = np.einsum("rc,rcd->rd", corner, skin.corner_uvs[triangle])
+        return to_linear(sample_texture(skin.texture, uv)[:, :3])
+    if skin.vertex_colors is not None:
+        return np.einsum("rc,rcd->rd", corner, to_linear(skin.vertex_colors[model.triangles[triangle]]))
+    if skin.face_colors is not None:
+        return to_linear(skin.face_colors[triangle])
+    return np.tile(to_linear(_CLAY), (len(triangle), 1))
+
+
+def sample_texture(texture: FloatArray, uv: FloatArray) -> FloatArray:
+    """(r, channels) bilinear texture values at (r, 2) UVs; texel centres at half-integers, clamped at the border."""
+    height, width = texture.shape[:2]
+    x = np.clip(uv[:, 0] * width - 0.5, 0.0, width - 1.0)
+    y = np.clip((1.0 - uv[:, 1]) * height - 0.5, 0.0, height - 1.0)
+    column, row = np.minimum(x.astype(np.int64), width - 2), np.minimum(y.astype(np.int64), height - 2)
+    column, row = np.maximum(column, 0), np.maximum(row, 0)
+    right, below = np.minimum(column + 1, width - 1), np.minimum(row + 1, height - 1)
+    s, t = (x - column)[:, None], (y - row)[:, None]
+    upper = texture[row, column] * (1 - s) + texture[row, right] * s
+    lower = texture[below, column] * (1 - s) + texture[below, right] * s
+    return np.asarray(upper * (1 - t) + lower * t, dtype=np.float64)
+
+
+def _sky(index: int) -> FloatArray:
+    """(s, 3) directions all around, a Fibonacci spiral turned differently for every subpixel."""
+    order = np.arange(_SKY_DIRECTIONS) + 0.5
+    height = 1.0 - 2.0 * order / _SKY_DIRECTIONS
+    angle = 2.39996322973 * order + 1.7 * index
+    ring = np.sqrt(1.0 - height**2)
+    return np.stack([ring * np.cos(angle), height, ring * np.sin(angle)], axis=1)
+
+
+def _openness(model: Model, points: FloatArray, normals: FloatArray, directions: FloatArray) -> FloatArray:
+    """(p,) part of the sky light that reaches points, weighted by the cosine and more from above."""
+    lifted = _to_unit(model, points + normals * (2e-3 * model.scale)).astype(np.float32)
+    received, possible = np.zeros(len(points)), np.full(len(points), 1e-9)
+    for direction in directions:
+        cosine = normals @ direction
+        facing = np.flatnonzero(cosine > 0)
+        hits = _cast(model, lifted[facing], np.broadcast_to(direction, (len(facing), 3)))
+        # What is far away blocks less: a hand does not darken the belly.
+        clear = np.clip(hits["tfar"] / 0.5, 0.0, 1.0)
+        received[facing] += cosine[facing] * clear * (0.62 + 0.38 * direction[1])
+        possible[facing] += cosine[facing]
+    return received / possible
+
+
+def _light(model: Model, camera: Camera, points: FloatArray, normals: FloatArray, index: int) -> FloatArray:
+    """(p, 3) linear light that arrives at points: sky, key light with wrapped edge, a little from the eye."""
+    sky = _openness(model, points, normals, _sky(index))
+    key_direction = np.array([-0.45, 0.62, 0.64]) @ camera.axes
+    key = np.clip((normals @ key_direction + 0.25) / 1.25, 0.0, None)
+    towards = camera.eye - points
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    eye = np.maximum(np.einsum("pd,pd->p", normals, towards), 0.0)
+    warm, cool = np.array([1.04, 1.0, 0.94]), np.array([0.95, 0.99, 1.06])
+    return 0.70 * sky[:, None] * cool + 0.48 * key[:, None] * warm * (0.35 + 0.65 * sky[:, None]) + 0.10 * eye[:, None]
+
+
+def _shade_floor(
+    model: Model,
+    camera: Camera,
+    directions: FloatArray,
+    free: NDArray[np.bool_],
+    index: int,
+    radiance: FloatArray,
+) -> None:
+    """Darken, in place, the background where the floor under the surface sees less sky."""
+    ground = float(model.positions[:, 1].min())
+    if camera.eye[1] <= ground:
+        return
+    below = np.flatnonzero(free & (directions[:, 1] < -1e-6))
+    distance = (ground - camera.eye[1]) / directions[below, 1]
+    points = camera.eye + directions[below] * distance[:, None]
+    reach = np.linalg.norm((points - model.centre)[:, [0, 2]], axis=1) / model.scale
+    near = reach < 0.9
+    below, points, reach = below[near], points[near], reach[near]
+    up = np.tile([0.0, 1.0, 0.0], (len(points), 1))
+    open_sky = _openness(model, points, up, _sky(index))
+    flat = 0.62 + 0.38 * float(np.sum(np.maximum(_sky(index)[:, 1], 0) ** 2) / np.sum(np.maximum(_sky(index)[:, 1], 0)))
+    shadow = np.clip(1.0 - open_sky / flat, 0.0, 1.0) * np.clip(0.9 - reach, 0.0, 0.3) / 0.3
+    radiance[below] *= (1.0 - 0.55 * shadow)[:, None]
