@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 
 from cagemap.errors import FormatError
@@ -45,13 +44,6 @@ def at_line(path: Path, number: int, expected: str, got: str, remedy: str) -> st
     """Message about one line of a file; what was found is cut to a readable length."""
     shown = got if len(got) <= 80 else got[:77] + "..."
     return f"{path}, line {number}: expected {expected}, got '{shown}'. {remedy}"
-
-
-def first_few(values: Iterable[object], limit: int = 8) -> str:
-    """List the first values, and say how many more there are."""
-    items = [str(value) for value in values]
-    more = f", ... ({len(items) - limit} more)" if len(items) > limit else ""
-    return ", ".join(items[:limit]) + more
 
 
 def check_writable_name(name: str) -> None:

@@ -1,0 +1,245 @@
+"""Whether a control mesh is one that the method can take, and if not, which elements are at fault and what to do.
+
+`check_mesh` reports everything it finds, `require_valid` raises. Geometry is judged relative to the mesh's own size, so
+that the unit of the file does not matter. Vertices at the same place are valid, and so are vertices of valence 2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cagemap.errors import InvalidMeshError
+from cagemap.mesh.control_mesh import ControlMesh, IndexArray
+from cagemap.mesh.geometry_checks import extent_problem, inside_out_problem, zero_area_problem
+from cagemap.mesh.mesh_report import MeshReport, Problem, first_few
+from cagemap.mesh.structure_checks import structure_problems
+from cagemap.mesh.topology import (
+    EdgeTable,
+    boundary_loops,
+    corner_fans,
+    edge_table,
+    face_components,
+    face_orientation,
+    uv_islands,
+    valences,
+)
+
+
+def check_mesh(mesh: ControlMesh) -> MeshReport:
+    """Count the elements of a control mesh and list everything that keeps the method from taking it.
+
+    A fault that would only produce others hides them: copies of faces are named as such and not also as non-manifold
+    edges, and faces with a repeated vertex are to be repaired before connectivity is judged.
+    """
+    blank = MeshReport(mesh.name, len(mesh.positions), None, max(len(mesh.face_offsets) - 1, 0))
+    broken = structure_problems(mesh)
+    if broken:
+        return replace(blank, problems=broken)
+    degenerate = _repeated_corners(mesh)
+    duplicates = duplicate_faces(mesh)
+    kept = np.setdiff1d(np.arange(mesh.n_faces), duplicates)
+    single = keep_faces(mesh, kept) if len(duplicates) else mesh
+    edges = edge_table(single)
+    loops = None if len(degenerate) else boundary_loops(single, edges)
+    problems = [_degenerate_problem(mesh, degenerate), _duplicates_problem(duplicates), _isolated_problem(mesh)]
+    if not len(degenerate):
+        problems += [
+            _edge_manifold_problem(edges),
+            _vertex_manifold_problem(single, edges),
+            _orientation_problem(single, edges, kept),
+        ]
+    problems += [_components_problem(mesh), extent_problem(mesh)]
+    if problems[-1] is None:
+        problems.append(zero_area_problem(mesh, np.setdiff1d(np.arange(mesh.n_faces), degenerate)))
+    if loops is not None and not any(problems):
+        problems.append(inside_out_problem(mesh, loops))
+    return replace(_counts(single, edges, loops, blank), problems=tuple(p for p in problems if p is not None))
+
+
+def require_valid(mesh: ControlMesh) -> None:
+    """Raise unless the method can take the mesh.
+
+    Raises
+    ------
+    InvalidMeshError
+        Names every kind of problem, its first elements (0-based, in the file's numbering) and the remedy.
+    """
+    problems = check_mesh(mesh).problems
+    if problems:
+        count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
+        listed = "".join(f"\n  - {problem}" for problem in problems)
+        raise InvalidMeshError(
+            f"{mesh.name}: expected a manifold, consistently oriented mesh of one piece, got {count}:{listed}"
+        )
+
+
+def keep_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
+    """Return the mesh with only some of its faces; vertices and texture coordinates stay as they are."""
+    sizes = mesh.face_sizes[faces]
+    offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    corners = np.repeat(mesh.face_offsets[faces] - offsets[:-1], sizes) + np.arange(offsets[-1])
+    return replace(
+        mesh,
+        face_offsets=offsets,
+        face_indices=mesh.face_indices[corners],
+        uv_indices=None if mesh.uv_indices is None else mesh.uv_indices[corners],
+        face_materials=None if mesh.face_materials is None else mesh.face_materials[faces],
+    )
+
+
+def duplicate_faces(mesh: ControlMesh) -> IndexArray:
+    """Faces that have the same vertices, in whatever order, as a face of a lower number."""
+    copies = []
+    for size in np.unique(mesh.face_sizes):
+        faces = np.flatnonzero(mesh.face_sizes == size)
+        corners = np.sort(mesh.face_indices[mesh.face_offsets[faces][:, None] + np.arange(size)], axis=1)
+        order = np.lexsort(corners.T)  # stable: of equal faces the lowest number comes first
+        same = np.all(corners[order][1:] == corners[order][:-1], axis=1)
+        copies.append(faces[order][1:][same])
+    return np.sort(np.concatenate(copies))
+
+
+def _counts(mesh: ControlMesh, edges: EdgeTable, loops: tuple[IndexArray, ...] | None, blank: MeshReport) -> MeshReport:
+    sizes, size_counts = np.unique(mesh.face_sizes, return_counts=True)
+    components = np.bincount(face_components(mesh))
+    used = np.unique(mesh.face_indices)
+    edges_at = valences(mesh, edges)[used]
+    euler = len(used) - len(edges.vertices) + mesh.n_faces
+    islands = uv_islands(mesh)
+    one_sided = loops is None or not face_orientation(mesh, edges).orientable
+    handles, odd = divmod(2 * len(components) - euler - len(loops or ()), 2)
+    return replace(
+        blank,
+        n_edges=len(edges.vertices),
+        face_sizes=tuple(zip(sizes.tolist(), size_counts.tolist(), strict=True)),
+        euler_characteristic=euler,
+        genus=None if one_sided or odd or handles < 0 else handles,
+        boundary_loops=None if loops is None else tuple(tuple(loop.tolist()) for loop in loops),
+        component_sizes=tuple(components.tolist()),
+        valence_range=(int(edges_at.min()), int(edges_at.max())),
+        uv_islands=None if islands is None else int(islands.max()) + 1,
+    )
+
+
+def _repeated_corners(mesh: ControlMesh) -> IndexArray:
+    """Faces of fewer than three corners, or that visit a vertex twice."""
+    faces = mesh.corner_faces
+    order = np.lexsort([mesh.face_indices, faces])
+    same = (np.diff(mesh.face_indices[order]) == 0) & (np.diff(faces[order]) == 0)
+    return np.union1d(np.flatnonzero(mesh.face_sizes < 3), faces[order][1:][same])
+
+
+def _degenerate_problem(mesh: ControlMesh, faces: IndexArray) -> Problem | None:
+    if not len(faces):
+        return None
+    return Problem(
+        "degenerate faces",
+        f"expected at least three different vertices around every face, got {len(faces)} face(s) with fewer or with "
+        "one repeated, faces",
+        tuple(faces.tolist()),
+        "Dissolve the zero-length edges or delete these faces; connectivity is checked after that.",
+    )
+
+
+def _duplicates_problem(faces: IndexArray) -> Problem | None:
+    if not len(faces):
+        return None
+    return Problem(
+        "duplicate faces",
+        f"expected every face once, got {len(faces)} face(s) with the same vertices as an earlier one, faces",
+        tuple(faces.tolist()),
+        "Delete these copies.",
+    )
+
+
+def _isolated_problem(mesh: ControlMesh) -> Problem | None:
+    unused = np.flatnonzero(np.bincount(mesh.face_indices, minlength=mesh.n_vertices) == 0)
+    if not len(unused):
+        return None
+    return Problem(
+        "isolated vertices",
+        f"expected every vertex to belong to a face, got {len(unused)} without, vertices",
+        tuple(unused.tolist()),
+        "Delete the loose vertices (this renumbers the others: landmarks must be made for the new file).",
+    )
+
+
+def _edge_manifold_problem(edges: EdgeTable) -> Problem | None:
+    bad = np.flatnonzero(edges.face_counts > 2)
+    if not len(bad):
+        return None
+    pairs = tuple((a, b) for a, b in edges.vertices[bad].tolist())
+    return Problem(
+        "non-manifold edges",
+        f"expected one or two faces at every edge, got {len(bad)} edge(s) with up to {edges.face_counts.max()}, "
+        "between vertices",
+        pairs,
+        "Delete the inner faces there, or split the edge so that each sheet has its own.",
+    )
+
+
+def _vertex_manifold_problem(mesh: ControlMesh, edges: EdgeTable) -> Problem | None:
+    """Vertices whose faces form several fans. Edges of too many faces are named elsewhere and count as joined here."""
+    _, first_corners = np.unique(corner_fans(mesh, edges), return_index=True)
+    bad = np.flatnonzero(np.bincount(mesh.face_indices[first_corners], minlength=mesh.n_vertices) > 1)
+    if not len(bad):
+        return None
+    return Problem(
+        "non-manifold vertices",
+        f"expected the faces around every vertex to form one fan, got {len(bad)} vertex/vertices where parts of the "
+        "surface touch in a point only, vertices",
+        tuple(bad.tolist()),
+        "Split these vertices (one copy per fan), or add the missing faces between the fans.",
+    )
+
+
+def _orientation_problem(mesh: ControlMesh, edges: EdgeTable, numbers: IndexArray) -> Problem | None:
+    orientation = face_orientation(mesh, edges)
+    if not orientation.orientable:
+        return Problem(
+            "one-sided surface",
+            "expected a surface with an inside and an outside, got one where no choice of face directions agrees along "
+            "all edges (as on a Moebius strip)",
+            (),
+            "Cut the surface where its two sides are joined.",
+        )
+    flipped = numbers[orientation.flipped]
+    if not len(flipped):
+        return None
+    return Problem(
+        "inconsistent orientation",
+        f"expected neighbouring faces to run in the same sense, got {len(flipped)} of {mesh.n_faces} faces turned "
+        "against the others, faces",
+        tuple(flipped.tolist()),
+        "Flip these faces (recalculate normals to the outside in the modelling program).",
+    )
+
+
+def _components_problem(mesh: ControlMesh) -> Problem | None:
+    labels = face_components(mesh)
+    sizes = np.bincount(labels)
+    if len(sizes) == 1:
+        return None
+    first_faces = np.unique(labels, return_index=True)[1]
+    copy = " One is a copy of another in the same place." if _has_copied_component(mesh, labels) else ""
+    return Problem(
+        "several components",
+        f"expected one connected piece, got {len(sizes)} of {first_few(sizes.tolist())} faces, which begin at faces",
+        tuple(first_faces.tolist()),
+        f"Delete the pieces that are not wanted, or save each as a file of its own.{copy}",
+    )
+
+
+def _has_copied_component(mesh: ControlMesh, labels: IndexArray, examined: int = 16) -> bool:
+    """Whether two of the first few components have the same vertex positions."""
+    clouds = set()
+    for label in range(min(int(labels.max()) + 1, examined)):
+        vertices = np.unique(mesh.face_indices[(labels == label)[mesh.corner_faces]])
+        points = mesh.positions[vertices]
+        cloud = points[np.lexsort(points.T)].tobytes()
+        if cloud in clouds:
+            return True
+        clouds.add(cloud)
+    return False

@@ -1,0 +1,134 @@
+"""What a check of a control mesh found, as values that print well."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+LISTED = 8
+
+
+def first_few(values: Iterable[object], limit: int = LISTED) -> str:
+    """List the first values, and say how many more there are."""
+    items = [str(value) for value in values]
+    more = f", ... ({len(items) - limit} more)" if len(items) > limit else ""
+    return ", ".join(items[:limit]) + more
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One kind of fault in a control mesh.
+
+    Attributes
+    ----------
+    kind : str
+        Short name, such as ``non-manifold edges``.
+    found : str
+        What was expected and what is there instead, in a sentence without the list of elements.
+    elements : tuple of int, or of pairs of int
+        All offending elements, 0-based, in the file's numbering; pairs are the end points of edges.
+    remedy : str
+        What to do about it.
+    """
+
+    kind: str
+    found: str
+    elements: tuple[int, ...] | tuple[tuple[int, int], ...]
+    remedy: str
+
+    def __str__(self) -> str:
+        where = f": {first_few(self.elements)}" if self.elements else ""
+        return f"{self.kind}: {self.found}{where}. {self.remedy}"
+
+
+@dataclass(frozen=True)
+class MeshReport:
+    """Counts and problems of a control mesh; ``print`` shows them as a table.
+
+    What could not be found out because of a problem is None.
+
+    Attributes
+    ----------
+    name : str
+    n_vertices, n_edges, n_faces : int
+    face_sizes : tuple of (int, int)
+        (corners, number of faces with that many), ascending.
+    euler_characteristic : int or None
+        Vertices - edges + faces.
+    genus : int or None
+        Number of handles, boundary loops counted as closed; summed over components.
+    boundary_loops : tuple of tuples of int, or None
+        Vertices along every loop, 0-based.
+    component_sizes : tuple of int
+        Number of faces of every connected component, in file order.
+    valence_range : (int, int) or None
+        Fewest and most edges at a vertex that has faces.
+    uv_islands : int or None
+        None without texture coordinates.
+    problems : tuple of Problem
+    """
+
+    name: str
+    n_vertices: int
+    n_edges: int | None
+    n_faces: int
+    face_sizes: tuple[tuple[int, int], ...] = ()
+    euler_characteristic: int | None = None
+    genus: int | None = None
+    boundary_loops: tuple[tuple[int, ...], ...] | None = None
+    component_sizes: tuple[int, ...] = ()
+    valence_range: tuple[int, int] | None = None
+    uv_islands: int | None = None
+    problems: tuple[Problem, ...] = ()
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether the method can take the mesh."""
+        return not self.problems
+
+    def __str__(self) -> str:
+        euler = _shown(self.euler_characteristic)
+        if self.genus is not None:
+            euler += f"  (genus {self.genus})"
+        valence = "-" if self.valence_range is None else "{} to {}".format(*self.valence_range)
+        rows = [
+            ("vertices", str(self.n_vertices)),
+            ("edges", _shown(self.n_edges)),
+            ("faces", f"{self.n_faces}{self._faces_by_size()}"),
+            ("Euler characteristic", euler),
+            ("boundary loops", self._loops()),
+            ("components", self._components()),
+            ("valence", valence),
+            ("UV islands", "no UVs" if self.uv_islands is None else str(self.uv_islands)),
+            ("problems", str(len(self.problems)) if self.problems else "none"),
+        ]
+        lines = [self.name, *(f"  {label:<22}{value}" for label, value in rows)]
+        lines += [f"  {i}. {problem}" for i, problem in enumerate(self.problems, start=1)]
+        return "\n".join(lines)
+
+    def _faces_by_size(self) -> str:
+        if not self.face_sizes:
+            return ""
+        names = {3: "triangles", 4: "quads"}
+        parts = [f"{count} {names[size]}" for size, count in self.face_sizes if size in names]
+        large = [(size, count) for size, count in self.face_sizes if size > 4]
+        small = sum(count for size, count in self.face_sizes if size < 3)
+        if large:
+            parts.append(f"{sum(count for _, count in large)} n-gons of up to {large[-1][0]} corners")
+        if small:
+            parts.append(f"{small} of fewer than 3 corners")
+        return f"  ({', '.join(parts)})"
+
+    def _loops(self) -> str:
+        if self.boundary_loops is None:
+            return "-"
+        lengths = sorted((len(loop) for loop in self.boundary_loops), reverse=True)
+        return f"{len(lengths)}  (of {first_few(lengths)} edges)" if lengths else "0  (closed)"
+
+    def _components(self) -> str:
+        sizes = self.component_sizes
+        return f"{len(sizes)}  (of {first_few(sizes)} faces)" if len(sizes) > 1 else str(len(sizes) or "-")
+
+
+def _shown(value: int | None) -> str:
+    return "-" if value is None else str(value)

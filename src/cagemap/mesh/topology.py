@@ -1,0 +1,172 @@
+"""Connectivity of a control mesh as arrays: edges, fans around vertices, boundary loops, components, orientation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from cagemap.mesh.control_mesh import ControlMesh, IndexArray
+
+
+@dataclass(frozen=True)
+class EdgeTable:
+    """Edges of a mesh and how face corners refer to them.
+
+    Corner c stands for the half-edge from its own vertex to that of the next corner of its face.
+
+    Attributes
+    ----------
+    vertices : (e, 2) int64
+        End points, the lower number first; sorted.
+    corner_edges : (c,) int64
+        Edge of every corner's half-edge.
+    face_counts : (e,) int64
+        Number of faces at every edge: 2 inside, 1 on the boundary, more where the mesh is not manifold.
+    """
+
+    vertices: IndexArray
+    corner_edges: IndexArray
+    face_counts: IndexArray
+
+    def boundary_corners(self) -> IndexArray:
+        """Corners whose half-edge lies on the boundary."""
+        return np.flatnonzero(self.face_counts[self.corner_edges] == 1)
+
+
+def edge_table(mesh: ControlMesh) -> EdgeTable:
+    """Find the edges of a mesh; two corners share an edge where they join the same two vertices."""
+    tails = mesh.face_indices
+    heads = tails[mesh.next_corners]
+    keys = np.minimum(tails, heads) * mesh.n_vertices + np.maximum(tails, heads)
+    edges, corner_edges, counts = np.unique(keys, return_inverse=True, return_counts=True)
+    vertices = np.column_stack(np.divmod(edges, max(mesh.n_vertices, 1)))
+    return EdgeTable(vertices, corner_edges.astype(np.int64), counts.astype(np.int64))
+
+
+def adjacent_corners(edges: EdgeTable) -> tuple[IndexArray, IndexArray]:
+    """Pair the half-edges that share an edge: two for an inner edge, a chain where more faces meet."""
+    order = np.argsort(edges.corner_edges, kind="stable")
+    same = np.diff(edges.corner_edges[order]) == 0
+    return order[:-1][same], order[1:][same]
+
+
+def corner_fans(mesh: ControlMesh, edges: EdgeTable) -> IndexArray:
+    """(c,) fan of every corner: corners around one vertex are of one fan where inner edges join their faces.
+
+    A vertex is manifold when all its corners are of one fan. Numbered from 0.
+    """
+    first, second = adjacent_corners(edges)
+    following = mesh.next_corners
+    parallel = mesh.face_indices[first] == mesh.face_indices[second]
+    tail_mate = np.where(parallel, second, following[second])
+    head_mate = np.where(parallel, following[second], second)
+    rows = np.concatenate([first, following[first]])
+    columns = np.concatenate([tail_mate, head_mate])
+    return _components(rows, columns, len(mesh.face_indices))
+
+
+def boundary_loops(mesh: ControlMesh, edges: EdgeTable) -> tuple[IndexArray, ...] | None:
+    """Vertices along every boundary loop, in the direction of the faces' half-edges (surface on the left).
+
+    None where the faces' orientations, or edges of more than two faces, leave the loops undefined. A vertex where
+    two loops touch belongs to both: each follows its own fan of faces.
+    """
+    if np.any(edges.face_counts > 2):
+        return None
+    corners = edges.boundary_corners()
+    fans = corner_fans(mesh, edges)
+    tails, heads = fans[corners], fans[mesh.next_corners[corners]]
+    order = np.argsort(tails)
+    place = np.minimum(np.searchsorted(tails[order], heads), max(len(order) - 1, 0))
+    successors = order[place]
+    if not np.array_equal(tails[successors], heads) or len(np.unique(successors)) != len(successors):
+        return None
+    loops = []
+    seen = np.zeros(len(corners), dtype=bool)
+    for start in range(len(corners)):  # boundary edges only, each visited once
+        loop = []
+        corner = start
+        while not seen[corner]:
+            seen[corner] = True
+            loop.append(mesh.face_indices[corners[corner]])
+            corner = successors[corner]
+        if loop:
+            loops.append(np.array(loop, dtype=np.int64))
+    return tuple(loops)
+
+
+def face_components(mesh: ControlMesh) -> IndexArray:
+    """(m,) connected component of every face; faces that share a vertex are of one component."""
+    labels = _components(mesh.face_indices, mesh.face_indices[mesh.next_corners], mesh.n_vertices)
+    return _renumber(labels[mesh.face_indices[mesh.face_offsets[:-1]]])
+
+
+def uv_islands(mesh: ControlMesh) -> IndexArray | None:
+    """(m,) UV island of every face: faces that share a texture vertex are of one island. None without UVs."""
+    if mesh.uvs is None or mesh.uv_indices is None:
+        return None
+    labels = _components(mesh.uv_indices, mesh.uv_indices[mesh.next_corners], len(mesh.uvs))
+    return _renumber(labels[mesh.uv_indices[mesh.face_offsets[:-1]]])
+
+
+def valences(mesh: ControlMesh, edges: EdgeTable) -> IndexArray:
+    """(n,) number of edges at every vertex."""
+    return np.bincount(edges.vertices.ravel(), minlength=mesh.n_vertices).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """How the faces of a mesh are turned against each other.
+
+    Attributes
+    ----------
+    orientable : bool
+        False where no choice of directions agrees along all inner edges (a Moebius strip).
+    flipped : (m,) bool
+        Faces to turn round so that all agree; in every piece the smaller set. All False if not orientable.
+    """
+
+    orientable: bool
+    flipped: NDArray[np.bool_]
+
+
+def face_orientation(mesh: ControlMesh, edges: EdgeTable) -> Orientation:
+    """Propagate directions along inner edges; two faces agree where they run along their edge in opposite ways.
+
+    Every face appears twice in a graph, as it is and turned round; edges join the copies that agree. A face whose two
+    copies are connected sits on a one-sided surface.
+    """
+    first, second = adjacent_corners(edges)
+    manifold = edges.face_counts[edges.corner_edges[first]] == 2
+    first, second = first[manifold], second[manifold]
+    corner_faces = mesh.corner_faces
+    agree = mesh.face_indices[first] != mesh.face_indices[second]
+    f, g = corner_faces[first], corner_faces[second]
+    m = mesh.n_faces
+    other = np.where(agree, 0, m)
+    labels = _components(np.concatenate([f, f + m]), np.concatenate([g + other, g + m - other]), 2 * m)
+    upright, turned = labels[:m], labels[m:]
+    if np.any(upright == turned):
+        return Orientation(False, np.zeros(m, dtype=bool))
+    counts = np.bincount(upright, minlength=int(labels.max(initial=-1)) + 1)
+    # The larger set stays; of two equal ones that of the lowest face, whose label is the lower one.
+    minority = (counts[upright] < counts[turned]) | ((counts[upright] == counts[turned]) & (upright > turned))
+    return Orientation(True, minority)
+
+
+def _components(rows: IndexArray, columns: IndexArray, count: int) -> IndexArray:
+    """(count,) connected component of every node of a graph given by its links."""
+    links = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(count, count))
+    return connected_components(links, directed=False)[1].astype(np.int64)
+
+
+def _renumber(labels: IndexArray) -> IndexArray:
+    """Number labels from 0 in the order of their first appearance."""
+    _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), dtype=np.int64)
+    rank[np.argsort(first)] = np.arange(len(first))
+    return rank[inverse]
