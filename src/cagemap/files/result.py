@@ -1,0 +1,358 @@
+"""The RESULT folder of a match: ``manifest.json`` for people, ``map.npz`` for programs.
+
+It holds all that transfer and report need, so that neither computes a map again nor looks for the input meshes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import platform
+import sys
+import zipfile
+import zlib
+from dataclasses import asdict, dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cagemap import __version__
+from cagemap.errors import FormatError
+from cagemap.files.atomic import atomic_folder
+from cagemap.mesh import ControlMesh, FloatArray, IndexArray
+from cagemap.refinement import CatmullClark, Loop, Refinement, Scheme, refine, triangles
+
+if TYPE_CHECKING:  # reading a result needs no solvers
+    from cagemap.pipeline import MatchResult
+
+FORMAT = "cagemap-result"
+FORMAT_VERSION = 1
+MANIFEST = "manifest.json"
+ARRAYS = "map.npz"
+
+_SCHEMES: dict[str, type[CatmullClark] | type[Loop]] = {"catmull-clark": CatmullClark, "loop": Loop}
+_CONTROL_ARRAYS = (
+    "positions",
+    "face_offsets",
+    "face_indices",
+    "uvs",
+    "uv_indices",
+    "face_materials",
+    "material_colors",
+)
+_SIDE_ARRAYS = ("vertices", "faces", "eigenvalues", "landmarks")
+_LIBRARIES = ("numpy", "scipy", "numba", "rslab", "OpenImageIO", "embreex", "xatlas")
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of the two surfaces of a result.
+
+    Attributes
+    ----------
+    control : ControlMesh
+        In the file's own units, like ``vertices``.
+    scheme : CatmullClark or Loop
+    level : int
+        Level of ``vertices`` and ``faces``; vertex i of a level is vertex i of every finer one.
+    vertices : (n, 3) float64
+    faces : (m, 4) or (m, 3) int64
+    eigenvalues : (k,) float64
+        Of the unit-area surface.
+    landmarks : (p,) int64
+        Control vertices, in the order of the other side's.
+    """
+
+    control: ControlMesh
+    scheme: Scheme
+    level: int
+    vertices: FloatArray
+    faces: IndexArray
+    eigenvalues: FloatArray
+    landmarks: IndexArray
+
+    def refinement(self) -> Refinement:
+        """Every level again, with UVs; cheap, and the same numbers as in the match."""
+        return refine(self.control, self.level, self.scheme)
+
+
+@dataclass(frozen=True)
+class Result:
+    """A dense map between two refined surfaces, as it is stored.
+
+    Attributes
+    ----------
+    target, source : Side
+        The surface that receives, and the one that gives.
+    source_triangles : (t2, 3) int64
+        Source vertices of every triangle that ``triangle`` counts.
+    triangle : (n1,) int64
+        Target vertex i maps to the point ``barycentric[i]`` of source triangle ``triangle[i]``.
+    barycentric : (n1, 3) float64
+    functional_map : (k1, k2) float64
+        C12: source coefficients to target coefficients.
+    trust : (n1,) float64
+        1 where the map is locally unfolded and stretches little, 0 at folds.
+    landmark_errors : (p,) float64
+        Of sqrt(source area).
+    landmark_names : tuple of str
+    manifest : dict
+        What ``manifest.json`` holds: versions, parameters, input hashes, timings in seconds, quality figures.
+    """
+
+    target: Side
+    source: Side
+    source_triangles: IndexArray
+    triangle: IndexArray
+    barycentric: FloatArray
+    functional_map: FloatArray
+    trust: FloatArray
+    landmark_errors: FloatArray
+    landmark_names: tuple[str, ...] = ()
+    manifest: dict[str, Any] = field(default_factory=dict)
+
+    def image(self) -> FloatArray:
+        """(n1, 3) where every target vertex maps to, in the source file's units."""
+        corners = self.source.vertices[self.source_triangles[self.triangle]]
+        return np.einsum("nc,ncd->nd", self.barycentric, corners)
+
+
+def result_of(match: MatchResult, manifest: dict[str, Any] | None = None) -> Result:
+    """What of a match is stored.
+
+    Parameters
+    ----------
+    manifest : dict, optional
+        More entries for the manifest, such as input hashes, parameters and further timings.
+    """
+    quality = match.quality
+    sides = [
+        Side(
+            control=surface.control,
+            scheme=surface.refinement.scheme,
+            level=surface.finest,
+            vertices=surface.refinement.finest.positions,
+            faces=np.asarray(surface.refinement.finest.faces),
+            eigenvalues=surface.basis.eigenvalues,
+            landmarks=landmarks,
+        )
+        for surface, landmarks in ((match.target, match.landmarks.target), (match.source, match.landmarks.source))
+    ]
+    return Result(
+        target=sides[0],
+        source=sides[1],
+        source_triangles=triangles(sides[1].faces),
+        triangle=match.point_map.triangle,
+        barycentric=match.point_map.barycentric,
+        functional_map=match.functional_map,
+        trust=quality.trust,
+        landmark_errors=quality.landmark_errors,
+        landmark_names=match.landmarks.names,
+        manifest={"quality": quality.summary(), "timings": dict(match.timings)} | (manifest or {}),
+    )
+
+
+def file_hash(path: str | Path) -> str:
+    """SHA-256 of a file's content, in hexadecimal."""
+    with Path(path).open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def mesh_hash(control: ControlMesh) -> str:
+    """SHA-256 of a control mesh's arrays, for meshes that never were a file."""
+    digest = hashlib.sha256()
+    for name in _CONTROL_ARRAYS:
+        array = getattr(control, name)
+        digest.update(f"{name}:{None if array is None else (array.dtype.str, array.shape)};".encode())
+        digest.update(b"" if array is None else np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def peak_memory() -> int | None:
+    """Largest resident memory of this process so far, in bytes; None where the system does not tell."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    usage = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return int(usage) * (1 if sys.platform == "darwin" else 1024)
+
+
+def write_result(folder: str | Path, result: Result) -> None:
+    """Write a RESULT folder; an older result there is replaced, and only when the new one is complete.
+
+    Raises
+    ------
+    FormatError
+        If the folder cannot be written, or holds something that is not a result.
+    """
+    arrays: dict[str, Any] = {
+        "source_triangles": result.source_triangles,
+        "triangle": result.triangle,
+        "barycentric": result.barycentric,
+        "functional_map": result.functional_map,
+        "trust": result.trust,
+        "landmark_errors": result.landmark_errors,
+    }
+    for prefix, side in (("target", result.target), ("source", result.source)):
+        arrays |= {f"{prefix}_{name}": getattr(side, name) for name in _SIDE_ARRAYS}
+        control = {f"{prefix}_control_{name}": getattr(side.control, name) for name in _CONTROL_ARRAYS}
+        arrays |= {name: array for name, array in control.items() if array is not None}
+    text = json.dumps(_plain(_manifest(result)), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    with atomic_folder(folder, MANIFEST) as temporary:
+        np.savez(temporary / ARRAYS, allow_pickle=False, **arrays)
+        # The manifest comes last: a folder with one is complete, whoever copies it.
+        (temporary / MANIFEST).write_text(text, encoding="utf-8")
+
+
+def read_result(folder: str | Path) -> Result:
+    """Read a RESULT folder.
+
+    Raises
+    ------
+    FormatError
+        If it is missing, incomplete, damaged, or written by a newer version in another format.
+    """
+    root = Path(folder)
+    manifest = _read_manifest(root)
+    arrays = _read_arrays(root / ARRAYS)
+    try:
+        sides = [_side(prefix, manifest, arrays) for prefix in ("target", "source")]
+        result = Result(
+            target=sides[0],
+            source=sides[1],
+            source_triangles=arrays["source_triangles"],
+            triangle=arrays["triangle"],
+            barycentric=arrays["barycentric"],
+            functional_map=arrays["functional_map"],
+            trust=arrays["trust"],
+            landmark_errors=arrays["landmark_errors"],
+            landmark_names=tuple(manifest["landmark_names"]),
+            manifest=manifest,
+        )
+    except (KeyError, TypeError, AttributeError) as error:
+        raise FormatError(
+            f"{root}: {MANIFEST} or {ARRAYS} lacks {error}; the result is incomplete. Run `cagemap match` again."
+        ) from error
+    _check_shapes(root, result)
+    return result
+
+
+def _manifest(result: Result) -> dict[str, Any]:
+    sides = {
+        prefix: {
+            "name": side.control.name,
+            "scheme": {"name": _scheme_name(side.scheme), **asdict(side.scheme)},
+            "level": side.level,
+            "control_vertices": side.control.n_vertices,
+            "control_faces": side.control.n_faces,
+            "vertices": len(side.vertices),
+            "faces": len(side.faces),
+            "material_names": list(side.control.material_names),
+        }
+        for prefix, side in (("target", result.target), ("source", result.source))
+    }
+    fixed = {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "versions": {"cagemap": __version__, "python": platform.python_version(), **_library_versions()},
+        **sides,
+        "landmark_names": list(result.landmark_names),
+    }
+    return fixed | {name: value for name, value in result.manifest.items() if name not in fixed}
+
+
+def _library_versions() -> dict[str, str]:
+    versions = {}
+    for name in _LIBRARIES:
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return versions
+
+
+def _plain(value: Any) -> Any:
+    """Numbers, strings, lists and dicts that JSON knows; what is not finite becomes null."""
+    if isinstance(value, dict):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value if isinstance(value, str | int | float | bool | None) else str(value)
+
+
+def _scheme_name(scheme: Scheme) -> str:
+    return next(name for name, kind in _SCHEMES.items() if isinstance(scheme, kind))
+
+
+def _read_manifest(root: Path) -> dict[str, Any]:
+    path = root / MANIFEST
+    if not path.is_file():
+        raise FormatError(
+            f"{root}: expected a result folder of `cagemap match`, found no {MANIFEST} in it. "
+            "Give the folder that was passed to `cagemap match -o`."
+        )
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, OSError) as error:
+        raise FormatError(f"{path}: cannot be read ({error}). Run `cagemap match` again.") from error
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+        raise FormatError(f'{path}: expected "format": "{FORMAT}", so this is not a result of `cagemap match`.')
+    version = manifest.get("format_version")
+    if not isinstance(version, int) or not 1 <= version <= FORMAT_VERSION:
+        written = (manifest.get("versions") or {}).get("cagemap", "another version")
+        raise FormatError(
+            f"{path}: format version {version}, this cagemap {__version__} reads up to {FORMAT_VERSION}. "
+            f"Use cagemap {written} or newer, or run `cagemap match` again."
+        )
+    return manifest
+
+
+def _read_arrays(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise FormatError(f"{path}: is missing, so the result is incomplete. Run `cagemap match` again.")
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return {name: stored[name] for name in stored.files}
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise FormatError(f"{path}: is damaged ({error}). Run `cagemap match` again.") from error
+
+
+def _side(prefix: str, manifest: dict[str, Any], arrays: dict[str, Any]) -> Side:
+    stored = manifest[prefix]
+    control_arrays: dict[str, Any] = {name: arrays.get(f"{prefix}_control_{name}") for name in _CONTROL_ARRAYS}
+    control = ControlMesh(
+        **control_arrays,
+        material_names=tuple(stored["material_names"]),
+        name=stored["name"],
+    )
+    settings = dict(stored["scheme"])
+    scheme = _SCHEMES[settings.pop("name")](**settings)
+    return Side(control, scheme, stored["level"], *(arrays[f"{prefix}_{name}"] for name in _SIDE_ARRAYS))
+
+
+def _check_shapes(root: Path, result: Result) -> None:
+    n1, t2 = len(result.target.vertices), len(result.source_triangles)
+    expected = {
+        "triangle": (n1,),
+        "barycentric": (n1, 3),
+        "trust": (n1,),
+        "functional_map": (len(result.target.eigenvalues), len(result.source.eigenvalues)),
+    }
+    for name, shape in expected.items():
+        if getattr(result, name).shape != shape:
+            raise FormatError(
+                f"{root / ARRAYS}: {name} has shape {getattr(result, name).shape}, expected {shape}; "
+                "the files do not belong together. Run `cagemap match` again."
+            )
+    if n1 and not 0 <= result.triangle.min() <= result.triangle.max() < t2:
+        raise FormatError(
+            f"{root / ARRAYS}: triangle counts past the {t2} source triangles. Run `cagemap match` again."
+        )
