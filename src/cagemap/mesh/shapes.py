@@ -133,7 +133,7 @@ def voxels(cells: Iterable[Cell], *, name: str = "voxels") -> ControlMesh:
     """Surface of a union of unit cubes centred on integer points; cubes must touch in whole faces to stay manifold."""
     solid = np.unique(np.array(list(cells), dtype=np.int64), axis=0)
     filled = {tuple(cell) for cell in solid.tolist()}
-    quads = []
+    quads: list[IndexArray] = []
     for axis in range(3):
         for sign in (-1, 1):
             normal = np.zeros(3, dtype=np.int64)

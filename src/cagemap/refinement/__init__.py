@@ -1,5 +1,6 @@
 """Subdivision: refined levels, the matrices between them, and limits."""
 
+from cagemap.refinement.limit import limit_matrix, limit_normals, limit_positions
 from cagemap.refinement.refinement import (
     Level,
     Refinement,
@@ -17,6 +18,9 @@ __all__ = [
     "Refinement",
     "Scheme",
     "default_scheme",
+    "limit_matrix",
+    "limit_normals",
+    "limit_positions",
     "refine",
     "triangles",
     "triangulate_control",

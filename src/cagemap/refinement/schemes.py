@@ -11,13 +11,15 @@ The rules are OpenSubdiv's, which is what USD, Blender, Maya and Houdini run.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
-from cagemap.mesh import FloatArray, IndexArray
+from cagemap.mesh import FloatArray
 
+Integers: TypeAlias = NDArray[np.integer]
 Boundary = Literal["edge_and_corner", "edge_only"]
 
 # Boundary curves are uniform cubic B-splines in both schemes: (own vertex, each of the two neighbours along the curve).
@@ -50,7 +52,7 @@ class CatmullClark:
         _check_boundary(self.boundary)
 
     @staticmethod
-    def vertex_weights(valence: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def vertex_weights(valence: Integers) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Smooth vertex rule: weights of the vertex, of each neighbour, and of each new face point.
 
         ``(n - 2)/n v + 1/n^2 sum e_i + 1/n^2 sum f_i``; the vertex has no weight at n = 2.
@@ -59,7 +61,7 @@ class CatmullClark:
         return (n - 2) / n, 1 / n**2, 1 / n**2
 
     @staticmethod
-    def quad_vertex_weights(valence: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def quad_vertex_weights(valence: Integers) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The same rule among quads: weights of the vertex, of each neighbour, of each diagonally opposite vertex."""
         n = np.asarray(valence, dtype=np.float64)
         return 1 - 7 / (4 * n), 3 / (2 * n**2), 1 / (4 * n**2)
@@ -75,7 +77,7 @@ class CatmullClark:
         return 3 / 8, 1 / 16
 
     @staticmethod
-    def limit_weights(valence: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def limit_weights(valence: Integers) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Limit position among quads [HKD93]_: weights of the vertex, each neighbour, each opposite vertex.
 
         ``(n^2 v + 4 sum e_i + sum f_i) / (n (n + 5))``.
@@ -84,7 +86,7 @@ class CatmullClark:
         return n / (n + 5), 4 / (n * (n + 5)), 1 / (n * (n + 5))
 
     @staticmethod
-    def tangent_weights(valence: IndexArray, rank: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    def tangent_weights(valence: Integers, rank: Integers) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Limit tangents among quads [HKD93]_, for the neighbour and the opposite vertex number ``rank`` of the ring.
 
         Returns the weights ``(neighbour, opposite)`` of the first tangent, then of the second, which is the first
@@ -112,7 +114,7 @@ class Loop:
         _check_boundary(self.boundary)
 
     @staticmethod
-    def vertex_weights(valence: IndexArray) -> tuple[FloatArray, FloatArray]:
+    def vertex_weights(valence: Integers) -> tuple[FloatArray, FloatArray]:
         """Smooth vertex rule: weights of the vertex and of each neighbour.
 
         ``(1 - n b) v + b sum e_i`` with ``b = (5/8 - (3/8 + cos(2 pi/n)/4)^2) / n``.
@@ -127,14 +129,14 @@ class Loop:
         return 3 / 8, 1 / 8
 
     @classmethod
-    def limit_weights(cls, valence: IndexArray) -> tuple[FloatArray, FloatArray]:
+    def limit_weights(cls, valence: Integers) -> tuple[FloatArray, FloatArray]:
         """Limit position [HDD94]_: weights of the vertex and of each neighbour, ``1 / (n + 3/(8 b))`` each."""
         n = np.asarray(valence, dtype=np.float64)
         each = 1 / (n + 3 / (8 * cls.vertex_weights(valence)[1]))
         return 1 - n * each, each
 
     @staticmethod
-    def tangent_weights(valence: IndexArray, rank: IndexArray) -> tuple[FloatArray, FloatArray]:
+    def tangent_weights(valence: Integers, rank: Integers) -> tuple[FloatArray, FloatArray]:
         """Limit tangents [HDD94]_: weights of neighbour number ``rank`` in the first and the second tangent."""
         angle = 2 * np.pi * rank / valence
         return np.cos(angle), np.sin(angle)

@@ -7,6 +7,7 @@ arithmetic. All arrays are int32, as the indices of the matrices made from them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -119,7 +120,7 @@ def control_table(mesh: ControlMesh, indices: IndexArray, n_vertices: int) -> Co
     )
 
 
-def _refuse(mesh: ControlMesh, problem: str, where: list[object]) -> InvalidMeshError:
+def _refuse(mesh: ControlMesh, problem: str, where: Sequence[object]) -> InvalidMeshError:
     shown = ", ".join(str(item) for item in where[:5]) + (", ..." if len(where) > 5 else "")
     return InvalidMeshError(
         f"{mesh.name}: expected an oriented manifold mesh, got {len(where)} {problem}: {shown}; "
@@ -147,7 +148,7 @@ def control_topology(mesh: ControlMesh) -> Topology:
     pairs = np.column_stack([np.minimum(table.vertices, ends), np.maximum(table.vertices, ends)])
     counts = np.bincount(table.edges, minlength=table.n_edges)
 
-    def offending(corners: BoolArray) -> list[object]:
+    def offending(corners: BoolArray) -> Sequence[object]:
         return [tuple(pair) for pair in np.unique(pairs[corners], axis=0).tolist()]
 
     if np.any(table.vertices == ends):

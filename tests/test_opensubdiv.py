@@ -1,0 +1,134 @@
+"""Agreement with OpenSubdiv 3.5.0 on its smooth, boundary and corner cases (creases: their own issue)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
+
+from cagemap.mesh import ControlMesh
+from cagemap.refinement import CatmullClark, Loop, Refinement, limit_matrix, limit_normals, limit_positions, refine
+
+CASES = Path(__file__).resolve().parents[2] / "shared" / "data" / "opensubdiv" / "cases"
+# Both sides compute in float64 from the same weights; coordinates are below 10, and three levels are a dozen sums.
+TOLERANCE = 1e-12
+
+
+def _is_smooth(path: Path) -> bool:
+    with np.load(path) as case:
+        return not len(case["crease_edges"]) and not len(case["corner_vertices"])
+
+
+NAMES = [path.stem for path in sorted(CASES.glob("*.npz")) if _is_smooth(path)]
+
+
+class Case:
+    """One reference file and our refinement of its control mesh."""
+
+    def __init__(self, name: str) -> None:
+        with np.load(CASES / f"{name}.npz") as arrays:
+            self.arrays = dict(arrays)
+        offsets = np.concatenate([[0], np.cumsum(self.arrays["face_sizes"])]).astype(np.int64)
+        control = ControlMesh(self.arrays["V"], offsets, self.arrays["face_indices"].astype(np.int64), name=name)
+        if "uv" in self.arrays:
+            control = control.with_uvs(self.arrays["uv"], self.arrays["uv_indices"].astype(np.int64))
+        scheme = {"catmark": CatmullClark, "loop": Loop}[str(self.arrays["scheme"])]
+        self.refinement: Refinement = refine(control, 3, scheme(str(self.arrays["boundary"])))
+
+    def order(self, level: int) -> np.ndarray:
+        """Reference vertex of each of our vertices."""
+        distance, order = cKDTree(self.arrays[f"L{level}_V"]).query(self.refinement.levels[level].positions)
+        assert distance.max() < TOLERANCE
+        assert len(np.unique(order)) == len(order) == len(self.arrays[f"L{level}_V"])
+        return order
+
+    def matrix(self, name: str) -> csr_array:
+        a = self.arrays
+        return csr_array(
+            (a[f"{name}_data"], a[f"{name}_indices"], a[f"{name}_indptr"]), shape=tuple(a[f"{name}_shape"])
+        )
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def case(request: pytest.FixtureRequest) -> Case:
+    return Case(request.param)
+
+
+def _turned(faces: np.ndarray) -> np.ndarray:
+    """Faces with their smallest vertex first, same orientation, sorted."""
+    start = np.argmin(faces, axis=1)
+    turned = np.take_along_axis(faces, (start[:, None] + np.arange(faces.shape[1])) % faces.shape[1], axis=1)
+    return turned[np.lexsort(turned.T)]
+
+
+@pytest.mark.skipif(not NAMES, reason="OpenSubdiv reference cases are not beside this checkout")
+def test_every_scheme_and_boundary_rule_has_cases() -> None:
+    assert {name.split("_")[0] for name in NAMES} == {"cc", "loop"}
+    assert sum("corner" in name for name in NAMES) >= 5
+
+
+def test_positions_and_faces(case: Case) -> None:
+    for level in (1, 2, 3):
+        order = case.order(level)
+        ours = order[case.refinement.levels[level].faces]
+        np.testing.assert_array_equal(_turned(ours), _turned(case.arrays[f"L{level}_faces"]))
+
+
+def test_face_parents(case: Case) -> None:
+    for level in (1, 2, 3):
+        ours = np.column_stack(
+            [
+                np.sort(case.order(level)[case.refinement.levels[level].faces], axis=1),
+                case.refinement.levels[level].face_parents,
+            ]
+        )
+        theirs = np.column_stack(
+            [np.sort(case.arrays[f"L{level}_faces"], axis=1), case.arrays[f"L{level}_face_parent"]]
+        )
+        np.testing.assert_array_equal(ours[np.lexsort(ours.T)], theirs[np.lexsort(theirs.T)])
+
+
+def test_subdivision_matrices(case: Case) -> None:
+    for level in (1, 2):
+        difference = case.refinement.product(level, 0) - case.matrix(f"S{level}")[case.order(level)]
+        assert abs(difference).max() < TOLERANCE
+
+
+def test_limit_positions(case: Case) -> None:
+    for level in (1, 2):
+        expected = case.arrays[f"L{level}_limit"][case.order(level)]
+        np.testing.assert_allclose(limit_positions(case.refinement, level), expected, rtol=0, atol=TOLERANCE)
+    weights = limit_matrix(case.refinement, 1) @ case.refinement.product(1, 0)
+    assert abs(weights - case.matrix("M1")[case.order(1)]).max() < TOLERANCE
+
+
+def test_limit_normals(case: Case) -> None:
+    for level in (1, 2):
+        ours, expected = limit_normals(case.refinement, level), case.arrays[f"L{level}_normal"][case.order(level)]
+        single = ~np.isnan(expected).any(axis=1)
+        assert single.sum() > 0.9 * len(single) or len(single) < 30
+        # Normals divide by tangent lengths, hence a few more digits lost than in positions.
+        np.testing.assert_allclose(ours[single], expected[single], rtol=0, atol=1e-11)
+        np.testing.assert_allclose(np.linalg.norm(ours, axis=1), 1, atol=1e-14)
+
+
+def test_linear_uvs(case: Case) -> None:
+    if "uv" not in case.arrays:
+        assert case.refinement.finest.uvs is None
+        return
+    for level in (1, 2):
+        ours, theirs = case.refinement.levels[level], case.arrays
+        assert len(ours.uvs) == len(theirs[f"L{level}_uv_all"])  # seams stay seams, and nothing else is cut
+        expected = {
+            (tuple(sorted(face)), vertex): theirs[f"L{level}_uv_all"][uv]
+            for face, uvs in zip(
+                theirs[f"L{level}_faces"].tolist(), theirs[f"L{level}_uv_indices"].tolist(), strict=True
+            )
+            for vertex, uv in zip(face, uvs, strict=True)
+        }
+        faces = case.order(level)[ours.faces].tolist()
+        reference = [[expected[tuple(sorted(face)), vertex] for vertex in face] for face in faces]
+        np.testing.assert_allclose(ours.uvs[ours.uv_indices], reference, rtol=0, atol=TOLERANCE)
