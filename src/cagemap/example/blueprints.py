@@ -1,6 +1,6 @@
 """The measurements of the two creatures: nothing but numbers, in lengths of about half a metre, ground at y = 0.
 
-Measurements are those of the smooth surface; `creatures` widens the control rings so that subdivision shrinks them back.
+Measurements are those of the smooth surface: `creatures` widens the control rings, and subdivision shrinks them back.
 """
 
 from __future__ import annotations

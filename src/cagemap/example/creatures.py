@@ -207,7 +207,7 @@ def _legs(model: Modeller, plan: Blueprint, spine: list[list[int]]) -> dict[str,
     """Extrude the four legs down to their soles."""
     landmarks = {}
     for place, patch, table, joint in (
-        ("front", plan.front_patch, plan.front_leg, ("elbow", plan.knee)),
+        ("front", plan.front_patch, plan.front_leg, ("knee", plan.knee)),
         ("hind", plan.hind_patch, plan.hind_leg, ("hock", plan.hock)),
     ):
         loop = _loop(spine, patch)

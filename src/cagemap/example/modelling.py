@@ -1,11 +1,12 @@
 """A tiny box modeller: tubes of quads, limbs extruded from holes in them, and caps, all mirrored in x.
 
-The model is +Y up and faces +Z, so its own left is at +x. A *ring* is a closed list of vertex numbers; a *loop* is a ring
-in the order in which a face that closes the hole would list it (counter-clockwise seen from outside).
+The model is +Y up and faces +Z, so its own left is at +x. A *ring* is a closed list of vertex numbers; a *loop* is a
+ring in the order in which a face that closes the hole would list it (counter-clockwise seen from outside).
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
@@ -72,7 +73,7 @@ class Modeller:
 
     def seam(self, path: Sequence[int]) -> None:
         """Mark the edges along a path of vertices as seams."""
-        self._seams += list(zip(path[:-1], path[1:], strict=True))
+        self._seams += itertools.pairwise(path)
 
     def mirrored(self, loop: Sequence[int]) -> list[int]:
         """Return the loop on the other side of x = 0 (its order reversed, so that it stays a loop)."""
