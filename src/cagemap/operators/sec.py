@@ -12,7 +12,7 @@ from scipy import sparse
 
 from cagemap.mesh import FloatArray
 from cagemap.operators.laplacian import stiffness, vertex_areas
-from cagemap.refinement import Refinement
+from cagemap.refinement import Refinement, triangulate_control
 
 
 @dataclass(frozen=True)
@@ -67,10 +67,11 @@ def build_operators(refinement: Refinement) -> Operators:
     O(n_f) time and memory; a restricted matrix has about 40 to 50 nonzeros a row.
     """
     finest = refinement.levels[-1]
-    areas = vertex_areas(finest.positions, finest.faces)
+    faces = triangulate_control(refinement.control) if finest.faces is None else finest.faces
+    areas = vertex_areas(finest.positions, faces)
     area = float(areas.sum())
     masses = [sparse.csr_array(sparse.diags_array(areas / area))]
-    stiffnesses = [stiffness(finest.positions, finest.faces)]
+    stiffnesses = [stiffness(finest.positions, faces)]
     for subdivision in reversed(refinement.matrices):
         masses.append(restrict(subdivision, masses[-1]))
         stiffnesses.append(restrict(subdivision, stiffnesses[-1]))

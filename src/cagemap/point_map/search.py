@@ -115,7 +115,9 @@ def nearest_candidates_reference(
     nearest = np.empty(len(target_rows), dtype=np.int64)
     for x, row in enumerate(target_rows):
         coarse = coarse_match[parents.indices[parents.indptr[x] : parents.indptr[x + 1]]]
-        candidates = np.unique(np.concatenate([children.indices[children.indptr[y] : children.indptr[y + 1]] for y in coarse]))
+        candidates = np.unique(
+            np.concatenate([children.indices[children.indptr[y] : children.indptr[y + 1]] for y in coarse])
+        )
         distances = np.sum((source_rows[candidates].astype(np.float64) - row.astype(np.float64)) ** 2, axis=1)
         nearest[x] = candidates[np.argmin(distances)]
     return nearest

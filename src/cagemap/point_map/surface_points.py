@@ -231,7 +231,7 @@ def _spread_bits(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
     return spread
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit(cache=True, error_model="numpy", inline="always")
 def _box_distance(lower, upper, node, x, y, z):  # type: ignore[no-untyped-def]
     dx = max(lower[node, 0] - x, 0.0, x - upper[node, 0])
     dy = max(lower[node, 1] - y, 0.0, y - upper[node, 1])
@@ -239,7 +239,7 @@ def _box_distance(lower, upper, node, x, y, z):  # type: ignore[no-untyped-def]
     return dx * dx + dy * dy + dz * dz
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _closest_in_triangle(corners, t, x, y, z):  # type: ignore[no-untyped-def]
     """Barycentric coordinates of corners 1 and 2, squared distance (Ericson, Real-Time Collision Detection 5.1.5)."""
     ax, ay, az = corners[t, 0, 0], corners[t, 0, 1], corners[t, 0, 2]
@@ -280,7 +280,7 @@ def _closest_in_triangle(corners, t, x, y, z):  # type: ignore[no-untyped-def]
     return v, w, ex * ex + ey * ey + ez * ez
 
 
-@numba.njit(cache=True, parallel=True)
+@numba.njit(cache=True, parallel=True, error_model="numpy")
 def _search(lower, upper, corners, normals, queries, directions, weight2, minimum_cosine, start, sequence):  # type: ignore[no-untyped-def]
     """Depth-first branch and bound, the nearer child first: box distances bound the cost because normals only add."""
     n_queries, n_triangles = len(queries), len(corners)

@@ -1,0 +1,225 @@
+"""The method on one page: prepare each surface once, then match a pair (paper, Fig. 2)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cagemap.basis import BasisConfig, Surface, hierarchical_basis
+from cagemap.descriptors import check_symmetry, detect_mirror_symmetry
+from cagemap.errors import ParameterError
+from cagemap.mesh import ControlMesh, FloatArray, IndexArray
+from cagemap.mesh.checks import require_valid
+from cagemap.mesh.landmarks import Landmarks, check_landmarks
+from cagemap.operators import build_operators
+from cagemap.point_map.hierarchical import HierarchyConfig, Pair, hierarchical_map, level_triangles
+from cagemap.point_map.point_map import PointMap
+from cagemap.point_map.quality import QualityFigures, measure_quality
+from cagemap.refinement import Scheme, refine
+
+Progress = Callable[[str], None]
+
+METHODS = ("hfm",)
+# A level counts as having the vertices asked for from this share on; the next one has four times as many.
+ENOUGH = 0.75
+MOST_LEVELS = 12
+
+
+@dataclass(frozen=True)
+class MatchConfig:
+    """Parameters of a match; the defaults are the measured ones.
+
+    Attributes
+    ----------
+    method : str
+        "hfm": the paper's hierarchical functional map with spectral upsampling.
+    basis : BasisConfig
+        Number of functions, eigenvalue tolerance or the paper's fixed schedule.
+    hierarchy : HierarchyConfig
+        Descriptors, weights and search.
+    use_symmetry : bool
+        Detect each control mesh's mirror symmetry and, where both have one, let the map commute with it (paper, 5.2).
+    """
+
+    method: str = "hfm"
+    basis: BasisConfig = BasisConfig()
+    hierarchy: HierarchyConfig = HierarchyConfig()
+    use_symmetry: bool = True
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise ParameterError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
+
+
+@dataclass(frozen=True)
+class MatchResult:
+    """A dense map from target to source, and how it came about.
+
+    Attributes
+    ----------
+    target, source : Surface
+    landmarks : Landmarks
+    functional_map : (k1, k2) array
+        C12, takes source coefficients to target coefficients.
+    point_map : PointMap
+        T12: finest target vertices -> points of the finest source triangles.
+    quality : QualityFigures
+        What can be said about the map without knowing the true one.
+    timings : dict of str to float
+        Seconds of every stage.
+    """
+
+    target: Surface
+    source: Surface
+    landmarks: Landmarks
+    functional_map: FloatArray
+    point_map: PointMap
+    quality: QualityFigures
+    timings: dict[str, float] = field(repr=False)
+
+
+def silent(stage: str) -> None:
+    """Report no progress."""
+
+
+def choose_level(control: ControlMesh, vertices: int) -> int:
+    """Coarsest level of at least 1 with about this many vertices or more (three quarters count as enough).
+
+    Raises
+    ------
+    ParameterError
+        If the number of vertices is out of range.
+    """
+    if not 1 <= vertices <= 20_000_000:
+        raise ParameterError(f"vertices: expected a number from 1 to 20 000 000, got {vertices}")
+    corners, edges = len(control.face_indices), _edge_count(control)
+    faces = control.n_faces
+    n = control.n_vertices
+    loop = control.is_triangle_mesh
+    for level in range(1, MOST_LEVELS):
+        n += edges + (0 if loop else faces)
+        if n >= ENOUGH * vertices:
+            return level
+        edges, faces = (2 * edges + corners, 4 * faces) if loop else (2 * edges + corners, corners)
+        corners = (3 if loop else 4) * faces
+    return MOST_LEVELS
+
+
+def prepare_surface(
+    control: ControlMesh,
+    level: int,
+    config: BasisConfig = BasisConfig(),  # noqa: B008 - frozen
+    *,
+    scheme: Scheme | None = None,
+    progress: Progress = silent,
+) -> Surface:
+    """Refine a control mesh and compute its operators and its hierarchical basis (paper, sections 2.2 and 4).
+
+    Parameters
+    ----------
+    control : ControlMesh
+    level : int
+        Number of the finest level, at least 1.
+    config : BasisConfig
+    scheme : Scheme, optional
+        Default: Loop for triangle meshes, Catmull-Clark for all others.
+    progress : callable
+        Called with the name of each stage.
+
+    Raises
+    ------
+    InvalidMeshError
+        If the control mesh is not an oriented connected manifold; the message lists the offending elements.
+    ParameterError
+        If the level or the number of basis functions is out of range.
+    """
+    if not 1 <= level <= MOST_LEVELS:
+        raise ParameterError(f"level: expected 1 to {MOST_LEVELS}, got {level}; level 0 is the control mesh")
+    require_valid(control)
+    progress(f"refine {control.name}")
+    refinement = refine(control, level, scheme)
+    progress(f"operators of {control.name}")
+    operators = build_operators(refinement)
+    progress(f"basis of {control.name}")
+    return Surface(refinement, operators, hierarchical_basis(refinement, operators, config))
+
+
+def match(
+    target: Surface,
+    source: Surface,
+    landmarks: Landmarks,
+    config: MatchConfig = MatchConfig(),  # noqa: B008 - frozen
+    *,
+    progress: Progress = silent,
+) -> MatchResult:
+    """Map a target surface to a source surface (paper, section 5).
+
+    Parameters
+    ----------
+    target : Surface
+        M1, the surface that receives.
+    source : Surface
+        M2, the surface that gives.
+    landmarks : Landmarks
+        Control vertices that correspond.
+    config : MatchConfig
+    progress : callable
+        Called with the name of each stage.
+
+    Raises
+    ------
+    InvalidLandmarksError
+        If the landmarks do not fit the control meshes.
+    """
+    check_landmarks(landmarks, target.control, source.control)
+    timings: dict[str, float] = {}
+    with _timed(timings, "symmetry"):
+        symmetries = _symmetries(target.control, source.control) if config.use_symmetry else (None, None)
+    pair = Pair(target, source, landmarks.target, landmarks.source, *symmetries)
+    with _timed(timings, "map"):
+        functional_map, point_map = hierarchical_map(pair, config.hierarchy, progress)
+    progress("quality")
+    with _timed(timings, "quality"):
+        quality = judge(target, source, point_map, landmarks)
+    return MatchResult(target, source, landmarks, functional_map, point_map, quality, timings)
+
+
+def judge(target: Surface, source: Surface, point_map: PointMap, landmarks: Landmarks) -> QualityFigures:
+    """Quality figures of a map between finest levels, without ground truth."""
+    return measure_quality(
+        target.refinement.finest.positions,
+        level_triangles(target.refinement, target.finest),
+        source.refinement.finest.positions,
+        level_triangles(source.refinement, source.finest),
+        point_map.triangle,
+        point_map.barycentric,
+        np.column_stack([landmarks.target, landmarks.source]),
+        landmarks.names,
+    )
+
+
+def _symmetries(target: ControlMesh, source: ControlMesh) -> tuple[IndexArray | None, IndexArray | None]:
+    """Mirror symmetries of both control meshes, or none at all unless both have one."""
+    found = detect_mirror_symmetry(target), detect_mirror_symmetry(source)
+    if found[0] is None or found[1] is None:
+        return None, None
+    check_symmetry(found[0], target)
+    check_symmetry(found[1], source)
+    return found
+
+
+def _edge_count(control: ControlMesh) -> int:
+    ends = np.column_stack([control.face_indices, control.face_indices[control.next_corners]])
+    ends.sort(axis=1)
+    return len(np.unique(ends[:, 0] * control.n_vertices + ends[:, 1]))
+
+
+@contextmanager
+def _timed(timings: dict[str, float], stage: str) -> Iterator[None]:
+    start = time.perf_counter()
+    yield
+    timings[stage] = time.perf_counter() - start

@@ -1,0 +1,321 @@
+"""The hierarchical map (paper, section 5): functional map and point map from the control meshes down to the finest level.
+
+Level 0 solves eq. 13; every band of basis functions that a level adds extends the functional map by eqs. 14-16. The point map is
+searched in full at one coarse level only; below it a vertex's candidates come from its parents' matches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from cagemap.basis import Surface, evaluate, gram_matrix
+from cagemap.descriptors import (
+    heat_filters,
+    heat_times,
+    landmark_descriptors,
+    normalise_columns,
+    propagate_symmetry,
+    signatures,
+    symmetry_operator,
+    wave_energies,
+    wave_filters,
+)
+from cagemap.errors import ParameterError
+from cagemap.functional_map import (
+    OperatorWeights,
+    SpectralData,
+    coarse_functional_map,
+    extend_functional_map,
+)
+from cagemap.mesh import FloatArray, IndexArray
+from cagemap.point_map.point_map import PointMap
+from cagemap.point_map.recover import vertex_to_point, vertex_triangles
+from cagemap.point_map.search import Embedding, nearest_candidates, nearest_rows, strongest_parents
+from cagemap.point_map.upsample import Samples, embed_source, embed_target, fit_functional_map, growth, upsample
+from cagemap.refinement import Refinement, triangles, triangulate_control
+
+Progress = Callable[[str], None]
+LevelPair = tuple[int, int]
+
+# Levels up to this size serve the pointwise parts of descriptors, which are smooth, and the refits of C.
+SAMPLE_VERTICES = 30_000
+# Two levels are walked down together while neither has this many times the other's vertices.
+COMPARABLE = 2.5
+FEWEST_FUNCTIONS = 3
+
+
+@dataclass(frozen=True)
+class HierarchyConfig:
+    """Parameters of the hierarchical map; the defaults are the measured ones.
+
+    Attributes
+    ----------
+    heat, wave : int
+        Filters of each kind, for landmarks and signatures alike.
+    signature_weight : float
+        Weight of a signature beside a landmark descriptor.
+    weights : OperatorWeights
+        alpha(O) of eq. 13.
+    search_vertices : int
+        The point map is searched in full at each side's coarsest level with at least this many vertices; the paper's level 0
+        is the value 0.
+    upsample_start : int
+        Basis functions trusted from the descriptors alone, where spectral upsampling starts.
+    """
+
+    heat: int = 10
+    wave: int = 20
+    signature_weight: float = 0.2
+    weights: OperatorWeights = OperatorWeights()
+    search_vertices: int = 3000
+    upsample_start: int = 20
+
+
+@dataclass(frozen=True)
+class Pair:
+    """The two prepared surfaces and what is known to correspond.
+
+    Attributes
+    ----------
+    target, source : Surface
+    target_landmarks, source_landmarks : (p,) arrays
+        Control vertices that correspond.
+    target_symmetry, source_symmetry : (n_0,) arrays or None
+        Self-symmetries of the control meshes (both or none), as vertex permutations.
+    """
+
+    target: Surface
+    source: Surface
+    target_landmarks: IndexArray
+    source_landmarks: IndexArray
+    target_symmetry: IndexArray | None = None
+    source_symmetry: IndexArray | None = None
+
+
+@dataclass(frozen=True)
+class LevelMap:
+    """Functional map and vertex matches between one level of the target and one of the source.
+
+    Attributes
+    ----------
+    levels : (int, int)
+        Level of the target, level of the source.
+    functional_map : (k1, k2) array
+        C12 on the basis functions of these levels.
+    match : (n1,) array
+        Source vertex of every target vertex.
+    """
+
+    levels: LevelPair
+    functional_map: FloatArray
+    match: IndexArray
+
+
+def hierarchical_map(
+    pair: Pair, config: HierarchyConfig, progress: Progress = lambda stage: None
+) -> tuple[FloatArray, PointMap]:
+    """The paper's method from level 0 to the finest: functional map C12, and point map T12 of the finest levels.
+
+    Raises
+    ------
+    ParameterError
+        If the surfaces cannot share descriptors (too few basis functions).
+    """
+    progress("functional map")
+    current = coarse_map(pair, config)
+    for levels in ladder(pair, current.levels):
+        progress(f"point map, levels {levels[0]} and {levels[1]}")
+        current = descend(pair, current, levels, config)
+    progress("vertex to point")
+    return current.functional_map, recover_points(pair, current)
+
+
+def search_levels(pair: Pair, config: HierarchyConfig) -> LevelPair:
+    """The levels whose point map is searched in full: the coarsest ones with enough vertices."""
+
+    def first(surface: Surface) -> int:
+        sizes = [len(level.positions) for level in surface.refinement.levels]
+        return next((i for i, size in enumerate(sizes) if size >= config.search_vertices), surface.finest)
+
+    return first(pair.target), first(pair.source)
+
+
+def ladder(pair: Pair, start: LevelPair) -> list[LevelPair]:
+    """Pairs of levels from just above `start` to the finest ones, each side at most one level a step.
+
+    Both sides go together while their sizes are comparable; otherwise the coarser one catches up first.
+    """
+    steps = []
+    l1, l2 = start
+    while (l1, l2) != (pair.target.finest, pair.source.finest):
+        n1, n2 = _size(pair.target, l1), _size(pair.source, l2)
+        target_may, source_may = l1 < pair.target.finest, l2 < pair.source.finest
+        move_target = target_may and (not source_may or n1 < COMPARABLE * n2)
+        move_source = source_may and (not target_may or n2 < COMPARABLE * n1)
+        l1, l2 = l1 + move_target, l2 + move_source
+        steps.append((l1, l2))
+    return steps
+
+
+def coarse_map(
+    pair: Pair, config: HierarchyConfig, coordinates: tuple[FloatArray, FloatArray] | None = None
+) -> LevelMap:
+    """Functional map by eqs. 13-16 up to the search levels, then full search and spectral upsampling there.
+
+    Parameters
+    ----------
+    pair : Pair
+    config : HierarchyConfig
+    coordinates : pair of (n_l, c) arrays, optional
+        Extra coordinates of the vertices of the search levels, see `Samples`.
+    """
+    levels = search_levels(pair, config)
+    functional_map = descriptor_map(pair, levels, config)
+    extra = coordinates if coordinates is not None else (None, None)
+    target = _samples(pair.target, levels[0], extra[0])
+    source = _samples(pair.source, levels[1], extra[1])
+    start = min(config.upsample_start, *functional_map.shape)
+    trusted = functional_map[:start, :start]
+    match = nearest_rows(embed_target(target, start), embed_source(source, trusted))
+    stop = max(target.rows.shape[1], source.rows.shape[1])
+    functional_map, match = upsample(target, source, match, growth(start, stop))
+    return LevelMap(levels, functional_map, match)
+
+
+def descriptor_map(pair: Pair, levels: LevelPair, config: HierarchyConfig) -> FloatArray:
+    """Functional map from descriptors alone: eq. 13 at level 0, eqs. 14-16 for every band above it up to `levels`."""
+    functional_map: FloatArray | None = None
+    for step in range(max(levels) + 1):
+        current = min(step, levels[0]), min(step, levels[1])
+        sizes = _basis_size(pair.target, current[0]), _basis_size(pair.source, current[1])
+        if min(sizes) < FEWEST_FUNCTIONS or (functional_map is not None and functional_map.shape == sizes):
+            continue
+        data = spectral_data(pair, current, config)
+        if functional_map is None:
+            functional_map = coarse_functional_map(*data, config.weights)
+        else:
+            functional_map = extend_functional_map(functional_map, *data, config.weights)
+    if functional_map is None:
+        raise ParameterError(
+            f"expected at least {FEWEST_FUNCTIONS} basis functions on both surfaces at levels {levels}, got {sizes}: raise k"
+        )
+    return functional_map
+
+
+def spectral_data(pair: Pair, levels: LevelPair, config: HierarchyConfig) -> tuple[SpectralData, SpectralData]:
+    """Descriptors and operators of both surfaces in coefficients of the basis up to these levels (paper, 5.1, 5.2).
+
+    Both surfaces have unit area and share the filters' parameters, taken from the geometric mean of their spectra.
+    """
+    spectra = [_eigenvalues(pair.target, levels[0]), _eigenvalues(pair.source, levels[1])]
+    count = min(len(spectrum) for spectrum in spectra)
+    shared = np.exp(np.mean([np.log(np.maximum(np.sort(s)[:count], 1e-12)) for s in spectra], axis=0))
+    times = heat_times(shared, config.heat)
+    energies, width = wave_energies(shared, config.wave)
+
+    def one(surface: Surface, level: int, landmarks: IndexArray, symmetry: IndexArray | None) -> SpectralData:
+        spectrum = _eigenvalues(surface, level)
+        filters = np.hstack([heat_filters(spectrum, times), wave_filters(spectrum, energies, width)])
+        sampled = _sample_level(surface, level)
+        rows = evaluate(surface.basis, surface.refinement, sampled)
+        gram = gram_matrix(surface.basis, surface.operators, surface.refinement, sampled)
+        mass = surface.operators.mass[sampled]
+        at_landmarks = landmark_descriptors(rows[landmarks], filters)  # vertex i of level 0 is vertex i of every level
+        projected = np.linalg.solve(gram, rows.T @ (mass @ signatures(rows, filters)))
+        columns = [normalise_columns(at_landmarks), config.signature_weight * normalise_columns(projected)]
+        operator = None
+        if symmetry is not None:
+            for subdivision in surface.refinement.matrices[:sampled]:
+                symmetry = propagate_symmetry(subdivision, symmetry)
+            areas = np.asarray(mass.sum(axis=1)).ravel()
+            operator = symmetry_operator(rows, rows[symmetry], areas, gram)
+        return SpectralData(spectrum, np.hstack(columns), operator)
+
+    return (
+        one(pair.target, levels[0], pair.target_landmarks, pair.target_symmetry),
+        one(pair.source, levels[1], pair.source_landmarks, pair.source_symmetry),
+    )
+
+
+def descend(pair: Pair, coarse: LevelMap, levels: LevelPair, config: HierarchyConfig) -> LevelMap:
+    """One step down: extend C by the levels' bands (eqs. 14-16), search among candidates (Fig. 9), refit C."""
+    functional_map = coarse.functional_map
+    grown = (_basis_size(pair.target, levels[0]), _basis_size(pair.source, levels[1])) != functional_map.shape
+    if grown:
+        functional_map = extend_functional_map(functional_map, *spectral_data(pair, levels, config), config.weights)
+    parents = _parents(pair.target, coarse.levels[0], levels[0])
+    children = _children(pair.source, coarse.levels[1], levels[1])
+    target_rows, source_rows = embeddings(pair, functional_map, levels)
+    match = nearest_candidates(target_rows, source_rows, parents, children, coarse.match)
+    if grown or len(match) <= SAMPLE_VERTICES:
+        values = evaluate(pair.source.basis, pair.source.refinement, levels[1])[match]
+        functional_map = fit_functional_map(_samples(pair.target, levels[0], None), values, functional_map.shape[0])
+        target_rows, source_rows = embeddings(pair, functional_map, levels)
+        match = nearest_candidates(target_rows, source_rows, parents, children, coarse.match)
+    return LevelMap(levels, functional_map, match)
+
+
+def recover_points(pair: Pair, matched: LevelMap) -> PointMap:
+    """Vertex-to-point map of a pair of levels from its vertex matches."""
+    target_rows, source_rows = embeddings(pair, matched.functional_map, matched.levels)
+    source_triangles = level_triangles(pair.source.refinement, matched.levels[1])
+    around = vertex_triangles(source_triangles, len(source_rows))
+    return vertex_to_point(target_rows, source_rows, source_triangles, around, matched.match)
+
+
+def embeddings(pair: Pair, functional_map: FloatArray, levels: LevelPair) -> tuple[Embedding, Embedding]:
+    """Spectral embeddings of all vertices of a pair of levels, float32: Phi~1 and Phi~2 C12^T."""
+    target_rows = evaluate(pair.target.basis, pair.target.refinement, levels[0], dtype=np.float32)
+    source_rows = evaluate(pair.source.basis, pair.source.refinement, levels[1], dtype=np.float32)
+    return target_rows, source_rows @ functional_map.T.astype(np.float32)
+
+
+def level_triangles(refinement: Refinement, level: int) -> IndexArray:
+    """Triangles of a level: quads split by the one rule, n-gons of the control mesh in fans; (t, 3)."""
+    faces = refinement.levels[level].faces
+    return triangulate_control(refinement.control) if faces is None else triangles(faces)
+
+
+def _parents(surface: Surface, coarse: int, fine: int) -> sparse.csr_array:
+    """Coarse vertices whose matches give a target vertex its candidates; itself where the level stays."""
+    if fine == coarse:
+        return sparse.csr_array(sparse.eye_array(_size(surface, fine)))
+    return strongest_parents(surface.refinement.matrices[coarse])
+
+
+def _children(surface: Surface, coarse: int, fine: int) -> sparse.csc_array:
+    """Source vertices that a coarse source vertex offers: its column of S_2^l; its neighbours where the level stays."""
+    if fine == coarse:
+        return sparse.csc_array(surface.operators.stiffness[fine])
+    return sparse.csc_array(surface.refinement.matrices[coarse])
+
+
+def _size(surface: Surface, level: int) -> int:
+    return len(surface.refinement.levels[level].positions)
+
+
+def _basis_size(surface: Surface, level: int) -> int:
+    return sum(surface.basis.schedule[: level + 1])
+
+
+def _eigenvalues(surface: Surface, level: int) -> FloatArray:
+    return np.asarray(surface.basis.eigenvalues[: _basis_size(surface, level)])
+
+
+def _sample_level(surface: Surface, level: int) -> int:
+    """The level whose vertices stand for a level's pointwise work: small, but with all its basis functions."""
+    functions = _basis_size(surface, level)
+    while level > 0 and _size(surface, level) > SAMPLE_VERTICES and _basis_size(surface, level - 1) == functions:
+        level -= 1
+    return level
+
+
+def _samples(surface: Surface, level: int, coordinates: FloatArray | None) -> Samples:
+    """All vertices of a level with the row sums of its mass matrix as areas."""
+    rows = evaluate(surface.basis, surface.refinement, level)
+    areas = np.asarray(surface.operators.mass[level].sum(axis=1)).ravel()
+    return Samples(rows, areas, np.zeros((len(rows), 0)) if coordinates is None else coordinates)
