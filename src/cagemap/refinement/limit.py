@@ -93,7 +93,7 @@ def limit_normals(refinement: Refinement, level: int) -> FloatArray:
 def tangent_matrices(refinement: Refinement, level: int) -> tuple[csr_array, csr_array]:
     """Two independent limit tangents of every vertex, as weights of the level's positions.
 
-    Their cross product is outward. Each (n_level, n_level); rows sum to 0. Only directions mean something, lengths do not.
+    Their cross product is outward. Each is (n_level, n_level) and its rows sum to 0; their lengths mean nothing.
     """
     topology = _checked_topology(refinement, level)
     scheme = refinement.scheme
