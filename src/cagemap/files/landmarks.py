@@ -1,0 +1,159 @@
+"""Landmark files: JSON with the names of the two meshes and pairs of 0-based control vertices."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cagemap.errors import DirectionError, FormatError
+from cagemap.files.atomic import atomic_path
+from cagemap.files.text import read_text
+from cagemap.mesh.landmarks import Landmarks
+
+_FORM = '{"source": "a.obj", "target": "b.obj", "pairs": [{"name": "nose", "source": 3, "target": 7}, ...]}'
+
+
+def read_landmarks(path: str | Path, target: str | Path, source: str | Path) -> tuple[Landmarks, tuple[str, ...]]:
+    """Read a landmark file for a map from a target mesh to a source mesh.
+
+    Parameters
+    ----------
+    path : path
+        The JSON file.
+    target, source : str or path
+        Names of the two meshes; folders and extensions are left out of comparisons.
+
+    Returns
+    -------
+    landmarks : Landmarks
+        The pairs as the file says, not yet checked against the meshes (`cagemap.mesh.landmarks.check_landmarks`).
+    notes : tuple of str
+        What the reader of a report should know: the file was made for meshes of other names, since the same landmarks
+        serve every pose or identity of a cage.
+
+    Raises
+    ------
+    FormatError
+        If the file is not of that form; the pair is named by its number.
+    DirectionError
+        If the file names the two meshes the other way round.
+    """
+    file = Path(path)
+    data = _parse(file, read_text(file, "a landmark file"))
+    pairs = [_pair(file, number, item) for number, item in enumerate(data["pairs"])]
+    landmarks = Landmarks(
+        names=tuple(name for name, _, _ in pairs),
+        target=np.array([vertex for _, vertex, _ in pairs], dtype=np.int64),
+        source=np.array([vertex for _, _, vertex in pairs], dtype=np.int64),
+        target_name=_mesh_name(file, data, "target"),
+        source_name=_mesh_name(file, data, "source"),
+    )
+    return landmarks, _compare_names(file, landmarks, str(target), str(source))
+
+
+def write_landmarks(path: str | Path, landmarks: Landmarks) -> None:
+    """Write a landmark file.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be written.
+    """
+    pairs = [
+        json.dumps({"name": name, "source": source, "target": target}, ensure_ascii=False)
+        for name, source, target in zip(
+            landmarks.names, landmarks.source.tolist(), landmarks.target.tolist(), strict=True
+        )
+    ]
+    names = f'"source": {json.dumps(landmarks.source_name)}, "target": {json.dumps(landmarks.target_name)}'
+    with atomic_path(path) as temporary:
+        temporary.write_text(f'{{{names},\n "pairs": [\n  ' + ",\n  ".join(pairs) + "\n ]}\n", encoding="utf-8")
+
+
+def _parse(path: Path, text: str) -> dict[str, Any]:
+    try:
+        data = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise FormatError(
+            f"{path}, line {error.lineno}: expected JSON, got a mistake there ({error.msg}). The form is {_FORM}."
+        ) from None
+    except (ValueError, RecursionError):
+        raise FormatError(f"{path}: expected a landmark file, got JSON that cannot be. The form is {_FORM}.") from None
+    if not isinstance(data, dict) or not isinstance(data.get("pairs"), list):
+        raise FormatError(f"{path}: expected an object with a list 'pairs', found none. The form is {_FORM}.")
+    return data
+
+
+def _mesh_name(path: Path, data: dict[str, Any], side: str) -> str:
+    name = data.get(side, "")
+    if not isinstance(name, str):
+        raise FormatError(f"{path}: expected the file name of the {side} mesh, got {name!r}. The form is {_FORM}.")
+    return name
+
+
+def _pair(path: Path, number: int, item: Any) -> tuple[str, int, int]:
+    """Name, target vertex and source vertex of a pair."""
+    if not isinstance(item, dict):
+        raise FormatError(
+            f"{path}: pair {number} (0-based): expected an object, got {_shown(item)}. The form is {_FORM}."
+        )
+    name = item.get("name", f"pair {number}")
+    if not isinstance(name, str):
+        raise FormatError(f"{path}: pair {number} (0-based): expected a name, got {_shown(name)}. Put it in quotes.")
+    vertices = []
+    for side in ("target", "source"):
+        vertex = item.get(side)
+        # JSON's true and false are integers to Python.
+        if not isinstance(vertex, int) or isinstance(vertex, bool) or abs(vertex) >= 2**63:
+            raise FormatError(
+                f"{path}: pair {number} (0-based), '{name}': expected a whole vertex number as '{side}', "
+                f"got {_shown(vertex)}. Numbers are 0-based control vertices."
+            )
+        vertices.append(vertex)
+    return name, vertices[0], vertices[1]
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _compare_names(path: Path, landmarks: Landmarks, target: str, source: str) -> tuple[str, ...]:
+    """Refuse exchanged meshes, and note names that do not match.
+
+    Exchanged means that a column is said to be of the mesh that is used on the other side; or that this holds for both
+    columns with only the text before the first '_' compared, which by custom names the cage (``base_neutral.obj``).
+    """
+    file_target, file_source = _stem(landmarks.target_name), _stem(landmarks.source_name)
+    if not file_target or not file_source:
+        return (f"{path.name} does not name its two meshes, so the direction of its pairs could not be checked",)
+    here_target, here_source = _stem(target), _stem(source)
+    if file_target == here_target and file_source == here_source:
+        return ()
+    one_cage = _cage(here_target) == _cage(here_source)
+    crossed = (file_source == here_target) + (file_target == here_source)
+    straight = (file_target == here_target) + (file_source == here_source)
+    crossed_cages = _cage(file_source) == _cage(here_target) and _cage(file_target) == _cage(here_source)
+    if crossed == 2 or (not one_cage and (crossed_cages or crossed > straight)):
+        raise DirectionError(
+            f"{path}: expected landmarks for target {Path(target).name} and source {Path(source).name}, got target "
+            f"{landmarks.target_name} and source {landmarks.source_name}, which is the other way round. Exchange "
+            '--target and --source, or use the landmarks reversed: exchange the words "source" and "target" in the file '
+            "(in Python, Landmarks.reversed())."
+        )
+    return (
+        f"{path.name} was made for target {landmarks.target_name} and source {landmarks.source_name} and is used for "
+        f"{Path(target).name} and {Path(source).name}; this is right if the vertices are numbered alike, as in other "
+        "poses or identities of the same cage",
+    )
+
+
+def _stem(name: str) -> str:
+    return Path(name.replace("\\", "/")).stem.casefold()
+
+
+def _cage(stem: str) -> str:
+    return stem.partition("_")[0]

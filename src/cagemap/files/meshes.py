@@ -1,0 +1,50 @@
+"""Reading and writing control meshes by the extension of the file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cagemap.errors import FormatError
+from cagemap.files.obj import read_obj, write_obj
+from cagemap.files.ply import read_ply, write_ply
+from cagemap.mesh import ControlMesh
+
+_READERS = {".obj": read_obj, ".ply": read_ply}
+_WRITERS = {".obj": write_obj, ".ply": write_ply}
+
+
+def read_mesh(path: str | Path) -> ControlMesh:
+    """Read a control mesh from an ``.obj`` or ``.ply`` file, in its own numbering.
+
+    Raises
+    ------
+    FormatError
+        If the extension is another one, or the file cannot be read.
+    """
+    return _READERS[_extension(path)](path)
+
+
+def write_mesh(path: str | Path, mesh: ControlMesh) -> None:
+    """Write a mesh to an ``.obj`` or ``.ply`` file.
+
+    Raises
+    ------
+    FormatError
+        If the extension is another one, or the file cannot be written.
+    """
+    _WRITERS[_extension(path)](path, mesh)
+
+
+def check_mesh_path(path: str | Path) -> None:
+    """Refuse a file name that `write_mesh` would refuse, before any work is done for it."""
+    _extension(path)
+
+
+def _extension(path: str | Path) -> str:
+    extension = Path(path).suffix.lower()
+    if extension not in _READERS:
+        raise FormatError(
+            f"{path}: expected a mesh file ending in {' or '.join(_READERS)}, got '{extension}'. "
+            "Export the mesh in one of these formats."
+        )
+    return extension

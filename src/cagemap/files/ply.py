@@ -1,0 +1,184 @@
+"""PLY: polygons of any size with optional texture coordinates, text or binary.
+
+Written here rather than with a library: the one that keeps quads is under the GPL.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from cagemap.errors import FormatError
+from cagemap.files.atomic import atomic_path
+from cagemap.files.ply_records import Column, read_columns
+from cagemap.files.text import read_bytes
+from cagemap.mesh import ControlMesh, FloatArray, IndexArray
+from cagemap.mesh.mesh_report import first_few
+
+_FACE_LISTS = ("vertex_indices", "vertex_index")
+_VERTEX_UVS = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
+
+
+def read_ply(path: str | Path) -> ControlMesh:
+    """Read a control mesh from a PLY file, text or binary, in the file's own order.
+
+    Texture coordinates are taken from the faces' ``texcoord`` lists, else from the vertices (``s t``, ``u v`` or
+    ``texture_u texture_v``). Colours, normals and other elements are ignored.
+
+    Raises
+    ------
+    FormatError
+        If the file is no PLY, is cut short, has no polygons, or holds indices out of range or positions not finite.
+    """
+    file = Path(path)
+    columns = read_columns(file, read_bytes(file, "a PLY file"))
+    vertices, faces = columns.get("vertex", {}), columns.get("face", {})
+    positions = _table(file, vertices, ("x", "y", "z"), "positions")
+    if positions is None or len(positions) == 0:
+        raise FormatError(f"{file}: expected vertices with x, y and z, found none. Export the control mesh again.")
+    corners = next((faces[name] for name in _FACE_LISTS if name in faces), None)
+    if corners is None or len(corners.lengths) == 0:
+        strips = " Triangle strips are not supported." if "tristrips" in columns else ""
+        raise FormatError(
+            f"{file}: expected faces with a list vertex_indices, found {len(positions)} vertices and no "
+            f"polygon.{strips} Export the control mesh with its faces."
+        )
+    offsets = np.concatenate([[0], np.cumsum(corners.lengths)]).astype(np.int64)
+    indices = _indices(file, corners, len(positions))
+    uvs, uv_indices = _uvs(file, vertices, faces.get("texcoord"), corners.lengths, indices)
+    return ControlMesh(positions, offsets, indices, uvs, uv_indices, name=file.name)
+
+
+def _table(path: Path, columns: dict[str, Column], names: tuple[str, ...], what: str) -> FloatArray | None:
+    """Columns side by side as float64, None if one is missing."""
+    if not all(name in columns for name in names):
+        return None
+    table = np.column_stack([columns[name].values.astype(np.float64) for name in names])
+    bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
+    if len(bad):
+        raise FormatError(
+            f"{path}: expected finite {what}, got NaN or infinity at {len(bad)} vertices (0-based): "
+            f"{first_few(bad)}. Repair them in the modelling program and export again."
+        )
+    return table
+
+
+def _indices(path: Path, corners: Column, count: int) -> IndexArray:
+    faces = np.repeat(np.arange(len(corners.lengths)), corners.lengths)
+    values = corners.values
+    # Text bodies arrive as float64; comparing before the conversion catches NaN, fractions and what int64 cannot hold.
+    with np.errstate(invalid="ignore"):
+        outside = ~((values >= 0) & (values < count) & (values == np.floor(values)))
+    empty = np.flatnonzero(corners.lengths == 0)
+    bad = np.union1d(faces[outside], empty)
+    if len(bad):
+        raise FormatError(
+            f"{path}: expected vertex numbers from 0 to {count - 1} around every face, got others or none "
+            f"in {len(bad)} face(s) (0-based): {first_few(bad)}. Export the mesh again."
+        )
+    return values.astype(np.int64)
+
+
+def _uvs(
+    path: Path, vertices: dict[str, Column], texcoord: Column | None, sizes: IndexArray, indices: IndexArray
+) -> tuple[FloatArray | None, IndexArray | None]:
+    """Texture coordinates of the corners; corners of one vertex with equal coordinates share one texture vertex."""
+    if texcoord is not None and len(texcoord.values):
+        unfit = np.flatnonzero(texcoord.lengths != 2 * sizes)
+        if len(unfit):
+            raise FormatError(
+                f"{path}: expected two texture coordinates per corner on all faces or on none, got another "
+                f"number on {len(unfit)} face(s) (0-based): {first_few(unfit)}. "
+                "Unwrap those faces too, or export without UVs."
+            )
+        values = texcoord.values.astype(np.float64).reshape(-1, 2)
+        if not np.isfinite(values).all():
+            raise FormatError(f"{path}: expected finite texture coordinates, got NaN or infinity. Unwrap again.")
+        keys = np.column_stack([indices, values])
+        order = np.lexsort(keys.T)
+        fresh = np.concatenate([[True], np.any(keys[order][1:] != keys[order][:-1], axis=1)])
+        uv_indices = np.empty(len(indices), dtype=np.int64)
+        uv_indices[order] = np.cumsum(fresh) - 1
+        return values[order][fresh], uv_indices
+    for names in _VERTEX_UVS:
+        table = _table(path, vertices, names, "texture coordinates")
+        if table is not None:
+            return table, indices.copy()
+    return None, None
+
+
+def write_ply(path: str | Path, mesh: ControlMesh, *, text: bool = False) -> None:
+    """Write a mesh as PLY (binary little-endian, or text), with float64 positions and per-corner ``texcoord``.
+
+    Materials have no place in this format and are left out.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be written.
+    """
+    body = _text_body(mesh) if text else mesh.positions.astype("<f8").tobytes() + _binary_faces(mesh)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(_header(mesh, text).encode("ascii") + body)
+
+
+def _count_type(mesh: ControlMesh) -> tuple[str, str]:
+    """Type of list lengths; a byte, which every reader knows, as long as it can hold two numbers per corner."""
+    return ("uchar", "u1") if mesh.face_sizes.max(initial=0) <= 127 else ("uint", "<u4")
+
+
+def _header(mesh: ControlMesh, text: bool) -> str:
+    count = _count_type(mesh)[0]
+    lines = [
+        "ply",
+        f"format {'ascii' if text else 'binary_little_endian'} 1.0",
+        f"element vertex {mesh.n_vertices}",
+        *(f"property double {axis}" for axis in "xyz"),
+        f"element face {mesh.n_faces}",
+        f"property list {count} int vertex_indices",
+        *([f"property list {count} double texcoord"] if mesh.uvs is not None else []),
+        "end_header\n",
+    ]
+    return "\n".join(lines)
+
+
+def _corner_uvs(mesh: ControlMesh) -> FloatArray | None:
+    return None if mesh.uvs is None or mesh.uv_indices is None else mesh.uvs[mesh.uv_indices]
+
+
+def _binary_faces(mesh: ControlMesh) -> bytes:
+    """Bytes of all faces in order: the records of each face size are filled together."""
+    uvs = _corner_uvs(mesh)
+    count_type = _count_type(mesh)[1]
+    sizes = mesh.face_sizes
+    layouts = {}
+    for size in np.unique(sizes).tolist():
+        fields = [("n", count_type), ("v", "<i4", (size,))]
+        layouts[size] = np.dtype(fields + ([("m", count_type), ("uv", "<f8", (2 * size,))] if uvs is not None else []))
+    widths = np.zeros(mesh.n_faces, dtype=np.int64)
+    for size, layout in layouts.items():
+        widths[sizes == size] = layout.itemsize
+    starts = np.cumsum(widths) - widths
+    data = np.zeros(int(widths.sum()), dtype=np.uint8)
+    for size, layout in layouts.items():
+        faces = np.flatnonzero(sizes == size)
+        corners = mesh.face_offsets[faces][:, None] + np.arange(size)
+        table = np.zeros(len(faces), dtype=layout)
+        table["n"], table["v"] = size, mesh.face_indices[corners]
+        if uvs is not None:
+            table["m"], table["uv"] = 2 * size, uvs[corners].reshape(-1, 2 * size)
+        data[starts[faces][:, None] + np.arange(layout.itemsize)] = table.view(np.uint8).reshape(len(faces), -1)
+    return data.tobytes()
+
+
+def _text_body(mesh: ControlMesh) -> bytes:
+    uvs = _corner_uvs(mesh)
+    vertices = ("%r %r %r\n" * mesh.n_vertices) % tuple(mesh.positions.ravel().tolist())
+    lines = []
+    for first, last in zip(mesh.face_offsets[:-1].tolist(), mesh.face_offsets[1:].tolist(), strict=True):
+        words = [last - first, *mesh.face_indices[first:last].tolist()]
+        if uvs is not None:
+            words += [2 * (last - first), *uvs[first:last].ravel().tolist()]
+        lines.append(" ".join(map(repr, words)))
+    return (vertices + "\n".join(lines) + "\n").encode("ascii")

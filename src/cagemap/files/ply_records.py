@@ -1,0 +1,235 @@
+"""The PLY container: header, and elements as columns; text and binary bodies go through one decoder.
+
+A text body is first turned into a packed binary one in which every number is a float64, so that the rules about lists,
+counts and ends of file exist once.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import FormatError
+from cagemap.files.text import at_line
+from cagemap.mesh import IndexArray
+
+_TYPES = {
+    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4"},
+    **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4"},
+    **{"double": "f8", "float64": "f8"},
+}
+_STRUCT = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}
+_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_REMEDY = "Export the mesh again as PLY or OBJ."
+
+
+@dataclass(frozen=True)
+class Property:
+    """A property of an element; a list where ``count_type`` is given. Types as in NumPy, with byte order."""
+
+    name: str
+    type: str
+    count_type: str = ""
+
+
+@dataclass(frozen=True)
+class Element:
+    """An element of the header, such as ``vertex``."""
+
+    name: str
+    count: int
+    properties: tuple[Property, ...]
+
+
+@dataclass(frozen=True)
+class Column:
+    """Values of one property for all records: ``lengths[i]`` of them for record i (1 for a scalar), concatenated."""
+
+    lengths: IndexArray
+    values: NDArray[Any]
+
+
+def read_columns(path: Path, content: bytes) -> dict[str, dict[str, Column]]:
+    """Decode a PLY file into columns by element and property name.
+
+    Raises
+    ------
+    FormatError
+        If the header is malformed (named by line) or the body ends early (named by element and record).
+    """
+    order, elements, start = _read_header(path, content)
+    body = content[start:]
+    if not order:
+        body = _pack_text(path, body)
+        elements = [_as_float64(element) for element in elements]
+    columns, position = {}, 0
+    for element in elements:
+        columns[element.name], position = _read_element(path, body, position, element)
+    return columns
+
+
+def _read_header(path: Path, content: bytes) -> tuple[str, list[Element], int]:
+    """Parse the header; returns the byte order ('' for text), the elements and where the body starts."""
+    if not content.startswith(b"ply"):
+        raise FormatError(f"{path}: expected a PLY file, which begins with 'ply', got {content[:16]!r}. {_REMEDY}")
+    end = content.find(b"end_header")
+    if end < 0:
+        raise FormatError(f"{path}: expected a PLY header that ends with 'end_header', found no end. {_REMEDY}")
+    start = end + len(b"end_header")
+    for line_end in (b"\r\n", b"\n", b"\r"):
+        if content.startswith(line_end, start):
+            start += len(line_end)
+            break
+    order: str | None = None
+    elements: list[Element] = []
+    header = content[:end].decode("latin-1").replace("\r\n", "\n").replace("\r", "\n")
+    for number, line in enumerate(header.split("\n"), start=1):
+        words = line.split()
+        try:
+            match words:
+                case ["format", form, _]:
+                    order = _ORDERS[form]
+                case ["element", name, count]:
+                    elements.append(Element(name, _count(count), ()))
+                case ["property", "list", count_type, item_type, name]:
+                    types = _TYPES[item_type], _TYPES[count_type]
+                    elements[-1] = _with_property(elements[-1], Property(name, *types))
+                case ["property", item_type, name]:
+                    elements[-1] = _with_property(elements[-1], Property(name, _TYPES[item_type]))
+                case [] | ["ply"] | ["comment" | "obj_info", *_]:
+                    pass
+                case _:
+                    raise KeyError
+        except (KeyError, IndexError, ValueError):
+            raise FormatError(at_line(path, number, "a line of a PLY header", line, _REMEDY)) from None
+    if order is None:
+        raise FormatError(f"{path}: expected a 'format' line in the PLY header, found none. {_REMEDY}")
+    return order, [_with_order(element, order or "<") for element in elements], start
+
+
+def _count(word: str) -> int:
+    count = int(word)
+    if count < 0:
+        raise ValueError(word)
+    return count
+
+
+def _with_property(element: Element, added: Property) -> Element:
+    if added.count_type.startswith("f") or any(added.name == known.name for known in element.properties):
+        raise ValueError(added.name)
+    return replace(element, properties=(*element.properties, added))
+
+
+def _with_order(element: Element, order: str) -> Element:
+    ordered = [
+        Property(p.name, order + p.type, order + p.count_type if p.count_type else "") for p in element.properties
+    ]
+    return replace(element, properties=tuple(ordered))
+
+
+def _as_float64(element: Element) -> Element:
+    wide = [Property(p.name, "<f8", "<f8" if p.count_type else "") for p in element.properties]
+    return replace(element, properties=tuple(wide))
+
+
+def _pack_text(path: Path, body: bytes) -> bytes:
+    words = body.split()
+    try:
+        return np.array(list(map(float, words)), dtype="<f8").tobytes()
+    except ValueError:
+        bad = next(word for word in words if not _is_number(word))
+        line = body[: body.find(bad)].count(b"\n") + 1
+        raise FormatError(
+            f"{path}: expected numbers after the header, got {bad[:40]!r} in line {line} of the body. {_REMEDY}"
+        ) from None
+
+
+def _is_number(word: bytes) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _read_element(path: Path, body: bytes, position: int, element: Element) -> tuple[dict[str, Column], int]:
+    """Read all records of an element: as one table if they are all laid out like the first, else one by one."""
+    if element.count == 0:
+        return {p.name: Column(np.zeros(0, np.int64), np.zeros(0, p.type)) for p in element.properties}, position
+    lengths, _ = _record_layout(path, body, position, element, 0)
+    fields: list[Any] = []
+    for i, (item, length) in enumerate(zip(element.properties, lengths, strict=True)):
+        if item.count_type:
+            fields.append((f"count{i}", item.count_type))
+        fields.append((f"value{i}", item.type, (length,)))
+    record = np.dtype(fields)
+    if position + element.count * record.itemsize <= len(body):
+        table = np.frombuffer(body, record, element.count, position)
+        counts = [(table[f"count{i}"], lengths[i]) for i, item in enumerate(element.properties) if item.count_type]
+        if all(bool(np.all(found == length)) for found, length in counts):
+            columns = {
+                item.name: Column(np.full(element.count, lengths[i]), table[f"value{i}"].ravel())
+                for i, item in enumerate(element.properties)
+            }
+            return columns, position + element.count * record.itemsize
+    return _read_records(path, body, position, element)
+
+
+def _read_records(path: Path, body: bytes, position: int, element: Element) -> tuple[dict[str, Column], int]:
+    """Walk over records of different length, noting where values are; then gather them all at once."""
+    starts: list[list[int]] = []
+    lengths: list[list[int]] = []
+    for i in range(element.count):  # only for mixed polygons, that is control meshes
+        record_lengths, record_starts = _record_layout(path, body, position, element, i)
+        lengths.append(record_lengths)
+        starts.append(record_starts[:-1])
+        position = record_starts[-1]
+    all_lengths, all_starts = np.array(lengths, dtype=np.int64), np.array(starts, dtype=np.int64)
+    data = np.frombuffer(body, np.uint8)
+    columns = {}
+    for k, item in enumerate(element.properties):
+        size, count, first = np.dtype(item.type).itemsize, all_lengths[:, k], all_starts[:, k]
+        within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+        places = (np.repeat(first, count) + size * within)[:, None] + np.arange(size)
+        columns[item.name] = Column(count, np.ascontiguousarray(data[places]).view(item.type).ravel())
+    return columns, position
+
+
+def _record_layout(
+    path: Path, body: bytes, position: int, element: Element, number: int
+) -> tuple[list[int], list[int]]:
+    """Lengths of one record's properties, and the byte where the values of each start; last the record's end."""
+    lengths, starts = [], []
+    for item in element.properties:
+        length = 1
+        if item.count_type:
+            code = item.count_type[0] + _STRUCT[item.count_type[1:]]
+            width = struct.calcsize(code)
+            if position + width > len(body):
+                raise _cut_short(path, element, number)
+            stated = struct.unpack_from(code, body, position)[0]
+            if not 0 <= stated <= len(body) or stated != int(stated):
+                raise FormatError(
+                    f"{path}: {element.name} {number} (0-based): expected a length of the list "
+                    f"'{item.name}', got {stated}. {_REMEDY}"
+                )
+            length = int(stated)
+            position += width
+        lengths.append(length)
+        starts.append(position)
+        position += length * int(item.type[2:])
+    if position > len(body):
+        raise _cut_short(path, element, number)
+    return lengths, [*starts, position]
+
+
+def _cut_short(path: Path, element: Element, number: int) -> FormatError:
+    return FormatError(
+        f"{path}: expected {element.count} records '{element.name}', the file ends within number "
+        f"{number} (0-based). It is cut short; copy or export it again."
+    )

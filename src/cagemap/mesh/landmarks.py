@@ -1,0 +1,98 @@
+"""Landmarks: pairs of control vertices, one on the target and one on the source, that are the same place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cagemap.errors import InvalidLandmarksError
+from cagemap.mesh.control_mesh import ControlMesh, IndexArray
+from cagemap.mesh.mesh_report import first_few
+
+# Two pairs leave a rotation about their axis undecided, three decide it.
+FEWEST_PAIRS = 3
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """Pairs of control vertices that correspond.
+
+    Attributes
+    ----------
+    names : tuple of str
+        One per pair, such as ``nose_tip``.
+    target, source : (q,) int64
+        Control vertices of the two meshes, 0-based.
+    target_name, source_name : str
+        The meshes that the numbers were made for; '' where unknown.
+    """
+
+    names: tuple[str, ...]
+    target: IndexArray
+    source: IndexArray
+    target_name: str = ""
+    source_name: str = ""
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def reversed(self) -> Landmarks:
+        """Return the same pairs for the map the other way round."""
+        return replace(
+            self,
+            target=self.source,
+            source=self.target,
+            target_name=self.source_name,
+            source_name=self.target_name,
+        )
+
+
+def check_landmarks(landmarks: Landmarks, target: ControlMesh, source: ControlMesh) -> None:
+    """Raise unless the landmarks fit the two meshes.
+
+    Raises
+    ------
+    InvalidLandmarksError
+        If there are fewer than three pairs, a name or a vertex is used twice, or a vertex number is out of range; all
+        such faults are listed by pair.
+    """
+    count = len(landmarks.names)
+    if landmarks.target.shape != (count,) or landmarks.source.shape != (count,):
+        raise InvalidLandmarksError(
+            f"landmarks: expected one target and one source vertex for each of {count} names, got arrays of shape "
+            f"{landmarks.target.shape} and {landmarks.source.shape}. Give one of each per pair."
+        )
+    faults = []
+    if count < FEWEST_PAIRS:
+        faults.append(f"expected at least {FEWEST_PAIRS} pairs, got {count}. Add pairs spread over the whole surface.")
+    names = np.array(landmarks.names, dtype=object)
+    repeated = _repeated(names)
+    if len(repeated):
+        faults.append(f"expected every name once, got these again: {first_few(names[repeated])}. Rename them.")
+    for side, vertices, mesh in (("target", landmarks.target, target), ("source", landmarks.source, source)):
+        faults += _side_faults(side, vertices, names, mesh)
+    if faults:
+        listed = "".join(f"\n  - {fault}" for fault in faults)
+        raise InvalidLandmarksError(f"landmarks for target {target.name} and source {source.name}:{listed}")
+
+
+def _side_faults(side: str, vertices: IndexArray, names: np.ndarray, mesh: ControlMesh) -> list[str]:
+    faults = []
+    outside = np.flatnonzero((vertices < 0) | (vertices >= mesh.n_vertices))
+    if len(outside):
+        pairs = first_few(f"{names[i]} ({vertices[i]})" for i in outside)
+        faults.append(
+            f"expected {side} vertices from 0 to {mesh.n_vertices - 1}, those of {mesh.name}, got {pairs}. Numbers are "
+            "0-based; check that target and source are not exchanged and that the mesh was not renumbered."
+        )
+    repeated = _repeated(vertices)
+    if len(repeated):
+        pairs = first_few(f"{names[i]} ({vertices[i]})" for i in repeated)
+        faults.append(f"expected every {side} vertex in one pair only, got these again: {pairs}. Remove one of each.")
+    return faults
+
+
+def _repeated(values: np.ndarray) -> IndexArray:
+    """Places whose value occurred before."""
+    return np.setdiff1d(np.arange(len(values)), np.unique(values, return_index=True)[1])
