@@ -23,12 +23,16 @@ def refine_uvs(table: CornerTable, uvs: FloatArray, *, with_face_points: bool) -
     -------
     (p + e, 2) or (p + e + m, 2) float64
     """
-    at_corners = uvs[table.vertices]
+    # One corner of every edge is enough: the others would write the same value.
+    chosen = np.flatnonzero(table.forward)
     midpoints = np.empty((table.n_edges, uvs.shape[1]))
-    midpoints[table.edges] = 0.5 * (at_corners + at_corners[table.following])
+    midpoints[table.edges[chosen]] = 0.5 * (uvs[table.vertices[chosen]] + uvs[table.vertices[table.following[chosen]]])
     if not with_face_points:
         return np.concatenate([uvs, midpoints])
+    if table.has_only(4):
+        a, b, c, d = (uvs[table.vertices[k::4]] for k in range(4))
+        return np.concatenate([uvs, midpoints, 0.25 * ((a + c) + (b + d))])
     starts = np.flatnonzero(np.diff(table.faces, prepend=-1))
     sizes = np.diff(starts, append=table.n_corners)
-    centroids = np.add.reduceat(at_corners, starts, axis=0) / sizes[:, None]
+    centroids = np.add.reduceat(uvs[table.vertices], starts, axis=0) / sizes[:, None]
     return np.concatenate([uvs, midpoints, centroids])

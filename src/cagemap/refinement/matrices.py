@@ -8,7 +8,7 @@ from scipy.sparse import csr_array, diags_array, vstack
 
 from cagemap.mesh import FloatArray
 from cagemap.refinement.schemes import CREASE_VERTEX, CatmullClark, Loop, Scheme
-from cagemap.refinement.topology import BoolArray, CornerTable, IntArray, Topology
+from cagemap.refinement.topology import BoolArray, IntArray, Topology
 
 
 def vertex_kinds(topology: Topology, scheme: Scheme) -> tuple[BoolArray, BoolArray]:
@@ -198,11 +198,6 @@ def subdivision_matrix(topology: Topology, scheme: Scheme) -> csr_array:
     """S of one step: (n_fine, n_coarse) CSR, rows sum to 1, int32 indices ascending in every row."""
     if isinstance(scheme, Loop):
         return triangle_matrix(topology, scheme)
-    if _all_quads(topology.table):
+    if topology.table.has_only(4):
         return quad_matrix(topology, scheme)
     return polygon_matrix(topology, scheme)
-
-
-def _all_quads(table: CornerTable) -> bool:
-    sizes = np.bincount(table.faces, minlength=table.n_faces)
-    return bool(np.all(sizes == 4))

@@ -56,6 +56,12 @@ class CornerTable:
         """Number of corners."""
         return len(self.vertices)
 
+    def has_only(self, size: int) -> bool:
+        """Whether every face has ``size`` corners."""
+        if self.n_corners != size * self.n_faces:
+            return False
+        return bool(np.all(self.faces[::size] == np.arange(self.n_faces)))
+
 
 @dataclass(frozen=True)
 class Topology:
