@@ -1,0 +1,94 @@
+"""Descriptors in the spectral domain: Definition 3 and Lemma 4 of the paper."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cagemap.descriptors import (
+    heat_filters,
+    heat_times,
+    landmark_descriptors,
+    normalise_columns,
+    signatures,
+    wave_energies,
+    wave_filters,
+)
+from cagemap.errors import ParameterError
+
+RNG = np.random.default_rng(314)
+
+
+@pytest.fixture
+def spectrum():
+    return np.concatenate([[0.0], np.sort(RNG.uniform(1.0, 90.0, 19))])
+
+
+def test_lemma_4_descriptor_matrix_of_the_next_level(spectrum):
+    """K^{l+1} = S K^l S^T + Phi-bar rho(Lambda-bar) Phi-bar^T, for landmark columns and for the diagonal (eq. 12)."""
+    n_coarse, n_fine, low = 25, 60, 12
+    subdivision = RNG.random((n_fine, n_coarse))
+    phi_low, phi_band = RNG.standard_normal((n_coarse, low)), RNG.standard_normal((n_fine, 20 - low))
+    filters = heat_filters(spectrum, np.array([0.01, 0.3]))
+    phi_fine = np.hstack([subdivision @ phi_low, phi_band])
+    for column in range(2):
+        rho = filters[:, column]
+        coarse = phi_low @ np.diag(rho[:low]) @ phi_low.T
+        expected = subdivision @ coarse @ subdivision.T + phi_band @ np.diag(rho[low:]) @ phi_band.T
+        landmarks = np.array([3, 41])
+        coefficients = landmark_descriptors(phi_fine[landmarks], filters)[:, [column, 2 + column]]
+        scale = abs(expected).max()
+        np.testing.assert_allclose(phi_fine @ coefficients, expected[:, landmarks], atol=1e-12 * scale)
+        np.testing.assert_allclose(signatures(phi_fine, filters)[:, column], np.diag(expected), atol=1e-12 * scale)
+
+
+def test_heat_times_span_the_recommended_range(spectrum):
+    times = heat_times(spectrum, 16)
+    assert times[0] == pytest.approx(4 * np.log(10) / spectrum[-1])
+    assert times[-1] == pytest.approx(4 * np.log(10) / spectrum[1])
+    np.testing.assert_allclose(np.diff(np.log(times)), np.diff(np.log(times))[0])
+
+
+def test_heat_filters_scale_with_area(spectrum):
+    """lambda t has no unit: a shape twice as large at four times the time has the same filters."""
+    times = heat_times(spectrum, 5)
+    np.testing.assert_allclose(heat_filters(spectrum / 4.0, 4.0 * times), heat_filters(spectrum, times), rtol=1e-12)
+
+
+@pytest.mark.parametrize("count", [3, 8, 20, 100])
+def test_wave_filters_are_averages_over_energies(spectrum, count):
+    energies, width = wave_energies(spectrum, count)
+    filters = wave_filters(spectrum, energies, width)
+    assert np.all(np.diff(energies) > 0.0)
+    assert np.log(spectrum[1]) < energies[0]
+    assert energies[-1] < np.log(spectrum[-1])
+    np.testing.assert_allclose(filters.sum(axis=0), 1.0)
+    np.testing.assert_array_equal(filters[0], 0.0)  # the constant has no energy
+
+
+def test_signatures_do_not_see_signs_or_rotations_of_an_eigenspace(spectrum):
+    """A repeated eigenvalue's eigenvectors are arbitrary up to rotation; descriptors of full eigenspaces are not."""
+    repeated = spectrum.copy()
+    repeated[4:7] = repeated[4]
+    rows = RNG.standard_normal((30, 20))
+    rotation, _ = np.linalg.qr(RNG.standard_normal((3, 3)))
+    rotated = rows.copy()
+    rotated[:, 4:7] = rows[:, 4:7] @ rotation
+    rotated[:, 9] *= -1.0
+    filters = heat_filters(repeated, heat_times(repeated, 6))
+    np.testing.assert_allclose(signatures(rotated, filters), signatures(rows, filters), rtol=1e-12)
+    landmark = rotated @ landmark_descriptors(rotated[:3], filters)
+    np.testing.assert_allclose(landmark, rows @ landmark_descriptors(rows[:3], filters), atol=1e-12)
+
+
+def test_normalised_columns():
+    columns = RNG.standard_normal((5, 4))
+    columns[:, 2] = 0.0
+    np.testing.assert_allclose(np.linalg.norm(normalise_columns(columns), axis=0), [1, 1, 0, 1])
+
+
+def test_too_small_a_spectrum_is_refused():
+    with pytest.raises(ParameterError, match="at least 2 eigenvalues above 0, got 1"):
+        heat_times(np.array([0.0, 3.0]), 4)
+    with pytest.raises(ParameterError, match="expected 3 filter rows"):
+        landmark_descriptors(np.zeros((2, 3)), np.zeros((4, 5)))

@@ -1,0 +1,125 @@
+"""SEC operators: what section 2.2.2 and Lemma 5 of the paper promise, to machine precision."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import sparse
+
+from cagemap.mesh import ControlMesh, shapes
+from cagemap.operators import build_operators, stiffness, triangle_cotangents, vertex_areas
+from cagemap.refinement import refine
+
+SHAPES = {
+    "cube": lambda: shapes.cube(),
+    "icosahedron (Loop)": lambda: shapes.icosahedron(),
+    "open grid": lambda: shapes.grid(4, 3),
+    "creature": lambda: shapes.creature(),
+}
+# Products of sparse matrices with entries of order 1: a few hundred roundings.
+EXACT = 1e-12
+
+
+@pytest.fixture(params=SHAPES, scope="module")
+def refined(request):
+    refinement = refine(SHAPES[request.param](), 3)
+    return refinement, build_operators(refinement)
+
+
+def test_constants_are_in_the_null_space_and_area_is_one(refined):
+    _, operators = refined
+    for mass, stiff in zip(operators.mass, operators.stiffness, strict=True):
+        ones = np.ones(mass.shape[0])
+        assert abs(stiff @ ones).max() < EXACT * abs(stiff).max()
+        assert abs(mass.sum() - 1.0) < EXACT
+
+
+def test_operators_are_symmetric_and_definite(refined):
+    _, operators = refined
+    for mass, stiff in zip(operators.mass[:2], operators.stiffness[:2], strict=True):
+        for matrix in (mass, stiff):
+            assert abs(matrix - matrix.T).max() < EXACT * abs(matrix).max()
+        masses, values = np.linalg.eigvalsh(mass.toarray()), np.linalg.eigvalsh(stiff.toarray())
+        assert masses.min() > -EXACT * masses.max()
+        assert values.min() > -EXACT * values.max()
+        # One component: only the constants have no energy, besides functions that subdivide to zero. The cube has one, +1 and
+        # -1 in turn over its corners: at valence 3 Catmull-Clark averages it away, so its M^0 is singular.
+        vanishing = np.sum(masses < 1e-9 * masses.max())
+        assert vanishing == (1 if mass.shape[0] == 8 else 0)
+        assert np.sum(values < 1e-9 * values.max()) == 1 + vanishing
+
+
+def test_lemma_5_inner_products_do_not_depend_on_the_level(refined):
+    """<S g, S h>_{M^{l+1}} = <g, h>_{M^l}, and the same for the Dirichlet form."""
+    refinement, operators = refined
+    rng = np.random.default_rng(505)
+    for level, subdivision in enumerate(refinement.matrices):
+        g, h = rng.standard_normal((2, subdivision.shape[1]))
+        for family in (operators.mass, operators.stiffness):
+            coarse, fine = g @ (family[level] @ h), (subdivision @ g) @ (family[level + 1] @ (subdivision @ h))
+            bound = np.sqrt((g @ (family[level] @ g)) * (h @ (family[level] @ h)))
+            assert abs(coarse - fine) < EXACT * max(bound, 1e-30)
+
+
+def test_finest_mass_is_diagonal_and_coarser_ones_are_not(refined):
+    _, operators = refined
+    assert abs(operators.mass[-1] - sparse.diags_array(operators.finest_areas)).max() == 0.0
+    assert np.all(operators.finest_areas > 0.0)
+    assert operators.mass[0].nnz > operators.mass[0].shape[0]
+
+
+@settings(deadline=None, max_examples=15)
+@given(scale=st.floats(1e-6, 1e6), seed=st.integers(2, 10_000))
+def test_rigid_motion_and_scale_change_nothing(scale, seed):
+    """Unit area removes the scale; the matrices see lengths and angles only."""
+    rng = np.random.default_rng(seed)
+    rotation, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    mesh = shapes.creature()
+    moved = mesh.with_positions(scale * (mesh.positions @ rotation.T + rng.standard_normal(3)))
+    before, after = build_operators(refine(mesh, 1)), build_operators(refine(moved, 1))
+    for old, new in zip(before.stiffness + before.mass, after.stiffness + after.mass, strict=True):
+        # Cotangents of thin triangles amplify the rounding of the moved positions.
+        assert abs(old - new).max() < 1e-8 * abs(old).max()
+    assert after.scale * scale == pytest.approx(before.scale, rel=1e-9)
+
+
+def test_relabelled_vertices_give_permuted_matrices():
+    rng = np.random.default_rng(77)
+    mesh = shapes.creature()
+    new_number = rng.permutation(mesh.n_vertices)
+    positions = np.empty_like(mesh.positions)
+    positions[new_number] = mesh.positions
+    relabelled = ControlMesh(positions, mesh.face_offsets, new_number[mesh.face_indices])
+    before, after = build_operators(refine(mesh, 2)), build_operators(refine(relabelled, 2))
+    for old, new in zip((before.mass[0], before.stiffness[0]), (after.mass[0], after.stiffness[0]), strict=True):
+        assert abs(new[new_number][:, new_number] - old).max() < EXACT * abs(old).max()
+
+
+def test_cotangents_of_known_triangles():
+    """An equilateral triangle: 1/sqrt 3 everywhere; a right isosceles one: 0, 1, 1."""
+    equilateral = np.array([[0, 0, 0], [1, 0, 0], [0.5, np.sqrt(3) / 2, 0]])
+    right = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], dtype=float)
+    face = np.array([[0, 1, 2]])
+    np.testing.assert_allclose(triangle_cotangents(equilateral, face), 1 / np.sqrt(3), rtol=1e-14)
+    np.testing.assert_allclose(triangle_cotangents(right, face), [[0, 1, 1]], atol=1e-15)
+
+
+def test_unit_square_quad():
+    """The mean of both triangulations: no diagonal is preferred, and linear functions get their exact energy."""
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
+    face = np.array([[0, 1, 2, 3]])
+    matrix = stiffness(square, face).toarray()
+    np.testing.assert_allclose(matrix, np.array([[2, -1, 0, -1], [-1, 2, -1, 0], [0, -1, 2, -1], [-1, 0, -1, 2]]) / 2)
+    assert square[:, 0] @ matrix @ square[:, 0] == pytest.approx(1.0)
+    np.testing.assert_allclose(vertex_areas(square, face), 0.25)
+
+
+def test_slivers_keep_the_stiffness_semi_definite():
+    """Triangles of almost no area must not give infinite or negative energy (soma18056 has quads of 1e-9 of the area)."""
+    positions = np.array([[0, 0, 0], [1, 0, 0], [0.5, 1e-14, 0], [0.5, 1, 0], [0.5, 0, 0]])
+    matrix = stiffness(positions, np.array([[0, 1, 2], [0, 2, 3], [2, 1, 3], [2, 2, 4]])).toarray()
+    assert np.isfinite(matrix).all()
+    values = np.linalg.eigvalsh(matrix)
+    assert values.min() > -1e-12 * values.max()
