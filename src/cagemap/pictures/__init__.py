@@ -4,6 +4,7 @@ from cagemap.pictures.camera import BACK, FRONT, SIDE, VIEWS, Camera, View, fram
 from cagemap.pictures.colors import (
     AMOUNT,
     BALANCE,
+    ENOUGH,
     distinct_colors,
     position_colors,
     scalar_colors,
@@ -17,6 +18,7 @@ __all__ = [
     "AMOUNT",
     "BACK",
     "BALANCE",
+    "ENOUGH",
     "FRONT",
     "SIDE",
     "VIEWS",

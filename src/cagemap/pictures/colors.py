@@ -6,7 +6,7 @@ import numpy as np
 
 from cagemap.mesh import FloatArray
 
-# Anchors of two perceptual scales (viridis-like for amounts, blue-white-red for "less / more"), evenly spaced.
+# Anchors of perceptual scales (viridis-like for amounts, blue-white-red for "less / more"), evenly spaced.
 AMOUNT = np.array(
     [[68, 1, 84], [71, 44, 122], [59, 81, 139], [44, 113, 142], [33, 144, 141], [39, 173, 129], [92, 200, 99],
      [170, 220, 50], [253, 231, 37]]
@@ -15,6 +15,11 @@ BALANCE = np.array(
     [[33, 78, 146], [67, 133, 190], [146, 197, 222], [222, 232, 238], [247, 246, 244], [249, 221, 205], [240, 160, 128],
      [205, 82, 75], [150, 22, 45]]
 ) / 255.0  # fmt: skip
+
+# Red where there is least, calm clay where there is enough: for what should alarm only where it is missing.
+ENOUGH = (
+    np.array([[140, 20, 40], [196, 60, 60], [232, 132, 100], [240, 190, 160], [228, 218, 208], [216, 216, 212]]) / 255.0
+)
 
 
 def to_linear(display: FloatArray) -> FloatArray:
@@ -31,7 +36,7 @@ def to_display(linear: FloatArray) -> FloatArray:
 def scalar_colors(values: FloatArray, low: float, high: float, scale: FloatArray = AMOUNT) -> FloatArray:
     """(n, 3) colours of values (n,) on a scale from ``low`` to ``high``; NaN becomes grey."""
     span = high - low if high > low else 1.0
-    at = np.clip((np.nan_to_num(values, nan=low) - low) / span, 0.0, 1.0) * (len(scale) - 1)
+    at = (np.nan_to_num(values, nan=low) - low) / span * (len(scale) - 1)  # np.interp clamps
     anchors = np.arange(len(scale))
     colors = np.stack([np.interp(at, anchors, scale[:, channel]) for channel in range(3)], axis=1)
     colors[np.isnan(values)] = 0.6

@@ -1,1 +1,42 @@
+"""One self-contained HTML page about a result, for the eye and for print."""
 
+from __future__ import annotations
+
+from pathlib import Path
+
+from cagemap.files.atomic import atomic_path
+from cagemap.files.result import Result
+from cagemap.report.figures import Figure, Gallery, Pixels, Progress, draw_gallery
+from cagemap.report.page import build_page
+
+__all__ = ["Figure", "Gallery", "build_page", "draw_gallery", "write_report"]
+
+
+def write_report(
+    path: str | Path,
+    result: Result,
+    *,
+    texture: Pixels | None = None,
+    baked: Pixels | None = None,
+    progress: Progress | None = None,
+) -> None:
+    """Draw and write the report of a result.
+
+    Parameters
+    ----------
+    path : path
+        The HTML file.
+    result : Result
+    texture, baked : (H, W, c) array, optional
+        The source's texture, and the same baked into the target's layout.
+    progress : callable, optional
+        Called with the name of each step.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be written.
+    """
+    page = build_page(result, draw_gallery(result, texture=texture, baked=baked, progress=progress))
+    with atomic_path(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")

@@ -1,0 +1,215 @@
+"""The pictures of a report: the same views of source and target, side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.files.result import Result
+from cagemap.mesh import FloatArray
+from cagemap.pictures import (
+    BACK,
+    ENOUGH,
+    FRONT,
+    VIEWS,
+    Image,
+    Model,
+    Skin,
+    View,
+    distinct_colors,
+    draw_dots,
+    frame,
+    position_colors,
+    render,
+    sample_texture,
+    scalar_colors,
+    to_display,
+)
+from cagemap.transfer.surface import TexturedSurface
+
+Pixels = NDArray[Any]
+Progress = Callable[[str], None]
+
+WIDTH, HEIGHT = 600, 460
+_LARGEST_TEXTURE = 2048  # a picture shows no more than this
+_UNKNOWN_COLOR = np.array([0.7, 0.7, 0.7])
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One view of both surfaces (or of the target alone).
+
+    Attributes
+    ----------
+    view : str
+        Name of the view.
+    source : Image or None
+    target : Image
+    """
+
+    view: str
+    source: Image | None
+    target: Image
+
+
+@dataclass(frozen=True)
+class Gallery:
+    """All pictures of a report; ``appearance`` says what the first ones show.
+
+    Attributes
+    ----------
+    appearance : str
+        "texture", "material colours" or "checker".
+    looks, maps, trust : tuple of Figure
+        The transferred look; the map as colours with landmarks; where the map is to be trusted.
+    """
+
+    appearance: str
+    looks: tuple[Figure, ...]
+    maps: tuple[Figure, ...]
+    trust: tuple[Figure, ...]
+
+
+@dataclass(frozen=True)
+class _Stage:
+    """Both surfaces, ready to draw."""
+
+    result: Result
+    target: TexturedSurface
+    source: TexturedSurface
+    target_model: Model
+    source_model: Model
+
+
+def draw_gallery(
+    result: Result,
+    *,
+    texture: Pixels | None = None,
+    baked: Pixels | None = None,
+    size: tuple[int, int] = (WIDTH, HEIGHT),
+    progress: Progress | None = None,
+) -> Gallery:
+    """Draw everything a report shows.
+
+    Parameters
+    ----------
+    result : Result
+    texture : (H, W, c) array, optional
+        The source's texture; integers stand for 0 to 1. Without one, material colours or a checker are shown.
+    baked : (H, W, c) array, optional
+        The texture baked into the target's own layout. Without one, the source's texture is pulled back vertex by
+        vertex.
+    size : (int, int)
+        Width and height of each picture, in pixels.
+    progress : callable, optional
+        Called with the name of each step.
+    """
+    stage = _stage(result)
+    appearance, source_skin, target_skin = _looks(stage, texture, baked)
+    pulled = position_colors(result.image(), result.source.vertices)
+    own = position_colors(result.source.vertices, result.source.vertices)
+    trust = scalar_colors(result.trust, 0.0, 1.0, ENOUGH)
+    jobs = [
+        *((view, source_skin, target_skin, False) for view in VIEWS),
+        *((view, Skin(vertex_colors=own), Skin(vertex_colors=pulled), True) for view in (FRONT, BACK)),
+        *((view, None, Skin(vertex_colors=trust), False) for view in (FRONT, BACK)),
+    ]
+    figures = tuple(_figures(stage, jobs, size, progress))
+    return Gallery(appearance, figures[:3], figures[3:5], figures[5:])
+
+
+def _stage(result: Result) -> _Stage:
+    target, source = (TexturedSurface.from_level(side.refinement().finest) for side in (result.target, result.source))
+    return _Stage(
+        result,
+        target,
+        source,
+        Model(target.positions, target.triangles),
+        Model(source.positions, source.triangles),
+    )
+
+
+def _looks(stage: _Stage, texture: Pixels | None, baked: Pixels | None) -> tuple[str, Skin, Skin]:
+    """What source and target look like: its name and both skins."""
+    if texture is not None and stage.source.uvs is not None:
+        shown = for_display(texture)
+        source_skin = Skin(texture=shown, corner_uvs=stage.source.corner_uvs())
+        if baked is not None and stage.target.uvs is not None:
+            return "texture", source_skin, Skin(texture=for_display(baked), corner_uvs=stage.target.corner_uvs())
+        return "texture", source_skin, Skin(vertex_colors=_pulled_texture(stage, shown))
+    control = stage.result.source.control
+    if control.face_materials is not None and control.material_colors is not None:
+        colors = _material_colors(stage, control.face_materials, control.material_colors)
+        return "material colours", Skin(face_colors=colors), Skin(vertex_colors=colors[stage.result.triangle])
+    checker = _checker(stage.result.source.vertices, stage.result.source.vertices)
+    pulled = _checker(stage.result.image(), stage.result.source.vertices)
+    return "checker", Skin(vertex_colors=checker), Skin(vertex_colors=pulled)
+
+
+def _pulled_texture(stage: _Stage, texture: FloatArray) -> FloatArray:
+    """(n1, 3) the source's texture at the image of every target vertex; UVs are mixed inside one triangle only."""
+    corners = stage.source.corner_uvs()[stage.result.triangle]
+    return sample_texture(texture, np.einsum("nc,ncd->nd", stage.result.barycentric, corners))[:, :3]
+
+
+def _material_colors(stage: _Stage, face_materials: NDArray[np.int64], colors: FloatArray) -> FloatArray:
+    """(t2, 3) display colour of every source triangle."""
+    parents = stage.source.face_parents[stage.source.triangle_faces]
+    linear = colors[face_materials[parents]]
+    return np.where(np.isnan(linear), _UNKNOWN_COLOR, to_display(np.nan_to_num(linear)))
+
+
+def _checker(points: FloatArray, reference: FloatArray, cells: int = 28) -> FloatArray:
+    """(n, 3) a soft three-dimensional checker in two tones."""
+    steps = np.floor((points - reference.min(0)) * (cells / float(np.ptp(reference, axis=0).max()))).astype(np.int64)
+    odd = (steps.sum(1) % 2 == 1)[:, None]
+    return np.where(odd, np.array([0.20, 0.45, 0.55]), np.array([0.93, 0.90, 0.84]))
+
+
+def for_display(image: Pixels) -> FloatArray:
+    """(h, w, 3) sRGB in [0, 1], at most 2048 texels a side; grey images become coloured."""
+    pixels = np.asarray(image)
+    if np.issubdtype(pixels.dtype, np.integer):
+        scale = 1.0 / np.iinfo(pixels.dtype).max
+    else:
+        scale = 1.0
+    pixels = pixels.reshape(*pixels.shape[:2], -1)
+    pixels = pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
+    step = max(1, -(-max(pixels.shape[:2]) // _LARGEST_TEXTURE))
+    height, width = (length // step * step for length in pixels.shape[:2])
+    blocks = pixels[:height, :width].reshape(height // step, step, width // step, step, 3)
+    return np.clip(np.asarray(blocks.mean(axis=(1, 3), dtype=np.float32) * scale, dtype=np.float32), 0.0, 1.0)
+
+
+_Job = tuple[View, Skin | None, Skin, bool]
+
+
+def _figures(stage: _Stage, jobs: list[_Job], size: tuple[int, int], progress: Progress | None) -> Iterator[Figure]:
+    # NumPy and Embree release the interpreter in their loops, so two threads draw nearly twice as fast.
+    with ThreadPoolExecutor(2) as pool:
+        for number, figure in enumerate(pool.map(lambda job: _figure(stage, job, size), jobs), start=1):
+            if progress is not None:
+                progress(f"picture {number} of {len(jobs)}")
+            yield figure
+
+
+def _figure(stage: _Stage, job: _Job, size: tuple[int, int]) -> Figure:
+    view, source_skin, target_skin, dotted = job
+    result = stage.result
+    target_dots = result.target.vertices[result.target.landmarks] if dotted else None
+    source_dots = result.source.vertices[result.source.landmarks] if dotted else None
+    source = None if source_skin is None else _draw(stage.source_model, source_skin, view, size, source_dots)
+    return Figure(view.name, source, _draw(stage.target_model, target_skin, view, size, target_dots))
+
+
+def _draw(model: Model, skin: Skin, view: View, size: tuple[int, int], dots: FloatArray | None) -> Image:
+    camera = frame(model.positions, view, aspect=size[0] / size[1])
+    image = render(model, skin, camera, width=size[0], height=size[1])
+    if dots is None:
+        return image
+    return draw_dots(image, model, camera, dots, distinct_colors(len(dots)), radius=5.0)
