@@ -18,7 +18,7 @@ Embedding = NDArray[np.float32]
 # Rows of one distance block: 2048 queries against all points is at most some 150 MB for the levels searched in full.
 BLOCK = 2048
 # Weight of S_1^l from which a coarse vertex counts as a parent of a refined one, relative to the row's largest.
-PARENT_SHARE = 0.3
+PARENT_SHARE = 0.5
 
 
 def nearest_rows(queries: Embedding, points: Embedding) -> IndexArray:
