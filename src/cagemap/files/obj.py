@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +26,7 @@ _BYTE_CLASS = np.zeros(256, dtype=np.int8)
 _BYTE_CLASS[[ord(" "), ord("\n")]] = _BLANK
 _BYTE_CLASS[ord("/")] = _SLASH
 _BYTE_CLASS[[ord(character) for character in "0123456789+-"]] = _NUMBER
+_IS_DIGIT = (np.arange(256) >= ord("0")) & (np.arange(256) <= ord("9"))
 
 
 @dataclass(frozen=True)
@@ -107,18 +107,11 @@ def _split_statements(path: Path, text: str) -> _Statements:
 def _read_table(statements: _Statements, kind: int, keyword: str, *, required: int, kept: int) -> FloatArray:
     """Read the first ``kept`` numbers of every line of a kind; what follows (weights, colours) is left alone."""
     rows = statements.rows(kind)
-    fields = [statements.lines[row].partition("#")[0].split()[1 : kept + 1] for row in rows]
-    short = [row for row, field in zip(rows, fields, strict=True) if len(field) < required]
-    if short:
-        expected = f"'{keyword}' and at least {required} number{'s' if required > 1 else ''}"
-        raise statements.fail(short[0], expected, "The file may be cut short; export it again.")
-    padded = [field if len(field) == kept else field + ["0"] * (kept - len(field)) for field in fields]
+    lines = [statements.lines[row] for row in rows]
     try:
-        values = list(map(float, chain.from_iterable(padded)))
+        table = np.loadtxt(lines, usecols=range(1, kept + 1), comments="#", ndmin=2) if lines else np.zeros((0, kept))
     except ValueError:
-        broken = next(i for i, field in enumerate(fields) if not all(map(_is_number, field)))
-        raise statements.fail(rows[broken], f"'{keyword}' and numbers", "Export it again.") from None
-    table = np.array(values, dtype=np.float64).reshape(-1, kept)
+        table = np.array([_read_numbers(statements, row, keyword, required, kept) for row in rows], dtype=np.float64)
     infinite = np.flatnonzero(~np.isfinite(table).all(axis=1))
     if len(infinite):
         what = "finite positions" if kind == _POSITION else "finite texture coordinates"
@@ -127,12 +120,17 @@ def _read_table(statements: _Statements, kind: int, keyword: str, *, required: i
     return table
 
 
-def _is_number(token: str) -> bool:
+def _read_numbers(statements: _Statements, row: int, keyword: str, required: int, kept: int) -> list[float]:
+    """Read one line of a table whose lines differ in length, or name the one that is malformed."""
+    fields = statements.lines[row].partition("#")[0].split()[1 : kept + 1]
     try:
-        float(token)
+        values = [float(field) for field in fields]
     except ValueError:
-        return False
-    return True
+        values = []
+    if len(values) < required:
+        expected = f"'{keyword}' and at least {required} number{'s' if required > 1 else ''}"
+        raise statements.fail(row, expected, "The file may be cut short; export it again.")
+    return values + [0.0] * (kept - len(values))
 
 
 @dataclass(frozen=True)
@@ -167,19 +165,19 @@ def _read_corners(statements: _Statements, rows: IndexArray) -> _Corners:
         row = rows[line_of_byte[byte]]
         return statements.fail(row, "'f' and corners such as 3, 3/7, 3//2 or 3/7/2", "Export the control mesh again.")
 
-    unknown = np.flatnonzero(kind == 0)
-    if len(unknown):
-        raise fail(unknown[0])
-    corner_starts = np.flatnonzero((kind != _BLANK) & (before == _BLANK))
+    malformed = np.flatnonzero(_malformed(data, kind, before))
+    if len(malformed):
+        raise fail(malformed[0])
+    begins = (kind != _BLANK) & (before == _BLANK)
+    corner_starts = np.flatnonzero(begins)
+    sizes = np.bincount(line_of_byte[corner_starts], minlength=len(rows)).astype(np.int64)
+    if sizes.min() == 0:
+        row = rows[np.argmin(sizes)]
+        raise statements.fail(row, "'f' and at least three corners", "The file may be cut short; export it again.")
     number_starts = np.flatnonzero((kind == _NUMBER) & (before != _NUMBER))
-    try:
-        numbers = np.array(list(map(int, text.replace("/", " ").split())), dtype=np.int64)
-    except (ValueError, OverflowError):
-        bad = next(i for i, body in enumerate(bodies) if not all(map(_is_index, body.replace("/", " ").split())))
-        raise statements.fail(rows[bad], "'f' and whole numbers", "Export the control mesh again.") from None
-
+    numbers = np.fromstring(text.replace("/", " "), dtype=np.int64, sep=" ")
     slashes = np.cumsum(kind == _SLASH, dtype=np.int32) - (kind == _SLASH)
-    corner_of_number = np.searchsorted(corner_starts, number_starts, side="right") - 1
+    corner_of_number = np.cumsum(begins, dtype=np.int32)[number_starts] - 1
     place = slashes[number_starts] - slashes[corner_starts[corner_of_number]]
     if len(place) and place.max() > 2:
         raise fail(number_starts[np.argmax(place > 2)])
@@ -192,18 +190,17 @@ def _read_corners(statements: _Statements, rows: IndexArray) -> _Corners:
     has_uv[corner_of_number[place == 1]] = True
     if not has_vertex.all():
         raise fail(corner_starts[np.argmin(has_vertex)])
-    sizes = np.bincount(line_of_byte[corner_starts], minlength=len(rows)).astype(np.int64)
-    if sizes.min() == 0:
-        row = rows[np.argmin(sizes)]
-        raise statements.fail(row, "'f' and at least three corners", "The file may be cut short; export it again.")
     return _Corners(rows, sizes, vertices, uvs, has_uv)
 
 
-def _is_index(token: str) -> bool:
-    try:
-        return -(2**63) <= int(token) < 2**63
-    except ValueError:
-        return False
+def _malformed(data: NDArray[np.uint8], kind: NDArray[np.int8], before: NDArray[np.int8]) -> NDArray[np.bool_]:
+    """Bytes that cannot be part of a corner: other characters, and signs that do not begin a number.
+
+    What passes is read by `numpy.fromstring` to its end; a number too large for int64 comes out as its limit, which no
+    mesh has.
+    """
+    sign = (kind == _NUMBER) & ~_IS_DIGIT[data]
+    return (kind == 0) | (sign & ((before == _NUMBER) | ~_IS_DIGIT[np.roll(data, -1)]))
 
 
 def _resolve(statements: _Statements, corners: _Corners, numbers: IndexArray, kind: int, what: str) -> IndexArray:

@@ -6,7 +6,7 @@ that the unit of the file does not matter. Vertices at the same place are valid,
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,11 +17,13 @@ from cagemap.mesh.mesh_report import MeshReport, Problem, first_few
 from cagemap.mesh.structure_checks import structure_problems
 from cagemap.mesh.topology import (
     EdgeTable,
+    Orientation,
     boundary_loops,
     corner_fans,
     edge_table,
     face_components,
     face_orientation,
+    used_vertices,
     uv_islands,
     valences,
 )
@@ -39,23 +41,39 @@ def check_mesh(mesh: ControlMesh) -> MeshReport:
         return replace(blank, problems=broken)
     degenerate = _repeated_corners(mesh)
     duplicates = duplicate_faces(mesh)
-    kept = np.setdiff1d(np.arange(mesh.n_faces), duplicates)
-    single = keep_faces(mesh, kept) if len(duplicates) else mesh
-    edges = edge_table(single)
-    loops = None if len(degenerate) else boundary_loops(single, edges)
-    problems = [_degenerate_problem(mesh, degenerate), _duplicates_problem(duplicates), _isolated_problem(mesh)]
+    kept = np.delete(np.arange(mesh.n_faces), duplicates)
+    parts = _connect(keep_faces(mesh, kept) if len(duplicates) else mesh)
+    problems = [_degenerate_problem(degenerate), _duplicates_problem(duplicates), _isolated_problem(mesh)]
     if not len(degenerate):
         problems += [
-            _edge_manifold_problem(edges),
-            _vertex_manifold_problem(single, edges),
-            _orientation_problem(single, edges, kept),
+            _edge_manifold_problem(parts.edges),
+            _vertex_manifold_problem(parts),
+            _orientation_problem(parts, kept),
         ]
-    problems += [_components_problem(mesh), extent_problem(mesh)]
+    problems += [_components_problem(mesh, face_components(mesh)), extent_problem(mesh)]
     if problems[-1] is None:
-        problems.append(zero_area_problem(mesh, np.setdiff1d(np.arange(mesh.n_faces), degenerate)))
-    if loops is not None and not any(problems):
-        problems.append(inside_out_problem(mesh, loops))
-    return replace(_counts(single, edges, loops, blank), problems=tuple(p for p in problems if p is not None))
+        problems.append(zero_area_problem(mesh, np.delete(np.arange(mesh.n_faces), degenerate)))
+    if parts.loops is not None and not any(problems):
+        problems.append(inside_out_problem(mesh, parts.loops))
+    report = blank if len(degenerate) else _counts(parts, blank)
+    return replace(report, face_sizes=_face_sizes(mesh), problems=tuple(p for p in problems if p is not None))
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """A mesh with what several checks ask of its connectivity."""
+
+    mesh: ControlMesh
+    edges: EdgeTable
+    fans: IndexArray
+    orientation: Orientation
+    loops: tuple[IndexArray, ...] | None
+
+
+def _connect(mesh: ControlMesh) -> _Parts:
+    edges = edge_table(mesh)
+    fans = corner_fans(mesh, edges)
+    return _Parts(mesh, edges, fans, face_orientation(mesh, edges), boundary_loops(mesh, edges, fans))
 
 
 def require_valid(mesh: ControlMesh) -> None:
@@ -101,21 +119,26 @@ def duplicate_faces(mesh: ControlMesh) -> IndexArray:
     return np.sort(np.concatenate(copies))
 
 
-def _counts(mesh: ControlMesh, edges: EdgeTable, loops: tuple[IndexArray, ...] | None, blank: MeshReport) -> MeshReport:
-    sizes, size_counts = np.unique(mesh.face_sizes, return_counts=True)
+def _face_sizes(mesh: ControlMesh) -> tuple[tuple[int, int], ...]:
+    sizes, counts = np.unique(mesh.face_sizes, return_counts=True)
+    return tuple(zip(sizes.tolist(), counts.tolist(), strict=True))
+
+
+def _counts(parts: _Parts, blank: MeshReport) -> MeshReport:
+    mesh, edges, loops = parts.mesh, parts.edges, parts.loops
     components = np.bincount(face_components(mesh))
-    used = np.unique(mesh.face_indices)
+    used = used_vertices(mesh)
     edges_at = valences(mesh, edges)[used]
-    euler = len(used) - len(edges.vertices) + mesh.n_faces
+    euler = int(used.sum()) - len(edges.vertices) + mesh.n_faces
     islands = uv_islands(mesh)
-    one_sided = loops is None or not face_orientation(mesh, edges).orientable
+    # 2 - 2 g - b for every piece; vertices that hold two fans together are no surface and have no genus.
     handles, odd = divmod(2 * len(components) - euler - len(loops or ()), 2)
+    is_surface = loops is not None and parts.orientation.orientable and not odd and handles >= 0
     return replace(
         blank,
         n_edges=len(edges.vertices),
-        face_sizes=tuple(zip(sizes.tolist(), size_counts.tolist(), strict=True)),
         euler_characteristic=euler,
-        genus=None if one_sided or odd or handles < 0 else handles,
+        genus=handles if is_surface else None,
         boundary_loops=None if loops is None else tuple(tuple(loop.tolist()) for loop in loops),
         component_sizes=tuple(components.tolist()),
         valence_range=(int(edges_at.min()), int(edges_at.max())),
@@ -131,7 +154,7 @@ def _repeated_corners(mesh: ControlMesh) -> IndexArray:
     return np.union1d(np.flatnonzero(mesh.face_sizes < 3), faces[order][1:][same])
 
 
-def _degenerate_problem(mesh: ControlMesh, faces: IndexArray) -> Problem | None:
+def _degenerate_problem(faces: IndexArray) -> Problem | None:
     if not len(faces):
         return None
     return Problem(
@@ -155,7 +178,7 @@ def _duplicates_problem(faces: IndexArray) -> Problem | None:
 
 
 def _isolated_problem(mesh: ControlMesh) -> Problem | None:
-    unused = np.flatnonzero(np.bincount(mesh.face_indices, minlength=mesh.n_vertices) == 0)
+    unused = np.flatnonzero(~used_vertices(mesh))
     if not len(unused):
         return None
     return Problem(
@@ -180,10 +203,10 @@ def _edge_manifold_problem(edges: EdgeTable) -> Problem | None:
     )
 
 
-def _vertex_manifold_problem(mesh: ControlMesh, edges: EdgeTable) -> Problem | None:
+def _vertex_manifold_problem(parts: _Parts) -> Problem | None:
     """Vertices whose faces form several fans. Edges of too many faces are named elsewhere and count as joined here."""
-    _, first_corners = np.unique(corner_fans(mesh, edges), return_index=True)
-    bad = np.flatnonzero(np.bincount(mesh.face_indices[first_corners], minlength=mesh.n_vertices) > 1)
+    _, first_corners = np.unique(parts.fans, return_index=True)
+    bad = np.flatnonzero(np.bincount(parts.mesh.face_indices[first_corners]) > 1)
     if not len(bad):
         return None
     return Problem(
@@ -195,9 +218,8 @@ def _vertex_manifold_problem(mesh: ControlMesh, edges: EdgeTable) -> Problem | N
     )
 
 
-def _orientation_problem(mesh: ControlMesh, edges: EdgeTable, numbers: IndexArray) -> Problem | None:
-    orientation = face_orientation(mesh, edges)
-    if not orientation.orientable:
+def _orientation_problem(parts: _Parts, numbers: IndexArray) -> Problem | None:
+    if not parts.orientation.orientable:
         return Problem(
             "one-sided surface",
             "expected a surface with an inside and an outside, got one where no choice of face directions agrees along "
@@ -205,20 +227,19 @@ def _orientation_problem(mesh: ControlMesh, edges: EdgeTable, numbers: IndexArra
             (),
             "Cut the surface where its two sides are joined.",
         )
-    flipped = numbers[orientation.flipped]
+    flipped = numbers[parts.orientation.flipped]
     if not len(flipped):
         return None
     return Problem(
         "inconsistent orientation",
-        f"expected neighbouring faces to run in the same sense, got {len(flipped)} of {mesh.n_faces} faces turned "
+        f"expected neighbouring faces to run in the same sense, got {len(flipped)} of {len(numbers)} faces turned "
         "against the others, faces",
         tuple(flipped.tolist()),
         "Flip these faces (recalculate normals to the outside in the modelling program).",
     )
 
 
-def _components_problem(mesh: ControlMesh) -> Problem | None:
-    labels = face_components(mesh)
+def _components_problem(mesh: ControlMesh, labels: IndexArray) -> Problem | None:
     sizes = np.bincount(labels)
     if len(sizes) == 1:
         return None

@@ -9,9 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cagemap.mesh.control_mesh import ControlMesh, FloatArray, IndexArray
+from cagemap.mesh.control_mesh import ControlMesh, IndexArray
 from cagemap.mesh.measures import face_areas, face_extents, signed_volume
 from cagemap.mesh.mesh_report import Problem
+from cagemap.mesh.topology import used_vertices
 
 # Squares and products of lengths must neither overflow nor vanish in float64 (1e308, 1e-308).
 SMALLEST_EXTENT, LARGEST_EXTENT = 1e-60, 1e60
@@ -28,7 +29,7 @@ OPEN_ROUNDNESS = 0.02
 
 def extent_problem(mesh: ControlMesh) -> Problem | None:
     """Refuse a mesh whose vertices are all at one point or on one line, or whose size overflows."""
-    points = mesh.positions[np.unique(mesh.face_indices)]
+    points = mesh.positions[used_vertices(mesh)]
     with np.errstate(over="ignore"):
         extent = float(np.max(points.max(axis=0) - points.min(axis=0)))
     if extent == 0.0:
@@ -45,8 +46,12 @@ def extent_problem(mesh: ControlMesh) -> Problem | None:
             (),
             "Scale the mesh.",
         )
-    widths = np.linalg.svd(_normalised(points), compute_uv=False)
-    if widths[1] <= RELATIVE_WIDTH * widths[0]:
+    unit = _normalised(mesh).positions[used_vertices(mesh)]
+    offsets = unit - unit[0]
+    lengths = np.linalg.norm(offsets, axis=1)
+    farthest = offsets[np.argmax(lengths)]
+    widths = np.linalg.norm(np.cross(offsets, farthest), axis=1) / lengths.max() ** 2
+    if widths.max() <= RELATIVE_WIDTH:
         return Problem(
             "no area",
             "expected a surface, got all vertices on one line",
@@ -58,7 +63,7 @@ def extent_problem(mesh: ControlMesh) -> Problem | None:
 
 def zero_area_problem(mesh: ControlMesh, examined: IndexArray) -> Problem | None:
     """Refuse faces whose corners are on one line, or that are points next to the size of the mesh."""
-    unit = mesh.with_positions(_normalised(mesh.positions))
+    unit = _normalised(mesh)
     areas, extents = face_areas(unit), face_extents(unit)
     flat = (areas <= RELATIVE_FACE_AREA) | (areas <= RELATIVE_FACE_WIDTH * extents**2)
     faces = examined[flat[examined]]
@@ -78,7 +83,7 @@ def inside_out_problem(mesh: ControlMesh, loops: Sequence[IndexArray]) -> Proble
     An open mesh is closed with a cone over every loop first, and judged only where that encloses a good part of what
     a ball of the same area would; a sheet has no inside.
     """
-    unit = _capped(mesh.with_positions(_normalised(mesh.positions)), loops)
+    unit = _capped(_normalised(mesh), loops)
     volume, area = signed_volume(unit), float(face_areas(unit).sum())
     roundness = 36.0 * np.pi * volume * abs(volume) / area**3
     if not loops and abs(roundness) < RELATIVE_WIDTH:
@@ -99,10 +104,12 @@ def inside_out_problem(mesh: ControlMesh, loops: Sequence[IndexArray]) -> Proble
     return None
 
 
-def _normalised(positions: FloatArray) -> FloatArray:
-    """Move the middle of the bounding box to the origin and make its longest side 1."""
-    low, high = positions.min(axis=0), positions.max(axis=0)
-    return (positions - 0.5 * (low + high)) / np.max(high - low)
+def _normalised(mesh: ControlMesh) -> ControlMesh:
+    """Move the middle of the bounding box of the faces to the origin and make its longest side 1."""
+    points = mesh.positions[used_vertices(mesh)]
+    low, high = points.min(axis=0), points.max(axis=0)
+    with np.errstate(over="ignore"):  # a loose vertex may lie anywhere
+        return mesh.with_positions((mesh.positions - 0.5 * (low + high)) / np.max(high - low))
 
 
 def _capped(mesh: ControlMesh, loops: Sequence[IndexArray]) -> ControlMesh:

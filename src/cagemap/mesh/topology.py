@@ -69,16 +69,15 @@ def corner_fans(mesh: ControlMesh, edges: EdgeTable) -> IndexArray:
     return _components(rows, columns, len(mesh.face_indices))
 
 
-def boundary_loops(mesh: ControlMesh, edges: EdgeTable) -> tuple[IndexArray, ...] | None:
+def boundary_loops(mesh: ControlMesh, edges: EdgeTable, fans: IndexArray) -> tuple[IndexArray, ...] | None:
     """Vertices along every boundary loop, in the direction of the faces' half-edges (surface on the left).
 
     None where the faces' orientations, or edges of more than two faces, leave the loops undefined. A vertex where
-    two loops touch belongs to both: each follows its own fan of faces.
+    two loops touch belongs to both: each follows its own fan of faces (`corner_fans`).
     """
     if np.any(edges.face_counts > 2):
         return None
     corners = edges.boundary_corners()
-    fans = corner_fans(mesh, edges)
     tails, heads = fans[corners], fans[mesh.next_corners[corners]]
     order = np.argsort(tails)
     place = np.minimum(np.searchsorted(tails[order], heads), max(len(order) - 1, 0))
@@ -97,6 +96,13 @@ def boundary_loops(mesh: ControlMesh, edges: EdgeTable) -> tuple[IndexArray, ...
         if loop:
             loops.append(np.array(loop, dtype=np.int64))
     return tuple(loops)
+
+
+def used_vertices(mesh: ControlMesh) -> NDArray[np.bool_]:
+    """(n,) whether a vertex belongs to a face."""
+    used = np.zeros(mesh.n_vertices, dtype=bool)
+    used[mesh.face_indices] = True
+    return used
 
 
 def face_components(mesh: ControlMesh) -> IndexArray:
