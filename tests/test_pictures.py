@@ -20,6 +20,7 @@ from cagemap.pictures import (
     scalar_colors,
     to_display,
     to_linear,
+    turn_between,
     visible,
 )
 
@@ -49,6 +50,16 @@ def test_frame_keeps_everything_inside_and_uses_the_space(view: View) -> None:
     assert spots.min() >= 0.0
     assert spots.max() <= 1.0
     assert np.ptp(spots, axis=0).max() > 0.75  # the border is 6 % on each side, perspective costs a little
+
+
+def test_turning_by_the_difference_makes_figures_face_alike() -> None:
+    points = np.random.default_rng(23).normal(size=(9, 3))
+    angle = np.radians(130.0)
+    turned = points @ np.array([[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]])
+    view = View("any", 20.0, 10.0)
+    further = View("any", 20.0 + turn_between(points, turned), 10.0)
+    pictures = [frame(points, view).project(points, 80, 60), frame(turned, further).project(turned, 80, 60)]
+    np.testing.assert_allclose(pictures[0], pictures[1], atol=1e-9)
 
 
 def test_camera_rays_pass_through_the_points_they_project_to() -> None:

@@ -1,6 +1,6 @@
 """Pictures of surfaces as image arrays, ray-cast without a screen."""
 
-from cagemap.pictures.camera import BACK, FRONT, SIDE, VIEWS, Camera, View, frame
+from cagemap.pictures.camera import BACK, FRONT, SIDE, VIEWS, Camera, View, frame, turn_between
 from cagemap.pictures.colors import (
     AMOUNT,
     BALANCE,
@@ -36,5 +36,6 @@ __all__ = [
     "scalar_colors",
     "to_display",
     "to_linear",
+    "turn_between",
     "visible",
 ]

@@ -67,9 +67,20 @@ class View:
     elevation: float
 
 
-FRONT = View("front", 35.0, 12.0)
-SIDE = View("side", 90.0, 6.0)
-BACK = View("back", 215.0, 14.0)
+def turn_between(from_points: FloatArray, to_points: FloatArray) -> float:
+    """Degrees to turn points (p, 3) about the vertical so that they face as the corresponding others do.
+
+    The least-squares rotation about Y of the centred points; 0 where they do not tell.
+    """
+    a, b = from_points - from_points.mean(0), to_points - to_points.mean(0)
+    across = float(np.sum(a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]))
+    along = float(np.sum(a[:, 0] * b[:, 0] + a[:, 2] * b[:, 2]))
+    return float(np.degrees(np.arctan2(across, along)))
+
+
+FRONT = View("three-quarter view", 35.0, 12.0)
+SIDE = View("side view", 90.0, 6.0)
+BACK = View("from the other side", 215.0, 14.0)
 VIEWS = (FRONT, SIDE, BACK)
 
 

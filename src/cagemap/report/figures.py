@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,7 @@ from cagemap.pictures import (
     sample_texture,
     scalar_colors,
     to_display,
+    turn_between,
 )
 from cagemap.transfer.surface import TexturedSurface
 
@@ -77,13 +78,14 @@ class Gallery:
 
 @dataclass(frozen=True)
 class _Stage:
-    """Both surfaces, ready to draw."""
+    """Both surfaces, ready to draw; ``turn`` more degrees of azimuth show the source from where the target is seen."""
 
     result: Result
     target: TexturedSurface
     source: TexturedSurface
     target_model: Model
     source_model: Model
+    turn: float
 
 
 def draw_gallery(
@@ -125,12 +127,14 @@ def draw_gallery(
 
 def _stage(result: Result) -> _Stage:
     target, source = (TexturedSurface.from_level(side.refinement().finest) for side in (result.target, result.source))
+    turn = turn_between(target.positions[result.target.landmarks], source.positions[result.source.landmarks])
     return _Stage(
         result,
         target,
         source,
         Model(target.positions, target.triangles),
         Model(source.positions, source.triangles),
+        turn,
     )
 
 
@@ -203,7 +207,8 @@ def _figure(stage: _Stage, job: _Job, size: tuple[int, int]) -> Figure:
     result = stage.result
     target_dots = result.target.vertices[result.target.landmarks] if dotted else None
     source_dots = result.source.vertices[result.source.landmarks] if dotted else None
-    source = None if source_skin is None else _draw(stage.source_model, source_skin, view, size, source_dots)
+    turned = replace(view, azimuth=view.azimuth + stage.turn)
+    source = None if source_skin is None else _draw(stage.source_model, source_skin, turned, size, source_dots)
     return Figure(view.name, source, _draw(stage.target_model, target_skin, view, size, target_dots))
 
 
