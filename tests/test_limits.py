@@ -8,7 +8,6 @@ import pytest
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh, bipyramid, creature, cube, disk, grid, icosahedron, poles, pyramid, triangulated
 from cagemap.refinement import CatmullClark, Loop, limit_matrix, limit_normals, limit_positions, refine, triangles
-from cagemap.refinement.limit import _boundary_ring_matrix, inward_tangent
 
 SHAPES = [
     cube(),
@@ -101,15 +100,37 @@ def test_known_masks() -> None:
     assert sorted(row[row > 0]) == pytest.approx([1 / 5, 1 / 5, 1 / 5, 2 / 5])
 
 
-@pytest.mark.parametrize("scheme", [CatmullClark(), Loop()], ids=str)
+def _boundary_ring_matrix(valence: int, scheme: CatmullClark | Loop) -> np.ndarray:
+    """Local subdivision matrix at a boundary vertex: the vertex, ``valence + 1`` neighbours, opposite vertices."""
+    quads = isinstance(scheme, CatmullClark)
+    edge, face = 1 + np.arange(valence + 1), 2 + valence + np.arange(valence)
+    local = np.zeros((2 * valence + 2 if quads else valence + 2,) * 2)
+    local[0, [0, 1, valence + 1]] = 3 / 4, 1 / 8, 1 / 8
+    for k in (0, valence):
+        local[edge[k], [0, edge[k]]] = 1 / 2
+    end, other = scheme.quad_edge_weights() if isinstance(scheme, CatmullClark) else scheme.edge_weights()
+    for k in range(1, valence):
+        local[edge[k], [0, edge[k]]] = end
+        local[edge[k], [edge[k - 1], edge[k + 1]]] = other
+        if quads:
+            local[edge[k], [face[k - 1], face[k]]] = other
+    for k in range(valence if quads else 0):
+        local[face[k], [0, edge[k], edge[k + 1], face[k]]] = 1 / 4
+    return local
+
+
+@pytest.mark.parametrize("scheme", [CatmullClark(), Loop()], ids=["CatmullClark", "Loop"])
 @pytest.mark.parametrize("valence", [2, 3, 4, 5, 7])
-def test_inward_tangent_is_a_left_eigenvector(scheme: CatmullClark | Loop, valence: int) -> None:
+def test_inward_tangent_is_the_leading_left_eigenvector(scheme: CatmullClark | Loop, valence: int) -> None:
+    # The slow definition: the local matrix of the vertex and its ring, and its eigenvectors.
     local = _boundary_ring_matrix(valence, scheme)
     np.testing.assert_allclose(local.sum(axis=1), 1, atol=1e-15)
-    weights = np.concatenate([np.atleast_1d(part) for part in inward_tangent(valence, scheme)])
+    weights = np.concatenate([np.atleast_1d(part) for part in scheme.inward_tangent(valence)])
     value = (weights @ local @ weights) / (weights @ weights)
     np.testing.assert_allclose(weights @ local, value * weights, atol=1e-13)
     assert abs(weights.sum()) < 1e-13  # translations do not move a tangent
+    inner = np.delete(np.delete(local, [0, 1, valence + 1], axis=0), [0, 1, valence + 1], axis=1)
+    assert value == pytest.approx(np.linalg.eigvals(inner).real.max())
 
 
 @pytest.mark.parametrize("mesh", [disk(5), triangulated(disk(5))], ids=["quads", "triangles"])
@@ -120,6 +141,19 @@ def test_normals_turn_with_the_shape(mesh: ControlMesh) -> None:
     bent = _bent(mesh)
     after = limit_normals(refine(bent.with_positions(1e6 * bent.positions @ turn.T + 3e5), 1), 1)
     np.testing.assert_allclose(after, before @ turn.T, atol=1e-9)
+
+
+def test_normals_where_the_surface_has_none_are_still_reasonable() -> None:
+    # An interior vertex of valence 2, and a boundary vertex with six faces, in a flat mesh.
+    path = [(0, 0, 0), (1, 0.2, 0), (2, 0, 0), (1, -1, 0), (1, 1, 0)]
+    fan = [(0.0, 0.0, 0.0), *((np.cos(a), np.sin(a), 0.0) for a in np.linspace(0, np.pi, 13))]
+    meshes = [
+        ControlMesh.from_faces(path, [(0, 3, 2, 1), (0, 1, 2, 4)]),
+        ControlMesh.from_faces(fan, [(0, 1 + 2 * k, 2 + 2 * k, 3 + 2 * k) for k in range(6)]),
+    ]
+    for mesh in meshes:
+        normals = limit_normals(refine(mesh, 1), 1)
+        np.testing.assert_allclose(normals, [[0, 0, 1]] * len(normals), atol=1e-12)
 
 
 def test_a_collapsed_shape_has_zero_normals_not_nan() -> None:

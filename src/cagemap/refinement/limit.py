@@ -1,9 +1,9 @@
 """Where the refined vertices end: limit positions and normals, exact at every vertex of every level.
 
 The local subdivision matrix A maps a vertex and its ring to the vertex and ring one level finer. Its left eigenvectors
-give the limit: position from eigenvalue 1, tangents from the two largest that follow [HKD93]_. Interior vertices have
-closed formulas (`schemes`); on the boundary the tangent that leads inwards is taken from the eigenvectors of A itself,
-because the known formulas belong to modified boundary rules and are degrees off these ones.
+give the limit: position from eigenvalue 1, tangents from the two largest that follow [HKD93]_. All are closed formulas
+of `schemes`. On the boundary they are our own, worked out for these rules: the known ones (OpenSubdiv's among them)
+belong to modified boundary rules and are up to 10 degrees off.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from cagemap.errors import ParameterError
-from cagemap.mesh import FloatArray
+from cagemap.mesh import FloatArray, IndexArray
 from cagemap.refinement.matrices import RowFiller, put_sharp_rows, put_smooth_rows, vertex_kinds
 from cagemap.refinement.refinement import Refinement, topology_of
 from cagemap.refinement.schemes import CREASE_LIMIT, CatmullClark, Loop, Scheme
@@ -48,8 +48,7 @@ def limit_matrix(refinement: Refinement, level: int) -> csr_array:
     rings = zip(_rings(topology, scheme), each, strict=True)
     put_smooth_rows(rows, topology, ~topology.boundary, own, *rings)
     put_sharp_rows(rows, topology, crease, corner, CREASE_LIMIT)
-    # Around an interior vertex of valence 2 a vertex may be in the ring twice.
-    return rows.matrix(topology.table.n_vertices, repeats=True)
+    return rows.matrix(topology.table.n_vertices)
 
 
 def limit_positions(refinement: Refinement, level: int) -> FloatArray:
@@ -83,38 +82,30 @@ def limit_normals(refinement: Refinement, level: int) -> FloatArray:
     """
     if level == 0 and not _has_limit_rings(refinement, 0) and refinement.n_levels:
         return limit_normals(refinement, 1)[: refinement.levels[0].n_vertices]
-    first, second = tangent_matrices(refinement, level)
-    positions = refinement.levels[level].positions
-    normals = np.cross(first @ positions, second @ positions)
+    normals = np.cross(*limit_tangents(refinement, level))
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
 
 
-def tangent_matrices(refinement: Refinement, level: int) -> tuple[csr_array, csr_array]:
-    """Two independent limit tangents of every vertex, as weights of the level's positions.
+def limit_tangents(refinement: Refinement, level: int) -> tuple[FloatArray, FloatArray]:
+    """Two directions that span the limit surface's tangent plane at every vertex, each (n_level, 3).
 
-    Their cross product is outward. Each is (n_level, n_level) and its rows sum to 0; their lengths mean nothing.
+    Their cross product is outward; their lengths mean nothing. On the boundary the first follows the curve.
+
+    Raises
+    ------
+    ParameterError
+        As for `limit_matrix`.
     """
     topology = _checked_topology(refinement, level)
-    scheme = refinement.scheme
-    table = topology.table
-    interior_corner = ~topology.boundary[table.vertices]
-    weights: tuple[FloatArray, ...] = scheme.tangent_weights(topology.valences[table.vertices], topology.ranks)
-    half = len(weights) // 2
-    if isinstance(scheme, CatmullClark):
-        weights = _with_valence_2_tangents(topology, weights)
-    _, corner = vertex_kinds(topology, scheme)
-    result = []
-    for number, ring_weights in enumerate((weights[:half], weights[half:])):
-        entries = [
-            (table.vertices[interior_corner], ring[interior_corner], weight[interior_corner])
-            for ring, weight in zip(_rings(topology, scheme), ring_weights, strict=True)
-        ]
-        entries += _boundary_tangents(topology, scheme, corner, number)
-        rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
-        shape = (table.n_vertices, table.n_vertices)
-        result.append(csr_array((values, (rows, columns)), shape=shape))
-    return result[0], result[1]
+    positions = refinement.levels[level].positions
+    n = topology.table.n_vertices
+    tangents = []
+    for number, interior in enumerate(_interior_tangents(topology, refinement.scheme)):
+        rows, columns, weights = _boundary_tangents(topology, refinement.scheme, number)
+        on_boundary = csr_array((weights, (rows, columns)), shape=(n, n))
+        tangents.append(interior @ positions + on_boundary @ positions)
+    return tangents[0], tangents[1]
 
 
 def _has_limit_rings(refinement: Refinement, level: int) -> bool:
@@ -145,22 +136,53 @@ def _ring_rows(topology: Topology, scheme: Scheme, corner: BoolArray) -> RowFill
     return RowFiller(lengths)
 
 
-def _with_valence_2_tangents(topology: Topology, weights: tuple[FloatArray, ...]) -> tuple[FloatArray, ...]:
+def _interior_tangents(topology: Topology, scheme: Scheme) -> list[csr_array]:
+    """Weights of the two tangents of interior vertices, (n, n) each; boundary rows are empty."""
+    table = topology.table
+    rings = _rings(topology, scheme)
+    # Few (valence, rank) pairs occur: their trigonometry is done once each.
+    present = np.flatnonzero(np.bincount(topology.valences))
+    first_of = np.zeros(present[-1] + 1, dtype=np.int64)
+    first_of[present] = np.cumsum(present) - present
+    valences = np.repeat(present, present)
+    ranks = np.arange(len(valences)) - first_of[valences]
+    masks: tuple[FloatArray, ...] = scheme.tangent_weights(valences, ranks)
+    if isinstance(scheme, CatmullClark):
+        masks = _with_valence_2_tangents(valences, ranks, masks)
+
+    indptr = np.zeros(table.n_vertices + 1, dtype=np.int32)
+    np.cumsum(np.where(topology.boundary, 0, len(rings) * topology.valences), out=indptr[1:])
+    inside = np.flatnonzero(~topology.boundary[table.vertices])
+    centres, rank = table.vertices[inside], topology.ranks[inside]
+    place = indptr[centres] + len(rings) * rank
+    mask = first_of[topology.valences[centres]] + rank
+    indices = np.empty(indptr[-1], dtype=np.int32)
+    for offset, ring in enumerate(rings):
+        indices[place + offset] = ring[inside]
+    result = []
+    for tangent in (masks[: len(rings)], masks[len(rings) :]):
+        data = np.empty(indptr[-1])
+        for offset, weights in enumerate(tangent):
+            data[place + offset] = weights[mask]
+        result.append(csr_array((data, indices, indptr), shape=(table.n_vertices, table.n_vertices)))
+    return result
+
+
+def _with_valence_2_tangents(
+    valences: IndexArray, ranks: IndexArray, masks: tuple[FloatArray, ...]
+) -> tuple[FloatArray, ...]:
     """At valence 2: along the two edges, and between the two opposite vertices.
 
     The surface has no tangent plane there; this makes the normal that of the ring's polygon.
     """
-    here = topology.valences[topology.table.vertices] == 2
-    sign = np.where(topology.ranks == 0, 1.0, -1.0)
-    replaced = (sign, np.zeros(len(sign)), np.zeros(len(sign)), sign)
-    return tuple(np.where(here, new, old) for new, old in zip(replaced, weights, strict=True))
+    sign, none = np.where(ranks == 0, 1.0, -1.0), np.zeros(len(ranks))
+    replaced = (sign, none, none, sign)
+    return tuple(np.where(valences == 2, new, old) for new, old in zip(replaced, masks, strict=True))
 
 
-Entries = tuple[IntArray, IntArray, FloatArray]
-
-
-def _boundary_tangents(topology: Topology, scheme: Scheme, corner: BoolArray, number: int) -> list[Entries]:
-    """Entries (row, column, weight) of tangent ``number`` of boundary vertices: along the curve (0), inwards (1)."""
+def _boundary_tangents(topology: Topology, scheme: Scheme, number: int) -> tuple[IntArray, IntArray, FloatArray]:
+    """Rows, columns and weights of tangent ``number`` of boundary vertices: along the curve (0), inwards (1)."""
+    _, corner = vertex_kinds(topology, scheme)
     table = topology.table
     curve = topology.boundary_corners
     # The curve leaves vertex `here` towards `after`, and came from `before`; faces lie on its left.
@@ -170,7 +192,7 @@ def _boundary_tangents(topology: Topology, scheme: Scheme, corner: BoolArray, nu
     before = before[here]
     stays = corner[here].astype(np.float64)
     if number == 0:
-        return [(here, after, np.ones(len(here))), (here, before, stays - 1), (here, here, -stays)]
+        return _joined([(here, after, np.ones(len(here))), (here, before, stays - 1), (here, here, -stays)])
     single = topology.valences[here] == 1
     # A corner's surface is spanned by its two edges; a curve through a single face by its two derivatives.
     entries = [
@@ -180,7 +202,7 @@ def _boundary_tangents(topology: Topology, scheme: Scheme, corner: BoolArray, nu
     ]
     corners_at = np.flatnonzero(topology.boundary[table.vertices])
     for valence in np.unique(topology.valences[here[~single]]):
-        centre, edges, faces = inward_tangent(int(valence), scheme)
+        centre, edges, faces = scheme.inward_tangent(int(valence))
         chosen = topology.valences[here] == valence
         entries.append((here[chosen], here[chosen], np.full(int(chosen.sum()), centre)))
         entries.append((here[chosen], before[chosen], np.full(int(chosen.sum()), edges[-1])))
@@ -188,56 +210,9 @@ def _boundary_tangents(topology: Topology, scheme: Scheme, corner: BoolArray, nu
         ring_weights = (edges[:-1], faces)
         for ring, ring_weight in zip(_rings(topology, scheme), ring_weights, strict=False):
             entries.append((table.vertices[corners], ring[corners], ring_weight[topology.ranks[corners]]))
-    return entries
+    return _joined(entries)
 
 
-def inward_tangent(valence: int, scheme: Scheme) -> tuple[float, FloatArray, FloatArray]:
-    """Tangent that leads from the boundary into the surface at a boundary vertex with ``valence`` >= 2 faces.
-
-    The interior part of the ring (inner edges, and under Catmull-Clark opposite vertices) has a subdivision matrix of
-    its own, A_I, fed by the boundary part through C. The wanted left eigenvector (w_B, w_I) of
-    ``[[A_B, 0], [C, A_I]]`` has ``w_I A_I = lambda w_I`` for the largest lambda of A_I and
-    ``w_B (lambda - A_B) = w_I C``.
-
-    Returns
-    -------
-    centre : float
-        Weight of the vertex.
-    edges : (valence + 1,) float64
-        Of its neighbours, counter-clockwise; the first and last are on the boundary.
-    faces : (valence,) float64
-        Of the opposite vertices; empty under Loop.
-    """
-    local = _boundary_ring_matrix(valence, scheme)
-    on_boundary = np.zeros(len(local), dtype=bool)
-    on_boundary[[0, 1, valence + 1]] = True
-    inner, fed = local[~on_boundary][:, ~on_boundary], local[~on_boundary][:, on_boundary]
-    curve = local[on_boundary][:, on_boundary]
-    eigenvalues, vectors = np.linalg.eig(inner.T)
-    leading = int(np.argmax(eigenvalues.real))
-    value, direction = eigenvalues[leading].real, vectors[:, leading].real
-    direction = direction / direction.sum()
-    # lambda = 1/2 is also an eigenvalue of the curve (regular case): any solution will do, they differ by its tangent.
-    along = np.linalg.lstsq((value * np.eye(3) - curve).T, fed.T @ direction, rcond=1e-10)[0]
-    weights = np.empty(len(local))
-    weights[on_boundary], weights[~on_boundary] = along, direction
-    return float(weights[0]), weights[1 : valence + 2], weights[valence + 2 :]
-
-
-def _boundary_ring_matrix(valence: int, scheme: Scheme) -> FloatArray:
-    """Local subdivision matrix at a boundary vertex: the vertex, ``valence + 1`` neighbours, opposite vertices."""
-    quads = isinstance(scheme, CatmullClark)
-    edge, face = 1 + np.arange(valence + 1), 2 + valence + np.arange(valence)
-    local = np.zeros((2 * valence + 2 if quads else valence + 2,) * 2)
-    local[0, [0, 1, valence + 1]] = 3 / 4, 1 / 8, 1 / 8
-    for k in (0, valence):
-        local[edge[k], [0, edge[k]]] = 1 / 2
-    end, other = scheme.quad_edge_weights() if isinstance(scheme, CatmullClark) else scheme.edge_weights()
-    for k in range(1, valence):
-        local[edge[k], [0, edge[k]]] = end
-        local[edge[k], [edge[k - 1], edge[k + 1]]] = other
-        if quads:
-            local[edge[k], [face[k - 1], face[k]]] = other
-    for k in range(valence if quads else 0):
-        local[face[k], [0, edge[k], edge[k + 1], face[k]]] = 1 / 4
-    return local
+def _joined(entries: list[tuple[IntArray, IntArray, FloatArray]]) -> tuple[IntArray, IntArray, FloatArray]:
+    rows, columns, weights = zip(*entries, strict=True)
+    return np.concatenate(rows), np.concatenate(columns), np.concatenate(weights)

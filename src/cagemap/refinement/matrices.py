@@ -36,12 +36,13 @@ class RowFiller:
         self.indices[at] = columns
         self.data[at] = weights
 
-    def matrix(self, n_columns: int, *, repeats: bool) -> csr_array:
-        """Finish, with the columns of every row ascending; ``repeats`` says that a column may occur twice in a row."""
+    def matrix(self, n_columns: int) -> csr_array:
+        """Finish: columns of every row ascending, each once.
+
+        A vertex can be met twice in a row's stencil around interior vertices of valence 2, and in a cage's n-gons.
+        """
         matrix = csr_array((self.data, self.indices, self.indptr), shape=(len(self.indptr) - 1, n_columns))
-        matrix.sort_indices()
-        if repeats:
-            matrix.sum_duplicates()
+        matrix.sum_duplicates()
         return matrix
 
 
@@ -126,8 +127,7 @@ def quad_matrix(topology: Topology, scheme: CatmullClark) -> csr_array:
     faces_start = rows.indptr[table.n_vertices + table.n_edges]
     rows.indices[faces_start:] = table.vertices
     rows.data[faces_start:] = 0.25
-    # Two quads share two edges exactly around an interior vertex of valence 2, once refined; a cage may do as it likes.
-    return rows.matrix(table.n_vertices, repeats=True)
+    return rows.matrix(table.n_vertices)
 
 
 def triangle_matrix(topology: Topology, scheme: Loop) -> csr_array:
@@ -143,7 +143,7 @@ def triangle_matrix(topology: Topology, scheme: Loop) -> csr_array:
     put_smooth_rows(rows, topology, smooth, own, (table.vertices[table.following], neighbour))
     put_sharp_rows(rows, topology, crease, corner, CREASE_VERTEX)
     _put_edge_rows(rows, topology, scheme.edge_weights()[0], (1, scheme.edge_weights()[1]))
-    return rows.matrix(table.n_vertices, repeats=True)
+    return rows.matrix(table.n_vertices)
 
 
 def polygon_matrix(topology: Topology, scheme: CatmullClark) -> csr_array:
@@ -191,7 +191,7 @@ def _sharp_vertex_points(topology: Topology, crease: BoolArray, corner: BoolArra
     n = topology.table.n_vertices
     rows = RowFiller(np.where(crease, 3, np.where(corner, 1, 0)))
     put_sharp_rows(rows, topology, crease, corner, CREASE_VERTEX)
-    return rows.matrix(n, repeats=False)
+    return rows.matrix(n)
 
 
 def subdivision_matrix(topology: Topology, scheme: Scheme) -> csr_array:

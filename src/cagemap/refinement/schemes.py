@@ -35,6 +35,25 @@ def _check_boundary(boundary: str) -> None:
         )
 
 
+def _half_ring_sines(valence: int) -> FloatArray:
+    sines = np.sin(np.pi * np.arange(valence + 1) / valence)
+    sines[-1] = 0.0
+    return sines
+
+
+def _boundary_part(value: float, fed_centre: float, fed_end: float) -> tuple[float, float]:
+    """Weights of the vertex and of both its boundary neighbours in a left eigenvector that is symmetric.
+
+    The boundary curve's own rule is (3/4, 1/8, 1/8) for the vertex and (1/2, 1/2) for an edge; ``fed`` is what the
+    inner ring's weights add:
+    ``value centre = 3/4 centre + 2/2 end + fed_centre``, ``value end = 1/8 centre + 1/2 end + fed_end``.
+    """
+    determinant = (value - 1) * (value - 1 / 4)
+    centre = ((value - 1 / 2) * fed_centre + fed_end) / determinant
+    end = (fed_centre / 8 + (value - 3 / 4) * fed_end) / determinant
+    return float(centre), float(end)
+
+
 @dataclass(frozen=True)
 class CatmullClark:
     """Catmull-Clark subdivision of polygon meshes [CC78]_.
@@ -97,6 +116,33 @@ class CatmullClark:
         here, there = theta * rank, theta * (rank + 1)
         return a * np.cos(here), np.cos(here) + np.cos(there), a * np.sin(here), np.sin(here) + np.sin(there)
 
+    @staticmethod
+    def inward_tangent(valence: int) -> tuple[float, FloatArray, FloatArray]:
+        """Limit tangent that leads into the surface from a boundary vertex with ``valence`` >= 2 quads.
+
+        The left eigenvector of the local subdivision matrix that is a sine around the inner ring: with
+        ``t = pi/valence``, inner neighbour i has weight ``(16 lambda - 4) sin(i t)`` and opposite vertex i
+        ``sin(i t) + sin((i + 1) t)``, where ``16 lambda = 5 + cos t + sqrt((cos t + 1) (cos t + 9))``.
+
+        Returns
+        -------
+        centre : float
+            Weight of the vertex.
+        neighbours : (valence + 1,) float64
+            Counter-clockwise; the first and the last are on the boundary.
+        opposites : (valence,) float64
+        """
+        cosine = np.cos(np.pi / valence)
+        value = (5 + cosine + np.sqrt((cosine + 1) * (cosine + 9))) / 16
+        sines = _half_ring_sines(valence)
+        opposites = sines[:-1] + sines[1:]
+        neighbours = (16 * value - 4) * sines
+        fed_centre = 3 / 8 * neighbours.sum() + 1 / 4 * opposites.sum()
+        fed_end = 1 / 16 * neighbours[1] + 1 / 4 * opposites[0]
+        centre, end = _boundary_part(value, fed_centre, fed_end)
+        neighbours[[0, -1]] = end
+        return centre, neighbours, opposites
+
 
 @dataclass(frozen=True)
 class Loop:
@@ -140,6 +186,19 @@ class Loop:
         """Limit tangents [HDD94]_: weights of neighbour number ``rank`` in the first and the second tangent."""
         angle = 2 * np.pi * rank / valence
         return np.cos(angle), np.sin(angle)
+
+    @staticmethod
+    def inward_tangent(valence: int) -> tuple[float, FloatArray, FloatArray]:
+        """Limit tangent that leads into the surface from a boundary vertex with ``valence`` >= 2 triangles.
+
+        As `CatmullClark.inward_tangent`, with weights ``sin(i pi/valence)`` and
+        ``lambda = 3/8 + cos(pi/valence)/4``; there are no opposite vertices.
+        """
+        value = 3 / 8 + np.cos(np.pi / valence) / 4
+        neighbours = _half_ring_sines(valence)
+        centre, end = _boundary_part(value, 3 / 8 * neighbours.sum(), 1 / 8 * neighbours[1])
+        neighbours[[0, -1]] = end
+        return centre, neighbours, np.zeros(0)
 
 
 Scheme = CatmullClark | Loop
