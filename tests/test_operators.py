@@ -10,6 +10,7 @@ from scipy import sparse
 
 from cagemap.mesh import ControlMesh, shapes
 from cagemap.operators import build_operators, stiffness, triangle_cotangents, vertex_areas
+from cagemap.operators.laplacian import pair_weights, pair_weights_reference
 from cagemap.refinement import refine
 
 SHAPES = {
@@ -123,3 +124,10 @@ def test_slivers_keep_the_stiffness_semi_definite():
     assert np.isfinite(matrix).all()
     values = np.linalg.eigvalsh(matrix)
     assert values.min() > -1e-12 * values.max()
+
+
+def test_quad_kernel_agrees_with_its_numpy_twin():
+    level = refine(shapes.creature(), 2).finest
+    faces = np.vstack([level.faces, [[0, 0, 1, 2], [3, 3, 3, 3]]])  # with collapsed quads
+    expected = pair_weights_reference(level.positions, faces)
+    np.testing.assert_allclose(pair_weights(level.positions, faces), expected, rtol=1e-9, atol=1e-12)

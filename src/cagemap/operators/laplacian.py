@@ -6,6 +6,7 @@ Sign convention: the stiffness matrix W is positive semi-definite, W 1 = 0, and 
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from scipy import sparse
 
 from cagemap.mesh import FloatArray, IndexArray
@@ -13,6 +14,8 @@ from cagemap.mesh import FloatArray, IndexArray
 # A triangle whose doubled area is below this fraction of its longest squared edge is treated as if it had that area:
 # its cotangents stay finite, and its energy only shrinks, so W stays positive semi-definite.
 SLIVER = 1e-5
+# The triangles of both triangulations of a quad.
+QUAD_SPLITS = ([0, 1, 2], [0, 2, 3], [0, 1, 3], [1, 2, 3])
 
 
 def triangle_cotangents(positions: FloatArray, triangles: IndexArray) -> FloatArray:
@@ -46,26 +49,6 @@ def triangle_areas(positions: FloatArray, triangles: IndexArray) -> FloatArray:
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
-def both_triangulations(faces: IndexArray) -> tuple[IndexArray, float]:
-    """Triangles whose mean stands for a face, and the weight of each.
-
-    A quad is the mean of its two triangulations, so that neither diagonal is preferred: four triangles of weight 1/2.
-
-    Parameters
-    ----------
-    faces : (m, 4) or (m, 3) array
-
-    Returns
-    -------
-    triangles : (4 m, 3) or (m, 3) array
-    weight : float
-    """
-    if faces.shape[1] == 3:
-        return faces, 1.0
-    splits = ([0, 1, 2], [0, 2, 3], [0, 1, 3], [1, 2, 3])
-    return np.concatenate([faces[:, split] for split in splits]), 0.5
-
-
 def stiffness(positions: FloatArray, faces: IndexArray) -> sparse.csr_array:
     """Integrated Laplacian W of a refined surface: cotangents, mean of both triangulations of each quad.
 
@@ -80,16 +63,76 @@ def stiffness(positions: FloatArray, faces: IndexArray) -> sparse.csr_array:
         Symmetric, positive semi-definite, rows sum to 0. Unitless (invariant to scale).
     """
     n = len(positions)
-    triangles, weight = both_triangulations(faces)
-    halves = 0.5 * weight * triangle_cotangents(positions, triangles)  # (t, 3)
-    first = np.concatenate([triangles[:, 1], triangles[:, 2], triangles[:, 0]])
-    second = np.concatenate([triangles[:, 2], triangles[:, 0], triangles[:, 1]])
-    values = halves.T.ravel()  # weight of the edge opposite to corner 0, 1, 2
-    low = np.minimum(first, second).astype(np.int32)
-    high = np.maximum(first, second).astype(np.int32)
-    upper = sparse.coo_array((values, (low, high)), shape=(n, n)).tocsr()
-    adjacency = upper + upper.T
+    corners = faces.shape[1]
+    pairs = QUAD_PAIRS if corners == 4 else TRIANGLE_PAIRS
+    weights = pair_weights(positions, faces)  # (m, 6) or (m, 3)
+    first, second = (faces[:, [pair[end] for pair in pairs]].astype(np.int32).ravel() for end in (0, 1))
+    upper = sparse.coo_array((weights.ravel(), (np.minimum(first, second), np.maximum(first, second))), shape=(n, n))
+    adjacency = sparse.csr_array(upper)
+    adjacency = adjacency + adjacency.T
     return sparse.csr_array(sparse.diags_array(adjacency.sum(axis=1)) - adjacency)
+
+
+# Corner pairs of a face that its triangulations use as edges: the sides, then both diagonals of a quad.
+TRIANGLE_PAIRS = ((1, 2), (2, 0), (0, 1))
+QUAD_PAIRS = ((0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3))
+
+
+def pair_weights(positions: FloatArray, faces: IndexArray) -> FloatArray:
+    """Half cotangent sums of every corner pair of every face, in the order of `QUAD_PAIRS` or `TRIANGLE_PAIRS`.
+
+    Returns
+    -------
+    (m, 6) or (m, 3) array
+        Unitless.
+    """
+    if faces.shape[1] == 3:
+        return 0.5 * triangle_cotangents(positions, faces)
+    return np.asarray(_quad_weights(positions, faces))
+
+
+def pair_weights_reference(positions: FloatArray, faces: IndexArray) -> FloatArray:
+    """NumPy twin of the quad kernel of `pair_weights`, which defines it."""
+    weights = np.zeros((len(faces), len(QUAD_PAIRS)))
+    for split in QUAD_SPLITS:
+        cotangents = triangle_cotangents(positions, faces[:, split])
+        for i in range(3):  # the angle at corner i faces the edge between the other two
+            edge = (split[(i + 1) % 3], split[(i + 2) % 3])
+            column = next(c for c, pair in enumerate(QUAD_PAIRS) if set(pair) == set(edge))
+            weights[:, column] += 0.25 * cotangents[:, i]
+    return weights
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _add_triangle(positions, a, b, c, weights, m, bc, ca, ab):  # type: ignore[no-untyped-def]
+    """Add a quarter of the cotangents of one triangle to the pairs facing its corners."""
+    ux = positions[b, 0] - positions[a, 0]
+    uy = positions[b, 1] - positions[a, 1]
+    uz = positions[b, 2] - positions[a, 2]
+    vx = positions[c, 0] - positions[a, 0]
+    vy = positions[c, 1] - positions[a, 1]
+    vz = positions[c, 2] - positions[a, 2]
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    uu = ux * ux + uy * uy + uz * uz
+    vv = vx * vx + vy * vy + vz * vz
+    uv = ux * vx + uy * vy + uz * vz
+    area = max(np.sqrt(nx * nx + ny * ny + nz * nz), SLIVER * max(uu, vv, uu + vv - 2.0 * uv))
+    if area > 0.0:
+        weights[m, bc] += 0.25 * uv / area
+        weights[m, ca] += 0.25 * (uu - uv) / area
+        weights[m, ab] += 0.25 * (vv - uv) / area
+
+
+@njit(cache=True, error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]
+def _quad_weights(positions, faces):  # type: ignore[no-untyped-def]
+    weights = np.zeros((len(faces), 6))
+    for m in range(len(faces)):
+        a, b, c, d = faces[m, 0], faces[m, 1], faces[m, 2], faces[m, 3]
+        _add_triangle(positions, a, b, c, weights, m, 1, 4, 0)
+        _add_triangle(positions, a, c, d, weights, m, 2, 3, 4)
+        _add_triangle(positions, a, b, d, weights, m, 5, 3, 0)
+        _add_triangle(positions, b, c, d, weights, m, 2, 5, 1)
+    return weights
 
 
 def vertex_areas(positions: FloatArray, faces: IndexArray) -> FloatArray:
@@ -105,6 +148,11 @@ def vertex_areas(positions: FloatArray, faces: IndexArray) -> FloatArray:
     (n,) array
         Sums to the surface's area (mean over both triangulations). Unit length squared.
     """
-    triangles, weight = both_triangulations(faces)
-    thirds = np.repeat(weight / 3.0 * triangle_areas(positions, triangles), 3)
-    return np.bincount(triangles.ravel(), weights=thirds, minlength=len(positions))
+    n = len(positions)
+    areas = np.zeros(n)
+    for split in QUAD_SPLITS if faces.shape[1] == 4 else ([0, 1, 2],):
+        corners = faces[:, split]
+        thirds = triangle_areas(positions, corners) / (6.0 if faces.shape[1] == 4 else 3.0)
+        for i in range(3):
+            areas += np.bincount(corners[:, i], weights=thirds, minlength=n)
+    return areas
