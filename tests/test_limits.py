@@ -51,9 +51,8 @@ def test_refined_vertices_converge_to_the_limit(mesh: ControlMesh) -> None:
     refinement = refine(_bent(mesh), 4)
     limit = limit_positions(refinement, 0)
     gaps = [np.abs(level.positions[: len(limit)] - limit).max() for level in refinement.levels]
-    # The slowest eigenvalue after the tangents' is 0.6 (valence 9 under Loop), typically 1/4.
-    assert gaps[4] < 0.7 * gaps[3] < 0.5 * gaps[2]
-    assert gaps[4] < 0.2 * gaps[0]
+    # The gap shrinks by the leading eigenvalue of the mode that moves the vertex itself: 0.44 at valence 8, mostly 1/4.
+    assert gaps[4] < 0.5 * gaps[3] < 0.25 * gaps[2]
 
 
 @pytest.mark.parametrize("mesh", [_bent(poles(5)), _bent(disk(6)), _bent(bipyramid(7))], ids=lambda mesh: mesh.name)
