@@ -54,8 +54,10 @@ def write_materials(path: Path, names: Sequence[str], colors: FloatArray | None)
     """Write a ``.mtl`` file; a material of unknown colour gets no ``Kd``."""
     lines = []
     for i, name in enumerate(names):
-        lines.append(f"newmtl {name}\n")
-        if colors is not None and np.isfinite(colors[i]).all():
+        is_known = colors is not None and np.isfinite(colors[i]).all()
+        if name or is_known:
+            lines.append(f"newmtl {name}\n")
+        if colors is not None and is_known:
             lines.append("Kd {!r} {!r} {!r}\n".format(*colors[i].tolist()))
     with atomic_path(path) as temporary:
         temporary.write_bytes("".join(lines).encode("utf-8"))

@@ -124,7 +124,8 @@ def _read_numbers(statements: _Statements, row: int, keyword: str, required: int
     """Read one line of a table whose lines differ in length, or name the one that is malformed."""
     fields = statements.lines[row].partition("#")[0].split()[1 : kept + 1]
     try:
-        values = [float(field) for field in fields]
+        # Python's float takes 1_000 and other alphabets' digits, which the fast path refuses.
+        values = [float(field) if field.isascii() and "_" not in field else float("") for field in fields]
     except ValueError:
         values = []
     if len(values) < required:
@@ -314,7 +315,8 @@ def _format_faces(mesh: ControlMesh) -> list[str]:
     for first, last in zip(runs[:-1].tolist(), runs[1:].tolist(), strict=True):
         if mesh.face_materials is not None and mesh.n_faces:
             name = mesh.material_names[mesh.face_materials[first]]
-            if first or name:
+            # Faces above the first 'usemtl' are those without a name.
+            if first or name or len(mesh.material_names) == 1:
                 parts.append(f"usemtl {name}\n")
         pattern = "".join([patterns[size] for size in sizes[first:last]])
         numbers = indices[mesh.face_offsets[first] : mesh.face_offsets[last]]
