@@ -1,0 +1,295 @@
+"""Bake: for every texel of the target's UV layout, what lies at its image under T12 on the source (method 9).
+
+    texel -> point of the target -> T12 -> point of the source -> value there
+
+Each arrow is a function of its own room file: `texels` rasterises, `locate` follows the map, and a *shade* function
+gives the value at the source points. This module runs them over bands of the image, in threads, and fills the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from cagemap.errors import ParameterError
+from cagemap.mesh import FloatArray, IndexArray
+from cagemap.point_map.point_map import PointMap
+from cagemap.refinement import Level
+from cagemap.transfer.dilation import LARGEST_SIDE, dilate
+from cagemap.transfer.locate import MappedSurface, Samples, locate_samples, map_surface, plan_samples
+from cagemap.transfer.surface import TexturedSurface, triangle_areas, triangle_neighbors
+from cagemap.transfer.texels import GUTTER_RADIUS, Layout, lay_out, rasterize_band
+from cagemap.transfer.texture import Pixels, Wrap, lay_texture, look_up, udim_of, udim_origin
+
+Shade = Callable[[Samples], FloatArray]
+
+# Texels that one thread works on at a time: about 100 bytes each.
+_BAND_TEXELS = 1 << 18
+# Samples located at a time within a band: 60 bytes each.
+_SAMPLE_BUDGET = 1 << 20
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """All that a bake needs of one match: prepare it once, bake many images.
+
+    Attributes
+    ----------
+    target, source : TexturedSurface
+    point_map : PointMap
+        T12, for the target's vertices and the source's triangles.
+    mapped : MappedSurface
+        The target's vertices on the source, ready to walk.
+    """
+
+    target: TexturedSurface
+    source: TexturedSurface
+    point_map: PointMap
+    mapped: MappedSurface
+
+
+@dataclass(frozen=True)
+class BakeOptions:
+    """How an image is baked; every bake takes them.
+
+    Attributes
+    ----------
+    tile : int
+        UDIM number of the tile to bake, or 0 for the unit square of a plain layout.
+    supersample : int, optional
+        Raster samples along a texel's side. By default 1, and 2 or 4 where triangles are smaller than texels.
+    dilation : int, optional
+        Width in texels of the filled border around islands; the whole background by default.
+    wrap : "repeat" or "clamp"
+        What lies outside a plain source texture.
+    threads : int, optional
+        By default as many as Numba may use.
+    """
+
+    tile: int = 0
+    supersample: int | None = None
+    dilation: int | None = None
+    wrap: Wrap = "repeat"
+    threads: int | None = None
+
+
+def prepare_transfer(target: Level, source: Level, point_map: PointMap) -> Transfer:
+    """Put a match into the form that bakes need.
+
+    Parameters
+    ----------
+    target, source : Level
+        The refined levels that the point map was computed on.
+    point_map : PointMap
+
+    Raises
+    ------
+    ParameterError
+        If the map does not fit the two levels.
+    """
+    target_surface, source_surface = TexturedSurface.from_level(target), TexturedSurface.from_level(source)
+    rows, largest = len(point_map.triangle), int(point_map.triangle.max(initial=0))
+    if rows != len(target.positions) or largest >= len(source_surface.triangles):
+        raise ParameterError(
+            f"expected a map from the target's {len(target.positions)} vertices into the source's "
+            f"{len(source_surface.triangles)} triangles, got {rows} points in triangles up to {largest}; "
+            "are target and source exchanged, or of other levels?"
+        )
+    mapped = map_surface(target_surface, source_surface, point_map)
+    return Transfer(target_surface, source_surface, point_map, mapped)
+
+
+def target_tiles(target: Level) -> list[int]:
+    """UDIM numbers of the tiles that the target's layout uses, ascending; [0] if it stays in one unit square."""
+    corner_uvs = TexturedSurface.from_level(target).corner_uvs()
+    centres = corner_uvs.mean(axis=1)
+    if np.all((centres >= 0) & (centres <= 1)):
+        return [0]
+    return [int(tile) for tile in np.unique(udim_of(centres))]
+
+
+def bake_texture(
+    transfer: Transfer,
+    texture: Pixels | Mapping[int, Pixels],
+    *,
+    size: int | tuple[int, int],
+    dtype: DTypeLike | None = None,
+    options: BakeOptions | None = None,
+) -> Pixels:
+    """Bake the source's texture into the target's layout.
+
+    Parameters
+    ----------
+    transfer : Transfer
+    texture : (h, w, c) array, or such arrays by UDIM number
+        Row 0 at the top (v = 1).
+    size : int or (height, width)
+        Of the image to bake, in texels.
+    dtype : optional
+        Number type of the result; by default the texture's. Integers stand for the range 0 to 1.
+    options : BakeOptions, optional
+
+    Returns
+    -------
+    (height, width, c) array
+
+    Raises
+    ------
+    ParameterError
+        If target or source have no texture coordinates, or the image or its size is not one.
+    """
+    options = options or BakeOptions()
+    laid = lay_texture(texture, *transfer.source.layout(), wrap=options.wrap)
+    kept = laid.dtype if dtype is None else np.dtype(dtype)
+    canvas = make_canvas(transfer, size, options)
+    samples = plan_samples(transfer.mapped, canvas.corners, laid.corner_texels())
+    scale = unit(kept) / unit(laid.dtype)
+    if scale == 1.0:
+        return bake(transfer, canvas, samples, lambda s: look_up(laid, s), laid.channels, kept, options)
+    return bake(transfer, canvas, samples, lambda s: look_up(laid, s) * scale, laid.channels, kept, options)
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """The image to bake: its size, and the target's layout rasterised ``supersample`` times finer."""
+
+    height: int
+    width: int
+    supersample: int
+    layout: Layout
+
+    @property
+    def corners(self) -> FloatArray:
+        """(t1, 3, 2) corners of the target's triangles in raster samples."""
+        return self.layout.corners
+
+
+def make_canvas(transfer: Transfer, size: int | tuple[int, int], options: BakeOptions) -> Canvas:
+    """Lay the target's UV triangles of one tile on the raster of an image."""
+    height, width = (size, size) if isinstance(size, int) else size
+    if not (0 < height <= LARGEST_SIDE and 0 < width <= LARGEST_SIDE):
+        raise ParameterError(f"size: expected 1 to {LARGEST_SIDE} texels a side, got {height} x {width}")
+    corner_uvs = transfer.target.corner_uvs() - udim_origin(options.tile)
+    finer = options.supersample or _supersample(corner_uvs, height, width)
+    if not 1 <= finer <= 16:
+        raise ParameterError(f"supersample: expected 1 to 16 samples along a texel's side, got {finer}")
+    band_rows = max(1, _BAND_TEXELS // (width * finer * finer)) * finer
+    neighbors = triangle_neighbors(transfer.target.layout()[1])
+    layout = lay_out(corner_uvs, neighbors, height * finer, width * finer, band_rows=band_rows)
+    return Canvas(height, width, finer, layout)
+
+
+def bake(
+    transfer: Transfer,
+    canvas: Canvas,
+    samples_per_axis: NDArray[np.int32],
+    shade: Shade,
+    channels: int,
+    dtype: DTypeLike,
+    options: BakeOptions,
+) -> Pixels:
+    """Run the bake: rasterise, locate and shade band by band, then fill the background.
+
+    Parameters
+    ----------
+    transfer : Transfer
+    canvas : Canvas
+    samples_per_axis : (t1, 2) int32
+        Samples along x and y in every raster cell of a target triangle.
+    shade : callable
+        Samples -> (k, channels) values of their k texels, in the range of ``dtype``. Called from several threads.
+    channels : int
+    dtype
+        Number type of the result; integers are rounded and clipped.
+    options : BakeOptions
+    """
+    image = np.zeros((canvas.height, canvas.width, channels), dtype=dtype)
+    covered = np.zeros((canvas.height, canvas.width), dtype=np.bool_)
+    threads = options.threads or numba.get_num_threads()
+    rows = canvas.layout.band_rows // canvas.supersample
+
+    def bake_band(band: int) -> None:
+        cells = rasterize_band(canvas.layout, band, GUTTER_RADIUS * canvas.supersample)
+        part = slice(band * rows, band * rows + cells.shape[0] // canvas.supersample)
+        texels = np.flatnonzero(cells.ravel() >= 0)
+        if len(texels) == 0:
+            return
+        top = band * canvas.layout.band_rows
+        values = _shade_cells(transfer, canvas, samples_per_axis, shade, cells.ravel()[texels], texels, top)
+        if canvas.supersample > 1:
+            texels, values = _average_cells(texels, values, cells.shape, canvas.supersample)
+        image[part].reshape(-1, channels)[texels] = to_dtype(values, image.dtype)
+        covered[part].reshape(-1)[texels] = True
+
+    with ThreadPoolExecutor(threads) as pool:
+        for _ in pool.map(bake_band, range(len(canvas.layout.band_triangles))):
+            pass
+    dilate(image, covered, distance=options.dilation, threads=threads)
+    return image
+
+
+def _shade_cells(
+    transfer: Transfer,
+    canvas: Canvas,
+    samples_per_axis: NDArray[np.int32],
+    shade: Shade,
+    triangle: NDArray[np.int32],
+    cells: IndexArray,
+    top: int,
+) -> FloatArray:
+    """(k, c) values of raster cells, given by their flat index in a band that starts at row ``top``."""
+    most = int(samples_per_axis[triangle].prod(axis=1).max()) if samples_per_axis.max(initial=1) > 1 else 1
+    step = max(1, _SAMPLE_BUDGET // most)
+    values = []
+    for begin in range(0, len(cells), step):
+        part = slice(begin, begin + step)
+        samples = locate_samples(
+            transfer.mapped, canvas.corners, cells[part], canvas.layout.width, top, triangle[part], samples_per_axis
+        )
+        values.append(shade(samples))
+    return np.concatenate(values) if len(values) > 1 else values[0]
+
+
+def _average_cells(
+    cells: IndexArray, values: FloatArray, shape: tuple[int, ...], finer: int
+) -> tuple[IndexArray, FloatArray]:
+    """Texels with any covered cell, and the mean over their covered cells."""
+    rows, columns = np.divmod(cells, shape[1])
+    texel_of_cell = (rows // finer) * (shape[1] // finer) + columns // finer
+    texels, inverse, counts = np.unique(texel_of_cell, return_inverse=True, return_counts=True)
+    sums = np.stack([np.bincount(inverse, values[:, k], minlength=len(texels)) for k in range(values.shape[1])], axis=1)
+    return texels, sums / counts[:, None]
+
+
+def to_dtype(values: FloatArray, dtype: np.dtype[Any]) -> Pixels:
+    """Values as a number type: integers are rounded and clipped to its range."""
+    if dtype.kind != "u":
+        return values.astype(dtype)
+    rounded = np.rint(values)
+    np.clip(rounded, 0, np.iinfo(dtype).max, out=rounded)
+    return rounded.astype(dtype)
+
+
+def unit(dtype: np.dtype[Any]) -> float:
+    """What stands for 1: the largest integer, or 1 for floats."""
+    return float(np.iinfo(dtype).max) if dtype.kind == "u" else 1.0
+
+
+def _supersample(corner_uvs: FloatArray, height: int, width: int) -> int:
+    """Raster samples along a texel's side, so that a typical triangle holds at least one."""
+    scaled = (corner_uvs * (width, height)).reshape(-1, 2)
+    areas = triangle_areas(scaled, np.arange(len(scaled)).reshape(-1, 3))
+    areas = areas[areas > 0]
+    typical = float(np.median(areas)) if len(areas) else 1.0
+    return 1 if typical >= 1.0 else 2 if typical >= 0.25 else 4
+
+
+def retile(options: BakeOptions, tile: int) -> BakeOptions:
+    """Return the same options for another tile."""
+    return replace(options, tile=tile)

@@ -1,0 +1,309 @@
+"""From texels to points of the source surface: each sample follows T12 and walks to the closest source triangle.
+
+The three corners of a target triangle are mapped to source points. A sample inside the triangle combines them in space
+and walks over adjacent source triangles, from the point of the nearest corner, to the closest one. So every sample ends
+in *one* source triangle, whose own texture coordinates it may then interpolate: no seam of the source is ever crossed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.mesh import FloatArray, IndexArray
+from cagemap.point_map.point_map import PointMap
+from cagemap.transfer.surface import TexturedSurface, triangle_neighbors
+
+_INSIDE = -1e-9
+# Steps of a walk. Corners of one target triangle land a few source triangles apart; a map that tears is cut off here.
+_LONGEST_WALK = 512
+# How far, in units of its own barycentric coordinates, a triangle is extended outside (gutter, slivers).
+_EXTENSION = 2.0
+# No texel takes more than this many samples along each axis.
+MAX_SAMPLES_PER_AXIS = 16
+
+
+@dataclass(frozen=True)
+class MappedSurface:
+    """The target's triangles with where the map T12 takes their corners, and the source to walk on.
+
+    Attributes
+    ----------
+    target_triangles : (t1, 3) int64
+    start_triangles : (n1,) int64
+        Source triangle of every target vertex.
+    mapped : (n1, 3) float64
+        Source point of every target vertex, in space.
+    frames : (t2, 3, 3) float64
+        First corner, and the gradients of the barycentric coordinates of corners 1 and 2, of every source triangle.
+    neighbors : (t2, 3) int32
+        Source triangle across the edge opposite to every corner, -1 on the boundary.
+    """
+
+    target_triangles: IndexArray
+    start_triangles: IndexArray
+    mapped: FloatArray
+    frames: FloatArray
+    neighbors: NDArray[np.int32]
+
+
+def map_surface(target: TexturedSurface, source: TexturedSurface, point_map: PointMap) -> MappedSurface:
+    """Evaluate the point map at every target vertex."""
+    mapped = point_map.pull_back(source.triangles, source.positions)
+    return MappedSurface(
+        np.ascontiguousarray(target.triangles),
+        np.ascontiguousarray(point_map.triangle, dtype=np.int64),
+        np.ascontiguousarray(mapped),
+        triangle_frames(source.positions, source.triangles),
+        triangle_neighbors(source.triangles),
+    )
+
+
+def triangle_frames(positions: FloatArray, triangles: IndexArray) -> FloatArray:
+    """(t, 3, 3) first corner a, and gradients g1, g2 of the barycentric coordinates: b_i(p) = g_i . (p - a).
+
+    A triangle that is degenerate to rounding is a segment: only the coordinate along its longer edge varies.
+    """
+    a = positions[triangles[:, 0]]
+    u, v = positions[triangles[:, 1]] - a, positions[triangles[:, 2]] - a
+    uu, uv, vv = (np.einsum("ij,ij->i", p, q)[:, None] for p, q in ((u, u), (u, v), (v, v)))
+    area2 = uu * vv - uv * uv
+    flat = area2 <= 1e-14 * uu * vv
+    scale = 1.0 / np.where(flat, 1.0, area2)
+    lengths = np.where(np.maximum(uu, vv) > 0, np.maximum(uu, vv), 1.0)
+    g1 = np.where(flat, np.where(uu >= vv, u / lengths, 0.0), (vv * u - uv * v) * scale)
+    g2 = np.where(flat, np.where(uu >= vv, 0.0, v / lengths), (uu * v - uv * u) * scale)
+    return np.ascontiguousarray(np.stack([a, g1, g2], axis=1))
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Source points of the samples of some texels; texel i has the samples ``first[i]:first[i + 1]``.
+
+    Attributes
+    ----------
+    target_triangle : (k,) int32
+        Target triangle of every texel.
+    first : (k + 1,) int64
+    triangle : (s,) int64
+        Source triangle of every sample.
+    barycentric : (s, 3) float64
+        Not negative, rows sum to 1.
+    """
+
+    target_triangle: NDArray[np.int32]
+    first: IndexArray
+    triangle: IndexArray
+    barycentric: FloatArray
+
+    @property
+    def texel(self) -> IndexArray:
+        """(s,) texel of every sample."""
+        return np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
+
+
+def locate_samples(
+    surface: MappedSurface,
+    layout_corners: FloatArray,
+    cells: IndexArray,
+    width: int,
+    top: int,
+    target_triangle: NDArray[np.int32],
+    samples_per_axis: NDArray[np.int32],
+) -> Samples:
+    """Find the source points of a grid of samples in every texel.
+
+    Parameters
+    ----------
+    surface : MappedSurface
+    layout_corners : (t1, 3, 2) float64
+        Texel coordinates of the target triangles' corners.
+    cells : (k,) int64
+        The texels, as ``(row - top) * width + column``.
+    width, top : int
+    target_triangle : (k,) int32
+        Target triangle of every texel.
+    samples_per_axis : (t1, 2) int32
+        Samples along x and y in a texel of each target triangle.
+    """
+    along = samples_per_axis[target_triangle]
+    first = np.concatenate([[0], np.cumsum(along[:, 0] * along[:, 1], dtype=np.int64)])
+    triangle, barycentric = _locate(
+        surface.target_triangles,
+        surface.start_triangles,
+        surface.mapped,
+        surface.frames,
+        surface.neighbors,
+        layout_corners,
+        cells,
+        width,
+        top,
+        target_triangle,
+        samples_per_axis,
+        first,
+    )
+    return Samples(target_triangle, first, triangle, barycentric)
+
+
+def plan_samples(
+    surface: MappedSurface,
+    layout_corners: FloatArray,
+    source_texels: FloatArray,
+    *,
+    at_least: int = 1,
+) -> NDArray[np.int32]:
+    """(t1, 2) samples along x and y that a texel of each target triangle needs, so that the source does not alias.
+
+    With ``G`` the (2, 3) gradient of the source's texel coordinates on its triangle and ``Q`` the (3, 2) differential
+    of the map from target texels to space, the columns of ``G Q`` say how many source texels a target texel spans
+    along x and along y. One sample for each of them.
+
+    Parameters
+    ----------
+    surface : MappedSurface
+    layout_corners : (t1, 3, 2) float64
+    source_texels : (t2, 3, 2) float64
+        Texel coordinates of the source triangles' corners in the source texture.
+    at_least : int
+    """
+    spans = _spans(
+        surface.target_triangles,
+        surface.start_triangles,
+        surface.mapped,
+        surface.frames,
+        surface.neighbors,
+        layout_corners,
+        np.ascontiguousarray(source_texels),
+    )
+    # A span up to 1.25 is left to the bilinear filter: an unscaled texture then comes through unblurred.
+    counts = np.clip(np.ceil(spans - 0.25), at_least, max(at_least, MAX_SAMPLES_PER_AXIS))
+    return counts.astype(np.int32)
+
+
+@numba.njit(cache=True, nogil=True)
+def _walk(frames, neighbors, start, x, y, z):  # type: ignore[no-untyped-def]
+    """Triangle, and barycentric coordinates of its corners 1 and 2, of a point close to (x, y, z).
+
+    Crosses the edge that the point lies furthest beyond, until the point projects inside. Above a ridge or a peak it
+    projects inside nowhere: then the walk comes back to where it was, and the border of the last triangle is the
+    answer. A walk that is too long ends where it is.
+    """
+    t, previous, before = start, np.int64(-1), np.int64(-1)
+    b0, b1, b2 = 0.0, 0.0, 0.0
+    for _ in range(_LONGEST_WALK):
+        dx, dy, dz = x - frames[t, 0, 0], y - frames[t, 0, 1], z - frames[t, 0, 2]
+        b1 = frames[t, 1, 0] * dx + frames[t, 1, 1] * dy + frames[t, 1, 2] * dz
+        b2 = frames[t, 2, 0] * dx + frames[t, 2, 1] * dy + frames[t, 2, 2] * dz
+        b0 = 1.0 - b1 - b2
+        if b0 >= _INSIDE and b1 >= _INSIDE and b2 >= _INSIDE:
+            break
+        following, furthest = np.int64(-1), 0.0
+        if b0 < furthest and neighbors[t, 0] >= 0:
+            following, furthest = np.int64(neighbors[t, 0]), b0
+        if b1 < furthest and neighbors[t, 1] >= 0:
+            following, furthest = np.int64(neighbors[t, 1]), b1
+        if b2 < furthest and neighbors[t, 2] >= 0:
+            following, furthest = np.int64(neighbors[t, 2]), b2
+        if following < 0 or following == previous or following == before:
+            break
+        before, previous, t = previous, t, following
+    b0, b1, b2 = max(b0, 0.0), max(b1, 0.0), max(b2, 0.0)
+    total = b0 + b1 + b2
+    return t, b1 / total, b2 / total
+
+
+@numba.njit(cache=True, nogil=True)
+def _spans(target_triangles, start_triangles, mapped, frames, neighbors, layout_corners, source_texels):  # type: ignore[no-untyped-def]
+    """(t1, 2) source texels that a target texel spans along x and y, at the centre of every target triangle."""
+    spans = np.zeros((len(target_triangles), 2))
+    for t in range(len(target_triangles)):
+        x1, y1 = layout_corners[t, 1, 0] - layout_corners[t, 0, 0], layout_corners[t, 1, 1] - layout_corners[t, 0, 1]
+        x2, y2 = layout_corners[t, 2, 0] - layout_corners[t, 0, 0], layout_corners[t, 2, 1] - layout_corners[t, 0, 1]
+        area = x1 * y2 - x2 * y1
+        if area == 0.0:
+            continue
+        i, j, k = target_triangles[t, 0], target_triangles[t, 1], target_triangles[t, 2]
+        x = (mapped[i, 0] + mapped[j, 0] + mapped[k, 0]) / 3.0
+        y = (mapped[i, 1] + mapped[j, 1] + mapped[k, 1]) / 3.0
+        z = (mapped[i, 2] + mapped[j, 2] + mapped[k, 2]) / 3.0
+        s = _walk(frames, neighbors, start_triangles[i], x, y, z)[0]
+        # Differences of the source's barycentric coordinates along the target triangle's two edges.
+        d11, d12, d21, d22 = 0.0, 0.0, 0.0, 0.0
+        for axis in range(3):
+            e1 = mapped[j, axis] - mapped[i, axis]
+            e2 = mapped[k, axis] - mapped[i, axis]
+            d11 += frames[s, 1, axis] * e1
+            d12 += frames[s, 1, axis] * e2
+            d21 += frames[s, 2, axis] * e1
+            d22 += frames[s, 2, axis] * e2
+        for axis in range(2):
+            w1 = source_texels[s, 1, axis] - source_texels[s, 0, axis]
+            w2 = source_texels[s, 2, axis] - source_texels[s, 0, axis]
+            f1, f2 = w1 * d11 + w2 * d21, w1 * d12 + w2 * d22
+            spans[t, 0] += ((f1 * y2 - f2 * y1) / area) ** 2
+            spans[t, 1] += ((f2 * x1 - f1 * x2) / area) ** 2
+    return np.sqrt(spans)
+
+
+@numba.njit(cache=True, nogil=True)
+def _locate(  # type: ignore[no-untyped-def]
+    target_triangles,
+    start_triangles,
+    mapped,
+    frames,
+    neighbors,
+    layout_corners,
+    cells,
+    width,
+    top,
+    target_triangle,
+    samples_per_axis,
+    first,
+):
+    """Walk for every sample; see :func:`locate_samples`."""
+    n_samples = first[-1]
+    found = np.empty(n_samples, dtype=np.int64)
+    barycentric = np.empty((n_samples, 3))
+    for texel in range(len(cells)):
+        row = cells[texel] // width
+        column = cells[texel] - row * width
+        t = target_triangle[texel]
+        i, j, k = target_triangles[t, 0], target_triangles[t, 1], target_triangles[t, 2]
+        x0, y0 = layout_corners[t, 0, 0], layout_corners[t, 0, 1]
+        x1, y1 = layout_corners[t, 1, 0] - x0, layout_corners[t, 1, 1] - y0
+        x2, y2 = layout_corners[t, 2, 0] - x0, layout_corners[t, 2, 1] - y0
+        scale = 1.0 / (x1 * y2 - x2 * y1)
+        nx, ny = samples_per_axis[t, 0], samples_per_axis[t, 1]
+        for s in range(nx * ny):
+            x = column + (s % nx + 0.5) / nx - x0
+            y = row + top + (s // nx + 0.5) / ny - y0
+            b1 = (x * y2 - x2 * y) * scale
+            b2 = (x1 * y - x * y1) * scale
+            b0 = 1.0 - b1 - b2
+            lowest = min(b0, b1, b2)
+            if lowest < -_EXTENSION:
+                c0, c1, c2 = max(b0, 0.0), max(b1, 0.0), max(b2, 0.0)
+                total = c0 + c1 + c2
+                reach = -_EXTENSION / lowest
+                b1 = c1 / total + (b1 - c1 / total) * reach
+                b2 = c2 / total + (b2 - c2 / total) * reach
+                b0 = 1.0 - b1 - b2
+            if b0 >= b1 and b0 >= b2:
+                start = start_triangles[i]
+            elif b1 >= b2:
+                start = start_triangles[j]
+            else:
+                start = start_triangles[k]
+            px = b0 * mapped[i, 0] + b1 * mapped[j, 0] + b2 * mapped[k, 0]
+            py = b0 * mapped[i, 1] + b1 * mapped[j, 1] + b2 * mapped[k, 1]
+            pz = b0 * mapped[i, 2] + b1 * mapped[j, 2] + b2 * mapped[k, 2]
+            found_t, found_1, found_2 = _walk(frames, neighbors, start, px, py, pz)
+            sample = first[texel] + s
+            found[sample] = found_t
+            barycentric[sample, 0] = 1.0 - found_1 - found_2
+            barycentric[sample, 1] = found_1
+            barycentric[sample, 2] = found_2
+    return found, barycentric

@@ -1,0 +1,176 @@
+"""Which target triangle a texel belongs to: rasterising a UV layout, and the gutter of one texel around its islands.
+
+Texel coordinates: x to the right and y down, in texels, so that texel (row r, column c) has its centre at
+(c + 0.5, r + 0.5) and v = 1 is y = 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.mesh import FloatArray, IndexArray
+
+TriangleImage = NDArray[np.int32]
+
+# A texel centre on the edge between two triangles must not be missed by both because of rounding.
+_EDGE_TOLERANCE = 1e-7
+# Bilinear lookups inside an island touch texels whose centre is up to a texel away along both axes.
+GUTTER_RADIUS = float(np.sqrt(2.0))
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A UV layout in texel coordinates, with its triangles and its island borders sorted into bands of rows.
+
+    Attributes
+    ----------
+    corners : (t, 3, 2) float64
+        Texel coordinates of the triangles' corners.
+    height, width : int
+        Size of the raster.
+    band_rows : int
+        Rows in a band; the last may have fewer.
+    band_triangles, border_triangles, border_corners : tuples of arrays, one entry a band
+        Triangles that touch the band, and the border edges that come near it: an edge is a triangle and the corner
+        it starts from. Ascending.
+    """
+
+    corners: FloatArray
+    height: int
+    width: int
+    band_rows: int
+    band_triangles: tuple[IndexArray, ...]
+    border_triangles: tuple[IndexArray, ...]
+    border_corners: tuple[IndexArray, ...]
+
+
+def texel_coordinates(uvs: FloatArray, height: int, width: int) -> FloatArray:
+    """(..., 2) texel coordinates of texture coordinates; v points up, rows count down."""
+    return np.stack([uvs[..., 0] * width, (1.0 - uvs[..., 1]) * height], axis=-1)
+
+
+def lay_out(corner_uvs: FloatArray, neighbors: NDArray[np.int32], height: int, width: int, *, band_rows: int) -> Layout:
+    """Bring a layout to texel coordinates and sort it into bands.
+
+    Parameters
+    ----------
+    corner_uvs : (t, 3, 2) float64
+    neighbors : (t, 3) int32
+        Triangle across the edge opposite to every corner *in the UV layout*, -1 at an island's border.
+    height, width : int
+    band_rows : int
+    """
+    corners = np.ascontiguousarray(texel_coordinates(corner_uvs, height, width))
+    triangle, opposite = np.nonzero(neighbors < 0)
+    start = (opposite + 1) % 3
+    edges = np.stack([corners[triangle, start], corners[triangle, (start + 1) % 3]], axis=1)
+    triangle_bands = _sort_into_bands(corners, height, width, band_rows, 0.0)
+    edge_bands = _sort_into_bands(edges, height, width, band_rows, GUTTER_RADIUS)
+    return Layout(
+        corners,
+        height,
+        width,
+        band_rows,
+        tuple(triangle_bands),
+        tuple(triangle[edge] for edge in edge_bands),
+        tuple(start[edge] for edge in edge_bands),
+    )
+
+
+def _sort_into_bands(points: FloatArray, height: int, width: int, band_rows: int, margin: float) -> list[IndexArray]:
+    """For every band the elements, given by their (e, p, 2) points, whose bounding box grown by a margin touches it."""
+    low, high = points.min(axis=1) - margin, points.max(axis=1) + margin
+    inside = np.flatnonzero((high > 0).all(axis=1) & (low[:, 0] < width) & (low[:, 1] < height))
+    n_bands = -(-height // band_rows)
+    first = np.clip(low[inside, 1] // band_rows, 0, n_bands - 1).astype(np.int64)
+    last = np.clip(high[inside, 1] // band_rows, 0, n_bands - 1).astype(np.int64)
+    repeats = last - first + 1
+    elements = np.repeat(inside, repeats)
+    bands = np.repeat(first, repeats) + np.arange(len(elements)) - np.repeat(np.cumsum(repeats) - repeats, repeats)
+    order = np.argsort(bands, kind="stable")
+    limits = np.searchsorted(bands[order], np.arange(n_bands + 1))
+    return [elements[order[begin:end]] for begin, end in pairwise(limits)]
+
+
+def rasterize_band(layout: Layout, band: int, gutter: float = GUTTER_RADIUS) -> TriangleImage:
+    """(rows, width) triangle of every texel of a band, -1 outside the islands and their gutter.
+
+    A texel whose centre lies in several triangles (a layout that overlaps itself) takes the first. Texels outside,
+    up to ``gutter`` texels from an island's border, take the triangle at the nearest border: its linear extension
+    is what a bilinear lookup at the border should see beyond it.
+    """
+    top = band * layout.band_rows
+    rows = min(layout.band_rows, layout.height - top)
+    image = np.full((rows, layout.width), -1, dtype=np.int32)
+    _rasterize(image, top, layout.corners, layout.band_triangles[band])
+    if gutter > 0:
+        _grow_gutter(image, top, layout.corners, layout.border_triangles[band], layout.border_corners[band], gutter)
+    return image
+
+
+@numba.njit(cache=True, nogil=True)
+def _rasterize(image, top, corners, triangles):  # type: ignore[no-untyped-def]
+    """Set every texel of ``image`` (whose first row is ``top``) that is still -1 to the triangle over its centre."""
+    rows, width = image.shape
+    for t in triangles:
+        x0, y0 = corners[t, 0, 0], corners[t, 0, 1]
+        x1, y1 = corners[t, 1, 0] - x0, corners[t, 1, 1] - y0
+        x2, y2 = corners[t, 2, 0] - x0, corners[t, 2, 1] - y0
+        area = x1 * y2 - x2 * y1
+        if area == 0.0:
+            continue
+        left = max(int(np.floor(x0 + min(0.0, x1, x2) - 0.5)), 0)
+        right = min(int(np.ceil(x0 + max(0.0, x1, x2) - 0.5)), width - 1)
+        upper = max(int(np.floor(y0 + min(0.0, y1, y2) - 0.5)) - top, 0)
+        lower = min(int(np.ceil(y0 + max(0.0, y1, y2) - 0.5)) - top, rows - 1)
+        scale = 1.0 / area
+        for r in range(upper, lower + 1):
+            y = r + top + 0.5 - y0
+            for c in range(left, right + 1):
+                x = c + 0.5 - x0
+                b1 = (x * y2 - x2 * y) * scale
+                b2 = (x1 * y - x * y1) * scale
+                if b1 >= -_EDGE_TOLERANCE and b2 >= -_EDGE_TOLERANCE and b1 + b2 <= 1.0 + _EDGE_TOLERANCE:
+                    if image[r, c] < 0:
+                        image[r, c] = t
+
+
+@numba.njit(cache=True, nogil=True)
+def _grow_gutter(image, top, corners, triangles, starts, radius):  # type: ignore[no-untyped-def]
+    """Set texels of ``image`` that are -1 to the triangle of the nearest border edge within ``radius``."""
+    rows, width = image.shape
+    nearest = np.full((rows, width), radius * radius + 1e-9)
+    found = np.full((rows, width), np.int32(-1))
+    for e in range(len(triangles)):
+        t, k = triangles[e], starts[e]
+        x0, y0 = corners[t, k, 0], corners[t, k, 1]
+        x1, y1 = corners[t, (k + 1) % 3, 0] - x0, corners[t, (k + 1) % 3, 1] - y0
+        x2, y2 = corners[t, (k + 2) % 3, 0] - x0, corners[t, (k + 2) % 3, 1] - y0
+        length2 = x1 * x1 + y1 * y1
+        if x1 * y2 - x2 * y1 == 0.0:
+            continue
+        left = max(int(np.floor(x0 + min(0.0, x1) - 0.5 - radius)), 0)
+        right = min(int(np.ceil(x0 + max(0.0, x1) - 0.5 + radius)), width - 1)
+        upper = max(int(np.floor(y0 + min(0.0, y1) - 0.5 - radius)) - top, 0)
+        lower = min(int(np.ceil(y0 + max(0.0, y1) - 0.5 + radius)) - top, rows - 1)
+        for r in range(upper, lower + 1):
+            y = r + top + 0.5 - y0
+            for c in range(left, right + 1):
+                if image[r, c] >= 0:
+                    continue
+                x = c + 0.5 - x0
+                s = min(max((x * x1 + y * y1) / length2, 0.0), 1.0)
+                dx, dy = x - s * x1, y - s * y1
+                distance2 = dx * dx + dy * dy
+                if distance2 < nearest[r, c]:
+                    nearest[r, c] = distance2
+                    found[r, c] = t
+    for r in range(rows):
+        for c in range(width):
+            if found[r, c] >= 0:
+                image[r, c] = found[r, c]

@@ -1,0 +1,206 @@
+"""Source textures: one image or the tiles of a UDIM set, and their bilinear lookup at surface points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import ParameterError
+from cagemap.mesh import FloatArray, IndexArray
+from cagemap.transfer.locate import Samples
+
+Pixels = NDArray[Any]
+Wrap = Literal["repeat", "clamp"]
+
+FIRST_TILE = 1001
+TILES_PER_ROW = 10
+
+
+@dataclass(frozen=True)
+class Texture:
+    """The source's texture, laid on its triangles.
+
+    Attributes
+    ----------
+    tiles : dict of int -> (h, w, c) array
+        Pixels by UDIM number, row 0 at the top; a plain image has the single key 0. Sizes may differ, channels and
+        number type not.
+    uvs : (p, 2) float64
+    uv_triangles : (t2, 3) int64
+    triangle_tiles : (t2,) int64
+        Tile that each triangle lies in, by its centre; all 0 for a plain image.
+    repeat : bool
+        Whether points outside a plain image wrap around (else they are clamped to its edge).
+    """
+
+    tiles: dict[int, Pixels]
+    uvs: FloatArray
+    uv_triangles: IndexArray
+    triangle_tiles: IndexArray
+    repeat: bool
+
+    @property
+    def channels(self) -> int:
+        """Number of channels."""
+        return int(next(iter(self.tiles.values())).shape[2])
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Number type of the pixels."""
+        return next(iter(self.tiles.values())).dtype
+
+    def corner_texels(self) -> FloatArray:
+        """(t2, 3, 2) texel coordinates of every triangle's corners in its tile."""
+        sizes = np.zeros((len(self.triangle_tiles), 2))
+        for tile, pixels in self.tiles.items():
+            sizes[self.triangle_tiles == tile] = (pixels.shape[1], pixels.shape[0])
+        return self.uvs[self.uv_triangles] * sizes[:, None, :] * (1.0, -1.0)
+
+
+def lay_texture(
+    texture: Pixels | Mapping[int, Pixels], uvs: FloatArray, uv_triangles: IndexArray, *, wrap: Wrap = "repeat"
+) -> Texture:
+    """Check a texture and lay it on the triangles of the source.
+
+    Parameters
+    ----------
+    texture : (h, w) or (h, w, c) array, or such arrays by UDIM number
+    uvs : (p, 2) float64
+    uv_triangles : (t2, 3) int64
+    wrap : "repeat" or "clamp"
+        What lies outside a plain image. Repetition is what renderers and material libraries assume.
+
+    Raises
+    ------
+    ParameterError
+        If the pixels are no image, tiles disagree, or triangles lie in tiles that are not there.
+    """
+    if wrap not in ("repeat", "clamp"):
+        raise ParameterError(f"wrap: expected 'repeat' or 'clamp', got {wrap!r}")
+    if not isinstance(texture, Mapping):
+        tiles = {0: as_pixels(texture)}
+        triangle_tiles = np.zeros(len(uv_triangles), dtype=np.int64)
+        return Texture(tiles, uvs, uv_triangles, triangle_tiles, wrap == "repeat")
+    tiles = {int(number): as_pixels(pixels) for number, pixels in texture.items()}
+    kinds = {(pixels.shape[2], str(pixels.dtype)) for pixels in tiles.values()}
+    if len(kinds) != 1:
+        raise ParameterError(f"texture tiles: expected one number of channels and one number type, got {sorted(kinds)}")
+    triangle_tiles = udim_of(uvs[uv_triangles].mean(axis=1))
+    missing = np.setdiff1d(triangle_tiles, list(tiles))
+    if len(missing):
+        raise ParameterError(
+            f"texture tiles: the source's UVs lie in tiles {missing[:5].tolist()}, which are not among the given "
+            f"{sorted(tiles)[:10]}; add those images"
+        )
+    return Texture(tiles, uvs, uv_triangles, triangle_tiles, False)
+
+
+def udim_of(uvs: FloatArray) -> IndexArray:
+    """(...,) UDIM numbers 1001 + floor(u) + 10 floor(v) of texture coordinates.
+
+    Raises
+    ------
+    ParameterError
+        If some lie left of, right of or below the grid of ten columns.
+    """
+    cells = np.floor(uvs).astype(np.int64)
+    outside = (cells[..., 0] < 0) | (cells[..., 0] >= TILES_PER_ROW) | (cells[..., 1] < 0)
+    if outside.any():
+        raise ParameterError(
+            f"expected texture coordinates inside the UDIM grid (0 <= u < {TILES_PER_ROW}, 0 <= v), "
+            f"got {uvs[outside][:3].round(4).tolist()}; move those islands into the grid"
+        )
+    return FIRST_TILE + cells[..., 0] + TILES_PER_ROW * cells[..., 1]
+
+
+def udim_origin(tile: int) -> tuple[float, float]:
+    """Texture coordinates of the lower left corner of a UDIM tile, (0, 0) for a plain image (tile 0)."""
+    if tile == 0:
+        return 0.0, 0.0
+    return float((tile - FIRST_TILE) % TILES_PER_ROW), float((tile - FIRST_TILE) // TILES_PER_ROW)
+
+
+def as_pixels(image: Pixels) -> Pixels:
+    """(h, w, c) contiguous pixels of an image.
+
+    Raises
+    ------
+    ParameterError
+        If it is not 2- or 3-dimensional, empty, or not of integers or floats.
+    """
+    pixels = np.asarray(image)
+    if pixels.ndim == 2:
+        pixels = pixels[:, :, None]
+    if pixels.ndim != 3 or 0 in pixels.shape:
+        raise ParameterError(f"expected an image of shape (height, width, channels), got shape {np.shape(image)}")
+    if pixels.dtype.kind not in "uf":
+        raise ParameterError(f"expected pixels of unsigned integers or floats, got {pixels.dtype}")
+    return np.ascontiguousarray(pixels)
+
+
+def look_up(texture: Texture, samples: Samples) -> FloatArray:
+    """(k, c) mean over every texel's samples of the bilinearly interpolated texture, in the texture's own values."""
+    result = np.zeros((len(samples.first) - 1, texture.channels))
+    for tile, pixels in texture.tiles.items():
+        u, v = udim_origin(tile)
+        # Half floats have no arithmetic of their own; their conversion is exact.
+        known = pixels.astype(np.float32) if pixels.dtype == np.float16 else pixels
+        _accumulate(
+            known,
+            tile,
+            u,
+            v,
+            texture.repeat,
+            texture.uvs,
+            texture.uv_triangles,
+            texture.triangle_tiles,
+            samples.first,
+            samples.triangle,
+            samples.barycentric,
+            result,
+        )
+    result /= np.diff(samples.first)[:, None]
+    return result
+
+
+@numba.njit(cache=True, nogil=True)
+def _accumulate(  # type: ignore[no-untyped-def]
+    pixels, tile, origin_u, origin_v, repeat, uvs, uv_triangles, triangle_tiles, first, triangle, barycentric, result
+):
+    """Add to every texel its samples' bilinear lookups in one tile.
+
+    Interpolation is written a + f (b - a), which leaves a constant texture constant to the last bit. A point outside
+    wraps around if ``repeat``, but the four texels around a point never do: an island that touches the image's edge
+    must not mix with what lies at the opposite edge.
+    """
+    height, width, channels = pixels.shape
+    for texel in range(len(first) - 1):
+        for s in range(first[texel], first[texel + 1]):
+            t = triangle[s]
+            if triangle_tiles[t] != tile:
+                continue
+            u, v = -origin_u, -origin_v
+            for k in range(3):
+                u += barycentric[s, k] * uvs[uv_triangles[t, k], 0]
+                v += barycentric[s, k] * uvs[uv_triangles[t, k], 1]
+            if repeat:
+                if u < 0.0 or u > 1.0:
+                    u -= np.floor(u)
+                if v < 0.0 or v > 1.0:
+                    v -= np.floor(v)
+            x = min(max(u * width - 0.5, 0.0), width - 1.0)
+            y = min(max((1.0 - v) * height - 0.5, 0.0), height - 1.0)
+            c0, r0 = int(x), int(y)
+            c1, r1 = min(c0 + 1, width - 1), min(r0 + 1, height - 1)
+            fx, fy = x - c0, y - r0
+            for channel in range(channels):
+                upper = float(pixels[r0, c0, channel])
+                upper += fx * (float(pixels[r0, c1, channel]) - upper)
+                lower = float(pixels[r1, c0, channel])
+                lower += fx * (float(pixels[r1, c1, channel]) - lower)
+                result[texel, channel] += upper + fy * (lower - upper)
