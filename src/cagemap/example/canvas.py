@@ -40,13 +40,33 @@ class Samples:
     channels: dict[str, Float32Array]
     softness: float
 
+    def near(self, point: FloatArray, radius: float) -> tuple[NDArray[np.int64], Samples]:
+        """Return the numbers of the samples inside a ball, and those samples."""
+        offset = self.points - point.astype(np.float32)
+        here = np.flatnonzero(np.einsum("qd,qd->q", offset, offset) < radius**2)
+        return here, self.select(here)
+
+    def select(self, here: NDArray[np.int64]) -> Samples:
+        """Return some of the samples."""
+        channels = {name: values[here] for name, values in self.channels.items()}
+        return Samples(self.points[here], channels, self.softness)
+
 
 @dataclass(frozen=True)
 class Anatomy:
-    """Landmark name to its point and unit normal on the refined surface, both (3,)."""
+    """What brushes need to know of the landmarks.
+
+    Attributes
+    ----------
+    points, normals : dict of (3,) float64
+        Landmark name to its point and unit normal on the refined surface.
+    spine : dict of float
+        Landmark name to its arc length from the rump.
+    """
 
     points: dict[str, FloatArray]
     normals: dict[str, FloatArray]
+    spine: dict[str, float]
 
 
 def fill_texture(
@@ -72,6 +92,7 @@ def fill_texture(
     anatomy = Anatomy(
         {name: surface.positions[vertex] for name, vertex in creature.landmarks.items()},
         {name: normals[vertex] for name, vertex in creature.landmarks.items()},
+        {name: float(creature.channels[vertex, 0]) for name, vertex in creature.landmarks.items()},
     )
     values = np.hstack([surface.positions, refinement.prolong(creature.channels, 0, LEVEL)])
     texture = np.zeros((size * size, n_channels), dtype=np.float32)

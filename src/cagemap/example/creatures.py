@@ -34,10 +34,10 @@ def build_creature(plan: Blueprint) -> Creature:
     creature = model_creature(plan)
     islands = [plan.islands.get(part.removesuffix("_L").removesuffix("_R"), part) for part in creature.parts]
     if plan.halves:
-        sides = np.sign(
-            np.add.reduceat(creature.mesh.positions[creature.mesh.face_indices, 0], creature.mesh.face_offsets[:-1])
-        )
-        islands = [f"{name}{side:+.0f}" if name == "body" else name for name, side in zip(islands, sides, strict=True)]
+        x = np.add.reduceat(creature.mesh.positions[creature.mesh.face_indices, 0], creature.mesh.face_offsets[:-1])
+        islands = [
+            name + "RL"[int(side)] if name == "body" else name for name, side in zip(islands, x >= 0, strict=True)
+        ]
     mesh = unwrap(creature.mesh, islands, creature.seams, padding=PADDING)
     return replace(creature, mesh=mesh)
 
@@ -93,7 +93,8 @@ def _spine(model: Modeller, plan: Blueprint) -> list[list[int]]:
         holes = _holes(plan, k)
         for part, sides in _sections(plan, k).items():
             model.bridge(rings[k + 1], rings[k], part, skip=holes | (set(range(n)) - sides))
-    model.seam([ring[n // 2] for ring in rings[0 if plan.halves else plan.landmarks["chest"][0] :]])
+    chest, chin = plan.landmarks["chest"][0], plan.landmarks["chin"][0]
+    model.seam([ring[n // 2] for ring in (rings if plan.halves else rings[chest : chin + 1])])
     if plan.halves:
         model.seam([ring[0] for ring in rings[: plan.landmarks["throat"][0] + 1]])
     return rings
@@ -103,7 +104,8 @@ def _sections(plan: Blueprint, k: int) -> dict[str, set[int]]:
     """Name the parts of the body between ring k and k + 1, with the sides that belong to each."""
     every = set(range(plan.sides))
     if k >= plan.landmarks["chest"][0]:
-        return {"neck" if k < plan.landmarks["throat"][0] else "head": every}
+        beyond = [name for name in ("throat", "chin") if k >= plan.landmarks[name][0]]
+        return {{"throat": "head", "chin": "muzzle"}[beyond[-1]] if beyond else "neck": every}
     if k == 0:
         return {"rump": every}
     below = set(range(plan.front_patch.j1, plan.sides - plan.front_patch.j1))
@@ -159,8 +161,9 @@ def _rump(model: Modeller, plan: Blueprint, ring: list[int]) -> dict[str, int]:
     loop = [*ring[: plan.tail_rows + 1], inner[plan.tail_rows - 1], *ring[n - plan.tail_rows :]]
     rings = _tail_rings(plan, len(loop))
     share = np.arange(1, len(rings) + 1) / (len(rings) + 1)
-    base = {"spine": model.channel(ring, "spine"), "girth": 0.5}
+    base = {"spine": model.channel(ring, "spine")}
     channels = np.stack([_row(len(loop), tail=t, **base) for t in share])
+    channels[:, :, CHANNELS.index("girth")] = np.cos(2 * np.pi * np.arange(len(loop)) / len(loop))
     loops = model.limb(loop, rings, channels, "tail")
     tip = model.fan(loops[-1], (0.0, *plan.tail_tip), _row(1, tail=1.0, **base)[0], "tail")
     if plan.halves:
@@ -192,14 +195,13 @@ def _muzzle(model: Modeller, plan: Blueprint, ring: list[int]) -> dict[str, int]
         right = [*loop[: quarter + 2], nose]
         lower = [nose, *loop[quarter + 1 : n // 2 + 1]]
         for face in (right, lower):
-            model.face(face, "head")
-            model.face(model.mirrored(face), "head")
+            model.face(face, "muzzle")
+            model.face(model.mirrored(face), "muzzle")
         model.seam([ring[n // 2], nose])
         return {"nose_tip": nose}
     values = _row(rows, spine=end)
     values[:, CHANNELS.index("girth")] = np.linspace(1, -1, rows + 2)[1:-1]
-    inner = model.grid_cap(loop, _cap_points(top, bottom, forward, plan.muzzle_bulge, rows), values, "head")
-    model.seam([ring[n // 2], *inner[: rows // 2 - 1 : -1]])
+    inner = model.grid_cap(loop, _cap_points(top, bottom, forward, plan.muzzle_bulge, rows), values, "muzzle")
     return {"nose_tip": inner[rows // 2]}
 
 
@@ -226,10 +228,11 @@ def _legs(model: Modeller, plan: Blueprint, spine: list[list[int]]) -> dict[str,
             here = loop if side == "L" else model.mirrored(loop)
             part = f"leg_{place}_{side}"
             loops = model.limb(here, (rings * [sign, 1, 1])[:, flip], channels[:, flip], part)
+            model.rename(n, f"sole_{place}_{side}")
             _sole(model, plan, loops[-1], f"sole_{place}_{side}")
             toe = outer if side == "L" else n - 1 - outer
             inner = (toe + n // 2) % n
-            model.seam([here[inner], *(following[inner] for following in loops)])
+            model.seam([here[inner], *(following[inner] for following in loops[:-1])])
             landmarks[f"{joint[0]}_{side}"] = loops[joint[1]][toe]
             landmarks[f"hoof_{place}_{side}"] = loops[-2][toe]
     return landmarks

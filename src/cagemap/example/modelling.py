@@ -58,7 +58,7 @@ class Modeller:
         self._by_position: dict[tuple[float, float, float], int] = {}
         self._seams: list[tuple[int, int]] = []
 
-    def vertex(self, point: Sequence[float], channels: Sequence[float]) -> int:
+    def vertex(self, point: Sequence[float] | FloatArray, channels: Sequence[float] | FloatArray) -> int:
         """Add one vertex and return its number."""
         key = (float(point[0]) + 0.0, float(point[1]), float(point[2]))
         self._points.append(key)
@@ -70,6 +70,10 @@ class Modeller:
         """Add one face, counter-clockwise seen from outside."""
         self._faces.append([int(vertex) for vertex in loop])
         self._parts.append(part)
+
+    def rename(self, count: int, part: str) -> None:
+        """Give the last ``count`` faces to another part."""
+        self._parts[-count:] = [part] * count
 
     def seam(self, path: Sequence[int]) -> None:
         """Mark the edges along a path of vertices as seams."""
@@ -108,7 +112,9 @@ class Modeller:
             last = following
         return loops
 
-    def fan(self, loop: Sequence[int], apex: Sequence[float], channels: Sequence[float], part: str) -> int:
+    def fan(
+        self, loop: Sequence[int], apex: Sequence[float] | FloatArray, channels: Sequence[float] | FloatArray, part: str
+    ) -> int:
         """Close a loop by triangles to a new vertex; return that vertex."""
         tip = self.vertex(apex, channels)
         for i in range(len(loop)):

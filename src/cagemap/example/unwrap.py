@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.sparse.linalg import splu
 
 from cagemap.mesh import ControlMesh, FloatArray, IndexArray
@@ -31,16 +31,18 @@ def unwrap(mesh: ControlMesh, islands: Sequence[str], seams: IndexArray, *, padd
     names, island_of_face = np.unique(np.array(islands), return_inverse=True)
     uv_of_corner = _uv_vertices(mesh, island_of_face, seams)
     flat = np.zeros((uv_of_corner.max() + 1, 2))
-    members = []
+    members, ears = [], []
     for island in range(len(names)):
         corners = np.flatnonzero(island_of_face[mesh.corner_faces] == island)
         used, local = np.unique(uv_of_corner[corners], return_inverse=True)
         points = np.zeros((len(used), 3))
         points[local] = mesh.positions[mesh.face_indices[corners]]
         sizes = mesh.face_sizes[island_of_face == island]
-        flat[used] = _upright(flatten(points, _fan(local, sizes)))
+        triangles = _ears(local, sizes)
+        flat[used] = _upright(flatten(points, triangles))
         members.append(used)
-    return mesh.with_uvs(_pack(flat, members, padding), uv_of_corner)
+        ears.append(triangles)
+    return mesh.with_uvs(_pack(flat, members, ears, padding), uv_of_corner)
 
 
 def _uv_vertices(mesh: ControlMesh, island_of_face: IndexArray, seams: IndexArray) -> IndexArray:
@@ -59,11 +61,13 @@ def _uv_vertices(mesh: ControlMesh, island_of_face: IndexArray, seams: IndexArra
     return connected_components(graph, directed=False)[1].astype(np.int64)
 
 
-def _fan(indices: IndexArray, sizes: IndexArray) -> IndexArray:
-    """(t, 3) fan triangles of polygons stored one after the other."""
-    start = np.repeat(np.cumsum(sizes) - sizes, sizes - 2)
-    rank = np.arange(len(start)) - np.repeat(np.cumsum(sizes - 2) - (sizes - 2), sizes - 2)
-    return indices[np.stack([start, start + rank + 1, start + rank + 2], axis=1)]
+def _ears(indices: IndexArray, sizes: IndexArray) -> IndexArray:
+    """(c, 3) triangle of every corner with its two neighbours: for a quad, both of its triangulations."""
+    corner = np.arange(len(indices))
+    first = np.repeat(np.cumsum(sizes) - sizes, sizes)
+    before = first + (corner - first - 1) % np.repeat(sizes, sizes)
+    after = first + (corner - first + 1) % np.repeat(sizes, sizes)
+    return indices[np.stack([before, corner, after], axis=1)]
 
 
 def flatten(points: FloatArray, triangles: IndexArray) -> FloatArray:
@@ -89,10 +93,10 @@ def flatten(points: FloatArray, triangles: IndexArray) -> FloatArray:
     weight = np.maximum(-np.sum(opposite[0] * opposite[1], axis=2) / area[:, None] / 2, 1e-2)
     i, j = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     n = len(points)
-    laplacian = sparse.coo_array((weight.ravel(), (i, j)), shape=(n, n)).tocsr()
-    laplacian = laplacian + laplacian.T
-    laplacian = sparse.csc_array(sparse.diags_array(laplacian.sum(axis=1)) - laplacian)
-    factor = splu(sparse.csc_matrix(laplacian[1:, 1:]))
+    one_way = sparse.coo_array((weight.ravel(), (i, j)), shape=(n, n)).tocsr()
+    both_ways = one_way + one_way.T
+    laplacian = sparse.diags_array(both_ways.sum(axis=1)) - both_ways
+    factor = splu(sparse.csc_matrix(laplacian)[1:, 1:])  # the first vertex stays at the origin
     for _ in range(ARAP_ITERATIONS):
         now = np.roll(flat[triangles], -1, axis=1) - flat[triangles]
         moment = np.einsum("te,tea,teb->tab", weight, now, edges)
@@ -145,9 +149,9 @@ def _far_pair(rest: FloatArray, triangles: IndexArray, n: int) -> tuple[int, int
     """Two vertices far apart along edges."""
     i, j = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     length = np.linalg.norm(np.roll(rest, -1, axis=1) - rest, axis=2).ravel()
-    graph = sparse.csr_array((length, (i, j)), shape=(n, n))
-    start = int(np.argmax(sparse.csgraph.dijkstra(graph, directed=False, indices=int(triangles[0, 0]))))
-    return start, int(np.argmax(sparse.csgraph.dijkstra(graph, directed=False, indices=start)))
+    graph = sparse.csr_matrix((length, (i, j)), shape=(n, n))
+    start = int(np.argmax(dijkstra(graph, directed=False, indices=[triangles[0, 0]])))
+    return start, int(np.argmax(dijkstra(graph, directed=False, indices=[start])))
 
 
 def _upright(flat: FloatArray) -> FloatArray:
@@ -161,36 +165,87 @@ def _upright(flat: FloatArray) -> FloatArray:
     return np.asarray(turned[best] - turned[best].min(axis=0))
 
 
-def _pack(flat: FloatArray, members: Sequence[IndexArray], padding: float) -> FloatArray:
-    """Place the islands' boxes into the unit square at the largest common scale that a skyline packing reaches."""
-    sizes = np.array([np.ptp(flat[used], axis=0) for used in members])
-    low, high = 0.0, 1.0 / float(np.sqrt(sizes.prod(axis=1).sum()))
-    for _ in range(30):
+def _pack(
+    flat: FloatArray, members: Sequence[IndexArray], triangles: Sequence[IndexArray], padding: float
+) -> FloatArray:
+    """Place the islands in the unit square at the largest common scale found by bisection."""
+    turned = [[_quarter_turns(flat[used], turn) for turn in range(4)] for used in members]
+    samples = [[_spread(points, part) for points in turns] for turns, part in zip(turned, triangles, strict=True)]
+    low, high, best = 0.0, 1.0 / float(np.sqrt(sum(np.ptp(flat[used], axis=0).prod() for used in members)) / 2), None
+    for _ in range(14):
         scale = (low + high) / 2
-        low, high = (scale, high) if _skyline(sizes * scale + padding, 1 - padding) is not None else (low, scale)
-    places = _skyline(sizes * low + padding, 1 - padding)
-    if places is None:
-        raise AssertionError("the islands fit at scale zero")
+        places = _tetris([[points * scale for points in turns] for turns in samples], padding)
+        if places is None:
+            high = scale
+        else:
+            low, best = scale, places
+    if best is None:
+        raise AssertionError("some scale is small enough")
     uvs = np.zeros_like(flat)
-    for used, place in zip(members, places, strict=True):
-        uvs[used] = flat[used] * low + place + padding
+    for used, turns, (turn, corner) in zip(members, turned, best, strict=True):
+        uvs[used] = turns[turn] * low + corner
     return uvs
 
 
-def _skyline(sizes: FloatArray, width: float) -> FloatArray | None:
-    """Bottom-left skyline packing of boxes into a square, tallest first; None if they do not fit."""
-    places = np.zeros_like(sizes)
-    line = [(0.0, width, 0.0)]  # pieces: from, to, height
-    for box in np.lexsort([-sizes[:, 0], -np.round(sizes[:, 1], 6)]):
-        wide, tall = sizes[box]
-        starts = [left for left, _, _ in line if left + wide <= width]
-        heights = [max(h for a, b, h in line if a < left + wide and b > left) for left in starts]
-        if not heights or min(heights) + tall > width:
+def _quarter_turns(flat: FloatArray, turns: int) -> FloatArray:
+    """Turn points by multiples of 90 degrees and move them to the corner at the origin."""
+    z = (flat[:, 0] + 1j * flat[:, 1]) * 1j**turns
+    points = np.stack([z.real, z.imag], axis=1)
+    return np.asarray(points - points.min(axis=0))
+
+
+def _spread(points: FloatArray, triangles: IndexArray) -> FloatArray:
+    """Points spread evenly over triangles, borders included, for marking the cells that an island covers."""
+    i, j = np.divmod(np.arange(17 * 17), 17)
+    inside = i + j <= 16
+    weights = np.stack([i, j, 16 - i - j], axis=1)[inside] / 16
+    return np.einsum("sk,tkd->tsd", weights, points[triangles]).reshape(-1, 2)
+
+
+def _tetris(samples: Sequence[Sequence[FloatArray]], padding: float) -> list[tuple[int, FloatArray]] | None:
+    """Drop the islands into the unit square, tallest first, each where its top ends lowest (Levy et al. 2002, sec. 5).
+
+    Parameters
+    ----------
+    samples : for every island, for every quarter turn, (s, 2) points that cover it
+
+    Returns
+    -------
+    list of (quarter turn, (2,) corner), or None if they do not fit.
+    """
+    columns = int(np.floor(1 / padding))
+    horizon = np.zeros(columns)
+    places: dict[int, tuple[int, FloatArray]] = {}
+    heights = np.array([np.round(max(points[0].max(), points[1].max()), 6) for points in samples])
+    for island in np.argsort(-heights, kind="stable"):
+        options = []
+        for turn, points in enumerate(samples[island]):
+            bottom, top = _profile(points, padding)
+            if len(bottom) > columns:
+                continue
+            windows = np.lib.stride_tricks.sliding_window_view(horizon, len(bottom))
+            base = (windows - bottom).max(axis=1)
+            lost = (base[:, None] + bottom - windows).sum(axis=1) * padding
+            # Lowest top first; at equal height the place that wastes least.
+            cost = np.round(base + top.max() + 0.2 * lost, 9)
+            column = int(np.argmin(cost))
+            options.append((float(cost[column]), turn, column, float(base[column]), bottom, top))
+        if not options:
             return None
-        left, base = min(zip(starts, heights, strict=True), key=lambda place: (place[1], place[0]))
-        places[box] = left, base
-        pieces = [(a, min(b, left), h) for a, b, h in line if a < left]
-        pieces += [(left, left + wide, base + tall)]
-        pieces += [(max(a, left + wide), b, h) for a, b, h in line if b > left + wide]
-        line = pieces
-    return places
+        _, turn, column, base_height, bottom, top = min(options, key=lambda option: option[:3])
+        horizon[column : column + len(top)] = base_height + top
+        if horizon.max() > 1:
+            return None
+        places[int(island)] = turn, np.array([(column + 1) * padding, base_height + padding])
+    return [places[island] for island in range(len(samples))]
+
+
+def _profile(points: FloatArray, padding: float) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest point in every column of width ``padding``, with a margin of ``padding`` all around."""
+    column = (points[:, 0] / padding).astype(np.int64) + 1
+    bottom, top = np.full(column.max() + 2, np.inf), np.full(column.max() + 2, -np.inf)
+    np.minimum.at(bottom, column, points[:, 1])
+    np.maximum.at(top, column, points[:, 1])
+    bottom = np.minimum(bottom, np.minimum(np.append(bottom[1:], np.inf), np.append(np.inf, bottom[:-1])))
+    top = np.maximum(top, np.maximum(np.append(top[1:], -np.inf), np.append(-np.inf, top[:-1])))
+    return bottom, top + 2 * padding
