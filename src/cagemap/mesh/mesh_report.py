@@ -109,12 +109,11 @@ class MeshReport:
     def _faces_by_size(self) -> str:
         if not self.face_sizes:
             return ""
-        names = {3: "triangles", 4: "quads"}
-        parts = [f"{count} {names[size]}" for size, count in self.face_sizes if size in names]
+        parts = [_counted(count, {3: "triangle", 4: "quad"}[size]) for size, count in self.face_sizes if size in (3, 4)]
         large = [(size, count) for size, count in self.face_sizes if size > 4]
         small = sum(count for size, count in self.face_sizes if size < 3)
         if large:
-            parts.append(f"{sum(count for _, count in large)} n-gons of up to {large[-1][0]} corners")
+            parts.append(f"{_counted(sum(count for _, count in large), 'n-gon')} of up to {large[-1][0]} corners")
         if small:
             parts.append(f"{small} of fewer than 3 corners")
         return f"  ({', '.join(parts)})"
@@ -128,6 +127,10 @@ class MeshReport:
     def _components(self) -> str:
         sizes = self.component_sizes
         return f"{len(sizes)}  (of {first_few(sizes)} faces)" if len(sizes) > 1 else str(len(sizes) or "-")
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 def _shown(value: int | None) -> str:

@@ -72,8 +72,8 @@ def corner_fans(mesh: ControlMesh, edges: EdgeTable) -> IndexArray:
 def boundary_loops(mesh: ControlMesh, edges: EdgeTable, fans: IndexArray) -> tuple[IndexArray, ...] | None:
     """Vertices along every boundary loop, in the direction of the faces' half-edges (surface on the left).
 
-    None where the faces' orientations, or edges of more than two faces, leave the loops undefined. A vertex where
-    two loops touch belongs to both: each follows its own fan of faces (`corner_fans`).
+    None where the faces' orientations, or edges of more than two faces, leave the loops undefined. Loops follow the
+    fans of `corner_fans`, and so a vertex is passed once for each of its fans.
     """
     if np.any(edges.face_counts > 2):
         return None

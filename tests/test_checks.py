@@ -1,0 +1,435 @@
+"""Checks of control meshes: every validator fires on its fault, names the elements, and passes on valid meshes.
+
+Connectivity is compared with a slow twin that walks over faces one by one.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cagemap.errors import InvalidMeshError
+from cagemap.mesh import ControlMesh, bipyramid, cube, disk, grid, icosahedron, pyramid, tetrahedron, torus, voxels
+from cagemap.mesh.checks import check_mesh, duplicate_faces, keep_faces, require_valid
+from cagemap.mesh.measures import face_areas, face_extents, fan_triangles, signed_volume
+from cagemap.mesh.mesh_report import MeshReport
+from cagemap.mesh.topology import boundary_loops, corner_fans, edge_table, face_components, face_orientation, uv_islands
+
+SHAPES: dict[str, tuple[Callable[[], ControlMesh], int, int]] = {  # genus, boundary loops
+    "cube": (cube, 0, 0),
+    "tetrahedron": (tetrahedron, 0, 0),
+    "icosahedron": (icosahedron, 0, 0),
+    "torus": (torus, 1, 0),
+    "grid": (grid, 0, 1),
+    "disk": (lambda: disk(7), 0, 1),
+    "bipyramid": (lambda: bipyramid(5), 0, 0),
+    "pyramid": (pyramid, 0, 0),
+    "ring of voxels": (lambda: voxels([(i, j, 0) for i in range(3) for j in range(3) if (i, j) != (1, 1)]), 1, 0),
+}
+
+
+def faces_of(mesh: ControlMesh) -> list[list[int]]:
+    return [mesh.face(i).tolist() for i in range(mesh.n_faces)]
+
+
+def flip(mesh: ControlMesh, faces: object) -> ControlMesh:
+    chosen = set(np.atleast_1d(np.asarray(faces)).tolist())
+    turned = [face[::-1] if i in chosen else face for i, face in enumerate(faces_of(mesh))]
+    return replace(ControlMesh.from_faces(mesh.positions, turned), name=mesh.name)
+
+
+def with_faces(mesh: ControlMesh, *extra: list[int]) -> ControlMesh:
+    return ControlMesh.from_faces(mesh.positions, [*faces_of(mesh), *extra], name=mesh.name)
+
+
+def kinds(mesh: ControlMesh) -> list[str]:
+    return [problem.kind for problem in check_mesh(mesh).problems]
+
+
+def elements(mesh: ControlMesh, kind: str) -> tuple[object, ...]:
+    """Elements of a problem, which also `require_valid` must name together with a remedy."""
+    report = check_mesh(mesh)
+    found = [problem for problem in report.problems if problem.kind == kind]
+    assert len(found) == 1, report
+    with pytest.raises(InvalidMeshError) as caught:
+        require_valid(mesh)
+    message = str(caught.value)
+    for part in (mesh.name, kind, found[0].remedy, *map(str, found[0].elements[:8])):
+        assert part in message
+    assert "expected" in found[0].found
+    return found[0].elements
+
+
+@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("scale", [1e-50, 1e-6, 1.0, 1e6, 1e50])
+def test_valid_shapes_pass_at_every_scale_and_place(name: str, scale: float) -> None:
+    build, genus, loops = SHAPES[name]
+    mesh = build()
+    moved = mesh.with_positions(scale * (mesh.positions + np.array([3.0, -40.0, 500.0])))
+    require_valid(moved)
+    report = check_mesh(moved)
+    assert report.is_valid
+    assert report.genus == genus
+    assert report.boundary_loops is not None
+    assert len(report.boundary_loops) == loops
+    assert report.component_sizes == (mesh.n_faces,)
+    assert report.euler_characteristic == 2 - 2 * genus - loops
+
+
+def test_report_reads_as_a_table() -> None:
+    faces = [*faces_of(pyramid()), [0, 1, 2, 3, 4, 1], [0, 1]]
+    mesh = replace(ControlMesh.from_faces(pyramid().positions, faces), name="roof.obj")
+    assert "7  (4 triangles, 1 quad, 1 n-gon of up to 6 corners, 1 of fewer than 3 corners)" in str(check_mesh(mesh))
+    mesh = replace(pyramid(), name="roof.obj")
+    text = str(check_mesh(mesh))
+    assert text.splitlines()[0] == "roof.obj"
+    rows = dict(
+        line[2:].split(maxsplit=1) for line in text.splitlines()[1:] if line.split()[0] in ("faces", "problems")
+    )
+    assert rows["faces"] == "5  (4 triangles, 1 quad)"
+    assert rows["problems"] == "none"
+    broken = str(check_mesh(flip(mesh, 1)))
+    assert "1. inconsistent orientation" in broken
+    assert "Flip these faces" in broken
+
+
+def test_vertices_of_valence_two_and_coincident_vertices_are_valid() -> None:
+    # Two quads that share the two consecutive edges around vertex 8, which halves an edge of a cube.
+    split = cube()
+    faces = faces_of(split)
+    a, b = faces[0][0], faces[0][1]
+    middle = 0.5 * (split.positions[a] + split.positions[b])
+    longer = []
+    for face in faces:
+        corners = [(x, 8) if {x, y} == {a, b} else (x,) for x, y in zip(face, face[1:] + face[:1], strict=True)]
+        longer.append([v for corner in corners for v in corner])
+    mesh = ControlMesh.from_faces([*split.positions, middle + np.array([0.0, 0.1, 0.1])], longer)
+    assert check_mesh(mesh).valence_range == (2, 3)
+    require_valid(mesh)
+    pinched = torus(12, 5)
+    positions = pinched.positions.copy()
+    positions[7] = positions[32]
+    require_valid(pinched.with_positions(positions))
+
+
+def test_flipped_faces_are_named() -> None:
+    mesh = torus(9, 7)
+    rng = np.random.default_rng(81)
+    turned = np.sort(rng.choice(mesh.n_faces, 20, replace=False))
+    assert elements(flip(mesh, turned), "inconsistent orientation") == tuple(turned.tolist())
+    # If most are turned, the others are the exception.
+    rest = np.setdiff1d(np.arange(mesh.n_faces), turned)
+    assert elements(flip(mesh, rest), "inconsistent orientation") == tuple(turned.tolist())
+
+
+@pytest.mark.parametrize("name", ["cube", "torus", "tetrahedron", "ring of voxels"])
+def test_mesh_turned_inside_out_is_refused(name: str) -> None:
+    mesh = SHAPES[name][0]()
+    assert elements(flip(mesh, np.arange(mesh.n_faces)), "inside out") == ()
+
+
+def test_open_mesh_turned_inside_out_is_refused_but_a_sheet_is_not() -> None:
+    box = keep_faces(cube(), np.arange(1, 6))
+    require_valid(box)
+    assert elements(flip(box, np.arange(5)), "inside out") == ()
+    sheet = grid()
+    require_valid(flip(sheet, np.arange(sheet.n_faces)))
+
+
+def test_one_sided_surface_is_refused() -> None:
+    angle = np.linspace(0, 2 * np.pi, 9)[:-1]
+    across = np.array([-0.3, 0.3])
+    radius = 1 + across * np.cos(angle / 2)[:, None]
+    height = across * np.sin(angle / 2)[:, None]
+    positions = np.stack([radius * np.cos(angle)[:, None], radius * np.sin(angle)[:, None], height], axis=-1)
+    faces = [(2 * i, 2 * i + 2, 2 * i + 3, 2 * i + 1) for i in range(7)] + [(14, 1, 0, 15)]
+    mesh = ControlMesh.from_faces(positions.reshape(-1, 3), faces)
+    assert kinds(mesh) == ["one-sided surface"]
+    assert elements(mesh, "one-sided surface") == ()
+    assert check_mesh(mesh).genus is None
+
+
+def test_edges_of_three_faces_are_named() -> None:
+    mesh = cube()
+    a, b = faces_of(mesh)[0][:2]
+    fin = ControlMesh.from_faces([*mesh.positions, [0.0, 0.0, 9.0]], [*faces_of(mesh), [a, b, 8]])
+    assert elements(fin, "non-manifold edges") == ((min(a, b), max(a, b)),)
+
+
+def test_vertices_where_two_pieces_touch_are_named() -> None:
+    two = ControlMesh.from_faces(
+        [*tetrahedron().positions, [2, 2, 2], [3, 1, 1], [1, 3, 1]],
+        [*faces_of(tetrahedron()), (0, 5, 4), (0, 6, 5), (0, 4, 6), (4, 5, 6)],
+    )
+    assert kinds(two) == ["non-manifold vertices"]
+    assert elements(two, "non-manifold vertices") == (0,)
+
+
+def test_two_openings_may_not_meet_in_a_vertex() -> None:
+    mesh = grid(4, 4)
+    inner = [f for f, face in enumerate(faces_of(mesh)) if 12 in face]
+    holes = keep_faces(mesh, np.setdiff1d(np.arange(16), [inner[0], inner[-1]]))
+    assert elements(holes, "non-manifold vertices") == (12,)
+    loops = check_mesh(holes).boundary_loops
+    assert loops is not None
+    # Split there, the two holes of four edges are one of eight.
+    assert sorted(len(loop) for loop in loops) == [8, 16]
+
+
+@pytest.mark.parametrize("face", [[0, 1], [3], [0, 1, 2, 1], [5, 5, 6]])
+def test_degenerate_faces_are_named(face: list[int]) -> None:
+    assert elements(with_faces(cube(), face), "degenerate faces") == (6,)
+
+
+def test_copies_of_faces_are_named_and_not_called_non_manifold() -> None:
+    mesh = cube()
+    again = [faces_of(mesh)[2][1:] + faces_of(mesh)[2][:1], faces_of(mesh)[4][::-1]]
+    copied = with_faces(mesh, *again)
+    assert kinds(copied) == ["duplicate faces"]
+    assert elements(copied, "duplicate faces") == (6, 7)
+    assert elements(with_faces(mesh, *faces_of(mesh)), "duplicate faces") == tuple(range(6, 12))
+
+
+def test_isolated_vertices_are_named() -> None:
+    positions = np.insert(cube().positions, 3, [1e9, 0, 0], axis=0)
+    indices = cube().face_indices + (cube().face_indices >= 3)
+    mesh = replace(cube(), positions=positions, face_indices=indices)
+    assert kinds(mesh) == ["isolated vertices"]
+    assert elements(mesh, "isolated vertices") == (3,)
+
+
+def beside(a: ControlMesh, b: ControlMesh) -> ControlMesh:
+    shifted = [[v + a.n_vertices for v in face] for face in faces_of(b)]
+    return ControlMesh.from_faces(np.concatenate([a.positions, b.positions]), [*faces_of(a), *shifted])
+
+
+def test_several_components_are_counted_and_copies_recognised() -> None:
+    apart = beside(cube(), tetrahedron())
+    assert kinds(apart) == ["several components"]
+    assert elements(apart, "several components") == (0, 6)
+    assert check_mesh(apart).component_sizes == (6, 4)
+    assert "copy" not in str(check_mesh(apart).problems[0])
+    assert "is a copy of another" in str(check_mesh(beside(cube(), cube())).problems[0])
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_positions_that_are_not_numbers_are_named(value: float) -> None:
+    mesh = torus()
+    positions = mesh.positions.copy()
+    positions[[4, 9], 1] = value
+    assert elements(mesh.with_positions(positions), "positions that are not numbers") == (4, 9)
+
+
+def test_meshes_without_extent_area_or_volume_are_refused() -> None:
+    mesh = torus()
+    assert kinds(mesh.with_positions(np.ones_like(mesh.positions))) == ["no size"]
+    line = mesh.positions * [1.0, 0, 0] @ np.array([[1.0, 2, 3], [0, 0, 0], [0, 0, 0]]) + 0.7
+    assert kinds(mesh.with_positions(line)) == ["no area"]
+    tilt = np.array([[1.0, 0.3, 0.2], [0.1, 1.0, 0.7], [0, 0, 0]])
+    assert kinds(bipyramid(5).with_positions(bipyramid(5).positions @ tilt)) == ["no volume"]
+    assert kinds(mesh.with_positions(1e200 * mesh.positions)) == ["size"]
+    assert kinds(mesh.with_positions(1e-200 * mesh.positions)) == ["size"]
+    # A flat sheet is a surface like any other.
+    require_valid(grid().with_positions(grid().positions @ tilt))
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_faces_without_area_are_named_and_thin_ones_accepted(scale: float) -> None:
+    mesh = bipyramid(6)
+    face = faces_of(mesh)[0]
+    positions = mesh.positions.copy()
+    positions[face[0]] = 0.3 * positions[face[1]] + 0.7 * positions[face[2]]  # on one line, up to rounding
+    flat = mesh.with_positions(scale * (positions + np.array([0.1, 0.2, 0.3])))
+    assert 0 in elements(flat, "faces without area")
+    # The smallest quads of the soma18056 cages hold 2e-9 of the area; ten times less must pass.
+    small = grid(5, 5)
+    positions = small.positions.copy()
+    inner = np.array(faces_of(small)[12])
+    centre = positions[inner].mean(axis=0)
+    positions[inner] = centre + 1e-5 * np.ptp(positions, axis=0).max() * (positions[inner] - centre)
+    require_valid(small.with_positions(scale * positions))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"positions": np.zeros((8, 2))}, r"shape \(n, 3\)"),
+        ({"positions": np.zeros((8, 3), dtype=np.float32)}, "float64"),
+        ({"face_offsets": np.array([0, 4, 4, 8, 12, 16, 24])}, "corners on every face.*faces: 1"),
+        ({"face_offsets": np.array([0, 4, 8])}, "from 0 to 24"),
+        ({"face_offsets": np.array([0]), "face_indices": np.zeros(0, dtype=np.int64)}, "at least one face"),
+        ({"face_indices": np.arange(24)}, r"numbers from 0 to 7.*faces: 2, 3, 4, 5"),
+        ({"face_indices": np.zeros(24)}, "integer arrays"),
+        ({"uvs": np.zeros((4, 2))}, "or neither"),
+        ({"uvs": np.zeros((4, 2)), "uv_indices": np.zeros(23, dtype=np.int64)}, "one UV index per corner"),
+        ({"uvs": np.zeros((4, 2)), "uv_indices": np.arange(24) // 4}, "UV indices from 0 to 3.*faces: 4, 5"),
+        ({"uvs": np.full((4, 2), np.nan), "uv_indices": np.arange(24) % 4}, "finite texture"),
+        ({"face_materials": np.zeros(5, dtype=np.int64), "material_names": ("a",)}, "material per face"),
+        ({"face_materials": np.arange(6), "material_names": ("a", "b")}, "numbers from 0 to 1.*faces: 2, 3, 4, 5"),
+        ({"material_colors": np.zeros((2, 3))}, "material_colors"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused(change: dict[str, object], message: str) -> None:
+    mesh = replace(cube(), **change)  # type: ignore[arg-type]
+    with pytest.raises(InvalidMeshError, match=message):
+        require_valid(mesh)
+    assert str(check_mesh(mesh))
+
+
+# --- the slow twin -------------------------------------------------------------------------------------------------
+
+
+def slow_edges(faces: list[list[int]]) -> dict[tuple[int, int], list[tuple[int, bool]]]:
+    """Faces at every edge, and whether each runs from the lower to the higher vertex."""
+    edges: dict[tuple[int, int], list[tuple[int, bool]]] = defaultdict(list)
+    for f, face in enumerate(faces):
+        for a, b in pairwise([*face, face[0]]):
+            edges[min(a, b), max(a, b)].append((f, a < b))
+    return edges
+
+
+def slow_groups(count: int, links: list[tuple[int, int]]) -> list[int]:
+    group = list(range(count))
+    for a, b in links * count:  # enough rounds for any chain
+        group[a] = group[b] = min(group[a], group[b])
+    return group
+
+
+def slow_fans(faces: list[list[int]]) -> dict[int, int]:
+    """Number of fans at every vertex."""
+    edges = slow_edges(faces)
+    fans = {}
+    for vertex in {v for face in faces for v in face}:
+        around = [f for f, face in enumerate(faces) if vertex in face]
+        links = [
+            (around.index(f), around.index(g))
+            for edge, at in edges.items()
+            if vertex in edge
+            for f, _ in at
+            for g, _ in at
+        ]
+        fans[vertex] = len(set(slow_groups(len(around), links)))
+    return fans
+
+
+def slow_turned(faces: list[list[int]]) -> set[int] | None:
+    """Smallest set of faces to turn, by trying all; None if there is none."""
+    pairs = [at for at in slow_edges(faces).values() if len(at) == 2]
+    best = None
+    for choice in range(2 ** len(faces)):
+        turned = {f for f in range(len(faces)) if choice >> f & 1}
+        if all((a in turned) ^ x ^ (b in turned) ^ y for (a, x), (b, y) in pairs) and (
+            best is None or len(turned) < len(best)
+        ):
+            best = turned
+    return best
+
+
+@st.composite
+def soups(draw: st.DrawFn) -> ControlMesh:
+    """A few polygons on few vertices, or some faces of a shape with some turned: often not manifold."""
+    if draw(st.booleans()):
+        corners = st.lists(st.integers(0, 6), min_size=3, max_size=4, unique=True)
+        faces = draw(st.lists(corners, min_size=1, max_size=7))
+    else:
+        shape = faces_of(draw(st.sampled_from([cube(), bipyramid(4), grid(3, 3), torus(3, 3)])))
+        faces = draw(st.lists(st.sampled_from(shape), min_size=1, max_size=8, unique_by=tuple))
+        faces = [face[::-1] if draw(st.integers(0, 3)) == 0 else face for face in faces]
+    positions = np.random.default_rng(len(faces)).random((20, 3))
+    return ControlMesh.from_faces(positions, faces)
+
+
+@settings(deadline=None, max_examples=120)
+@given(mesh=soups())
+def test_connectivity_agrees_with_the_slow_twin(mesh: ControlMesh) -> None:
+    copies = duplicate_faces(mesh)
+    everything = faces_of(mesh)
+    assert copies.tolist() == [
+        i for i, face in enumerate(everything) if any(set(face) == set(other) for other in everything[:i])
+    ]
+    mesh = keep_faces(mesh, np.delete(np.arange(mesh.n_faces), copies))
+    faces = faces_of(mesh)
+    edges, table = slow_edges(faces), edge_table(mesh)
+    assert {(a, b): n for (a, b), n in zip(table.vertices.tolist(), table.face_counts.tolist(), strict=True)} == {
+        edge: len(at) for edge, at in edges.items()
+    }
+    for corner, (a, b) in enumerate(zip(mesh.face_indices, mesh.face_indices[mesh.next_corners], strict=True)):
+        assert table.vertices[table.corner_edges[corner]].tolist() == sorted([a, b])
+
+    fans = corner_fans(mesh, table)
+    found = {(int(v), int(f)) for v, f in zip(mesh.face_indices, fans, strict=True)}
+    expected_fans = slow_fans(faces)
+    assert {v: sum(v == w for w, _ in found) for v in expected_fans} == expected_fans
+
+    orientation = face_orientation(mesh, table)
+    expected = slow_turned(faces)
+    assert orientation.orientable == (expected is not None)
+    if expected is not None:
+        turned = set(np.flatnonzero(orientation.flipped).tolist())
+        assert len(turned) == len(expected)
+        pairs = [at for at in edges.values() if len(at) == 2]
+        assert all((a in turned) ^ x ^ (b in turned) ^ y for (a, x), (b, y) in pairs)
+
+    touching = [(i, j) for i, f in enumerate(faces) for j, g in enumerate(faces) if set(f) & set(g)]
+    groups = slow_groups(len(faces), touching)
+    labels = face_components(mesh).tolist()
+    assert [labels.index(label) for label in labels] == [groups.index(group) for group in groups]
+
+    loops = boundary_loops(mesh, table, fans)
+    rims = {edge for edge, at in edges.items() if len(at) == 1}
+    if loops is not None:
+        steps = [step for loop in loops for step in zip(loop.tolist(), np.roll(loop, -1).tolist(), strict=True)]
+        assert sorted(tuple(sorted(step)) for step in steps) == sorted(rims)
+        for a, b in steps:  # along the faces' own half-edges
+            assert edges[min(a, b), max(a, b)][0][1] == (a < b)
+    else:
+        assert any(len(at) > 2 for at in edges.values()) or any(
+            len(at) == 2 and at[0][1] == at[1][1] for at in edges.values()
+        )
+
+    bad = [
+        kind
+        for kind in ("non-manifold edges", "non-manifold vertices", "inconsistent orientation")
+        if kind in kinds(mesh)
+    ]
+    assert ("non-manifold edges" in bad) == any(len(at) > 2 for at in edges.values())
+    assert ("non-manifold vertices" in bad) == any(n > 1 for n in expected_fans.values())
+    assert ("inconsistent orientation" in bad) == bool(expected)
+
+
+def test_uv_islands_are_cut_by_seams() -> None:
+    mesh = cube()
+    apart = mesh.with_uvs(np.zeros((24, 2)), np.arange(24))
+    labels = uv_islands(apart)
+    assert labels is not None
+    assert labels.tolist() == [0, 1, 2, 3, 4, 5]
+    assert check_mesh(mesh.with_uvs(np.zeros((8, 2)), mesh.face_indices)).uv_islands == 1
+    assert uv_islands(mesh) is None
+
+
+def test_measures_of_known_shapes() -> None:
+    mesh = cube()  # [-1, 1]^3
+    np.testing.assert_allclose(face_areas(mesh), 4.0, rtol=1e-15)
+    np.testing.assert_allclose(face_extents(mesh), 2.0, rtol=1e-15)
+    moved = mesh.with_positions(mesh.positions + np.array([7.0, 0, 0]))
+    np.testing.assert_allclose(signed_volume(moved), 8.0, rtol=1e-13)  # cancellation of terms ~ 7^3
+    np.testing.assert_allclose(signed_volume(flip(moved, np.arange(6))), -8.0, rtol=1e-13)
+    mixed = ControlMesh.from_faces(np.zeros((6, 3)), [(0, 1), (0, 1, 2, 3, 4), (5, 4, 3)])
+    triangles, faces = fan_triangles(mixed)
+    assert triangles.tolist() == [[0, 1, 2], [0, 2, 3], [0, 3, 4], [5, 4, 3]]
+    assert faces.tolist() == [1, 1, 1, 2]
+
+
+def test_every_vertex_list_is_plain_python() -> None:
+    report = check_mesh(keep_faces(cube(), np.arange(5)))
+    assert isinstance(report, MeshReport)
+    assert report.boundary_loops is not None
+    assert all(type(v) is int for loop in report.boundary_loops for v in loop)
+    assert report == check_mesh(keep_faces(cube(), np.arange(5)))  # a value: equal if the contents are
