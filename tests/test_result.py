@@ -10,7 +10,17 @@ import numpy as np
 import pytest
 
 from cagemap.errors import FormatError
-from cagemap.files.result import ARRAYS, MANIFEST, Result, Side, file_hash, mesh_hash, read_result, write_result
+from cagemap.files.result import (
+    ARRAYS,
+    MANIFEST,
+    Result,
+    Side,
+    file_hash,
+    mesh_hash,
+    note_transfer,
+    read_result,
+    write_result,
+)
 from cagemap.mesh import ControlMesh, cube, icosahedron
 from cagemap.refinement import CatmullClark, Loop, refine, triangles
 
@@ -102,6 +112,20 @@ def test_manifest_is_plain_json_with_versions_and_figures(folder: Path) -> None:
     assert {"cagemap", "python", "numpy"} <= set(manifest["versions"])
     assert manifest["target"]["scheme"] == {"name": "catmull-clark", "boundary": "edge_only"}
     assert manifest["source"]["vertices"] == 42
+
+
+def test_transfers_are_noted_once_per_output(result: Result, folder: Path) -> None:
+    for source in ("old.png", "new.png"):
+        note_transfer(folder, {"kind": "texture", "image": source, "output": "baked.png"})
+    note_transfer(folder, {"kind": "texture", "image": "new.png", "output": "other.png"})
+    back = read_result(folder)
+    assert [(t["image"], t["output"]) for t in back.manifest["transfers"]] == [
+        ("new.png", "baked.png"),
+        ("new.png", "other.png"),
+    ]
+    np.testing.assert_array_equal(back.triangle, result.triangle)
+    write_result(folder, result)
+    assert "transfers" not in read_result(folder).manifest
 
 
 def test_image_is_on_the_source(result: Result) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 
 from cagemap import __version__
 from cagemap.errors import FormatError
-from cagemap.files.atomic import atomic_folder
+from cagemap.files.atomic import atomic_folder, atomic_path
 from cagemap.mesh import ControlMesh, FloatArray, IndexArray
 from cagemap.refinement import CatmullClark, Loop, Refinement, Scheme, refine, triangles
 
@@ -201,11 +201,32 @@ def write_result(folder: str | Path, result: Result) -> None:
         arrays |= {f"{prefix}_{name}": getattr(side, name) for name in _SIDE_ARRAYS}
         control = {f"{prefix}_control_{name}": getattr(side.control, name) for name in _CONTROL_ARRAYS}
         arrays |= {name: array for name, array in control.items() if array is not None}
-    text = json.dumps(_plain(_manifest(result)), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    text = _to_json(_manifest(result))
     with atomic_folder(folder, MANIFEST) as temporary:
         np.savez(temporary / ARRAYS, allow_pickle=False, **arrays)
         # The manifest comes last: a folder with one is complete, whoever copies it.
         (temporary / MANIFEST).write_text(text, encoding="utf-8")
+
+
+def note_transfer(folder: str | Path, entry: dict[str, Any]) -> None:
+    """Add to a result's manifest what was baked from it, so that a report can show it; the same output replaces.
+
+    Parameters
+    ----------
+    entry : dict
+        With "kind", "output" (path of the image) and what it was made of.
+
+    Raises
+    ------
+    FormatError
+        If the folder is not a result or cannot be written.
+    """
+    root = Path(folder)
+    manifest = _read_manifest(root)
+    kept = [other for other in manifest.get("transfers", []) if other.get("output") != entry.get("output")]
+    manifest["transfers"] = [*kept, _plain(entry)]
+    with atomic_path(root / MANIFEST) as temporary:
+        temporary.write_text(_to_json(manifest), encoding="utf-8")
 
 
 def read_result(folder: str | Path) -> Result:
@@ -273,6 +294,10 @@ def _library_versions() -> dict[str, str]:
         except metadata.PackageNotFoundError:
             continue
     return versions
+
+
+def _to_json(manifest: dict[str, Any]) -> str:
+    return json.dumps(_plain(manifest), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _plain(value: Any) -> Any:

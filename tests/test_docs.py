@@ -1,0 +1,90 @@
+"""What the docs promise exists."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PAPER_MAP = (ROOT / "docs" / "paper_map.md").read_text(encoding="utf-8")
+
+
+def paper_map_rows() -> list[list[str]]:
+    rows = [line.strip("| ").split(" | ") for line in PAPER_MAP.splitlines() if line.startswith("| ")]
+    return [row for row in rows[1:] if not set(row[0]) <= {"-", " "}]
+
+
+def find(path: str) -> object:
+    """Import the longest prefix that is a module, then take attributes."""
+    parts = path.split(".")
+    for cut in range(len(parts), 0, -1):
+        try:
+            found: object = importlib.import_module(".".join(parts[:cut]))
+        except ModuleNotFoundError:
+            continue
+        for name in parts[cut:]:
+            found = getattr(found, name)
+        return found
+    raise ModuleNotFoundError(path)
+
+
+@pytest.mark.parametrize("row", paper_map_rows(), ids=lambda row: row[0])
+def test_paper_map_links_exist(row: list[str]) -> None:
+    assert len(row) == 4, f"expected four cells: {row}"
+    functions, tests = (re.findall(r"`([^`]+)`", cell) for cell in row[2:])
+    assert functions
+    assert tests
+    for function in functions:
+        assert find(function) is not None
+    for test in tests:
+        file, _, name = test.partition("::")
+        text = (ROOT / file).read_text(encoding="utf-8")
+        assert not name or re.search(rf"^def {name}\(", text, re.MULTILINE), f"{test} does not exist"
+
+
+def test_paper_map_covers_every_equation_lemma_and_definition() -> None:
+    numbers: set[int] = set()
+    named: set[str] = set()
+    for row in paper_map_rows():
+        for first, last in re.findall(r"eqs?\. (\d+)(?:-(\d+))?", row[0]):
+            numbers |= set(range(int(first), int(last or first) + 1))
+        named |= set(re.findall(r"Lemma \d|Definition \d", row[0]))
+    assert numbers == set(range(1, 17))
+    assert named == {f"Lemma {i}" for i in range(1, 6)} | {f"Definition {i}" for i in range(1, 4)}
+
+
+def documents() -> list[Path]:
+    return [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+@pytest.mark.parametrize("document", documents(), ids=lambda path: path.name)
+def test_links_between_documents_resolve(document: Path) -> None:
+    text = document.read_text(encoding="utf-8")
+    for link in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", text):
+        if "://" not in link:
+            assert (document.parent / link).exists(), f"{document.name} links to {link}"
+
+
+@pytest.mark.parametrize("document", documents(), ids=lambda path: path.name)
+def test_every_command_option_is_documented_and_exists(document: Path) -> None:
+    from typer.main import get_command
+
+    from cagemap.cli import app
+
+    options = {"--help", "--version"}
+    names = set()
+    for name, command in get_command(app).commands.items():  # type: ignore[attr-defined]
+        names.add(name)
+        for parameter in command.params:
+            options |= {*parameter.opts, *parameter.secondary_opts}
+    text = document.read_text(encoding="utf-8")
+    for command in re.findall(r"cagemap ([a-z]+) (?:-|RESULT|MESH|[A-Z\[])", text):
+        assert command in names, f"{document.name} names `cagemap {command}`"
+    if document.name == "cli.md":
+        missing = {option for option in options if option.startswith("--") and option not in text}
+        assert missing <= {"--symmetry", "--version"}, missing
+        written = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", text))
+        assert written <= options, written - options
