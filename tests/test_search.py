@@ -21,7 +21,7 @@ from cagemap.point_map.search import (
     nearest_rows,
     strongest_parents,
 )
-from cagemap.point_map.upsample import Samples, fit_functional_map, growth, upsample
+from cagemap.point_map.upsample import Samples, fit_functional_map, growth, spread, upsample
 from cagemap.refinement import refine, triangles
 
 RNG = np.random.default_rng(271)
@@ -140,6 +140,14 @@ def test_growth_reaches_the_end_in_small_steps():
     assert ratios.max() < 1.3
     assert ratios.min() > 1.0
     assert growth(30, 20) == [20]
+
+
+def test_samples_spread_by_area():
+    """Equal steps of area: half the samples on the half of the area, however many vertices it has."""
+    areas = np.concatenate([np.full(9000, 1.0), np.full(1000, 9.0)])
+    chosen = spread(areas, 500)
+    assert abs(np.sum(chosen < 9000) - 250) <= 1
+    np.testing.assert_array_equal(spread(areas, 20_000), np.arange(10_000))
 
 
 def test_upsampling_repairs_a_rough_match():

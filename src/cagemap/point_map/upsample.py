@@ -14,6 +14,9 @@ from scipy import linalg
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.search import Embedding, nearest_rows
 
+# Target samples that fit C while k grows: some ten rows for each of the 300 unknowns of a column.
+FIT_SAMPLES = 3000
+
 
 @dataclass(frozen=True)
 class Samples:
@@ -65,6 +68,19 @@ def fit_functional_map(target: Samples, source_rows: FloatArray, k1: int) -> Flo
     return np.asarray(linalg.solve(gram, weighted.T @ source_rows, assume_a="pos"))
 
 
+def spread(areas: FloatArray, count: int) -> IndexArray:
+    """Choose samples at equal steps of accumulated area; all of them if there are no more than `count`.
+
+    Vertices of a refined mesh are stored in a spatially coherent order within each of their kinds, so equal steps spread over the
+    surface.
+    """
+    if len(areas) <= count:
+        return np.arange(len(areas))
+    cumulative = np.cumsum(areas)
+    steps = (np.arange(count) + 0.5) * cumulative[-1] / count
+    return np.unique(np.searchsorted(cumulative, steps))
+
+
 def embed_target(samples: Samples, k: int) -> Embedding:
     """Target embedding: Phi~1(x, :) beside the extra coordinates."""
     return np.hstack([samples.rows[:, :k], np.sqrt(k) * samples.coordinates]).astype(np.float32)
@@ -93,9 +109,15 @@ def upsample(target: Samples, source: Samples, match: IndexArray, sizes: list[in
     functional_map : (k, k) array, for the last k
     match : (b1,) array
     """
-    functional_map = np.eye(1)
+    whole = target
+    chosen = spread(target.areas, FIT_SAMPLES)
+    target = Samples(target.rows[chosen], target.areas[chosen], target.coordinates[chosen])
+    match, functional_map = match[chosen], np.eye(1)
     for k in sizes:
         k1, k2 = min(k, target.rows.shape[1]), min(k, source.rows.shape[1])
         functional_map = fit_functional_map(target, source.rows[match, :k2], k1)
         match = nearest_rows(embed_target(target, k1), embed_source(source, functional_map))
+    k1, k2 = functional_map.shape
+    functional_map = fit_functional_map(target, source.rows[match, :k2], k1)
+    match = nearest_rows(embed_target(whole, k1), embed_source(source, functional_map))
     return functional_map, match
