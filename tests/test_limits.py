@@ -8,6 +8,7 @@ import pytest
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh, bipyramid, creature, cube, disk, grid, icosahedron, poles, pyramid, triangulated
 from cagemap.refinement import CatmullClark, Loop, limit_matrix, limit_normals, limit_positions, refine, triangles
+from cagemap.refinement.limit import limit_tangents
 
 SHAPES = [
     cube(),
@@ -148,6 +149,7 @@ def test_normal_at_interior_valence_2_is_that_of_the_ring() -> None:
     mesh = ControlMesh.from_faces(positions, [(0, 3, 2, 1), (0, 1, 2, 4)])
     ring = mesh.positions[[0, 3, 2, 4]]
     expected = np.cross(ring[2] - ring[0], ring[3] - ring[1])
+    assert all(np.linalg.norm(tangent[1]) > 1 for tangent in limit_tangents(refine(mesh, 0), 0))
     normal = limit_normals(refine(mesh, 0), 0)[1]
     np.testing.assert_allclose(normal, expected / np.linalg.norm(expected), atol=1e-14)
 
