@@ -229,9 +229,9 @@ def _legs(model: Modeller, plan: Blueprint, spine: list[list[int]]) -> dict[str,
             part = f"leg_{place}_{side}"
             loops = model.limb(here, (rings * [sign, 1, 1])[:, flip], channels[:, flip], part)
             model.rename(n, f"sole_{place}_{side}")
-            _sole(model, plan, loops[-1], f"sole_{place}_{side}")
             toe = outer if side == "L" else n - 1 - outer
             inner = (toe + n // 2) % n
+            _sole(model, plan, [*loops[-1][toe:], *loops[-1][:toe]], f"sole_{place}_{side}")
             model.seam([here[inner], *(following[inner] for following in loops[:-1])])
             landmarks[f"{joint[0]}_{side}"] = loops[joint[1]][toe]
             landmarks[f"hoof_{place}_{side}"] = loops[-2][toe]
@@ -239,7 +239,7 @@ def _legs(model: Modeller, plan: Blueprint, spine: list[list[int]]) -> dict[str,
 
 
 def _sole(model: Modeller, plan: Blueprint, loop: list[int], part: str) -> None:
-    """Close a leg: one polygon, or two quads."""
+    """Close a leg by one polygon, or by two quads that meet on the line from the loop's first vertex across."""
     if plan.polygon_soles:
         model.face(loop, part)
         return

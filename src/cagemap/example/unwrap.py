@@ -12,6 +12,8 @@ from scipy.sparse.linalg import splu
 from cagemap.mesh import ControlMesh, FloatArray, IndexArray
 
 ARAP_ITERATIONS = 30
+STEPS = 8
+"""Samples along a control edge when packing: closer than the columns are wide."""
 
 
 def unwrap(mesh: ControlMesh, islands: Sequence[str], seams: IndexArray, *, padding: float) -> ControlMesh:
@@ -195,11 +197,11 @@ def _quarter_turns(flat: FloatArray, turns: int) -> FloatArray:
 
 
 def _spread(points: FloatArray, triangles: IndexArray) -> FloatArray:
-    """Points spread evenly over triangles, borders included, for marking the cells that an island covers."""
-    i, j = np.divmod(np.arange(17 * 17), 17)
-    inside = i + j <= 16
-    weights = np.stack([i, j, 16 - i - j], axis=1)[inside] / 16
-    return np.einsum("sk,tkd->tsd", weights, points[triangles]).reshape(-1, 2)
+    """(s, 2) points spread evenly over triangles, borders included, for marking the columns that an island covers."""
+    i, j = np.divmod(np.arange((STEPS + 1) ** 2), STEPS + 1)
+    inside = i + j <= STEPS
+    weights = np.stack([i, j, STEPS - i - j], axis=1)[inside] / STEPS
+    return np.asarray(weights @ points[triangles]).reshape(-1, 2)
 
 
 def _tetris(samples: Sequence[Sequence[FloatArray]], padding: float) -> list[tuple[int, FloatArray]] | None:
