@@ -14,6 +14,7 @@ import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
 from cagemap.errors import ParameterError
 from cagemap.mesh import FloatArray, IndexArray
@@ -24,7 +25,8 @@ from cagemap.point_map.surface_points import vertex_normals
 Image = NDArray[np.uint8]
 _CLAY = np.array([0.80, 0.78, 0.75])
 _WHITE = np.ones(3)
-_SKY_DIRECTIONS = 10  # of each subpixel; the sky a pixel sees has samples**2 times as many
+FLOOR_REACH, FLOOR_CELLS, FLOOR_SKIES = 0.9, 141, 10  # of the model's size; grid points a side; sky samples
+_SKY_DIRECTIONS = 6  # of each subpixel; the sky a pixel sees has samples**2 times as many
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,20 @@ class Model:
     def normals(self) -> FloatArray:
         """(n, 3) unit vertex normals, face normals weighted by area."""
         return vertex_normals(self.positions, self.triangles)
+
+    @cached_property
+    def floor_shadow(self) -> FloatArray:
+        """(cells, cells) part of the sky hidden from points of the floor, over x and z around the centre; 0 outside."""
+        reach = np.linspace(-FLOOR_REACH, FLOOR_REACH, FLOOR_CELLS)
+        x, z = np.meshgrid(reach, reach, indexing="ij")
+        points = np.stack([x.ravel(), np.zeros(x.size), z.ravel()], axis=1) * self.scale
+        points += [self.centre[0], float(self.positions[:, 1].min()), self.centre[2]]
+        up = np.tile([0.0, 1.0, 0.0], (len(points), 1))
+        sky = np.concatenate([_sky(index) for index in range(FLOOR_SKIES)])
+        height = np.maximum(sky[:, 1], 0.0)
+        unhidden = float(np.sum(height * (0.62 + 0.38 * height)) / np.sum(height))
+        shadow = np.clip(1.0 - _openness(self, points, up, sky) / unhidden, 0.0, 1.0).reshape(x.shape)
+        return shadow * np.clip((FLOOR_REACH - np.hypot(x, z)) / 0.3, 0.0, 1.0)
 
 
 def render(
@@ -185,7 +201,7 @@ def _radiance(
     normals *= np.where(np.einsum("rd,rd->r", normals, directions[struck]) > 0, -1.0, 1.0)[:, None]
     radiance[struck] = _colors(skin, model, triangle, corner) * _light(model, camera, points, normals, index)
     if floor:
-        _shade_floor(model, camera, directions, hits["primID"] < 0, index, radiance)
+        _shade_floor(model, camera, directions, hits["primID"] < 0, radiance)
     return radiance
 
 
@@ -252,12 +268,7 @@ def _light(model: Model, camera: Camera, points: FloatArray, normals: FloatArray
 
 
 def _shade_floor(
-    model: Model,
-    camera: Camera,
-    directions: FloatArray,
-    free: NDArray[np.bool_],
-    index: int,
-    radiance: FloatArray,
+    model: Model, camera: Camera, directions: FloatArray, free: NDArray[np.bool_], radiance: FloatArray
 ) -> None:
     """Darken, in place, the background where the floor under the surface sees less sky."""
     ground = float(model.positions[:, 1].min())
@@ -265,12 +276,9 @@ def _shade_floor(
         return
     below = np.flatnonzero(free & (directions[:, 1] < -1e-6))
     distance = (ground - camera.eye[1]) / directions[below, 1]
-    points = camera.eye + directions[below] * distance[:, None]
-    reach = np.linalg.norm((points - model.centre)[:, [0, 2]], axis=1) / model.scale
-    near = reach < 0.9
-    below, points, reach = below[near], points[near], reach[near]
-    up = np.tile([0.0, 1.0, 0.0], (len(points), 1))
-    open_sky = _openness(model, points, up, _sky(index))
-    flat = 0.62 + 0.38 * float(np.sum(np.maximum(_sky(index)[:, 1], 0) ** 2) / np.sum(np.maximum(_sky(index)[:, 1], 0)))
-    shadow = np.clip(1.0 - open_sky / flat, 0.0, 1.0) * np.clip(0.9 - reach, 0.0, 0.3) / 0.3
-    radiance[below] *= (1.0 - 0.55 * shadow)[:, None]
+    points = camera.eye[[0, 2]] + directions[below][:, [0, 2]] * distance[:, None]
+    # Grid coordinates of `floor_shadow`, whose border is 0.
+    at = ((points - model.centre[[0, 2]]) / (2 * FLOOR_REACH * model.scale) + 0.5) * (FLOOR_CELLS - 1)
+    near = np.flatnonzero(((at > 0) & (at < FLOOR_CELLS - 1)).all(1))
+    shadow = map_coordinates(model.floor_shadow, at[near].T, order=1)
+    radiance[below[near]] *= (1.0 - 0.55 * shadow)[:, None]

@@ -38,6 +38,7 @@ Progress = Callable[[str], None]
 
 WIDTH, HEIGHT = 600, 460
 _LARGEST_TEXTURE = 2048  # a picture shows no more than this
+_PAPER = np.array([0.962, 0.966, 0.970])
 _UNKNOWN_COLOR = np.array([0.7, 0.7, 0.7])
 
 
@@ -214,7 +215,7 @@ def _figure(stage: _Stage, job: _Job, size: tuple[int, int]) -> Figure:
 
 def _draw(model: Model, skin: Skin, view: View, size: tuple[int, int], dots: FloatArray | None) -> Image:
     camera = frame(model.positions, view, aspect=size[0] / size[1])
-    image = render(model, skin, camera, width=size[0], height=size[1])
+    image = render(model, skin, camera, width=size[0], height=size[1], background=_PAPER)
     if dots is None:
         return image
     return draw_dots(image, model, camera, dots, distinct_colors(len(dots)), radius=5.0)

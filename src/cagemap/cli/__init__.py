@@ -1,0 +1,7 @@
+"""The command ``cagemap``: words in, calls of the library, words out."""
+
+from __future__ import annotations
+
+from cagemap.cli.app import app, main
+
+__all__ = ["app", "main"]

@@ -1,0 +1,288 @@
+"""Commands and their options; the work is in the modules beside this one, imported only when a command runs."""
+
+from __future__ import annotations
+
+import os
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cagemap import __version__
+from cagemap.errors import CagemapError
+
+app = typer.Typer(
+    name="cagemap",
+    help=(
+        "Dense maps between subdivision surfaces, from their control meshes and a few landmarks, "
+        "and textures carried across.\n\n"
+        "The target receives, the source gives: `cagemap match` finds for every point of the target its place on the "
+        "source, `cagemap transfer` fetches what is there. Try `cagemap demo` first."
+    ),
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+MeshFile = Annotated[Path, typer.Argument(help="Control mesh, .obj or .ply.", show_default=False)]
+ResultFolder = Annotated[Path, typer.Argument(help="Folder that `cagemap match` wrote.", show_default=False)]
+
+
+class Method(StrEnum):
+    """Matching methods."""
+
+    HFM = "hfm"
+
+
+def main() -> None:
+    """Run the command line; problems become one message and an exit code, never a traceback."""
+    try:
+        app()
+    except CagemapError as error:
+        _fail(str(error), 2)
+    except MemoryError:
+        _fail("not enough memory for surfaces of this size. Use a lower --level or fewer --vertices.", 2)
+    except OSError as error:
+        _fail(
+            f"{error.filename or 'file'}: {error.strerror or error}. Check the path and the space left on the disk.", 2
+        )
+    except Exception as error:
+        if os.environ.get("CAGEMAP_DEBUG"):
+            raise
+        _fail(
+            f"internal error, {type(error).__name__}: {error}. This is a fault of cagemap, please report it; "
+            "CAGEMAP_DEBUG=1 shows where it happened.",
+            70,
+        )
+
+
+def _fail(message: str, code: int) -> None:
+    sys.stderr.write(f"cagemap: error: {message}\n")
+    raise SystemExit(code)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"cagemap {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and stop.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def demo(
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write everything to.")] = Path(
+        "cagemap-demo"
+    ),
+) -> None:
+    """Run the built-in pair end to end and write DIR/report.html.
+
+    Two small creatures made for this purpose: the striped pony gives its texture to the deer. The folder also gets
+    the meshes, landmarks and texture, so that you can repeat every step by hand.
+    """
+    from cagemap.cli.demo import run_demo
+    from cagemap.cli.progress import Stages
+
+    with Stages() as stages:
+        report, by_hand = run_demo(output, stages)
+    typer.echo(f"The same by hand:\n{by_hand}\nOpen {report} in a browser.")
+
+
+@app.command()
+def check(
+    meshes: Annotated[
+        list[Path], typer.Argument(metavar="MESH...", help="Control meshes, .obj or .ply.", show_default=False)
+    ],
+) -> None:
+    """Tell whether control meshes can be used, and if not, what to mend and where.
+
+    A mesh must be manifold, consistently oriented and in one piece; boundaries are fine. Exit code 1 if any has a
+    problem.
+    """
+    from cagemap.cli.mesh_commands import check_files
+
+    text, sound = check_files(meshes)
+    typer.echo(text)
+    if not sound:
+        raise typer.Exit(1)
+
+
+@app.command()
+def refine(
+    mesh: MeshFile,
+    level: Annotated[
+        int, typer.Option("--level", "-l", min=0, help="Subdivision steps; each has about 4 times the faces.")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Mesh to write, .obj or .ply.")],
+) -> None:
+    """Subdivide a control mesh: Loop for triangle meshes, Catmull-Clark for all others.
+
+    Vertex i of the mesh stays vertex i. UVs and materials come along.
+    """
+    from cagemap.cli.mesh_commands import refine_file
+
+    typer.echo(refine_file(mesh, level, output))
+
+
+@app.command()
+def match(
+    target: Annotated[Path, typer.Option("--target", "-t", help="Control mesh that receives, .obj or .ply.")],
+    source: Annotated[Path, typer.Option("--source", "-s", help="Control mesh that gives, .obj or .ply.")],
+    landmarks: Annotated[Path, typer.Option("--landmarks", help="JSON file of corresponding control vertices.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="RESULT folder to write.")],
+    level: Annotated[
+        int | None, typer.Option("--level", min=1, help="Subdivision level of both surfaces.", show_default=False)
+    ] = None,
+    vertices: Annotated[
+        int | None,
+        typer.Option(
+            "--vertices",
+            min=1,
+            help="Instead of --level: about this many vertices each.  [default: 200000]",
+            show_default=False,
+        ),
+    ] = None,
+    k: Annotated[int, typer.Option("-k", min=3, help="Basis functions of each surface.")] = 300,
+    tolerance: Annotated[
+        float, typer.Option("--tolerance", help="Relative error allowed in eigenvalues; sets the level of each band.")
+    ] = 0.01,
+    schedule: Annotated[
+        str | None,
+        typer.Option(
+            "--schedule",
+            help="Basis functions per level, such as 100,50,50,50 (the paper's); replaces -k and --tolerance.",
+            show_default=False,
+        ),
+    ] = None,
+    method: Annotated[Method, typer.Option("--method", help="hfm: hierarchical functional map.")] = Method.HFM,
+    symmetry: Annotated[
+        bool, typer.Option("--symmetry/--no-symmetry", help="Use mirror symmetry where both meshes have it.")
+    ] = True,
+) -> None:
+    """Find for every point of the target its place on the source.
+
+    Writes a folder with manifest.json (what was done, how long it took, how good the map is) and map.npz (the map
+    itself). Six to thirty landmarks, spread over the whole surface, are a good number; tips of limbs, nose and tail
+    first.
+    """
+    from cagemap.cli.match import MatchRequest, run_match
+    from cagemap.cli.progress import Stages
+
+    request = MatchRequest(
+        target=target,
+        source=source,
+        landmarks=landmarks,
+        output=output,
+        level=level,
+        vertices=vertices,
+        k=k,
+        tolerance=tolerance,
+        schedule=schedule,
+        method=method.value,
+        symmetry=symmetry,
+    )
+    with Stages() as stages:
+        summary, warnings = run_match(request, stages)
+    _warn(warnings)
+    typer.echo(summary)
+
+
+@app.command()
+def transfer(
+    result: ResultFolder,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Image (or mesh, .npz) to write.")],
+    texture: Annotated[
+        Path | None, typer.Option("--texture", help="Source texture: colour, roughness, any image.", show_default=False)
+    ] = None,
+    displacement: Annotated[
+        Path | None, typer.Option("--displacement", help="Source displacement along the normal.", show_default=False)
+    ] = None,
+    attribute: Annotated[
+        Path | None,
+        typer.Option(
+            "--attribute", help="Values of the source's control vertices or faces, .npy or .npz.", show_default=False
+        ),
+    ] = None,
+    material_colors: Annotated[
+        bool, typer.Option("--material-colors", help="Bake the source's material colours.")
+    ] = False,
+    size: Annotated[
+        int | None,
+        typer.Option(
+            "--size",
+            min=1,
+            help="Width and height in texels.  [default: the source image's, or 2048]",
+            show_default=False,
+        ),
+    ] = None,
+    bits: Annotated[
+        int | None,
+        typer.Option(
+            "--bits", help="8, 16 or 32 (float) a channel.  [default: as the source image]", show_default=False
+        ),
+    ] = None,
+    unwrap: Annotated[
+        bool, typer.Option("--unwrap", help="Give a target without UVs a layout, and write the mesh beside the image.")
+    ] = False,
+) -> None:
+    """Carry something from source to target: one of --texture, --displacement, --attribute, --material-colors.
+
+    Images are baked into the target's own UV layout, texel by texel, across the source's seams.
+    """
+    from cagemap.cli.progress import Stages
+    from cagemap.cli.transfer import TransferRequest, run_transfer
+
+    request = TransferRequest(
+        result=result,
+        output=output,
+        texture=texture,
+        displacement=displacement,
+        attribute=attribute,
+        material_colors=material_colors,
+        size=size,
+        bits=bits,
+        unwrap=unwrap,
+    )
+    with Stages() as stages:
+        summary, warnings = run_transfer(request, stages)
+    _warn(warnings)
+    typer.echo(summary)
+
+
+@app.command()
+def report(
+    result: ResultFolder,
+    output: Annotated[Path, typer.Option("-o", "--output", help="HTML file to write.")] = Path("report.html"),
+    texture: Annotated[
+        Path | None,
+        typer.Option(
+            "--texture", help="Source texture to show.  [default: that of the last transfer]", show_default=False
+        ),
+    ] = None,
+) -> None:
+    """Write one HTML page: both surfaces in the same views, the map as colours, quality in plain words.
+
+    The page needs nothing beside it: mail it, print it.
+    """
+    from cagemap.cli.progress import Stages
+    from cagemap.cli.report import run_report
+
+    with Stages() as stages:
+        run_report(result, output, texture, stages)
+    typer.echo(f"Open {output} in a browser.")
+
+
+def _warn(messages: list[str]) -> None:
+    for message in messages:
+        typer.echo(f"cagemap: warning: {message}", err=True)

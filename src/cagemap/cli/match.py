@@ -1,0 +1,159 @@
+"""`cagemap match`: files in, RESULT folder out."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from cagemap.basis import BasisConfig
+from cagemap.cli.mesh_commands import require_size
+from cagemap.cli.progress import Stages
+from cagemap.errors import ParameterError
+from cagemap.files.landmarks import read_landmarks
+from cagemap.files.meshes import read_mesh
+from cagemap.files.result import Result, file_hash, peak_memory, result_of, write_result
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.checks import require_valid
+from cagemap.mesh.landmarks import Landmarks, check_landmarks
+from cagemap.pipeline import MatchConfig, choose_level, match, prepare_surface
+
+DEFAULT_VERTICES = 200_000
+
+
+@dataclass(frozen=True)
+class MatchRequest:
+    """What the user asked for, as said on the command line."""
+
+    target: Path
+    source: Path
+    landmarks: Path
+    output: Path
+    level: int | None = None
+    vertices: int | None = None
+    k: int = 300
+    tolerance: float = 0.01
+    schedule: str | None = None
+    method: str = "hfm"
+    symmetry: bool = True
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What a match works on, read and checked."""
+
+    target: ControlMesh
+    source: ControlMesh
+    landmarks: Landmarks
+    notes: tuple[str, ...] = ()
+
+
+def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
+    """Match two mesh files and write the RESULT folder; returns a summary and warnings."""
+    if request.level is not None and request.vertices is not None:
+        raise ParameterError("--level and --vertices: expected one of them, got both. --vertices chooses the level.")
+    config = match_config(request)
+    started = time.perf_counter()
+    stages("read")
+    inputs = read_inputs(request)
+    files = {"target": request.target, "source": request.source, "landmarks": request.landmarks}
+    hashes = {name: {"file": path.name, "sha256": file_hash(path)} for name, path in files.items()}
+    parameters = {
+        "level": request.level,
+        "vertices": request.vertices or (None if request.level else DEFAULT_VERTICES),
+        "k": request.k,
+        "tolerance": request.tolerance,
+        "schedule": request.schedule,
+        "method": request.method,
+        "symmetry": request.symmetry,
+    }
+    result = match_meshes(
+        inputs,
+        config,
+        stages,
+        level=request.level,
+        vertices=request.vertices,
+        entries={"parameters": parameters, "inputs": hashes},
+    )
+    stages("write")
+    write_result(request.output, result)
+    return summary(result, request.output, time.perf_counter() - started), warnings(result)
+
+
+def match_config(request: MatchRequest) -> MatchConfig:
+    """Parameters of the library for what was asked on the command line."""
+    schedule = None if request.schedule is None else parse_schedule(request.schedule)
+    basis = BasisConfig(k=request.k, tolerance=request.tolerance, schedule=schedule)
+    return MatchConfig(method=request.method, basis=basis, use_symmetry=request.symmetry)
+
+
+def parse_schedule(text: str) -> tuple[int, ...]:
+    """Numbers of basis functions per level from text such as ``100,50,50,50``."""
+    try:
+        schedule = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        schedule = ()
+    if not schedule or min(schedule) < 0 or schedule[0] < 1:
+        raise ParameterError(
+            f"--schedule: expected numbers of basis functions for level 0, 1, ... such as 100,50,50,50, got {text!r}."
+        )
+    return schedule
+
+
+def read_inputs(request: MatchRequest) -> Inputs:
+    """Read both meshes and the landmarks, and check all of them before anything expensive begins."""
+    target, source = (replace(read_mesh(path), name=path.name) for path in (request.target, request.source))
+    landmarks, notes = read_landmarks(request.landmarks, request.target, request.source)
+    require_valid(target)
+    require_valid(source)
+    check_landmarks(landmarks, target, source)
+    return Inputs(target, source, landmarks, notes)
+
+
+def match_meshes(
+    inputs: Inputs,
+    config: MatchConfig,
+    stages: Stages,
+    *,
+    level: int | None = None,
+    vertices: int | None = None,
+    entries: dict[str, Any] | None = None,
+) -> Result:
+    """Prepare both surfaces, match them, and gather what is stored."""
+    levels = []
+    for control in (inputs.target, inputs.source):
+        levels.append(choose_level(control, vertices or DEFAULT_VERTICES) if level is None else level)
+        require_size(control, levels[-1])
+    target = prepare_surface(inputs.target, levels[0], config.basis, progress=stages)
+    source = prepare_surface(inputs.source, levels[1], config.basis, progress=stages)
+    found = match(target, source, inputs.landmarks, config, progress=stages)
+    stages("gather")
+    manifest = {
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        **(entries or {}),
+        "notes": list(inputs.notes),
+        "timings": dict(stages.timings),
+        "peak_memory_bytes": peak_memory(),
+    }
+    return result_of(found, manifest)
+
+
+def summary(result: Result, folder: Path, seconds: float) -> str:
+    """A few lines for the terminal."""
+    quality = result.manifest["quality"]
+    lines = [
+        f"{result.source.control.name} -> {result.target.control.name}: {len(result.target.vertices):,} target and "
+        f"{len(result.source.vertices):,} source vertices in {seconds:.1f} s",
+        f"  landmarks missed by {100 * quality['landmark_error_mean']:.2f} % of the model's size "
+        f"(worst {100 * quality['landmark_error_worst']:.2f} %), {100 * quality['flipped_area']:.2f} % folded, "
+        f"{100 * quality['coverage']:.1f} % of the source covered",
+        f"wrote {folder}; next: cagemap transfer {folder} --texture IMG -o OUT.png, or cagemap report {folder}",
+    ]
+    return "\n".join(lines)
+
+
+def warnings(result: Result) -> list[str]:
+    """Notes and warnings of a result."""
+    return [*result.manifest["notes"], *result.manifest["quality"]["warnings"]]

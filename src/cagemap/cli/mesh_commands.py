@@ -1,0 +1,79 @@
+"""`cagemap check` and `cagemap refine`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cagemap.errors import CagemapError, ParameterError
+from cagemap.files.meshes import check_mesh_path, read_mesh, write_mesh
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.checks import check_mesh, require_valid
+from cagemap.refinement import Refinement
+from cagemap.refinement import refine as refine_mesh
+
+MOST_VERTICES = 20_000_000
+
+
+def check_files(paths: Sequence[Path]) -> tuple[str, bool]:
+    """Text of a report per file, and whether all are sound; a file that cannot be read is a problem like others."""
+    parts, sound = [], True
+    for path in paths:
+        try:
+            report = check_mesh(read_mesh(path))
+        except CagemapError as error:
+            parts.append(f"{path}\n  cannot be read: {error}")
+            sound = False
+            continue
+        parts.append(str(report))
+        sound &= not report.problems
+    return "\n\n".join(parts), sound
+
+
+def refine_file(path: Path, level: int, output: Path) -> str:
+    """Refine a mesh file into another; returns the table of levels."""
+    check_mesh_path(output)
+    control = read_mesh(path)
+    require_valid(control)
+    require_size(control, level)
+    refinement = refine_mesh(control, level)
+    write_mesh(output, finest_as_mesh(refinement))
+    return f"{refinement}\nwrote {output}"
+
+
+def require_size(control: ControlMesh, level: int) -> None:
+    """Refuse levels that no machine holds, before memory runs out.
+
+    Raises
+    ------
+    ParameterError
+        If the finest level would have more than 20 million vertices.
+    """
+    # Every face corner of level 0 becomes 4^(level - 1) quads, and a quad mesh has about as many vertices as quads.
+    expected = len(control.face_indices) * 4.0 ** (level - 1) if level else control.n_vertices
+    if expected > MOST_VERTICES:
+        fits = max(0, int(np.floor(np.log(MOST_VERTICES / len(control.face_indices)) / np.log(4.0))) + 1)
+        raise ParameterError(
+            f"--level {level}: {control.name} would have about {expected:.2g} vertices, expected at most "
+            f"{MOST_VERTICES:,}. Use --level {fits} or less."
+        )
+
+
+def finest_as_mesh(refinement: Refinement) -> ControlMesh:
+    """Finest level as a mesh of its own, with UVs and materials."""
+    finest, control = refinement.finest, refinement.control
+    if finest.faces is None or refinement.n_levels == 0:
+        return control
+    sides = finest.faces.shape[1]
+    return replace(
+        control,
+        positions=finest.positions,
+        face_offsets=np.arange(0, finest.faces.size + 1, sides),
+        face_indices=finest.faces.ravel(),
+        uvs=finest.uvs,
+        uv_indices=None if finest.uv_indices is None else finest.uv_indices.ravel(),
+        face_materials=None if control.face_materials is None else control.face_materials[finest.face_parents],
+    )
