@@ -346,7 +346,7 @@ def soups(draw: st.DrawFn) -> ControlMesh:
     return ControlMesh.from_faces(positions, faces)
 
 
-@settings(deadline=None, max_examples=120)
+@settings(deadline=None, max_examples=60)
 @given(mesh=soups())
 def test_connectivity_agrees_with_the_slow_twin(mesh: ControlMesh) -> None:
     copies = duplicate_faces(mesh)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import tempfile
@@ -10,6 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from cagemap.errors import FormatError
+
+# A full disk and the like; any other error of a block is its own, perhaps about another file.
+_STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
 
 
 @contextmanager
@@ -26,13 +30,17 @@ def atomic_path(final: str | Path) -> Iterator[Path]:
     """
     target = Path(final)
     _require_parent(target)
-    if target.is_dir():
+    if os.path.isdir(target):
         raise FormatError(f"{target}: expected the name of a file to write, got a folder. Give a file name inside it.")
     temporary = _reserve(target)
     try:
         yield temporary
         _flush(temporary)
         os.replace(temporary, target)
+    except OSError as error:
+        if error.errno in _STORAGE:
+            raise _unwritable(target, error) from error
+        raise
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -71,6 +79,10 @@ def atomic_folder(final: str | Path, marker: str) -> Iterator[Path]:
                 _flush(path)
         _require_replaceable(target, marker)
         _swap(temporary, target)
+    except OSError as error:
+        if error.errno in _STORAGE:
+            raise _unwritable(target, error) from error
+        raise
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
@@ -93,14 +105,14 @@ def _swap(temporary: Path, target: Path) -> None:
 
 
 def _require_parent(target: Path) -> None:
-    if not target.parent.is_dir():
+    if not os.path.isdir(target.parent):
         raise FormatError(f"{target}: the folder {target.parent} does not exist. Create it, or give another output.")
 
 
 def _require_replaceable(target: Path, marker: str) -> None:
-    if not (target.exists() or target.is_symlink()):
+    if not os.path.lexists(target):
         return
-    if not target.is_dir():
+    if not os.path.isdir(target):
         raise FormatError(f"{target}: expected a folder to write the result to, got a file. Give another name.")
     if any(target.iterdir()) and not (target / marker).is_file():
         raise FormatError(
@@ -135,4 +147,6 @@ def _flush(path: Path) -> None:
 
 def _unwritable(target: Path, error: OSError) -> FormatError:
     reason = error.strerror or type(error).__name__
-    return FormatError(f"{target}: cannot write there ({reason}). Give an output folder that you may write to.")
+    return FormatError(
+        f"{target}: cannot write there ({reason}). Give an output folder with room that you may write to."
+    )

@@ -1,0 +1,114 @@
+"""Files and folders are written whole or not at all, and nothing of a failure stays behind."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import stat
+from pathlib import Path
+
+import pytest
+
+from cagemap.errors import FormatError
+from cagemap.files.atomic import atomic_folder, atomic_path
+
+
+def fail_after(_written: int, error: BaseException | type[BaseException]) -> None:
+    raise error
+
+
+def test_file_appears_whole_under_its_name_only(tmp_path: Path) -> None:
+    final = tmp_path / "image.exr"
+    with atomic_path(final) as temporary:
+        assert temporary.parent == tmp_path
+        assert temporary.suffix == ".exr"  # image libraries choose their format by it
+        temporary.write_text("half")
+        assert not final.exists()
+    assert final.read_text() == "half"
+    assert [path.name for path in tmp_path.iterdir()] == ["image.exr"]
+    reference = tmp_path / "plain"
+    reference.touch()
+    assert stat.S_IMODE(final.stat().st_mode) == stat.S_IMODE(reference.stat().st_mode)
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_failure_leaves_the_older_file(tmp_path: Path, error: type[BaseException]) -> None:
+    final = tmp_path / "a.txt"
+    final.write_text("old")
+    with pytest.raises(error), atomic_path(final) as temporary:
+        fail_after(temporary.write_text("new"), error)
+    assert final.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [final]
+
+
+def test_file_may_be_replaced_by_the_writer_itself(tmp_path: Path) -> None:
+    with atomic_path(tmp_path / "a") as temporary:
+        temporary.unlink()  # as libraries that write beside and move do
+        temporary.write_text("x")
+    assert (tmp_path / "a").read_text() == "x"
+
+
+def test_places_that_cannot_be_written_are_named(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match=r"folder .*none does not exist"), atomic_path(tmp_path / "none" / "a.txt"):
+        pass
+    with pytest.raises(FormatError, match="got a folder"), atomic_path(tmp_path):
+        pass
+    with pytest.raises(FormatError, match="cannot write"), atomic_path(tmp_path / ("n" * 300)):
+        pass
+    full = OSError(errno.ENOSPC, "No space left on device")
+    with pytest.raises(FormatError, match=r"cannot write there \(No space left"), atomic_path(tmp_path / "a.txt"):
+        fail_after(0, full)
+    with pytest.raises(FileNotFoundError), atomic_path(tmp_path / "a.txt"):  # of another file, the caller's business
+        fail_after(0, FileNotFoundError(errno.ENOENT, "No such file", "input.png"))
+    with pytest.raises(FormatError, match="does not exist"), atomic_folder(tmp_path / "none" / "r", "manifest.json"):
+        pass
+
+
+def test_folder_appears_whole(tmp_path: Path) -> None:
+    final = tmp_path / "result"
+    with atomic_folder(final, "manifest.json") as temporary:
+        (temporary / "sub").mkdir()
+        (temporary / "sub" / "map.npz").write_text("x")
+        (temporary / "manifest.json").write_text("{}")
+        assert not final.exists()
+    assert sorted(path.name for path in final.rglob("*")) == ["manifest.json", "map.npz", "sub"]
+    assert list(tmp_path.iterdir()) == [final]
+    assert os.access(final, os.R_OK | os.X_OK)
+
+
+def test_earlier_result_and_empty_folder_are_replaced(tmp_path: Path) -> None:
+    final = tmp_path / "result"
+    final.mkdir()
+    for text in ("first", "second"):
+        with atomic_folder(final, "manifest.json") as temporary:
+            (temporary / "manifest.json").write_text(text)
+            (temporary / text).touch()
+    assert sorted(path.name for path in final.iterdir()) == ["manifest.json", "second"]
+    assert list(tmp_path.iterdir()) == [final]
+
+
+def test_other_folders_and_files_are_never_overwritten(tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    work.mkdir()
+    (work / "precious.blend").touch()
+    with pytest.raises(FormatError, match=r"no manifest\.json.*not overwritten"), atomic_folder(work, "manifest.json"):
+        pass
+    with pytest.raises(FormatError, match="got a file"), atomic_folder(work / "precious.blend", "manifest.json"):
+        pass
+    # What appears while the result is computed is as precious.
+    late = tmp_path / "late"
+    with pytest.raises(FormatError, match="not overwritten"), atomic_folder(late, "manifest.json"):
+        shutil.copytree(work, late)
+    assert (work / "precious.blend").exists()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["late", "work"]
+
+
+def test_failure_leaves_the_older_folder(tmp_path: Path) -> None:
+    final = tmp_path / "result"
+    final.mkdir()
+    (final / "manifest.json").write_text("old")
+    with pytest.raises(RuntimeError), atomic_folder(final, "manifest.json") as temporary:
+        fail_after((temporary / "manifest.json").write_text("new"), RuntimeError())
+    assert (final / "manifest.json").read_text() == "old"
+    assert list(tmp_path.iterdir()) == [final]
