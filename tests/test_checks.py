@@ -21,6 +21,7 @@ from cagemap.mesh.checks import check_mesh, duplicate_faces, keep_faces, require
 from cagemap.mesh.measures import face_areas, face_extents, fan_triangles, signed_volume
 from cagemap.mesh.mesh_report import MeshReport
 from cagemap.mesh.topology import boundary_loops, corner_fans, edge_table, face_components, face_orientation, uv_islands
+from test_obj import polygon_meshes
 
 SHAPES: dict[str, tuple[Callable[[], ControlMesh], int, int]] = {  # genus, boundary loops
     "cube": (cube, 0, 0),
@@ -215,6 +216,8 @@ def test_several_components_are_counted_and_copies_recognised() -> None:
     assert kinds(apart) == ["several components"]
     assert elements(apart, "several components") == (0, 6)
     assert check_mesh(apart).component_sizes == (6, 4)
+    swapped = ControlMesh.from_faces(apart.positions, faces_of(apart)[6:] + faces_of(apart)[:6])
+    assert check_mesh(swapped).component_sizes == (4, 6)  # in the order of the faces, not of the vertices
     assert "copy" not in str(check_mesh(apart).problems[0])
     assert "is a copy of another" in str(check_mesh(beside(cube(), cube())).problems[0])
 
@@ -402,6 +405,16 @@ def test_connectivity_agrees_with_the_slow_twin(mesh: ControlMesh) -> None:
     assert ("non-manifold edges" in bad) == any(len(at) > 2 for at in edges.values())
     assert ("non-manifold vertices" in bad) == any(n > 1 for n in expected_fans.values())
     assert ("inconsistent orientation" in bad) == bool(expected)
+
+
+@pytest.mark.filterwarnings("error")
+@settings(deadline=None, max_examples=60)
+@given(mesh=polygon_meshes())
+def test_any_arrays_get_a_verdict(mesh: ControlMesh) -> None:
+    """Degenerate faces, positions up to 1e308, anything: problems, not exceptions and not warnings."""
+    report = check_mesh(mesh)
+    assert str(report)
+    assert report.is_valid == (not report.problems)
 
 
 def test_uv_islands_are_cut_by_seams() -> None:

@@ -133,6 +133,7 @@ BAD_FILES = {
     "property twice": (HEADER + "property float x\n" + FACES + BODY, "line 8"),
     "float as length": (HEADER + FACES.replace("uchar", "float") + BODY, "line 9"),
     "no positions": (HEADER.replace("float z", "float w") + FACES + BODY, "x, y and z"),
+    "vertices without properties": ("ply\nformat ascii 1.0\nelement vertex 3\n" + FACES + BODY, "x, y and z"),
     "no vertices": (HEADER.replace("vertex 4", "vertex 0") + FACES.replace("2", "0"), "x, y and z"),
     "points only": (HEADER + "end_header\n" + BODY[:24], "no polygon"),
     "strips": (
@@ -149,6 +150,7 @@ BAD_FILES = {
     "negative": (HEADER + FACES + BODY.replace("3 0 2 3", "3 0 2 -1"), "from 0 to 3.*: 1"),
     "fraction": (HEADER + FACES + BODY.replace("3 0 2 3", "3 0 2 2.5"), "from 0 to 3.*: 1"),
     "no corners": (HEADER + FACES + BODY.replace("3 0 2 3", "0"), "from 0 to 3.*: 1"),
+    "no corners at first": (HEADER + FACES + BODY.replace("3 0 1 2", "0"), "from 0 to 3.*: 0"),
     "infinite length": (HEADER + FACES + BODY.replace("3 0 2 3", "inf 0 2 3"), "face 1.*length"),
     "NaN length": (HEADER + FACES + BODY.replace("3 0 1 2", "nan 0 2 3"), "face 0.*length"),
     "negative length": (HEADER + FACES + BODY.replace("3 0 2 3", "-3 0 2 3"), "face 1.*length"),

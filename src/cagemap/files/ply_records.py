@@ -159,7 +159,7 @@ def _is_number(word: bytes) -> bool:
 
 def _read_element(path: Path, body: bytes, position: int, element: Element) -> tuple[dict[str, Column], int]:
     """Read all records of an element: as one table if they are all laid out like the first, else one by one."""
-    if element.count == 0:
+    if element.count == 0 or not element.properties:
         return {p.name: Column(np.zeros(0, np.int64), np.zeros(0, p.type)) for p in element.properties}, position
     lengths, _ = _record_layout(path, body, position, element, 0)
     fields: list[Any] = []
