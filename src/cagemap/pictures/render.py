@@ -14,7 +14,7 @@ import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
 from cagemap.errors import ParameterError
 from cagemap.mesh import FloatArray, IndexArray
@@ -25,8 +25,9 @@ from cagemap.point_map.surface_points import vertex_normals
 Image = NDArray[np.uint8]
 _CLAY = np.array([0.80, 0.78, 0.75])
 _WHITE = np.ones(3)
-FLOOR_REACH, FLOOR_CELLS, FLOOR_SKIES = 0.9, 141, 10  # of the model's size; grid points a side; sky samples
-_SKY_DIRECTIONS = 6  # of each subpixel; the sky a pixel sees has samples**2 times as many
+FLOOR_REACH, FLOOR_CELLS = 0.9, 141  # of the model's size; grid points a side
+SKY, FLOOR_SKY = 36, 80  # directions that light comes from
+BUSY = 0.06  # pixels of more contrast than this are sampled more finely
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ class Model:
         points = np.stack([x.ravel(), np.zeros(x.size), z.ravel()], axis=1) * self.scale
         points += [self.centre[0], float(self.positions[:, 1].min()), self.centre[2]]
         up = np.tile([0.0, 1.0, 0.0], (len(points), 1))
-        sky = np.concatenate([_sky(index) for index in range(FLOOR_SKIES)])
+        sky = _sky(FLOOR_SKY)
         height = np.maximum(sky[:, 1], 0.0)
         unhidden = float(np.sum(height * (0.62 + 0.38 * height)) / np.sum(height))
         shadow = np.clip(1.0 - _openness(self, points, up, sky) / unhidden, 0.0, 1.0).reshape(x.shape)
@@ -127,7 +128,7 @@ def render(
     camera : Camera
         From ``frame``.
     samples : int
-        Rays per pixel along each axis; 2 or 3 for smooth edges.
+        Rays per pixel along each axis where there is contrast; 2 or 3 for smooth edges.
     background : (3,) sRGB
     floor : bool
         Whether the surface stands on a floor that shows its soft shadow.
@@ -138,13 +139,26 @@ def render(
         Row 0 is the top.
     """
     _check_skin(model, skin)
-    light = np.zeros((width * height, 3))
-    for index in range(samples * samples):
-        offset = ((index % samples + 0.5) / samples, (index // samples + 0.5) / samples)
-        directions = camera.rays(width, height, offset)
-        light += _radiance(model, skin, camera, directions, index, to_linear(background), floor)
-    shown = to_display(light / samples**2)
+    scene = _Scene(model, skin, camera, to_linear(background), floor)
+    light, openness = _radiance(scene, camera.rays(width, height))
+    shown = to_display(light)
+    busy = np.flatnonzero(_contrast(shown.reshape(height, width, 3)) > BUSY)
+    if samples > 1 and len(busy):
+        # The sky changes slowly over the surface: finer rays take it from the pixel, or from a neighbour that has it.
+        near = maximum_filter(openness.reshape(height, width), 3).ravel()
+        openness = np.where(openness < 0, near, openness)[busy]
+        light = np.zeros((len(busy), 3))
+        for row, column in np.ndindex(samples, samples):
+            offset = ((column + 0.5) / samples, (row + 0.5) / samples)
+            light += _radiance(scene, camera.rays(width, height, offset)[busy], openness)[0]
+        shown[busy] = to_display(light / samples**2)
     return np.round(shown * 255).astype(np.uint8).reshape(height, width, 3)
+
+
+def _contrast(image: FloatArray) -> FloatArray:
+    """(h, w) largest difference in any channel between a pixel's 3 x 3 neighbourhood's extremes."""
+    size = (3, 3, 1)
+    return np.asarray((maximum_filter(image, size) - minimum_filter(image, size)).max(axis=2))
 
 
 def visible(model: Model, camera: Camera, points: FloatArray) -> NDArray[np.bool_]:
@@ -153,6 +167,17 @@ def visible(model: Model, camera: Camera, points: FloatArray) -> NDArray[np.bool
     distance = np.linalg.norm(towards, axis=1)
     hit = _cast(model, _to_unit(model, camera.eye), towards / distance[:, None])
     return np.asarray(hit["tfar"] * model.scale > distance - 0.01 * model.scale)
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """What the light of a ray depends on."""
+
+    model: Model
+    skin: Skin
+    camera: Camera
+    background: FloatArray
+    floor: bool
 
 
 def _check_skin(model: Model, skin: Skin) -> None:
@@ -184,10 +209,14 @@ def _cast(model: Model, origins: NDArray[Any], directions: FloatArray) -> dict[s
 
 
 def _radiance(
-    model: Model, skin: Skin, camera: Camera, directions: FloatArray, index: int, background: FloatArray, floor: bool
-) -> FloatArray:
-    """(r, 3) linear light along one ray of every pixel."""
-    radiance = np.tile(background, (len(directions), 1))
+    scene: _Scene, directions: FloatArray, openness: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Linear light (r, 3) along rays from the eye, and the part of the sky (r,) seen from where they hit.
+
+    The latter is -1 where nothing is hit, and is not computed again where it is given.
+    """
+    model, camera = scene.model, scene.camera
+    radiance = np.tile(scene.background, (len(directions), 1))
     hits = _cast(model, _to_unit(model, camera.eye), directions)
     struck = np.flatnonzero(hits["primID"] >= 0)
     triangle = hits["primID"][struck].astype(np.int64)
@@ -199,10 +228,14 @@ def _radiance(
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     # Inside faces of an open surface are lit as if they faced the eye.
     normals *= np.where(np.einsum("rd,rd->r", normals, directions[struck]) > 0, -1.0, 1.0)[:, None]
-    radiance[struck] = _colors(skin, model, triangle, corner) * _light(model, camera, points, normals, index)
-    if floor:
+    if openness is None:
+        openness = np.full(len(directions), -1.0)
+        openness[struck] = _openness(model, points, normals, _sky(SKY))
+    sky = np.abs(openness[struck])
+    radiance[struck] = _colors(scene.skin, model, triangle, corner) * _light(camera, points, normals, sky)
+    if scene.floor:
         _shade_floor(model, camera, directions, hits["primID"] < 0, radiance)
-    return radiance
+    return radiance, openness
 
 
 def _colors(skin: Skin, model: Model, triangle: IndexArray, corner: FloatArray) -> FloatArray:
@@ -231,11 +264,11 @@ def sample_texture(texture: FloatArray, uv: FloatArray) -> FloatArray:
     return np.asarray(upper * (1 - t) + lower * t, dtype=np.float64)
 
 
-def _sky(index: int) -> FloatArray:
-    """(s, 3) directions all around, a Fibonacci spiral turned differently for every subpixel."""
-    order = np.arange(_SKY_DIRECTIONS) + 0.5
-    height = 1.0 - 2.0 * order / _SKY_DIRECTIONS
-    angle = 2.39996322973 * order + 1.7 * index
+def _sky(count: int) -> FloatArray:
+    """(count, 3) directions evenly all around, a Fibonacci spiral."""
+    order = np.arange(count) + 0.5
+    height = 1.0 - 2.0 * order / count
+    angle = 2.39996322973 * order
     ring = np.sqrt(1.0 - height**2)
     return np.stack([ring * np.cos(angle), height, ring * np.sin(angle)], axis=1)
 
@@ -255,9 +288,8 @@ def _openness(model: Model, points: FloatArray, normals: FloatArray, directions:
     return received / possible
 
 
-def _light(model: Model, camera: Camera, points: FloatArray, normals: FloatArray, index: int) -> FloatArray:
+def _light(camera: Camera, points: FloatArray, normals: FloatArray, sky: FloatArray) -> FloatArray:
     """(p, 3) linear light that arrives at points: sky, key light with wrapped edge, a little from the eye."""
-    sky = _openness(model, points, normals, _sky(index))
     key_direction = np.array([-0.45, 0.62, 0.64]) @ camera.axes
     key = np.clip((normals @ key_direction + 0.25) / 1.25, 0.0, None)
     towards = camera.eye - points

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from cagemap.files.atomic import atomic_path
 from cagemap.files.result import Result
-from cagemap.report.figures import Figure, Gallery, Pixels, Progress, draw_gallery
+from cagemap.report.figures import HEIGHT, WIDTH, Figure, Gallery, Pixels, Progress, draw_gallery
 from cagemap.report.page import build_page
 
 __all__ = ["Figure", "Gallery", "build_page", "draw_gallery", "write_report"]
@@ -18,6 +18,7 @@ def write_report(
     *,
     texture: Pixels | None = None,
     baked: Pixels | None = None,
+    size: tuple[int, int] = (WIDTH, HEIGHT),
     progress: Progress | None = None,
 ) -> None:
     """Draw and write the report of a result.
@@ -29,6 +30,8 @@ def write_report(
     result : Result
     texture, baked : (H, W, c) array, optional
         The source's texture, and the same baked into the target's layout.
+    size : (int, int)
+        Width and height of each picture, in pixels.
     progress : callable, optional
         Called with the name of each step.
 
@@ -37,6 +40,6 @@ def write_report(
     FormatError
         If the file cannot be written.
     """
-    page = build_page(result, draw_gallery(result, texture=texture, baked=baked, progress=progress))
+    page = build_page(result, draw_gallery(result, texture=texture, baked=baked, size=size, progress=progress))
     with atomic_path(path) as temporary:
         temporary.write_text(page, encoding="utf-8")

@@ -1,0 +1,162 @@
+"""The report: self-contained, truthful, and drawn with the right colours."""
+
+from __future__ import annotations
+
+import base64
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cagemap.files.result import Result
+from cagemap.report import Gallery, build_page, draw_gallery, write_report
+from cagemap.report.figures import for_display
+from cagemap.report.merits import explain, overall
+
+from example_result import identity_result
+
+SIZE = (90, 70)
+
+
+@pytest.fixture(scope="module")
+def result() -> Result:
+    return identity_result()
+
+
+@pytest.fixture(scope="module")
+def gallery(result: Result) -> Gallery:
+    texture = np.zeros((60, 90, 3), np.uint8)
+    texture[:, :, 2] = 255
+    return draw_gallery(result, texture=texture, baked=texture, size=SIZE)
+
+
+@pytest.fixture(scope="module")
+def page(result: Result, gallery: Gallery) -> str:
+    return build_page(result, gallery)
+
+
+class Outline(HTMLParser):
+    """Open tags, and whether every tag is closed."""
+
+    VOID = frozenset({"meta", "img", "br", "link"})
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stack: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.stack.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.stack.pop() == tag
+
+
+def outline(page: str) -> Outline:
+    parsed = Outline()
+    parsed.feed(page)
+    assert parsed.stack == []
+    return parsed
+
+
+def test_page_is_well_formed_and_needs_nothing_beside_it(page: str) -> None:
+    tags = outline(page).tags
+    assert not {"script", "link", "iframe"} & {tag for tag, _ in tags}
+    sources = [attributes["src"] or "" for tag, attributes in tags if tag == "img"]
+    assert len(sources) == 12
+    assert all(source.startswith("data:image/jpeg;base64,") for source in sources)
+    assert not re.search(r"https?://|url\(|@import", page)
+
+
+def test_pictures_are_jpegs_of_the_size_asked(page: str, gallery: Gallery) -> None:
+    image = next(attributes for tag, attributes in outline(page).tags if tag == "img")
+    assert (image["width"], image["height"]) == ("90", "70")
+    assert base64.b64decode((image["src"] or "").split(",")[1])[:3] == b"\xff\xd8\xff"
+    assert all(figure.target.shape == (70, 90, 3) for figure in (*gallery.looks, *gallery.maps, *gallery.trust))
+
+
+def test_names_are_escaped_and_shown(page: str) -> None:
+    assert "small → large" in page
+    assert "a &lt;b&gt;" in page
+    assert "<b>" not in page
+    assert "made for other poses" in page
+
+
+def test_figures_of_the_manifest_are_on_the_page(page: str) -> None:
+    assert "0.10 %" in page  # folded
+    assert "1.8 seconds in all, 1.5 GiB" in page
+    assert "parameters.k" in page
+    assert "0" * 64 in page
+
+
+def test_identity_draws_source_and_target_alike(gallery: Gallery) -> None:
+    for figure in (*gallery.looks, *gallery.maps):
+        assert figure.source is not None
+        # Twice the size, seen from twice as far: only rounding differs, at an edge here or there.
+        assert np.mean(np.abs(figure.source.astype(int) - figure.target)) < 0.5
+
+
+def test_texture_is_shown_where_it_is_given(result: Result, gallery: Gallery) -> None:
+    def tint(picture: np.ndarray) -> np.ndarray:
+        return np.diff(picture[25:45, 35:55].reshape(-1, 3).mean(0))
+
+    assert gallery.appearance == "texture"
+    assert tint(gallery.looks[0].target)[1] > 60
+    texture = np.zeros((6, 9, 3), np.float32)
+    texture[..., 1] = 1.0
+    pulled = draw_gallery(result, texture=texture, size=SIZE)  # not baked: vertex by vertex
+    assert tint(pulled.looks[0].target)[0] > 60
+    assert tint(pulled.looks[0].target)[1] < -60
+
+
+def test_without_a_texture_material_colours_are_shown_and_without_those_a_checker(result: Result) -> None:
+    assert draw_gallery(result, size=SIZE).appearance == "material colours"
+    plain = replace(result.source, control=replace(result.source.control, face_materials=None, material_colors=None))
+    assert draw_gallery(replace(result, source=plain), size=SIZE).appearance == "checker"
+
+
+def test_progress_names_every_picture(result: Result) -> None:
+    said: list[str] = []
+    draw_gallery(result, size=(30, 20), progress=said.append)
+    assert said == [f"picture {i} of 7" for i in range(1, 8)]
+
+
+@pytest.mark.parametrize(
+    ("dtype", "white"), [(np.uint8, 255), (np.uint16, 65535), (np.float32, 1.0), (np.float16, 1.0)]
+)
+def test_any_pixels_are_shown(dtype: type, white: float) -> None:
+    np.testing.assert_allclose(for_display(np.full((4, 4, 4), white, dtype)), np.ones((4, 4, 3)))
+    np.testing.assert_allclose(for_display(np.full((4, 4, 1), white, dtype)), np.ones((4, 4, 3)))
+
+
+def test_large_textures_are_averaged_down() -> None:
+    tall = np.zeros((4096, 8, 3), np.uint8)
+    tall[::2] = 255
+    shown = for_display(tall)
+    assert shown.shape == (2048, 4, 3)
+    np.testing.assert_allclose(shown, 0.5, atol=1e-6)
+
+
+def test_verdicts_follow_the_figures() -> None:
+    good = explain({"flipped_area": 0.001, "coverage": 0.999})
+    assert [merit.verdict for merit in good] == ["good", "good"]
+    assert overall(good, []) == "good"
+    assert overall(good, ["look at the ears"]) == "fair"
+    assert overall(explain({"flipped_area": 0.01}), []) == "fair"
+    assert overall(explain({"flipped_area": 0.6, "coverage": 0.999}), []) == "poor"
+    assert explain({"flipped_area": None, "coverage": "many"}) == []
+
+
+def test_report_without_figures_is_still_a_page(result: Result, gallery: Gallery) -> None:
+    outline(build_page(replace(result, manifest={}, landmark_names=()), gallery))
+
+
+def test_written_whole(result: Result, tmp_path: Path) -> None:
+    write_report(tmp_path / "r.html", result, size=(40, 30))
+    assert (tmp_path / "r.html").read_text(encoding="utf-8").endswith("</html>\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["r.html"]
