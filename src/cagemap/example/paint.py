@@ -80,11 +80,11 @@ def _stripes(samples: Samples, anatomy: Anatomy) -> Float32Array:
 def _mane(samples: Samples, anatomy: Anatomy) -> Float32Array:
     """A scalloped strip along the neck's back, from a point at the withers to a forelock between the eyes."""
     spine = samples.channels["spine"]
-    begin, end = anatomy.spine["withers"] - 0.12, anatomy.spine["eye_L"] + 0.24
-    half_width = 0.13 + 0.025 * np.abs(np.sin(spine * np.pi / 0.12))
+    begin, end = anatomy.spine["withers"] - 0.12, anatomy.spine["eye_L"] + 0.16
+    half_width = 0.065 + 0.016 * np.abs(np.sin(spine * np.pi / 0.12)) + 0.05 * rise(spine, anatomy.spine["poll"], 0.15)
     half_width *= np.minimum(1, np.sqrt(np.clip(np.minimum((spine - begin) / 0.3, (end - spine) / 0.40), 0, None)))
-    away = 0.27 * _angle(samples)
-    return rise(half_width - away, 0.01, samples.softness) * (1 - rise(samples.channels["ear"], 0.05, 0.03))
+    hair = rise(half_width - np.abs(samples.points[:, 0]), 0, samples.softness) * (spine > begin) * (spine < end)
+    return hair * (samples.channels["girth"] > 0) * (1 - rise(samples.channels["ear"], 0.05, 0.03))
 
 
 def _locks(samples: Samples) -> Float32Array:
@@ -220,6 +220,7 @@ def _paint_badges(color: Float32Array, samples: Samples, anatomy: Anatomy) -> No
 def _relief(samples: Samples, anatomy: Anatomy) -> Float32Array:
     """(q, 1) displacement, in length units."""
     hair, strands = _tail_strands(samples)
+    hair *= 1 - rise(samples.channels["tail"], 0.85, 0.12)
     height = _mane(samples, anatomy) * (0.008 + 0.010 * _locks(samples)) + hair * 0.014 * strands
     ribs = rise(-np.abs(samples.channels["girth"]), -0.55, 0.25) * (1 - rise(samples.channels["leg"], 0.05, 0.05))
     barrel = rise(samples.channels["spine"], 0.45, 0.15) * rise(-samples.channels["spine"], -1.25, 0.15)
