@@ -1,0 +1,381 @@
+"""Eigenpairs W x = lambda M x of one level: the lowest ones from nothing, or a band of them from a good guess."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, sparse
+
+from cagemap.basis.factorization import Factorization, factor
+from cagemap.basis.lanczos import shift_invert_lanczos
+from cagemap.basis.products import multiply
+from cagemap.errors import ParameterError, SolverError
+from cagemap.operators import Operators
+
+FloatArray = NDArray[np.float64]
+
+# Up to this size a dense solve is faster than an iteration.
+DENSE_ROWS = 800
+# Largest size that is solved densely when a large share of the spectrum is asked for.
+_LARGEST_DENSE_ROWS = 5_000
+# Pairs computed beyond those asked for, among which a gap is sought to count the eigenvalues below it.
+_EXTRA_PAIRS = 8
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class EigenPairs:
+    """Consecutive eigenpairs of one level, W X = M X Lambda.
+
+    Attributes
+    ----------
+    values : (m,) array
+        Ascending. Unit 1 / length^2 (unit area: none).
+    vectors : (n, m) array
+        M-orthonormal.
+    residuals : (m,) array
+        ||W x - lambda M x|| / lambda in the norm of D^{-1}, D = diag(M 1): see `residual_norms`.
+    first_index : int
+        True index of the first pair in the level's whole spectrum, counted from 0.
+    """
+
+    values: FloatArray
+    vectors: FloatArray
+    residuals: FloatArray
+    first_index: int
+
+    @property
+    def last_index(self) -> int:
+        """Index after the last pair."""
+        return self.first_index + len(self.values)
+
+    def __repr__(self) -> str:
+        return f"EigenPairs({self.first_index} to {self.last_index - 1} of {len(self.vectors)})"
+
+
+def residual_norms(
+    values: FloatArray, vectors: FloatArray, stiffness_vectors: FloatArray, mass_vectors: FloatArray, areas: FloatArray
+) -> FloatArray:
+    """Relative residual of every pair, ||W x - lambda M x||_{D^{-1}} / max(lambda, 4 pi / area).
+
+    D = diag(M 1) lumps the mass matrix (at the finest level it is M), so that the norm is that of a function. 4 pi / area
+    is the mean distance between eigenvalues (Weyl's law); it stands in for the eigenvalue of the constant function, 0.
+
+    Parameters
+    ----------
+    values : (m,) array
+    vectors, stiffness_vectors, mass_vectors : (n, m) arrays
+        X, W X and M X, with X M-orthonormal.
+    areas : (n,) array
+        M 1.
+
+    Returns
+    -------
+    (m,) array, unitless
+    """
+    residual = stiffness_vectors - mass_vectors * values
+    squares = (residual * residual).T @ (1.0 / areas)
+    return np.sqrt(squares) / np.maximum(values, 4.0 * np.pi / float(areas.sum()))
+
+
+def lowest_pairs(
+    stiffness: sparse.csr_array, mass: sparse.csr_array, count: int, *, tolerance: float = 1e-10
+) -> EigenPairs:
+    """Lowest eigenpairs, complete whatever their multiplicity.
+
+    Dense for small problems, else block shift-invert Lanczos; the inertia of W - tau M, tau in a gap just above the last
+    pair, then proves that no eigenvalue was missed.
+
+    Parameters
+    ----------
+    stiffness, mass : (n, n) CSR arrays
+        W positive semi-definite, M positive definite.
+    count : int
+        Number of pairs, at most n.
+    tolerance : float
+        Convergence of the iteration, relative to each eigenvalue of the inverted operator.
+
+    Returns
+    -------
+    EigenPairs
+        With ``first_index`` 0.
+
+    Raises
+    ------
+    ParameterError
+        If count is out of range.
+    SolverError
+        If the iteration does not converge or misses eigenvalues.
+    """
+    return band_pairs(stiffness, mass, 0, count, tolerance=tolerance)
+
+
+def band_pairs(
+    stiffness: sparse.csr_array,
+    mass: sparse.csr_array,
+    first: int,
+    last: int,
+    *,
+    shift: float | None = None,
+    start: FloatArray | None = None,
+    tolerance: float = 1e-9,
+) -> EigenPairs:
+    """Eigenpairs first..last-1 of the spectrum, complete whatever their multiplicity.
+
+    Dense for small problems, else block shift-invert Lanczos around a shift inside the band. The inertia of W - sigma M
+    says which pairs are which, and that of W - tau M, tau in gaps at both ends of the band, that none was missed.
+
+    Parameters
+    ----------
+    stiffness, mass : (n, n) CSR arrays
+        W positive semi-definite, M positive definite.
+    first, last : int
+        Range of indices, 0 <= first < last <= n.
+    shift : float, optional
+        An estimate of the eigenvalue in the middle of the band; Weyl's law if absent.
+    start : (n, b) array, optional
+        Block that is rich in the pairs wanted.
+    tolerance : float
+        Convergence of the iteration, relative to each eigenvalue of the inverted operator.
+
+    Returns
+    -------
+    EigenPairs
+
+    Raises
+    ------
+    ParameterError
+        If the range is empty or not within the spectrum.
+    SolverError
+        If the iteration does not converge or misses eigenvalues.
+    """
+    n = stiffness.shape[0]
+    if not 0 <= first < last <= n:
+        raise ParameterError(
+            f"expected a range of eigenpairs within 0 to {n}, the size of the level, got {first} to {last}; "
+            "ask for fewer or refine once more"
+        )
+    if n <= DENSE_ROWS or (n <= _LARGEST_DENSE_ROWS and 5 * (last - first) > n):
+        values, vectors = linalg.eigh(stiffness.toarray(), mass.toarray(), driver="gvd")
+        return _with_residuals(stiffness, mass, values[first:last], vectors[:, first:last], first)
+    low, high = max(0, first - _EXTRA_PAIRS), min(n, last + _EXTRA_PAIRS)
+    shifted, sigma = _shift_inside(stiffness, mass, low, high, shift)
+    below = shifted.negative_eigenvalues
+    if below is None:
+        low, below = 0, 0  # the shift is then below the spectrum
+    for block_size in (32, 64):
+        values, vectors = shift_invert_lanczos(
+            shifted, mass, sigma, below - low, high - below, start=start, block_size=block_size, tolerance=tolerance
+        )
+        if shifted.negative_eigenvalues is None or all(
+            _counts_agree(stiffness, mass, values, low, end, shifted) for end in (first, last)
+        ):
+            chosen = slice(first - low, last - low)
+            return _with_residuals(stiffness, mass, values[chosen], vectors[:, chosen], first)
+        start = None
+    raise SolverError(
+        f"expected eigenpairs {first} to {last - 1}, but the inertia of the shifted matrix counts others between them; "
+        "an eigenvalue of multiplicity above 64 is likely: ask for a number of pairs that does not split it"
+    )
+
+
+def pairs_from_guess(
+    stiffness: sparse.csr_array,
+    mass: sparse.csr_array,
+    guess: FloatArray,
+    guess_values: FloatArray,
+    first_index: int,
+    *,
+    kept: tuple[int, int] | None = None,
+    tolerance: float = 1e-6,
+    max_iterations: int = 4,
+) -> EigenPairs | None:
+    """Band of consecutive eigenpairs from prolonged ones: block inverse iteration and Rayleigh-Ritz.
+
+    Parameters
+    ----------
+    stiffness, mass : (n, n) CSR arrays
+    guess : (n, m) array
+        Approximate eigenvectors, guards on both sides included.
+    guess_values : (m,) array
+        Their approximate eigenvalues, ascending.
+    first_index : int
+        Index that the first of them should have in the spectrum.
+    kept : (int, int), optional
+        Range of indices that must be accurate; the rest are guards. Default: all.
+    tolerance : float
+        Relative accuracy of the eigenvalues kept.
+    max_iterations : int
+
+    Returns
+    -------
+    EigenPairs or None
+        None if the inertia says that the guess has missed an eigenvalue: compute that level from nothing instead.
+    """
+    first, last = (0, len(guess_values)) if kept is None else (kept[0] - first_index, kept[1] - first_index)
+    shift = _widest_gap(guess_values, first, last)
+    shifted = factor(_shifted(stiffness, mass, shift))
+    values, vectors, mass_vectors = guess_values, guess, multiply(mass, guess)
+    for _ in range(max_iterations):
+        image = shifted.solve(mass_vectors)
+        # W - sigma M scales a pair by 1 / (lambda - sigma); undo it to keep the columns of one size.
+        image *= _away_from_zero(values - shift)
+        mass_image = multiply(mass, image)
+        stiffness_image = mass_vectors * _away_from_zero(values - shift) + shift * mass_image
+        values, rotation = _rayleigh_ritz(image, stiffness_image, mass_image)
+        vectors, mass_vectors = image @ rotation, mass_image @ rotation
+        residual = stiffness_image @ rotation - mass_vectors * values
+        if np.all(_kato_temple(residual, values, _areas(mass), first, last) <= tolerance):
+            break
+    if shifted.negative_eigenvalues is not None:
+        if shifted.negative_eigenvalues - int(np.sum(values < shift)) != first_index:
+            return None
+    pairs = _with_residuals(stiffness, mass, values, vectors, first_index, mass_vectors)
+    if last < len(values) and not _counts_agree(stiffness, mass, values, first_index, first_index + last, shifted):
+        return None
+    return pairs
+
+
+def exact_basis(operators: Operators, level: int, count: int) -> EigenPairs:
+    """Lowest eigenpairs of one level, computed there (paper, eq. 1): what the hierarchical basis approximates.
+
+    Parameters
+    ----------
+    operators : Operators
+    level : int
+    count : int
+
+    Returns
+    -------
+    EigenPairs
+
+    Raises
+    ------
+    ParameterError
+        If level or count is out of range.
+    """
+    if not 0 <= level <= operators.finest:
+        raise ParameterError(f"expected a level from 0 to {operators.finest}, got {level}")
+    return lowest_pairs(operators.stiffness[level], operators.mass[level], count)
+
+
+def _shift_inside(
+    stiffness: sparse.csr_array, mass: sparse.csr_array, low: int, high: int, estimate: float | None
+) -> tuple[Factorization, float]:
+    """A shift inside the band low..high, factored; below the whole spectrum where there is no inertia to place it by."""
+    # Weyl's law for a surface: lambda_j is about 4 pi j / area.
+    spacing = 4.0 * np.pi / float(mass.sum())
+    middle = 0.6 * high if low == 0 else 0.5 * (low + high)
+    shift = middle * spacing if estimate is None else estimate
+    for _ in range(8):
+        try:
+            shifted = factor(_shifted(stiffness, mass, shift))
+        except SolverError:  # exactly on an eigenvalue
+            shift *= 1.0 + 1e-4
+            continue
+        below = shifted.negative_eigenvalues
+        if below is None:
+            return factor(_shifted(stiffness, mass, -spacing)), -spacing
+        if abs(below - middle) <= 0.2 * (high - low):
+            return shifted, shift
+        shift *= middle / max(below, 1)
+    raise SolverError(
+        f"expected a shift among eigenvalues {low} to {high} of the level, found none; the last try {shift:g}"
+    )
+
+
+def _counts_agree(
+    stiffness: sparse.csr_array,
+    mass: sparse.csr_array,
+    values: FloatArray,
+    first_index: int,
+    end: int,
+    like: Factorization,
+) -> bool:
+    """Whether as many eigenvalues lie below a gap near index ``end`` as the list says (Sylvester's law of inertia)."""
+    position = end - first_index
+    low, high = max(0, position - _EXTRA_PAIRS), min(len(values), position + _EXTRA_PAIRS)
+    if first_index + position == 0 or like.negative_eigenvalues is None:
+        return True
+    gap = low + int(np.argmax(np.diff(values[low:high])))
+    threshold = 0.5 * (values[gap] + values[gap + 1])
+    counted = factor(_shifted(stiffness, mass, threshold), like=like).negative_eigenvalues
+    return counted == first_index + gap + 1
+
+
+def _widest_gap(values: FloatArray, first: int, last: int) -> float:
+    """A shift in the middle of the widest gap among the middle fifth of a band."""
+    middle = 0.5 * (values[first] + values[last - 1])
+    centre = int(np.clip(np.searchsorted(values, middle), 1, len(values) - 1))
+    reach = max(1, (last - first) // 10)
+    low, high = max(0, centre - reach - 1), min(len(values), centre + reach + 1)
+    if high - low < 2:
+        return float(values[0]) - 1.0
+    gap = low + int(np.argmax(np.diff(values[low:high])))
+    # Refined eigenvalues lie below their guesses: stay in the lower half of the gap's upper side.
+    return float(values[gap] + 0.4 * (values[gap + 1] - values[gap]))
+
+
+def _rayleigh_ritz(
+    block: FloatArray, stiffness_block: FloatArray, mass_block: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Best approximations of eigenpairs within the span of a block: X^T W X c = theta X^T M X c."""
+    stiffness_gram = block.T @ stiffness_block
+    mass_gram = block.T @ mass_block
+    stiffness_gram = 0.5 * (stiffness_gram + stiffness_gram.T)
+    mass_gram = 0.5 * (mass_gram + mass_gram.T)
+    try:
+        return linalg.eigh(stiffness_gram, mass_gram)
+    except linalg.LinAlgError as error:
+        raise SolverError(
+            f"expected {block.shape[1]} independent columns in a Rayleigh-Ritz step, got dependent ones; "
+            "the guess holds a vector twice"
+        ) from error
+
+
+def _kato_temple(residual: FloatArray, values: FloatArray, areas: FloatArray, first: int, last: int) -> FloatArray:
+    """Relative error of eigenvalues first..last from residuals: ||r||^2 / (gap to what lies outside the block)."""
+    squares = (residual[:, first:last] ** 2).T @ (1.0 / areas)
+    inner = values[first:last]
+    below = np.inf if first == 0 else inner - values[0]
+    above = np.inf if last == len(values) else values[-1] - inner
+    spacing = (values[-1] - values[0]) / max(1, len(values) - 1)
+    distance = np.maximum(np.minimum(below, above), spacing)
+    if first == 0 and last == len(values):
+        distance = np.maximum(values[-1] + spacing - inner, spacing)
+    return squares / (distance * np.maximum(inner, _smallest_positive(inner)))
+
+
+def _with_residuals(
+    stiffness: sparse.csr_array,
+    mass: sparse.csr_array,
+    values: FloatArray,
+    vectors: FloatArray,
+    first_index: int,
+    mass_vectors: FloatArray | None = None,
+) -> EigenPairs:
+    vectors = np.ascontiguousarray(vectors)
+    if mass_vectors is None:
+        mass_vectors = multiply(mass, vectors)
+    norms = residual_norms(values, vectors, multiply(stiffness, vectors), mass_vectors, _areas(mass))
+    return EigenPairs(np.array(values), vectors, norms, first_index)
+
+
+def _shifted(stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float) -> sparse.csr_array:
+    return sparse.csr_array(stiffness - shift * mass)
+
+
+def _areas(mass: sparse.csr_array) -> FloatArray:
+    return np.asarray(mass.sum(axis=1), dtype=np.float64)
+
+
+def _smallest_positive(values: FloatArray) -> float:
+    """Lowest eigenvalue that is not that of the constant function."""
+    positive = values[values > 1e-8 * values[-1]]
+    return float(positive[0]) if len(positive) else 1.0
+
+
+def _away_from_zero(values: FloatArray) -> FloatArray:
+    floor = 1e-12 * float(np.abs(values).max())
+    return np.where(np.abs(values) < floor, floor, values)

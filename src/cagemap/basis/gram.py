@@ -1,0 +1,53 @@
+"""Inner products of functions that live on different levels, by coarse-level products only (paper, Lemma 5)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.basis.products import multiply
+from cagemap.operators import Operators
+from cagemap.refinement import Refinement
+
+FloatArray = NDArray[np.float64]
+
+
+def products_with_bands(
+    bands: tuple[FloatArray, ...], refinement: Refinement, dual: FloatArray, level: int
+) -> FloatArray:
+    """Phi~^T y for y given as a functional on one level: y = M^level f, restricted down the levels.
+
+    Parameters
+    ----------
+    bands : tuple of (n_l, k_l) arrays
+        Band of every level from 0 up to at most ``level``.
+    refinement : Refinement
+    dual : (n_level, q) array
+    level : int
+
+    Returns
+    -------
+    (k, q) array, k the number of functions in the bands
+    """
+    parts: list[FloatArray] = []
+    for l in reversed(range(level + 1)):
+        if l < len(bands):
+            parts.append(bands[l].T @ dual)
+        if l > 0:
+            dual = refinement.matrices[l - 1].T @ dual
+    return np.concatenate(parts[::-1]) if parts else np.zeros((0, dual.shape[1]))
+
+
+def extend_gram(
+    gram: FloatArray,
+    bands: tuple[FloatArray, ...],
+    refinement: Refinement,
+    operators: Operators,
+    band: FloatArray,
+    level: int,
+) -> FloatArray:
+    """Gram matrix Phi~^T M Phi~ after a band of one more level, eq. 9: [[G, E], [E^T, band^T M band]]."""
+    dual = multiply(operators.mass[level], band)
+    cross = products_with_bands(bands, refinement, dual, level)
+    own = band.T @ dual
+    return np.block([[gram, cross], [cross.T, 0.5 * (own + own.T)]])

@@ -1,0 +1,149 @@
+"""Block Lanczos iteration on (W - sigma M)^{-1} M, for the level that nothing coarser can start."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, sparse
+
+from cagemap.basis.factorization import Factorization
+from cagemap.basis.products import multiply
+from cagemap.errors import SolverError
+
+FloatArray = NDArray[np.float64]
+
+_SEED = 20190708  # SGP 2019 opened on that day; any fixed number makes the basis reproducible
+
+
+def orthonormal_block(
+    block: FloatArray, mass: sparse.csr_array, rng: np.random.Generator, against: FloatArray, mass_against: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """M-orthonormalise a block that is already M-orthogonal to ``against``, by Cholesky QR done twice.
+
+    Directions that are lost (the Krylov space became invariant) are replaced by random ones, with a zero row in R.
+
+    Parameters
+    ----------
+    block : (n, b) array
+    mass : (n, n) CSR array
+    rng : numpy Generator
+    against, mass_against : (n, m) arrays
+        Q and M Q.
+
+    Returns
+    -------
+    block : (n, b) array, M-orthonormal
+    mass_block : (n, b) array, M times it
+    factor : (b, b) array
+        R with old block = new block @ R.
+    """
+    width = block.shape[1]
+    total = np.eye(width)
+    for _ in range(2):
+        mass_block = multiply(mass, block)
+        gram = block.T @ mass_block
+        values, vectors = linalg.eigh(0.5 * (gram + gram.T))
+        weak = values <= 1e-14 * max(values[-1], np.finfo(float).tiny)
+        roots = np.sqrt(np.where(weak, 1.0, values))
+        total = (np.where(weak, 0.0, roots)[:, None] * vectors.T) @ total
+        block = block @ (vectors / roots)
+        mass_block = mass_block @ (vectors / roots)
+        if weak.any():
+            fresh = rng.standard_normal((len(block), int(weak.sum())))
+            for _ in range(2):
+                kept = block[:, ~weak]
+                fresh -= against @ (mass_against.T @ fresh)
+                fresh -= kept @ (multiply(mass, kept).T @ fresh)
+                fresh /= np.sqrt(np.einsum("ij,ij->j", fresh, multiply(mass, fresh)))
+            block[:, weak] = fresh
+            mass_block = multiply(mass, block)
+    return block, mass_block, total
+
+
+def shift_invert_lanczos(
+    shifted: Factorization,
+    mass: sparse.csr_array,
+    shift: float,
+    below: int,
+    above: int,
+    *,
+    start: FloatArray | None = None,
+    block_size: int = 32,
+    tolerance: float = 1e-9,
+) -> tuple[FloatArray, FloatArray]:
+    """Eigenpairs of W x = lambda M x on both sides of a shift.
+
+    Parameters
+    ----------
+    shifted : Factorization
+        W - shift M.
+    mass : (n, n) CSR array
+    shift : float
+    below, above : int
+        How many of the nearest eigenvalues below and above the shift are wanted.
+    start : (n, b) array, optional
+        First block; random if absent.
+    block_size : int
+        Highest multiplicity of an eigenvalue that is found for certain.
+    tolerance : float
+        Residual of a pair of the inverted operator relative to its eigenvalue 1 / (lambda - shift).
+
+    Returns
+    -------
+    eigenvalues : (below + above,) array, ascending
+    vectors : (n, below + above) array, M-orthonormal
+
+    Raises
+    ------
+    SolverError
+        If the Krylov space is exhausted without converging.
+
+    Notes
+    -----
+    Full reorthogonalisation: O(n m^2) flops in matrix products for a Krylov space of m columns, m about twice the number
+    of wanted pairs.
+    """
+    n = mass.shape[0]
+    rng = np.random.default_rng(_SEED)
+    wanted = below + above
+    block = rng.standard_normal((n, min(block_size, n))) if start is None else np.array(start)
+    width = block.shape[1]
+    capacity = min(n, 4 * wanted + 12 * width) // width * width
+    basis = np.empty((n, capacity + width), order="F")
+    mass_basis = np.empty((n, capacity + width), order="F")
+    projected = np.zeros((capacity, capacity))
+    basis[:, :width], mass_basis[:, :width], _ = orthonormal_block(block, mass, rng, basis[:, :0], mass_basis[:, :0])
+    size = width
+    next_check = int(1.6 * wanted) + 3 * width
+    while True:
+        used, mass_used = basis[:, :size], mass_basis[:, :size]
+        image = shifted.solve(mass_used[:, -width:])
+        # The recurrence couples a block to itself and the one before; what rounding leaves along older ones goes last.
+        recent = slice(max(0, size - 2 * width), size)
+        coefficients = np.zeros((size, width))
+        coefficients[recent] = mass_used[:, recent].T @ image
+        image -= used[:, recent] @ coefficients[recent]
+        correction = mass_used.T @ image
+        image -= used @ correction
+        coefficients += correction
+        projected[:size, size - width : size] = coefficients
+        block, mass_block, factor = orthonormal_block(image, mass, rng, used, mass_used)
+        full = size + width > capacity
+        if size >= min(next_check, capacity) and size >= wanted:
+            square = projected[:size, :size]
+            inverse_values, rotation = linalg.eigh(np.triu(square) + np.triu(square, 1).T)
+            chosen = np.r_[0:below, size - above : size]
+            errors = np.linalg.norm(factor @ rotation[size - width :, chosen], axis=0)
+            sides = np.all(inverse_values[:below] < 0) and np.all(inverse_values[size - above :] > 0)
+            if sides and np.all(errors <= tolerance * np.abs(inverse_values[chosen])):
+                values = shift + 1.0 / inverse_values[chosen]
+                order = np.argsort(values)
+                return values[order], used @ rotation[:, chosen[order]]
+            next_check = size + max(width, size // 12)
+        if full:
+            raise SolverError(
+                f"expected {wanted} eigenpairs within a Krylov space of {capacity} columns, got fewer to tolerance "
+                f"{tolerance:g}; ask for fewer pairs or a looser tolerance"
+            )
+        basis[:, size : size + width], mass_basis[:, size : size + width] = block, mass_block
+        size += width
