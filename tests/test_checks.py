@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh, bipyramid, cube, disk, grid, icosahedron, pyramid, tetrahedron, torus, voxels
 from cagemap.mesh.checks import check_mesh, duplicate_faces, keep_faces, require_valid
+from cagemap.mesh.geometry_checks import with_openings_closed
 from cagemap.mesh.measures import face_areas, face_extents, fan_triangles, signed_volume
 from cagemap.mesh.mesh_report import MeshReport
 from cagemap.mesh.topology import boundary_loops, corner_fans, edge_table, face_components, face_orientation, uv_islands
@@ -125,6 +126,9 @@ def test_flipped_faces_are_named() -> None:
     rng = np.random.default_rng(81)
     turned = np.sort(rng.choice(mesh.n_faces, 20, replace=False))
     assert elements(flip(mesh, turned), "inconsistent orientation") == tuple(turned.tolist())
+    # Numbers are those of the file, also where copies of faces come before.
+    copied = flip(ControlMesh.from_faces(mesh.positions, [faces_of(mesh)[0], *faces_of(mesh)]), turned + 1)
+    assert elements(copied, "inconsistent orientation") == tuple((turned + 1).tolist())
     # If most are turned, the others are the exception.
     rest = np.setdiff1d(np.arange(mesh.n_faces), turned)
     assert elements(flip(mesh, rest), "inconsistent orientation") == tuple(turned.tolist())
@@ -142,6 +146,18 @@ def test_open_mesh_turned_inside_out_is_refused_but_a_sheet_is_not() -> None:
     assert elements(flip(box, np.arange(5)), "inside out") == ()
     sheet = grid()
     require_valid(flip(sheet, np.arange(sheet.n_faces)))
+
+
+def test_openings_are_closed_before_the_inside_is_judged() -> None:
+    for cut in ([0], [0, 12], [3, 20, 21]):
+        mesh = torus(8, 5)
+        open_mesh = keep_faces(mesh, np.setdiff1d(np.arange(mesh.n_faces), cut))
+        edges = edge_table(open_mesh)
+        loops = boundary_loops(open_mesh, edges, corner_fans(open_mesh, edges))
+        assert loops is not None
+        closed = check_mesh(with_openings_closed(open_mesh, loops))
+        assert closed.is_valid, str(closed)
+        assert closed.boundary_loops == ()
 
 
 def test_one_sided_surface_is_refused() -> None:
@@ -251,6 +267,9 @@ def test_faces_without_area_are_named_and_thin_ones_accepted(scale: float) -> No
     positions[face[0]] = 0.3 * positions[face[1]] + 0.7 * positions[face[2]]  # on one line, up to rounding
     flat = mesh.with_positions(scale * (positions + np.array([0.1, 0.2, 0.3])))
     assert 0 in elements(flat, "faces without area")
+    off = 1e-11 * np.ptp(mesh.positions, axis=0).max()
+    positions[face[0], 0] += off  # no more than a hair above the line
+    assert 0 in elements(mesh.with_positions(scale * positions), "faces without area")
     # The smallest quads of the soma18056 cages hold 2e-9 of the area; ten times less must pass.
     small = grid(5, 5)
     positions = small.positions.copy()
@@ -269,6 +288,8 @@ def test_faces_without_area_are_named_and_thin_ones_accepted(scale: float) -> No
         ({"face_offsets": np.array([0, 4, 8])}, "from 0 to 24"),
         ({"face_offsets": np.array([0]), "face_indices": np.zeros(0, dtype=np.int64)}, "at least one face"),
         ({"face_indices": np.arange(24)}, r"numbers from 0 to 7.*faces: 2, 3, 4, 5"),
+        ({"face_indices": np.array([8, *cube().face_indices[1:]])}, r"numbers from 0 to 7.*faces: 0\."),
+        ({"face_indices": np.array([-1, *cube().face_indices[1:]])}, r"numbers from 0 to 7.*faces: 0\."),
         ({"face_indices": np.zeros(24)}, "integer arrays"),
         ({"uvs": np.zeros((4, 2))}, "or neither"),
         ({"uvs": np.zeros((4, 2)), "uv_indices": np.zeros(23, dtype=np.int64)}, "one UV index per corner"),

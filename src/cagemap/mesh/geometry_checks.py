@@ -83,7 +83,7 @@ def inside_out_problem(mesh: ControlMesh, loops: Sequence[IndexArray]) -> Proble
     An open mesh is closed with a cone over every loop first, and judged only where that encloses a good part of what
     a ball of the same area would; a sheet has no inside.
     """
-    unit = _capped(_normalised(mesh), loops)
+    unit = with_openings_closed(_normalised(mesh), loops)
     volume, area = signed_volume(unit), float(face_areas(unit).sum())
     roundness = 36.0 * np.pi * volume * abs(volume) / area**3
     if not loops and abs(roundness) < RELATIVE_WIDTH:
@@ -104,15 +104,7 @@ def inside_out_problem(mesh: ControlMesh, loops: Sequence[IndexArray]) -> Proble
     return None
 
 
-def _normalised(mesh: ControlMesh) -> ControlMesh:
-    """Move the middle of the bounding box of the faces to the origin and make its longest side 1."""
-    points = mesh.positions[used_vertices(mesh)]
-    low, high = points.min(axis=0), points.max(axis=0)
-    with np.errstate(over="ignore"):  # a loose vertex may lie anywhere
-        return mesh.with_positions((mesh.positions - 0.5 * (low + high)) / np.max(high - low))
-
-
-def _capped(mesh: ControlMesh, loops: Sequence[IndexArray]) -> ControlMesh:
+def with_openings_closed(mesh: ControlMesh, loops: Sequence[IndexArray]) -> ControlMesh:
     """Close every boundary loop with triangles to its centroid."""
     if not loops:
         return mesh
@@ -127,3 +119,11 @@ def _capped(mesh: ControlMesh, loops: Sequence[IndexArray]) -> ControlMesh:
         np.concatenate([mesh.face_offsets, mesh.face_offsets[-1] + 3 * np.arange(1, len(caps) + 1)]),
         np.concatenate([mesh.face_indices, caps.ravel()]),
     )
+
+
+def _normalised(mesh: ControlMesh) -> ControlMesh:
+    """Move the middle of the bounding box of the faces to the origin and make its longest side 1."""
+    points = mesh.positions[used_vertices(mesh)]
+    low, high = points.min(axis=0), points.max(axis=0)
+    with np.errstate(over="ignore"):  # a loose vertex may lie anywhere
+        return mesh.with_positions((mesh.positions - 0.5 * (low + high)) / np.max(high - low))
