@@ -209,7 +209,7 @@ def _resolve(statements: _Statements, corners: _Corners, numbers: IndexArray, ki
     before = np.cumsum(statements.kinds == kind)
     count = int(before[-1])
     indices = np.where(numbers < 0, before[np.repeat(corners.rows, corners.sizes)] + numbers, numbers - 1)
-    outside = np.flatnonzero((indices < 0) | (indices >= count) | (numbers == 0))
+    outside = np.flatnonzero((indices < 0) | (indices >= count))
     if len(outside):
         face = corners.faces[outside[0]]
         raise statements.fail(
