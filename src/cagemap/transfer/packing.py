@@ -1,0 +1,146 @@
+"""Pack UV islands into the unit square, each sunk onto the horizon of those before it.
+
+The horizon is the height reached so far in every column of the square; an island goes where its lower outline leaves
+the least room beneath (Levy, Petitjean, Ray, Maillot, *Least squares conformal maps for automatic texture atlas
+generation*, 2002, section 4).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from cagemap.mesh import FloatArray, IndexArray
+
+_COLUMNS = 512
+_ANGLES = np.deg2rad(np.arange(0.0, 90.0, 2.0))
+_QUARTER_TURNS = np.array([[[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]]], dtype=float)
+# Packings that are tried, each with the side that the last one suggests.
+_ROUNDS = 4
+# What a place costs for growing the packing taller, as a share of a whole row of the square.
+_HEIGHT_SHARE = 0.25
+
+
+@dataclass(frozen=True)
+class _Island:
+    """Points (q, 2) of an island, and its edges as pairs of them."""
+
+    points: FloatArray
+    edges: IndexArray
+
+
+@dataclass(frozen=True)
+class _Profile:
+    """Lower and upper outline of an island, column by column, above its own lowest point; origin its low corner."""
+
+    lower: FloatArray
+    upper: FloatArray
+    origin: FloatArray
+
+
+def pack_islands(uvs: FloatArray, edges: IndexArray, islands: IndexArray, padding: float) -> FloatArray:
+    """Turn, move and scale islands, all by one factor, into the unit square.
+
+    Parameters
+    ----------
+    uvs : (p, 2) float64
+    edges : (e, 2) int64
+        Edges of the islands' polygons, as pairs of UVs.
+    islands : (p,) int64
+        Island of every UV.
+    padding : float
+        Distance between islands, as a part of the square's side; half of it to the border.
+
+    Returns
+    -------
+    (p, 2) float64
+    """
+    members = _split(islands)
+    local = np.empty(len(uvs), dtype=np.int64)
+    for rows in members:
+        local[rows] = np.arange(len(rows))
+    shapes = [
+        _Island(_upright(uvs[rows]), local[edges[own]])
+        for rows, own in zip(members, _split(islands[edges[:, 0]]), strict=True)
+    ]
+    boxes = np.array([np.ptp(shape.points, axis=0) for shape in shapes])
+    side = max(1.2 * float(np.sqrt(boxes.prod(axis=1).sum())), float(boxes.max()))
+    best = np.inf
+    packed = np.empty_like(uvs)
+    for _ in range(_ROUNDS):
+        placed, height = _sink(shapes, boxes, side, padding * side)
+        extent = max(side, height)
+        if extent < best:
+            best = extent
+            for rows, points in zip(members, placed, strict=True):
+                packed[rows] = points / extent
+        side = max(float(np.sqrt(side * height)), float(boxes.max()) * (1 + 4 * padding))
+    return packed
+
+
+def _split(labels: IndexArray) -> list[IndexArray]:
+    """Rows of every label."""
+    order = np.argsort(labels, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
+
+
+def _upright(points: FloatArray) -> FloatArray:
+    """Points of an island turned so that their upright box is smallest."""
+    c, s = np.cos(_ANGLES), np.sin(_ANGLES)
+    x, y = points.T
+    turned = np.stack([np.outer(c, x) - np.outer(s, y), np.outer(s, x) + np.outer(c, y)], axis=2)
+    area = np.ptp(turned, axis=1).prod(axis=1)
+    return np.asarray(turned[np.flatnonzero(area <= area.min() * (1 + 1e-9))[0]])
+
+
+def _sink(shapes: list[_Island], boxes: FloatArray, side: float, margin: float) -> tuple[list[FloatArray], float]:
+    """Place all islands, the longest first, in a strip as wide as ``side``; their points, and the height reached."""
+    column = side / _COLUMNS
+    horizon = np.zeros(_COLUMNS)
+    placed = [shape.points for shape in shapes]
+    for island in np.lexsort((-boxes.prod(axis=1), -boxes.max(axis=1))):
+        best = np.inf
+        chosen: tuple[FloatArray, _Profile, int, float] | None = None
+        for turn in _QUARTER_TURNS:
+            points = shapes[island].points @ turn.T
+            profile = _profile(points, shapes[island].edges, column, margin)
+            if len(profile.lower) > _COLUMNS:
+                continue
+            windows = sliding_window_view(horizon, len(profile.lower))
+            floors = (windows - profile.lower).max(axis=1)
+            # Room lost beneath, plus a share of what growing taller would cost.
+            beneath = (len(profile.lower) * floors + profile.lower.sum() - windows.sum(axis=1)) * column
+            cost = beneath + (floors + profile.upper.max()) * side * _HEIGHT_SHARE
+            at = int(cost.argmin())
+            if cost[at] < best * (1 - 1e-9):
+                best, chosen = float(cost[at]), (points, profile, at, float(floors[at]))
+        assert chosen is not None, "the strip is at least as wide as every island"
+        points, profile, at, floor = chosen
+        placed[island] = points - profile.origin + (at * column, floor)
+        horizon[at : at + len(profile.upper)] = floor + profile.upper
+    return placed, float(horizon.max())
+
+
+def _profile(points: FloatArray, edges: IndexArray, column: float, margin: float) -> _Profile:
+    """Outline of one island with a margin around it, in columns of the given width."""
+    low = points.min(axis=0)
+    reach = 0.5 * margin  # half from either of two neighbours
+    a, b = points[edges[:, 0]] - low, points[edges[:, 1]] - low
+    steps = np.maximum(np.ceil(2 * np.abs(b - a)[:, 0] / column).astype(np.int64), 1) + 1
+    edge = np.repeat(np.arange(len(edges)), steps)
+    first = np.cumsum(steps) - steps
+    t = (np.arange(len(edge)) - first[edge]) / (steps[edge] - 1)
+    along = a[edge] + t[:, None] * (b - a)[edge]
+    # Columns that the margin reaches over, and one for what lies between two samples.
+    cover = int(np.ceil(reach / column)) + 1
+    cells = (along[:, 0] / column).astype(np.int64) + cover
+    width = int(cells.max()) + cover + 1
+    lower, upper = np.full(width, np.inf), np.full(width, -np.inf)
+    np.minimum.at(lower, cells, along[:, 1])
+    np.maximum.at(upper, cells, along[:, 1])
+    lower = sliding_window_view(np.pad(lower, cover, constant_values=np.inf), 2 * cover + 1).min(axis=1)
+    upper = sliding_window_view(np.pad(upper, cover, constant_values=-np.inf), 2 * cover + 1).max(axis=1)
+    shift = np.array([cover * column, reach])
+    return _Profile(lower, upper + 2 * reach, low - shift)

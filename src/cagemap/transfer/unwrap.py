@@ -1,0 +1,273 @@
+"""Unwrap a control mesh: UV islands that keep every polygon whole, so that refined UVs stay inside them.
+
+xatlas cuts the triangulated mesh into charts and flattens them. Refinement, though, works on polygons: a polygon whose
+triangles lie in different charts, or whose flat outline is not convex, would fold when its UVs are refined. Such a
+*loose* polygon is laid against a chart that holds a part of it, where there is room, and else becomes an island of its
+own. Islands are then packed anew. All of this sees control meshes only, and loops over loose polygons only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xatlas
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from cagemap.errors import InvalidMeshError
+from cagemap.mesh import ControlMesh, FloatArray, IndexArray
+from cagemap.refinement import triangulate_control
+from cagemap.transfer.packing import pack_islands
+
+# A corner may be straight; rounding must not make it turn the wrong way. Relative to the product of its edges.
+_STRAIGHT = -1e-9
+# Islands thinner than this, relative to their length squared, are as good as folded.
+_FLAT = 1e-6
+
+
+def unwrap(control: ControlMesh, *, padding: float = 1 / 256) -> ControlMesh:
+    """Give a control mesh texture coordinates.
+
+    Parameters
+    ----------
+    control : ControlMesh
+        Any polygon mesh; texture coordinates it already has are replaced.
+    padding : float
+        Distance between islands, as a part of the image's side; half of it to the border.
+
+    Returns
+    -------
+    ControlMesh
+        With UVs in the unit square, of one density: the area of an island is proportional to that of its polygons.
+        Islands do not overlap, nor do the linearly refined UVs; none is mirrored. The same mesh gives the same UVs.
+
+    Raises
+    ------
+    InvalidMeshError
+        If the mesh has no extent.
+    """
+    low, high = control.positions.min(axis=0, initial=np.inf), control.positions.max(axis=0, initial=-np.inf)
+    size = float((high - low).max())
+    if control.n_faces == 0 or not (np.isfinite(size) and size > 0):
+        raise InvalidMeshError(f"{control.name}: expected a mesh with faces and an extent to unwrap, got none")
+    positions = (control.positions - low) / size
+    flat = _attach_loose(control, positions, _charts(positions, triangulate_control(control)))
+    islands = _islands(control, flat.corner_uvs, len(flat.uvs))
+    uvs = _equalize(control, positions, flat, islands)
+    edges = np.column_stack([flat.corner_uvs, flat.corner_uvs[control.next_corners]])
+    return control.with_uvs(pack_islands(uvs, edges, islands, padding), flat.corner_uvs)
+
+
+@dataclass(frozen=True)
+class _Charts:
+    """xatlas's answer: UVs and their vertices, UV triangles, and the chart of every triangle (-1: left out)."""
+
+    uvs: FloatArray
+    vertices: IndexArray
+    triangles: IndexArray
+    chart: IndexArray
+
+
+@dataclass(frozen=True)
+class _Flat:
+    """UVs (p, 2), and the UV of every polygon corner (c,)."""
+
+    uvs: FloatArray
+    corner_uvs: IndexArray
+
+
+def _charts(positions: FloatArray, triangles: IndexArray) -> _Charts:
+    """Cut a triangle mesh into flat charts, in the mesh's own length unit, none mirrored."""
+    atlas = xatlas.Atlas()
+    atlas.add_mesh(positions.astype(np.float32), triangles.astype(np.uint32))
+    options = xatlas.PackOptions()
+    options.resolution = 1024
+    atlas.generate(pack_options=options)
+    vertices, uv_triangles, uvs = (np.asarray(array) for array in atlas[0])
+    corners = uv_triangles.astype(np.int64)
+    chart = np.full(len(triangles), -1, dtype=np.int64)
+    for number in range(atlas.get_mesh_chart_count(0)):
+        chart[np.asarray(atlas.get_mesh_chart(0, number).faces, dtype=np.int64)] = number
+    scaled = uvs.astype(np.float64) * (atlas.width, atlas.height) / max(atlas.texels_per_unit, 1e-30)
+    turning = np.bincount(chart + 1, _turning(scaled[corners]).sum(axis=1))[1:]
+    mirrored = (chart >= 0) & (np.append(turning, 0.0)[chart] < 0)
+    scaled[np.unique(corners[mirrored]), 0] *= -1
+    return _Charts(scaled, vertices.astype(np.int64), corners, chart)
+
+
+def _attach_loose(control: ControlMesh, positions: FloatArray, charts: _Charts) -> _Flat:
+    """Polygons that their chart keeps whole and convex stay; the others find a place one by one, in face order."""
+    corner_uvs, chart = _whole_polygons(control, charts)
+    uvs = [charts.uvs]
+    n_uvs = len(charts.uvs)
+    per_face = control.face_sizes - 2
+    first_triangle = np.cumsum(per_face) - per_face
+    for face in np.flatnonzero(chart < 0):
+        corners = slice(control.face_offsets[face], control.face_offsets[face + 1])
+        vertices = control.face_indices[corners]
+        outline = _outline(positions[vertices])
+        own = np.arange(first_triangle[face], first_triangle[face] + per_face[face])
+        placed = None
+        for candidate in np.unique(charts.chart[own[charts.chart[own] >= 0]]):
+            known = _known_corners(charts, own[charts.chart[own] == candidate], vertices)
+            neighbors = np.flatnonzero(chart == candidate)
+            placed = _lay_against(outline, known, np.concatenate(uvs), control, corner_uvs, neighbors)
+            if placed is not None:
+                chart[face] = candidate
+                break
+        if placed is None:
+            known, placed = np.full(len(vertices), -1), outline
+        fresh = np.flatnonzero(known < 0)
+        corner_uvs[corners] = known
+        corner_uvs[control.face_offsets[face] + fresh] = n_uvs + np.arange(len(fresh))
+        uvs.append(placed[fresh])
+        n_uvs += len(fresh)
+    used, renumbered = np.unique(corner_uvs, return_inverse=True)
+    return _Flat(np.concatenate(uvs)[used], renumbered)
+
+
+def _whole_polygons(control: ControlMesh, charts: _Charts) -> tuple[IndexArray, IndexArray]:
+    """UV of every corner (c,), and chart of every face (m,): -1 where the polygon is cut, missing or not convex."""
+    per_face = control.face_sizes - 2
+    face = np.repeat(np.arange(control.n_faces), per_face)
+    first_triangle = np.cumsum(per_face) - per_face
+    step = np.arange(len(face)) - first_triangle[face]
+    begin = control.face_offsets[:-1]
+    corner_uvs = np.empty(len(control.face_indices), dtype=np.int64)
+    corner_uvs[begin] = charts.triangles[first_triangle, 0]
+    corner_uvs[begin + 1] = charts.triangles[first_triangle, 1]
+    corner_uvs[begin[face] + step + 2] = charts.triangles[:, 2]
+    agree = (
+        (charts.triangles[:, 0] == corner_uvs[begin[face]])
+        & (charts.triangles[:, 1] == corner_uvs[begin[face] + step + 1])
+        & (charts.chart >= 0)
+        & (charts.chart == charts.chart[first_triangle[face]])
+    )
+    whole = np.bincount(face, agree, minlength=control.n_faces) == per_face
+    whole &= _convex_faces(control, charts.uvs[corner_uvs])
+    chart = np.where(whole, charts.chart[first_triangle], -1)
+    corner_uvs[~np.repeat(whole, control.face_sizes)] = -1
+    return corner_uvs, chart
+
+
+def _convex_faces(control: ControlMesh, points: FloatArray) -> np.ndarray:
+    """(m,) whether the flat polygons with the given (c, 2) corners are convex and turn left."""
+    following = control.next_corners
+    edges = points[following] - points
+    cross = _cross(edges, edges[following])
+    lengths = np.linalg.norm(edges, axis=1)
+    begin = control.face_offsets[:-1]
+    straight = np.minimum.reduceat(cross - _STRAIGHT * lengths * lengths[following], begin) >= 0
+    area2 = np.add.reduceat(_cross(points, points[following]), begin)
+    turns = np.add.reduceat(_exterior_angles(edges, edges[following]), begin)
+    solid = area2 > _FLAT * np.add.reduceat(lengths, begin) ** 2
+    return straight & solid & (np.abs(turns - 2 * np.pi) < 1.0)  # a star turns left too, but twice around
+
+
+def _outline(points: FloatArray) -> FloatArray:
+    """(k, 2) convex outline for a polygon in space: its fan unfolded, or else a regular polygon of its area."""
+    sides = points - points[0]
+    lengths = np.linalg.norm(sides, axis=1)
+    cosines = np.einsum("ij,ij->i", sides[1:-1], sides[2:]) / np.maximum(lengths[1:-1] * lengths[2:], 1e-300)
+    angles = np.concatenate([[0.0, 0.0], np.cumsum(np.arccos(np.clip(cosines, -1, 1)))])
+    unfolded = lengths[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+    if _is_convex(unfolded):
+        return unfolded
+    normals = np.cross(sides[1:-1], sides[2:])
+    area = 0.5 * float(np.linalg.norm(normals, axis=1).sum())
+    k = len(points)
+    radius = np.sqrt(2 * max(area, 1e-12) / (k * np.sin(2 * np.pi / k)))
+    around = 2 * np.pi * np.arange(k) / k
+    return radius * np.column_stack([np.cos(around), np.sin(around)])
+
+
+def _is_convex(outline: FloatArray) -> bool:
+    loop = ControlMesh.from_faces(np.zeros((len(outline), 3)), [list(range(len(outline)))])
+    return bool(_convex_faces(loop, outline)[0])
+
+
+def _known_corners(charts: _Charts, triangles: IndexArray, vertices: IndexArray) -> IndexArray:
+    """(k,) UV that a chart has for the corners of a polygon, by some of the polygon's triangles; -1 for the others."""
+    uv = np.unique(charts.triangles[triangles])
+    matches = charts.vertices[uv][None, :] == vertices[:, None]
+    return np.where(matches.sum(axis=1) == 1, uv[matches.argmax(axis=1)], -1)
+
+
+def _lay_against(
+    outline: FloatArray,
+    known: IndexArray,
+    uvs: FloatArray,
+    control: ControlMesh,
+    corner_uvs: IndexArray,
+    neighbors: IndexArray,
+) -> FloatArray | None:
+    """(k, 2) corners of a polygon of which a chart has some, or None if it would be folded or overlap the chart."""
+    have = known >= 0
+    if have.sum() < 2 or len(neighbors) == 0:
+        return None
+    z, w = outline @ (1, 1j), uvs[known] @ (1, 1j)
+    z_mean, w_mean = z[have].mean(), w[have].mean()
+    similarity = np.vdot(z[have] - z_mean, w[have] - w_mean) / np.vdot(z[have] - z_mean, z[have] - z_mean)
+    fitted = w_mean + similarity * (z - z_mean)
+    placed = np.where(have, w, fitted)
+    points = np.column_stack([placed.real, placed.imag])
+    if not _is_convex(points):
+        return None
+    begin, size = control.face_offsets[neighbors], control.face_sizes[neighbors]
+    first = np.cumsum(size) - size
+    taken_uvs = uvs[corner_uvs[np.repeat(begin - first, size) + np.arange(size.sum())]]
+    apart = np.any(np.minimum.reduceat(taken_uvs, first) >= points.max(axis=0), axis=1)
+    apart |= np.any(np.maximum.reduceat(taken_uvs, first) <= points.min(axis=0), axis=1)
+    for face in neighbors[~apart]:
+        taken = uvs[corner_uvs[control.face_offsets[face] : control.face_offsets[face + 1]]]
+        if _overlap(points, taken):
+            return None
+    return points
+
+
+def _overlap(first: FloatArray, second: FloatArray) -> bool:
+    """Whether two convex polygons that turn left have an area in common (separating axis theorem)."""
+    scale = np.abs(first - first.mean(axis=0)).max()
+    for polygon, other in ((first, second), (second, first)):
+        edges = np.roll(polygon, -1, axis=0) - polygon
+        outward = np.column_stack([edges[:, 1], -edges[:, 0]])
+        outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-300)
+        distance = np.einsum("ed,eod->eo", outward, other[None] - polygon[:, None])
+        if (distance.min(axis=1) >= -1e-6 * scale).any():
+            return False
+    return True
+
+
+def _islands(control: ControlMesh, corner_uvs: IndexArray, n_uvs: int) -> IndexArray:
+    """(p,) island of every UV: those that polygons join."""
+    following = corner_uvs[control.next_corners]
+    joined = coo_array((np.ones(len(following)), (corner_uvs, following)), shape=(n_uvs, n_uvs))
+    return np.asarray(connected_components(joined, directed=False)[1], dtype=np.int64)
+
+
+def _equalize(control: ControlMesh, positions: FloatArray, flat: _Flat, islands: IndexArray) -> FloatArray:
+    """UVs scaled island by island, so that each has the area of its polygons in space."""
+    triangles = triangulate_control(control)
+    a, b, c = (positions[triangles[:, k]] for k in range(3))
+    solid = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    solid_of_face = np.bincount(np.repeat(np.arange(control.n_faces), control.face_sizes - 2), solid)
+    corners = flat.uvs[flat.corner_uvs]
+    flat_of_face = np.add.reduceat(_cross(corners, corners[control.next_corners]), control.face_offsets[:-1])
+    island_of_face = islands[flat.corner_uvs[control.face_offsets[:-1]]]
+    ratio = np.bincount(island_of_face, solid_of_face) / np.bincount(island_of_face, flat_of_face)
+    # A degenerate polygon keeps a spot of its own, however small.
+    return flat.uvs * np.sqrt(np.maximum(ratio, 1e-6))[islands][:, None]
+
+
+def _turning(corners: FloatArray) -> FloatArray:
+    """(t, 1) twice the signed areas of flat triangles (t, 3, 2)."""
+    return _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, None]
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+
+
+def _exterior_angles(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(np.arctan2(_cross(a, b), np.einsum("ij,ij->i", a, b)))
