@@ -1,1 +1,22 @@
 """Transfer: textures, displacement and attributes, pulled back from source to target through the point map."""
+
+from cagemap.transfer.attributes import bake_face_colors, face_colors, pull_back_faces, pull_back_vertices
+from cagemap.transfer.bake import BakeOptions, Transfer, bake_texture, prepare_transfer, target_tiles
+from cagemap.transfer.displacement import Displacement, bake_displacement, scale_ratio
+from cagemap.transfer.unwrap import unwrap
+
+__all__ = [
+    "BakeOptions",
+    "Displacement",
+    "Transfer",
+    "bake_displacement",
+    "bake_face_colors",
+    "bake_texture",
+    "face_colors",
+    "prepare_transfer",
+    "pull_back_faces",
+    "pull_back_vertices",
+    "scale_ratio",
+    "target_tiles",
+    "unwrap",
+]

@@ -87,6 +87,8 @@ class Samples:
     ----------
     target_triangle : (k,) int32
         Target triangle of every texel.
+    cells : (k,) int64, and width, top : int
+        The texels, as ``(row - top) * width + column``.
     first : (k + 1,) int64
     triangle : (s,) int64
         Source triangle of every sample.
@@ -95,14 +97,16 @@ class Samples:
     """
 
     target_triangle: NDArray[np.int32]
+    cells: IndexArray
+    width: int
+    top: int
     first: IndexArray
     triangle: IndexArray
     barycentric: FloatArray
 
-    @property
-    def texel(self) -> IndexArray:
-        """(s,) texel of every sample."""
-        return np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
+    def mean(self, values: FloatArray) -> FloatArray:
+        """(k, c) mean over every texel's samples of their (s, c) values."""
+        return np.add.reduceat(values, self.first[:-1], axis=0) / np.diff(self.first)[:, None]
 
 
 def locate_samples(
@@ -145,16 +149,18 @@ def locate_samples(
         samples_per_axis,
         first,
     )
-    return Samples(target_triangle, first, triangle, barycentric)
+    return Samples(target_triangle, cells, width, top, first, triangle, barycentric)
 
 
-def plan_samples(
-    surface: MappedSurface,
-    layout_corners: FloatArray,
-    source_texels: FloatArray,
-    *,
-    at_least: int = 1,
-) -> NDArray[np.int32]:
+def locate_centers(surface: MappedSurface) -> IndexArray:
+    """(t1,) source triangle at the image of every target triangle's centre."""
+    found: IndexArray = _locate_centers(
+        surface.target_triangles, surface.start_triangles, surface.mapped, surface.frames, surface.neighbors
+    )
+    return found
+
+
+def plan_samples(surface: MappedSurface, layout_corners: FloatArray, source_texels: FloatArray) -> NDArray[np.int32]:
     """(t1, 2) samples along x and y that a texel of each target triangle needs, so that the source does not alias.
 
     With ``G`` the (2, 3) gradient of the source's texel coordinates on its triangle and ``Q`` the (3, 2) differential
@@ -165,22 +171,33 @@ def plan_samples(
     ----------
     surface : MappedSurface
     layout_corners : (t1, 3, 2) float64
+        Texel coordinates of the target triangles' corners.
     source_texels : (t2, 3, 2) float64
         Texel coordinates of the source triangles' corners in the source texture.
-    at_least : int
     """
     spans = _spans(
         surface.target_triangles,
-        surface.start_triangles,
+        locate_centers(surface),
         surface.mapped,
         surface.frames,
-        surface.neighbors,
         layout_corners,
         np.ascontiguousarray(source_texels),
     )
     # A span up to 1.25 is left to the bilinear filter: an unscaled texture then comes through unblurred.
-    counts = np.clip(np.ceil(spans - 0.25), at_least, max(at_least, MAX_SAMPLES_PER_AXIS))
-    return counts.astype(np.int32)
+    return np.clip(np.ceil(spans - 0.25), 1, MAX_SAMPLES_PER_AXIS).astype(np.int32)
+
+
+def target_barycentric(layout_corners: FloatArray, samples: Samples) -> FloatArray:
+    """(k, 3) barycentric coordinates of the texels' centres in their target triangles; outside ones are clamped."""
+    rows, columns = np.divmod(samples.cells, samples.width)
+    a, b, c = (layout_corners[samples.target_triangle, corner] for corner in range(3))
+    p = np.column_stack([columns + 0.5, rows + samples.top + 0.5]) - a
+    u, v = b - a, c - a
+    area = u[:, 0] * v[:, 1] - v[:, 0] * u[:, 1]
+    b1 = (p[:, 0] * v[:, 1] - v[:, 0] * p[:, 1]) / area
+    b2 = (u[:, 0] * p[:, 1] - p[:, 0] * u[:, 1]) / area
+    inside = np.maximum(np.column_stack([1 - b1 - b2, b1, b2]), 0)
+    return np.asarray(inside / inside.sum(axis=1, keepdims=True))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -216,7 +233,20 @@ def _walk(frames, neighbors, start, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _spans(target_triangles, start_triangles, mapped, frames, neighbors, layout_corners, source_texels):  # type: ignore[no-untyped-def]
+def _locate_centers(target_triangles, start_triangles, mapped, frames, neighbors):  # type: ignore[no-untyped-def]
+    """(t1,) source triangle at the image of every target triangle's centre."""
+    found = np.empty(len(target_triangles), dtype=np.int64)
+    for t in range(len(target_triangles)):
+        i, j, k = target_triangles[t, 0], target_triangles[t, 1], target_triangles[t, 2]
+        x = (mapped[i, 0] + mapped[j, 0] + mapped[k, 0]) / 3.0
+        y = (mapped[i, 1] + mapped[j, 1] + mapped[k, 1]) / 3.0
+        z = (mapped[i, 2] + mapped[j, 2] + mapped[k, 2]) / 3.0
+        found[t] = _walk(frames, neighbors, start_triangles[i], x, y, z)[0]
+    return found
+
+
+@numba.njit(cache=True, nogil=True)
+def _spans(target_triangles, centers, mapped, frames, layout_corners, source_texels):  # type: ignore[no-untyped-def]
     """(t1, 2) source texels that a target texel spans along x and y, at the centre of every target triangle."""
     spans = np.zeros((len(target_triangles), 2))
     for t in range(len(target_triangles)):
@@ -226,10 +256,7 @@ def _spans(target_triangles, start_triangles, mapped, frames, neighbors, layout_
         if area == 0.0:
             continue
         i, j, k = target_triangles[t, 0], target_triangles[t, 1], target_triangles[t, 2]
-        x = (mapped[i, 0] + mapped[j, 0] + mapped[k, 0]) / 3.0
-        y = (mapped[i, 1] + mapped[j, 1] + mapped[k, 1]) / 3.0
-        z = (mapped[i, 2] + mapped[j, 2] + mapped[k, 2]) / 3.0
-        s = _walk(frames, neighbors, start_triangles[i], x, y, z)[0]
+        s = centers[t]
         # Differences of the source's barycentric coordinates along the target triangle's two edges.
         d11, d12, d21, d22 = 0.0, 0.0, 0.0, 0.0
         for axis in range(3):

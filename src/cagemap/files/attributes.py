@@ -1,0 +1,147 @@
+"""Per-vertex and per-face values in files: .npy, .npz and .csv."""
+
+from __future__ import annotations
+
+import csv
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import FormatError
+from cagemap.files.atomic import atomic_path
+
+SUFFIXES = (".npy", ".npz", ".csv")
+
+Attributes = dict[str, NDArray[Any]]
+
+
+def read_attributes(path: str | Path) -> Attributes:
+    """Read named arrays, one row a vertex or face.
+
+    An ``.npy`` holds one array, named like the file; an ``.npz`` any number; a ``.csv`` one column each, with names in
+    its first line, or one array of all columns, named like the file, without.
+
+    Returns
+    -------
+    dict of str -> (n,) or (n, q) array
+        Integers stay integers; all others are float64.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, or an array is empty, not numeric, not finite or of more than two dimensions.
+    """
+    file = Path(path)
+    if not file.is_file():
+        raise FormatError(f"{file}: expected a file of attributes, found no such file. Check the name.")
+    _check_suffix(file)
+    try:
+        arrays = _read_csv(file) if file.suffix.lower() == ".csv" else _read_numpy(file)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise FormatError(f"{file}: could not read it as {file.suffix}: {error}. Write it again.") from error
+    if not arrays:
+        raise FormatError(f"{file}: expected at least one array, found none. Write it again with its values.")
+    return {name: _check(file, name, array) for name, array in arrays.items()}
+
+
+def write_attributes(path: str | Path, attributes: Mapping[str, NDArray[Any]]) -> None:
+    """Write named arrays; ``.npy`` takes one array only, ``.csv`` names columns ``name`` or ``name_0``, ``name_1``, ...
+
+    Raises
+    ------
+    FormatError
+        If the suffix is unknown, several arrays are to go into an ``.npy``, or rows differ in a ``.csv``.
+    """
+    file = Path(path)
+    _check_suffix(file)
+    suffix = file.suffix.lower()
+    if suffix == ".npy" and len(attributes) != 1:
+        raise FormatError(f"{file}: an .npy holds one array, got {sorted(attributes)}. Write an .npz.")
+    if suffix == ".csv" and len({len(array) for array in attributes.values()}) != 1:
+        rows = {name: len(array) for name, array in attributes.items()}
+        raise FormatError(f"{file}: columns of a .csv have equally many rows, got {rows}. Write an .npz.")
+    with atomic_path(file) as temporary:
+        if suffix == ".npy":
+            np.save(temporary, next(iter(attributes.values())))
+        elif suffix == ".npz":
+            with temporary.open("wb") as stream:
+                np.savez_compressed(stream, allow_pickle=False, **dict(attributes))
+        else:
+            _write_csv(temporary, attributes)
+
+
+def _check_suffix(file: Path) -> None:
+    if file.suffix.lower() not in SUFFIXES:
+        raise FormatError(f"{file}: expected a name ending in {', '.join(SUFFIXES)}, got {file.suffix or 'no suffix'}")
+
+
+def _read_numpy(file: Path) -> Attributes:
+    loaded = np.load(file, allow_pickle=False)
+    if isinstance(loaded, np.ndarray):
+        return {file.stem: loaded}
+    with loaded:
+        return {name: loaded[name] for name in loaded.files}
+
+
+def _read_csv(file: Path) -> Attributes:
+    with file.open(newline="", encoding="utf-8-sig") as stream:
+        rows = [row for row in csv.reader(stream) if any(cell.strip() for cell in row)]
+    if not rows:
+        return {}
+    names = None if _is_number(rows[0][0]) else [cell.strip() for cell in rows[0]]
+    body = rows if names is None else rows[1:]
+    for number, row in enumerate(body, 1 if names is None else 2):
+        if len(row) != len(rows[0]) or not all(_is_number(cell) for cell in row):
+            raise FormatError(f"{file}: expected {len(rows[0])} numbers in row {number}, found {', '.join(row)[:80]}")
+    columns = [_column(cells) for cells in zip(*body, strict=True)]
+    if names is None:
+        return {file.stem: columns[0] if len(columns) == 1 else np.column_stack(columns)}
+    return dict(zip(names, columns, strict=False))
+
+
+def _column(cells: tuple[str, ...]) -> NDArray[Any]:
+    """Integers if all cells are written as such."""
+    try:
+        return np.array([int(cell) for cell in cells], dtype=np.int64)
+    except ValueError:
+        return np.array([float(cell) for cell in cells])
+
+
+def _write_csv(file: Path, attributes: Mapping[str, NDArray[Any]]) -> None:
+    names, columns = [], []
+    for name, array in attributes.items():
+        table = array.reshape(len(array), -1)
+        names += [name] if array.ndim == 1 else [f"{name}_{k}" for k in range(table.shape[1])]
+        columns += list(table.T)
+    with file.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(names)
+        writer.writerows(zip(*(column.tolist() for column in columns), strict=True))
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _check(file: Path, name: str, array: NDArray[Any]) -> NDArray[Any]:
+    if array.dtype.kind not in "biuf" or array.ndim not in (1, 2) or array.size == 0:
+        raise FormatError(
+            f"{file}: expected numbers of shape (n,) or (n, q) in '{name}', found {array.dtype} of shape {array.shape}"
+        )
+    if array.dtype.kind in "iu":
+        return array.astype(np.int64)
+    values = array.astype(np.float64)
+    bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
+    if len(bad):
+        raise FormatError(
+            f"{file}: expected finite numbers in '{name}', found others in rows {bad[:5].tolist()} (0-based)"
+        )
+    return values

@@ -1,0 +1,188 @@
+"""Attributes pulled back from source to target: values at vertices and faces, and material colours as an image."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from cagemap.errors import ParameterError
+from cagemap.mesh import ControlMesh, FloatArray, IndexArray
+from cagemap.transfer.bake import BakeOptions, Transfer, bake, make_canvas, unit
+from cagemap.transfer.locate import Samples, locate_centers
+from cagemap.transfer.surface import triangle_areas
+from cagemap.transfer.texture import Pixels
+
+# Samples along a texel's side where materials meet: 16 levels between two colours.
+_EDGE_SAMPLES = 4
+# Linear grey for materials whose colour is not known; what most programs show for a new material.
+UNKNOWN_COLOR = 0.8
+
+
+def pull_back_vertices(transfer: Transfer, values: FloatArray) -> FloatArray:
+    """Pull per-vertex values back, (P12 g2)(v) = g2(T12(v)).
+
+    Values are combined with the weights of a point in its triangle, so that bounds and sums over channels survive:
+    skinning weights that sum to 1 still do.
+
+    Parameters
+    ----------
+    transfer : Transfer
+    values : (n2,) or (n2, q) array
+        At the vertices of the source's level.
+
+    Returns
+    -------
+    (n1,) or (n1, q) array
+        At the vertices of the target's level; the first rows are its control vertices.
+
+    Raises
+    ------
+    ParameterError
+        If there is not one row a source vertex.
+    """
+    rows = len(transfer.source.positions)
+    if len(values) != rows:
+        raise ParameterError(f"expected {rows} rows, one for every vertex of the source's level, got {len(values)}")
+    return transfer.point_map.pull_back(transfer.source.triangles, np.asarray(values, dtype=np.float64))
+
+
+def pull_back_faces(transfer: Transfer, values: NDArray[Any], *, n_target_faces: int | None = None) -> NDArray[Any]:
+    """Pull values of the source's control faces back to the target's control faces.
+
+    Each refined target triangle takes the value at its centre's image. A control face takes the area-weighted mean of
+    its triangles' values, or, if values are integers (materials, groups), the one with the largest area.
+
+    Parameters
+    ----------
+    transfer : Transfer
+    values : (m2,) integers, or (m2,) or (m2, q) floats
+        At the source's control faces.
+    n_target_faces : int, optional
+        By default the number of control faces that the target's level has.
+
+    Returns
+    -------
+    (m1,) or (m1, q) array of the same kind
+
+    Raises
+    ------
+    ParameterError
+        If there is not one row a source face.
+    """
+    values = np.asarray(values)
+    _require_rows(values, transfer)
+    source, target = transfer.source, transfer.target
+    hits = values[source.face_parents[source.triangle_faces[locate_centers(transfer.mapped)]]]
+    faces = target.face_parents[target.triangle_faces]
+    areas = triangle_areas(target.positions, target.triangles)
+    n_faces = n_target_faces or int(faces.max()) + 1
+    if values.dtype.kind in "iub":
+        return _majority(faces, hits, areas, n_faces)
+    columns = hits.reshape(len(hits), -1)
+    totals = np.bincount(faces, areas, minlength=n_faces)
+    sums = [np.bincount(faces, areas * columns[:, k], minlength=n_faces) for k in range(columns.shape[1])]
+    means = np.stack(sums, axis=1) / np.where(totals > 0, totals, 1.0)[:, None]
+    return means.reshape(n_faces, *values.shape[1:])
+
+
+def _majority(faces: IndexArray, labels: NDArray[Any], areas: FloatArray, n_faces: int) -> NDArray[Any]:
+    """(n_faces,) label with the largest area in every face; the smaller label where two are equal."""
+    distinct, number = np.unique(labels, return_inverse=True)
+    keys, inverse = np.unique(faces * len(distinct) + number, return_inverse=True)
+    weight = np.bincount(inverse, areas)
+    order = np.lexsort((keys, -weight, keys // len(distinct)))
+    owners, first = np.unique(keys[order] // len(distinct), return_index=True)
+    result = np.full(n_faces, distinct[0], dtype=labels.dtype)
+    result[owners] = distinct[keys[order][first] % len(distinct)]
+    return result
+
+
+def face_colors(control: ControlMesh) -> FloatArray:
+    """(m, 3) linear RGB colour of every control face by its material; grey where that is not known.
+
+    Raises
+    ------
+    ParameterError
+        If the mesh has no materials.
+    """
+    if control.face_materials is None or control.material_colors is None or len(control.material_colors) == 0:
+        raise ParameterError(
+            f"{control.name}: expected materials with colours, found none; check that the .mtl lies beside the .obj"
+        )
+    colors = control.material_colors[control.face_materials]
+    return np.where(np.isfinite(colors), colors, UNKNOWN_COLOR)
+
+
+def bake_face_colors(
+    transfer: Transfer,
+    colors: FloatArray,
+    *,
+    size: int | tuple[int, int],
+    dtype: DTypeLike = np.uint8,
+    options: BakeOptions | None = None,
+) -> Pixels:
+    """Bake colours of the source's control faces into the target's layout, sharp and without jagged edges.
+
+    Texels that a boundary between two colours may cross take 4 x 4 samples, averaged in linear light.
+
+    Parameters
+    ----------
+    transfer : Transfer
+    colors : (m2, 3) float64
+        Linear RGB of the source's control faces.
+    size : int or (height, width)
+    dtype : optional
+        Integers are encoded as sRGB; floats stay linear.
+    options : BakeOptions, optional
+
+    Raises
+    ------
+    ParameterError
+        If there is not one row a source face, or the target has no texture coordinates.
+    """
+    options = options or BakeOptions()
+    kept = np.dtype(dtype)
+    table = np.asarray(colors, dtype=np.float64)
+    _require_rows(table, transfer)
+    source = transfer.source
+    _, label_of_face = np.unique(table, axis=0, return_inverse=True)
+    parents = source.face_parents[source.triangle_faces]
+    canvas = make_canvas(transfer, size, options)
+    mixed = _mixed_triangles(transfer, label_of_face.ravel()[parents])
+    counts = np.where(mixed, max(1, -(-_EDGE_SAMPLES // canvas.supersample)), 1).astype(np.int32)
+
+    def shade(samples: Samples) -> FloatArray:
+        linear = samples.mean(table[parents[samples.triangle]])
+        return encode_srgb(linear) * unit(kept) if kept.kind == "u" else linear
+
+    return bake(transfer, canvas, np.column_stack([counts, counts]), shade, table.shape[1], kept, options)
+
+
+def _mixed_triangles(transfer: Transfer, labels: IndexArray) -> NDArray[np.bool_]:
+    """(t1,) whether a boundary between source labels may cross a target triangle.
+
+    A band around the boundaries is grown over the source's triangles, as wide as a target triangle's image.
+    """
+    neighbors = transfer.mapped.neighbors
+    across = np.where(neighbors >= 0, labels[neighbors], labels[:, None])
+    near = (across != labels[:, None]).any(axis=1)
+    image = triangle_areas(transfer.mapped.mapped, transfer.target.triangles).mean()
+    own = triangle_areas(transfer.source.positions, transfer.source.triangles).mean()
+    for _ in range(2 + int(np.ceil(2 * np.sqrt(image / own)))):
+        near = near | (np.where(neighbors >= 0, near[neighbors], False)).any(axis=1)
+    start = transfer.mapped.start_triangles[transfer.target.triangles]
+    return near[start].any(axis=1) | (labels[start] != labels[start][:, :1]).any(axis=1)
+
+
+def encode_srgb(linear: FloatArray) -> FloatArray:
+    """SRGB encoding of linear values from 0 to 1 (IEC 61966-2-1)."""
+    clipped = np.clip(linear, 0.0, 1.0)
+    return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)
+
+
+def _require_rows(values: NDArray[Any], transfer: Transfer) -> None:
+    rows = int(transfer.source.face_parents.max()) + 1
+    if len(values) != rows:
+        raise ParameterError(f"expected {rows} rows, one for every control face of the source, got {len(values)}")

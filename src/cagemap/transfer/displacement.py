@@ -1,0 +1,147 @@
+"""Scalar displacement maps: heights along the normal, scaled with the surfaces (method 9).
+
+A displacement image says height = (value - midlevel) * scale, in the length unit of its model; integer images hold
+values from 0 to 1. A bump of the source keeps its shape on the target if its height grows like lengths do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+from cagemap.errors import ParameterError
+from cagemap.mesh import FloatArray
+from cagemap.transfer.bake import BakeOptions, Transfer, bake, make_canvas, unit
+from cagemap.transfer.locate import Samples, plan_samples, target_barycentric
+from cagemap.transfer.surface import triangle_areas
+from cagemap.transfer.texture import Pixels, lay_texture, look_up
+
+# Channels of a grey image that was saved in colour differ by no more than rounding, as a part of the whole range.
+_GREY = 1e-3
+# Share of the target's area at either end that a local stretch may not decide: folds of the map stretch without limit.
+_OUTLIERS = 0.005
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """A baked displacement: height = (value - midlevel) * scale in the target's length unit.
+
+    Attributes
+    ----------
+    pixels : (h, w, 1) array
+    midlevel, scale : float
+        Values of integer pixels count from 0 to 1.
+    """
+
+    pixels: Pixels
+    midlevel: float
+    scale: float
+
+
+def bake_displacement(
+    transfer: Transfer,
+    texture: Pixels | Mapping[int, Pixels],
+    *,
+    size: int | tuple[int, int],
+    midlevel: float | None = None,
+    scale: float = 1.0,
+    local_stretch: bool = False,
+    dtype: DTypeLike | None = None,
+    options: BakeOptions | None = None,
+) -> Displacement:
+    """Bake the source's displacement into the target's layout, with heights scaled by the ratio of the surfaces.
+
+    Heights are multiplied by sqrt(area of target / area of source). Float images get new values and keep the scale;
+    integer images keep their values, and all their levels, and get a new scale.
+
+    Parameters
+    ----------
+    transfer : Transfer
+    texture : (h, w, c) array, or such arrays by UDIM number
+        Grey; in several equal channels at most, and alpha, which is ignored.
+    size : int or (height, width)
+    midlevel : float, optional
+        Value that means no displacement; by default 0.5 for integers and 0 for floats.
+    scale : float
+        Source height between the values 0 and 1, in the source's length unit.
+    local_stretch : bool
+        Multiply heights by the map's own local stretch, instead of one ratio everywhere.
+    dtype : optional
+        Number type of the result; by default the texture's.
+    options : BakeOptions, optional
+
+    Raises
+    ------
+    ParameterError
+        If the image is not grey (vector displacement is another thing), or as `bake_texture`.
+    """
+    options = options or BakeOptions()
+    laid = lay_texture(grey(texture), *transfer.source.layout(), wrap=options.wrap)
+    kept = laid.dtype if dtype is None else np.dtype(dtype)
+    middle = midlevel if midlevel is not None else 0.5 if laid.dtype.kind == "u" else 0.0
+    ratio = scale_ratio(transfer)
+    factors = vertex_stretch(transfer) if local_stretch else np.full(len(transfer.target.positions), ratio)
+    out_scale = scale * float(factors.max()) if kept.kind == "u" else scale
+    factors = factors * (scale / out_scale) if out_scale else factors
+    constant = bool(np.all(factors == factors[0]))
+
+    canvas = make_canvas(transfer, size, options)
+
+    def shade(samples: Samples) -> FloatArray:
+        values = look_up(laid, samples) / unit(laid.dtype)
+        if constant:
+            factor = factors[0]
+        else:
+            corners = transfer.target.triangles[samples.target_triangle]
+            factor = (factors[corners] * target_barycentric(canvas.corners, samples)).sum(axis=1)[:, None]
+        if np.all(factor == 1.0):
+            return np.asarray(values * unit(kept))
+        return np.asarray((middle + (values - middle) * factor) * unit(kept))
+
+    counts = plan_samples(transfer.mapped, canvas.corners, laid.corner_texels())
+    pixels = bake(transfer, canvas, counts, shade, 1, kept, options)
+    return Displacement(pixels, middle, out_scale)
+
+
+def scale_ratio(transfer: Transfer) -> float:
+    """sqrt(area of target / area of source): what lengths of the source become on the target."""
+    areas = [triangle_areas(s.positions, s.triangles).sum() for s in (transfer.target, transfer.source)]
+    return float(np.sqrt(areas[0] / areas[1]))
+
+
+def vertex_stretch(transfer: Transfer) -> FloatArray:
+    """(n1,) local length on the target per length on the source: square root of the areas' ratio around each vertex."""
+    target = transfer.target
+    own = triangle_areas(target.positions, target.triangles)
+    image = triangle_areas(transfer.mapped.mapped, target.triangles)
+    corners = target.triangles.ravel()
+    around = [np.bincount(corners, np.repeat(area, 3), minlength=len(target.positions)) for area in (own, image)]
+    stretch = np.sqrt(around[0] / np.maximum(around[1], np.finfo(float).tiny))
+    order = np.argsort(stretch)
+    share = np.cumsum(around[0][order]) / around[0].sum()
+    low, high = np.interp([_OUTLIERS, 1 - _OUTLIERS], share, stretch[order])
+    return np.clip(stretch, low, high)
+
+
+def grey(texture: Pixels | Mapping[int, Pixels]) -> Pixels | dict[int, Pixels]:
+    """One channel of a grey image; colour channels must agree, alpha (a second or fourth channel) is ignored."""
+    if isinstance(texture, Mapping):
+        return {tile: _grey_channel(pixels) for tile, pixels in texture.items()}
+    return _grey_channel(texture)
+
+
+def _grey_channel(pixels: Pixels) -> Pixels:
+    if pixels.ndim < 3 or pixels.shape[2] < 3:
+        return pixels if pixels.ndim < 3 else pixels[:, :, :1]
+    one = unit(pixels.dtype)
+    spread = float(np.nanmax(np.ptp(pixels[:, :, :3].astype(np.float64), axis=2), initial=0.0)) / one
+    largest = float(np.nanmax(np.abs(pixels[:, :, :3]).astype(np.float64), initial=0.0)) / one
+    if spread > max(_GREY * largest, 2 / one if pixels.dtype.kind == "u" else 0.0):
+        raise ParameterError(
+            f"displacement: expected a grey image (heights along the normal), got channels that differ by up to "
+            f"{spread:.3g}; vector displacement and normal maps cannot be baked as heights"
+        )
+    return pixels[:, :, :1]
