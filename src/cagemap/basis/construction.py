@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.basis.eigen import EigenPairs, band_pairs, residual_norms
-from cagemap.basis.error_estimate import eigenvalue_excess
+from cagemap.basis.error_estimate import Prediction, predict_next_level
 from cagemap.basis.gram import extend_gram, products_with_bands
 from cagemap.basis.hierarchical import HierarchicalBasis
 from cagemap.basis.overlap import new_directions
 from cagemap.basis.products import multiply
-from cagemap.basis.schedule import BasisConfig, choose_split, plausible_count
+from cagemap.basis.schedule import BasisConfig, choose_split, plausible_count, relative_errors
 from cagemap.errors import ParameterError
 from cagemap.operators import Operators
 from cagemap.refinement import Refinement
@@ -22,9 +22,9 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
 # Pairs computed below the start of a band, to see which of them the prolonged basis has already.
-OVERLAP = 8
-# What the estimate at the next level leaves out: the energy of unfinished conjugate gradients and of all finer levels.
-SAFETY = 1.6
+OVERLAP = 12
+_START_COLUMNS = 32
+_SEED = 2019
 
 
 @dataclass
@@ -32,15 +32,29 @@ class _Growing:
     """The basis so far, while it is built."""
 
     bands: list[FloatArray] = field(default_factory=list)
-    values: list[FloatArray] = field(default_factory=list)
-    residuals: list[FloatArray] = field(default_factory=list)
-    indices: list[IndexArray] = field(default_factory=list)
-    errors: list[FloatArray] = field(default_factory=list)
+    values: FloatArray = field(default_factory=lambda: np.zeros(0))
+    residuals: FloatArray = field(default_factory=lambda: np.zeros(0))
+    indices: IndexArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    errors: FloatArray = field(default_factory=lambda: np.zeros(0))
     gram: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    # The last level's pairs, kept or not, and how many of them met the tolerance: a start for the next level.
+    pairs: EigenPairs | None = None
+    good: int = 0
 
     @property
     def count(self) -> int:
         return len(self.gram)
+
+    def drop_last(self, count: int) -> None:
+        """Take back the last functions, all of them in the last band that has any."""
+        for level in reversed(range(len(self.bands))):
+            dropped = min(count, self.bands[level].shape[1])
+            self.bands[level] = self.bands[level][:, : self.bands[level].shape[1] - dropped]
+            count -= dropped
+            size = self.count - dropped
+            self.gram = self.gram[:size, :size]
+        self.values, self.residuals = self.values[: self.count], self.residuals[: self.count]
+        self.indices, self.errors = self.indices[: self.count], self.errors[: self.count]
 
 
 def hierarchical_basis(
@@ -79,16 +93,12 @@ def hierarchical_basis(
             _add_controlled(growing, level, refinement, operators, config)
         elif level < len(config.schedule):
             last = growing.count + config.schedule[level]
-            pairs = _window(operators, level, growing.count, last, config)
-            excess = _excess(pairs, level, refinement, operators)
-            _append(growing, level, pairs, excess, config.schedule[level], refinement, operators)
+            pairs = _window(operators, level, growing, last, config, refinement)
+            prediction = _predict(pairs, level, refinement, operators)
+            _append(growing, level, pairs, prediction, config.schedule[level], refinement, operators)
+            growing.pairs = pairs
     return HierarchicalBasis(
-        tuple(growing.bands),
-        np.concatenate(growing.values),
-        np.concatenate(growing.residuals),
-        np.concatenate(growing.indices),
-        growing.gram,
-        np.concatenate(growing.errors),
+        tuple(growing.bands), growing.values, growing.residuals, growing.indices, growing.gram, growing.errors
     )
 
 
@@ -96,45 +106,63 @@ def _add_controlled(
     growing: _Growing, level: int, refinement: Refinement, operators: Operators, config: BasisConfig
 ) -> None:
     """Add the pairs of one level that meet the tolerance there."""
-    n = operators.mass[level].shape[0]
+    sizes = [mass.shape[0] for mass in operators.mass]
     last = config.count
     if level < operators.finest:
-        last = min(last, plausible_count(n, config.tolerance))
+        seen = growing.good * sizes[level] / sizes[level - 1] if level > 0 else 0.0
+        last = min(last, plausible_count(sizes[level], config.tolerance, seen))
     if last <= growing.count:
-        growing.bands.append(np.zeros((n, 0)))
+        growing.bands.append(np.zeros((sizes[level], 0)))
+        growing.pairs = None
         return
-    pairs = _window(operators, level, growing.count, last, config)
-    excess = _excess(pairs, level, refinement, operators)
-    new = slice(growing.count - pairs.first_index, None)
-    wanted = choose_split(pairs.values[new], excess[new], config.tolerance)
-    _append(growing, level, pairs, excess, wanted, refinement, operators)
+    pairs = _window(operators, level, growing, last, config, refinement)
+    _take_back(growing, pairs, config.tolerance)
+    prediction = _predict(pairs, level, refinement, operators)
+    good, wanted = choose_split(pairs, prediction, growing.count, config)
+    _append(growing, level, pairs, prediction, wanted, refinement, operators)
+    growing.pairs, growing.good = pairs, good
 
 
-def _window(operators: Operators, level: int, first: int, last: int, config: BasisConfig) -> EigenPairs:
-    """Eigenpairs first..last-1 of a level, and a few below them."""
-    start = max(0, first - OVERLAP)
-    return band_pairs(operators.stiffness[level], operators.mass[level], start, last, tolerance=config.accuracy)
-
-
-def _excess(pairs: EigenPairs, level: int, refinement: Refinement, operators: Operators) -> FloatArray:
-    """Estimated error of the eigenvalues of a level against the finest one; none at the finest."""
-    if level == operators.finest:
-        return np.zeros(len(pairs.values))
-    following = level + 1
-    return SAFETY * eigenvalue_excess(
-        refinement.matrices[level],
-        operators.stiffness[following],
-        operators.mass[following],
-        pairs.values,
-        pairs.vectors,
+def _window(
+    operators: Operators, level: int, growing: _Growing, last: int, config: BasisConfig, refinement: Refinement
+) -> EigenPairs:
+    """Eigenpairs of a level from a few below the end of the basis so far up to ``last``."""
+    first = max(0, growing.count - OVERLAP)
+    start = None
+    previous = growing.pairs
+    if previous is not None and first < previous.last_index:
+        # The coarser level's pairs in that range, mixed at random, are a block rich in what is sought.
+        useful = previous.vectors[:, max(0, first - previous.first_index) :]
+        mixing = np.random.default_rng(_SEED).standard_normal((useful.shape[1], min(_START_COLUMNS, useful.shape[1])))
+        start = refinement.prolong(useful @ mixing, level - 1, level)
+    return band_pairs(
+        operators.stiffness[level], operators.mass[level], first, last, start=start, tolerance=config.accuracy
     )
+
+
+def _take_back(growing: _Growing, pairs: EigenPairs, tolerance: float) -> None:
+    """Drop functions whose eigenvalue turns out too high, now that the next level has computed it too."""
+    first = pairs.first_index
+    known = growing.values[first:]
+    exact = pairs.values[: len(known)]
+    wrong = np.flatnonzero(np.sort(known) - exact > tolerance * np.maximum(exact, 1e-3 * pairs.values[-1]))
+    if len(wrong):
+        growing.drop_last(len(known) - int(wrong[0]))
+
+
+def _predict(pairs: EigenPairs, level: int, refinement: Refinement, operators: Operators) -> Prediction | None:
+    """What the next level would make of the pairs of this one; None at the finest."""
+    if level == operators.finest:
+        return None
+    stiffness, mass = operators.stiffness[level + 1], operators.mass[level + 1]
+    return predict_next_level(refinement.matrices[level], stiffness, mass, pairs.values, pairs.vectors)
 
 
 def _append(
     growing: _Growing,
     level: int,
     pairs: EigenPairs,
-    excess: FloatArray,
+    prediction: Prediction | None,
     wanted: int,
     refinement: Refinement,
     operators: Operators,
@@ -148,12 +176,13 @@ def _append(
     band = np.ascontiguousarray(pairs.vectors @ rotation)
     values = np.einsum("ij,i,ij->j", rotation, pairs.values, rotation)
     areas = np.asarray(mass.sum(axis=1), dtype=np.float64)
+    residuals = residual_norms(values, band, multiply(stiffness, band), multiply(mass, band), areas)
     growing.gram = extend_gram(growing.gram, tuple(growing.bands), refinement, operators, band, level)
-    growing.residuals.append(residual_norms(values, band, multiply(stiffness, band), multiply(mass, band), areas))
-    growing.errors.append(excess[positions] / np.maximum(values, 1e-3 * pairs.values[-1]))
     growing.bands.append(band)
-    growing.values.append(values)
-    growing.indices.append(pairs.first_index + positions)
+    growing.values = np.concatenate([growing.values, values])
+    growing.residuals = np.concatenate([growing.residuals, residuals])
+    growing.errors = np.concatenate([growing.errors, relative_errors(pairs, prediction)[positions]])
+    growing.indices = np.concatenate([growing.indices, pairs.first_index + positions])
 
 
 def _check_sizes(operators: Operators, config: BasisConfig) -> None:

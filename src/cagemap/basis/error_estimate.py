@@ -1,17 +1,44 @@
-"""How far the eigenvalues of one level are above those of the surface, without computing finer ones."""
+"""What the eigenpairs of one level become at the next, without computing them there."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
+from scipy import linalg, sparse
 
 from cagemap.basis.products import multiply
 
 FloatArray = NDArray[np.float64]
 
 
-def eigenvalue_excess(
+# Condition of the scaled stiffness matrix on what the coarser level cannot represent.
+CONDITION = 20.0
+_SEED = 2019
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Eigenpairs of the next level, predicted within reach of a correction of the present ones.
+
+    Attributes
+    ----------
+    values : (m,) array
+        Predicted eigenvalues of the next level, ascending; pair by pair not above those of the present level.
+    rotation : (m, m) orthogonal array
+        Predicted eigenvectors in the prolonged ones: entry (i, j) says how much of present pair i predicted pair j holds.
+    """
+
+    values: FloatArray
+    rotation: FloatArray
+
+    def leak(self, split: int) -> float:
+        """Share of a direction that is lost if the pairs before ``split`` stay at their level: sin^2 of the angles, summed."""
+        return float(np.sum(self.rotation[split:, :split] ** 2))
+
+
+def predict_next_level(
     subdivision: sparse.csr_array,
     stiffness: sparse.csr_array,
     mass: sparse.csr_array,
@@ -19,12 +46,14 @@ def eigenvalue_excess(
     vectors: FloatArray,
     *,
     steps: int = 4,
-) -> FloatArray:
-    """How much lower the eigenvalues of the next level are: lambda^l - lambda^{l+1}, estimated.
+) -> Prediction:
+    """Predict the eigenpairs of level l + 1 from those of level l.
 
-    The residual of a prolonged pair, r = (W^{l+1} - lambda M^{l+1}) S x, is orthogonal to the image of S (paper, eq. 2),
-    so what it lacks is of high frequency, where W^{l+1} is well conditioned once scaled by its diagonal. A few steps of
-    conjugate gradients on W^{l+1} z = r give the energy r^T z that a correction within level l + 1 would gain.
+    The residuals of the prolonged pairs, R = W^{l+1} S X - M^{l+1} S X Lambda, are orthogonal to the image of S (paper,
+    eq. 2). What the pairs lack is therefore of high frequency, where W^{l+1} is well conditioned once scaled by its
+    diagonal, and a few steps of Chebyshev iteration give Z near W^{-1} R. To second order the level l + 1 then acts on the
+    prolonged pairs as Lambda - R^T Z. Its eigenvalues, not only its diagonal, are what counts: pairs closer to each other
+    than their error mix, and one that the coarse level resolves badly drops below its neighbours.
 
     Parameters
     ----------
@@ -36,29 +65,55 @@ def eigenvalue_excess(
     vectors : (n_l, m) array
         Eigenpairs of level l, M-orthonormal.
     steps : int
-        Conjugate gradient steps; the estimate grows with every one, towards a limit.
+        Chebyshev steps.
 
     Returns
     -------
-    (m,) array
-        Not negative. Unit of the eigenvalues.
+    Prediction
     """
     prolonged = multiply(subdivision, vectors)
     residual = multiply(stiffness, prolonged) - multiply(mass, prolonged) * values
-    diagonal = stiffness.diagonal()[:, None]
-    gained = np.zeros(len(values))
-    direction = residual / diagonal
-    product = np.einsum("ij,ij->j", residual, direction)
-    for step in range(steps):
-        image = multiply(stiffness, direction)
-        curvature = np.einsum("ij,ij->j", direction, image)
-        length = product / np.where(curvature > 0.0, curvature, 1.0)
-        gained += length * product
-        if step == steps - 1:
-            break
-        residual = residual - image * length
-        scaled = residual / diagonal
-        previous, product = product, np.einsum("ij,ij->j", residual, scaled)
-        direction = scaled + direction * (product / np.where(previous > 0.0, previous, 1.0))
-    # The correction has a Rayleigh quotient mu of its own, and (W - lambda M) is smaller than W by lambda / mu on it.
-    return gained
+    correction = _smooth(stiffness, residual, steps)
+    energy = residual.T @ correction
+    gained = np.diag(energy)
+    # On the correction the operator is W - lambda M rather than W: a Rayleigh quotient mu near lambda gains more.
+    weight = np.einsum("ij,ij->j", correction, multiply(mass, correction))
+    share = np.clip(values * weight / np.maximum(gained, np.finfo(float).tiny), 0.0, 0.5)
+    scale = 1.0 / np.sqrt(1.0 - share)
+    coupling = 0.5 * (energy + energy.T) * np.outer(scale, scale)
+    predicted, rotation = linalg.eigh(np.diag(values) - coupling)
+    return Prediction(predicted, rotation)
+
+
+def _smooth(matrix: sparse.csr_array, right_sides: FloatArray, steps: int) -> FloatArray:
+    """Z near W^{-1} R for R of high frequency: Chebyshev iteration on D^{-1} W, D the diagonal.
+
+    One fixed polynomial for all columns keeps R^T Z symmetric and, up to the polynomial's ripple, not above R^T W^{-1} R.
+    """
+    diagonal = matrix.diagonal()[:, None]
+    highest = _highest_scaled_eigenvalue(matrix)
+    lowest = highest / CONDITION
+    centre, radius = 0.5 * (highest + lowest), 0.5 * (highest - lowest)
+    step = right_sides / (diagonal * centre)
+    solution = step.copy()
+    factor = 1.0 / centre
+    residual = right_sides
+    for iteration in range(1, steps):
+        residual = residual - multiply(matrix, step)
+        momentum = 0.5 * (radius * factor) ** 2 if iteration == 1 else (0.5 * radius * factor) ** 2
+        factor = 1.0 / (centre - momentum / factor)
+        step = momentum * step + factor * (residual / diagonal)
+        solution += step
+    return solution
+
+
+def _highest_scaled_eigenvalue(matrix: sparse.csr_array) -> float:
+    """Largest eigenvalue of D^{-1} A, a few percent high, by power iteration."""
+    inverse = 1.0 / matrix.diagonal()
+    vector = np.random.default_rng(_SEED).standard_normal(matrix.shape[0])
+    norm = 1.0
+    for _ in range(15):
+        image = inverse * (matrix @ vector)
+        norm = float(np.linalg.norm(image) / np.linalg.norm(vector))
+        vector = image / np.linalg.norm(image)
+    return 1.1 * norm

@@ -7,13 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cagemap.basis.eigen import EigenPairs
+from cagemap.basis.error_estimate import Prediction
 from cagemap.errors import ParameterError
 
 FloatArray = NDArray[np.float64]
 
-# Relative eigenvalue error of pair j at a level with n vertices is about (j / (REACH n))^3 on smooth parts; real
-# surfaces do worse, so pairs beyond this share of a level need not be computed there at all.
-REACH = 0.4
+# The relative eigenvalue error of pair j at a level with n vertices is about (j / (c n))^3, c between these two on the
+# surfaces measured: simple plump ones have the larger, bodies with fingers the smaller.
+REACH = 0.5
+LEAST_REACH = 0.14
+# What the prediction for the next level leaves out: unfinished conjugate gradients and all finer levels.
+SAFETY = 2.0
 # How far below the last good pair a level may stop in order to end at a wide gap.
 _GAP_SEARCH = 0.25
 
@@ -38,7 +43,7 @@ class BasisConfig:
     count: int = 300
     tolerance: float = 0.01
     schedule: tuple[int, ...] | None = None
-    accuracy: float = 1e-6
+    accuracy: float = 1e-7
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -66,38 +71,72 @@ class BasisConfig:
         return self.count if self.schedule is None else sum(self.schedule)
 
 
-def plausible_count(vertices: int, tolerance: float) -> int:
-    """How many eigenpairs of a level could meet a tolerance at best; never more than a third of the level."""
-    return max(1, int(vertices * min(1.0 / 3.0, REACH * tolerance ** (1.0 / 3.0))))
-
-
-def choose_split(values: FloatArray, excess: FloatArray, tolerance: float) -> int:
-    """How many leading pairs of a list to keep at their level.
-
-    All pairs kept meet the tolerance. Among the last places that allow it, the list is cut where the gap between
-    eigenvalues is widest compared with their error, because pairs closer to each other than their error are mixed
-    between levels, and cutting through them would lose a direction.
+def plausible_count(vertices: int, tolerance: float, seen: float) -> int:
+    """How many eigenpairs of a level are worth computing there because they may meet a tolerance.
 
     Parameters
     ----------
-    values : (m,) array
-        Ascending eigenvalues.
-    excess : (m,) array
-        Estimated absolute error of each, not negative.
+    vertices : int
+        Of the level.
     tolerance : float
-        Relative.
+    seen : float
+        How many met it at the level below, scaled to this one's size; 0 where there is none.
 
     Returns
     -------
     int
-        0 to m.
+        At least 1, at most a third of the level.
     """
-    scale = np.maximum(values, 1e-3 * values[-1])
-    bad = np.flatnonzero(excess > tolerance * scale)
-    limit = int(bad[0]) if len(bad) else len(values)
-    if limit == 0 or limit == len(values):
-        return limit
+    cube_root = tolerance ** (1.0 / 3.0)
+    count = float(np.clip(2.0 * seen, LEAST_REACH * cube_root * vertices, REACH * cube_root * vertices))
+    return max(1, int(min(count, vertices / 3.0)))
+
+
+def relative_errors(pairs: EigenPairs, prediction: Prediction | None) -> FloatArray:
+    """Estimated error of every eigenvalue of a level against the finest one, relative; zero at the finest.
+
+    Indices are compared: pair j of one level with pair j of the other.
+    """
+    if prediction is None:
+        return np.zeros(len(pairs.values))
+    # The constant function has eigenvalue 0 at every level; Weyl's mean distance stands in for it.
+    scale = np.maximum(prediction.values, 1e-3 * pairs.values[-1])
+    return SAFETY * np.maximum(pairs.values - prediction.values, 0.0) / scale
+
+
+def choose_split(
+    pairs: EigenPairs, prediction: Prediction | None, present: int, config: BasisConfig
+) -> tuple[int, int]:
+    """How many new pairs of a window a level keeps.
+
+    All pairs kept meet the tolerance. Among the last places that allow it, the window is cut where the fewest directions
+    are mixed across the cut between this level and the next; that is at a wide gap, never inside a cluster.
+
+    Parameters
+    ----------
+    pairs : EigenPairs
+        Window of pairs of the level.
+    prediction : Prediction or None
+        None at the finest level, where all are kept.
+    present : int
+        Number of functions that the basis has already.
+    config : BasisConfig
+
+    Returns
+    -------
+    good : int
+        Index in the spectrum up to which all pairs meet the tolerance.
+    kept : int
+        Number of new pairs to keep.
+    """
+    first = present - pairs.first_index
+    new = len(pairs.values) - first
+    if prediction is None:
+        return pairs.last_index, new
+    bad = np.flatnonzero(relative_errors(pairs, prediction)[first:] > config.tolerance)
+    limit = int(bad[0]) if len(bad) else new
+    if limit == 0 or present + limit >= config.count:
+        return present + limit, limit
     places = np.arange(max(1, int((1.0 - _GAP_SEARCH) * limit)), limit + 1)
-    gaps = values[places] - values[places - 1]
-    errors = np.maximum(excess[places - 1], excess[places])
-    return int(places[np.argmax(gaps / np.maximum(errors, 1e-12 * scale[places]))])
+    leaks = [prediction.leak(first + place) for place in places]
+    return present + limit, int(places[np.argmin(leaks)])
