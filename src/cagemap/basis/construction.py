@@ -64,8 +64,8 @@ def hierarchical_basis(
 ) -> HierarchicalBasis:
     """Hierarchical basis of a surface, by the paper's fixed schedule or by a tolerance.
 
-    Error-controlled (default): every level, from the control mesh up, keeps those of its eigenpairs whose eigenvalues are
-    within ``config.tolerance`` of the finest level's; the rest are left to the next level. Fixed: every level adds
+    Error-controlled (default): every level, from the control mesh up, keeps those of its eigenpairs whose eigenvalues
+    are within ``config.tolerance`` of the finest level's; the rest are left to the next level. Fixed: every level adds
     ``config.schedule[l]`` pairs.
 
     Parameters
@@ -190,20 +190,20 @@ def _check_sizes(operators: Operators, config: BasisConfig) -> None:
     if config.schedule is None:
         if config.count > finest:
             raise ParameterError(
-                f"count: expected at most {finest} basis functions, the vertices of the finest level, got {config.count}; "
-                "refine further or ask for fewer"
+                f"count: expected at most {finest} basis functions, the vertices of the finest level, got "
+                f"{config.count}; refine further or ask for fewer"
             )
         return
     if len(config.schedule) > operators.finest + 1:
         raise ParameterError(
-            f"schedule: expected at most {operators.finest + 1} counts, one for each level, got {len(config.schedule)}: "
-            f"{config.schedule}; refine further or shorten it"
+            f"schedule: expected at most {operators.finest + 1} counts, one for each level, got "
+            f"{len(config.schedule)}: {config.schedule}; refine further or shorten it"
         )
     totals = np.cumsum(config.schedule)
     sizes = [mass.shape[0] for mass in operators.mass]
     for level, total in enumerate(totals):
         if total > sizes[level]:
             raise ParameterError(
-                f"schedule: expected at most {sizes[level]} functions up to level {level}, which has so many vertices, got "
-                f"{total} from {config.schedule}; move counts to finer levels, or give count and tolerance instead"
+                f"schedule: expected at most {sizes[level]} functions up to level {level}, which has so many vertices, "
+                f"got {total} from {config.schedule}; move counts to finer levels, or give count and tolerance instead"
             )

@@ -59,8 +59,8 @@ def residual_norms(
 ) -> FloatArray:
     """Relative residual of every pair, ||W x - lambda M x||_{D^{-1}} / max(lambda, 4 pi / area).
 
-    D = diag(M 1) lumps the mass matrix (at the finest level it is M), so that the norm is that of a function. 4 pi / area
-    is the mean distance between eigenvalues (Weyl's law); it stands in for the eigenvalue of the constant function, 0.
+    D = diag(M 1) lumps the mass matrix (at the finest level it is M), so that the norm is that of a function.
+    4 pi / area is the mean distance between eigenvalues (Weyl's law); it stands in for the eigenvalue 0.
 
     Parameters
     ----------
@@ -84,8 +84,8 @@ def lowest_pairs(
 ) -> EigenPairs:
     """Lowest eigenpairs, complete whatever their multiplicity.
 
-    Dense for small problems, else block shift-invert Lanczos; the inertia of W - tau M, tau in a gap just above the last
-    pair, then proves that no eigenvalue was missed.
+    Dense for small problems, else block shift-invert Lanczos; the inertia of W - tau M, tau in a gap near the last,
+    then proves that no eigenvalue was missed.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ def exact_basis(operators: Operators, level: int, count: int) -> EigenPairs:
 def _shift_inside(
     stiffness: sparse.csr_array, mass: sparse.csr_array, low: int, high: int, estimate: float | None
 ) -> tuple[Factorization, float]:
-    """A shift inside the band low..high, factored; below the whole spectrum where there is no inertia to place it by."""
+    """A shift inside the band low..high, factored; below the whole spectrum where no inertia can place it."""
     # Weyl's law for a surface: lambda_j is about 4 pi j / area.
     spacing = 4.0 * np.pi / float(mass.sum())
     middle = 0.6 * high if low == 0 else 0.5 * (low + high)

@@ -27,14 +27,14 @@ class Prediction:
     values : (m,) array
         Predicted eigenvalues of the next level, ascending; pair by pair not above those of the present level.
     rotation : (m, m) orthogonal array
-        Predicted eigenvectors in the prolonged ones: entry (i, j) says how much of present pair i predicted pair j holds.
+        Predicted eigenvectors in the prolonged ones: entry (i, j) is how much of present pair i predicted pair j has.
     """
 
     values: FloatArray
     rotation: FloatArray
 
     def leak(self, split: int) -> float:
-        """Share of a direction that is lost if the pairs before ``split`` stay at their level: sin^2 of the angles, summed."""
+        """Directions lost if the pairs before ``split`` stay at their level: sin^2 of the angles, summed."""
         return float(np.sum(self.rotation[split:, :split] ** 2))
 
 
@@ -51,9 +51,9 @@ def predict_next_level(
 
     The residuals of the prolonged pairs, R = W^{l+1} S X - M^{l+1} S X Lambda, are orthogonal to the image of S (paper,
     eq. 2). What the pairs lack is therefore of high frequency, where W^{l+1} is well conditioned once scaled by its
-    diagonal, and a few steps of Chebyshev iteration give Z near W^{-1} R. To second order the level l + 1 then acts on the
-    prolonged pairs as Lambda - R^T Z. Its eigenvalues, not only its diagonal, are what counts: pairs closer to each other
-    than their error mix, and one that the coarse level resolves badly drops below its neighbours.
+    diagonal, and a few steps of Chebyshev iteration give Z near W^{-1} R. To second order the level l + 1 then acts on
+    the prolonged pairs as Lambda - R^T Z. Its eigenvalues, not only its diagonal, are what counts: pairs closer to each
+    other than their error mix, and one that the coarse level resolves badly drops below its neighbours.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def predict_next_level(
 def _smooth(matrix: sparse.csr_array, right_sides: FloatArray, steps: int) -> FloatArray:
     """Z near W^{-1} R for R of high frequency: Chebyshev iteration on D^{-1} W, D the diagonal.
 
-    One fixed polynomial for all columns keeps R^T Z symmetric and, up to the polynomial's ripple, not above R^T W^{-1} R.
+    One fixed polynomial for all columns keeps R^T Z symmetric and, but for a ripple, not above R^T W^{-1} R.
     """
     diagonal = matrix.diagonal()[:, None]
     highest = _highest_scaled_eigenvalue(matrix)

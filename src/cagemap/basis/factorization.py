@@ -17,12 +17,14 @@ from scipy.sparse import linalg as sparse_linalg
 
 from cagemap.errors import ParameterError, SolverError
 
+rslab: Any
 try:
     import rslab
 except ImportError:  # no wheel for this platform
     rslab = None
 
 FloatArray = NDArray[np.float64]
+SparseMatrix = sparse.csr_array | sparse.csc_array
 
 # SuperLU's minimum degree ordering gives the least fill on small meshes and takes minutes on large ones.
 _SUPERLU_MINIMUM_DEGREE_ROWS = 30_000
@@ -73,7 +75,7 @@ class Factorization:
         return np.ascontiguousarray(solution).reshape(values.shape)
 
 
-def factor(matrix: sparse.sparray, *, like: Factorization | None = None, library: str = "auto") -> Factorization:
+def factor(matrix: SparseMatrix, *, like: Factorization | None = None, library: str = "auto") -> Factorization:
     """Factor a symmetric, possibly indefinite sparse matrix.
 
     Parameters
@@ -107,7 +109,7 @@ def factor(matrix: sparse.sparray, *, like: Factorization | None = None, library
     return _factor_rslab(matrix, like)
 
 
-def _factor_rslab(matrix: sparse.sparray, like: Factorization | None) -> Factorization:
+def _factor_rslab(matrix: SparseMatrix, like: Factorization | None) -> Factorization:
     lower = sparse.csc_array(sparse.tril(matrix, format="csc"))
     lower.sort_indices()
     try:
@@ -120,7 +122,7 @@ def _factor_rslab(matrix: sparse.sparray, like: Factorization | None) -> Factori
     return Factorization(matrix.shape, negative, "rslab", factors.solve_many, analysis)
 
 
-def _factor_superlu(matrix: sparse.sparray) -> Factorization:
+def _factor_superlu(matrix: SparseMatrix) -> Factorization:
     small = matrix.shape[0] <= _SUPERLU_MINIMUM_DEGREE_ROWS
     try:
         factors = sparse_linalg.splu(
@@ -137,7 +139,7 @@ def _factor_superlu(matrix: sparse.sparray) -> Factorization:
     return Factorization(matrix.shape, negative, "superlu", factors.solve)
 
 
-def _singular_message(matrix: sparse.sparray, error: Exception) -> str:
+def _singular_message(matrix: SparseMatrix, error: Exception) -> str:
     return (
         f"expected a non-singular matrix, got one of {matrix.shape[0]} rows that the factorisation refused ({error}); "
         "shift it away from its eigenvalues, or fix a vertex"

@@ -30,11 +30,11 @@ def products_with_bands(
     (k, q) array, k the number of functions in the bands
     """
     parts: list[FloatArray] = []
-    for l in reversed(range(level + 1)):
-        if l < len(bands):
-            parts.append(bands[l].T @ dual)
-        if l > 0:
-            dual = refinement.matrices[l - 1].T @ dual
+    for coarser in reversed(range(level + 1)):
+        if coarser < len(bands):
+            parts.append(bands[coarser].T @ dual)
+        if coarser > 0:
+            dual = refinement.matrices[coarser - 1].T @ dual
     return np.concatenate(parts[::-1]) if parts else np.zeros((0, dual.shape[1]))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -73,13 +74,13 @@ class HierarchicalBasis:
         return sum(self.schedule[: level + 1])
 
     def __repr__(self) -> str:
-        bands = ", ".join(f"{k} at level {l}" for l, k in enumerate(self.schedule))
+        bands = ", ".join(f"{k} at level {level}" for level, k in enumerate(self.schedule))
         return f"HierarchicalBasis({self.count} functions: {bands})"
 
 
 def evaluate(
     basis: HierarchicalBasis, refinement: Refinement, level: int, *, dtype: DTypeLike = np.float64
-) -> NDArray[np.floating]:
+) -> NDArray[Any]:
     """The basis at one level as a dense matrix: Phi~^level, eq. 8.
 
     Parameters
@@ -100,12 +101,12 @@ def evaluate(
         If there is no such level.
     """
     _check_level(refinement, level)
-    values = basis.bands[0]
-    for l in range(1, level + 1):
-        values = multiply(refinement.matrices[l - 1], values)
-        if l <= basis.last_level:
-            values = np.hstack([values, basis.bands[l]])
-    return values.astype(dtype, copy=level == 0)
+    values: NDArray[Any] = basis.bands[0].astype(dtype)
+    for finer in range(1, level + 1):
+        values = multiply(refinement.matrices[finer - 1], values)
+        if finer <= basis.last_level:
+            values = np.hstack([values, basis.bands[finer].astype(dtype)])
+    return values
 
 
 def rows(
@@ -115,7 +116,7 @@ def rows(
     vertices: IndexArray,
     *,
     dtype: DTypeLike = np.float64,
-) -> NDArray[np.floating]:
+) -> NDArray[Any]:
     """Some rows of Phi~^level, without making the others.
 
     Parameters
@@ -144,11 +145,12 @@ def rows(
         )
     parts: list[FloatArray] = []
     chosen: sparse.csr_array | None = None  # None stands for the plain selection of vertices
-    for l in reversed(range(level + 1)):
-        if l <= basis.last_level:
-            parts.append(basis.bands[l][vertices] if chosen is None else multiply(chosen, basis.bands[l]))
-        if l > 0:
-            matrix = refinement.matrices[l - 1]
+    for coarser in reversed(range(level + 1)):
+        if coarser <= basis.last_level:
+            band = basis.bands[coarser]
+            parts.append(band[vertices] if chosen is None else multiply(chosen, band))
+        if coarser > 0:
+            matrix = refinement.matrices[coarser - 1]
             chosen = sparse.csr_array(matrix[vertices] if chosen is None else chosen @ matrix)
     return np.hstack(parts[::-1]).astype(dtype, copy=False)
 
@@ -160,7 +162,7 @@ def row_blocks(
     *,
     block: int = 65_536,
     dtype: DTypeLike = np.float64,
-) -> Iterator[tuple[slice, NDArray[np.floating]]]:
+) -> Iterator[tuple[slice, NDArray[Any]]]:
     """All rows of Phi~^level, some at a time, for levels whose dense matrix would be too large.
 
     Parameters
@@ -181,21 +183,21 @@ def row_blocks(
     _check_level(refinement, level)
     n = refinement.levels[level].n_vertices
     base = min(level, basis.last_level)
-    dense = evaluate(basis, refinement, base)
+    dense = evaluate(basis, refinement, base, dtype=dtype)
     for start in range(0, n, block):
         stop = min(n, start + block)
         if level == base:
             values = dense[start:stop]
         else:
             chosen = refinement.matrices[level - 1][start:stop]
-            for l in reversed(range(base, level - 1)):
-                chosen = chosen @ refinement.matrices[l]
+            for coarser in reversed(range(base, level - 1)):
+                chosen = chosen @ refinement.matrices[coarser]
             values = multiply(sparse.csr_array(chosen), dense)
-        yield slice(start, stop), values.astype(dtype, copy=False)
+        yield slice(start, stop), values
 
 
 def gram_matrix(basis: HierarchicalBasis, operators: Operators, refinement: Refinement, level: int) -> FloatArray:
-    """Phi~^T M Phi~ of the basis at one level: the leading block of ``basis.gram``, as inner products do not change (Lemma 5).
+    """Phi~^T M Phi~ of the basis at one level: a leading block of ``basis.gram``, as products do not change (Lemma 5).
 
     Parameters
     ----------

@@ -100,8 +100,8 @@ def shift_invert_lanczos(
 
     Notes
     -----
-    Full reorthogonalisation: O(n m^2) flops in matrix products for a Krylov space of m columns, m about twice the number
-    of wanted pairs.
+    Full reorthogonalisation: O(n m^2) flops in matrix products for a Krylov space of m columns, m about twice the
+    number of wanted pairs.
     """
     n = mass.shape[0]
     rng = np.random.default_rng(_SEED)

@@ -26,8 +26,8 @@ def new_directions(
 
     Inside a cluster any rotation gives eigenvectors. It is rotated so that each vector is either in the prolonged span
     as far as possible, or out of it: then a cluster that the previous level has cut is completed by exactly the missing
-    directions. The window starts ``present`` pairs below the end of the prolonged basis, so exactly that many directions
-    of it are there already: the ones with the largest overlap.
+    directions. The window starts ``present`` pairs below the end of the prolonged basis, so exactly that many of its
+    directions are there already: the ones with the largest overlap.
 
     Parameters
     ----------

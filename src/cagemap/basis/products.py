@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 
-FloatArray = NDArray[np.float64]
+# A block of float64 (or of float32 where only a nearest neighbour is asked) gives one of the same type.
+RealArray = TypeVar("RealArray", NDArray[np.float64], NDArray[np.float32], NDArray[Any])
 
 # Below this much work starting threads costs more than it saves.
 _PARALLEL_WORK = 2_000_000
@@ -30,25 +32,27 @@ def _multiply_rows(indptr, indices, data, block, first, last, out):  # type: ign
                 out[row, j] += value * block[other, j]
 
 
-def multiply(matrix: sparse.csr_array, block: FloatArray) -> FloatArray:
+def multiply(matrix: sparse.csr_array, block: RealArray) -> RealArray:
     """A X for a CSR matrix and a dense block; the same as ``matrix @ block``, several times faster on wide blocks.
 
     Parameters
     ----------
     matrix : (n, m) CSR array of float64
-    block : (m, q) array
+    block : (m, q) array of float64 or float32
 
     Returns
     -------
-    (n, q) C-ordered array
+    (n, q) C-ordered array of the block's type
 
     Notes
     -----
     Row ranges go to a few threads; the result does not depend on their number.
     """
-    values = np.ascontiguousarray(block, dtype=np.float64)
+    dtype = np.float32 if block.dtype == np.float32 else np.float64
+    values = np.ascontiguousarray(block, dtype=dtype)
+    entries = matrix.data.astype(dtype, copy=False)
     rows = matrix.shape[0]
-    out = np.empty((rows, values.shape[1]))
+    out = np.empty((rows, values.shape[1]), dtype=dtype)
     work = matrix.nnz * values.shape[1]
     threads = 1 if work < _PARALLEL_WORK else min(8, os.cpu_count() or 1)
     # Equal shares of the nonzeros rather than of the rows.
@@ -57,7 +61,7 @@ def multiply(matrix: sparse.csr_array, block: FloatArray) -> FloatArray:
     bounds = np.concatenate([[0], bounds, [rows]])
 
     def share(t: int) -> None:
-        _multiply_rows(matrix.indptr, matrix.indices, matrix.data, values, bounds[t], bounds[t + 1], out)
+        _multiply_rows(matrix.indptr, matrix.indices, entries, values, bounds[t], bounds[t + 1], out)
 
     if threads == 1:
         share(0)

@@ -51,7 +51,7 @@ class BasisConfig:
             raise ParameterError(f"count: expected at least 1 basis function, got {self.count}")
         if not 0.0 < self.tolerance < 1.0:
             raise ParameterError(
-                f"tolerance: expected a relative eigenvalue error between 0 and 1, got {self.tolerance}; 0.01 is the default"
+                f"tolerance: expected a relative eigenvalue error between 0 and 1, got {self.tolerance}; 0.01 is usual"
             )
         if not 0.0 < self.accuracy <= 1e-3:
             raise ParameterError(f"accuracy: expected a residual between 0 and 1e-3, got {self.accuracy}")
@@ -62,7 +62,7 @@ class BasisConfig:
             or any(k != int(k) for k in self.schedule)
         ):
             raise ParameterError(
-                f"schedule: expected counts per level such as (100, 50, 50), level 0 first and not empty, got {self.schedule}"
+                f"schedule: expected counts per level such as (100, 50, 50), level 0 first, got {self.schedule}"
             )
 
     @property
@@ -109,7 +109,7 @@ def choose_split(
 ) -> tuple[int, int]:
     """How many new pairs of a window a level keeps.
 
-    All pairs kept meet the tolerance. Among the last places that allow it, the window is cut where the fewest directions
+    All pairs kept meet the tolerance. Among the last places that allow it, the window is cut where fewest directions
     are mixed across the cut between this level and the next; that is at a wide gap, never inside a cluster.
 
     Parameters
@@ -138,5 +138,5 @@ def choose_split(
     if limit == 0 or present + limit >= config.count:
         return present + limit, limit
     places = np.arange(max(1, int((1.0 - _GAP_SEARCH) * limit)), limit + 1)
-    leaks = [prediction.leak(first + place) for place in places]
+    leaks = [prediction.leak(first + int(place)) for place in places]
     return present + limit, int(places[np.argmin(leaks)])
