@@ -10,7 +10,8 @@ from scipy import sparse
 
 from cagemap.mesh import ControlMesh, shapes
 from cagemap.operators import build_operators, stiffness, triangle_cotangents, vertex_areas
-from cagemap.operators.laplacian import pair_weights, pair_weights_reference
+from cagemap.operators.laplacian import face_terms, face_terms_reference
+from cagemap.operators.sec import restrict, restrict_pair
 from cagemap.refinement import refine
 
 SHAPES = {
@@ -45,8 +46,8 @@ def test_operators_are_symmetric_and_definite(refined):
         masses, values = np.linalg.eigvalsh(mass.toarray()), np.linalg.eigvalsh(stiff.toarray())
         assert masses.min() > -EXACT * masses.max()
         assert values.min() > -EXACT * values.max()
-        # One component: only the constants have no energy, besides functions that subdivide to zero. The cube has one, +1 and
-        # -1 in turn over its corners: at valence 3 Catmull-Clark averages it away, so its M^0 is singular.
+        # One component: only the constants have no energy, besides functions that subdivide to zero. The cube has one,
+        # +1 and -1 in turn over its corners: at valence 3 Catmull-Clark averages it away, so its M^0 is singular.
         vanishing = np.sum(masses < 1e-9 * masses.max())
         assert vanishing == (1 if mass.shape[0] == 8 else 0)
         assert np.sum(values < 1e-9 * values.max()) == 1 + vanishing
@@ -118,7 +119,7 @@ def test_unit_square_quad():
 
 
 def test_slivers_keep_the_stiffness_semi_definite():
-    """Triangles of almost no area must not give infinite or negative energy (soma18056 has quads of 1e-9 of the area)."""
+    """Triangles of almost no area must not give infinite or negative energy (soma18056 has some)."""
     positions = np.array([[0, 0, 0], [1, 0, 0], [0.5, 1e-14, 0], [0.5, 1, 0], [0.5, 0, 0]])
     matrix = stiffness(positions, np.array([[0, 1, 2], [0, 2, 3], [2, 1, 3], [2, 2, 4]])).toarray()
     assert np.isfinite(matrix).all()
@@ -126,8 +127,53 @@ def test_slivers_keep_the_stiffness_semi_definite():
     assert values.min() > -1e-12 * values.max()
 
 
-def test_quad_kernel_agrees_with_its_numpy_twin():
-    level = refine(shapes.creature(), 2).finest
-    faces = np.vstack([level.faces, [[0, 0, 1, 2], [3, 3, 3, 3]]])  # with collapsed quads
-    expected = pair_weights_reference(level.positions, faces)
-    np.testing.assert_allclose(pair_weights(level.positions, faces), expected, rtol=1e-9, atol=1e-12)
+@pytest.mark.parametrize("shape", [shapes.creature, shapes.icosahedron])
+def test_face_kernel_agrees_with_its_numpy_twin(shape):
+    level = refine(shape(), 2).finest
+    size = level.faces.shape[1]
+    faces = np.vstack([level.faces, [[0, 0, 1, 2][:size], [3] * size]])  # with collapsed faces
+    for computed, expected in zip(
+        face_terms(level.positions, faces), face_terms_reference(level.positions, faces), strict=True
+    ):
+        np.testing.assert_allclose(computed, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_stiffness_sums_the_pair_weights_of_all_faces():
+    level = refine(shapes.creature(), 1).finest
+    faces = np.vstack([level.faces, [[0, 0, 1, 2]]])
+    expected = np.zeros((level.n_vertices, level.n_vertices))
+    for face, weights in zip(faces, face_terms_reference(level.positions, faces)[0], strict=True):
+        for (i, j), weight in zip(((0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)), weights, strict=True):
+            ends = [face[i], face[j]]
+            expected[np.ix_(ends, ends)] += weight * np.array([[1, -1], [-1, 1]]) * (ends[0] != ends[1])
+    matrix = stiffness(level.positions, faces)
+    assert matrix.has_canonical_format
+    np.testing.assert_allclose(matrix.toarray(), expected, atol=1e-12 * abs(expected).max())
+
+
+def test_joint_restriction_agrees_with_sparse_products(refined):
+    """In any order of the rows, and where rows are as long as they get (all vertices next to each other)."""
+    refinement, operators = refined
+    rng = np.random.default_rng(909)
+    subdivision = refinement.matrices[1]
+    mass, stiff = operators.mass[2], operators.stiffness[2]  # below the finest level they share their pattern
+    order = rng.permutation(subdivision.shape[1])
+    for computed, fine in zip(restrict_pair(subdivision, mass, stiff, order), (mass, stiff), strict=True):
+        expected = restrict(subdivision, fine)
+        assert computed.has_canonical_format
+        np.testing.assert_array_equal(computed.indices, expected.indices)
+        np.testing.assert_array_equal(computed.indptr, expected.indptr)
+        np.testing.assert_allclose(computed.data, expected.data, atol=EXACT * abs(expected.data).max())
+
+
+def test_joint_restriction_makes_room_for_long_rows():
+    """A cone of 300 triangles: every vertex is within two steps of every other, rows have 301 entries, not 64."""
+    angles = 2 * np.pi * np.arange(300) / 300
+    positions = np.vstack([[[0, 0, 1]], np.column_stack([np.cos(angles), np.sin(angles), 0 * angles])])
+    faces = np.array([[0, 1 + i, 1 + (i + 1) % 300] for i in range(300)])
+    cone = ControlMesh(positions, np.arange(0, 901, 3), faces.ravel())
+    refinement = refine(cone, 1)
+    operators = build_operators(refinement)
+    expected = restrict(refinement.matrices[0], operators.stiffness[1])
+    assert expected.nnz > 64 * expected.shape[0]
+    assert abs(operators.stiffness[0] - expected).max() < EXACT * abs(expected).max()

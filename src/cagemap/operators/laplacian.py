@@ -1,6 +1,7 @@
 """Integrated Laplacian and vertex areas of one polygon surface (paper, section 2.1.1).
 
-Sign convention: the stiffness matrix W is positive semi-definite, W 1 = 0, and the eigenproblem reads W phi = lambda M phi.
+Sign convention: the stiffness matrix W is positive semi-definite, W 1 = 0, and the eigenproblem reads
+W phi = lambda M phi.
 """
 
 from __future__ import annotations
@@ -62,77 +63,7 @@ def stiffness(positions: FloatArray, faces: IndexArray) -> sparse.csr_array:
     (n, n) CSR array
         Symmetric, positive semi-definite, rows sum to 0. Unitless (invariant to scale).
     """
-    n = len(positions)
-    corners = faces.shape[1]
-    pairs = QUAD_PAIRS if corners == 4 else TRIANGLE_PAIRS
-    weights = pair_weights(positions, faces)  # (m, 6) or (m, 3)
-    first, second = (faces[:, [pair[end] for pair in pairs]].astype(np.int32).ravel() for end in (0, 1))
-    upper = sparse.coo_array((weights.ravel(), (np.minimum(first, second), np.maximum(first, second))), shape=(n, n))
-    adjacency = sparse.csr_array(upper)
-    adjacency = adjacency + adjacency.T
-    return sparse.csr_array(sparse.diags_array(adjacency.sum(axis=1)) - adjacency)
-
-
-# Corner pairs of a face that its triangulations use as edges: the sides, then both diagonals of a quad.
-TRIANGLE_PAIRS = ((1, 2), (2, 0), (0, 1))
-QUAD_PAIRS = ((0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3))
-
-
-def pair_weights(positions: FloatArray, faces: IndexArray) -> FloatArray:
-    """Half cotangent sums of every corner pair of every face, in the order of `QUAD_PAIRS` or `TRIANGLE_PAIRS`.
-
-    Returns
-    -------
-    (m, 6) or (m, 3) array
-        Unitless.
-    """
-    if faces.shape[1] == 3:
-        return 0.5 * triangle_cotangents(positions, faces)
-    return np.asarray(_quad_weights(positions, faces))
-
-
-def pair_weights_reference(positions: FloatArray, faces: IndexArray) -> FloatArray:
-    """NumPy twin of the quad kernel of `pair_weights`, which defines it."""
-    weights = np.zeros((len(faces), len(QUAD_PAIRS)))
-    for split in QUAD_SPLITS:
-        cotangents = triangle_cotangents(positions, faces[:, split])
-        for i in range(3):  # the angle at corner i faces the edge between the other two
-            edge = (split[(i + 1) % 3], split[(i + 2) % 3])
-            column = next(c for c, pair in enumerate(QUAD_PAIRS) if set(pair) == set(edge))
-            weights[:, column] += 0.25 * cotangents[:, i]
-    return weights
-
-
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _add_triangle(positions, a, b, c, weights, m, bc, ca, ab):  # type: ignore[no-untyped-def]
-    """Add a quarter of the cotangents of one triangle to the pairs facing its corners."""
-    ux = positions[b, 0] - positions[a, 0]
-    uy = positions[b, 1] - positions[a, 1]
-    uz = positions[b, 2] - positions[a, 2]
-    vx = positions[c, 0] - positions[a, 0]
-    vy = positions[c, 1] - positions[a, 1]
-    vz = positions[c, 2] - positions[a, 2]
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    uu = ux * ux + uy * uy + uz * uz
-    vv = vx * vx + vy * vy + vz * vz
-    uv = ux * vx + uy * vy + uz * vz
-    area = max(np.sqrt(nx * nx + ny * ny + nz * nz), SLIVER * max(uu, vv, uu + vv - 2.0 * uv))
-    if area > 0.0:
-        weights[m, bc] += 0.25 * uv / area
-        weights[m, ca] += 0.25 * (uu - uv) / area
-        weights[m, ab] += 0.25 * (vv - uv) / area
-
-
-@njit(cache=True, error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]
-def _quad_weights(positions, faces):  # type: ignore[no-untyped-def]
-    weights = np.zeros((len(faces), 6))
-    for m in range(len(faces)):
-        a, b, c, d = faces[m, 0], faces[m, 1], faces[m, 2], faces[m, 3]
-        _add_triangle(positions, a, b, c, weights, m, 1, 4, 0)
-        _add_triangle(positions, a, c, d, weights, m, 2, 3, 4)
-        _add_triangle(positions, a, b, d, weights, m, 5, 3, 0)
-        _add_triangle(positions, b, c, d, weights, m, 2, 5, 1)
-    return weights
+    return areas_and_stiffness(positions, faces)[1]
 
 
 def vertex_areas(positions: FloatArray, faces: IndexArray) -> FloatArray:
@@ -148,11 +79,149 @@ def vertex_areas(positions: FloatArray, faces: IndexArray) -> FloatArray:
     (n,) array
         Sums to the surface's area (mean over both triangulations). Unit length squared.
     """
-    n = len(positions)
-    areas = np.zeros(n)
-    for split in QUAD_SPLITS if faces.shape[1] == 4 else ([0, 1, 2],):
-        corners = faces[:, split]
-        thirds = triangle_areas(positions, corners) / (6.0 if faces.shape[1] == 4 else 3.0)
-        for i in range(3):
-            areas += np.bincount(corners[:, i], weights=thirds, minlength=n)
-    return areas
+    return face_terms(positions, faces)[1]
+
+
+def areas_and_stiffness(positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, sparse.csr_array]:
+    """`vertex_areas` and `stiffness` from one pass over the faces.
+
+    Every vertex gathers its row from the faces around it, so that nothing is sorted but the row itself.
+    """
+    n, corners = len(positions), faces.shape[1]
+    weights, areas = face_terms(positions, faces)
+    incident = sparse.csr_array(  # row v: the corners, face * size + place, at vertex v; a counting sort
+        sparse.csc_array(
+            (np.ones(faces.size, np.int8), faces.ravel(), np.arange(faces.size + 1)), shape=(n, faces.size)
+        )
+    )
+    indptr, indices, data = _gather_rows(
+        np.ascontiguousarray(faces), weights, _pair_columns(corners), incident.indptr, incident.indices
+    )
+    return areas, sparse.csr_array((data, indices, indptr), shape=(n, n))
+
+
+# Corner pairs of a face that its triangulations use as edges: the sides, then both diagonals of a quad.
+TRIANGLE_PAIRS = ((1, 2), (2, 0), (0, 1))
+QUAD_PAIRS = ((0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3))
+
+
+def face_terms(positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
+    """What every face contributes: half cotangent sums of its corner pairs, and the areas of its vertices.
+
+    Returns
+    -------
+    weights : (m, 6) or (m, 3) array
+        In the order of `QUAD_PAIRS` or `TRIANGLE_PAIRS`; means of both triangulations of a quad. Unitless.
+    areas : (n,) array
+        See `vertex_areas`.
+    """
+    weights, areas = _face_terms(np.ascontiguousarray(positions, dtype=np.float64), np.ascontiguousarray(faces))
+    return weights, areas
+
+
+def face_terms_reference(positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
+    """Slow NumPy twin of `face_terms`, which defines it."""
+    quads = faces.shape[1] == 4
+    splits, pairs = (QUAD_SPLITS, QUAD_PAIRS) if quads else (([0, 1, 2],), TRIANGLE_PAIRS)
+    share = 0.5 if quads else 1.0  # of each triangulation
+    weights, areas = np.zeros((len(faces), len(pairs))), np.zeros(len(positions))
+    for split in splits:
+        triangles = faces[:, split]
+        cotangents = triangle_cotangents(positions, triangles)
+        for i in range(3):  # the angle at corner i faces the edge between the other two
+            edge = {split[(i + 1) % 3], split[(i + 2) % 3]}
+            column = next(c for c, pair in enumerate(pairs) if set(pair) == edge)
+            weights[:, column] += 0.5 * share * cotangents[:, i]
+            np.add.at(areas, triangles[:, i], share / 3.0 * triangle_areas(positions, triangles))
+    return weights, areas
+
+
+@njit(cache=True, error_model="numpy")
+def _add_triangle(positions, a, b, c, share, weights, m, bc, ca, ab, areas):  # type: ignore[no-untyped-def]
+    """Add the half cotangents of one triangle to the pairs facing its corners, its area to the corners."""
+    ux = positions[b, 0] - positions[a, 0]
+    uy = positions[b, 1] - positions[a, 1]
+    uz = positions[b, 2] - positions[a, 2]
+    vx = positions[c, 0] - positions[a, 0]
+    vy = positions[c, 1] - positions[a, 1]
+    vz = positions[c, 2] - positions[a, 2]
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    uu = ux * ux + uy * uy + uz * uz
+    vv = vx * vx + vy * vy + vz * vz
+    uv = ux * vx + uy * vy + uz * vz
+    doubled = np.sqrt(nx * nx + ny * ny + nz * nz)
+    third = share * doubled / 6.0
+    areas[a] += third
+    areas[b] += third
+    areas[c] += third
+    doubled = max(doubled, SLIVER * max(uu, vv, uu + vv - 2.0 * uv))
+    if doubled > 0.0:
+        half = 0.5 * share / doubled
+        weights[m, bc] += half * uv
+        weights[m, ca] += half * (uu - uv)
+        weights[m, ab] += half * (vv - uv)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _face_terms(positions, faces):  # type: ignore[no-untyped-def]
+    size = faces.shape[1]
+    weights = np.zeros((len(faces), 6 if size == 4 else 3))
+    areas = np.zeros(len(positions))
+    for m in range(len(faces)):
+        a, b, c = faces[m, 0], faces[m, 1], faces[m, 2]
+        if size == 3:
+            _add_triangle(positions, a, b, c, 1.0, weights, m, 0, 1, 2, areas)
+        else:
+            d = faces[m, 3]
+            _add_triangle(positions, a, b, c, 0.5, weights, m, 1, 4, 0, areas)
+            _add_triangle(positions, a, c, d, 0.5, weights, m, 2, 3, 4, areas)
+            _add_triangle(positions, a, b, d, 0.5, weights, m, 5, 3, 0, areas)
+            _add_triangle(positions, b, c, d, 0.5, weights, m, 2, 5, 1, areas)
+    return weights, areas
+
+
+def _pair_columns(size: int) -> IndexArray:
+    """(size, size) column of `face_terms`' weights for two corners of a face."""
+    columns = np.zeros((size, size), dtype=np.int64)
+    for column, (i, j) in enumerate(QUAD_PAIRS if size == 4 else TRIANGLE_PAIRS):
+        columns[i, j] = columns[j, i] = column
+    return columns
+
+
+@njit(cache=True, nogil=True)
+def _gather_rows(faces, weights, pair_columns, starts, corners):  # type: ignore[no-untyped-def]
+    """CSR arrays of W: row v holds minus the summed weights of v and each neighbour, and their sum for v itself."""
+    n, size = len(starts) - 1, faces.shape[1]
+    room = n + (size - 1) * len(corners)
+    indptr = np.zeros(n + 1, dtype=np.int32)
+    indices = np.empty(room, dtype=np.int32)
+    data = np.empty(room)
+    end = 0
+    for v in range(n):
+        begin = end
+        indices[begin], data[begin] = v, 0.0
+        end += 1
+        for corner in corners[starts[v] : starts[v + 1]]:
+            m, i = corner // size, corner % size
+            for j in range(size):
+                other = faces[m, j]
+                if other == v:  # itself, or a collapsed face
+                    continue
+                weight = weights[m, pair_columns[i, j]]
+                data[begin] += weight
+                place = begin + 1
+                while place < end and indices[place] != other:
+                    place += 1
+                if place == end:
+                    indices[end], data[end] = other, 0.0
+                    end += 1
+                data[place] -= weight
+        for k in range(begin + 1, end):  # insertion sort: rows are short
+            column, value = indices[k], data[k]
+            place = k
+            while place > begin and indices[place - 1] > column:
+                indices[place], data[place] = indices[place - 1], data[place - 1]
+                place -= 1
+            indices[place], data[place] = column, value
+        indptr[v + 1] = end
+    return indptr, indices[:end].copy(), data[:end].copy()

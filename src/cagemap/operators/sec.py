@@ -8,10 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from scipy import sparse
 
-from cagemap.mesh import FloatArray
-from cagemap.operators.laplacian import stiffness, vertex_areas
+from cagemap.mesh import FloatArray, IndexArray
+from cagemap.operators.laplacian import areas_and_stiffness
 from cagemap.refinement import Refinement, triangulate_control
 
 
@@ -61,27 +62,137 @@ def restrict(subdivision: sparse.csr_array, fine: sparse.csr_array) -> sparse.cs
     return coarse
 
 
+def restrict_pair(
+    subdivision: sparse.csr_array, mass: sparse.csr_array, stiffness: sparse.csr_array, order: IndexArray
+) -> tuple[sparse.csr_array, sparse.csr_array]:
+    """`restrict` of mass and stiffness at once: one walk over the entries of S for both, no product in between.
+
+    Parameters
+    ----------
+    subdivision : (n_{l+1}, n_l) CSR array
+    mass, stiffness : (n_{l+1}, n_{l+1}) CSR arrays, symmetric
+        With the same pattern.
+    order : (n_l,) array
+        Permutation in which rows are computed; neighbours soon after each other find each other's data in the cache.
+
+    Returns
+    -------
+    mass, stiffness : (n_l, n_l) CSR arrays, symmetric, sorted
+        With the same pattern again.
+    """
+    n = subdivision.shape[1]
+    transposed = sparse.csr_array(subdivision.T)
+    room = min(n * n, 64 * n)
+    while True:
+        indices, data, indptr = np.empty(room, dtype=np.int32), np.empty((room, 2)), np.zeros(n + 1, dtype=np.int32)
+        entries = _restrict_pair(
+            (transposed.indptr, transposed.indices, transposed.data),
+            (stiffness.indptr, stiffness.indices, mass.data, stiffness.data),
+            (subdivision.indptr, subdivision.indices, subdivision.data),
+            order,
+            (indptr, indices, data),
+        )
+        if entries >= 0:
+            break
+        room *= 2  # vertices of very high valence
+    rank = np.argsort(order)
+    masses, stiffnesses = (
+        sparse.csr_array((data[:entries, i], indices[:entries], indptr), shape=(n, n))[rank] for i in (0, 1)
+    )
+    # One index array serves both.
+    masses = sparse.csr_array((masses.data, stiffnesses.indices, stiffnesses.indptr), shape=(n, n))
+    return masses, stiffnesses
+
+
 def build_operators(refinement: Refinement) -> Operators:
     """Operators of every level of a refinement, normalised to unit area of the finest level.
 
-    O(n_f) time and memory; a restricted matrix has about 25 nonzeros a row just below the finest level, 50 further down.
+    O(n_f) time and memory; a restricted matrix has about 25 nonzeros a row just below the finest level, 50
+    further down.
     """
     finest = refinement.levels[-1]
     faces = triangulate_control(refinement.control) if finest.faces is None else finest.faces
-    areas = vertex_areas(finest.positions, faces)
+    areas, finest_stiffness = areas_and_stiffness(finest.positions, faces)
     area = float(areas.sum())
-    masses = [sparse.csr_array(sparse.diags_array(areas / area))]
-    stiffnesses = [stiffness(finest.positions, faces)]
-    # Mass and stiffness have the same pattern below the finest level: as real and imaginary part of one matrix they take one
-    # sparse product instead of two.
-    both = sparse.csr_array(masses[0] + 1j * stiffnesses[0])
-    for subdivision in reversed(refinement.matrices):
-        both = restrict(subdivision, both)
-        masses.append(_like(both, both.data.real))
-        stiffnesses.append(_like(both, both.data.imag))
+    masses, stiffnesses = [sparse.csr_array(sparse.diags_array(areas / area))], [finest_stiffness]
+    mass = _with_diagonal(finest_stiffness, areas / area)
+    orders = _coherent_orders(refinement)
+    for level in reversed(range(refinement.n_levels)):
+        mass, stiffness = restrict_pair(refinement.matrices[level], mass, stiffnesses[-1], orders[level])
+        masses.append(mass)
+        stiffnesses.append(stiffness)
     return Operators(tuple(reversed(masses)), tuple(reversed(stiffnesses)), 1.0 / float(np.sqrt(area)))
 
 
-def _like(matrix: sparse.csr_array, data: FloatArray) -> sparse.csr_array:
-    """Return a matrix with the pattern of another one, its own copy of the data."""
-    return sparse.csr_array((np.ascontiguousarray(data), matrix.indices, matrix.indptr), shape=matrix.shape)
+def _coherent_orders(refinement: Refinement) -> list[IndexArray]:
+    """For every level but the finest an order in which vertices of the same region follow each other.
+
+    Levels store vertices, edges and faces in turn, far apart for neighbours; here each follows the place of a parent.
+    """
+    orders = [np.arange(refinement.levels[0].n_vertices)]
+    for subdivision in refinement.matrices[:-1]:
+        rank = np.argsort(orders[-1])
+        parents = subdivision.indices[subdivision.indptr[:-1]]
+        orders.append(np.argsort(rank[parents], kind="stable"))
+    return orders
+
+
+def _with_diagonal(pattern: sparse.csr_array, diagonal: FloatArray) -> sparse.csr_array:
+    """A diagonal matrix stored with zeros in the pattern of another one."""
+    rows = np.repeat(np.arange(len(diagonal), dtype=pattern.indices.dtype), np.diff(pattern.indptr))
+    data = np.where(pattern.indices == rows, diagonal[rows], 0.0)
+    return sparse.csr_array((data, pattern.indices, pattern.indptr), shape=pattern.shape)
+
+
+@njit(cache=True, nogil=True)
+def _restrict_pair(transposed, fine, subdivision, order, result):  # type: ignore[no-untyped-def]
+    """Rows order[0], order[1], ... of S^T A S for both matrices A; returns the number of entries, -1 if out of room.
+
+    For row i, w = sum_r S_ri A_r, then sum_s w_s S_s, each gathered in a dense row that is used again.
+    """
+    t_starts, t_rows, t_weights = transposed
+    a_starts, a_columns, a_mass, a_stiffness = fine
+    s_starts, s_columns, s_weights = subdivision
+    indptr, indices, data = result
+    n_coarse, n_fine = len(t_starts) - 1, len(a_starts) - 1
+    middle, row = np.zeros((n_fine, 2)), np.zeros((n_coarse, 2))
+    met_middle, met = np.zeros(n_fine, dtype=np.bool_), np.zeros(n_coarse, dtype=np.bool_)
+    touched = np.empty(n_fine, dtype=np.int32)
+    end = 0
+    for k in range(n_coarse):
+        n_touched = 0
+        for p in range(t_starts[order[k]], t_starts[order[k] + 1]):
+            r, weight = t_rows[p], t_weights[p]
+            for q in range(a_starts[r], a_starts[r + 1]):
+                s = a_columns[q]
+                if not met_middle[s]:
+                    met_middle[s] = True
+                    touched[n_touched] = s
+                    n_touched += 1
+                middle[s, 0] += weight * a_mass[q]
+                middle[s, 1] += weight * a_stiffness[q]
+        begin = end
+        for t in range(n_touched):
+            s = touched[t]
+            w_mass, w_stiffness = middle[s, 0], middle[s, 1]
+            met_middle[s], middle[s, 0], middle[s, 1] = False, 0.0, 0.0
+            for q in range(s_starts[s], s_starts[s + 1]):
+                j = s_columns[q]
+                if not met[j]:
+                    if end == len(indices):
+                        return -1
+                    met[j] = True
+                    place = end  # insertion sort: rows are short, and those of S are sorted
+                    while place > begin and indices[place - 1] > j:
+                        indices[place] = indices[place - 1]
+                        place -= 1
+                    indices[place] = j
+                    end += 1
+                row[j, 0] += w_mass * s_weights[q]
+                row[j, 1] += w_stiffness * s_weights[q]
+        for q in range(begin, end):
+            j = indices[q]
+            data[q, 0], data[q, 1] = row[j, 0], row[j, 1]
+            met[j], row[j, 0], row[j, 1] = False, 0.0, 0.0
+        indptr[k + 1] = end
+    return end
