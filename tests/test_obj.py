@@ -235,7 +235,7 @@ BAD_FILES = {
     "two signs": (SQUARE + "f 1 --2 3\n", "line 5"),
     "lone slash": (SQUARE + "f 1 / 3\n", "line 5"),
     "no vertex number": (SQUARE + "f 1 /2 3\n", "line 5"),
-    "four numbers": (SQUARE + "vt 0 0\nf 1/1/1/1 2/1/1 3/1/1\n", "line 6: expected 'f' and corners"),
+    "four numbers": (SQUARE + "vt 0 0\nf 1/1 2/1 3/1\nf 1/1/1/1 2/1/1 3/1/1\n", "line 7: expected 'f' and corners"),
     "bare f": (SQUARE + "f 1 2 3\nf\n", "line 6"),
     "only bare f": (SQUARE + "f\n", "line 5"),
     "line after a continuation": (SQUARE + "f 1 2 \\\n3\nf 1 2 9\n", "line 7"),

@@ -58,10 +58,19 @@ def test_real_meshes_round_trip_with_their_seams(shared_data: Path, tmp_path: Pa
             assert len(pairs) == len(np.unique(mesh.uv_indices)) == len(np.unique(again.uv_indices))
 
 
-def test_large_polygons_fit(tmp_path: Path) -> None:
-    angle = np.arange(300) * (2 * np.pi / 300)
+def test_vertices_on_one_spot_of_the_texture_stay_apart(tmp_path: Path) -> None:
+    mesh = cube().with_uvs(np.zeros((8, 2)), cube().face_indices)
+    write_ply(tmp_path / "mesh.ply", mesh)
+    again = read_ply(tmp_path / "mesh.ply").uv_indices
+    assert again is not None
+    assert len(np.unique(np.column_stack([again, mesh.face_indices]), axis=0)) == len(np.unique(again)) == 8
+
+
+@pytest.mark.parametrize("size", [127, 128, 200, 300])  # list lengths of one byte end between
+def test_large_polygons_fit(tmp_path: Path, size: int) -> None:
+    angle = np.arange(size) * (2 * np.pi / size)
     positions = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
-    mesh = ControlMesh.from_faces(positions, [np.arange(300), [0, 1, 2]])
+    mesh = ControlMesh.from_faces(positions, [np.arange(size), [0, 1, 2]])
     mesh = mesh.with_uvs(positions[:, :2], mesh.face_indices)
     for text in (True, False):
         write_ply(tmp_path / "mesh.ply", mesh, text=text)
