@@ -85,7 +85,7 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
 def match_config(request: MatchRequest) -> MatchConfig:
     """Parameters of the library for what was asked on the command line."""
     schedule = None if request.schedule is None else parse_schedule(request.schedule)
-    basis = BasisConfig(k=request.k, tolerance=request.tolerance, schedule=schedule)
+    basis = BasisConfig(count=request.k, tolerance=request.tolerance, schedule=schedule)
     return MatchConfig(method=request.method, basis=basis, use_symmetry=request.symmetry)
 
 
