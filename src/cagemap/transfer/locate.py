@@ -330,7 +330,7 @@ def _locate(  # type: ignore[no-untyped-def]
             found_t, found_1, found_2 = _walk(frames, neighbors, start, px, py, pz)
             sample = first[texel] + s
             found[sample] = found_t
-            barycentric[sample, 0] = 1.0 - found_1 - found_2
+            barycentric[sample, 0] = max(1.0 - found_1 - found_2, 0.0)
             barycentric[sample, 1] = found_1
             barycentric[sample, 2] = found_2
     return found, barycentric

@@ -199,8 +199,8 @@ def _accumulate(  # type: ignore[no-untyped-def]
             c1, r1 = min(c0 + 1, width - 1), min(r0 + 1, height - 1)
             fx, fy = x - c0, y - r0
             for channel in range(channels):
-                upper = float(pixels[r0, c0, channel])
-                upper += fx * (float(pixels[r0, c1, channel]) - upper)
-                lower = float(pixels[r1, c0, channel])
-                lower += fx * (float(pixels[r1, c1, channel]) - lower)
+                upper = np.float64(pixels[r0, c0, channel])
+                upper += fx * (np.float64(pixels[r0, c1, channel]) - upper)
+                lower = np.float64(pixels[r1, c0, channel])
+                lower += fx * (np.float64(pixels[r1, c1, channel]) - lower)
                 result[texel, channel] += upper + fy * (lower - upper)

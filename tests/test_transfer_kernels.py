@@ -1,0 +1,170 @@
+"""The bake's kernels against their slow twins."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cagemap.mesh import torus
+from cagemap.point_map.point_map import PointMap
+from cagemap.refinement import refine
+from cagemap.transfer import reference
+from cagemap.transfer.dilation import dilate
+from cagemap.transfer.locate import Samples, locate_samples, map_surface, plan_samples, target_barycentric
+from cagemap.transfer.surface import TexturedSurface, triangle_areas, triangle_neighbors
+from cagemap.transfer.texels import lay_out, rasterize_band
+from cagemap.transfer.texture import lay_texture, look_up
+from cagemap.transfer.unwrap import unwrap
+
+
+@pytest.fixture(scope="module")
+def ring() -> TexturedSurface:
+    return TexturedSurface.from_level(refine(unwrap(torus()), 2).finest)
+
+
+def identity(surface: TexturedSurface) -> PointMap:
+    """Every vertex to itself, as a corner of the last triangle that has it."""
+    n = len(surface.positions)
+    triangle = np.zeros(n, dtype=np.int64)
+    triangle[surface.triangles.ravel()] = np.repeat(np.arange(len(surface.triangles)), 3)
+    return PointMap(triangle, (surface.triangles[triangle] == np.arange(n)[:, None]).astype(float))
+
+
+def test_neighbors_lie_across_their_edges(ring: TexturedSurface) -> None:
+    np.testing.assert_array_equal(triangle_neighbors(ring.triangles), reference.neighbors_slowly(ring.triangles))
+    assert ring.uv_triangles is not None
+    islands = triangle_neighbors(ring.uv_triangles)
+    np.testing.assert_array_equal(islands, reference.neighbors_slowly(ring.uv_triangles))
+    assert (islands < 0).any()
+
+
+def test_edges_of_more_than_two_triangles_are_paired_in_order() -> None:
+    fan = np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4], [1, 0, 5], [0, 1, 6]])
+    assert triangle_neighbors(fan)[:, 2].tolist() == [1, 0, 3, 2, -1]
+
+
+@pytest.mark.parametrize("band_rows", [7, 64])
+def test_raster_is_the_first_triangle_over_each_centre(ring: TexturedSurface, band_rows: int) -> None:
+    corner_uvs = ring.corner_uvs()
+    layout = lay_out(corner_uvs, triangle_neighbors(ring.uv_triangles), 64, 80, band_rows=band_rows)
+    bands = [rasterize_band(layout, band, 0.0) for band in range(len(layout.band_triangles))]
+    np.testing.assert_array_equal(np.concatenate(bands), reference.rasterize_slowly(layout.corners, 64, 80))
+
+
+def test_overlapping_triangles_outside_and_degenerate_ones() -> None:
+    rng = np.random.default_rng(314)
+    corner_uvs = rng.uniform(-0.4, 1.4, (60, 3, 2))
+    corner_uvs[5] = corner_uvs[5, :1]
+    layout = lay_out(corner_uvs, np.full((60, 3), -1, dtype=np.int32), 33, 21, band_rows=8)
+    image = np.concatenate([rasterize_band(layout, band, 0.0) for band in range(5)])
+    np.testing.assert_array_equal(image, reference.rasterize_slowly(layout.corners, 33, 21))
+
+
+def test_gutter_is_the_nearest_border_within_its_radius(ring: TexturedSurface) -> None:
+    neighbors = triangle_neighbors(ring.uv_triangles)
+    layout = lay_out(ring.corner_uvs(), neighbors, 48, 48, band_rows=16)
+    bare = np.concatenate([rasterize_band(layout, band, 0.0) for band in range(3)])
+    grown = np.concatenate([rasterize_band(layout, band, 1.4) for band in range(3)])
+    distance = reference.border_distance_slowly(layout.corners, neighbors, 48, 48)
+    np.testing.assert_array_equal(grown[bare >= 0], bare[bare >= 0])
+    np.testing.assert_array_equal(grown >= 0, (bare >= 0) | (distance.min(axis=2) < 1.4))
+    border_triangle = np.nonzero(neighbors < 0)[0]
+    for row, column in np.argwhere((bare < 0) & (grown >= 0)):
+        nearest = distance[row, column].min()
+        # Two borders may be equally near: any of them will do.
+        assert grown[row, column] in border_triangle[distance[row, column] < nearest + 1e-9]
+
+
+def test_walk_comes_to_the_closest_point(ring: TexturedSurface) -> None:
+    corner_uvs = ring.corner_uvs()
+    size = 64
+    layout = lay_out(corner_uvs, triangle_neighbors(ring.uv_triangles), size, size, band_rows=size)
+    cells = rasterize_band(layout, 0)
+    texels = np.flatnonzero(cells.ravel() >= 0)[::3]
+    # A map that is not the identity: vertices move by about two edges' lengths along the surface.
+    rng = np.random.default_rng(1618)
+    triangle = identity(ring).triangle
+    for _ in range(2):
+        triangle = triangle_neighbors(ring.triangles)[triangle, 1]
+    weights = rng.dirichlet((1, 1, 1), len(triangle))
+    surface = map_surface(ring, ring, PointMap(triangle.astype(np.int64), weights))
+    ones = np.ones((len(ring.triangles), 2), dtype=np.int32)
+    own = cells.ravel()[texels]
+    samples = locate_samples(surface, layout.corners, texels, size, 0, own, ones)
+    found = np.einsum("kc,kcd->kd", samples.barycentric, ring.positions[ring.triangles[samples.triangle]])
+    inside = target_barycentric(layout.corners, samples)
+    within = np.flatnonzero(reference.rasterize_slowly(layout.corners, size, size).ravel()[texels] >= 0)
+    points = np.einsum("kc,kcd->kd", inside, surface.mapped[ring.triangles[own]])[within]
+    best = reference.closest_slowly(ring.positions, ring.triangles, points)
+    excess = np.linalg.norm(found[within] - points, axis=1) - np.linalg.norm(best - points, axis=1)
+    edge = np.sqrt(triangle_areas(ring.positions, ring.triangles).mean())
+    # The walk takes a foot of the perpendicular; on a curved surface another one may be nearer by the chord's height.
+    assert np.quantile(excess, 0.99) < 0.02 * edge
+    assert excess.max() < 0.2 * edge
+    assert samples.barycentric.min() >= 0
+    np.testing.assert_allclose(samples.barycentric.sum(axis=1), 1, rtol=0, atol=1e-12)
+
+
+def test_identity_map_is_found_exactly_inside_the_islands(ring: TexturedSurface) -> None:
+    size = 96
+    layout = lay_out(ring.corner_uvs(), triangle_neighbors(ring.uv_triangles), size, size, band_rows=size)
+    cells = rasterize_band(layout, 0, 0.0)
+    texels = np.flatnonzero(cells.ravel() >= 0)
+    surface = map_surface(ring, ring, identity(ring))
+    own = cells.ravel()[texels]
+    samples = locate_samples(surface, layout.corners, texels, size, 0, own, np.ones((len(own), 2), dtype=np.int32))
+    found = np.einsum("kc,kcd->kd", samples.barycentric, ring.positions[ring.triangles[samples.triangle]])
+    inside = target_barycentric(layout.corners, samples)
+    np.testing.assert_allclose(found, np.einsum("kc,kcd->kd", inside, ring.positions[ring.triangles[own]]), atol=1e-9)
+
+
+def test_sample_counts_follow_the_ratio_of_texels(ring: TexturedSurface) -> None:
+    surface = map_surface(ring, ring, identity(ring))
+    corners = ring.corner_uvs() * (50, 100)
+    # Source texture six times wider and twice as tall as the target's.
+    counts = plan_samples(surface, corners, ring.corner_uvs() * (300, 200))
+    assert np.all(counts == (6, 2))
+    assert np.all(plan_samples(surface, corners, corners) == 1)
+    assert plan_samples(surface, corners, ring.corner_uvs() * 1e6).max() == 16
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32"])
+def test_lookup_is_bilinear(dtype: str) -> None:
+    rng = np.random.default_rng(577)
+    pixels = (rng.random((9, 14, 3)) * 255).astype(dtype)
+    uvs = rng.random((3 * 40, 2))
+    corners = np.arange(120).reshape(40, 3)
+    weights = rng.dirichlet((1, 1, 1), 40)
+    texture = lay_texture(pixels, uvs, corners)
+    none = np.zeros(40, dtype=np.int32)
+    samples = Samples(none, none.astype(np.int64), 1, 0, np.arange(41), np.arange(40), weights)
+    points = np.einsum("kc,kcd->kd", weights, uvs[corners])
+    np.testing.assert_allclose(look_up(texture, samples), reference.look_up_slowly(pixels, points), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.002, 0.1, 0.9])
+def test_dilation_takes_the_nearest_texel(share: float) -> None:
+    rng = np.random.default_rng(2236)
+    covered = rng.random((90, 130)) < share
+    covered[40, 70] = True
+    places = np.stack(np.mgrid[0:90, 0:130], axis=2).astype(np.uint16)
+    filled = places.copy()
+    filled[~covered] = 9999
+    dilate(filled, covered, threads=2)
+    _, distance = reference.dilate_slowly(places, covered)
+    # Several texels may be equally near; the distance is what counts.
+    offset = filled.astype(float) - places
+    np.testing.assert_allclose(np.hypot(offset[:, :, 0], offset[:, :, 1]), distance, atol=1e-12)
+    assert covered[filled[:, :, 0], filled[:, :, 1]].all()
+
+
+def test_dilation_stops_at_its_distance_and_leaves_an_empty_image() -> None:
+    covered = np.zeros((40, 40), dtype=bool)
+    covered[20, 20] = True
+    image = np.where(covered[:, :, None], np.float32(7), np.float32(0))
+    dilate(image, covered, distance=5)
+    rows, columns = np.mgrid[0:40, 0:40] - 20
+    np.testing.assert_array_equal(image[:, :, 0] == 7, np.hypot(rows, columns) <= 5)
+    empty = np.zeros((4, 4, 1))
+    dilate(empty, np.zeros((4, 4), dtype=bool))
+    assert not empty.any()
