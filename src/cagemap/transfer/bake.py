@@ -181,7 +181,9 @@ def make_canvas(transfer: Transfer, size: int | tuple[int, int], options: BakeOp
         raise ParameterError(f"supersample: expected 1 to 16 samples along a texel's side, got {finer}")
     band_rows = max(1, _BAND_TEXELS // (width * finer * finer)) * finer
     neighbors = triangle_neighbors(transfer.target.layout()[1])
-    layout = lay_out(corner_uvs, neighbors, height * finer, width * finer, band_rows=band_rows)
+    layout = lay_out(
+        corner_uvs, neighbors, height * finer, width * finer, band_rows=band_rows, gutter=GUTTER_RADIUS * finer
+    )
     return Canvas(height, width, finer, layout)
 
 
@@ -215,7 +217,7 @@ def bake(
     rows = canvas.layout.band_rows // canvas.supersample
 
     def bake_band(band: int) -> None:
-        cells = rasterize_band(canvas.layout, band, GUTTER_RADIUS * canvas.supersample)
+        cells = rasterize_band(canvas.layout, band)
         part = slice(band * rows, band * rows + cells.shape[0] // canvas.supersample)
         texels = np.flatnonzero(cells.ravel() >= 0)
         if len(texels) == 0:

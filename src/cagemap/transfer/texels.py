@@ -35,6 +35,8 @@ class Layout:
         Size of the raster.
     band_rows : int
         Rows in a band; the last may have fewer.
+    gutter : float
+        How far islands are extended beyond their border, in texels.
     band_triangles, border_triangles, border_corners : tuples of arrays, one entry a band
         Triangles that touch the band, and the border edges that come near it: an edge is a triangle and the corner
         it starts from. Ascending.
@@ -44,6 +46,7 @@ class Layout:
     height: int
     width: int
     band_rows: int
+    gutter: float
     band_triangles: tuple[IndexArray, ...]
     border_triangles: tuple[IndexArray, ...]
     border_corners: tuple[IndexArray, ...]
@@ -54,7 +57,15 @@ def texel_coordinates(uvs: FloatArray, height: int, width: int) -> FloatArray:
     return np.stack([uvs[..., 0] * width, (1.0 - uvs[..., 1]) * height], axis=-1)
 
 
-def lay_out(corner_uvs: FloatArray, neighbors: NDArray[np.int32], height: int, width: int, *, band_rows: int) -> Layout:
+def lay_out(
+    corner_uvs: FloatArray,
+    neighbors: NDArray[np.int32],
+    height: int,
+    width: int,
+    *,
+    band_rows: int,
+    gutter: float = GUTTER_RADIUS,
+) -> Layout:
     """Bring a layout to texel coordinates and sort it into bands.
 
     Parameters
@@ -64,18 +75,21 @@ def lay_out(corner_uvs: FloatArray, neighbors: NDArray[np.int32], height: int, w
         Triangle across the edge opposite to every corner *in the UV layout*, -1 at an island's border.
     height, width : int
     band_rows : int
+    gutter : float
+        How far to extend islands beyond their border, in texels.
     """
     corners = np.ascontiguousarray(texel_coordinates(corner_uvs, height, width))
     triangle, opposite = np.nonzero(neighbors < 0)
     start = (opposite + 1) % 3
     edges = np.stack([corners[triangle, start], corners[triangle, (start + 1) % 3]], axis=1)
     triangle_bands = _sort_into_bands(corners, height, width, band_rows, 0.0)
-    edge_bands = _sort_into_bands(edges, height, width, band_rows, GUTTER_RADIUS)
+    edge_bands = _sort_into_bands(edges, height, width, band_rows, gutter)
     return Layout(
         corners,
         height,
         width,
         band_rows,
+        gutter,
         tuple(triangle_bands),
         tuple(triangle[edge] for edge in edge_bands),
         tuple(start[edge] for edge in edge_bands),
@@ -97,19 +111,20 @@ def _sort_into_bands(points: FloatArray, height: int, width: int, band_rows: int
     return [elements[order[begin:end]] for begin, end in pairwise(limits)]
 
 
-def rasterize_band(layout: Layout, band: int, gutter: float = GUTTER_RADIUS) -> TriangleImage:
+def rasterize_band(layout: Layout, band: int) -> TriangleImage:
     """(rows, width) triangle of every texel of a band, -1 outside the islands and their gutter.
 
-    A texel whose centre lies in several triangles (a layout that overlaps itself) takes the first. Texels outside,
-    up to ``gutter`` texels from an island's border, take the triangle at the nearest border: its linear extension
+    A texel whose centre lies in several triangles (a layout that overlaps itself) takes the first. Texels outside, up
+    to ``layout.gutter`` texels from an island's border, take the triangle at the nearest border: its linear extension
     is what a bilinear lookup at the border should see beyond it.
     """
     top = band * layout.band_rows
     rows = min(layout.band_rows, layout.height - top)
     image = np.full((rows, layout.width), -1, dtype=np.int32)
     _rasterize(image, top, layout.corners, layout.band_triangles[band])
-    if gutter > 0:
-        _grow_gutter(image, top, layout.corners, layout.border_triangles[band], layout.border_corners[band], gutter)
+    if layout.gutter > 0:
+        borders = layout.border_triangles[band], layout.border_corners[band]
+        _grow_gutter(image, top, layout.corners, *borders, layout.gutter)
     return image
 
 
