@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from cagemap.files.images import read_image, write_image
 from cagemap.files.meshes import read_mesh, write_mesh
 from cagemap.files.result import read_result, write_result
 from cagemap.mesh import cube, icosahedron
+from cagemap.report import write_report
 
 from example_result import identity_result, textured_cube
 
@@ -149,15 +150,131 @@ def test_wrong_requests_are_refused_in_words(run: Run, tmp_path: Path, words: li
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_transfer_bakes_and_report_shows_it(run: Run, tmp_path: Path) -> None:
+@pytest.fixture
+def result_folder(tmp_path: Path) -> Path:
+    """A cube twice as large as its source, and an image over its layout."""
     write_result(tmp_path / "R", identity_result())
-    texture = np.random.default_rng(29).integers(0, 255, (64, 96, 3), dtype=np.uint8)
-    write_image(tmp_path / "t.png", texture)
+    gradient = np.linspace(40, 215, 64 * 96 * 3).reshape(3, 64, 96).astype(np.uint8)
+    write_image(tmp_path / "t.png", np.moveaxis(gradient, 0, 2))
+    return tmp_path / "R"
+
+
+def test_transfer_bakes_and_report_shows_it(run: Run, result_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    place = result_folder.parent
     outcome = run("transfer", "R", "--texture", "t.png", "--size", 96, "-o", "baked.png")
     assert outcome.code == 0, outcome.err
     assert outcome.err == ""  # no progress where there is no terminal
-    assert read_image(tmp_path / "baked.png").pixels.shape == (96, 96, 3)
-    assert [entry["kind"] for entry in read_result(tmp_path / "R").manifest["transfers"]] == ["texture"]
+    baked = read_image(place / "baked.png").pixels
+    assert baked.shape == (96, 96, 3)
+    shown = {}
+    monkeypatch.setattr("cagemap.cli.report.write_report", lambda *args, **kwargs: shown.update(kwargs))
+    assert run("report", "R", "-o", "r.html").code == 0
+    np.testing.assert_array_equal(shown["texture"], read_image(place / "t.png").pixels)
+    np.testing.assert_array_equal(shown["baked"], baked)
+    (place / "baked.png").unlink()
+    assert run("report", "R", "-o", "r.html").code == 0
+    assert shown["texture"] is not None
+    assert shown["baked"] is None
+    (place / "t.png").unlink()
+    assert run("report", "R", "-o", "r.html").code == 0
+    assert shown["texture"] is None
+
+
+def test_report_is_written(run: Run, result_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(write_report.__kwdefaults__, "size", (24, 18))
+    outcome = run("report", "R", "-o", "r.html")
+    assert outcome.code == 0, outcome.err
+    assert "r.html" in outcome.out
+    assert (result_folder.parent / "r.html").read_text(encoding="utf-8").endswith("</html>\n")
+
+
+def test_bits_choose_the_number_type(run: Run, result_folder: Path) -> None:
+    place = result_folder.parent
+    assert run("transfer", "R", "--texture", "t.png", "--size", 32, "--bits", 16, "-o", "deep.png").code == 0
+    assert read_image(place / "deep.png").pixels.dtype == np.uint16
+    refused = run("transfer", "R", "--texture", "t.png", "--bits", 32, "-o", "deep.png")
+    assert refused.code == 2
+    assert "bits" in refused.err
+
+
+def test_displacement_grows_with_the_model(run: Run, result_folder: Path) -> None:
+    heights = np.full((32, 48, 1), 0.25, np.float32)
+    write_image(result_folder.parent / "h.exr", heights)
+    outcome = run("transfer", "R", "--displacement", "h.exr", "--size", 32, "-o", "d.exr")
+    assert outcome.code == 0, outcome.err
+    # The target is twice as large. 1e-3: the image holds float32, areas are summed in another order.
+    np.testing.assert_allclose(read_image(result_folder.parent / "d.exr").pixels, 0.5, rtol=1e-3)
+    whole = run("transfer", "R", "--displacement", "t.png", "--size", 32, "-o", "d.png")
+    assert whole.code == 2  # in colour
+    assert "grey" in whole.err
+
+
+def test_material_colours_are_baked(run: Run, result_folder: Path) -> None:
+    outcome = run("transfer", "R", "--material-colors", "--size", 60, "-o", "m.png")
+    assert outcome.code == 0, outcome.err
+    pixels = read_image(result_folder.parent / "m.png").pixels
+    red, green, _ = pixels[45, 10].astype(int)  # face 0: the lower left cell of the layout
+    assert red > green + 50
+    assert np.ptp(pixels[45, 30].astype(int)) <= 1  # face 1: unknown, grey
+
+
+def test_attributes_arrive_at_the_same_kind_of_place(run: Run, result_folder: Path) -> None:
+    place = result_folder.parent
+    result = read_result(result_folder)
+    rng = np.random.default_rng(31)
+    values = {
+        "weight": rng.random((8, 2)),
+        "group": rng.integers(0, 4, 6),
+        "dense": rng.random(len(result.source.vertices)),
+    }
+    np.savez(place / "in.npz", **values)
+    outcome = run("transfer", "R", "--attribute", "in.npz", "-o", "out.npz")
+    assert outcome.code == 0, outcome.err
+    with np.load(place / "out.npz") as carried:
+        np.testing.assert_allclose(carried["dense"], values["dense"], atol=1e-12)
+        np.testing.assert_array_equal(carried["group"], values["group"])
+        refined = result.source.refinement().prolong(values["weight"], 0, result.source.level)
+        np.testing.assert_allclose(carried["weight"], refined[:8], atol=1e-12)
+    np.save(place / "seven.npy", np.arange(7))
+    refused = run("transfer", "R", "--attribute", "seven.npy", "-o", "out.npz")
+    assert refused.code == 2
+    assert "7 rows" in refused.err
+
+
+def test_a_target_without_uvs_needs_unwrap(run: Run, result_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    place, result = result_folder.parent, read_result(result_folder)
+    bare = replace(result.target, control=result.target.control.with_uvs(None, None))
+    write_result(result_folder, replace(result, target=bare))
+    refused = run("transfer", "R", "--texture", "t.png", "--size", 32, "-o", "b.png")
+    assert refused.code == 2
+    assert "--unwrap" in refused.err
+    outcome = run("transfer", "R", "--texture", "t.png", "--size", 32, "--unwrap", "-o", "b.png")
+    assert outcome.code == 0, outcome.err
+    laid_out = read_mesh(place / "b.obj")
+    assert laid_out.uvs is not None
+    shown: dict[str, object] = {}
+    monkeypatch.setattr(
+        "cagemap.cli.report.write_report", lambda path, result, **kwargs: shown.update(kwargs, r=result)
+    )
+    assert run("report", "R").code == 0
+    assert shown["baked"] is not None
+    assert shown["r"].target.control.uvs is not None  # type: ignore[attr-defined]
+
+
+def test_one_thing_at_a_time(run: Run, result_folder: Path) -> None:
+    for words in ([], ["--texture", "t.png", "--material-colors"]):
+        refused = run("transfer", "R", *words, "-o", "o.png")
+        assert refused.code == 2
+        assert "expected one of" in refused.err
+
+
+def test_islands_outside_the_square_are_warned_of(run: Run, result_folder: Path) -> None:
+    result = read_result(result_folder)
+    moved = result.target.control.with_uvs(result.target.control.uvs - [0.4, 0.0], result.target.control.uv_indices)
+    write_result(result_folder, replace(result, target=replace(result.target, control=moved)))
+    outcome = run("transfer", "R", "--texture", "t.png", "--size", 32, "-o", "b.png")
+    assert outcome.code == 0
+    assert "outside the unit square" in outcome.err
 
 
 def test_progress_is_timed_and_silent_without_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:

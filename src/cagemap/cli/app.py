@@ -201,7 +201,9 @@ def match(
 @app.command()
 def transfer(
     result: ResultFolder,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Image (or mesh, .npz) to write.")],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Image to write; with --attribute a .npy, .npz or .csv.")
+    ],
     texture: Annotated[
         Path | None, typer.Option("--texture", help="Source texture: colour, roughness, any image.", show_default=False)
     ] = None,
@@ -211,7 +213,9 @@ def transfer(
     attribute: Annotated[
         Path | None,
         typer.Option(
-            "--attribute", help="Values of the source's control vertices or faces, .npy or .npz.", show_default=False
+            "--attribute",
+            help="Values at the source's control vertices or faces: .npy, .npz or .csv.",
+            show_default=False,
         ),
     ] = None,
     material_colors: Annotated[
@@ -230,6 +234,17 @@ def transfer(
         int | None,
         typer.Option(
             "--bits", help="8, 16 or 32 (float) a channel.  [default: as the source image]", show_default=False
+        ),
+    ] = None,
+    scale: Annotated[
+        float, typer.Option("--scale", help="Displacement: source height between the values 0 and 1.")
+    ] = 1.0,
+    midlevel: Annotated[
+        float | None,
+        typer.Option(
+            "--midlevel",
+            help="Displacement: value that means none.  [default: 0.5 for integers, 0 for floats]",
+            show_default=False,
         ),
     ] = None,
     unwrap: Annotated[
@@ -253,6 +268,8 @@ def transfer(
         size=size,
         bits=bits,
         unwrap=unwrap,
+        midlevel=midlevel,
+        scale=scale,
     )
     with Stages() as stages:
         summary, warnings = run_transfer(request, stages)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from cagemap.cli.progress import Stages
 from cagemap.errors import FormatError
 from cagemap.files.images import Image, Pixels, read_image, read_texture
+from cagemap.files.meshes import read_mesh
 from cagemap.files.result import Result, read_result
 from cagemap.report import write_report
 
@@ -17,25 +19,22 @@ def run_report(folder: Path, output: Path, texture: Path | None, stages: Stages)
 
     Without ``texture`` the last baked texture that the result knows of is shown, if its files are still there.
     """
-    stages("read")
+    stages("read result")
     result = read_result(folder)
-    source, baked = _texture_to_show(result, texture)
-    stages("draw")
-    write_report(output, result, texture=source, baked=baked)
-
-
-def _texture_to_show(result: Result, texture: Path | None) -> tuple[Pixels | None, Pixels | None]:
-    """Pixels of the source's texture and of what was baked from it; None for what is not known."""
     known = [entry for entry in result.manifest.get("transfers", []) if entry.get("kind") == "texture"]
-    if texture is not None:
-        known = [entry for entry in known if entry.get("image") == str(texture.resolve())]
-        return _single(texture), _baked(known[-1]) if known else None
-    for entry in reversed(known):
-        try:
-            return _single(Path(entry["image"])), _baked(entry)
-        except FormatError:  # moved or deleted since
-            continue
-    return None, None
+    if texture is None:
+        known = [entry for entry in known if Path(entry["image"]).is_file()]
+        texture = Path(known[-1]["image"]) if known else None
+    pixels = None if texture is None else _single(texture)
+    baked = None
+    for entry in known:
+        if texture is not None and entry["image"] == str(texture.resolve()):
+            try:
+                result, baked = _baked(result, entry)
+            except FormatError:  # moved or deleted since: the texture is then shown vertex by vertex
+                continue
+    stages("draw")
+    write_report(output, result, texture=pixels, baked=baked)
 
 
 def _single(path: Path) -> Pixels | None:
@@ -44,8 +43,13 @@ def _single(path: Path) -> Pixels | None:
     return read.pixels if isinstance(read, Image) else None
 
 
-def _baked(entry: dict[str, Any]) -> Pixels | None:
-    # A layout made by --unwrap is not the target's own, and is not stored with the result.
-    if entry.get("unwrapped") or len(entry.get("tiles", [0])) != 1:
-        return None
-    return read_image(entry["output"]).pixels
+def _baked(result: Result, entry: dict[str, Any]) -> tuple[Result, Pixels | None]:
+    """What was baked, and the result with the layout that it was baked into."""
+    if len(entry.get("tiles", [0])) != 1:
+        return result, None
+    pixels = read_image(entry["output"]).pixels
+    if entry.get("mesh") is None:
+        return result, pixels
+    laid_out = read_mesh(entry["mesh"])
+    control = result.target.control.with_uvs(laid_out.uvs, laid_out.uv_indices)
+    return replace(result, target=replace(result.target, control=control)), pixels

@@ -2,26 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cagemap.cli.progress import Stages
 from cagemap.errors import ParameterError
-from cagemap.files.images import (
-    Image,
-    check_writable,
-    pixel_type,
-    read_texture,
-    texture_pixels,
-    udim_path,
-    write_image,
-)
+from cagemap.files.attributes import read_attributes, write_attributes
+from cagemap.files.images import Image, check_writable, pixel_type, read_texture, texture_pixels, udim_path, write_image
+from cagemap.files.meshes import write_mesh
 from cagemap.files.result import Result, note_transfer, read_result
 from cagemap.point_map.point_map import PointMap
-from cagemap.transfer.bake import BakeOptions, Transfer, bake_texture, prepare_transfer, target_tiles
+from cagemap.transfer import (
+    BakeOptions,
+    Transfer,
+    bake_displacement,
+    bake_face_colors,
+    bake_texture,
+    face_colors,
+    prepare_transfer,
+    pull_back_faces,
+    pull_back_vertices,
+    target_tiles,
+    unwrap,
+)
 
 DEFAULT_SIZE = 2048
+Outcome = tuple[str, list[str]]
 
 
 @dataclass(frozen=True)
@@ -37,61 +47,175 @@ class TransferRequest:
     size: int | None = None
     bits: int | None = None
     unwrap: bool = False
+    midlevel: float | None = None
+    scale: float = 1.0
 
 
-def run_transfer(request: TransferRequest, stages: Stages) -> tuple[str, list[str]]:
+def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
     """Carry one thing from source to target and write it; returns a summary and warnings."""
-    kind = _kind(request)
-    stages("read")
-    result = read_result(request.result)
-    carry = _CARRIERS[kind]
-    return carry(request, result, stages)
+    carry = _carrier(request)
+    stages("read result")
+    return carry(request, read_result(request.result), stages)
 
 
-def _kind(request: TransferRequest) -> str:
-    given = {
-        "--texture": request.texture is not None,
-        "--displacement": request.displacement is not None,
-        "--attribute": request.attribute is not None,
-        "--material-colors": request.material_colors,
+def _carrier(request: TransferRequest) -> Callable[[TransferRequest, Result, Stages], Outcome]:
+    """Choose the one thing to carry."""
+    options = {
+        "--texture": (request.texture is not None, _carry_texture),
+        "--displacement": (request.displacement is not None, _carry_displacement),
+        "--attribute": (request.attribute is not None, _carry_attribute),
+        "--material-colors": (request.material_colors, _carry_material_colors),
     }
-    chosen = [option for option, there in given.items() if there]
+    chosen = [option for option, (given, _) in options.items() if given]
     if len(chosen) != 1:
         raise ParameterError(
-            f"expected one of {', '.join(given)}, got {' and '.join(chosen) or 'none'}. Run the command once for each."
+            f"expected one of {', '.join(options)}, got {' and '.join(chosen) or 'none'}. Run once for each."
         )
-    return chosen[0]
+    return options[chosen[0]][1]
+
+
+@dataclass(frozen=True)
+class _Bake:
+    """A prepared bake: tiles of the target's layout, and what is to be said about it."""
+
+    transfer: Transfer
+    tiles: list[int]
+    mesh: Path | None
+    warnings: list[str]
+
+
+def _carry_texture(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+    assert request.texture is not None
+    texture, first, dtype = _read_image(request, request.texture)
+    check_writable(request.output, dtype, first.pixels.shape[2])
+    size = request.size or max(first.size)
+    prepared = _prepare_bake(request, result, stages)
+    stages("bake")
+    for tile in prepared.tiles:
+        pixels = bake_texture(
+            prepared.transfer, texture_pixels(texture), size=size, dtype=dtype, options=BakeOptions(tile=tile)
+        )
+        write_image(udim_path(request.output, tile), replace(first, pixels=pixels))
+    return _finish(request, prepared, {"kind": "texture", "image": request.texture.resolve(), "size": size})
+
+
+def _carry_displacement(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+    assert request.displacement is not None
+    texture, first, dtype = _read_image(request, request.displacement)
+    check_writable(request.output, dtype, 1)
+    size = request.size or max(first.size)
+    prepared = _prepare_bake(request, result, stages)
+    stages("bake")
+    for tile in prepared.tiles:
+        baked = bake_displacement(
+            prepared.transfer,
+            texture_pixels(texture),
+            size=size,
+            midlevel=request.midlevel,
+            scale=request.scale,
+            dtype=dtype,
+            options=BakeOptions(tile=tile),
+        )
+        write_image(udim_path(request.output, tile), baked.pixels)
+    entry = {
+        "kind": "displacement",
+        "image": request.displacement.resolve(),
+        "size": size,
+        "midlevel": baked.midlevel,
+        "scale": baked.scale,
+    }
+    summary, warnings = _finish(request, prepared, entry)
+    return f"{summary}\n  height = (value - {baked.midlevel:g}) * {baked.scale:.6g} in the target's units", warnings
+
+
+def _carry_material_colors(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+    floats = request.output.suffix.lower() == ".exr"
+    dtype = pixel_type(request.bits or (32 if floats else 8), request.output.suffix)
+    check_writable(request.output, dtype, 3)
+    colors = face_colors(result.source.control)
+    size = request.size or DEFAULT_SIZE
+    prepared = _prepare_bake(request, result, stages)
+    stages("bake")
+    for tile in prepared.tiles:
+        pixels = bake_face_colors(prepared.transfer, colors, size=size, dtype=dtype, options=BakeOptions(tile=tile))
+        write_image(udim_path(request.output, tile), pixels)
+    return _finish(request, prepared, {"kind": "material-colors", "size": size})
+
+
+def _carry_attribute(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+    """Values at control vertices, control faces or refined vertices; they arrive at the same kind of place."""
+    assert request.attribute is not None
+    values = read_attributes(request.attribute)
+    control, refined = result.source.control, result.source.refinement()
+    transfer = _prepare(result, stages)
+    stages("pull back")
+    carried, warnings = {}, []
+    for name, array in values.items():
+        if len(array) == control.n_vertices:
+            fine = refined.prolong(array.astype(np.float64), 0, result.source.level)
+            carried[name] = pull_back_vertices(transfer, fine)[: result.target.control.n_vertices]
+            if control.n_faces == control.n_vertices:
+                warnings.append(f"{name}: as many rows as control vertices and as control faces; taken for vertices")
+        elif len(array) == control.n_faces:
+            carried[name] = pull_back_faces(transfer, array, n_target_faces=result.target.control.n_faces)
+        elif len(array) == len(result.source.vertices):
+            carried[name] = pull_back_vertices(transfer, array.astype(np.float64))
+        else:
+            raise ParameterError(
+                f"{request.attribute}: {name} has {len(array)} rows; expected one for each of the source's "
+                f"{control.n_vertices} control vertices, {control.n_faces} control faces, or "
+                f"{len(result.source.vertices)} vertices of level {result.source.level}."
+            )
+    write_attributes(request.output, carried)
+    entry = {"kind": "attribute", "file": request.attribute.resolve(), "output": request.output.resolve()}
+    note_transfer(request.result, entry)
+    shapes = ", ".join(f"{name} {array.shape}" for name, array in carried.items())
+    return f"wrote {request.output}: {shapes}", warnings
+
+
+def _read_image(request: TransferRequest, path: Path) -> tuple[Image | dict[int, Image], Image, np.dtype[Any]]:
+    """Read a source image or its tiles; also the first of them, and the number type to write."""
+    texture = read_texture(path)
+    first = texture if isinstance(texture, Image) else next(iter(texture.values()))
+    dtype = first.pixels.dtype if request.bits is None else pixel_type(request.bits, request.output.suffix)
+    return texture, first, dtype
 
 
 def _prepare(result: Result, stages: Stages) -> Transfer:
     stages("prepare")
-    return prepare_transfer(
-        result.target.refinement().finest,
-        result.source.refinement().finest,
-        PointMap(result.triangle, result.barycentric),
-    )
+    point_map = PointMap(result.triangle, result.barycentric)
+    return prepare_transfer(result.target.refinement().finest, result.source.refinement().finest, point_map)
 
 
-def _carry_texture(request: TransferRequest, result: Result, stages: Stages) -> tuple[str, list[str]]:
-    assert request.texture is not None
-    texture = read_texture(request.texture)
-    first = texture if isinstance(texture, Image) else next(iter(texture.values()))
-    dtype = first.pixels.dtype if request.bits is None else pixel_type(request.bits, request.output.suffix)
-    check_writable(request.output, dtype, first.pixels.shape[2])
-    size = request.size or max(first.size)
+def _prepare_bake(request: TransferRequest, result: Result, stages: Stages) -> _Bake:
+    """Lay the target out, with a new layout if asked for, and find its tiles."""
+    mesh: Path | None = None
+    warnings: list[str] = []
+    if request.unwrap:
+        stages("unwrap")
+        control = unwrap(result.target.control)
+        mesh = request.output.with_suffix(".obj")
+        result = replace(result, target=replace(result.target, control=control))
+        write_mesh(mesh, control)
+    elif result.target.control.uvs is None:
+        raise ParameterError(
+            f"{result.target.control.name}: expected texture coordinates to bake into, the mesh has none. Add --unwrap "
+            "to lay it out and write the mesh beside the image, or unwrap it in your modelling program and match again."
+        )
     transfer = _prepare(result, stages)
-    tiles = target_tiles(result.target.refinement().finest)
-    stages("bake")
-    for tile in tiles:
-        pixels = bake_texture(transfer, texture_pixels(texture), size=size, dtype=dtype, options=BakeOptions(tile=tile))
-        write_image(udim_path(request.output, tile), replace(first, pixels=pixels))
-    entry = {"kind": "texture", "image": request.texture.resolve(), "tiles": tiles}
-    return _finish(request, entry, [udim_path(request.output, tile) for tile in tiles], size), []
+    centres = transfer.target.corner_uvs().mean(axis=1)
+    if centres.min() >= 0:
+        return _Bake(transfer, target_tiles(result.target.refinement().finest), mesh, warnings)
+    outside = float(np.mean(((centres < 0) | (centres > 1)).any(axis=1)))
+    warnings.append(
+        f"{100 * outside:.1f} % of the target's layout lies outside the unit square and is not baked: move it"
+    )
+    return _Bake(transfer, [0], mesh, warnings)
 
 
-def _finish(request: TransferRequest, entry: dict[str, Any], outputs: list[Path], size: int) -> str:
-    note_transfer(request.result, {**entry, "output": outputs[0].resolve()})
-    return f"wrote {', '.join(map(str, outputs))}, {size} x {size}"
-
-
-_CARRIERS = {"--texture": _carry_texture}
+def _finish(request: TransferRequest, prepared: _Bake, entry: dict[str, Any]) -> Outcome:
+    outputs = [udim_path(request.output, tile) for tile in prepared.tiles]
+    mesh = None if prepared.mesh is None else prepared.mesh.resolve()
+    note_transfer(request.result, {**entry, "output": outputs[0].resolve(), "tiles": prepared.tiles, "mesh": mesh})
+    written = [*outputs, *([prepared.mesh] if prepared.mesh else [])]
+    return f"wrote {', '.join(map(str, written))}; {entry['size']} x {entry['size']} texels", prepared.warnings

@@ -5,6 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from cagemap.mesh import FloatArray
+from cagemap.transfer.attributes import encode_srgb as to_display
+
+__all__ = [
+    "AMOUNT",
+    "BALANCE",
+    "ENOUGH",
+    "distinct_colors",
+    "position_colors",
+    "scalar_colors",
+    "to_display",
+    "to_linear",
+]
 
 # Anchors of perceptual scales (viridis-like for amounts, blue-white-red for "less / more"), evenly spaced.
 AMOUNT = np.array(
@@ -25,12 +37,6 @@ ENOUGH = (
 def to_linear(display: FloatArray) -> FloatArray:
     """Light from sRGB display values (IEC 61966-2-1)."""
     return np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)
-
-
-def to_display(linear: FloatArray) -> FloatArray:
-    """Display values from light, clipped to [0, 1]."""
-    light = np.clip(linear, 0.0, 1.0)
-    return np.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
 def scalar_colors(values: FloatArray, low: float, high: float, scale: FloatArray = AMOUNT) -> FloatArray:

@@ -31,6 +31,7 @@ from cagemap.pictures import (
     to_display,
     turn_between,
 )
+from cagemap.transfer import face_colors
 from cagemap.transfer.surface import TexturedSurface
 
 Pixels = NDArray[Any]
@@ -39,7 +40,6 @@ Progress = Callable[[str], None]
 WIDTH, HEIGHT = 600, 460
 _LARGEST_TEXTURE = 2048  # a picture shows no more than this
 _PAPER = np.array([0.962, 0.966, 0.970])
-_UNKNOWN_COLOR = np.array([0.7, 0.7, 0.7])
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,8 @@ def _looks(stage: _Stage, texture: Pixels | None, baked: Pixels | None) -> tuple
         return "texture", source_skin, Skin(vertex_colors=_pulled_texture(stage, shown))
     control = stage.result.source.control
     if control.face_materials is not None and control.material_colors is not None:
-        colors = _material_colors(stage, control.face_materials, control.material_colors)
+        parents = stage.source.face_parents[stage.source.triangle_faces]
+        colors = to_display(face_colors(control)[parents])
         return "material colours", Skin(face_colors=colors), Skin(vertex_colors=colors[stage.result.triangle])
     checker = _checker(stage.result.source.vertices, stage.result.source.vertices)
     pulled = _checker(stage.result.image(), stage.result.source.vertices)
@@ -160,13 +161,6 @@ def _pulled_texture(stage: _Stage, texture: FloatArray) -> FloatArray:
     """(n1, 3) the source's texture at the image of every target vertex; UVs are mixed inside one triangle only."""
     corners = stage.source.corner_uvs()[stage.result.triangle]
     return sample_texture(texture, np.einsum("nc,ncd->nd", stage.result.barycentric, corners))[:, :3]
-
-
-def _material_colors(stage: _Stage, face_materials: NDArray[np.int64], colors: FloatArray) -> FloatArray:
-    """(t2, 3) display colour of every source triangle."""
-    parents = stage.source.face_parents[stage.source.triangle_faces]
-    linear = colors[face_materials[parents]]
-    return np.where(np.isnan(linear), _UNKNOWN_COLOR, to_display(np.nan_to_num(linear)))
 
 
 def _checker(points: FloatArray, reference: FloatArray, cells: int = 28) -> FloatArray:
