@@ -1,0 +1,123 @@
+"""Unwrapping: whole polygons, no overlap after refinement, one density, the same every time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cagemap.errors import InvalidMeshError
+from cagemap.files.obj import read_obj
+from cagemap.mesh import ControlMesh, bipyramid, creature, cube, disk, icosahedron, pyramid, torus
+from cagemap.refinement import refine, triangles, triangulate_control
+from cagemap.transfer.surface import triangle_areas, triangle_neighbors
+from cagemap.transfer.texels import lay_out, rasterize_band
+from cagemap.transfer.unwrap import unwrap
+
+SHAPES = {
+    "cube": cube(),
+    "icosahedron": icosahedron(),
+    "torus": torus(),
+    "disk": disk(7),
+    "pyramid": pyramid(),
+    "bipyramid": bipyramid(9),
+    "creature": creature(),
+}
+ANIMALS = ["spot", "cow", "red_fox"]
+
+
+def check_layout(control: ControlMesh, size: int = 700) -> None:
+    """Every refined triangle is the right way round, inside the square, and alone on its texels."""
+    assert control.uvs is not None
+    assert control.uvs.min() >= 0
+    assert control.uvs.max() <= 1
+    level = refine(control, 2).finest
+    assert level.uvs is not None
+    assert level.uv_indices is not None
+    corners = triangles(level.uv_indices)
+    points = level.uvs[corners]
+    a, b = points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]
+    assert (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0] > 0).all()
+    layout = lay_out(points, triangle_neighbors(corners), size, size, band_rows=size, gutter=0)
+    backwards = lay_out(points[::-1], triangle_neighbors(corners)[::-1], size, size, band_rows=size, gutter=0)
+    first = rasterize_band(layout, 0)
+    last = len(corners) - 1 - rasterize_band(backwards, 0)
+    # The first and the last triangle over a centre differ only where it lies on an edge, to rounding.
+    assert (first[first >= 0] != last[first >= 0]).mean() < 1e-3
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_shapes(name: str) -> None:
+    check_layout(unwrap(SHAPES[name]))
+
+
+@pytest.mark.parametrize("name", ANIMALS)
+def test_animals_with_bent_and_concave_polygons(shared_data: Path, name: str) -> None:
+    control = unwrap(read_obj(shared_data / "animals" / f"{name}.obj"))
+    check_layout(control)
+    # Density: areas in the layout are those of the islands' polygons in space, up to what flattening costs a polygon.
+    corners = triangulate_control(control)
+    face = np.repeat(np.arange(control.n_faces), control.face_sizes - 2)
+    solid = np.bincount(face, triangle_areas(control.positions, corners))
+    assert control.uv_indices is not None
+    assert control.uvs is not None
+    loops = control.uvs[control.uv_indices]
+    cross = loops[:, 0] * loops[control.next_corners, 1] - loops[:, 1] * loops[control.next_corners, 0]
+    flat = 0.5 * np.add.reduceat(cross, control.face_offsets[:-1])
+    ratio = flat / solid * solid.sum() / flat.sum()
+    assert np.quantile(ratio, 0.05) > 0.5
+    assert np.quantile(ratio, 0.95) < 2.0
+    assert flat.sum() > 0.3  # of the unit square
+
+
+def test_islands_keep_their_distance() -> None:
+    control = unwrap(torus(), padding=1 / 64)
+    level = refine(control, 1).finest
+    assert level.uvs is not None
+    assert level.uv_indices is not None
+    corners = triangles(level.uv_indices)
+    size = 640  # the padding is 10 texels; islands grown by 4 must not meet, nor leave the square
+    neighbors = triangle_neighbors(corners)
+    layout = lay_out(level.uvs[corners], neighbors, size, size, band_rows=size, gutter=4.0)
+    backwards = lay_out(level.uvs[corners[::-1]], neighbors[::-1], size, size, band_rows=size, gutter=4.0)
+    owner, other = rasterize_band(layout, 0), len(corners) - 1 - rasterize_band(backwards, 0)
+    island = _islands(neighbors)
+    grown = owner >= 0
+    assert (island[owner[grown]] == island[other[grown]]).all()
+    assert not grown[[0, -1]].any()
+    assert not grown[:, [0, -1]].any()
+
+
+def test_the_same_mesh_gives_the_same_layout_whatever_its_place_and_size() -> None:
+    control = torus()
+    first, again = unwrap(control), unwrap(control)
+    np.testing.assert_array_equal(first.uvs, again.uvs)
+    np.testing.assert_array_equal(first.uv_indices, again.uv_indices)
+    for factor in (1e-6, 2.0**20):
+        check_layout(unwrap(control.with_positions(control.positions * factor + 3 * factor)), 300)
+
+
+def test_degenerate_polygons_get_a_spot_of_their_own() -> None:
+    shape = cube()
+    positions = shape.positions.copy()
+    positions[1] = positions[0]  # an edge without length, and with it triangles without area
+    check_layout(unwrap(shape.with_positions(positions)), 300)
+
+
+def test_nothing_to_unwrap_is_refused() -> None:
+    with pytest.raises(InvalidMeshError, match="to unwrap"):
+        unwrap(cube().with_positions(np.zeros((8, 3))))
+    with pytest.raises(InvalidMeshError, match="to unwrap"):
+        unwrap(ControlMesh.from_faces(np.zeros((0, 3)), []))
+
+
+def _islands(neighbors: np.ndarray) -> np.ndarray:
+    """(t,) smallest triangle of each triangle's island."""
+    label = np.arange(len(neighbors))
+    while True:
+        reach = np.where(neighbors >= 0, label[neighbors], label[:, None]).min(axis=1)
+        smaller = np.minimum(label, reach)
+        if (smaller == label).all():
+            return label
+        label = smaller
