@@ -246,7 +246,8 @@ def _shade_cells(
     top: int,
 ) -> FloatArray:
     """(k, c) values of raster cells, given by their flat index in a band that starts at row ``top``."""
-    most = int(samples_per_axis[triangle].prod(axis=1).max()) if samples_per_axis.max(initial=1) > 1 else 1
+    along = samples_per_axis[triangle]
+    most = int((along[:, 0] * along[:, 1]).max())
     step = max(1, _SAMPLE_BUDGET // most)
     values = []
     for begin in range(0, len(cells), step):

@@ -38,9 +38,13 @@ def dilate(image: NDArray[Any], covered: NDArray[np.bool_], *, distance: int | N
     reach = -1 if distance is None else int(distance)
     texels = image.view(np.uint8).reshape(height, width, -1)
     nearest_row = np.empty((height, width), dtype=np.int16)
+
+    def fill(begin: int, end: int) -> None:
+        _fill_rows(texels, nearest_row, reach, begin, end, *np.empty((2, width), dtype=np.int64))
+
     with ThreadPoolExecutor(threads) as pool:
         _each(pool, lambda begin, end: _nearest_rows(covered, nearest_row, begin, end), width)
-        _each(pool, lambda begin, end: _fill_rows(texels, nearest_row, reach, begin, end), height)
+        _each(pool, fill, height)
 
 
 def _each(pool: ThreadPoolExecutor, work: Callable[[int, int], None], size: int) -> None:
@@ -70,15 +74,14 @@ def _nearest_rows(covered, nearest_row, begin, end):  # type: ignore[no-untyped-
 
 
 @numba.njit(cache=True, nogil=True)
-def _fill_rows(texels, nearest_row, reach, begin, end):  # type: ignore[no-untyped-def]
+def _fill_rows(texels, nearest_row, reach, begin, end, site, since):  # type: ignore[no-untyped-def]
     """For the rows ``begin`` to ``end``: lower envelope of the columns' parabolas, then copy from the nearest texel.
 
     Column i holds the parabola (c - i)^2 + h_i^2, h_i being the distance along the column. Only texels that are not
-    covered are written, and only covered ones are read, so rows may be done in any order.
+    covered are written, and only covered ones are read, so rows may be done in any order. ``site`` has room for the
+    columns whose parabolas make the envelope, ``since`` for the first texel where each of them is the lowest.
     """
     width = texels.shape[1]
-    site = np.empty(width, dtype=np.int64)  # columns whose parabolas make the envelope
-    since = np.empty(width, dtype=np.int64)  # first texel where each of them is the lowest
     for r in range(begin, end):
         top = -1
         open_texels = False

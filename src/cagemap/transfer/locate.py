@@ -135,7 +135,9 @@ def locate_samples(
     """
     along = samples_per_axis[target_triangle]
     first = np.concatenate([[0], np.cumsum(along[:, 0] * along[:, 1], dtype=np.int64)])
-    triangle, barycentric = _locate(
+    triangle = np.empty(first[-1], dtype=np.int64)
+    barycentric = np.empty((first[-1], 3))
+    _locate(
         surface.target_triangles,
         surface.start_triangles,
         surface.mapped,
@@ -148,15 +150,18 @@ def locate_samples(
         target_triangle,
         samples_per_axis,
         first,
+        triangle,
+        barycentric,
     )
     return Samples(target_triangle, cells, width, top, first, triangle, barycentric)
 
 
 def locate_centers(surface: MappedSurface) -> IndexArray:
     """(t1,) source triangle at the image of every target triangle's centre."""
-    found: IndexArray = _locate_centers(
-        surface.target_triangles, surface.start_triangles, surface.mapped, surface.frames, surface.neighbors
-    )
+    centers = surface.mapped[surface.target_triangles].mean(axis=1)
+    found = np.empty(len(centers), dtype=np.int64)
+    starts = surface.start_triangles[surface.target_triangles[:, 0]]
+    _walk_all(surface.frames, surface.neighbors, starts, centers, found)
     return found
 
 
@@ -175,14 +180,19 @@ def plan_samples(surface: MappedSurface, layout_corners: FloatArray, source_texe
     source_texels : (t2, 3, 2) float64
         Texel coordinates of the source triangles' corners in the source texture.
     """
-    spans = _spans(
-        surface.target_triangles,
-        locate_centers(surface),
-        surface.mapped,
-        surface.frames,
-        layout_corners,
-        np.ascontiguousarray(source_texels),
-    )
+    source = locate_centers(surface)
+    mapped = surface.mapped[surface.target_triangles]
+    edges = mapped[:, 1:] - mapped[:, :1]
+    # Row i: the source's barycentric coordinates 1 and 2 along the target triangle's edge i.
+    slopes = edges @ surface.frames[source, 1:].transpose(0, 2, 1)  # (t1, 2, 2)
+    sides = source_texels[source, 1:] - source_texels[source, :1]
+    texels = slopes @ sides  # (t1, 2, 2): source texels along the edges
+    (x1, y1), (x2, y2) = (layout_corners[:, 1:] - layout_corners[:, :1]).transpose(1, 2, 0)
+    area = x1 * y2 - x2 * y1
+    scale = 1.0 / np.where(area == 0, np.inf, area)
+    along_x = (texels[:, 0] * y2[:, None] - texels[:, 1] * y1[:, None]) * scale[:, None]
+    along_y = (texels[:, 1] * x1[:, None] - texels[:, 0] * x2[:, None]) * scale[:, None]
+    spans = np.sqrt(np.stack([(along_x**2).sum(axis=1), (along_y**2).sum(axis=1)], axis=1))
     # A span up to 1.25 is left to the bilinear filter: an unscaled texture then comes through unblurred.
     return np.clip(np.ceil(spans - 0.25), 1, MAX_SAMPLES_PER_AXIS).astype(np.int32)
 
@@ -233,46 +243,10 @@ def _walk(frames, neighbors, start, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _locate_centers(target_triangles, start_triangles, mapped, frames, neighbors):  # type: ignore[no-untyped-def]
-    """(t1,) source triangle at the image of every target triangle's centre."""
-    found = np.empty(len(target_triangles), dtype=np.int64)
-    for t in range(len(target_triangles)):
-        i, j, k = target_triangles[t, 0], target_triangles[t, 1], target_triangles[t, 2]
-        x = (mapped[i, 0] + mapped[j, 0] + mapped[k, 0]) / 3.0
-        y = (mapped[i, 1] + mapped[j, 1] + mapped[k, 1]) / 3.0
-        z = (mapped[i, 2] + mapped[j, 2] + mapped[k, 2]) / 3.0
-        found[t] = _walk(frames, neighbors, start_triangles[i], x, y, z)[0]
-    return found
-
-
-@numba.njit(cache=True, nogil=True)
-def _spans(target_triangles, centers, mapped, frames, layout_corners, source_texels):  # type: ignore[no-untyped-def]
-    """(t1, 2) source texels that a target texel spans along x and y, at the centre of every target triangle."""
-    spans = np.zeros((len(target_triangles), 2))
-    for t in range(len(target_triangles)):
-        x1, y1 = layout_corners[t, 1, 0] - layout_corners[t, 0, 0], layout_corners[t, 1, 1] - layout_corners[t, 0, 1]
-        x2, y2 = layout_corners[t, 2, 0] - layout_corners[t, 0, 0], layout_corners[t, 2, 1] - layout_corners[t, 0, 1]
-        area = x1 * y2 - x2 * y1
-        if area == 0.0:
-            continue
-        i, j, k = target_triangles[t, 0], target_triangles[t, 1], target_triangles[t, 2]
-        s = centers[t]
-        # Differences of the source's barycentric coordinates along the target triangle's two edges.
-        d11, d12, d21, d22 = 0.0, 0.0, 0.0, 0.0
-        for axis in range(3):
-            e1 = mapped[j, axis] - mapped[i, axis]
-            e2 = mapped[k, axis] - mapped[i, axis]
-            d11 += frames[s, 1, axis] * e1
-            d12 += frames[s, 1, axis] * e2
-            d21 += frames[s, 2, axis] * e1
-            d22 += frames[s, 2, axis] * e2
-        for axis in range(2):
-            w1 = source_texels[s, 1, axis] - source_texels[s, 0, axis]
-            w2 = source_texels[s, 2, axis] - source_texels[s, 0, axis]
-            f1, f2 = w1 * d11 + w2 * d21, w1 * d12 + w2 * d22
-            spans[t, 0] += ((f1 * y2 - f2 * y1) / area) ** 2
-            spans[t, 1] += ((f2 * x1 - f1 * x2) / area) ** 2
-    return np.sqrt(spans)
+def _walk_all(frames, neighbors, starts, points, found):  # type: ignore[no-untyped-def]
+    """Walk for every one of some points; triangles only."""
+    for i in range(len(points)):
+        found[i] = _walk(frames, neighbors, starts[i], points[i, 0], points[i, 1], points[i, 2])[0]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -289,11 +263,10 @@ def _locate(  # type: ignore[no-untyped-def]
     target_triangle,
     samples_per_axis,
     first,
+    found,
+    barycentric,
 ):
     """Walk for every sample; see :func:`locate_samples`."""
-    n_samples = first[-1]
-    found = np.empty(n_samples, dtype=np.int64)
-    barycentric = np.empty((n_samples, 3))
     for texel in range(len(cells)):
         row = cells[texel] // width
         column = cells[texel] - row * width
@@ -333,4 +306,3 @@ def _locate(  # type: ignore[no-untyped-def]
             barycentric[sample, 0] = max(1.0 - found_1 - found_2, 0.0)
             barycentric[sample, 1] = found_1
             barycentric[sample, 2] = found_2
-    return found, barycentric

@@ -91,23 +91,25 @@ def triangle_neighbors(corners: IndexArray) -> NDArray[np.int32]:
     Edges are matched by their unordered pair of vertices; where more than two triangles share one, they are paired
     in order, which is what a UV layout with faces laid over each other needs.
     """
-    return _pair_edges(np.ascontiguousarray(corners), int(corners.max(initial=-1)) + 1)
+    neighbors = np.full(corners.shape, -1, dtype=np.int32)
+    head = np.full(int(corners.max(initial=-1)) + 1, -1, dtype=np.int32)
+    rest = np.full(corners.size, -1, dtype=np.int32)
+    _pair_edges(np.ascontiguousarray(corners), neighbors, head, rest)
+    return neighbors
 
 
+# Kernels of this room fill arrays that they are given: to allocate inside would double the time they take to compile.
 @numba.njit(cache=True, nogil=True)
-def _pair_edges(corners, n_vertices):  # type: ignore[no-untyped-def]
+def _pair_edges(corners, neighbors, head, rest):  # type: ignore[no-untyped-def]
     """Match edges through a linked list of still unmatched ones at each edge's lower vertex."""
-    neighbors = np.full(corners.shape, np.int32(-1))
-    head = np.full(n_vertices, np.int32(-1))
-    rest = np.full(corners.size, np.int32(-1))
     for t in range(len(corners)):
         for k in range(3):
             a, b = corners[t, (k + 1) % 3], corners[t, (k + 2) % 3]
-            low, high = min(a, b), max(a, b)
+            low, high = (a, b) if a < b else (b, a)
             previous, edge = np.int32(-1), head[low]
             while edge >= 0:
                 other, j = edge // 3, edge % 3
-                if max(corners[other, (j + 1) % 3], corners[other, (j + 2) % 3]) == high:
+                if corners[other, (j + 1) % 3] == high or corners[other, (j + 2) % 3] == high:
                     break
                 previous, edge = edge, rest[edge]
             if edge < 0:
@@ -119,4 +121,3 @@ def _pair_edges(corners, n_vertices):  # type: ignore[no-untyped-def]
                 head[low] = rest[edge]
             else:
                 rest[previous] = rest[edge]
-    return neighbors

@@ -124,7 +124,10 @@ def rasterize_band(layout: Layout, band: int) -> TriangleImage:
     _rasterize(image, top, layout.corners, layout.band_triangles[band])
     if layout.gutter > 0:
         borders = layout.border_triangles[band], layout.border_corners[band]
-        _grow_gutter(image, top, layout.corners, *borders, layout.gutter)
+        nearest = np.full(image.shape, layout.gutter**2 + 1e-9)
+        found = np.full(image.shape, -1, dtype=np.int32)
+        _grow_gutter(image, top, layout.corners, *borders, layout.gutter, nearest, found)
+        image = np.where(found >= 0, found, image)
     return image
 
 
@@ -156,11 +159,9 @@ def _rasterize(image, top, corners, triangles):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _grow_gutter(image, top, corners, triangles, starts, radius):  # type: ignore[no-untyped-def]
-    """Set texels of ``image`` that are -1 to the triangle of the nearest border edge within ``radius``."""
+def _grow_gutter(image, top, corners, triangles, starts, radius, nearest, found):  # type: ignore[no-untyped-def]
+    """Find, for texels of ``image`` that are -1, the triangle of a border edge less than sqrt(``nearest``) away."""
     rows, width = image.shape
-    nearest = np.full((rows, width), radius * radius + 1e-9)
-    found = np.full((rows, width), np.int32(-1))
     for e in range(len(triangles)):
         t, k = triangles[e], starts[e]
         x0, y0 = corners[t, k, 0], corners[t, k, 1]
@@ -185,7 +186,3 @@ def _grow_gutter(image, top, corners, triangles, starts, radius):  # type: ignor
                 if distance2 < nearest[r, c]:
                     nearest[r, c] = distance2
                     found[r, c] = t
-    for r in range(rows):
-        for c in range(width):
-            if found[r, c] >= 0:
-                image[r, c] = found[r, c]
