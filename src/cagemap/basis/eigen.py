@@ -20,6 +20,8 @@ FloatArray = NDArray[np.float64]
 DENSE_ROWS = 800
 # Largest size that is solved densely when a large share of the spectrum is asked for.
 _LARGEST_DENSE_ROWS = 5_000
+# Relative eigenvalue of a coarse mass matrix below which a direction is one that subdivision maps to zero.
+_RANK = 1e-13
 # Pairs computed beyond those asked for, among which a gap is sought to count the eigenvalues below it.
 _EXTRA_PAIRS = 8
 
@@ -157,7 +159,12 @@ def band_pairs(
             "ask for fewer or refine once more"
         )
     if n <= DENSE_ROWS or (n <= _LARGEST_DENSE_ROWS and 5 * (last - first) > n):
-        values, vectors = linalg.eigh(stiffness.toarray(), mass.toarray(), driver="gvd")
+        values, vectors = _dense_pairs(stiffness.toarray(), mass.toarray())
+        if last > len(values):
+            raise ParameterError(
+                f"expected a range of eigenpairs within 0 to {len(values)}, as many as the level has independent functions, "
+                f"got {first} to {last}; start at a finer level"
+            )
         return _with_residuals(stiffness, mass, values[first:last], vectors[:, first:last], first)
     low, high = max(0, first - _EXTRA_PAIRS), min(n, last + _EXTRA_PAIRS)
     shifted, sigma = _shift_inside(stiffness, mass, low, high, shift)
@@ -258,6 +265,18 @@ def exact_basis(operators: Operators, level: int, count: int) -> EigenPairs:
     if not 0 <= level <= operators.finest:
         raise ParameterError(f"expected a level from 0 to {operators.finest}, got {level}")
     return lowest_pairs(operators.stiffness[level], operators.mass[level], count)
+
+
+def _dense_pairs(stiffness: FloatArray, mass: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """All eigenpairs of a small problem, but for functions that subdivision maps to zero.
+
+    There is such a function on the cube: +1 and -1 in turn. W and M both vanish on it, and it is no function at all.
+    """
+    squares, axes = linalg.eigh(mass)
+    seen = squares > _RANK * squares[-1]
+    scaled = axes[:, seen] / np.sqrt(squares[seen])
+    values, vectors = linalg.eigh(scaled.T @ stiffness @ scaled)
+    return values, scaled @ vectors
 
 
 def _shift_inside(

@@ -1,0 +1,286 @@
+"""The hierarchical basis: tolerance kept, nothing lost, and what can be asked of it without the dense fine matrix."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cagemap.basis import (
+    BasisConfig,
+    evaluate,
+    exact_basis,
+    gram_matrix,
+    hierarchical_basis,
+    project,
+    row_blocks,
+    rows,
+)
+from cagemap.basis.error_estimate import predict_next_level
+from cagemap.basis.overlap import clusters, new_directions
+from cagemap.errors import ParameterError
+from cagemap.files.meshes import read_mesh
+from cagemap.mesh import shapes
+from cagemap.operators import build_operators
+from cagemap.refinement import refine
+
+# Counts end at gaps of the spectrum, so that "the lowest k" is one space and not a choice inside a cluster.
+SURFACES = {
+    "cube": (shapes.cube, 4, 16),
+    "icosahedron (Loop)": (shapes.icosahedron, 4, 16),
+    "torus": (lambda: shapes.torus(6, 4), 3, 39),
+    "open square": (lambda: shapes.grid(5, 5), 3, 37),
+    "mirror-symmetric creature": (shapes.creature, 2, 40),
+}
+# Solves with Gram matrices of condition below 100.
+EXACT = 1e-10
+
+
+@pytest.fixture(params=SURFACES, scope="module")
+def surface(request):
+    control, level, count = SURFACES[request.param]
+    refinement = refine(control(), level)
+    return refinement, build_operators(refinement), count
+
+
+@pytest.fixture(scope="module")
+def creature():
+    refinement = refine(shapes.creature(), 3)
+    operators = build_operators(refinement)
+    return refinement, operators, hierarchical_basis(refinement, operators, BasisConfig(schedule=(20, 15, 10)))
+
+
+def cosines(refinement, operators, basis, exact):
+    """Cosines of the principal angles between the hierarchical basis and exact eigenvectors, at the finest level."""
+    finest = operators.finest
+    phi = evaluate(basis, refinement, finest)
+    weights = np.sqrt(operators.finest_areas)[:, None]
+    ours, _ = np.linalg.qr(weights * phi)
+    return np.linalg.svd(ours.T @ (weights * exact.vectors), compute_uv=False)
+
+
+@pytest.mark.parametrize("tolerance", [0.05, 0.01, 1e-4])
+def test_tolerance_is_kept_and_nothing_is_lost(surface, tolerance):
+    refinement, operators, count = surface
+    basis = hierarchical_basis(refinement, operators, BasisConfig(count=count, tolerance=tolerance))
+    exact = exact_basis(operators, operators.finest, count)
+    assert basis.count == count
+    errors = (np.sort(basis.eigenvalues) - exact.values)[1:] / exact.values[1:]
+    assert errors.max() < tolerance
+    assert errors.min() > -1e-9, "a coarse eigenvalue is never below the fine one"
+    # An eigenvalue error e mixes in other eigenfunctions with an angle of about sqrt(e), more where gaps are small.
+    assert cosines(refinement, operators, basis, exact).min() > 1.0 - 15.0 * tolerance
+    assert np.linalg.cond(basis.gram) < 2.0
+    assert basis.residuals.max() < 1e-4
+
+
+def test_loose_tolerance_stays_on_coarse_levels(surface):
+    refinement, operators, count = surface
+    loose = hierarchical_basis(refinement, operators, BasisConfig(count=count, tolerance=0.3))
+    tight = hierarchical_basis(refinement, operators, BasisConfig(count=count, tolerance=1e-7))
+    assert loose.band_levels.mean() < tight.band_levels.mean()
+    assert tight.last_level == operators.finest
+    exact = exact_basis(operators, operators.finest, count).values
+    assert np.max(np.abs(np.sort(tight.eigenvalues) - exact)[1:] / exact[1:]) < 1e-7
+
+
+@pytest.mark.parametrize("schedule", [(12, 4, 4), (13, 5, 8), (4, 10, 10)])
+def test_fixed_schedule_has_its_counts_and_completes_cut_clusters(schedule):
+    """Bands that end inside a pair of the torus: the next band brings the other half, and no half twice."""
+    refinement = refine(shapes.torus(8, 5), 2)
+    operators = build_operators(refinement)
+    basis = hierarchical_basis(refinement, operators, BasisConfig(schedule=schedule))
+    assert basis.schedule == schedule
+    for level in range(3):
+        exact = exact_basis(operators, level, basis.size(level) + 4)
+        ends = np.flatnonzero(np.diff(clusters(exact.values)))  # last member of every cluster
+        whole = int(ends[ends < basis.size(level)].max()) + 1
+        phi = evaluate(basis, refinement, level)
+        gram = gram_matrix(basis, operators, refinement, level)
+        overlap = phi.T @ (operators.mass[level] @ exact.vectors[:, :whole])
+        shares = np.einsum("ij,ij->j", overlap, np.linalg.solve(gram, overlap))
+        assert shares.min() > 0.9
+        assert np.linalg.cond(gram) < 10.0
+        own = slice(basis.size(level) - schedule[level], basis.size(level))
+        np.testing.assert_allclose(gram[own, own], np.eye(schedule[level]), rtol=0, atol=EXACT)
+    assert basis.residuals.max() < 1e-3
+
+
+def test_index_of_every_pair_is_its_place_in_the_level_s_spectrum(creature):
+    _, operators, basis = creature
+    for level in range(3):
+        mine = basis.band_levels == level
+        exact = exact_basis(operators, level, int(basis.indices[mine].max()) + 1).values
+        np.testing.assert_allclose(basis.eigenvalues[mine], exact[basis.indices[mine]], rtol=1e-6, atol=1e-6)
+
+
+def test_new_directions_rotates_inside_clusters_and_drops_by_count():
+    """A triple eigenvalue of which the prolonged basis has one direction: the two orthogonal ones are new."""
+    rng = np.random.default_rng(31)
+    values = np.array([1.0, 5.0, 5.0, 5.0, 9.0])
+    direction = rng.standard_normal(3)
+    direction /= np.linalg.norm(direction)
+    prolonged = np.zeros((5, 2))
+    prolonged[0, 0] = 1.0
+    prolonged[1:4, 1] = 0.95 * direction
+    prolonged[4, 1] = np.sqrt(1.0 - 0.95**2)
+    mixing = np.array([[2.0, 0.3], [0.0, 1.0]])  # the prolonged basis need not be orthonormal
+    basis = prolonged @ mixing
+    rotation, positions = new_directions(values, basis.T, basis.T @ basis, present=2)
+    assert rotation.shape == (5, 3)
+    np.testing.assert_array_equal(positions, [2, 3, 4])
+    np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(rotation[1:4, :2].T @ direction, 0.0, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(np.abs(rotation[4, 2]), 1.0, rtol=0, atol=1e-12)
+
+
+def test_prediction_is_close_to_the_next_level(creature):
+    refinement, operators, _ = creature
+    for level, count in ((0, 40), (1, 60)):
+        pairs = exact_basis(operators, level, count)
+        prediction = predict_next_level(
+            refinement.matrices[level],
+            operators.stiffness[level + 1],
+            operators.mass[level + 1],
+            pairs.values,
+            pairs.vectors,
+        )
+        # The last pairs also mix with the ones beyond the list.
+        chosen = slice(1, 3 * count // 4)
+        fine = exact_basis(operators, level + 1, count).values
+        ratio = (pairs.values - fine)[chosen] / (pairs.values - prediction.values)[chosen]
+        assert 0.5 < np.median(ratio) < 1.5
+        assert ratio.max() < 2.0, "the schedule's safety factor covers it"
+        np.testing.assert_allclose(prediction.rotation.T @ prediction.rotation, np.eye(count), rtol=0, atol=1e-12)
+        assert prediction.leak(count) == 0.0
+
+
+def test_rows_and_blocks_are_parts_of_the_dense_basis(creature):
+    refinement, operators, basis = creature
+    rng = np.random.default_rng(43)
+    for level in range(operators.finest + 1):
+        phi = evaluate(basis, refinement, level)
+        assert phi.shape == (refinement.levels[level].n_vertices, basis.size(level))
+        vertices = rng.integers(0, len(phi), 40)
+        np.testing.assert_allclose(rows(basis, refinement, level, vertices), phi[vertices], rtol=0, atol=1e-12)
+        joined = np.full_like(phi, np.nan)
+        for part, values in row_blocks(basis, refinement, level, block=333):
+            joined[part] = values
+        np.testing.assert_allclose(joined, phi, rtol=0, atol=1e-12)
+        # Eq. 8: the low columns are the refined basis of the level below.
+        if level > 0:
+            below = refinement.matrices[level - 1] @ evaluate(basis, refinement, level - 1)
+            np.testing.assert_allclose(phi[:, : below.shape[1]], below, rtol=0, atol=1e-12)
+
+
+def test_single_precision(creature):
+    refinement, operators, basis = creature
+    exact = evaluate(basis, refinement, operators.finest)
+    # Single precision has 6e-8; refinement averages.
+    tolerance = 1e-5 * np.abs(exact).max()
+    single = evaluate(basis, refinement, operators.finest, dtype=np.float32)
+    assert single.dtype == np.float32
+    np.testing.assert_allclose(single, exact, rtol=0, atol=tolerance)
+    some = rows(basis, refinement, operators.finest, np.arange(9), dtype=np.float32)
+    assert some.dtype == np.float32
+    np.testing.assert_allclose(some, exact[:9], rtol=0, atol=tolerance)
+    for part, values in row_blocks(basis, refinement, operators.finest, dtype=np.float32):
+        assert values.dtype == np.float32
+        np.testing.assert_allclose(values, exact[part], rtol=0, atol=tolerance)
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(2, 10_000), level=st.integers(0, 3))
+def test_projection_gives_back_coefficients_and_is_orthogonal(creature, seed, level):
+    """(Phi^T M Phi)^{-1} Phi^T M f, whatever level f lives on."""
+    refinement, operators, basis = creature
+    rng = np.random.default_rng(seed)
+    coefficients = rng.standard_normal((basis.size(level), 3))
+    functions = evaluate(basis, refinement, level) @ coefficients
+    found = project(basis, operators, refinement, functions, level)
+    assert found.shape == (basis.count, 3)
+    np.testing.assert_allclose(found[: len(coefficients)], coefficients, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found[len(coefficients) :], 0.0, rtol=0, atol=1e-9)
+    # What is left of any function is orthogonal to the basis, here tested densely at the finest level.
+    f = rng.standard_normal(refinement.levels[level].n_vertices)
+    single = project(basis, operators, refinement, f, level)
+    phi, finest = evaluate(basis, refinement, operators.finest), operators.finest
+    rest = refinement.prolong(f, level, finest) - phi @ single
+    assert np.abs(phi.T @ (operators.finest_areas * rest)).max() < 1e-9
+
+
+def test_projection_on_the_leading_functions(creature):
+    refinement, operators, basis = creature
+    f = np.random.default_rng(47).standard_normal(refinement.levels[0].n_vertices)
+    phi = evaluate(basis, refinement, 0)
+    found = project(basis, operators, refinement, f, 0, count=20)
+    np.testing.assert_allclose(found, phi.T @ (operators.mass[0] @ f), rtol=0, atol=1e-10)
+
+
+def test_all_functions_on_the_finest_level_is_the_exact_basis():
+    refinement = refine(shapes.creature(), 2)
+    operators = build_operators(refinement)
+    basis = hierarchical_basis(refinement, operators, BasisConfig(schedule=(1, 0, 30), accuracy=1e-9))
+    exact = exact_basis(operators, 2, 31)
+    np.testing.assert_allclose(basis.eigenvalues[1:], exact.values[1:], rtol=1e-9)
+    assert basis.errors.max() < 1e-12
+
+
+def test_it_says_what_it_is(creature):
+    _, _, basis = creature
+    assert repr(basis) == "HierarchicalBasis(45 functions: 20 at level 0, 15 at level 1, 10 at level 2)"
+    np.testing.assert_array_equal(basis.band_levels, np.repeat([0, 1, 2], [20, 15, 10]))
+    assert basis.errors.shape == basis.residuals.shape == basis.indices.shape == (45,)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"count": 0}, "at least 1"),
+        ({"tolerance": 0.0}, "between 0 and 1"),
+        ({"tolerance": 1.5}, "between 0 and 1"),
+        ({"accuracy": 1.0}, "1e-3"),
+        ({"schedule": ()}, "level 0 first"),
+        ({"schedule": (10, -1)}, "level 0 first"),
+        ({"schedule": (0, 10)}, "level 0 first"),
+        ({"count": 100_000}, "refine further"),
+        ({"schedule": (10, 10, 10, 10, 10)}, "one for each level"),
+        ({"schedule": (200, 10)}, "154"),
+    ],
+)
+def test_refused_parameters(creature, options, message):
+    refinement, operators, _ = creature
+    with pytest.raises(ParameterError, match=message):
+        hierarchical_basis(refinement, operators, BasisConfig(**options))
+
+
+def test_refused_questions(creature):
+    refinement, operators, basis = creature
+    with pytest.raises(ParameterError, match="level from 0 to 3"):
+        evaluate(basis, refinement, 4)
+    with pytest.raises(ParameterError, match="vertices from 0 to 153"):
+        rows(basis, refinement, 0, np.array([154]))
+    with pytest.raises(ParameterError, match="154 rows"):
+        project(basis, operators, refinement, np.ones(7), 0)
+    with pytest.raises(ParameterError, match="1 to 45"):
+        project(basis, operators, refinement, np.ones(154), 0, count=46)
+
+
+@pytest.mark.slow
+def test_tolerance_is_kept_on_every_real_mesh(shared_data):
+    """300 functions at 1 % against the exact spectrum, finest level of 9k to 54k vertices."""
+    meshes = sorted(shared_data.glob("*/*.obj"))
+    assert len(meshes) > 30
+    for path in meshes:
+        control = read_mesh(path)
+        level = 1
+        while control.n_vertices * 4**level < 9_000:
+            level += 1
+        refinement = refine(control, level)
+        operators = build_operators(refinement)
+        basis = hierarchical_basis(refinement, operators)
+        exact = exact_basis(operators, level, 300).values
+        errors = np.abs(np.sort(basis.eigenvalues) - exact)[1:] / exact[1:]
+        assert errors.max() < 0.01, f"{path.name}: {basis}"
+        assert np.linalg.cond(basis.gram) < 5.0, f"{path.name}: {basis}"

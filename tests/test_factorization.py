@@ -1,0 +1,70 @@
+"""Symmetric factorisations: both libraries behind one interface."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+from cagemap.basis import factorization
+from cagemap.basis.factorization import factor
+from cagemap.errors import ParameterError, SolverError
+from cagemap.mesh import shapes
+from cagemap.operators import build_operators
+from cagemap.refinement import refine
+
+LIBRARIES = [
+    pytest.param("rslab", marks=pytest.mark.skipif(factorization.rslab is None, reason="no rslab wheel here")),
+    "superlu",
+]
+# Condition number below 1e6 times a few hundred roundings.
+SOLVED = 1e-9
+
+
+@pytest.fixture(scope="module")
+def matrices():
+    operators = build_operators(refine(shapes.creature(), 2))
+    return operators.stiffness[1], operators.mass[1]
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+@pytest.mark.parametrize("shift", [-10.0, 200.0])
+def test_solve_and_inertia(matrices, library, shift):
+    stiffness, mass = matrices
+    matrix = sparse.csr_array(stiffness - shift * mass)
+    factors = factor(matrix, library=library)
+    right_sides = np.random.default_rng(11).standard_normal((matrix.shape[0], 3))
+    solution = factors.solve(right_sides)
+    assert solution.shape == right_sides.shape
+    assert abs(matrix @ solution - right_sides).max() < SOLVED
+    np.testing.assert_allclose(factors.solve(right_sides[:, 0]), solution[:, 0], rtol=0, atol=SOLVED)
+    negative = int(np.sum(np.linalg.eigvalsh(matrix.toarray()) < 0))
+    assert negative == 0 if shift < 0 else negative > 5
+    assert factors.negative_eigenvalues == negative
+
+
+@pytest.mark.skipif(factorization.rslab is None, reason="no rslab wheel here")
+def test_ordering_is_used_again(matrices):
+    stiffness, mass = matrices
+    first = factor(sparse.csr_array(stiffness + mass))
+    matrix = sparse.csr_array(stiffness - 50.0 * mass)
+    again, anew = factor(matrix, like=first), factor(matrix)
+    ones = np.ones(matrix.shape[0])
+    np.testing.assert_array_equal(again.solve(ones), anew.solve(ones))
+    assert again.negative_eigenvalues == anew.negative_eigenvalues
+
+
+def test_refusals(matrices):
+    stiffness, mass = matrices
+    with pytest.raises(ParameterError, match="square"):
+        factor(sparse.csr_array(np.ones((2, 3))))
+    with pytest.raises(ParameterError, match="rows"):
+        factor(sparse.csr_array(stiffness + mass)).solve(np.ones(3))
+    with pytest.raises(ParameterError, match="library"):
+        factor(mass, library="magic")
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+def test_singular_matrix_is_refused(library):
+    with pytest.raises(SolverError, match="non-singular"):
+        factor(sparse.csr_array(np.zeros((4, 4))), library=library)
