@@ -106,12 +106,12 @@ def _bands(surface: TexturedSurface, values: FloatArray, size: int) -> Iterator[
     if surface.uvs is None or surface.uv_triangles is None:
         raise AssertionError("creatures are unwrapped when they are built")
     neighbors = triangle_neighbors(surface.uv_triangles)
-    layout = lay_out(surface.corner_uvs(), neighbors, size, size, band_rows=BAND_ROWS)
+    layout = lay_out(surface.corner_uvs(), neighbors, size, size, band_rows=BAND_ROWS, gutter=GUTTER)
     area = triangle_areas(surface.positions, surface.triangles).sum()
     softness = float(np.sqrt(area / triangle_areas(surface.uvs, surface.uv_triangles).sum()) / size)
     base, slope = _affine(layout.corners, values[surface.triangles])
     for band in range(len(layout.band_triangles)):
-        triangle = rasterize_band(layout, band, GUTTER).ravel()
+        triangle = rasterize_band(layout, band).ravel()
         inside = np.flatnonzero(triangle >= 0)
         triangle = triangle[inside]
         row, column = np.divmod(inside, size)

@@ -46,8 +46,11 @@ def model_creature(plan: Blueprint) -> Creature:
     """Box-model one creature: spine, caps, then limbs, left and right together."""
     model = Modeller()
     spine = _spine(model, plan)
-    landmarks = {name: spine[k][j] for name, (k, j) in plan.landmarks.items()}
-    landmarks["eye_R"] = model.mirrored([landmarks["eye_L"]])[0]
+    landmarks = {}
+    for name, (k, j) in plan.landmarks.items():
+        landmarks[name] = spine[k][j]
+        if name.endswith("_L"):
+            landmarks[name[:-1] + "R"] = model.mirrored([spine[k][j]])[0]
     landmarks |= _rump(model, plan, spine[0])
     landmarks |= _muzzle(model, plan, spine[-1])
     landmarks |= _legs(model, plan, spine)
