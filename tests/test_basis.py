@@ -29,7 +29,7 @@ from cagemap.refinement import refine
 SURFACES = {
     "cube": (shapes.cube, 4, 16),
     "icosahedron (Loop)": (shapes.icosahedron, 4, 16),
-    "torus": (lambda: shapes.torus(6, 4), 3, 39),
+    "torus": (lambda: shapes.torus(6, 4), 3, 35),
     "open square": (lambda: shapes.grid(5, 5), 3, 37),
     "mirror-symmetric creature": (shapes.creature, 2, 40),
 }

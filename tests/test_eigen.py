@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy import sparse
@@ -124,7 +126,7 @@ def test_eigenvalues_never_increase_with_level(control, count):
     """The spaces are nested, and Rayleigh quotients do not depend on the level (min-max principle)."""
     operators = build_operators(refine(control(), 3))
     spectra = [exact_basis(operators, level, count).values for level in range(4)]
-    for coarse, fine in zip(spectra, spectra[1:], strict=False):
+    for coarse, fine in pairwise(spectra):
         assert np.all(fine <= coarse + 1e-9 * coarse[-1])
         assert fine[-1] < coarse[-1]
 
