@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -14,10 +15,13 @@ import pytest
 
 from cagemap import __version__
 from cagemap.cli import main
+from cagemap.cli.match import MatchRequest, match_config, read_inputs
 from cagemap.cli.progress import Stages
+from cagemap.example import example_pair
 from cagemap.files.images import read_image, write_image
+from cagemap.files.landmarks import write_landmarks
 from cagemap.files.meshes import read_mesh, write_mesh
-from cagemap.files.result import read_result, write_result
+from cagemap.files.result import file_hash, read_result, write_result
 from cagemap.mesh import cube, icosahedron
 from cagemap.report import write_report
 
@@ -32,6 +36,7 @@ class Outcome:
 
 
 Run = Callable[..., Outcome]
+MATCH = ["--target", "deer.obj", "--source", "pony.obj", "--landmarks", "landmarks.json"]
 
 
 @pytest.fixture
@@ -278,6 +283,83 @@ def test_islands_outside_the_square_are_warned_of(run: Run, result_folder: Path)
     outcome = run("transfer", "R", "--texture", "t.png", "--size", 32, "-o", "b.png")
     assert outcome.code == 0
     assert "outside the unit square" in outcome.err
+
+
+@pytest.fixture
+def pair_files(tmp_path: Path) -> Path:
+    """The built-in pair as files."""
+    pair = example_pair(64)
+    write_mesh(tmp_path / "deer.obj", pair.target)
+    write_mesh(tmp_path / "pony.obj", pair.source)
+    write_landmarks(tmp_path / "landmarks.json", pair.landmarks)
+    write_image(tmp_path / "pony.png", pair.texture)
+    return tmp_path
+
+
+def test_match_from_files_to_a_result(run: Run, pair_files: Path) -> None:
+    outcome = run("match", *MATCH, "--level", 1, "-k", 20, "-o", "R")
+    assert outcome.code == 0, outcome.err
+    assert "deer.obj" in outcome.out
+    result = read_result(pair_files / "R")
+    assert (result.target.level, result.functional_map.shape) == (1, (20, 20))
+    assert (result.barycentric >= -1e-12).all()
+    np.testing.assert_allclose(result.barycentric.sum(1), 1.0, atol=1e-12)
+    manifest = result.manifest
+    assert manifest["parameters"]["k"] == 20
+    assert manifest["inputs"]["target"]["sha256"] == file_hash(pair_files / "deer.obj")
+    assert manifest["timings"]["basis of deer.obj"] > 0
+    assert manifest["peak_memory_bytes"] > 2**20
+    assert manifest["notes"] == []
+
+
+def test_exchanged_meshes_are_refused_and_other_names_noted(run: Run, pair_files: Path) -> None:
+    refused = run("match", "--target", "pony.obj", "--source", "deer.obj", *MATCH[4:], "--level", 1, "-o", "R")
+    assert refused.code == 2
+    assert "other way round" in refused.err
+    assert not (pair_files / "R").exists()
+    (pair_files / "deer.obj").rename(pair_files / "stag.obj")
+    request = MatchRequest(*(pair_files / name for name in ("stag.obj", "pony.obj", "landmarks.json", "R")))
+    (note,) = read_inputs(request).notes
+    assert "stag.obj" in note
+
+
+def test_options_reach_the_library() -> None:
+    paths = [Path("x")] * 4
+    config = match_config(MatchRequest(*paths, k=77, tolerance=0.02, symmetry=False))
+    assert (config.basis.count, config.basis.tolerance, config.basis.schedule) == (77, 0.02, None)
+    assert not config.use_symmetry
+    assert match_config(MatchRequest(*paths, schedule="100,50,50")).basis.schedule == (100, 50, 50)
+
+
+@pytest.mark.slow
+def test_demo_runs_and_the_readme_block_does(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    outcome = run("demo", "-o", "demo")
+    assert outcome.code == 0, outcome.err
+    assert str(Path("demo") / "report.html") in outcome.out
+    for name in ("deer.obj", "pony.obj", "pony.png", "landmarks.json", "deer.png", "report.html", "RESULT/map.npz"):
+        assert (tmp_path / "demo" / name).is_file()
+    readme = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
+    assert len([line for line in block.splitlines() if line.strip()]) <= 12
+    (tmp_path / "demo" / "deer.png").unlink()
+    monkeypatch.chdir(tmp_path / "demo")
+    exec(compile(block, "README.md", "exec"), {})  # the block as a reader runs it
+    assert "flipped_area" in capsys.readouterr().out
+    assert read_image("deer.png").pixels.shape == (1024, 1024, 3)
+    assert read_result("RESULT").target.level == 3
+
+
+def test_a_broken_mesh_is_refused_before_any_work(run: Run, pair_files: Path) -> None:
+    lines = (pair_files / "deer.obj").read_text().splitlines()
+    faces = [number for number, line in enumerate(lines) if line.startswith("f ")]
+    lines[faces[3]] = "f " + " ".join(reversed(lines[faces[3]].split()[1:]))
+    (pair_files / "deer.obj").write_text("\n".join(lines) + "\n")
+    refused = run("match", *MATCH, "--level", 1, "-o", "R")
+    assert refused.code == 2
+    assert "inconsistent orientation" in refused.err
+    assert "3" in refused.err
 
 
 def test_progress_is_timed_and_silent_without_a_terminal(

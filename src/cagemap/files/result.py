@@ -181,14 +181,22 @@ def peak_memory() -> int | None:
     return int(usage) * (1 if sys.platform == "darwin" else 1024)
 
 
-def write_result(folder: str | Path, result: Result) -> None:
+def write_result(folder: str | Path, result: Result | MatchResult) -> None:
     """Write a RESULT folder; an older result there is replaced, and only when the new one is complete.
+
+    Parameters
+    ----------
+    folder : path
+    result : Result or MatchResult
+        What `cagemap.match` gives is stored by way of `result_of`, which also takes further entries of the manifest.
 
     Raises
     ------
     FormatError
         If the folder cannot be written, or holds something that is not a result.
     """
+    if not isinstance(result, Result):
+        result = result_of(result)
     arrays: dict[str, Any] = {
         "source_triangles": result.source_triangles,
         "triangle": result.triangle,
