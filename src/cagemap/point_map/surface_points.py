@@ -326,7 +326,8 @@ def _search(lower, upper, corners, normals, queries, directions, weight2, minimu
                     size += 2
                     continue
                 begin = (node - first_leaf) * _LEAF_SIZE
-                for t in range(begin, min(begin + _LEAF_SIZE, n_triangles)):
+                for j in range(begin, min(begin + _LEAF_SIZE, n_triangles)):
+                    t = np.int64(j)
                     cosine = nx * normals[t, 0] + ny * normals[t, 1] + nz * normals[t, 2]
                     penalty = weight2 * 2.0 * (1.0 - cosine)
                     if cosine < minimum_cosine or penalty >= best:

@@ -1,0 +1,231 @@
+"""The as-affine-as-possible energy of a surface that is carried onto another one, on a weighted graph.
+
+Every vertex i has a position x_i and a linear map A_i (3 x 3). The energy
+
+    E(x, A) = sum_ij w_ij |x_i - x_j - A_ij (p_i - p_j)|^2 + epsilon sum_ij w_ij |A_i - A_j|^2,  2 A_ij = A_i + A_j,
+
+vanishes for every affine deformation of the rest positions p, and measures how far the deformation is from one that is
+locally affine with a smoothly varying differential. Scale and anisotropy may thus change from limb to limb at little
+cost, which a rigid or conformal energy does not allow. The graph is a mesh (cotangent weights) or a coarse clustering
+of one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from cagemap.basis.factorization import Factorization, factor
+from cagemap.mesh import FloatArray, IndexArray
+from cagemap.operators.laplacian import stiffness, vertex_areas
+from cagemap.point_map.surface_points import normalized, vertex_normals
+
+# Cotangent weights may be negative; the energy wants positive ones: at least this share of the median.
+LEAST_WEIGHT = 1e-2
+# How far apart, in units of a cluster's size, opposite normals are.
+NORMAL_SPREAD = 1.0
+
+
+@dataclass(frozen=True)
+class ElasticGraph:
+    """Rest shape of the energy.
+
+    Attributes
+    ----------
+    positions, normals : (n, 3) float64
+        Rest positions at unit surface area, unit normals.
+    areas : (n,) float64
+        Shares of the surface's area, sum 1.
+    heads, tails : (2 m,) int64
+        Every edge in both directions.
+    weights : (2 m,) float64, positive
+    """
+
+    positions: FloatArray
+    normals: FloatArray
+    areas: FloatArray
+    heads: IndexArray
+    tails: IndexArray
+    weights: FloatArray
+
+    @property
+    def n(self) -> int:
+        """Number of vertices."""
+        return len(self.positions)
+
+    @property
+    def edges(self) -> FloatArray:
+        """(2 m, 3) rest differences p_head - p_tail."""
+        return np.asarray(self.positions[self.heads] - self.positions[self.tails])
+
+    def laplacian(self) -> sparse.csr_array:
+        """(n, n) weighted graph Laplacian, positive semi-definite."""
+        weights = sparse.csr_array((self.weights, (self.heads, self.tails)), shape=(self.n, self.n))
+        return sparse.csr_array(sparse.diags_array(np.asarray(weights.sum(axis=1)).ravel()) - weights)
+
+    def gather(self) -> sparse.csr_array:
+        """(n, 2 m) matrix that sums edge values at the edges' heads."""
+        count = len(self.heads)
+        return sparse.csr_array((np.ones(count), (self.heads, np.arange(count))), shape=(self.n, count))
+
+
+def mesh_graph(positions: FloatArray, faces: IndexArray, triangles: IndexArray) -> ElasticGraph:
+    """Graph of a mesh: its edges with cotangent weights.
+
+    Parameters
+    ----------
+    positions : (n, 3) float64, at unit area
+    faces : (m, 4) or (m, 3) int64
+        Quads count as the mean of both triangulations.
+    triangles : (t, 3) int64
+        The same faces split, for the normals.
+    """
+    upper = sparse.triu(stiffness(positions, faces), 1).tocoo()
+    weights = np.maximum(-upper.data, LEAST_WEIGHT * np.median(np.abs(upper.data)))
+    heads, tails = np.concatenate([upper.row, upper.col]), np.concatenate([upper.col, upper.row])
+    areas = vertex_areas(positions, faces)
+    return ElasticGraph(
+        positions,
+        vertex_normals(positions, triangles),
+        areas / areas.sum(),
+        heads.astype(np.int64),
+        tails.astype(np.int64),
+        np.tile(weights, 2),
+    )
+
+
+def cluster_graph(fine: ElasticGraph, count: int, kept: IndexArray) -> tuple[ElasticGraph, IndexArray]:
+    """Coarser graph on some of a graph's vertices.
+
+    Vertices are gathered in the cells of a grid in position and normal, so that the two sides of a thin part stay
+    apart; a cell's most central vertex stands for it. An edge between two cells takes the sum of the fine edges'
+    weights, scaled by squared lengths so that a linear function keeps its energy.
+
+    Parameters
+    ----------
+    fine : ElasticGraph
+    count : int
+        About how many vertices to keep.
+    kept : (p,) int64
+        Vertices that get a cell of their own (landmarks).
+
+    Returns
+    -------
+    graph : ElasticGraph
+    vertices : (k,) int64
+        Fine vertex of every coarse one; the kept ones come first, in their order.
+    """
+    cell = _cells(fine, count)
+    cell[kept] = -1 - np.arange(len(kept))[::-1]  # smallest numbers, so that np.unique puts them first, in order
+    _, cell = np.unique(cell, return_inverse=True)
+    k = int(cell.max()) + 1
+    areas = np.bincount(cell, fine.areas, minlength=k)
+    centres = _sum_by(cell, fine.areas[:, None] * fine.positions, k) / areas[:, None]
+    normals = normalized(_sum_by(cell, fine.areas[:, None] * fine.normals, k))
+    distance = np.linalg.norm(fine.positions - centres[cell], axis=1)
+    order = np.lexsort((distance, cell))
+    vertices = order[np.searchsorted(cell[order], np.arange(k))]
+    across = cell[fine.heads] != cell[fine.tails]
+    lengths = np.linalg.norm(fine.edges, axis=1)[across]
+    heads, tails = cell[fine.heads[across]], cell[fine.tails[across]]
+    summed = sparse.coo_array((fine.weights[across] * lengths**2, (heads, tails)), shape=(k, k)).tocsr().tocoo()
+    coarse_lengths = np.linalg.norm(fine.positions[vertices[summed.row]] - fine.positions[vertices[summed.col]], axis=1)
+    weights = summed.data / np.maximum(coarse_lengths, 1e-9) ** 2
+    # A cell's fine edges cover a strip as wide as a fine edge, not the cell: give the coordinates their energy back.
+    scale = 2.0 * fine.areas.sum() / max(float((weights * coarse_lengths**2).sum() / 2), 1e-30)
+    graph = ElasticGraph(
+        fine.positions[vertices],
+        normals,
+        areas.astype(np.float64),
+        np.asarray(summed.row, dtype=np.int64),
+        np.asarray(summed.col, dtype=np.int64),
+        scale * weights,
+    )
+    return graph, vertices.astype(np.int64)
+
+
+@dataclass(frozen=True)
+class DifferentialField:
+    """Solver for the maps A that minimise the energy for given positions.
+
+    The normal equations ``(G_i + epsilon L) a = c``, ``G_i = sum_j w_ij e_ij e_ij^T``, are those of the energy with A_i
+    instead of A_ij in its first term; they decouple into the three rows of A, with one matrix for all.
+    """
+
+    graph: ElasticGraph
+    factors: Factorization
+    gather: sparse.csr_array
+    edges: FloatArray
+
+    @classmethod
+    def build(cls, graph: ElasticGraph, laplacian: sparse.csr_array, epsilon: float) -> DifferentialField:
+        """Factor the (3 n, 3 n) matrix once for all iterations."""
+        edges, gather = graph.edges, graph.gather()
+        outer = graph.weights[:, None, None] * edges[:, :, None] * edges[:, None, :]
+        blocks = (gather @ outer.reshape(-1, 9)).reshape(-1, 3, 3)
+        diagonal = sparse.bsr_array(
+            (blocks, np.arange(graph.n), np.arange(graph.n + 1)), shape=(3 * graph.n, 3 * graph.n)
+        )
+        # A flat ring leaves its normal direction open: lean on the neighbours, and a trace of ridge for safety.
+        ridge = 1e-9 * float(np.einsum("naa->n", blocks).mean())
+        matrix = diagonal.tocsc() + sparse.csc_array(sparse.kron(epsilon * laplacian, sparse.eye_array(3)))
+        return cls(graph, factor(sparse.csc_array(matrix + ridge * sparse.eye_array(3 * graph.n))), gather, edges)
+
+    def solve(self, positions: FloatArray) -> FloatArray:
+        """(n, 3, 3) maps A for positions x."""
+        graph = self.graph
+        moved = positions[graph.heads] - positions[graph.tails]
+        products = (graph.weights[:, None, None] * self.edges[:, :, None] * moved[:, None, :]).reshape(-1, 9)
+        transposed = self.factors.solve(
+            (self.gather @ products).reshape(3 * graph.n, 3)
+        )  # rows (i, b), columns a: A_i[a, b]
+        return np.ascontiguousarray(transposed.reshape(-1, 3, 3).transpose(0, 2, 1))
+
+    def divergence(self, maps: FloatArray) -> FloatArray:
+        """(n, 3) right side of the position solve: ``sum_j w_ij A_ij e_ij``."""
+        graph = self.graph
+        means = 0.5 * (maps[graph.heads] + maps[graph.tails])
+        return np.asarray(self.gather @ (graph.weights[:, None] * np.einsum("eab,eb->ea", means, self.edges)))
+
+
+def extrapolate(
+    coarse: ElasticGraph, positions: FloatArray, maps: FloatArray, fine: ElasticGraph, neighbours: int = 6
+) -> FloatArray:
+    """(n, 3) positions of a finer graph's vertices: blended affine extrapolations of the nearest coarse vertices.
+
+    ``y_v = sum_k b_k (x_k + A_k (p_v - p_k))`` with weights falling to zero at the last neighbour's distance, distances
+    counting position and normal. Exact for affine deformations.
+    """
+    size = np.sqrt(1.0 / coarse.n)
+    tree = cKDTree(np.hstack([coarse.positions, NORMAL_SPREAD * size * coarse.normals]))
+    count = min(neighbours, coarse.n)
+    queried = tree.query(np.hstack([fine.positions, NORMAL_SPREAD * size * fine.normals]), k=count)
+    distance, nearest = (np.asarray(part).reshape(fine.n, count) for part in queried)
+    blend = np.maximum(1.0 - (distance / (1.0001 * distance[:, -1:] + 1e-12)) ** 2, 1e-9) ** 2
+    blend /= blend.sum(axis=1, keepdims=True)
+    offsets = fine.positions[:, None] - coarse.positions[nearest]
+    moved = positions[nearest] + np.einsum("vkab,vkb->vka", maps[nearest], offsets)
+    return np.einsum("vk,vka->va", blend, moved)
+
+
+def _cells(graph: ElasticGraph, count: int) -> IndexArray:
+    """(n,) cell of a grid over position and normal, of a width that gives about ``count`` cells."""
+    width = np.sqrt(1.0 / count)
+    cell = np.zeros(graph.n, dtype=np.int64)
+    for _ in range(8):
+        features = np.hstack([graph.positions, 0.5 * NORMAL_SPREAD * width * graph.normals]) / width
+        keys = np.floor(features - features.min(axis=0)).astype(np.int64)
+        _, cell = np.unique(keys, axis=0, return_inverse=True)
+        found = int(cell.max()) + 1
+        if 0.85 * count <= found <= 1.2 * count or (found == graph.n and count >= graph.n):
+            break
+        width *= np.sqrt(found / count)
+    return np.asarray(cell.ravel(), dtype=np.int64)
+
+
+def _sum_by(groups: IndexArray, values: FloatArray, count: int) -> FloatArray:
+    """(count, d) sums of rows by group."""
+    return np.column_stack([np.bincount(groups, column, minlength=count) for column in values.T]).astype(np.float64)

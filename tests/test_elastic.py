@@ -1,0 +1,175 @@
+"""The elastic fit: what its energy forgives, what it holds, and that it finds a known map."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+from cagemap.errors import InvalidLandmarksError, ParameterError
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.shapes import creature
+from cagemap.operators import build_operators
+from cagemap.point_map.elastic import (
+    ElasticConfig,
+    Sheet,
+    control_points,
+    elastic_map,
+    fit,
+    level_faces,
+)
+from cagemap.point_map.elastic_graph import (
+    DifferentialField,
+    ElasticGraph,
+    cluster_graph,
+    extrapolate,
+    mesh_graph,
+)
+from cagemap.point_map.landmark_coordinates import interpolants, landmark_coordinates
+from cagemap.point_map.quality import map_positions, measure_quality
+from cagemap.refinement import Refinement, refine
+
+
+def unit_refinement(control: ControlMesh, level: int) -> tuple[Refinement, float]:
+    refinement = refine(control, level)
+    return refinement, build_operators(refinement).scale
+
+
+@pytest.fixture(scope="module")
+def shape() -> tuple[Refinement, float]:
+    return unit_refinement(creature(), 3)
+
+
+def graph_of(refinement: Refinement, scale: float, level: int) -> tuple[ElasticGraph, np.ndarray]:
+    faces, split = level_faces(refinement, level)
+    n = refinement.levels[level].n_vertices
+    return mesh_graph(scale * refinement.finest.positions[:n], faces, split), split
+
+
+def affine(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    return np.eye(3) + 0.4 * rng.standard_normal((3, 3)), rng.standard_normal(3)
+
+
+@pytest.mark.parametrize("clustered", [False, True])
+def test_an_affine_deformation_costs_nothing(shape: tuple[Refinement, float], clustered: bool) -> None:
+    graph, _ = graph_of(*shape, 2)
+    if clustered:
+        graph, _ = cluster_graph(graph, 200, np.array([3, 5]))
+    matrix, shift = affine(np.random.default_rng(11))
+    positions = graph.positions @ matrix.T + shift
+    laplacian = graph.laplacian()
+    field = DifferentialField.build(graph, laplacian, 1e-2)
+    maps = field.solve(positions)
+    np.testing.assert_allclose(maps, np.broadcast_to(matrix, maps.shape), atol=1e-6)  # ridge of 1e-9
+    # The positions are then a solution of the energy's position equations.
+    np.testing.assert_allclose(laplacian @ positions, field.divergence(maps), atol=1e-6 * abs(laplacian.data).max())
+
+
+def test_extrapolation_is_exact_for_affine_deformations(shape: tuple[Refinement, float]) -> None:
+    graph, _ = graph_of(*shape, 2)
+    coarse, _ = cluster_graph(graph, 150, np.array([7]))
+    matrix, shift = affine(np.random.default_rng(12))
+    maps = np.broadcast_to(matrix, (coarse.n, 3, 3))
+    found = extrapolate(coarse, coarse.positions @ matrix.T + shift, maps, graph)
+    np.testing.assert_allclose(found, graph.positions @ matrix.T + shift, atol=1e-12)
+
+
+def test_clusters_keep_area_landmarks_and_energy(shape: tuple[Refinement, float]) -> None:
+    graph, _ = graph_of(*shape, 3)
+    kept = np.array([20, 4, 11])
+    coarse, vertices = cluster_graph(graph, 300, kept)
+    assert 150 < coarse.n < 500
+    np.testing.assert_array_equal(vertices[:3], kept)
+    np.testing.assert_array_equal(coarse.positions, graph.positions[vertices])
+    assert len(np.unique(vertices)) == coarse.n
+    assert coarse.areas.sum() == pytest.approx(1)
+    assert (coarse.weights > 0).all()
+    for g in (graph, coarse):  # the Dirichlet energy of the coordinates is twice the area, which is 1
+        assert (g.weights * (g.edges**2).sum(axis=1)).sum() / 2 == pytest.approx(2, rel=0.05)
+
+
+def test_control_points_interpolate(shape: tuple[Refinement, float]) -> None:
+    refinement, scale = shape
+    n = refinement.levels[1].n_vertices
+    sampling = sparse.csr_array(refinement.product(3, 1)[:n])
+    points = scale * refinement.finest.positions[:n]
+    control = control_points(sampling, points)
+    spacing = np.sqrt(1 / n)
+    assert abs(sampling @ control - points).max() < 0.02 * spacing
+    assert abs(sampling @ points - points).max() > 0.05 * spacing  # what not solving would leave
+
+
+def test_a_surface_fits_itself_from_a_shaken_start(shape: tuple[Refinement, float]) -> None:
+    refinement, scale = shape
+    graph, split = graph_of(refinement, scale, 2)
+    finest = scale * refinement.finest.positions
+    sheet = Sheet.build(finest, level_faces(refinement, 3)[1])
+    landmarks = np.arange(0, refinement.levels[0].n_vertices, 3)
+    start = graph.positions + 0.03 * np.random.default_rng(13).standard_normal((graph.n, 3))
+    found = fit(graph, split, sheet, start, landmarks, finest[landmarks], ElasticConfig(coarse_vertices=400))
+    error = np.linalg.norm(found - graph.positions, axis=1)
+    assert error.mean() < 0.003  # ten times less than the noise; tangentially only landmarks and the energy hold it
+    assert error[landmarks].max() < 1e-4
+
+
+def test_same_shape_other_cage_gives_the_identity(shape: tuple[Refinement, float]) -> None:
+    refinement, scale = shape
+    # The same surface from its own first level as a cage: other connectivity level by level, same refined vertices.
+    level = refinement.levels[1]
+    other, other_scale = unit_refinement(ControlMesh.from_faces(level.positions, level.faces), 2)
+    landmarks = np.arange(0, refinement.levels[0].n_vertices, 2)
+    n = refinement.levels[2].n_vertices
+    rng = np.random.default_rng(14)
+    edges = refinement.matrices[1][:n].tocsr()
+    match = np.array([rng.choice(edges.indices[edges.indptr[i] : edges.indptr[i + 1]]) for i in range(n)])
+    found = elastic_map(
+        refinement, other, (scale, other_scale), (2, 1), match, (landmarks, landmarks), ElasticConfig(400)
+    )
+    source_triangles = level_faces(other, 2)[1]
+    image = map_positions(other_scale * other.finest.positions, source_triangles, found.triangle, found.barycentric)
+    error = np.linalg.norm(image - scale * refinement.finest.positions, axis=1)
+    assert error.mean() < 0.0015  # the bar of issue 3
+    figures = measure_quality(
+        refinement.finest.positions,
+        level_faces(refinement, 3)[1],
+        other.finest.positions,
+        source_triangles,
+        found.triangle,
+        found.barycentric,
+        np.column_stack([landmarks, landmarks]),
+    )
+    assert figures.landmark_errors.max() < 1e-12
+    assert figures.flipped_area < 2e-3
+    assert figures.coverage > 0.99
+
+
+def test_interpolants_have_unit_values_and_are_harmonic(shape: tuple[Refinement, float]) -> None:
+    refinement, _ = shape
+    operators = build_operators(refinement)
+    stiffness, mass = operators.stiffness[2], operators.mass[2]
+    landmarks = np.array([0, 9, 30, 17])
+    harmonic, biharmonic = interpolants(stiffness, mass, landmarks)
+    areas = np.asarray(mass.sum(axis=1)).ravel()
+    free = np.setdiff1d(np.arange(stiffness.shape[0]), landmarks)
+    for values in (harmonic, biharmonic):
+        np.testing.assert_allclose(values[landmarks], np.eye(4), atol=1e-8)
+        np.testing.assert_allclose(values.sum(axis=1), 1, atol=1e-8)  # constants are reproduced
+    scale = abs(stiffness.data).max()
+    assert abs(stiffness @ harmonic)[free].max() < 1e-9 * scale
+    laplacian = (stiffness @ biharmonic) / areas[:, None]
+    assert abs(stiffness @ laplacian)[free].max() < 1e-7 * scale * abs(laplacian).max()
+    assert harmonic.min() > -0.05  # the maximum principle, up to the few negative cotangents
+    assert landmark_coordinates(stiffness, mass, landmarks).shape == (stiffness.shape[0], 8)
+
+
+def test_what_cannot_be_fitted_is_refused(shape: tuple[Refinement, float]) -> None:
+    refinement, scale = shape
+    operators = build_operators(refinement)
+    with pytest.raises(InvalidLandmarksError, match="repeated"):
+        interpolants(operators.stiffness[1], operators.mass[1], np.array([4, 4, 5]))
+    with pytest.raises(ParameterError, match="target level 1"):
+        elastic_map(refinement, refinement, (scale, scale), (1, 1), np.zeros(5, int), (np.array([0]), np.array([0])))
+    graph, split = graph_of(refinement, scale, 1)
+    sheet = Sheet.build(graph.positions, split)
+    with pytest.raises(ParameterError, match="start"):
+        fit(graph, split, sheet, graph.positions[:-1], np.array([0]), graph.positions[:1])
