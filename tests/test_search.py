@@ -142,12 +142,13 @@ def test_growth_reaches_the_end_in_small_steps():
     assert growth(30, 20) == [20]
 
 
-def test_samples_spread_by_area():
-    """Equal steps of area: half the samples on the half of the area, however many vertices it has."""
-    areas = np.concatenate([np.full(9000, 1.0), np.full(1000, 9.0)])
-    chosen = spread(areas, 500)
-    assert abs(np.sum(chosen < 9000) - 250) <= 1
-    np.testing.assert_array_equal(spread(areas, 20_000), np.arange(10_000))
+def test_samples_spread_over_the_numbering():
+    chosen = spread(10_000, 3000)
+    assert len(chosen) == 3000
+    assert chosen[0] == 0
+    assert chosen[-1] == 9999
+    assert np.diff(chosen).max() <= 4
+    np.testing.assert_array_equal(spread(50, 3000), np.arange(50))
 
 
 def test_upsampling_repairs_a_rough_match():

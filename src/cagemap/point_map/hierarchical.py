@@ -46,6 +46,8 @@ SAMPLE_VERTICES = 30_000
 # Two levels are walked down together while neither has this many times the other's vertices.
 COMPARABLE = 2.5
 FEWEST_FUNCTIONS = 3
+# Eq. 13 is solved at the first level that has this many functions on both sides.
+ENOUGH_FUNCTIONS = 50
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,9 @@ class HierarchyConfig:
         is the value 0.
     upsample_start : int
         Basis functions trusted from the descriptors alone, where spectral upsampling starts.
+    descriptor_bands : bool
+        Extend C by eqs. 14-16 above the search levels too, as the paper does. Otherwise a band found there is fitted to the
+        vertex matches, C = Phi1^+ P12 Phi2, which folds less: descriptors say little about functions that oscillate fast.
     """
 
     heat: int = 10
@@ -73,6 +78,8 @@ class HierarchyConfig:
     weights: OperatorWeights = OperatorWeights()
     search_vertices: int = 3000
     upsample_start: int = 20
+    fewest_functions: int = 50
+    extend: bool = True
 
 
 @dataclass(frozen=True)
@@ -187,12 +194,19 @@ def coarse_map(
 
 
 def descriptor_map(pair: Pair, levels: LevelPair, config: HierarchyConfig) -> FloatArray:
-    """Functional map from descriptors alone: eq. 13 at level 0, eqs. 14-16 for every band above it up to `levels`."""
+    """Functional map from descriptors alone: eq. 13 at the first level that has enough functions, eqs. 14-16 for bands above."""
     functional_map: FloatArray | None = None
     for step in range(max(levels) + 1):
         current = min(step, levels[0]), min(step, levels[1])
         sizes = _basis_size(pair.target, current[0]), _basis_size(pair.source, current[1])
-        if min(sizes) < FEWEST_FUNCTIONS or (functional_map is not None and functional_map.shape == sizes):
+        enough = min(sizes) >= min(
+            config.fewest_functions, _basis_size(pair.target, levels[0]), _basis_size(pair.source, levels[1])
+        )
+        if (
+            not enough
+            or min(sizes) < FEWEST_FUNCTIONS
+            or (functional_map is not None and functional_map.shape == sizes)
+        ):
             continue
         data = spectral_data(pair, current, config)
         if functional_map is None:
@@ -242,10 +256,10 @@ def spectral_data(pair: Pair, levels: LevelPair, config: HierarchyConfig) -> tup
 
 
 def descend(pair: Pair, coarse: LevelMap, levels: LevelPair, config: HierarchyConfig) -> LevelMap:
-    """One step down: extend C by the levels' bands (eqs. 14-16), search among candidates (Fig. 9), refit C."""
+    """One step down: extend C by the levels' bands, search among candidates (Fig. 9), refit C, search again."""
     functional_map = coarse.functional_map
     grown = (_basis_size(pair.target, levels[0]), _basis_size(pair.source, levels[1])) != functional_map.shape
-    if grown:
+    if grown and config.descriptor_bands:
         functional_map = extend_functional_map(functional_map, *spectral_data(pair, levels, config), config.weights)
     parents = _parents(pair.target, coarse.levels[0], levels[0])
     children = _children(pair.source, coarse.levels[1], levels[1])
@@ -253,7 +267,8 @@ def descend(pair: Pair, coarse: LevelMap, levels: LevelPair, config: HierarchyCo
     match = nearest_candidates(target_rows, source_rows, parents, children, coarse.match)
     if grown or len(match) <= SAMPLE_VERTICES:
         values = evaluate(pair.source.basis, pair.source.refinement, levels[1])[match]
-        functional_map = fit_functional_map(_samples(pair.target, levels[0], None), values, functional_map.shape[0])
+        samples = _samples(pair.target, levels[0], None)
+        functional_map = fit_functional_map(samples, values, samples.rows.shape[1])
         target_rows, source_rows = embeddings(pair, functional_map, levels)
         match = nearest_candidates(target_rows, source_rows, parents, children, coarse.match)
     return LevelMap(levels, functional_map, match)
@@ -271,7 +286,8 @@ def embeddings(pair: Pair, functional_map: FloatArray, levels: LevelPair) -> tup
     """Spectral embeddings of all vertices of a pair of levels, float32: Phi~1 and Phi~2 C12^T."""
     target_rows = evaluate(pair.target.basis, pair.target.refinement, levels[0], dtype=np.float32)
     source_rows = evaluate(pair.source.basis, pair.source.refinement, levels[1], dtype=np.float32)
-    return target_rows, source_rows @ functional_map.T.astype(np.float32)
+    k1, k2 = functional_map.shape
+    return np.ascontiguousarray(target_rows[:, :k1]), source_rows[:, :k2] @ functional_map.T.astype(np.float32)
 
 
 def level_triangles(refinement: Refinement, level: int) -> IndexArray:

@@ -14,8 +14,8 @@ from scipy import linalg
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.search import Embedding, nearest_rows
 
-# Target samples that fit C while k grows: some ten rows for each of the 300 unknowns of a column.
-FIT_SAMPLES = 3000
+# Target samples that fit C while k grows: twenty rows for each of the 300 unknowns of a column.
+FIT_SAMPLES = 6000
 
 
 @dataclass(frozen=True)
@@ -68,17 +68,13 @@ def fit_functional_map(target: Samples, source_rows: FloatArray, k1: int) -> Flo
     return np.asarray(linalg.solve(gram, weighted.T @ source_rows, assume_a="pos"))
 
 
-def spread(areas: FloatArray, count: int) -> IndexArray:
-    """Choose samples at equal steps of accumulated area; all of them if there are no more than `count`.
+def spread(n: int, count: int) -> IndexArray:
+    """Choose samples at equal steps of the numbering; all of them if there are no more than `count`.
 
-    Vertices of a refined mesh are stored in a spatially coherent order within each of their kinds, so equal steps spread over the
-    surface.
+    Vertices of a refined mesh are stored in a spatially coherent order within each of their kinds, so equal steps are dense where
+    the mesh is, at hands and faces; their areas then weigh them. (Steps of equal area, weighted by area again, lose the hands.)
     """
-    if len(areas) <= count:
-        return np.arange(len(areas))
-    cumulative = np.cumsum(areas)
-    steps = (np.arange(count) + 0.5) * cumulative[-1] / count
-    return np.unique(np.searchsorted(cumulative, steps))
+    return np.unique(np.linspace(0, n - 1, min(n, count)).astype(np.int64))
 
 
 def embed_target(samples: Samples, k: int) -> Embedding:
@@ -110,7 +106,7 @@ def upsample(target: Samples, source: Samples, match: IndexArray, sizes: list[in
     match : (b1,) array
     """
     whole = target
-    chosen = spread(target.areas, FIT_SAMPLES)
+    chosen = spread(len(target.areas), FIT_SAMPLES)
     target = Samples(target.rows[chosen], target.areas[chosen], target.coordinates[chosen])
     match, functional_map = match[chosen], np.eye(1)
     for k in sizes:
