@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numba
@@ -248,10 +249,13 @@ def _shade_cells(
     """(k, c) values of raster cells, given by their flat index in a band that starts at row ``top``."""
     along = samples_per_axis[triangle]
     most = int((along[:, 0] * along[:, 1]).max())
-    step = max(1, _SAMPLE_BUDGET // most)
+    rows = max(1, _SAMPLE_BUDGET // (canvas.layout.width * most))
+    starts = np.arange(0, cells[-1] + 1, rows * canvas.layout.width)
     values = []
-    for begin in range(0, len(cells), step):
-        part = slice(begin, begin + step)
+    for begin, end in pairwise(np.append(np.searchsorted(cells, starts), len(cells))):
+        if begin == end:
+            continue
+        part = slice(begin, end)
         samples = locate_samples(
             transfer.mapped, canvas.corners, cells[part], canvas.layout.width, top, triangle[part], samples_per_axis
         )

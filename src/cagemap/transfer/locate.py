@@ -126,7 +126,8 @@ def locate_samples(
     layout_corners : (t1, 3, 2) float64
         Texel coordinates of the target triangles' corners.
     cells : (k,) int64
-        The texels, as ``(row - top) * width + column``.
+        The texels, as ``(row - top) * width + column``, ascending. Whole rows at a time make results repeatable where
+        a map is torn and a point has several closest ones.
     width, top : int
     target_triangle : (k,) int32
         Target triangle of every texel.
@@ -266,7 +267,11 @@ def _locate(  # type: ignore[no-untyped-def]
     found,
     barycentric,
 ):
-    """Walk for every sample; see :func:`locate_samples`."""
+    """Walk for every sample; see :func:`locate_samples`.
+
+    A walk begins where the last sample ended while a row stays in one target triangle, and else at the nearest corner.
+    """
+    found_t = np.int64(-1)
     for texel in range(len(cells)):
         row = cells[texel] // width
         column = cells[texel] - row * width
@@ -277,6 +282,8 @@ def _locate(  # type: ignore[no-untyped-def]
         x2, y2 = layout_corners[t, 2, 0] - x0, layout_corners[t, 2, 1] - y0
         scale = 1.0 / (x1 * y2 - x2 * y1)
         nx, ny = samples_per_axis[t, 0], samples_per_axis[t, 1]
+        if texel == 0 or column == 0 or cells[texel] != cells[texel - 1] + 1 or t != target_triangle[texel - 1]:
+            found_t = np.int64(-1)
         for s in range(nx * ny):
             x = column + (s % nx + 0.5) / nx - x0
             y = row + top + (s // nx + 0.5) / ny - y0
@@ -291,7 +298,9 @@ def _locate(  # type: ignore[no-untyped-def]
                 b1 = c1 / total + (b1 - c1 / total) * reach
                 b2 = c2 / total + (b2 - c2 / total) * reach
                 b0 = 1.0 - b1 - b2
-            if b0 >= b1 and b0 >= b2:
+            if found_t >= 0:
+                start = found_t
+            elif b0 >= b1 and b0 >= b2:
                 start = start_triangles[i]
             elif b1 >= b2:
                 start = start_triangles[j]
