@@ -12,7 +12,7 @@ import platform
 import sys
 import zipfile
 import zlib
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,8 +22,15 @@ import numpy as np
 from cagemap import __version__
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_folder, atomic_path
+from cagemap.files.mesh_arrays import (
+    CONTROL_ARRAYS,
+    control_from_arrays,
+    control_to_arrays,
+    scheme_from_entry,
+    scheme_to_entry,
+)
 from cagemap.mesh import ControlMesh, FloatArray, IndexArray
-from cagemap.refinement import CatmullClark, Loop, Refinement, Scheme, refine, triangles
+from cagemap.refinement import Refinement, Scheme, refine, triangles
 
 if TYPE_CHECKING:  # reading a result needs no solvers
     from cagemap.pipeline import MatchResult
@@ -33,16 +40,6 @@ FORMAT_VERSION = 1
 MANIFEST = "manifest.json"
 ARRAYS = "map.npz"
 
-_SCHEMES: dict[str, type[CatmullClark] | type[Loop]] = {"catmull-clark": CatmullClark, "loop": Loop}
-_CONTROL_ARRAYS = (
-    "positions",
-    "face_offsets",
-    "face_indices",
-    "uvs",
-    "uv_indices",
-    "face_materials",
-    "material_colors",
-)
 _SIDE_ARRAYS = ("vertices", "faces", "eigenvalues", "landmarks")
 _LIBRARIES = ("numpy", "scipy", "numba", "rslab", "OpenImageIO", "embreex", "xatlas")
 
@@ -164,7 +161,7 @@ def file_hash(path: str | Path) -> str:
 def mesh_hash(control: ControlMesh) -> str:
     """SHA-256 of a control mesh's arrays, for meshes that never were a file."""
     digest = hashlib.sha256()
-    for name in _CONTROL_ARRAYS:
+    for name in CONTROL_ARRAYS:
         array = getattr(control, name)
         digest.update(f"{name}:{None if array is None else (array.dtype.str, array.shape)};".encode())
         digest.update(b"" if array is None else np.ascontiguousarray(array).tobytes())
@@ -207,8 +204,7 @@ def write_result(folder: str | Path, result: Result | MatchResult) -> None:
     }
     for prefix, side in (("target", result.target), ("source", result.source)):
         arrays |= {f"{prefix}_{name}": getattr(side, name) for name in _SIDE_ARRAYS}
-        control = {f"{prefix}_control_{name}": getattr(side.control, name) for name in _CONTROL_ARRAYS}
-        arrays |= {name: array for name, array in control.items() if array is not None}
+        arrays |= control_to_arrays(side.control, f"{prefix}_control_")
     text = _to_json(_manifest(result))
     with atomic_folder(folder, MANIFEST) as temporary:
         np.savez(temporary / ARRAYS, allow_pickle=False, **arrays)
@@ -274,7 +270,7 @@ def _manifest(result: Result) -> dict[str, Any]:
     sides = {
         prefix: {
             "name": side.control.name,
-            "scheme": {"name": _scheme_name(side.scheme), **asdict(side.scheme)},
+            "scheme": scheme_to_entry(side.scheme),
             "level": side.level,
             "control_vertices": side.control.n_vertices,
             "control_faces": side.control.n_faces,
@@ -321,10 +317,6 @@ def _plain(value: Any) -> Any:
     return value if isinstance(value, str | int | float | bool | None) else str(value)
 
 
-def _scheme_name(scheme: Scheme) -> str:
-    return next(name for name, kind in _SCHEMES.items() if isinstance(scheme, kind))
-
-
 def _read_manifest(root: Path) -> dict[str, Any]:
     path = root / MANIFEST
     if not path.is_file():
@@ -360,14 +352,8 @@ def _read_arrays(path: Path) -> dict[str, Any]:
 
 def _side(prefix: str, manifest: dict[str, Any], arrays: dict[str, Any]) -> Side:
     stored = manifest[prefix]
-    control_arrays: dict[str, Any] = {name: arrays.get(f"{prefix}_control_{name}") for name in _CONTROL_ARRAYS}
-    control = ControlMesh(
-        **control_arrays,
-        material_names=tuple(stored["material_names"]),
-        name=stored["name"],
-    )
-    settings = dict(stored["scheme"])
-    scheme = _SCHEMES[settings.pop("name")](**settings)
+    control = control_from_arrays(arrays, f"{prefix}_control_", stored["material_names"], stored["name"])
+    scheme = scheme_from_entry(stored["scheme"])
     return Side(control, scheme, stored["level"], *(arrays[f"{prefix}_{name}"] for name in _SIDE_ARRAYS))
 
 

@@ -1,0 +1,53 @@
+"""Control meshes and schemes as named arrays and plain entries, the form in which archives store them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from cagemap.mesh import ControlMesh
+from cagemap.refinement import CatmullClark, Loop, Scheme
+
+CONTROL_ARRAYS = (
+    "positions",
+    "face_offsets",
+    "face_indices",
+    "uvs",
+    "uv_indices",
+    "face_materials",
+    "material_colors",
+)
+_SCHEMES: dict[str, type[CatmullClark] | type[Loop]] = {"catmull-clark": CatmullClark, "loop": Loop}
+
+
+def control_to_arrays(control: ControlMesh, prefix: str) -> dict[str, Any]:
+    """Arrays of a control mesh, those that it has."""
+    arrays = {f"{prefix}{name}": getattr(control, name) for name in CONTROL_ARRAYS}
+    return {name: array for name, array in arrays.items() if array is not None}
+
+
+def control_from_arrays(
+    arrays: Mapping[str, Any], prefix: str, material_names: Sequence[str], name: str
+) -> ControlMesh:
+    """Undo `control_to_arrays`."""
+    stored: dict[str, Any] = {key: arrays.get(f"{prefix}{key}") for key in CONTROL_ARRAYS}
+    return ControlMesh(**stored, material_names=tuple(material_names), name=name)
+
+
+def scheme_to_entry(scheme: Scheme) -> dict[str, Any]:
+    """Name and settings of a scheme, for JSON."""
+    name = next(name for name, kind in _SCHEMES.items() if isinstance(scheme, kind))
+    return {"name": name, **asdict(scheme)}
+
+
+def scheme_from_entry(entry: Mapping[str, Any]) -> Scheme:
+    """Undo `scheme_to_entry`.
+
+    Raises
+    ------
+    KeyError, TypeError
+        If the entry lacks something or has too much.
+    """
+    settings = dict(entry)
+    return _SCHEMES[settings.pop("name")](**settings)

@@ -1,0 +1,263 @@
+"""Prepared surfaces on disk: a surface is refined, measured and given its basis once for all the pairs it is part of.
+
+A stored surface is one uncompressed ``.npz``: the control mesh, the operators and the basis. Refined levels are not
+stored, because making them again takes no longer than reading them would. Every array carries a checksum (of the zip
+format), a file appears whole or not at all, and its name is a hash of all that its content depends on, so that two
+processes may prepare the same surface at once: both write the same thing, and either is right.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import zipfile
+import zlib
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from cagemap import __version__
+from cagemap.basis import BasisConfig, HierarchicalBasis, Surface
+from cagemap.errors import CagemapError, FormatError
+from cagemap.files.atomic import atomic_path
+from cagemap.files.mesh_arrays import control_from_arrays, control_to_arrays, scheme_from_entry, scheme_to_entry
+from cagemap.files.result import mesh_hash
+from cagemap.mesh import ControlMesh
+from cagemap.operators import Operators
+from cagemap.pipeline import prepare_surface
+from cagemap.refinement import Refinement, Scheme, default_scheme, refine
+
+FORMAT = "cagemap-surface"
+FORMAT_VERSION = 1
+SUFFIX = ".surface.npz"
+
+_BASIS_ARRAYS = ("eigenvalues", "residuals", "indices", "gram", "errors")
+_REMEDY = "Delete the file and prepare the surface again."
+
+Prepare = Callable[..., Surface]
+
+
+def surface_key(
+    control: ControlMesh, level: int, scheme: Scheme | None = None, config: BasisConfig | None = None
+) -> str:
+    """Hash of everything that a prepared surface depends on; 64 hexadecimal digits.
+
+    Parameters
+    ----------
+    control : ControlMesh
+        All its arrays count, its name does not.
+    level : int
+        The finest level.
+    scheme : CatmullClark or Loop, optional
+        Default: the mesh's default scheme.
+    config : BasisConfig, optional
+        Default: the default configuration.
+
+    Notes
+    -----
+    The versions of cagemap and of the format count too: another version may compute something else.
+    """
+    scheme = default_scheme(control) if scheme is None else scheme
+    parts = {
+        "format": [FORMAT, FORMAT_VERSION, __version__],
+        "control": mesh_hash(control),
+        "materials": list(control.material_names),
+        "level": level,
+        "scheme": scheme_to_entry(scheme),
+        "basis": asdict(BasisConfig() if config is None else config),
+    }
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def save_surface(path: str | Path, surface: Surface) -> None:
+    """Write a prepared surface to one file, whole or not at all.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be written.
+    """
+    control, operators, basis = surface.control, surface.operators, surface.basis
+    header = {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "cagemap": __version__,
+        "name": control.name,
+        "material_names": list(control.material_names),
+        "scheme": scheme_to_entry(surface.refinement.scheme),
+        "level": surface.finest,
+        "scale": operators.scale,
+        "bands": len(basis.bands),
+    }
+    arrays: dict[str, Any] = {"header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)}
+    arrays |= control_to_arrays(control, "control_")
+    for level, (mass, stiffness) in enumerate(zip(operators.mass, operators.stiffness, strict=True)):
+        arrays |= _operator_arrays(level, mass, stiffness, diagonal=level == operators.finest)
+    arrays |= {f"band_{level}": band for level, band in enumerate(basis.bands)}
+    arrays |= {name: getattr(basis, name) for name in _BASIS_ARRAYS}
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        np.savez(stream, allow_pickle=False, **arrays)
+
+
+def load_surface(path: str | Path) -> Surface:
+    """Read a prepared surface; what is not stored, its refined levels, is made again.
+
+    Raises
+    ------
+    FormatError
+        If the file is missing, damaged, no stored surface, or of another format version.
+    """
+    return _load(Path(path), None)
+
+
+def prepared(
+    folder: str | Path,
+    control: ControlMesh,
+    level: int,
+    config: BasisConfig | None = None,
+    *,
+    scheme: Scheme | None = None,
+    progress: Callable[[str], None] = lambda stage: None,
+    prepare: Prepare = prepare_surface,
+) -> Surface:
+    """A prepared surface from a folder of stored ones, or prepared now and stored there.
+
+    A file that is damaged or does not fit is no error: the surface is prepared again and the file replaced.
+
+    Parameters
+    ----------
+    folder : path
+        Created if it does not exist.
+    control : ControlMesh
+    level : int
+        The finest level.
+    config : BasisConfig, optional
+    scheme : CatmullClark or Loop, optional
+    progress : callable
+        Called with the name of each stage.
+    prepare : callable
+        What makes a surface, with the arguments of `cagemap.pipeline.prepare_surface`.
+
+    Raises
+    ------
+    FormatError
+        If the folder cannot be made or written to.
+    CagemapError
+        Whatever preparing raises; nothing is stored then.
+    """
+    config = BasisConfig() if config is None else config
+    scheme = default_scheme(control) if scheme is None else scheme
+    place = _usable_folder(Path(folder)) / (surface_key(control, level, scheme, config) + SUFFIX)
+    if place.is_file():
+        progress(f"read prepared {control.name}")
+        try:
+            return _load(place, control)
+        except FormatError:
+            progress(f"prepare {control.name} again, its stored file is damaged")
+    surface = prepare(control, level, config, scheme=scheme, progress=progress)
+    progress(f"store prepared {control.name}")
+    save_surface(place, surface)
+    return surface
+
+
+def _load(path: Path, control: ControlMesh | None) -> Surface:
+    """Read a surface; a control mesh known to be equal to the stored one takes its place, name and all."""
+    arrays, header = _read(path)
+    try:
+        if control is None:
+            control = control_from_arrays(arrays, "control_", header["material_names"], header["name"])
+        refinement = refine(control, header["level"], scheme_from_entry(header["scheme"]))
+        operators = _operators(arrays, refinement, header["scale"])
+        bands = tuple(arrays[f"band_{level}"] for level in range(header["bands"]))
+        basis = HierarchicalBasis(bands, *(arrays[name] for name in _BASIS_ARRAYS))
+    except FormatError:
+        raise
+    except (CagemapError, KeyError, TypeError, ValueError) as error:
+        raise FormatError(f"{path}: is not complete or not consistent ({error}). {_REMEDY}") from error
+    _check(path, refinement, operators, basis)
+    return Surface(refinement, operators, basis)
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    if not path.is_file():
+        raise FormatError(f"{path}: expected a prepared surface, found no such file. Prepare and save it first.")
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+        header = json.loads(arrays.pop("header").tobytes())
+    except (ValueError, KeyError, OSError, EOFError, AttributeError, zipfile.BadZipFile, zlib.error) as error:
+        raise FormatError(f"{path}: cannot be read as a prepared surface ({error}). {_REMEDY}") from error
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise FormatError(f"{path}: expected a surface stored by cagemap, got something else. Give another file.")
+    if header.get("format_version") != FORMAT_VERSION:
+        raise FormatError(
+            f"{path}: format version {header.get('format_version')}, written by cagemap {header.get('cagemap')}; "
+            f"this cagemap {__version__} reads version {FORMAT_VERSION}. {_REMEDY}"
+        )
+    return arrays, header
+
+
+def _operator_arrays(
+    level: int, mass: sparse.csr_array, stiffness: sparse.csr_array, *, diagonal: bool
+) -> dict[str, Any]:
+    """Mass and stiffness of one level; below the finest they share their pattern, at the finest M is diagonal."""
+    arrays = {
+        f"indptr_{level}": stiffness.indptr,
+        f"indices_{level}": stiffness.indices,
+        f"stiffness_{level}": stiffness.data,
+    }
+    if diagonal:
+        return arrays | {f"mass_{level}": mass.diagonal()}
+    if not (np.array_equal(mass.indptr, stiffness.indptr) and np.array_equal(mass.indices, stiffness.indices)):
+        raise FormatError(
+            f"level {level}: expected mass and stiffness with the same pattern of nonzeros, as build_operators makes "
+            "them, got others. Build the operators with cagemap.operators.build_operators."
+        )
+    return arrays | {f"mass_{level}": mass.data}
+
+
+def _operators(arrays: dict[str, Any], refinement: Refinement, scale: float) -> Operators:
+    masses, stiffnesses = [], []
+    for level, mesh in enumerate(refinement.levels):
+        n = mesh.n_vertices
+        pattern = arrays[f"indices_{level}"], arrays[f"indptr_{level}"]
+        stiffnesses.append(sparse.csr_array((arrays[f"stiffness_{level}"], *pattern), shape=(n, n)))
+        mass = arrays[f"mass_{level}"]
+        if level == refinement.n_levels:
+            masses.append(sparse.csr_array(sparse.diags_array(mass)))
+        else:
+            masses.append(sparse.csr_array((mass, *pattern), shape=(n, n)))
+    return Operators(tuple(masses), tuple(stiffnesses), float(scale))
+
+
+def _check(path: Path, refinement: Refinement, operators: Operators, basis: HierarchicalBasis) -> None:
+    sizes = [level.n_vertices for level in refinement.levels]
+    k = basis.count
+    fits = (
+        [mass.shape[0] for mass in operators.mass] == sizes
+        and 0 < len(basis.bands) <= len(sizes)
+        and all(len(band) == n for band, n in zip(basis.bands, sizes, strict=False))
+        and sum(basis.schedule) == k
+        and basis.gram.shape == (k, k)
+        and all(getattr(basis, name).shape == (k,) for name in _BASIS_ARRAYS if name != "gram")
+    )
+    if not fits:
+        raise FormatError(f"{path}: its arrays do not belong to one surface. {_REMEDY}")
+
+
+def _usable_folder(folder: Path) -> Path:
+    """Make the folder, before any work is done whose result could not be stored."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FormatError(
+            f"{folder}: cannot be used as a folder for prepared surfaces ({error.strerror}). Give another folder."
+        ) from error
+    if not os.access(folder, os.W_OK):
+        raise FormatError(f"{folder}: prepared surfaces cannot be written there. Give a folder that you may write to.")
+    return folder
