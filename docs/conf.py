@@ -10,7 +10,7 @@ version = release = __version__
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
 source_suffix = {".md": "markdown"}
 exclude_patterns = ["_build"]
-nitpicky = False
+suppress_warnings = ["ref.citation"]  # modules list the literature they stand on, cited or not
 
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3
