@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cagemap.basis import BasisConfig, Surface, hierarchical_basis
+from cagemap.basis.threads import in_threads, one_blas_thread
 from cagemap.descriptors import check_symmetry, detect_mirror_symmetry
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh, FloatArray, IndexArray
@@ -112,7 +113,7 @@ def choose_level(control: ControlMesh, vertices: int) -> int:
 def prepare_surface(
     control: ControlMesh,
     level: int,
-    config: BasisConfig = BasisConfig(),  # noqa: B008 - frozen
+    config: BasisConfig = BasisConfig(),
     *,
     scheme: Scheme | None = None,
     progress: Progress = silent,
@@ -140,19 +141,53 @@ def prepare_surface(
     if not 1 <= level <= MOST_LEVELS:
         raise ParameterError(f"level: expected 1 to {MOST_LEVELS}, got {level}; level 0 is the control mesh")
     require_valid(control)
-    progress(f"refine {control.name}")
-    refinement = refine(control, level, scheme)
-    progress(f"operators of {control.name}")
-    operators = build_operators(refinement)
-    progress(f"basis of {control.name}")
-    return Surface(refinement, operators, hierarchical_basis(refinement, operators, config))
+    with one_blas_thread():
+        progress(f"refine {control.name}")
+        refinement = refine(control, level, scheme)
+        progress(f"operators of {control.name}")
+        operators = build_operators(refinement)
+        progress(f"basis of {control.name}")
+        return Surface(refinement, operators, hierarchical_basis(refinement, operators, config))
+
+
+def prepare_pair(
+    target: ControlMesh,
+    source: ControlMesh,
+    levels: tuple[int, int],
+    config: BasisConfig = BasisConfig(),
+    *,
+    prepare: Callable[..., Surface] = prepare_surface,
+    progress: Progress = silent,
+) -> tuple[Surface, Surface]:
+    """Prepare both surfaces at the same time, each in a thread of its own.
+
+    Parameters
+    ----------
+    target, source : ControlMesh
+    levels : (int, int)
+        Finest level of each.
+    config : BasisConfig
+    prepare : callable
+        What makes one surface from a control mesh, a level and a configuration.
+    progress : callable
+        Called once: the stages of two surfaces would mix.
+
+    Raises
+    ------
+    InvalidMeshError, ParameterError
+        See `prepare_surface`.
+    """
+    progress(f"prepare {target.name} and {source.name}")
+    with one_blas_thread():  # before the threads start: the setting is the process's
+        made = in_threads(lambda side: prepare(*side, config), list(zip((target, source), levels, strict=True)))
+    return made[0], made[1]
 
 
 def match(
     target: Surface,
     source: Surface,
     landmarks: Landmarks,
-    config: MatchConfig = MatchConfig(),  # noqa: B008 - frozen
+    config: MatchConfig = MatchConfig(),
     *,
     progress: Progress = silent,
 ) -> MatchResult:
@@ -180,11 +215,12 @@ def match(
     with _timed(timings, "symmetry"):
         symmetries = _symmetries(target.control, source.control) if config.use_symmetry else (None, None)
     pair = Pair(target, source, landmarks.target, landmarks.source, *symmetries)
-    with _timed(timings, "map"):
-        functional_map, point_map = hierarchical_map(pair, config.hierarchy, progress)
-    progress("quality")
-    with _timed(timings, "quality"):
-        quality = judge(target, source, point_map, landmarks)
+    with one_blas_thread():
+        with _timed(timings, "map"):
+            functional_map, point_map = hierarchical_map(pair, config.hierarchy, progress)
+        progress("quality")
+        with _timed(timings, "quality"):
+            quality = judge(target, source, point_map, landmarks)
     return MatchResult(target, source, landmarks, functional_map, point_map, quality, timings)
 
 

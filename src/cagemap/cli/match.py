@@ -18,7 +18,7 @@ from cagemap.files.result import Result, file_hash, peak_memory, result_of, writ
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
-from cagemap.pipeline import MatchConfig, choose_level, match, prepare_surface
+from cagemap.pipeline import MatchConfig, choose_level, match, prepare_pair
 
 DEFAULT_VERTICES = 200_000
 
@@ -126,8 +126,7 @@ def match_meshes(
     for control in (inputs.target, inputs.source):
         levels.append(choose_level(control, vertices or DEFAULT_VERTICES) if level is None else level)
         require_size(control, levels[-1])
-    target = prepare_surface(inputs.target, levels[0], config.basis, progress=stages)
-    source = prepare_surface(inputs.source, levels[1], config.basis, progress=stages)
+    target, source = prepare_pair(inputs.target, inputs.source, (levels[0], levels[1]), config.basis, progress=stages)
     found = match(target, source, inputs.landmarks, config, progress=stages)
     stages("gather")
     manifest = {
