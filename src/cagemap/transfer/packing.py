@@ -19,6 +19,8 @@ _ANGLES = np.deg2rad(np.arange(0.0, 90.0, 2.0))
 _QUARTER_TURNS = np.array([[[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]]], dtype=float)
 # Packings that are tried, each with the side that the last one suggests.
 _ROUNDS = 4
+# How much taller than wide a packing may be; its padding is enough for that.
+_SLACK = 1.1
 # What a place costs for growing the packing taller, as a share of a whole row of the square.
 _HEIGHT_SHARE = 0.25
 
@@ -67,12 +69,13 @@ def pack_islands(uvs: FloatArray, edges: IndexArray, islands: IndexArray, paddin
     ]
     boxes = np.array([np.ptp(shape.points, axis=0) for shape in shapes])
     side = max(1.2 * float(np.sqrt(boxes.prod(axis=1).sum())), float(boxes.max()))
-    best = np.inf
+    best, rounds = np.inf, 0
     packed = np.empty_like(uvs)
-    for _ in range(_ROUNDS):
-        placed, height = _sink(shapes, boxes, side, padding * side)
+    while rounds < _ROUNDS or not np.isfinite(best):
+        rounds += 1
+        placed, height = _sink(shapes, boxes, side, padding * _SLACK * side)
         extent = max(side, height)
-        if extent < best:
+        if extent < best and extent <= _SLACK * side:
             best = extent
             for rows, points in zip(members, placed, strict=True):
                 packed[rows] = points / extent

@@ -17,11 +17,13 @@ from scipy.sparse.csgraph import connected_components
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh, FloatArray, IndexArray
-from cagemap.refinement import triangulate_control
+from cagemap.refinement import refine, triangulate_control
 from cagemap.transfer.packing import pack_islands
 
 # A corner may be straight; rounding must not make it turn the wrong way. Relative to the product of its edges.
 _STRAIGHT = -1e-9
+# Levels of refinement after which control vertices are near the surface.
+_SMOOTHING = 2
 # Islands thinner than this, relative to their length squared, are as good as folded.
 _FLAT = 1e-6
 
@@ -51,7 +53,7 @@ def unwrap(control: ControlMesh, *, padding: float = 1 / 256) -> ControlMesh:
     size = float((high - low).max())
     if control.n_faces == 0 or not (np.isfinite(size) and size > 0):
         raise InvalidMeshError(f"{control.name}: expected a mesh with faces and an extent to unwrap, got none")
-    positions = (control.positions - low) / size
+    positions = _smooth_positions(control.with_positions((control.positions - low) / size))
     flat = _attach_loose(control, positions, _charts(positions, triangulate_control(control)))
     islands = _islands(control, flat.corner_uvs, len(flat.uvs))
     uvs = _equalize(control, positions, flat, islands)
@@ -77,13 +79,19 @@ class _Flat:
     corner_uvs: IndexArray
 
 
+def _smooth_positions(control: ControlMesh) -> FloatArray:
+    """(n, 3) where control vertices come to lie: the surface is less bent than its cage, and needs fewer cuts."""
+    return refine(control.with_uvs(None, None), _SMOOTHING).finest.positions[: control.n_vertices]
+
+
 def _charts(positions: FloatArray, triangles: IndexArray) -> _Charts:
     """Cut a triangle mesh into flat charts, in the mesh's own length unit, none mirrored."""
     atlas = xatlas.Atlas()
     atlas.add_mesh(positions.astype(np.float32), triangles.astype(np.uint32))
-    options = xatlas.PackOptions()
-    options.resolution = 1024
-    atlas.generate(pack_options=options)
+    charting, packing = xatlas.ChartOptions(), xatlas.PackOptions()
+    charting.max_cost, charting.normal_deviation_weight = 8.0, 1.0  # larger charts: stretch is cheaper than seams
+    packing.resolution = 1024
+    atlas.generate(charting, packing)
     vertices, uv_triangles, uvs = (np.asarray(array) for array in atlas[0])
     corners = uv_triangles.astype(np.int64)
     chart = np.full(len(triangles), -1, dtype=np.int64)
@@ -99,6 +107,7 @@ def _charts(positions: FloatArray, triangles: IndexArray) -> _Charts:
 def _attach_loose(control: ControlMesh, positions: FloatArray, charts: _Charts) -> _Flat:
     """Polygons that their chart keeps whole and convex stay; the others find a place one by one, in face order."""
     corner_uvs, chart = _whole_polygons(control, charts)
+    _loosen_overlaps(control, charts.uvs, corner_uvs, chart)
     uvs = [charts.uvs]
     n_uvs = len(charts.uvs)
     per_face = control.face_sizes - 2
@@ -149,6 +158,28 @@ def _whole_polygons(control: ControlMesh, charts: _Charts) -> tuple[IndexArray, 
     chart = np.where(whole, charts.chart[first_triangle], -1)
     corner_uvs[~np.repeat(whole, control.face_sizes)] = -1
     return corner_uvs, chart
+
+
+def _loosen_overlaps(control: ControlMesh, uvs: FloatArray, corner_uvs: IndexArray, chart: IndexArray) -> None:
+    """Take polygons out of charts, in place, until no two overlap: xatlas lets a chart run over itself now and then."""
+    loops = np.split(corner_uvs, control.face_offsets[1:-1])
+    for number in range(int(chart.max(initial=-1)) + 1):
+        faces = np.flatnonzero(chart == number)
+        low = np.array([uvs[loops[face]].min(axis=0) for face in faces]).reshape(-1, 2)
+        high = np.array([uvs[loops[face]].max(axis=0) for face in faces]).reshape(-1, 2)
+        near = np.triu((low[:, None] < high[None]).all(axis=2) & (low[None] < high[:, None]).all(axis=2), 1)
+        # Convex polygons on either side of a common edge cannot overlap.
+        pairs = [
+            (a, b)
+            for a, b in faces[np.argwhere(near)]
+            if len(np.intersect1d(loops[a], loops[b])) < 2 and _overlap(uvs[loops[a]], uvs[loops[b]])
+        ]
+        while pairs:
+            members, counts = np.unique(np.array(pairs), return_counts=True)
+            worst = int(members[counts.argmax()])
+            corner_uvs[control.face_offsets[worst] : control.face_offsets[worst + 1]] = -1
+            chart[worst] = -1
+            pairs = [pair for pair in pairs if worst not in pair]
 
 
 def _convex_faces(control: ControlMesh, points: FloatArray) -> np.ndarray:
