@@ -18,6 +18,9 @@ from cagemap.transfer import (
     unwrap,
 )
 from cagemap.transfer import bake as bake_module
+from cagemap.transfer.locate import Samples
+from cagemap.transfer.reference import look_up_slowly
+from cagemap.transfer.surface import triangle_areas, triangle_neighbors
 from transfer_scenes import crossed_cube, face_texture, identity_map, plane, plane_map
 
 BARE = BakeOptions(dilation=0)
@@ -165,6 +168,34 @@ def test_islands_go_on_for_a_texel_beyond_their_border() -> None:
     np.testing.assert_allclose(baked[5:-5, 4:51, 0] - 2 * x[4:51], 0, atol=1e-6)
     np.testing.assert_allclose(baked[5:-5, 99:146, 0] - 2 * (x[99:146] - 0.25), 0, atol=1e-6)
     assert not baked[:, 52:98].any()
+
+
+def test_no_seam_shows_at_any_mip_level() -> None:
+    # Colour is the position in space: across a seam it must agree with itself to the size of a texel of that level.
+    level = refine(unwrap(torus(6, 4), padding=1 / 32), 3).finest  # 16 texels between islands: 2 at the last level
+    transfer = prepare_transfer(level, level, identity_map(level))
+    surface, size = transfer.target, 512
+    canvas = bake_module.make_canvas(transfer, size, BakeOptions())
+
+    def shade(samples: Samples) -> np.ndarray:
+        corners = surface.positions[surface.triangles[samples.triangle]]
+        return np.asarray(samples.mean(np.einsum("sc,scd->sd", samples.barycentric, corners)))
+
+    ones = np.ones((len(surface.triangles), 2), dtype=np.int32)
+    image = bake_module.bake(transfer, canvas, ones, shade, 3, np.float32, BakeOptions())
+    corner_uvs = surface.corner_uvs()
+    triangle, opposite = np.nonzero(triangle_neighbors(surface.layout()[1]) < 0)
+    first, second = (opposite + 1) % 3, (opposite + 2) % 3
+    middle = 0.5 * (corner_uvs[triangle, first] + corner_uvs[triangle, second])
+    expected = 0.5 * sum(surface.positions[surface.triangles[triangle, corner]] for corner in (first, second))
+    area = triangle_areas(surface.positions, surface.triangles).sum()
+    flat = triangle_areas(surface.uvs, surface.uv_triangles).sum()
+    texel = np.sqrt(area / flat) / size  # length in space
+    for _ in range(4):
+        error = np.linalg.norm(look_up_slowly(image, middle) - expected, axis=1)
+        assert error.max() < 0.4 * texel
+        image = image.reshape(len(image) // 2, 2, -1, 2, 3).mean(axis=(1, 3))
+        texel *= 2
 
 
 def test_background_takes_the_nearest_island() -> None:

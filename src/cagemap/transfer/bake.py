@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -295,8 +295,3 @@ def _supersample(corner_uvs: FloatArray, height: int, width: int) -> int:
     areas = areas[areas > 0]
     typical = float(np.median(areas)) if len(areas) else 1.0
     return 1 if typical >= 1.0 else 2 if typical >= 0.25 else 4
-
-
-def retile(options: BakeOptions, tile: int) -> BakeOptions:
-    """Return the same options for another tile."""
-    return replace(options, tile=tile)
