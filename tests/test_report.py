@@ -148,7 +148,7 @@ def test_verdicts_follow_the_figures() -> None:
     assert overall(good, []) == "good"
     assert overall(good, ["look at the ears"]) == "fair"
     assert overall(explain({"flipped_area": 0.01}), []) == "fair"
-    assert overall(explain({"flipped_area": 0.03, "coverage": 0.999}), []) == "poor"
+    assert overall(explain({"flipped_area": 0.09, "coverage": 0.999}), []) == "poor"
     assert explain({"flipped_area": None, "coverage": "many"}) == []
 
 

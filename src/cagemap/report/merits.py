@@ -70,7 +70,7 @@ _FIGURES: list[tuple[Callable[[dict[str, Any]], float | None], str, Callable[[fl
         "How far from their partners the landmarks land, as a share of the model's size (the square root of its area). "
         "0 is exact; 1 % of a person is about a finger's width.",
         0.005,
-        0.03,
+        0.04,
     ),
     (
         lambda q: _get(q, "landmark_error_worst"),
@@ -78,7 +78,7 @@ _FIGURES: list[tuple[Callable[[dict[str, Any]], float | None], str, Callable[[fl
         lambda x: _PERCENT.format(100 * x),
         "The same for the landmark that is met worst. A large value often means a wrong pair in the landmark file.",
         0.01,
-        0.08,
+        0.15,
     ),
     (
         lambda q: _get(q, "flipped_area"),
@@ -86,7 +86,7 @@ _FIGURES: list[tuple[Callable[[dict[str, Any]], float | None], str, Callable[[fl
         lambda x: _PERCENT.format(100 * x),
         "Part of the target where the map runs backwards over itself. A texture is mirrored or smeared there.",
         0.005,
-        0.02,
+        0.08,
     ),
     (
         _missing("coverage"),
@@ -94,7 +94,7 @@ _FIGURES: list[tuple[Callable[[dict[str, Any]], float | None], str, Callable[[fl
         lambda x: _PERCENT.format(100 * x),
         "Part of the source that no point of the target maps to. What is painted there does not arrive.",
         0.02,
-        0.10,
+        0.15,
     ),
     (
         lambda q: _get(q, "dirichlet"),
@@ -103,7 +103,7 @@ _FIGURES: list[tuple[Callable[[dict[str, Any]], float | None], str, Callable[[fl
         "1 for a map that keeps all lengths; pairs of different proportions lie higher. Beside equal pairs, lower is "
         "smoother.",
         2.0,
-        6.0,
+        10.0,
     ),
     (
         lambda q: _get(q, "aspect_ratio_percentiles", "50"),
@@ -119,7 +119,7 @@ _FIGURES: list[tuple[Callable[[dict[str, Any]], float | None], str, Callable[[fl
         lambda x: _PERCENT.format(100 * x),
         "How far the map is from unfolded and little stretched, averaged over the target; the red places in the "
         "pictures above.",
-        0.05,
-        0.20,
+        0.10,
+        0.40,
     ),
 ]
