@@ -156,9 +156,13 @@ def test_upsampling_repairs_a_rough_match():
     points = RNG.random((400, 2))
     frequencies = [(i, j) for i in range(6) for j in range(6)]
     frequencies.sort(key=lambda f: f[0] ** 2 + f[1] ** 2)
-    rows = np.stack([np.cos(np.pi * i * points[:, 0]) * np.cos(np.pi * j * points[:, 1]) for i, j in frequencies], axis=1)
+    rows = np.stack(
+        [np.cos(np.pi * i * points[:, 0]) * np.cos(np.pi * j * points[:, 1]) for i, j in frequencies], axis=1
+    )
     samples = Samples(rows, np.ones(400), np.zeros((400, 0)))
-    rough = nearest_rows((points + 0.05 * RNG.standard_normal(points.shape)).astype(np.float32), points.astype(np.float32))
+    rough = nearest_rows(
+        (points + 0.05 * RNG.standard_normal(points.shape)).astype(np.float32), points.astype(np.float32)
+    )
     before = np.linalg.norm(points[rough] - points, axis=1).mean()
     functional_map, match = upsample(samples, samples, rough, growth(6, 36))
     after = np.linalg.norm(points[match] - points, axis=1).mean()

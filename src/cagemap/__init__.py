@@ -1,7 +1,7 @@
 """Dense maps between subdivision surfaces from their control meshes and a few landmarks.
 
-The public names below are imported on first use, so that ``import cagemap`` (and the command's ``--help``) stays light. The rooms
-they come from are importable too, for researchers: see docs/architecture.md.
+The public names below are imported on first use, so that ``import cagemap`` (and the command's ``--help``) stays
+light. The rooms they come from are importable too, for researchers: see docs/architecture.md.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ _ROOMS = {
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
 
-__all__ = [  # noqa: PLE0604 - resolved by __getattr__
+__all__ = [
     "BasisConfig",
     "CagemapError",
     "CatmullClark",

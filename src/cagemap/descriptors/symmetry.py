@@ -1,4 +1,4 @@
-"""Self-symmetries: found on the control mesh, propagated to every level, projected on the basis (paper, section 5.2)."""
+"""Self-symmetries: found on the control mesh, propagated to every level, projected on the basis (paper, 5.2)."""
 
 from __future__ import annotations
 
@@ -58,8 +58,9 @@ def check_symmetry(symmetry: IndexArray, control: ControlMesh) -> None:
 def propagate_symmetry(subdivision: sparse.csr_array, symmetry: IndexArray) -> IndexArray:
     """Symmetry of the next level: the row of S^l that has a vertex's mirrored weights is its mirror image.
 
-    The paper searches nearest neighbours between X^{l+1} and S^l S^l_sym X^l; comparing rows of S^l with those whose columns
-    are permuted is the same search without geometry, so it also serves intrinsic symmetries and coinciding vertices.
+    The paper searches nearest neighbours between X^{l+1} and S^l S^l_sym X^l; comparing rows of S^l with those whose
+    columns are permuted is the same search without geometry, so it also serves intrinsic symmetries and coinciding
+    vertices.
 
     Parameters
     ----------

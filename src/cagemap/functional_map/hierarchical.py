@@ -28,6 +28,11 @@ class SpectralData:
     descriptors: FloatArray
     symmetry: FloatArray | None = None
 
+    def leading(self, count: int) -> SpectralData:
+        """Keep the first basis functions only."""
+        symmetry = None if self.symmetry is None else self.symmetry[:count, :count]
+        return SpectralData(self.eigenvalues[:count], self.descriptors[:count], symmetry)
+
 
 @dataclass(frozen=True)
 class OperatorWeights:
@@ -76,7 +81,12 @@ def extend_functional_map(
 
 
 def _solve(
-    target: SpectralData, source: SpectralData, weights: OperatorWeights, rows: slice, columns: slice, wanted: FloatArray
+    target: SpectralData,
+    source: SpectralData,
+    weights: OperatorWeights,
+    rows: slice,
+    columns: slice,
+    wanted: FloatArray,
 ) -> FloatArray:
     """One block of rows and columns, with that block of every operator."""
     commutators: tuple[Commutator, ...] = ()

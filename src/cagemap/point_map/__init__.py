@@ -1,1 +1,1 @@
-
+"""Point maps: search in the spectral embedding, elastic fit, quality."""

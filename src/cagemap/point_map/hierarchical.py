@@ -1,7 +1,7 @@
-"""The hierarchical map (paper, section 5): functional map and point map from the control meshes down to the finest level.
+"""The hierarchical map (paper, section 5), from the control meshes down to the finest level.
 
-Level 0 solves eq. 13; every band of basis functions that a level adds extends the functional map by eqs. 14-16. The point map is
-searched in full at one coarse level only; below it a vertex's candidates come from its parents' matches.
+Level 0 solves eq. 13; every band of basis functions that a level adds extends the functional map by eqs. 14-16. The
+point map is searched in full at one coarse level only; below it a vertex's candidates come from its parents' matches.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from cagemap.functional_map import (
     extend_functional_map,
 )
 from cagemap.mesh import FloatArray, IndexArray
+from cagemap.point_map.blocks import SpectralRows, blocks, recover_in_blocks, search_candidates, spectral_rows
 from cagemap.point_map.point_map import PointMap
-from cagemap.point_map.recover import vertex_to_point, vertex_triangles
-from cagemap.point_map.search import Embedding, nearest_candidates, nearest_rows, strongest_parents
-from cagemap.point_map.upsample import Samples, embed_source, embed_target, fit_functional_map, growth, upsample
+from cagemap.point_map.search import nearest_rows, strongest_parents
+from cagemap.point_map.upsample import Samples, embed_source, embed_target, fit_functional_map, growth, spread, upsample
 from cagemap.refinement import Refinement, triangles, triangulate_control
 
 Progress = Callable[[str], None]
@@ -63,13 +63,16 @@ class HierarchyConfig:
     weights : OperatorWeights
         alpha(O) of eq. 13.
     search_vertices : int
-        The point map is searched in full at each side's coarsest level with at least this many vertices; the paper's level 0
-        is the value 0.
+        The point map is searched in full at each side's coarsest level with at least this many vertices; the paper's
+        level 0 is the value 0.
+    descriptor_functions : int
+        Basis functions that descriptors are asked about at most; those above are found from the match.
     upsample_start : int
         Basis functions trusted from the descriptors alone, where spectral upsampling starts.
     descriptor_bands : bool
-        Extend C by eqs. 14-16 above the search levels too, as the paper does. Otherwise a band found there is fitted to the
-        vertex matches, C = Phi1^+ P12 Phi2, which folds less: descriptors say little about functions that oscillate fast.
+        Extend C by eqs. 14-16 above the search levels too, as the paper does. Otherwise a band found there is fitted
+        to the vertex matches, C = Phi1^+ P12 Phi2, which folds less: descriptors say little about functions that
+        oscillate fast.
     """
 
     heat: int = 10
@@ -77,9 +80,9 @@ class HierarchyConfig:
     signature_weight: float = 0.2
     weights: OperatorWeights = OperatorWeights()
     search_vertices: int = 3000
+    descriptor_functions: int = 150
     upsample_start: int = 20
-    fewest_functions: int = 50
-    extend: bool = True
+    descriptor_bands: bool = False
 
 
 @dataclass(frozen=True)
@@ -194,28 +197,35 @@ def coarse_map(
 
 
 def descriptor_map(pair: Pair, levels: LevelPair, config: HierarchyConfig) -> FloatArray:
-    """Functional map from descriptors alone: eq. 13 at the first level that has enough functions, eqs. 14-16 for bands above."""
+    """Functional map from descriptors alone, up to `levels`.
+
+    Eq. 13 at the first levels that have enough functions (a poor C_l would stay fixed inside C_h), eqs. 14-16 for every
+    band above.
+    """
+
+    def sizes_at(current: LevelPair) -> tuple[int, int]:
+        most = config.descriptor_functions
+        return min(_basis_size(pair.target, current[0]), most), min(_basis_size(pair.source, current[1]), most)
+
     functional_map: FloatArray | None = None
+    enough = min(ENOUGH_FUNCTIONS, *sizes_at(levels))
     for step in range(max(levels) + 1):
         current = min(step, levels[0]), min(step, levels[1])
-        sizes = _basis_size(pair.target, current[0]), _basis_size(pair.source, current[1])
-        enough = min(sizes) >= min(
-            config.fewest_functions, _basis_size(pair.target, levels[0]), _basis_size(pair.source, levels[1])
-        )
-        if (
-            not enough
-            or min(sizes) < FEWEST_FUNCTIONS
-            or (functional_map is not None and functional_map.shape == sizes)
-        ):
+        sizes = sizes_at(current)
+        if min(sizes) < max(enough, FEWEST_FUNCTIONS):
             continue
-        data = spectral_data(pair, current, config)
+        if functional_map is not None and functional_map.shape == sizes:
+            continue
+        target, source = spectral_data(pair, current, config)
+        data = target.leading(sizes[0]), source.leading(sizes[1])
         if functional_map is None:
             functional_map = coarse_functional_map(*data, config.weights)
         else:
             functional_map = extend_functional_map(functional_map, *data, config.weights)
     if functional_map is None:
         raise ParameterError(
-            f"expected at least {FEWEST_FUNCTIONS} basis functions on both surfaces at levels {levels}, got {sizes}: raise k"
+            f"expected at least {FEWEST_FUNCTIONS} basis functions on both surfaces at levels {levels}, "
+            f"got {sizes}: raise k"
         )
     return functional_map
 
@@ -261,33 +271,43 @@ def descend(pair: Pair, coarse: LevelMap, levels: LevelPair, config: HierarchyCo
     grown = (_basis_size(pair.target, levels[0]), _basis_size(pair.source, levels[1])) != functional_map.shape
     if grown and config.descriptor_bands:
         functional_map = extend_functional_map(functional_map, *spectral_data(pair, levels, config), config.weights)
+    match = search_level(pair, functional_map, levels, coarse)
+    if grown or len(match) <= SAMPLE_VERTICES:
+        functional_map = refit(pair, levels, match)
+        match = search_level(pair, functional_map, levels, coarse)
+    return LevelMap(levels, functional_map, match)
+
+
+def search_level(pair: Pair, functional_map: FloatArray, levels: LevelPair, coarse: LevelMap) -> IndexArray:
+    """Nearest candidates of all target vertices of a level (paper, Fig. 9)."""
     parents = _parents(pair.target, coarse.levels[0], levels[0])
     children = _children(pair.source, coarse.levels[1], levels[1])
-    target_rows, source_rows = embeddings(pair, functional_map, levels)
-    match = nearest_candidates(target_rows, source_rows, parents, children, coarse.match)
-    if grown or len(match) <= SAMPLE_VERTICES:
-        values = evaluate(pair.source.basis, pair.source.refinement, levels[1])[match]
-        samples = _samples(pair.target, levels[0], None)
-        functional_map = fit_functional_map(samples, values, samples.rows.shape[1])
-        target_rows, source_rows = embeddings(pair, functional_map, levels)
-        match = nearest_candidates(target_rows, source_rows, parents, children, coarse.match)
-    return LevelMap(levels, functional_map, match)
+    rows = _both_rows(pair, functional_map, levels)
+    return search_candidates(*rows, blocks(pair.target, levels[0]), parents, children, coarse.match)
+
+
+def refit(pair: Pair, levels: LevelPair, match: IndexArray) -> FloatArray:
+    """C12 = Phi~1^+ P12 Phi~2 with all basis functions of a level, on a sample of its vertices."""
+    chosen = spread(_size(pair.target, levels[0]), SAMPLE_VERTICES)
+    k1, k2 = _basis_size(pair.target, levels[0]), _basis_size(pair.source, levels[1])
+    rows = spectral_rows(pair.target, levels[0], k1).at(chosen).astype(np.float64)
+    values = spectral_rows(pair.source, levels[1], k2).at(match[chosen]).astype(np.float64)
+    areas = np.asarray(pair.target.operators.mass[levels[0]].sum(axis=1)).ravel()[chosen]
+    return fit_functional_map(Samples(rows, areas, np.zeros((len(rows), 0))), values, k1)
 
 
 def recover_points(pair: Pair, matched: LevelMap) -> PointMap:
     """Vertex-to-point map of a pair of levels from its vertex matches."""
-    target_rows, source_rows = embeddings(pair, matched.functional_map, matched.levels)
+    rows = _both_rows(pair, matched.functional_map, matched.levels)
     source_triangles = level_triangles(pair.source.refinement, matched.levels[1])
-    around = vertex_triangles(source_triangles, len(source_rows))
-    return vertex_to_point(target_rows, source_rows, source_triangles, around, matched.match)
+    return recover_in_blocks(*rows, blocks(pair.target, matched.levels[0]), source_triangles, matched.match)
 
 
-def embeddings(pair: Pair, functional_map: FloatArray, levels: LevelPair) -> tuple[Embedding, Embedding]:
-    """Spectral embeddings of all vertices of a pair of levels, float32: Phi~1 and Phi~2 C12^T."""
-    target_rows = evaluate(pair.target.basis, pair.target.refinement, levels[0], dtype=np.float32)
-    source_rows = evaluate(pair.source.basis, pair.source.refinement, levels[1], dtype=np.float32)
+def _both_rows(pair: Pair, functional_map: FloatArray, levels: LevelPair) -> tuple[SpectralRows, SpectralRows]:
+    """Embeddings of a pair of levels: Phi~1 and Phi~2 C12^T."""
     k1, k2 = functional_map.shape
-    return np.ascontiguousarray(target_rows[:, :k1]), source_rows[:, :k2] @ functional_map.T.astype(np.float32)
+    target = spectral_rows(pair.target, levels[0], k1)
+    return target, spectral_rows(pair.source, levels[1], k2, functional_map.T)
 
 
 def level_triangles(refinement: Refinement, level: int) -> IndexArray:

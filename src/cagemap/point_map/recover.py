@@ -1,4 +1,4 @@
-"""From a matched vertex to a point: projection onto the triangles around the match, in the embedding (paper, section 5.4)."""
+"""From a matched vertex to a point: projection onto the triangles around it, in the embedding (paper, 5.4)."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def vertex_to_point(
 
 
 def closest_on_triangle(gram: FloatArray, offset: FloatArray) -> FloatArray:
-    """Barycentric coordinates of the point of a triangle nearest to a point, in any dimension (slow twin of the kernel).
+    """Barycentric coordinates of the nearest point of a triangle, in any dimension (slow twin of the kernel).
 
     Parameters
     ----------

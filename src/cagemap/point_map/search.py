@@ -1,7 +1,7 @@
 """Nearest neighbours in the spectral embedding (paper, section 5.4).
 
-A target vertex x has the embedding Phi~1(x, :), a source vertex y the embedding Phi~2(y, :) C12^T; the point map sends x to the
-source vertex with the nearest embedding.
+A target vertex x has the embedding Phi~1(x, :), a source vertex y the embedding Phi~2(y, :) C12^T; the point map sends
+x to the source vertex with the nearest embedding.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ def nearest_rows(queries: Embedding, points: Embedding) -> IndexArray:
 
     Notes
     -----
-    A surface's embedding is two-dimensional however many coordinates it has, which is what keeps a k-d tree fast: at 25k points
-    and 150 coordinates 3 to 10 times faster than blocked matrix products.
+    A surface's embedding is two-dimensional however many coordinates it has, which is what keeps a k-d tree fast: at
+    25k points and 150 coordinates 3 to 10 times faster than blocked matrix products.
     """
     return np.asarray(cKDTree(points).query(queries, workers=-1)[1], dtype=np.int64)
 
@@ -65,8 +65,8 @@ def nearest_candidates(
 ) -> IndexArray:
     """Nearest source vertex among the candidates of every refined target vertex (paper, section 5.4, Fig. 9).
 
-    The candidates are the refined source vertices influenced (nonzeros of the column of S_2^l) by the matches of the vertex's
-    parents.
+    The candidates are the refined source vertices influenced (nonzeros of the column of S_2^l) by the matches of the
+    vertex's parents.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Spectral upsampling: point map and functional map in turn while the number of basis functions grows.
 
-The alternation of the paper's section 5.4 on one level, with the growth of [ZoomOut: Melzi et al. 2019]. Extra coordinates that
-both surfaces share (such as harmonic landmark coordinates) may stand beside the spectral ones.
+The alternation of the paper's section 5.4 on one level, with the growth of [ZoomOut: Melzi et al. 2019]. Extra
+coordinates that both surfaces share (such as harmonic landmark coordinates) may stand beside the spectral ones.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ class Samples:
     areas : (b,) array
         Weights in the inner product.
     coordinates : (b, c) array
-        Extra coordinates shared by both surfaces, already weighted; c may be 0. They count in proportion to sqrt(k), so that
-        their share of a distance does not fade as spectral coordinates are added.
+        Extra coordinates shared by both surfaces, already weighted; c may be 0. They count in proportion to sqrt(k),
+        so that their share of a distance does not fade as spectral coordinates are added.
     """
 
     rows: FloatArray
@@ -71,8 +71,9 @@ def fit_functional_map(target: Samples, source_rows: FloatArray, k1: int) -> Flo
 def spread(n: int, count: int) -> IndexArray:
     """Choose samples at equal steps of the numbering; all of them if there are no more than `count`.
 
-    Vertices of a refined mesh are stored in a spatially coherent order within each of their kinds, so equal steps are dense where
-    the mesh is, at hands and faces; their areas then weigh them. (Steps of equal area, weighted by area again, lose the hands.)
+    Vertices of a refined mesh are stored in a spatially coherent order within each of their kinds, so equal steps are
+    dense where the mesh is, at hands and faces; their areas then weigh them. (Steps of equal area, weighted by area
+    again, lose the hands.)
     """
     return np.unique(np.linspace(0, n - 1, min(n, count)).astype(np.int64))
 
