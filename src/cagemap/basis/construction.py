@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.basis.eigen import EigenPairs, band_pairs, residual_norms
-from cagemap.basis.error_estimate import Prediction, predict_next_level
+from cagemap.basis.eigen import EigenPairs, band_pairs, pairs_from_guess, residual_norms
+from cagemap.basis.error_estimate import ErrorEstimate, estimate_errors
 from cagemap.basis.gram import extend_gram, products_with_bands
 from cagemap.basis.hierarchical import HierarchicalBasis
 from cagemap.basis.overlap import new_directions
 from cagemap.basis.products import multiply
-from cagemap.basis.schedule import BasisConfig, choose_split, plausible_count, relative_errors
+from cagemap.basis.schedule import BasisConfig, choose_split, plausible_count
 from cagemap.errors import ParameterError
 from cagemap.operators import Operators
 from cagemap.refinement import Refinement
@@ -23,7 +23,14 @@ IndexArray = NDArray[np.int64]
 
 # Pairs computed below the start of a band, to see which of them the prolonged basis has already.
 OVERLAP = 12
-_START_COLUMNS = 32
+# Levels larger than this start from the pairs of the level below, if those are good to this relative error (safety
+# included) and reach half this many places beyond what is wanted.
+GUESS_ROWS = 30_000
+GUESS_ERROR = 1e-2
+GUARDS = 30
+# Share of the tolerance that unfinished iterations may take there.
+GUESS_SHARE = 0.25
+START_COLUMNS = 32
 _SEED = 2019
 
 
@@ -40,6 +47,7 @@ class _Growing:
     # The last level's pairs, kept or not, and how many of them met the tolerance: a start for the next level.
     pairs: EigenPairs | None = None
     good: int = 0
+    top_error: float = np.inf
 
     @property
     def count(self) -> int:
@@ -60,7 +68,7 @@ class _Growing:
 def hierarchical_basis(
     refinement: Refinement,
     operators: Operators,
-    config: BasisConfig = BasisConfig(),  # noqa: B008 - frozen
+    config: BasisConfig = BasisConfig(),
 ) -> HierarchicalBasis:
     """Hierarchical basis of a surface, by the paper's fixed schedule or by a tolerance.
 
@@ -94,8 +102,9 @@ def hierarchical_basis(
         elif level < len(config.schedule):
             last = growing.count + config.schedule[level]
             pairs = _window(operators, level, growing, last, config, refinement)
-            prediction = _predict(pairs, level, refinement, operators)
-            _append(growing, level, pairs, prediction, config.schedule[level], refinement, operators)
+            # Any error will do here: the estimate is for the record, and a sample of pairs is enough.
+            estimate = _estimate(pairs, level, refinement, operators, tolerance=np.inf)
+            _append(growing, level, pairs, estimate, config.schedule[level], refinement, operators)
             growing.pairs = pairs
     return HierarchicalBasis(
         tuple(growing.bands), growing.values, growing.residuals, growing.indices, growing.gram, growing.errors
@@ -107,37 +116,63 @@ def _add_controlled(
 ) -> None:
     """Add the pairs of one level that meet the tolerance there."""
     sizes = [mass.shape[0] for mass in operators.mass]
-    last = config.count
+    last = reach = config.count
     if level < operators.finest:
         seen = growing.good * sizes[level] / sizes[level - 1] if level > 0 else 0.0
-        last = min(last, plausible_count(sizes[level], config.tolerance, seen))
-    if last <= growing.count:
+        plausible = plausible_count(sizes[level], config.tolerance, seen)
+        last = reach = min(last, plausible)
+        if last < config.count and sizes[level + 1] > GUESS_ROWS and 3 * (config.count + GUARDS) < sizes[level]:
+            # The next level is large: pairs that are no use here are a guess for it.
+            reach = config.count + GUARDS
+    if last <= growing.count and reach <= last:
         growing.bands.append(np.zeros((sizes[level], 0)))
         growing.pairs = None
         return
-    pairs = _window(operators, level, growing, last, config, refinement)
+    pairs = _window(operators, level, growing, reach, config, refinement)
     _take_back(growing, pairs, config.tolerance)
-    prediction = _predict(pairs, level, refinement, operators)
-    good, wanted = choose_split(pairs, prediction, growing.count, config)
-    _append(growing, level, pairs, prediction, wanted, refinement, operators)
-    growing.pairs, growing.good = pairs, good
+    candidates = pairs.part(pairs.first_index, min(pairs.last_index, config.count))
+    estimate = _estimate(candidates, level, refinement, operators, config.tolerance)
+    present = growing.count - pairs.first_index
+    good, kept = choose_split(estimate, present, config.count - growing.count, config.tolerance)
+    growing.good, growing.pairs = growing.count + good, pairs
+    growing.top_error = float(estimate.errors[-1])
+    _append(growing, level, candidates, estimate, kept, refinement, operators)
 
 
 def _window(
     operators: Operators, level: int, growing: _Growing, last: int, config: BasisConfig, refinement: Refinement
 ) -> EigenPairs:
-    """Eigenpairs of a level from a few below the end of the basis so far up to ``last``."""
+    """Eigenpairs of a level from a few below the end of the basis so far up to ``last``, or more."""
+    stiffness, mass = operators.stiffness[level], operators.mass[level]
     first = max(0, growing.count - OVERLAP)
-    start = None
     previous = growing.pairs
-    if previous is not None and first < previous.last_index:
-        # The coarser level's pairs in that range, mixed at random, are a block rich in what is sought.
-        useful = previous.vectors[:, max(0, first - previous.first_index) :]
-        mixing = np.random.default_rng(_SEED).standard_normal((useful.shape[1], min(_START_COLUMNS, useful.shape[1])))
-        start = refinement.prolong(useful @ mixing, level - 1, level)
-    return band_pairs(
-        operators.stiffness[level], operators.mass[level], first, last, start=start, tolerance=config.accuracy
-    )
+    if previous is None or previous.last_index <= first:
+        return band_pairs(stiffness, mass, first, last, tolerance=config.accuracy)
+    if (
+        config.schedule is None
+        and mass.shape[0] > GUESS_ROWS
+        and growing.top_error < GUESS_ERROR
+        and previous.last_index >= last + GUARDS // 2
+    ):
+        guess = previous.part(max(previous.first_index, first - GUARDS), min(previous.last_index, last + GUARDS))
+        pairs = pairs_from_guess(
+            stiffness,
+            mass,
+            multiply(refinement.matrices[level - 1], guess.vectors),
+            guess.values,
+            guess.first_index,
+            kept=(first, min(last, config.count)),
+            tolerance=GUESS_SHARE * config.tolerance,
+        )
+        if pairs is not None:
+            return pairs.part(first, pairs.last_index)
+    # The coarser level's pairs in that range, mixed at random, are a block rich in what is sought; a little noise makes
+    # it a full one.
+    useful = previous.vectors[:, max(0, first - previous.first_index) :]
+    rng = np.random.default_rng(_SEED)
+    block = refinement.prolong(useful @ rng.standard_normal((useful.shape[1], START_COLUMNS)), level - 1, level)
+    block += 0.01 * np.abs(block).mean() * rng.standard_normal(block.shape)
+    return band_pairs(stiffness, mass, first, last, start=block, tolerance=config.accuracy)
 
 
 def _take_back(growing: _Growing, pairs: EigenPairs, tolerance: float) -> None:
@@ -150,19 +185,21 @@ def _take_back(growing: _Growing, pairs: EigenPairs, tolerance: float) -> None:
         growing.drop_last(len(known) - int(wrong[0]))
 
 
-def _predict(pairs: EigenPairs, level: int, refinement: Refinement, operators: Operators) -> Prediction | None:
-    """What the next level would make of the pairs of this one; None at the finest."""
+def _estimate(
+    pairs: EigenPairs, level: int, refinement: Refinement, operators: Operators, tolerance: float
+) -> ErrorEstimate:
+    """Errors of the pairs of a level against the finest one; none at the finest."""
     if level == operators.finest:
-        return None
+        return ErrorEstimate(np.zeros(len(pairs.values)), np.zeros(len(pairs.values) + 1))
     stiffness, mass = operators.stiffness[level + 1], operators.mass[level + 1]
-    return predict_next_level(refinement.matrices[level], stiffness, mass, pairs.values, pairs.vectors)
+    return estimate_errors(refinement.matrices[level], stiffness, mass, pairs.values, pairs.vectors, tolerance)
 
 
 def _append(
     growing: _Growing,
     level: int,
     pairs: EigenPairs,
-    prediction: Prediction | None,
+    estimate: ErrorEstimate,
     wanted: int,
     refinement: Refinement,
     operators: Operators,
@@ -181,7 +218,7 @@ def _append(
     growing.bands.append(band)
     growing.values = np.concatenate([growing.values, values])
     growing.residuals = np.concatenate([growing.residuals, residuals])
-    growing.errors = np.concatenate([growing.errors, relative_errors(pairs, prediction)[positions]])
+    growing.errors = np.concatenate([growing.errors, estimate.errors[positions]])
     growing.indices = np.concatenate([growing.indices, pairs.first_index + positions])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from scipy import linalg, sparse
 from cagemap.basis.factorization import Factorization, factor
 from cagemap.basis.lanczos import shift_invert_lanczos
 from cagemap.basis.products import multiply
+from cagemap.basis.threads import in_threads
 from cagemap.errors import ParameterError, SolverError
 from cagemap.operators import Operators
 
@@ -51,6 +53,11 @@ class EigenPairs:
     def last_index(self) -> int:
         """Index after the last pair."""
         return self.first_index + len(self.values)
+
+    def part(self, first: int, last: int) -> EigenPairs:
+        """The pairs with indices first..last-1 in the spectrum."""
+        chosen = slice(first - self.first_index, last - self.first_index)
+        return EigenPairs(self.values[chosen], self.vectors[:, chosen], self.residuals[chosen], first)
 
     def __repr__(self) -> str:
         return f"EigenPairs({self.first_index} to {self.last_index - 1} of {len(self.vectors)})"
@@ -162,8 +169,8 @@ def band_pairs(
         values, vectors = _dense_pairs(stiffness.toarray(), mass.toarray())
         if last > len(values):
             raise ParameterError(
-                f"expected a range of eigenpairs within 0 to {len(values)}, as many as the level has independent functions, "
-                f"got {first} to {last}; start at a finer level"
+                f"expected a range of eigenpairs within 0 to {len(values)}, as many as the level has independent "
+                f"functions, got {first} to {last}; start at a finer level"
             )
         return _with_residuals(stiffness, mass, values[first:last], vectors[:, first:last], first)
     low, high = max(0, first - _EXTRA_PAIRS), min(n, last + _EXTRA_PAIRS)
@@ -175,9 +182,7 @@ def band_pairs(
         values, vectors = shift_invert_lanczos(
             shifted, mass, sigma, below - low, high - below, start=start, block_size=block_size, tolerance=tolerance
         )
-        if shifted.negative_eigenvalues is None or all(
-            _counts_agree(stiffness, mass, values, low, end, shifted) for end in (first, last)
-        ):
+        if all(in_threads(partial(_counts_agree, stiffness, mass, values, low, shifted), (first, last))):
             chosen = slice(first - low, last - low)
             return _with_residuals(stiffness, mass, values[chosen], vectors[:, chosen], first)
         start = None
@@ -196,7 +201,7 @@ def pairs_from_guess(
     *,
     kept: tuple[int, int] | None = None,
     tolerance: float = 1e-6,
-    max_iterations: int = 4,
+    max_iterations: int = 3,
 ) -> EigenPairs | None:
     """Band of consecutive eigenpairs from prolonged ones: block inverse iteration and Rayleigh-Ritz.
 
@@ -218,30 +223,36 @@ def pairs_from_guess(
     Returns
     -------
     EigenPairs or None
-        None if the inertia says that the guess has missed an eigenvalue: compute that level from nothing instead.
+        None if the guess was not good enough: the iteration has not converged, or the inertia says that an eigenvalue
+        was missed. Compute that level from nothing instead.
     """
     first, last = (0, len(guess_values)) if kept is None else (kept[0] - first_index, kept[1] - first_index)
     shift = _widest_gap(guess_values, first, last)
     shifted = factor(_shifted(stiffness, mass, shift))
     values, vectors, mass_vectors = guess_values, guess, multiply(mass, guess)
+    areas = _areas(mass)
     for _ in range(max_iterations):
         image = shifted.solve(mass_vectors)
         # W - sigma M scales a pair by 1 / (lambda - sigma); undo it to keep the columns of one size.
-        image *= _away_from_zero(values - shift)
+        scale = _away_from_zero(values - shift)
+        image *= scale
         mass_image = multiply(mass, image)
-        stiffness_image = mass_vectors * _away_from_zero(values - shift) + shift * mass_image
+        stiffness_image = mass_vectors * scale + shift * mass_image
         values, rotation = _rayleigh_ritz(image, stiffness_image, mass_image)
         vectors, mass_vectors = image @ rotation, mass_image @ rotation
-        residual = stiffness_image @ rotation - mass_vectors * values
-        if np.all(_kato_temple(residual, values, _areas(mass), first, last) <= tolerance):
+        residual = stiffness_image @ rotation
+        residual -= mass_vectors * values
+        if np.all(_kato_temple(residual, values, areas, first, last) <= tolerance):
             break
-    if shifted.negative_eigenvalues is not None:
-        if shifted.negative_eigenvalues - int(np.sum(values < shift)) != first_index:
-            return None
-    pairs = _with_residuals(stiffness, mass, values, vectors, first_index, mass_vectors)
-    if last < len(values) and not _counts_agree(stiffness, mass, values, first_index, first_index + last, shifted):
+    else:
         return None
-    return pairs
+    below = shifted.negative_eigenvalues
+    if below is not None and below - int(np.sum(values < shift)) != first_index:
+        return None
+    if last < len(values) and not _counts_agree(stiffness, mass, values, first_index, shifted, first_index + last):
+        return None
+    norms = np.sqrt((residual * residual).T @ (1.0 / areas)) / np.maximum(values, 4.0 * np.pi / float(areas.sum()))
+    return EigenPairs(values, vectors, norms, first_index)
 
 
 def exact_basis(operators: Operators, level: int, count: int) -> EigenPairs:
@@ -309,8 +320,8 @@ def _counts_agree(
     mass: sparse.csr_array,
     values: FloatArray,
     first_index: int,
-    end: int,
     like: Factorization,
+    end: int,
 ) -> bool:
     """Whether as many eigenvalues lie below a gap near index ``end`` as the list says (Sylvester's law of inertia)."""
     position = end - first_index

@@ -1,4 +1,4 @@
-"""What the eigenpairs of one level become at the next, without computing them there."""
+"""How far the eigenpairs of one level are from those of the surface, without computing finer ones."""
 
 from __future__ import annotations
 
@@ -13,6 +13,14 @@ from cagemap.basis.products import multiply
 FloatArray = NDArray[np.float64]
 
 
+# What a prediction leaves out: unfinished iterations, and all levels finer than the next.
+SAFETY = 2.0
+# A sample may miss pairs on badly resolved parts, whose errors are several times those of their neighbours.
+_SAMPLE_SAFETY = 2.0
+_SAMPLES = 32
+# Rows of the next level times pairs: below the first all pairs are predicted at once, above the second never.
+_CHEAP_WORK = 4_000_000
+_MUCH_WORK = 20_000_000
 # Condition of the scaled stiffness matrix on what the coarser level cannot represent.
 CONDITION = 20.0
 _SEED = 2019
@@ -25,7 +33,7 @@ class Prediction:
     Attributes
     ----------
     values : (m,) array
-        Predicted eigenvalues of the next level, ascending; pair by pair not above those of the present level.
+        Predicted eigenvalues of the next level, ascending.
     rotation : (m, m) orthogonal array
         Predicted eigenvectors in the prolonged ones: entry (i, j) is how much of present pair i predicted pair j has.
     """
@@ -33,9 +41,73 @@ class Prediction:
     values: FloatArray
     rotation: FloatArray
 
-    def leak(self, split: int) -> float:
-        """Directions lost if the pairs before ``split`` stay at their level: sin^2 of the angles, summed."""
-        return float(np.sum(self.rotation[split:, :split] ** 2))
+
+@dataclass(frozen=True, eq=False)
+class ErrorEstimate:
+    """Errors of the eigenpairs of one level against the finest, safety included.
+
+    Attributes
+    ----------
+    errors : (m,) array
+        Relative errors of the eigenvalues, index by index.
+    leaks : (m + 1,) array
+        For a cut before each pair, and after the last: how much of a direction is lost if the pairs below the cut stay
+        at their level. Only their order matters.
+    """
+
+    errors: FloatArray
+    leaks: FloatArray
+
+
+def estimate_errors(
+    subdivision: sparse.csr_array,
+    stiffness: sparse.csr_array,
+    mass: sparse.csr_array,
+    values: FloatArray,
+    vectors: FloatArray,
+    tolerance: float,
+) -> ErrorEstimate:
+    """Errors of the eigenpairs of level l against the finest level, from the operators of level l + 1.
+
+    All pairs are predicted together where that is cheap. On a large next level a sample of them comes first, and
+    settles the matter if it is clear of the tolerance; on a very large one the sample has to do.
+
+    Parameters
+    ----------
+    subdivision : (n_{l+1}, n_l) CSR array
+        S^l.
+    stiffness, mass : (n_{l+1}, n_{l+1}) CSR arrays
+        Of the next level.
+    values : (m,) array
+    vectors : (n_l, m) array
+        Eigenpairs of level l, M-orthonormal, ascending.
+    tolerance : float
+        Relative error that matters.
+
+    Returns
+    -------
+    ErrorEstimate
+    """
+    count = len(values)
+    # The constant function has eigenvalue 0 at every level; a fraction of the last eigenvalue stands in for it.
+    scale = np.maximum(values, 1e-3 * values[-1])
+    work = stiffness.shape[0] * count
+    if work > _CHEAP_WORK and count > 2 * _SAMPLES:
+        sample = np.unique(np.linspace(0, count - 1, _SAMPLES).astype(np.int64))
+        coupling = _coupling(subdivision, stiffness, mass, values[sample], vectors[:, sample])
+        sampled = SAFETY * _SAMPLE_SAFETY * np.diag(coupling) / scale[sample]
+        # Errors grow with the index: between two samples take the larger.
+        segment = np.searchsorted(sample, np.arange(count), side="right") - 1
+        errors = np.maximum(sampled, np.append(sampled[1:], 0.0))[segment]
+        if errors.max() <= tolerance or work > _MUCH_WORK:
+            gaps = np.diff(values, prepend=-scale[0], append=values[-1] + scale[0])
+            return ErrorEstimate(errors, np.append(errors * scale, errors[-1] * scale[-1]) / gaps)
+    prediction = predict_next_level(subdivision, stiffness, mass, values, vectors)
+    errors = SAFETY * np.maximum(values - prediction.values, 0.0) / scale
+    # Entry s sums the squares of rows from s on and columns before s.
+    summed = np.zeros((count + 1, count + 1))
+    summed[1:, 1:] = np.cumsum(np.cumsum(prediction.rotation**2, axis=0), axis=1)
+    return ErrorEstimate(errors, summed[-1] - np.diag(summed))
 
 
 def predict_next_level(
@@ -71,6 +143,20 @@ def predict_next_level(
     -------
     Prediction
     """
+    coupling = _coupling(subdivision, stiffness, mass, values, vectors, steps)
+    predicted, rotation = linalg.eigh(np.diag(values) - coupling)
+    return Prediction(predicted, rotation)
+
+
+def _coupling(
+    subdivision: sparse.csr_array,
+    stiffness: sparse.csr_array,
+    mass: sparse.csr_array,
+    values: FloatArray,
+    vectors: FloatArray,
+    steps: int = 4,
+) -> FloatArray:
+    """(m, m) energy R^T Z that corrections within level l + 1 gain."""
     prolonged = multiply(subdivision, vectors)
     residual = multiply(stiffness, prolonged) - multiply(mass, prolonged) * values
     correction = _smooth(stiffness, residual, steps)
@@ -80,9 +166,7 @@ def predict_next_level(
     weight = np.einsum("ij,ij->j", correction, multiply(mass, correction))
     share = np.clip(values * weight / np.maximum(gained, np.finfo(float).tiny), 0.0, 0.5)
     scale = 1.0 / np.sqrt(1.0 - share)
-    coupling = 0.5 * (energy + energy.T) * np.outer(scale, scale)
-    predicted, rotation = linalg.eigh(np.diag(values) - coupling)
-    return Prediction(predicted, rotation)
+    return 0.5 * (energy + energy.T) * np.outer(scale, scale)
 
 
 def _smooth(matrix: sparse.csr_array, right_sides: FloatArray, steps: int) -> FloatArray:

@@ -5,20 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cagemap.basis.eigen import EigenPairs
-from cagemap.basis.error_estimate import Prediction
+from cagemap.basis.error_estimate import ErrorEstimate
 from cagemap.errors import ParameterError
 
-FloatArray = NDArray[np.float64]
-
-# The relative eigenvalue error of pair j at a level with n vertices is about (j / (c n))^3, c between these two on the
+# The relative eigenvalue error of pair j at a level with n vertices is about (j / (c n))^3, c between these two on all
 # surfaces measured: simple plump ones have the larger, bodies with fingers the smaller.
 REACH = 0.5
 LEAST_REACH = 0.14
-# What the prediction for the next level leaves out: unfinished conjugate gradients and all finer levels.
-SAFETY = 2.0
 # How far below the last good pair a level may stop in order to end at a wide gap.
 _GAP_SEARCH = 0.25
 
@@ -37,7 +31,8 @@ class BasisConfig:
         The paper's fixed schedule: number of pairs k_l that each level adds, level 0 first. Then ``count`` and
         ``tolerance`` are not used.
     accuracy : float
-        Convergence of the eigensolver at its own level: residual relative to the eigenvalue.
+        Convergence of the eigensolver at its own level, relative to the eigenvalues of the inverted problem.
+        Levels of more than 30 000 vertices may stop once their eigenvalues are within a quarter of ``tolerance``.
     """
 
     count: int = 300
@@ -92,21 +87,7 @@ def plausible_count(vertices: int, tolerance: float, seen: float) -> int:
     return max(1, int(min(count, vertices / 3.0)))
 
 
-def relative_errors(pairs: EigenPairs, prediction: Prediction | None) -> FloatArray:
-    """Estimated error of every eigenvalue of a level against the finest one, relative; zero at the finest.
-
-    Indices are compared: pair j of one level with pair j of the other.
-    """
-    if prediction is None:
-        return np.zeros(len(pairs.values))
-    # The constant function has eigenvalue 0 at every level; Weyl's mean distance stands in for it.
-    scale = np.maximum(prediction.values, 1e-3 * pairs.values[-1])
-    return SAFETY * np.maximum(pairs.values - prediction.values, 0.0) / scale
-
-
-def choose_split(
-    pairs: EigenPairs, prediction: Prediction | None, present: int, config: BasisConfig
-) -> tuple[int, int]:
+def choose_split(estimate: ErrorEstimate, first: int, wanted: int, tolerance: float) -> tuple[int, int]:
     """How many new pairs of a window a level keeps.
 
     All pairs kept meet the tolerance. Among the last places that allow it, the window is cut where fewest directions
@@ -114,29 +95,25 @@ def choose_split(
 
     Parameters
     ----------
-    pairs : EigenPairs
-        Window of pairs of the level.
-    prediction : Prediction or None
-        None at the finest level, where all are kept.
-    present : int
-        Number of functions that the basis has already.
-    config : BasisConfig
+    estimate : ErrorEstimate
+        Of the window of pairs.
+    first : int
+        How many pairs of the window the basis has already.
+    wanted : int
+        How many are still wanted in all.
+    tolerance : float
+        Relative.
 
     Returns
     -------
     good : int
-        Index in the spectrum up to which all pairs meet the tolerance.
+        Number of new pairs that meet the tolerance.
     kept : int
-        Number of new pairs to keep.
+        Number of new pairs to keep, at most ``good``.
     """
-    first = present - pairs.first_index
-    new = len(pairs.values) - first
-    if prediction is None:
-        return pairs.last_index, new
-    bad = np.flatnonzero(relative_errors(pairs, prediction)[first:] > config.tolerance)
-    limit = int(bad[0]) if len(bad) else new
-    if limit == 0 or present + limit >= config.count:
-        return present + limit, limit
-    places = np.arange(max(1, int((1.0 - _GAP_SEARCH) * limit)), limit + 1)
-    leaks = [prediction.leak(first + int(place)) for place in places]
-    return present + limit, int(places[np.argmin(leaks)])
+    bad = np.flatnonzero(estimate.errors[first:] > tolerance)
+    good = int(bad[0]) if len(bad) else len(estimate.errors) - first
+    if good == 0 or good >= wanted:
+        return good, min(good, wanted)
+    places = np.arange(max(1, int((1.0 - _GAP_SEARCH) * good)), good + 1)
+    return good, int(places[np.argmin(estimate.leaks[first + places])])
