@@ -151,7 +151,6 @@ def _whole_polygons(control: ControlMesh, charts: _Charts) -> tuple[IndexArray, 
         (charts.triangles[:, 0] == corner_uvs[begin[face]])
         & (charts.triangles[:, 1] == corner_uvs[begin[face] + step + 1])
         & (charts.chart >= 0)
-        & (charts.chart == charts.chart[first_triangle[face]])
     )
     whole = np.bincount(face, agree, minlength=control.n_faces) == per_face
     whole &= _convex_faces(control, charts.uvs[corner_uvs])
