@@ -14,7 +14,7 @@ from cagemap.refinement import refine, triangles
 from cagemap.transfer.packing import pack_islands
 from cagemap.transfer.surface import triangle_areas, triangle_neighbors
 from cagemap.transfer.texels import lay_out, rasterize_band
-from cagemap.transfer.unwrap import unwrap
+from cagemap.transfer.unwrap import _is_convex, _outline, unwrap
 
 SHAPES = {
     "cube": cube(),
@@ -81,6 +81,8 @@ def test_concave_polygons_become_convex_ones() -> None:
     sides = [[k, (k + 1) % 10, 10 + (k + 1) % 10, 10 + k] for k in range(10)]
     star = ControlMesh.from_faces(positions, [list(range(9, -1, -1)), list(range(10, 20)), *sides])
     check_layout(unwrap(star), 300)
+    for face in range(star.n_faces):
+        assert _is_convex(_outline(positions[star.face(face)]))
 
 
 def test_animals_come_in_few_islands(shared_data: Path) -> None:
