@@ -25,7 +25,7 @@ from cagemap.point_map.elastic_graph import (
     extrapolate,
     mesh_graph,
 )
-from cagemap.point_map.landmark_coordinates import interpolants, landmark_coordinates
+from cagemap.point_map.landmark_coordinates import coordinate_match, interpolants, landmark_coordinates
 from cagemap.point_map.quality import map_positions, measure_quality
 from cagemap.refinement import Refinement, refine
 
@@ -141,6 +141,31 @@ def test_same_shape_other_cage_gives_the_identity(shape: tuple[Refinement, float
     assert figures.landmark_errors.max() < 1e-12
     assert figures.flipped_area < 2e-3
     assert figures.coverage > 0.99
+
+
+def test_landmark_coordinates_alone_lead_to_the_map_of_a_bent_twin(shape: tuple[Refinement, float]) -> None:
+    target, target_scale = shape
+    cage = target.control
+    # Swell and bend the shape smoothly: every vertex keeps its meaning, so the true map is the identity.
+    x, y, z = (cage.positions / np.ptp(cage.positions)).T
+    bent = np.column_stack([x * (1 + 0.5 * z), y + 0.2 * z**2, z * (1 + 0.3 * x)])
+    source, source_scale = unit_refinement(cage.with_positions(bent), 3)
+    landmarks = np.arange(0, cage.n_vertices, 8)
+    coordinates = []
+    for refinement in (target, source):
+        operators = build_operators(refinement)
+        coordinates.append(landmark_coordinates(operators.stiffness[2], operators.mass[2], landmarks))
+    match = coordinate_match(*coordinates)
+    np.testing.assert_array_equal(match[landmarks], landmarks)
+    faces = level_faces(source, 3)[1]
+    found = elastic_map(target, source, (target_scale, source_scale), (2, 2), match, (landmarks, landmarks))
+    truth = source_scale * source.finest.positions
+    image = map_positions(truth, faces, found.triangle, found.barycentric)
+    error = np.linalg.norm(image - truth, axis=1)
+    assert error[landmarks].max() < 1e-12
+    started = np.linalg.norm(truth[match] - truth[: len(match)], axis=1)
+    assert error.mean() < 0.3 * started.mean()
+    assert error.mean() < 0.008
 
 
 def test_interpolants_have_unit_values_and_are_harmonic(shape: tuple[Refinement, float]) -> None:

@@ -59,7 +59,7 @@ class ElasticConfig:
     """
 
     coarse_vertices: int = 1500
-    coarse: Stage = Stage(20, (5e-3, 2e-4), 1e-2)
+    coarse: Stage = Stage(40, (5e-2, 2e-4), 1e-1)
     fine: Stage = Stage(6, (2e-4, 5e-5), 1e-3)
     normal_weight: float = 0.03
     projection_normal_weight: float = 0.02
