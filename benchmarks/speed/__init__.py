@@ -1,0 +1,4 @@
+"""The speed benchmark (protocol A): every part checks its result before its time counts.
+
+``python -m benchmarks.speed`` runs all parts; see ``--help``.
+"""

@@ -1,0 +1,148 @@
+"""Markdown of measured figures; no number in the docs is typed by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from benchmarks.speed.measure import Figures
+
+
+def markdown(figures: Figures) -> str:
+    """All parts that were measured, each with its machine."""
+    lines: list[str] = []
+    for name, (title, body) in SECTIONS.items():
+        if name not in figures:
+            continue
+        part = figures[name]
+        lines += [f"### {title}", ""]
+        lines += [f"Not measured: {part['skipped']}."] if "skipped" in part else body(part)
+        lines += ["", _footnote(part["machine"]), ""]
+    return "\n".join(lines)
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:
+    """Lines of a Markdown table; the first column is text."""
+    lines = ["| " + " | ".join(head) + " |", "|---|" + "---:|" * (len(head) - 1)]
+    return lines + ["| " + " | ".join(str(cell) for cell in row) + " |" for row in rows]
+
+
+def _footnote(on: Figures) -> str:
+    load = on.get("load_before")
+    shared = f"; load average before: {load:.1f}" if load is not None else ""
+    libraries = ", ".join(f"{name} {on[name]}" for name in ("numpy", "scipy", "numba", "rslab"))
+    return (
+        f"*{on['cores']} cores of {on['processor']}, Python {on['python']}, {libraries}; commit {on['commit']}, "
+        f"{on['date']}{shared}.*"
+    )
+
+
+def seconds(value: float) -> str:
+    """Three digits, as many as are worth something."""
+    return f"{value:.0f} s" if value >= 100 else f"{value:.1f} s" if value >= 10 else f"{value:.2f} s"
+
+
+def gigabytes(value: float) -> str:
+    """Bytes in GB."""
+    return f"{value / 1e9:.2f} GB"
+
+
+def thousands(value: float) -> str:
+    """A count of vertices."""
+    return f"{value / 1000:.0f}k"
+
+
+def _sides(vertices: Sequence[float]) -> str:
+    return " + ".join(thousands(n) for n in vertices)
+
+
+def _pair(measured: Figures) -> tuple[str, str]:
+    return seconds(measured["wall"]), seconds(measured["cpu"])
+
+
+def _start(part: Figures) -> list[str]:
+    rows = [
+        ("`cagemap --help`", *_pair(part["help"])),
+        ("a small match and bake, first run", *_pair(part["first"])),
+        ("the same again", *_pair(part["second"])),
+        ("difference: compilation", *_pair(part["compilation"])),
+    ]
+    return table(["", "wall", "processor"], rows)
+
+
+def _basis(part: Figures) -> list[str]:
+    exact = part["eigsh"]
+    rows = [(f"SciPy `eigsh`, exact, at {thousands(part['vertices'])} vertices", *_pair(exact), "", "")]
+    for name in part:
+        if name.startswith("ours "):
+            tolerance = name.removeprefix("ours ")
+            ratio = exact["cpu"] / part[name]["cpu"]
+            label = f"cagemap, tolerance {tolerance}, bands {part[f'schedule {tolerance}']}"
+            rows.append((label, *_pair(part[name]), f"{part[f'error {tolerance}']:.1e}", f"{ratio:.0f}x"))
+    head = [f"{part['count']} eigenpairs", "wall", "processor", "largest eigenvalue error", "ratio (processor)"]
+    return table(head, rows)
+
+
+def _match(part: Figures) -> list[str]:
+    prepared = part["prepared"]
+    sizes = _sides(part["vertices"])
+    rows = [
+        (f"two OBJ files to RESULT, {sizes}", *_pair(part), gigabytes(part["peak"])),
+        ("both surfaces prepared", *_pair(prepared["total"]), gigabytes(prepared["process"]["peak"])),
+        ("- of it reading them", *_pair(prepared["load"]), ""),
+        ("- of it the match", *_pair(prepared["match"]), ""),
+    ]
+    lines = table(["", "wall", "processor", "peak memory"], rows)
+    lines += ["", f"Mean error against the true map: {part['accuracy']:.2f} (x100 of sqrt(area)). Stages (wall):", ""]
+    return lines + table(["stage", "wall"], [(name, seconds(value)) for name, value in part["stages"].items()])
+
+
+def _growth(part: Figures) -> list[str]:
+    rows = [(_sides(row["vertices"]), *_pair(row), gigabytes(row["peak"])) for row in part["rows"]]
+    slopes = part["slopes"]
+    rows.append(("log-log slope", f"{slopes['wall']:.2f}", f"{slopes['cpu']:.2f}", f"{slopes['peak']:.2f}"))
+    return table(["vertices", "wall", "processor", "peak memory"], rows)
+
+
+def _bake(part: Figures) -> list[str]:
+    rows = [("put the map into bakeable form", *_pair(part["prepare"]))]
+    rows += [
+        (f"{name.removeprefix('bake ')} x {name.removeprefix('bake ')}", *_pair(part[name]))
+        for name in part
+        if name.startswith("bake ")
+    ]
+    return table(["", "wall", "processor"], rows)
+
+
+def _landmark(part: Figures) -> list[str]:
+    row = (f"one landmark added, {_sides(part['vertices'])}", *_pair(part["preview"]), f"{part['mean error']:.2f}")
+    return table(["", "wall", "processor", "mean error x100"], [row])
+
+
+def _peers(part: Figures) -> list[str]:
+    rows = []
+    for row in part["rows"]:
+        theirs, ours = row["pyFM"], row["ours"]
+        steps, wanted = theirs["steps"]
+        note = "" if steps == wanted else f" ({steps} of {wanted} ZoomOut steps run, the rest extrapolated)"
+        rows.append(
+            (
+                _sides(theirs["vertices"]) + note,
+                seconds(theirs["total"]),
+                seconds(ours["wall"]),
+                f"{row['ratio']:.0f}x",
+                f"{theirs['mean error']:.2f}",
+                f"{row['ours error']:.2f}",
+            )
+        )
+    return table(["vertices", "pyFM", "cagemap", "ratio (wall)", "pyFM error x100", "cagemap error x100"], rows)
+
+
+SECTIONS: dict[str, tuple[str, Callable[[Figures], list[str]]]] = {
+    "start": ("Start and first run", _start),
+    "basis": ("Basis against SciPy", _basis),
+    "match": ("A whole match", _match),
+    "growth": ("Growth", _growth),
+    "bake": ("Bake", _bake),
+    "landmark": ("One landmark added", _landmark),
+    "peers": ("Against pyFM", _peers),
+}

@@ -1,0 +1,303 @@
+"""What runs in a process of its own: each task checks its result, then says what it took.
+
+``python -m benchmarks.speed.tasks NAME ARGUMENTS.json ANSWER.json``
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.speed.data import BASIS_CAGE, PAIRS, HumanPair
+from benchmarks.speed.measure import Figures, timed
+
+# Bars of the accuracy issues, x100 of sqrt(area), with room for other machines' roundings: a fast wrong map is no map.
+MEAN_ERROR = 2.6
+WARM_LEVEL = 1
+
+
+def basis(level: int, count: int, tolerances: list[float], exact: bool) -> Figures:
+    """Our basis at several tolerances, and SciPy's exact one on the same finest operators."""
+    from scipy.sparse.linalg import eigsh
+
+    from cagemap.basis import BasisConfig, hierarchical_basis
+    from cagemap.basis.threads import one_blas_thread
+    from cagemap.files.meshes import read_mesh
+    from cagemap.operators import build_operators
+    from cagemap.refinement import refine
+
+    figures: Figures = {"count": count}
+    control = read_mesh(BASIS_CAGE)
+    warm = refine(control, WARM_LEVEL)
+    hierarchical_basis(warm, build_operators(warm), BasisConfig(count=20))
+    with timed(figures, "refine"):
+        refinement = refine(control, level)
+    with timed(figures, "operators"):
+        operators = build_operators(refinement)
+    figures["vertices"] = refinement.finest.n_vertices
+    made = {}
+    for tolerance in tolerances:
+        with one_blas_thread(), timed(figures, f"ours {tolerance:g}"):
+            made[tolerance] = hierarchical_basis(refinement, operators, BasisConfig(count=count, tolerance=tolerance))
+        figures[f"schedule {tolerance:g}"] = list(made[tolerance].schedule)
+    if not exact:
+        return figures
+    with timed(figures, "eigsh"):
+        values = eigsh(
+            operators.stiffness[-1], k=count, M=operators.mass[-1], sigma=-1.0, which="LM", return_eigenvectors=True
+        )[0]
+    values = np.sort(values)
+    for tolerance, found in made.items():
+        errors = (np.sort(found.eigenvalues) - values) / np.maximum(values, values[1])
+        figures[f"error {tolerance:g}"] = float(np.abs(errors).max())
+        if not np.abs(errors).max() <= tolerance:
+            raise AssertionError(f"eigenvalues: expected within {tolerance:g}, got {np.abs(errors).max():.2e}")
+    return figures
+
+
+def warm_up() -> Figures:
+    """Compile every kernel of a match and a bake, where that has not been done."""
+    with tempfile.TemporaryDirectory() as cache:
+        surfaces = _surfaces(PAIRS["proxies"], WARM_LEVEL, 50, cache)
+        result = _match(PAIRS["proxies"], surfaces, 50)
+        _bake(result, 256)
+    return {}
+
+
+def check_map(pair: str, result: str) -> Figures:
+    """Mean error of a stored match against the true map, x100 of sqrt(area)."""
+    from cagemap.files.result import read_result
+
+    stored = read_result(result)
+    triangles = stored.source_triangles
+    return _assert_accurate(
+        PAIRS[pair], stored.target.level, stored.source.level, stored.triangle, stored.barycentric, triangles
+    )
+
+
+def prepared_match(pair: str, level: int, count: int, cache: str, output: str) -> Figures:
+    """A match of two prepared surfaces, read from where they are stored (the first call stores them)."""
+    from cagemap.files.result import result_of, write_result
+
+    figures: Figures = {}
+    _surfaces(PAIRS[pair], level, count, cache)
+    with timed(figures, "total"):
+        with timed(figures, "load"):
+            surfaces = _surfaces(PAIRS[pair], level, count, cache)
+        with timed(figures, "match"):
+            result = _match(PAIRS[pair], surfaces, count)
+        with timed(figures, "write"):
+            write_result(output, result_of(result))
+    return figures | {"vertices": _sizes(surfaces)}
+
+
+def landmark_added(pair: str, level: int, count: int, cache: str) -> Figures:
+    """From one landmark more to the new map, surfaces prepared."""
+    figures: Figures = {}
+    surfaces = _surfaces(PAIRS[pair], level, count, cache)
+    whole = _landmarks(PAIRS[pair])
+    fewer = replace(whole, names=whole.names[:-1], target=whole.target[:-1], source=whole.source[:-1])
+    _match(PAIRS[pair], surfaces, count, fewer)
+    with timed(figures, "preview"):
+        result = _match(PAIRS[pair], surfaces, count, whole)
+    figures |= _assert_accurate(
+        PAIRS[pair],
+        level,
+        level,
+        result.point_map.triangle,
+        result.point_map.barycentric,
+        _triangles(result.source),
+    )
+    return figures | {"vertices": _sizes(surfaces), "timings": result.timings}
+
+
+def bake(result: str, sizes: list[int]) -> Figures:
+    """A texture through a stored map, in memory; first the map that is the identity must give the texture back."""
+    from cagemap.files.result import read_result
+    from cagemap.point_map.point_map import PointMap
+    from cagemap.transfer import bake_texture, prepare_transfer
+
+    figures: Figures = {}
+    stored = read_result(result)
+    source, target = stored.source.refinement().finest, stored.target.refinement().finest
+    figures["identity error"] = _identity_error(source, stored.source_triangles)
+    point_map = PointMap(stored.triangle, stored.barycentric)
+    with timed(figures, "prepare"):
+        transfer = prepare_transfer(target, source, point_map)
+    for size in sizes:
+        texture = _smooth_texture(size)
+        with timed(figures, f"bake {size}"):
+            bake_texture(transfer, texture, size=size, dtype=texture.dtype)
+    return figures
+
+
+def peer(pair: str, level: int, python: str, budget: float, folder: str) -> Figures:
+    """pyFM on the triangulated finest meshes with the same landmarks, and its error."""
+    import subprocess
+
+    from cagemap.files.meshes import read_mesh
+    from cagemap.refinement import refine, triangles
+
+    chosen = PAIRS[pair]
+    landmarks = _landmarks(chosen)
+    arrays: dict[str, Any] = {"landmarks": np.column_stack([landmarks.source, landmarks.target])}
+    for side, file in (("source", chosen.source_file), ("target", chosen.target_file)):
+        finest = refine(read_mesh(file), level).finest
+        arrays |= {f"{side}_vertices": finest.positions, f"{side}_triangles": triangles(finest.faces)}
+    given, answer = Path(folder) / "given.npz", Path(folder) / "answer.npz"
+    np.savez(given, **arrays)
+    worker = Path(__file__).with_name("pyfm_worker.py")
+    done = subprocess.run(
+        [python, str(worker), str(given), str(answer), str(budget)], capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        raise RuntimeError(f"pyFM failed: {done.stderr[-2000:]}")
+    stored = np.load(answer)
+    match = stored["match"]
+    # A vertex of the source as a point: the corner of any triangle around it.
+    source_triangles = arrays["source_triangles"]
+    triangle = np.empty(len(arrays["source_vertices"]), dtype=np.int64)
+    corner = np.empty_like(triangle)
+    for place in range(3):
+        triangle[source_triangles[:, place]], corner[source_triangles[:, place]] = (
+            np.arange(len(source_triangles)),
+            place,
+        )
+    barycentric = np.eye(3)[corner[match]]
+    error = _mean_error(chosen, level, level, triangle[match], barycentric, source_triangles)
+    stages = dict(zip(stored["stages"].tolist(), stored["seconds"].tolist(), strict=True))
+    return {
+        "vertices": [len(arrays["target_vertices"]), len(arrays["source_vertices"])],
+        "stages": stages,
+        "total": sum(stages.values()),
+        "steps": [int(stored["steps"]), int(stored["wanted"])],
+        "mean error": error,
+    }
+
+
+def _surfaces(pair: HumanPair, level: int, count: int, cache: str) -> tuple[Any, Any]:
+    from cagemap.basis import BasisConfig
+    from cagemap.basis.threads import in_threads
+    from cagemap.files.meshes import read_mesh
+    from cagemap.files.surface_store import prepared
+
+    config = BasisConfig(count=count)
+    files = [pair.target_file, pair.source_file]
+    target, source = in_threads(lambda file: prepared(cache, read_mesh(file), level, config), files)
+    return target, source
+
+
+def _landmarks(pair: HumanPair) -> Any:
+    from cagemap.files.landmarks import read_landmarks
+
+    return read_landmarks(pair.landmarks, pair.target_file, pair.source_file)[0]
+
+
+def _match(pair: HumanPair, surfaces: tuple[Any, Any], count: int, landmarks: Any = None) -> Any:
+    from cagemap.basis import BasisConfig
+    from cagemap.pipeline import MatchConfig, match
+
+    return match(*surfaces, landmarks or _landmarks(pair), MatchConfig(basis=BasisConfig(count=count)))
+
+
+def _sizes(surfaces: tuple[Any, Any]) -> list[int]:
+    return [surface.refinement.finest.n_vertices for surface in surfaces]
+
+
+def _triangles(surface: Any) -> Any:
+    from cagemap.refinement import triangles
+
+    return triangles(surface.refinement.finest.faces)
+
+
+def _mean_error(
+    pair: HumanPair, target_level: int, source_level: int, triangle: Any, barycentric: Any, source_triangles: Any
+) -> float:
+    """Mean distance on the source between the map and the true one, x100 of sqrt(area) (protocol B)."""
+    from cagemap.files.meshes import read_mesh
+    from cagemap.point_map.quality import map_positions, surface_area
+    from cagemap.point_map.truth import true_map
+    from cagemap.refinement import refine, triangles
+
+    levels = (target_level, source_level)
+    target, source = (refine(read_mesh(f), n).finest for f, n in zip(pair.neutral_files, levels, strict=True))
+    true_triangle, true_barycentric, known = true_map(
+        target.positions, triangles(target.faces), source.positions, source_triangles
+    )
+    positions = refine(read_mesh(pair.source_file), source_level).finest.positions
+    positions = positions / np.sqrt(surface_area(positions, source_triangles))
+    image = map_positions(positions, source_triangles, triangle, barycentric)
+    truth = map_positions(positions, source_triangles, true_triangle, true_barycentric)
+    return float(100 * np.linalg.norm(image - truth, axis=1)[known].mean())
+
+
+def _assert_accurate(*arguments: Any) -> Figures:
+    error = _mean_error(*arguments)
+    if not error <= MEAN_ERROR:
+        raise AssertionError(
+            f"map: expected a mean error of at most {MEAN_ERROR} (x100 of sqrt(area)), got {error:.2f}"
+        )
+    return {"mean error": error}
+
+
+def _smooth_texture(size: int) -> Any:
+    """A texture whose colour is a smooth function of the place: red by column, green by row, blue by both."""
+    line = (np.arange(size) + 0.5) / size
+    blue = 0.5 + 0.5 * np.sin(6 * line)[:, None] * np.cos(5 * line)[None, :]
+    image = np.stack([*np.broadcast_arrays(line[None, :], line[:, None], blue)], axis=2)
+    return np.rint(255 * image).astype(np.uint8)
+
+
+def _identity_error(level: Any, source_triangles: Any, size: int = 1024) -> float:
+    """Largest difference, of 255, between a texture and itself baked through the identity, inside the islands."""
+    from cagemap.point_map.point_map import PointMap
+    from cagemap.transfer import bake_texture, prepare_transfer
+
+    n = len(level.positions)
+    triangle, barycentric = np.zeros(n, dtype=np.int64), np.zeros((n, 3))
+    for corner in range(3):
+        triangle[source_triangles[:, corner]] = np.arange(len(source_triangles))
+    rows, columns = np.nonzero(source_triangles[triangle] == np.arange(n)[:, None])
+    barycentric[rows, columns] = 1.0
+    texture = _smooth_texture(size)
+    baked = bake_texture(
+        prepare_transfer(level, level, PointMap(triangle, barycentric)), texture, size=size, dtype=texture.dtype
+    )
+    inside = _covered(level, size)
+    difference = np.abs(baked.astype(int) - texture.astype(int)).max(axis=2)[inside]
+    share = float(np.mean(difference > 2))
+    if share > 0.01:
+        raise AssertionError(f"bake: expected the identity to keep the texture, {100 * share:.1f} % of texels differ")
+    return float(np.percentile(difference, 99))
+
+
+def _covered(level: Any, size: int) -> Any:
+    """(size, size) whether a texel lies inside an island: some face's centre is in it."""
+    centres = level.uvs[level.uv_indices].mean(axis=1)
+    column = np.clip((centres[:, 0] * size).astype(int), 0, size - 1)
+    row = np.clip(((1 - centres[:, 1]) * size).astype(int), 0, size - 1)
+    covered = np.zeros((size, size), dtype=bool)
+    covered[row, column] = True
+    return covered
+
+
+def _bake(result: Any, size: int) -> None:
+    from cagemap.transfer import bake_texture, prepare_transfer
+
+    levels = result.target.refinement.finest, result.source.refinement.finest
+    texture = _smooth_texture(size)
+    bake_texture(prepare_transfer(*levels, result.point_map), texture, size=size, dtype=texture.dtype)
+
+
+TASKS = {task.__name__: task for task in (basis, warm_up, check_map, prepared_match, landmark_added, bake, peer)}
+
+
+if __name__ == "__main__":
+    name, arguments, answer = sys.argv[1:]
+    Path(answer).write_text(json.dumps(TASKS[name](**json.loads(arguments))))
