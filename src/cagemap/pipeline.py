@@ -17,14 +17,16 @@ from cagemap.mesh import ControlMesh, FloatArray, IndexArray
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.operators import build_operators
+from cagemap.point_map.elastic import ElasticConfig
 from cagemap.point_map.hierarchical import HierarchyConfig, Pair, hierarchical_map, level_triangles
 from cagemap.point_map.point_map import PointMap
 from cagemap.point_map.quality import QualityFigures, measure_quality
+from cagemap.point_map.refined import RefinedConfig, refined_map
 from cagemap.refinement import Scheme, refine
 
 Progress = Callable[[str], None]
 
-METHODS = ("hfm",)
+METHODS = ("elastic", "hfm")
 # A level counts as having the vertices asked for from this share on; the next one has four times as many.
 ENOUGH = 0.75
 MOST_LEVELS = 12
@@ -37,18 +39,22 @@ class MatchConfig:
     Attributes
     ----------
     method : str
+        "elastic": the spectral map with landmark coordinates, finished by an elastic fit; landmarks are met exactly.
         "hfm": the paper's hierarchical functional map with spectral upsampling.
     basis : BasisConfig
         Number of functions, eigenvalue tolerance or the paper's fixed schedule.
     hierarchy : HierarchyConfig
         Descriptors, weights and search.
+    elastic : ElasticConfig
+        The elastic fit.
     use_symmetry : bool
         Detect each control mesh's mirror symmetry and, where both have one, let the map commute with it (paper, 5.2).
     """
 
-    method: str = "hfm"
+    method: str = "elastic"
     basis: BasisConfig = BasisConfig()
     hierarchy: HierarchyConfig = HierarchyConfig()
+    elastic: ElasticConfig = ElasticConfig()
     use_symmetry: bool = True
 
     def __post_init__(self) -> None:
@@ -217,7 +223,11 @@ def match(
     pair = Pair(target, source, landmarks.target, landmarks.source, *symmetries)
     with one_blas_thread():
         with _timed(timings, "map"):
-            functional_map, point_map = hierarchical_map(pair, config.hierarchy, progress)
+            if config.method == "hfm":
+                functional_map, point_map = hierarchical_map(pair, config.hierarchy, progress)
+            else:
+                refined = RefinedConfig(config.hierarchy, config.elastic)
+                functional_map, point_map = refined_map(pair, refined, progress)
         progress("quality")
         with _timed(timings, "quality"):
             quality = judge(target, source, point_map, landmarks)

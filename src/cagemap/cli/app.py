@@ -35,6 +35,7 @@ ResultFolder = Annotated[Path, typer.Argument(help="Folder that `cagemap match` 
 class Method(StrEnum):
     """Matching methods."""
 
+    ELASTIC = "elastic"
     HFM = "hfm"
 
 
@@ -165,10 +166,26 @@ def match(
             show_default=False,
         ),
     ] = None,
-    method: Annotated[Method, typer.Option("--method", help="hfm: hierarchical functional map.")] = Method.HFM,
+    method: Annotated[
+        Method,
+        typer.Option(
+            "--method",
+            help="elastic: spectral map finished by an elastic fit, landmarks met exactly. "
+            "hfm: the paper's hierarchical functional map.",
+        ),
+    ] = Method.ELASTIC,
     symmetry: Annotated[
         bool, typer.Option("--symmetry/--no-symmetry", help="Use mirror symmetry where both meshes have it.")
     ] = True,
+    exchange_landmarks: Annotated[
+        bool, typer.Option("--exchange-landmarks", help="The landmark file was made for the other direction.")
+    ] = False,
+    cache: Annotated[
+        Path | None,
+        typer.Option(
+            "--cache", help="Folder that keeps prepared surfaces, so that each is prepared once.", show_default=False
+        ),
+    ] = None,
 ) -> None:
     """Find for every point of the target its place on the source.
 
@@ -191,6 +208,8 @@ def match(
         schedule=schedule,
         method=method.value,
         symmetry=symmetry,
+        exchange_landmarks=exchange_landmarks,
+        cache=cache,
     )
     with Stages() as stages:
         summary, warnings = run_match(request, stages)

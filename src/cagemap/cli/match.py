@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,11 @@ from cagemap.errors import ParameterError
 from cagemap.files.landmarks import read_landmarks
 from cagemap.files.meshes import read_mesh
 from cagemap.files.result import Result, file_hash, peak_memory, result_of, write_result
+from cagemap.files.surface_store import prepared
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
-from cagemap.pipeline import MatchConfig, choose_level, match, prepare_pair
+from cagemap.pipeline import MatchConfig, choose_level, match, prepare_pair, prepare_surface
 
 DEFAULT_VERTICES = 200_000
 
@@ -36,8 +38,10 @@ class MatchRequest:
     k: int = 300
     tolerance: float = 0.01
     schedule: str | None = None
-    method: str = "hfm"
+    method: str = "elastic"
     symmetry: bool = True
+    exchange_landmarks: bool = False
+    cache: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,7 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
         "schedule": request.schedule,
         "method": request.method,
         "symmetry": request.symmetry,
+        "exchange_landmarks": request.exchange_landmarks,
     }
     result = match_meshes(
         inputs,
@@ -75,6 +80,7 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
         stages,
         level=request.level,
         vertices=request.vertices,
+        cache=request.cache,
         entries={"parameters": parameters, "inputs": hashes},
     )
     stages("write")
@@ -105,7 +111,11 @@ def parse_schedule(text: str) -> tuple[int, ...]:
 def read_inputs(request: MatchRequest) -> Inputs:
     """Read both meshes and the landmarks, and check all of them before anything expensive begins."""
     target, source = (replace(read_mesh(path), name=path.name) for path in (request.target, request.source))
-    landmarks, notes = read_landmarks(request.landmarks, request.target, request.source)
+    if request.exchange_landmarks:
+        exchanged, notes = read_landmarks(request.landmarks, request.source, request.target)
+        landmarks = exchanged.reversed()
+    else:
+        landmarks, notes = read_landmarks(request.landmarks, request.target, request.source)
     require_valid(target)
     require_valid(source)
     check_landmarks(landmarks, target, source)
@@ -119,6 +129,7 @@ def match_meshes(
     *,
     level: int | None = None,
     vertices: int | None = None,
+    cache: Path | None = None,
     entries: dict[str, Any] | None = None,
 ) -> Result:
     """Prepare both surfaces, match them, and gather what is stored."""
@@ -126,7 +137,10 @@ def match_meshes(
     for control in (inputs.target, inputs.source):
         levels.append(choose_level(control, vertices or DEFAULT_VERTICES) if level is None else level)
         require_size(control, levels[-1])
-    target, source = prepare_pair(inputs.target, inputs.source, (levels[0], levels[1]), config.basis, progress=stages)
+    prepare = prepare_surface if cache is None else partial(prepared, cache)
+    target, source = prepare_pair(
+        inputs.target, inputs.source, (levels[0], levels[1]), config.basis, prepare=prepare, progress=stages
+    )
     found = match(target, source, inputs.landmarks, config, progress=stages)
     stages("gather")
     manifest = {

@@ -10,18 +10,20 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.spatial import cKDTree
 
+from cagemap.basis.threads import in_threads
 from cagemap.mesh import IndexArray
 
 Embedding = NDArray[np.float32]
 
+# Queries of one block of `nearest_rows`: its distances take 4 bytes times the number of points each.
+BLOCK = 512
 # Weight of S_1^l from which a coarse vertex counts as a parent of a refined one, relative to the row's largest.
 PARENT_SHARE = 0.5
 
 
 def nearest_rows(queries: Embedding, points: Embedding) -> IndexArray:
-    """Index of the nearest point for every query; meant for the coarsest level.
+    """Index of the nearest point for every query, by blocked matrix products; meant for the coarsest level.
 
     Parameters
     ----------
@@ -34,10 +36,20 @@ def nearest_rows(queries: Embedding, points: Embedding) -> IndexArray:
 
     Notes
     -----
-    A surface's embedding is two-dimensional however many coordinates it has, which is what keeps a k-d tree fast: at
-    25k points and 150 coordinates 3 to 10 times faster than blocked matrix products.
+    O(b n k) work. A k-d tree is faster only where both embeddings already lie on each other: while a map is rough its
+    search degenerates (6k vertices, 200 coordinates: 2 s against 0.3 s).
     """
-    return np.asarray(cKDTree(points).query(queries, workers=-1)[1], dtype=np.int64)
+    half_norms = 0.5 * np.einsum("ij,ij->i", points, points)
+    transposed = np.ascontiguousarray(points.T)
+    nearest = np.empty(len(queries), dtype=np.int64)
+
+    def one_block(start: int) -> None:
+        scores = queries[start : start + BLOCK] @ transposed
+        scores -= half_norms
+        nearest[start : start + BLOCK] = np.argmax(scores, axis=1)
+
+    in_threads(one_block, range(0, len(queries), BLOCK))
+    return nearest
 
 
 def strongest_parents(subdivision: sparse.csr_array) -> sparse.csr_array:

@@ -14,7 +14,7 @@ from scipy import linalg
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.search import Embedding, nearest_rows
 
-# Target samples that fit C while k grows: twenty rows for each of the 300 unknowns of a column.
+# Samples of either surface while k grows: some twenty rows for each of the 300 unknowns of a column of C.
 FIT_SAMPLES = 6000
 
 
@@ -106,15 +106,21 @@ def upsample(target: Samples, source: Samples, match: IndexArray, sizes: list[in
     functional_map : (k, k) array, for the last k
     match : (b1,) array
     """
-    whole = target
-    chosen = spread(len(target.areas), FIT_SAMPLES)
-    target = Samples(target.rows[chosen], target.areas[chosen], target.coordinates[chosen])
-    match, functional_map = match[chosen], np.eye(1)
+    whole, every = target, source
+    target = _subset(target, spread(len(target.areas), FIT_SAMPLES))
+    source = _subset(source, spread(len(source.areas), FIT_SAMPLES))
+    rows = every.rows[match[spread(len(whole.areas), FIT_SAMPLES)]]
+    functional_map = np.eye(1)
     for k in sizes:
         k1, k2 = min(k, target.rows.shape[1]), min(k, source.rows.shape[1])
-        functional_map = fit_functional_map(target, source.rows[match, :k2], k1)
-        match = nearest_rows(embed_target(target, k1), embed_source(source, functional_map))
+        functional_map = fit_functional_map(target, rows[:, :k2], k1)
+        nearest = nearest_rows(embed_target(target, k1), embed_source(source, functional_map))
+        rows = source.rows[nearest]
     k1, k2 = functional_map.shape
-    functional_map = fit_functional_map(target, source.rows[match, :k2], k1)
-    match = nearest_rows(embed_target(whole, k1), embed_source(source, functional_map))
+    functional_map = fit_functional_map(target, rows[:, :k2], k1)
+    match = nearest_rows(embed_target(whole, k1), embed_source(every, functional_map))
     return functional_map, match
+
+
+def _subset(samples: Samples, chosen: IndexArray) -> Samples:
+    return Samples(samples.rows[chosen], samples.areas[chosen], samples.coordinates[chosen])
