@@ -31,13 +31,14 @@ def detect_mirror_symmetry(control: ControlMesh, tolerance: float = MIRROR_TOLER
     tree = cKDTree(positions)
     for normal in (*np.eye(3), *principal.T):
         mirrored = positions - 2.0 * np.outer(positions @ normal, normal)
-        distances, image = tree.query(mirrored)
+        distances, image = (np.atleast_1d(found) for found in tree.query(mirrored))
+        image = image.astype(np.int64)
         if distances.max() > tolerance * diagonal or not np.array_equal(image[image], np.arange(len(image))):
             continue
         if np.array_equal(image, np.arange(len(image))):
             continue  # a flat mesh mirrored onto itself says nothing
         if _sorted_faces(control, image) == faces:
-            return np.asarray(image, dtype=np.int64)
+            return image
     return None
 
 
@@ -76,7 +77,7 @@ def propagate_symmetry(subdivision: sparse.csr_array, symmetry: IndexArray) -> I
     probes = rng.standard_normal((subdivision.shape[1], 3))  # generic functions tell all rows of S^l apart
     rows = subdivision @ probes
     mirrored = subdivision @ probes[symmetry]
-    distances, image = cKDTree(rows).query(mirrored)
+    distances, image = (np.atleast_1d(found) for found in cKDTree(rows).query(mirrored))
     if distances.max() > 1e-9:
         raise ParameterError("symmetry: the refined mesh is not symmetric; is the given map one of the control mesh?")
     return np.asarray(image, dtype=np.int64)

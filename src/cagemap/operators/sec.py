@@ -39,6 +39,10 @@ class Operators:
         """Number of the finest level."""
         return len(self.mass) - 1
 
+    def areas(self, level: int) -> FloatArray:
+        """(n_l,) row sums of the mass matrix of a level, M^l 1: the area that each vertex stands for."""
+        return np.asarray(self.mass[level].sum(axis=1), dtype=np.float64).ravel()
+
     @property
     def finest_areas(self) -> FloatArray:
         """(n_f,) diagonal of the finest mass matrix."""

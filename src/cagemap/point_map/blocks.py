@@ -80,7 +80,7 @@ def search_candidates(
     for block in order:
         of_block = sparse.csr_array(parents[block])
         coarse = np.unique(coarse_match[of_block.indices])
-        candidates = np.unique(children[:, coarse].indices)
+        candidates = np.unique(children[:, coarse].indices).astype(np.int64)
         local[candidates] = np.arange(len(candidates))
         renamed = sparse.csc_array((children.data, local[children.indices], children.indptr), shape=children.shape)
         nearest = nearest_candidates(target.at(block), source.at(candidates), of_block, renamed, coarse_match)

@@ -255,7 +255,7 @@ def spectral_data(pair: Pair, levels: LevelPair, config: HierarchyConfig) -> tup
         if symmetry is not None:
             for subdivision in surface.refinement.matrices[:sampled]:
                 symmetry = propagate_symmetry(subdivision, symmetry)
-            areas = np.asarray(mass.sum(axis=1)).ravel()
+            areas = surface.operators.areas(sampled)
             operator = symmetry_operator(rows, rows[symmetry], areas, gram)
         return SpectralData(spectrum, np.hstack(columns), operator)
 
@@ -292,7 +292,7 @@ def refit(pair: Pair, levels: LevelPair, match: IndexArray) -> FloatArray:
     k1, k2 = _basis_size(pair.target, levels[0]), _basis_size(pair.source, levels[1])
     rows = spectral_rows(pair.target, levels[0], k1).at(chosen).astype(np.float64)
     values = spectral_rows(pair.source, levels[1], k2).at(match[chosen]).astype(np.float64)
-    areas = np.asarray(pair.target.operators.mass[levels[0]].sum(axis=1)).ravel()[chosen]
+    areas = pair.target.operators.areas(levels[0])[chosen]
     return fit_functional_map(Samples(rows, areas, np.zeros((len(rows), 0))), values, k1)
 
 
@@ -353,5 +353,5 @@ def _sample_level(surface: Surface, level: int) -> int:
 def _samples(surface: Surface, level: int, coordinates: FloatArray | None) -> Samples:
     """All vertices of a level with the row sums of its mass matrix as areas."""
     rows = evaluate(surface.basis, surface.refinement, level)
-    areas = np.asarray(surface.operators.mass[level].sum(axis=1)).ravel()
+    areas = surface.operators.areas(level)
     return Samples(rows, areas, np.zeros((len(rows), 0)) if coordinates is None else coordinates)

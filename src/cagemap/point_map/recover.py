@@ -87,7 +87,7 @@ def closest_on_triangle(gram: FloatArray, offset: FloatArray) -> FloatArray:
     return best
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _closest_uv(aa, ab, bb, pa, pb):  # type: ignore[no-untyped-def]
     """(u, v, squared distance less the constant) of the point of a triangle nearest to a point."""
     determinant = aa * bb - ab * ab
@@ -110,7 +110,7 @@ def _closest_uv(aa, ab, bb, pa, pb):  # type: ignore[no-untyped-def]
     return best_u, best_v, best
 
 
-@njit(cache=True, parallel=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, parallel=True, fastmath=True, nogil=True)
 def _vertex_to_point(target_rows, source_rows, triangles, starts, around, match):  # type: ignore[no-untyped-def]
     n, k = target_rows.shape
     triangle = np.empty(n, dtype=np.int64)

@@ -128,7 +128,7 @@ def nearest_candidates_reference(
     return nearest
 
 
-@njit(cache=True, parallel=True, fastmath=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, parallel=True, fastmath=True, nogil=True)
 def _nearest_candidates(target_rows, source_rows, parent_start, parents, child_start, children, coarse_match):  # type: ignore[no-untyped-def]
     n, k = target_rows.shape
     nearest = np.empty(n, dtype=np.int64)
