@@ -60,7 +60,7 @@ class ElasticConfig:
 
     coarse_vertices: int = 1500
     coarse: Stage = Stage(40, (5e-2, 2e-4), 1e-1)
-    fine: Stage = Stage(6, (2e-4, 5e-5), 1e-3)
+    fine: Stage = Stage(8, (1e-4, 1e-5), 1e-3)
     normal_weight: float = 0.03
     projection_normal_weight: float = 0.02
     landmark_weight: float = 1e2

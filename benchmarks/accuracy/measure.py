@@ -1,0 +1,182 @@
+"""Run a method on a pair and compare."""
+
+from __future__ import annotations
+
+import subprocess
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.accuracy.data import HumanPair, animal_pair
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.pipeline import MatchConfig, choose_level, match, prepare_pair
+from cagemap.point_map.elastic import level_faces
+from cagemap.point_map.point_map import PointMap
+from cagemap.point_map.quality import map_positions
+from cagemap.point_map.truth import compare_with_truth, round_trip, true_map
+
+WORKER = Path(__file__).resolve().parents[1] / "speed" / "pyfm_worker.py"
+
+
+@dataclass(frozen=True)
+class Side:
+    """A prepared surface with its neutral shape."""
+
+    surface: object
+    positions: np.ndarray
+    triangles: np.ndarray
+    neutral: np.ndarray
+
+
+def human_rows(
+    pair: HumanPair, vertices: int, counts: list[int], methods: list[str], pyfm: str | None, seconds: float
+) -> list[dict]:
+    """One row of figures for every method, number of landmarks and direction."""
+    sides = _sides(pair, vertices)
+    truths = [_truth(sides, direction) for direction in (0, 1)]
+    rows = []
+    for count in counts:
+        forward = pair.landmarks(count)
+        for method in methods:
+            maps, times = [], []
+            for landmarks, (source, target) in ((forward, sides), (forward.reversed(), sides[::-1])):
+                start = time.perf_counter()
+                maps.append(_map(method, target, source, landmarks, pyfm, seconds))
+                times.append(time.perf_counter() - start)
+            for direction, landmarks in ((0, forward), (1, forward.reversed())):
+                source, target = sides if direction == 0 else sides[::-1]
+                found, back = maps[direction], maps[1 - direction]
+                pairs = np.column_stack([landmarks.target, landmarks.source])
+                figures = compare_with_truth(
+                    target.positions, target.triangles, source.positions, source.triangles,
+                    found.triangle, found.barycentric, truths[direction], pairs,
+                )  # fmt: skip
+                trip = round_trip(
+                    target.positions, target.triangles, source.triangles,
+                    (found.triangle, found.barycentric), (back.triangle, back.barycentric),
+                )  # fmt: skip
+                names = (pair.first, pair.second) if direction == 0 else (pair.second, pair.first)
+                rows.append(
+                    {
+                        "pair": pair.key,
+                        "source": names[0],
+                        "target": names[1],
+                        "method": method,
+                        "landmarks": count,
+                        "vertices": [len(target.positions), len(source.positions)],
+                        "mean": 100 * figures.mean,
+                        "median": 100 * figures.median,
+                        "p95": 100 * figures.p95,
+                        "max": 100 * figures.maximum,
+                        "worst_landmark": 100 * figures.worst_landmark,
+                        "flipped": 100 * figures.flipped_area,
+                        "true_flipped": 100 * figures.true_flipped_area,
+                        "dirichlet_ratio": figures.dirichlet_ratio,
+                        "coverage": 100 * figures.coverage,
+                        "round_trip": 100 * float(trip.mean()),
+                        "known": 100 * figures.known,
+                        "seconds": times[direction],
+                    }
+                )
+                print(_line(rows[-1]), flush=True)
+    return rows
+
+
+def animal_rows(key: str, vertices: int, method: str, left_out: int) -> list[dict]:
+    """Both directions of a pair without truth; the leave-one-out error is over some evenly spaced landmarks."""
+    source_mesh, target_mesh, forward = animal_pair(key)
+    levels = (choose_level(target_mesh, vertices), choose_level(source_mesh, vertices))
+    target, source = prepare_pair(target_mesh, source_mesh, levels)
+    rows = []
+    for landmarks, to, of in ((forward, target, source), (forward.reversed(), source, target)):
+        config = MatchConfig(method=method)
+        result = match(to, of, landmarks, config)
+        positions = of.operators.scale * of.refinement.finest.positions
+        triangles = level_faces(of.refinement, of.refinement.n_levels)[1]
+        errors = []
+        for i in np.unique(np.linspace(0, len(landmarks) - 1, left_out).astype(int)):
+            less = _without(landmarks, int(i))
+            found = match(to, of, less, config).point_map
+            vertex = landmarks.target[i]
+            image = map_positions(positions, triangles, found.triangle[[vertex]], found.barycentric[[vertex]])
+            errors.append(float(np.linalg.norm(image - positions[landmarks.source[i]])))
+        figures = result.quality
+        rows.append(
+            {
+                "pair": key,
+                "source": of.control.name,
+                "target": to.control.name,
+                "method": method,
+                "vertices": [len(to.refinement.finest.positions), len(positions)],
+                "landmarks": len(landmarks),
+                "left_out_mean": 100 * float(np.mean(errors)),
+                "left_out_max": 100 * float(np.max(errors)),
+                "left_out": len(errors),
+                "worst_landmark": 100 * float(figures.landmark_errors.max()),
+                "flipped": 100 * figures.flipped_area,
+                "coverage": 100 * figures.coverage,
+                "dirichlet": figures.dirichlet,
+                "area_ratio_5": float(figures.area_ratios[1]),
+                "area_ratio_95": float(figures.area_ratios[3]),
+                "aspect_median": float(figures.aspect_ratios[0]),
+                "aspect_95": float(figures.aspect_ratios[1]),
+                "warnings": list(figures.warnings),
+            }
+        )
+        print(rows[-1], flush=True)
+    return rows
+
+
+def _without(landmarks: Landmarks, index: int) -> Landmarks:
+    keep = np.arange(len(landmarks)) != index
+    names = tuple(name for i, name in enumerate(landmarks.names) if i != index)
+    return replace(landmarks, names=names, target=landmarks.target[keep], source=landmarks.source[keep])
+
+
+def _sides(pair: HumanPair, vertices: int) -> tuple[Side, Side]:
+    """First and second mesh of a pair, prepared at the level with about so many vertices."""
+    meshes = pair.meshes()
+    levels = tuple(choose_level(mesh, vertices) for mesh in meshes)
+    surfaces = prepare_pair(meshes[0], meshes[1], (levels[0], levels[1]))
+    sides = []
+    for surface, neutral in zip(surfaces, pair.neutrals(), strict=True):
+        refinement = surface.refinement
+        top = refinement.n_levels
+        prolonged = refinement.prolong(neutral, 0, top)
+        sides.append(Side(surface, refinement.finest.positions, level_faces(refinement, top)[1], prolonged))
+    return sides[0], sides[1]
+
+
+def _truth(sides: tuple[Side, Side], direction: int) -> tuple:
+    source, target = sides if direction == 0 else sides[::-1]
+    return true_map(target.neutral, target.triangles, source.neutral, source.triangles)
+
+
+def _map(method: str, target: Side, source: Side, landmarks: Landmarks, pyfm: str | None, seconds: float) -> PointMap:
+    if method != "pyfm":
+        return match(target.surface, source.surface, landmarks, MatchConfig(method=method)).point_map
+    with tempfile.TemporaryDirectory() as folder:
+        given, answer = f"{folder}/in.npz", f"{folder}/out.npz"
+        np.savez(
+            given,
+            source_vertices=source.positions, source_triangles=source.triangles,
+            target_vertices=target.positions, target_triangles=target.triangles,
+            landmarks=np.column_stack([landmarks.source, landmarks.target]),
+        )  # fmt: skip
+        subprocess.run([str(pyfm), str(WORKER), given, answer, str(seconds)], check=True)
+        vertex = np.load(answer)["match"].astype(np.int64)
+    holder = np.zeros(len(source.positions), dtype=np.int64)
+    holder[source.triangles.ravel()] = np.repeat(np.arange(len(source.triangles)), 3)
+    triangle = holder[vertex]
+    return PointMap(triangle, (source.triangles[triangle] == vertex[:, None]).astype(np.float64))
+
+
+def _line(row: dict) -> str:
+    return (
+        f"{row['method']:8s} {row['source']} -> {row['target']} {row['landmarks']} landmarks: mean {row['mean']:.3f} "
+        f"p95 {row['p95']:.2f} flipped {row['flipped']:.3f} % Dirichlet {row['dirichlet_ratio']:.3f} "
+        f"coverage {row['coverage']:.2f} % ({row['seconds']:.1f} s)"
+    )
