@@ -77,6 +77,26 @@ def test_closest_points_agree_with_trying_every_triangle(seed: int, weight: floa
         np.testing.assert_allclose(np.linalg.norm(foot - points, axis=1), d, atol=1e-12)
 
 
+@settings(deadline=None, max_examples=15)
+@given(seed=st.integers(10, 10_000), weight=st.sampled_from([0.0, 0.3]), cosine=st.sampled_from([-2.0, 0.2]))
+def test_a_limit_leaves_out_what_is_farther_and_nothing_else(seed: int, weight: float, cosine: float) -> None:
+    rng = np.random.default_rng(seed)
+    positions = rng.standard_normal((30, 3))
+    triangles = np.array([rng.choice(30, 3, replace=False) for _ in range(50)])
+    points, normals = rng.standard_normal((20, 3)), normalized(rng.standard_normal((20, 3)))
+    options = {"normal_weight": weight, "minimum_cosine": cosine}
+    tree = build_tree(positions, triangles)
+    unlimited, _, distance = closest_points(tree, points, normals, **options)
+    found_normals = normalized(triangle_normals(positions, triangles))[unlimited]
+    cost = distance**2 + weight**2 * ((normals - found_normals) ** 2).sum(axis=1)
+    for guess in (None, rng.integers(-1, 50, 20)):
+        limit = np.sqrt(cost) * np.where(np.arange(20) % 2, 0.99, 1.01)
+        found, _, limited = closest_points(tree, points, normals, guess=guess, within=limit, **options)
+        np.testing.assert_array_equal(found >= 0, np.arange(20) % 2 == 0)
+        np.testing.assert_allclose(limited[::2], distance[::2], atol=1e-12)
+        assert np.isinf(limited[1::2]).all()
+
+
 def test_closest_points_returns_nothing_where_no_normal_agrees() -> None:
     positions, triangles = grid(4)
     down = np.tile([0.0, 0.0, -1.0], (2, 1))

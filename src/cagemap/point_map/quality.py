@@ -155,11 +155,15 @@ def covered_share(
     normals = vertex_normals(source, source_triangles)
     areas, lengths = _vertex_areas_and_lengths(source, source_triangles)
     judged = slice(0, min(samples, len(source)))
-    _, _, distance = closest_points(
-        build_tree(image, target_triangles), source[judged], normals[judged], minimum_cosine=0.0
+    reached, _, _ = closest_points(
+        build_tree(image, target_triangles),
+        source[judged],
+        normals[judged],
+        minimum_cosine=0.0,
+        within=0.5 * lengths[judged],
     )
     weights = areas[judged]
-    return float(weights[distance <= 0.5 * lengths[judged]].sum() / weights.sum())
+    return float(weights[reached >= 0].sum() / weights.sum())
 
 
 def trust_field(target: FloatArray, image: FloatArray, triangles: IndexArray, flipped: NDArray[np.bool_]) -> FloatArray:

@@ -111,6 +111,7 @@ def closest_points(
     normal_weight: float = 0.0,
     minimum_cosine: float = -2.0,
     guess: IndexArray | None = None,
+    within: FloatArray | float = np.inf,
 ) -> tuple[IndexArray, FloatArray, FloatArray]:
     """Closest point of a surface for every query, in position and normal.
 
@@ -130,14 +131,17 @@ def closest_points(
         Below -1 every triangle is allowed.
     guess : (m,) int64, optional
         A triangle for every query that is probably near; makes the search faster, never changes the minimum.
+    within : (m,) float64 or float
+        Only points whose cost (what is minimised) is below its square are looked for. Where normals rule out all that
+        is near, this is what keeps the search from walking the whole surface.
 
     Returns
     -------
     triangle : (m,) int64
-        -1 where no triangle is allowed.
+        -1 where no triangle is allowed or near enough.
     barycentric : (m, 3) float64
     distance : (m,) float64
-        Euclidean ``|q - p|``, infinite where no triangle is allowed.
+        Euclidean ``|q - p|``, infinite where no triangle is found.
     """
     queries = np.ascontiguousarray(points, dtype=np.float64)
     directions = np.zeros_like(queries) if normals is None else np.ascontiguousarray(normals, dtype=np.float64)
@@ -158,6 +162,7 @@ def closest_points(
         directions,
         normal_weight**2,
         minimum_cosine,
+        np.ascontiguousarray(np.broadcast_to(np.square(within), len(queries)), dtype=np.float64),
         start,
         sequence,
     )
@@ -281,7 +286,7 @@ def _closest_in_triangle(corners, t, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, parallel=True, error_model="numpy")
-def _search(lower, upper, corners, normals, queries, directions, weight2, minimum_cosine, start, sequence):  # type: ignore[no-untyped-def]
+def _search(lower, upper, corners, normals, queries, directions, weight2, minimum_cosine, limits, start, sequence):  # type: ignore[no-untyped-def]
     """Depth-first branch and bound, the nearer child first: box distances bound the cost because normals only add."""
     n_queries, n_triangles = len(queries), len(corners)
     first_leaf = (len(lower) - 1) // 2
@@ -296,16 +301,18 @@ def _search(lower, upper, corners, normals, queries, directions, weight2, minimu
             i = sequence[k]
             x, y, z = queries[i, 0], queries[i, 1], queries[i, 2]
             nx, ny, nz = directions[i, 0], directions[i, 1], directions[i, 2]
-            best = np.inf
+            best = limits[i]
             best_v, best_w, best_squared = 0.0, 0.0, np.inf
             best_t = np.int64(-1)
             t = start[i] if start[i] >= 0 else last
             if t >= 0:
                 cosine = nx * normals[t, 0] + ny * normals[t, 1] + nz * normals[t, 2]
                 if cosine >= minimum_cosine:
-                    best_v, best_w, best_squared = _closest_in_triangle(corners, t, x, y, z)
-                    best = best_squared + weight2 * 2.0 * (1.0 - cosine)
-                    best_t = t
+                    v, w, d2 = _closest_in_triangle(corners, t, x, y, z)
+                    cost = d2 + weight2 * 2.0 * (1.0 - cosine)
+                    if cost < best:
+                        best = cost
+                        best_t, best_v, best_w, best_squared = t, v, w, d2
             nodes[0], bounds[0] = 0, _box_distance(lower, upper, 0, x, y, z)
             size = 1
             while size > 0:
@@ -336,7 +343,7 @@ def _search(lower, upper, corners, normals, queries, directions, weight2, minimu
                     if d2 + penalty < best:
                         best = d2 + penalty
                         best_t, best_v, best_w, best_squared = t, v, w, d2
-            last = best_t
+            last = best_t if best_t >= 0 else last
             found[i], squared[i] = best_t, best_squared
             if best_t >= 0:
                 barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = 1.0 - best_v - best_w, best_v, best_w

@@ -82,8 +82,9 @@ def true_map(
     """
     tree = source_tree or build_tree(source_neutral, source_triangles)
     normals = vertex_normals(target_neutral, target_triangles)
-    triangle, barycentric, gap = closest_points(tree, target_neutral, normals, minimum_cosine=0.0)
-    known = gap <= _VALID_GAP * np.sqrt(surface_area(source_neutral, source_triangles))
+    nearest = _VALID_GAP * np.sqrt(surface_area(source_neutral, source_triangles))
+    triangle, barycentric, _ = closest_points(tree, target_neutral, normals, minimum_cosine=0.0, within=nearest)
+    known = triangle >= 0
     return np.where(known, triangle, 0), np.where(known[:, None], barycentric, 1 / 3), known
 
 
