@@ -19,6 +19,7 @@ from cagemap.point_map.surface_points import (
     build_tree,
     closest_points,
     normalized,
+    row_lengths,
     triangle_normals,
     vertex_normals,
 )
@@ -83,7 +84,7 @@ class QualityFigures:
 
 def surface_area(positions: FloatArray, triangles: IndexArray) -> float:
     """Area of a triangle mesh."""
-    return float(0.5 * np.linalg.norm(triangle_normals(positions, triangles), axis=1).sum())
+    return float(0.5 * row_lengths(triangle_normals(positions, triangles)).sum())
 
 
 def map_positions(
@@ -110,7 +111,7 @@ def flipped_triangles(image: FloatArray, target_triangles: IndexArray, image_nor
 
 def flipped_share(image: FloatArray, target: FloatArray, triangles: IndexArray, image_normals: FloatArray) -> float:
     """Share of the target's area whose image is flipped, see :func:`flipped_triangles`."""
-    areas = np.linalg.norm(triangle_normals(target, triangles), axis=1)
+    areas = row_lengths(triangle_normals(target, triangles))
     return float(areas[flipped_triangles(image, triangles, image_normals)].sum() / areas.sum())
 
 
@@ -134,7 +135,7 @@ def stretches(target: FloatArray, image: FloatArray, triangles: IndexArray) -> t
 def dirichlet_energy(target: FloatArray, image: FloatArray, triangles: IndexArray) -> float:
     """Return ``1/2 sum_t area_t (sigma_1^2 + sigma_2^2)``; at least the image's area, equal for conformal maps."""
     largest, smallest = stretches(target, image, triangles)
-    areas = 0.5 * np.linalg.norm(triangle_normals(target, triangles), axis=1)
+    areas = 0.5 * row_lengths(triangle_normals(target, triangles))
     return float(0.5 * (areas * (largest**2 + smallest**2)).sum())
 
 
@@ -166,20 +167,30 @@ def covered_share(
     return float(weights[reached >= 0].sum() / weights.sum())
 
 
-def trust_field(target: FloatArray, image: FloatArray, triangles: IndexArray, flipped: NDArray[np.bool_]) -> FloatArray:
+def trust_field(
+    sigma: tuple[FloatArray, FloatArray], areas: FloatArray, triangles: IndexArray, flipped: NDArray[np.bool_], n: int
+) -> FloatArray:
     """(n1,) 1 where the map is unfolded and stretches by at most ``TRUSTED_STRETCH`` either way, falling to 0 at folds.
 
     A triangle's trust is ``min(1, (TRUSTED_STRETCH / delta)^2)`` with ``delta = max(sigma_1, 1 / sigma_2)``, zero where
-    flipped; a vertex takes the area-weighted mean of its triangles. Surfaces are expected at unit area.
+    flipped; a vertex takes the area-weighted mean of its triangles.
+
+    Parameters
+    ----------
+    sigma : two (t,) arrays
+        From :func:`stretches`, surfaces at unit area.
+    areas : (t,) areas of the target's triangles
+    triangles : (t, 3) int64
+    flipped : (t,) bool
+    n : int
+        Number of target vertices.
     """
-    largest, smallest = stretches(target, image, triangles)
-    delta = np.maximum(largest, 1 / np.maximum(smallest, 1e-6))
+    delta = np.maximum(sigma[0], 1 / np.maximum(sigma[1], 1e-6))
     per_triangle = np.where(flipped, 0.0, np.minimum(1.0, (TRUSTED_STRETCH / delta) ** 2))
-    areas = np.linalg.norm(triangle_normals(target, triangles), axis=1)
     corners = triangles.ravel()
-    weighted = np.bincount(corners, np.repeat(areas * per_triangle, 3), minlength=len(target))
-    total = np.bincount(corners, np.repeat(areas, 3), minlength=len(target))
-    return np.divide(weighted, total, out=np.zeros(len(target)), where=total > 0)
+    weighted = np.bincount(corners, np.repeat(areas * per_triangle, 3), minlength=n)
+    total = np.bincount(corners, np.repeat(areas, 3), minlength=n)
+    return np.divide(weighted, total, out=np.zeros(n), where=total > 0)
 
 
 def measure_quality(
@@ -217,10 +228,10 @@ def measure_quality(
     image = map_positions(source, source_triangles, triangle, barycentric)
     image_normals = normalized(triangle_normals(source, source_triangles))[triangle]
     flipped = flipped_triangles(image, target_triangles, image_normals)
-    areas = 0.5 * np.linalg.norm(triangle_normals(target, target_triangles), axis=1)
+    areas = 0.5 * row_lengths(triangle_normals(target, target_triangles))
     largest, smallest = stretches(target, image, target_triangles)
     aspect = largest / np.maximum(smallest, 1e-9)
-    trust = trust_field(target, image, target_triangles, flipped)
+    trust = trust_field((largest, smallest), areas, target_triangles, flipped, len(target))
     errors = np.linalg.norm(image[landmarks[:, 0]] - source[landmarks[:, 1]], axis=1)
     flipped_area = float(areas[flipped].sum() / areas.sum())
     coverage = covered_share(image, target_triangles, source, source_triangles)
@@ -250,15 +261,15 @@ def _first_form(positions: FloatArray, triangles: IndexArray) -> tuple[FloatArra
     """(t,) inner products e1.e1, e1.e2, e2.e2 of the two edges leaving a triangle's first corner."""
     e1 = positions[triangles[:, 1]] - positions[triangles[:, 0]]
     e2 = positions[triangles[:, 2]] - positions[triangles[:, 0]]
-    return (e1 * e1).sum(axis=1), (e1 * e2).sum(axis=1), (e2 * e2).sum(axis=1)
+    return np.einsum("td,td->t", e1, e1), np.einsum("td,td->t", e1, e2), np.einsum("td,td->t", e2, e2)
 
 
 def _vertex_areas_and_lengths(positions: FloatArray, triangles: IndexArray) -> tuple[FloatArray, FloatArray]:
     """(n,) a third of the adjacent triangles' areas, and the mean length of the adjacent triangles' edges."""
     n = len(positions)
     corners = triangles.ravel()
-    areas = np.linalg.norm(triangle_normals(positions, triangles), axis=1) / 6
-    edges = [np.linalg.norm(positions[triangles[:, k]] - positions[triangles[:, k - 1]], axis=1) for k in range(3)]
+    areas = row_lengths(triangle_normals(positions, triangles)) / 6
+    edges = [row_lengths(positions[triangles[:, k]] - positions[triangles[:, k - 1]]) for k in range(3)]
     lengths = np.bincount(corners, np.repeat(sum(edges) / 3, 3), minlength=n)
     counts = np.maximum(np.bincount(corners, minlength=n), 1)
     return np.bincount(corners, np.repeat(areas, 3), minlength=n).astype(np.float64), lengths / counts

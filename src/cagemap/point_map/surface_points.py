@@ -48,7 +48,14 @@ class TriangleTree:
 def triangle_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
     """(t, 3) normals of length twice the area, by the right-hand rule."""
     a, b, c = (positions[triangles[:, k]] for k in range(3))
-    return np.cross(b - a, c - a)
+    b -= a
+    c -= a
+    # np.cross, without its many passes.
+    normals = np.empty_like(b)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        np.multiply(b[:, j], c[:, k], out=normals[:, i])
+        normals[:, i] -= b[:, k] * c[:, j]
+    return normals
 
 
 def vertex_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
@@ -59,9 +66,14 @@ def vertex_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
     return normalized(np.column_stack(sums).astype(np.float64))
 
 
+def row_lengths(vectors: FloatArray) -> FloatArray:
+    """Lengths along the last axis; unlike ``np.linalg.norm`` fast for short rows."""
+    return np.asarray(np.sqrt(np.einsum("...d,...d->...", vectors, vectors)))
+
+
 def normalized(vectors: FloatArray) -> FloatArray:
     """Rows scaled to unit length; zero rows stay zero."""
-    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    lengths = row_lengths(vectors)[..., None]
     return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
 
 
@@ -83,23 +95,24 @@ def build_tree(positions: FloatArray, triangles: IndexArray) -> TriangleTree:
     if not np.isfinite(positions).all():
         bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
         raise ParameterError(f"expected finite positions, got {len(bad)} that are not, first at vertices {bad[:5]}")
-    corners = positions[triangles]
-    order = np.argsort(_morton_codes(corners.mean(axis=1)), kind="stable")
-    corners = np.ascontiguousarray(corners[order])
+    order = np.argsort(_morton_codes(sum(positions[triangles[:, k]] for k in range(3)) / 3.0), kind="stable")
+    ordered = triangles[order]
+    corners = positions[ordered]
+    a, b, c = (corners[:, k] for k in range(3))
     n_leaves = 1 << int(np.ceil(np.log2(max(1, -(-len(order) // _LEAF_SIZE)))))
     lower = np.full((2 * n_leaves - 1, 3), np.inf)
     upper = np.full((2 * n_leaves - 1, 3), -np.inf)
     starts = np.arange(0, len(order), _LEAF_SIZE)
     first_leaf = n_leaves - 1
-    lower[first_leaf : first_leaf + len(starts)] = np.minimum.reduceat(corners.min(axis=1), starts, axis=0)
-    upper[first_leaf : first_leaf + len(starts)] = np.maximum.reduceat(corners.max(axis=1), starts, axis=0)
+    lower[first_leaf : first_leaf + len(starts)] = np.minimum.reduceat(np.minimum(np.minimum(a, b), c), starts, axis=0)
+    upper[first_leaf : first_leaf + len(starts)] = np.maximum.reduceat(np.maximum(np.maximum(a, b), c), starts, axis=0)
     while first_leaf > 0:
         parents = slice((first_leaf - 1) // 2, first_leaf)
         children = slice(first_leaf, 2 * first_leaf + 1)
         lower[parents] = lower[children].reshape(-1, 2, 3).min(axis=1)
         upper[parents] = upper[children].reshape(-1, 2, 3).max(axis=1)
         first_leaf = (first_leaf - 1) // 2
-    normals = normalized(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    normals = normalized(triangle_normals(positions, ordered))
     return TriangleTree(lower, upper, order.astype(np.int64), corners, normals)
 
 
@@ -215,10 +228,10 @@ def _morton_codes(points: FloatArray) -> IndexArray:
     """(t,) positions of points along a space-filling curve, 21 bits an axis."""
     low, high = points.min(axis=0), points.max(axis=0)
     extent = max(float((high - low).max()), np.finfo(float).tiny)
-    cells = np.minimum((points - low) / extent * 2**21, 2**21 - 1).astype(np.uint64)
     code = np.zeros(len(points), dtype=np.uint64)
     for axis in range(3):
-        code |= _spread_bits(cells[:, axis]) << np.uint64(axis)
+        cells = np.minimum((points[:, axis] - low[axis]) * (2**21 / extent), 2**21 - 1).astype(np.uint64)
+        code |= _spread_bits(cells) << np.uint64(axis)
     return code.astype(np.int64)
 
 
