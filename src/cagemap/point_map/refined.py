@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from cagemap.basis import rows
 from cagemap.mesh import FloatArray
-from cagemap.point_map.blocks import spectral_rows
 from cagemap.point_map.elastic import ElasticConfig, elastic_map
 from cagemap.point_map.hierarchical import (
     SAMPLE_VERTICES,
@@ -74,12 +74,11 @@ def refined_map(
 def functional_map_of(pair: Pair, point_map: PointMap) -> FloatArray:
     """C12 = Phi~1^+ P12 Phi~2 of a point map of the finest levels, on a sample of its vertices (paper, 2.1.2)."""
     chosen = spread(len(point_map.triangle), SAMPLE_VERTICES)
-    k1, k2 = len(pair.target.basis.eigenvalues), len(pair.source.basis.eigenvalues)
-    rows = spectral_rows(pair.target, pair.target.finest, k1).at(chosen).astype(np.float64)
+    target_rows = rows(pair.target.basis, pair.target.refinement, pair.target.finest, chosen)
     source_triangles = level_triangles(pair.source.refinement, pair.source.finest)
     corners, places = np.unique(source_triangles[point_map.triangle[chosen]], return_inverse=True)
-    at_corners = spectral_rows(pair.source, pair.source.finest, k2).at(corners).astype(np.float64)
+    at_corners = rows(pair.source.basis, pair.source.refinement, pair.source.finest, corners)
     weights = point_map.barycentric[chosen]
     pulled = sum(weights[:, i, None] * at_corners[places.reshape(-1, 3)[:, i]] for i in range(3))
-    weighted = rows * pair.target.operators.finest_areas[chosen, None]
-    return np.asarray(linalg.solve(weighted.T @ rows, weighted.T @ pulled, assume_a="pos"))
+    weighted = target_rows * pair.target.operators.finest_areas[chosen, None]
+    return np.asarray(linalg.solve(weighted.T @ target_rows, weighted.T @ pulled, assume_a="pos"))

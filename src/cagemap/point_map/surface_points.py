@@ -95,7 +95,8 @@ def build_tree(positions: FloatArray, triangles: IndexArray) -> TriangleTree:
     if not np.isfinite(positions).all():
         bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
         raise ParameterError(f"expected finite positions, got {len(bad)} that are not, first at vertices {bad[:5]}")
-    order = np.argsort(_morton_codes(sum(positions[triangles[:, k]] for k in range(3)) / 3.0), kind="stable")
+    centres = (positions[triangles[:, 0]] + positions[triangles[:, 1]] + positions[triangles[:, 2]]) / 3.0
+    order = np.argsort(_morton_codes(centres), kind="stable")
     ordered = triangles[order]
     corners = positions[ordered]
     a, b, c = (corners[:, k] for k in range(3))
