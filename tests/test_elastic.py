@@ -25,8 +25,10 @@ from cagemap.point_map.elastic_graph import (
     extrapolate,
     mesh_graph,
 )
+from cagemap.point_map.folds import unfold
 from cagemap.point_map.landmark_coordinates import coordinate_match, interpolants, landmark_coordinates
-from cagemap.point_map.quality import map_positions, measure_quality
+from cagemap.point_map.quality import flipped_triangles, map_positions, measure_quality
+from cagemap.point_map.surface_points import build_tree, closest_points, normalized, triangle_normals
 from cagemap.refinement import Refinement, refine
 
 
@@ -166,6 +168,34 @@ def test_landmark_coordinates_alone_lead_to_the_map_of_a_bent_twin(shape: tuple[
     started = np.linalg.norm(truth[match] - truth[: len(match)], axis=1)
     assert error.mean() < 0.3 * started.mean()
     assert error.mean() < 0.008
+
+
+def test_unfolding_repairs_folds_and_leaves_the_rest_alone(shape: tuple[Refinement, float]) -> None:
+    refinement, scale = shape
+    positions, faces = scale * refinement.finest.positions, level_faces(refinement, 3)[1]
+    tree = build_tree(positions, faces)
+    rng = np.random.default_rng(15)
+    pulled = rng.choice(len(positions), 12, replace=False)
+    held = np.setdiff1d(np.arange(0, len(positions), 50), pulled)
+    wanted = positions.copy()
+    spacing = np.sqrt(1 / len(positions))
+    wanted[pulled] += 3 * spacing * normalized(rng.standard_normal((12, 3)))
+    triangle, barycentric, _ = closest_points(tree, wanted)
+    normals = normalized(triangle_normals(positions, faces))
+
+    def flips(triangle: np.ndarray, barycentric: np.ndarray) -> int:
+        image = map_positions(positions, faces, triangle, barycentric)
+        return int(flipped_triangles(image, faces, normals[triangle]).sum())
+
+    before = flips(triangle, barycentric)
+    assert before > 10
+    again = unfold(triangle, barycentric, faces, positions, faces, tree, held, normal_weight=0.02)
+    assert flips(*again) <= before // 5
+    moved = np.linalg.norm(
+        map_positions(positions, faces, *again) - map_positions(positions, faces, triangle, barycentric), axis=1
+    )
+    assert (moved[held] == 0).all()
+    assert (moved > 0).mean() < 0.05
 
 
 def test_interpolants_have_unit_values_and_are_harmonic(shape: tuple[Refinement, float]) -> None:

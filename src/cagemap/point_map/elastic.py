@@ -17,9 +17,18 @@ from scipy import sparse
 from cagemap.basis.factorization import Factorization, factor
 from cagemap.errors import ParameterError
 from cagemap.mesh import FloatArray, IndexArray
+from cagemap.operators.laplacian import vertex_areas
 from cagemap.point_map.elastic_graph import DifferentialField, ElasticGraph, cluster_graph, extrapolate, mesh_graph
+from cagemap.point_map.folds import unfold
 from cagemap.point_map.point_map import PointMap
-from cagemap.point_map.surface_points import TriangleTree, build_tree, closest_points, normalized, vertex_normals
+from cagemap.point_map.surface_points import (
+    TriangleTree,
+    build_tree,
+    closest_points,
+    normalized,
+    triangle_normals,
+    vertex_normals,
+)
 from cagemap.refinement import Refinement, triangles, triangulate_control
 
 
@@ -60,7 +69,7 @@ class ElasticConfig:
 
     coarse_vertices: int = 1500
     coarse: Stage = Stage(40, (5e-2, 2e-4), 1e-1)
-    fine: Stage = Stage(8, (1e-4, 1e-5), 1e-3)
+    fine: Stage = Stage(10, (2e-4, 1e-5), 3e-4)
     normal_weight: float = 0.03
     projection_normal_weight: float = 0.02
     landmark_weight: float = 1e2
@@ -75,18 +84,24 @@ class Sheet:
     positions : (n2, 3) float64, at unit area
     triangles : (t2, 3) int64
     normals : (n2, 3) float64
+    areas : (n2,) float64
+        Shares of the surface's area, sum 1.
     tree : TriangleTree
     """
 
     positions: FloatArray
     triangles: IndexArray
     normals: FloatArray
+    areas: FloatArray
     tree: TriangleTree
 
     @classmethod
     def build(cls, positions: FloatArray, faces: IndexArray) -> Sheet:
         """Prepare a surface for closest points; ``faces`` are triangles."""
-        return cls(positions, faces, vertex_normals(positions, faces), build_tree(positions, faces))
+        areas = vertex_areas(positions, faces)
+        return cls(
+            positions, faces, vertex_normals(positions, faces), areas / areas.sum(), build_tree(positions, faces)
+        )
 
 
 def fit(
@@ -139,8 +154,9 @@ def run_stage(
 ) -> tuple[FloatArray, FloatArray]:
     """Alternate closest points, differentials and positions; returns positions (n, 3) and maps (n, 3, 3).
 
-    Normals of the deformed surface come from its triangles, or, on a graph without them, from the differentials'
-    cofactors.
+    Where the graph has triangles the data term works both ways: every deformed vertex lies on the source, and every
+    source vertex on the deformed target, which is what fills fingers, ears and lips. Normals of the deformed surface
+    come from its triangles, or, on a graph without them, from the differentials' cofactors.
     """
     laplacian = graph.laplacian()
     field = DifferentialField.build(graph, laplacian, stage.smoothing)
@@ -149,23 +165,63 @@ def run_stage(
     maps = field.solve(positions)
     for alpha in _ramp(stage):
         normals = _deformed_normals(graph, positions, maps, target_triangles)
-        guess, barycentric, _ = closest_points(
-            source.tree, positions, normals, normal_weight=config.normal_weight, guess=guess
-        )
-        corners = source.triangles[guess]
-        foot = np.einsum("nk,nkd->nd", barycentric, source.positions[corners])
-        plane = normalized(np.einsum("nk,nkd->nd", barycentric, source.normals[corners]))
-        agreement = np.clip(np.einsum("nd,nd->n", plane, normals), 0.0, 1.0)
-        weights = graph.areas * agreement
-        weights[landmarks] = 0.0
-        blocks = weights[:, None, None] * plane[:, :, None] * plane[:, None, :]
-        right = np.einsum("nab,nb->na", blocks, foot) + alpha * field.divergence(maps)
-        blocks[landmarks] += config.landmark_weight * np.eye(3)
-        right[landmarks] += config.landmark_weight * landmark_positions
+        guess, blocks, right = _pulled_to_source(graph, source, positions, normals, guess, config)
+        if target_triangles is not None:
+            more, pull = _pulled_by_source(target_triangles, source, positions, config)
+            blocks, right = blocks + more, right + pull
+        blocks[landmarks] = config.landmark_weight * np.eye(3)
+        right[landmarks] = config.landmark_weight * landmark_positions
+        right += alpha * field.divergence(maps)
         factors = system.factor(alpha, blocks, factors)
         positions = factors.solve(right.ravel()).reshape(-1, 3)
         maps = field.solve(positions)
     return positions, maps
+
+
+def _pulled_to_source(
+    graph: ElasticGraph,
+    source: Sheet,
+    positions: FloatArray,
+    normals: FloatArray,
+    guess: IndexArray | None,
+    config: ElasticConfig,
+) -> tuple[IndexArray, FloatArray, FloatArray]:
+    """Point-to-plane term of the deformed vertices: triangles found, blocks m n n^T, right side."""
+    found, barycentric, _ = closest_points(
+        source.tree, positions, normals, normal_weight=config.normal_weight, guess=guess
+    )
+    corners = source.triangles[found]
+    foot = np.einsum("nk,nkd->nd", barycentric, source.positions[corners])
+    plane = normalized(np.einsum("nk,nkd->nd", barycentric, source.normals[corners]))
+    weights = graph.areas * np.clip(np.einsum("nd,nd->n", plane, normals), 0.0, 1.0)
+    blocks = weights[:, None, None] * plane[:, :, None] * plane[:, None, :]
+    return found, blocks, np.einsum("nab,nb->na", blocks, foot)
+
+
+def _pulled_by_source(
+    target_triangles: IndexArray, source: Sheet, positions: FloatArray, config: ElasticConfig
+) -> tuple[FloatArray, FloatArray]:
+    """Point-to-plane term of the source vertices: blocks (n, 3, 3), right side (n, 3).
+
+    The residual r = n . (q - sum_k b_k x_k) of a source vertex q is asked of each corner of the triangle that holds
+    its closest point, n . x_k -> n . x_k + r with weight b_k: an upper bound of the true term (Jensen), equal at the
+    current positions, that keeps the blocks apart.
+    """
+    n = len(positions)
+    held_by, barycentric, _ = closest_points(
+        build_tree(positions, target_triangles), source.positions, source.normals, normal_weight=config.normal_weight
+    )
+    corners = target_triangles[held_by]
+    foot = np.einsum("nk,nkd->nd", barycentric, positions[corners])
+    residual = np.einsum("nd,nd->n", source.normals, source.positions - foot)
+    facing = normalized(triangle_normals(positions, target_triangles))[held_by]
+    shares = source.areas * np.clip(np.einsum("nd,nd->n", facing, source.normals), 0.0, 1.0)
+    weights = (shares[:, None] * barycentric).ravel()  # one row per corner
+    normals = np.repeat(source.normals, 3, axis=0)
+    wanted = np.einsum("nd,nd->n", normals, positions[corners.ravel()]) + np.repeat(residual, 3)
+    gather = sparse.csr_array((weights, (corners.ravel(), np.arange(len(weights)))), shape=(n, len(weights)))
+    blocks = gather @ (normals[:, :, None] * normals[:, None, :]).reshape(-1, 9)
+    return blocks.reshape(n, 3, 3), gather @ (wanted[:, None] * normals)
 
 
 @dataclass(frozen=True)
@@ -298,18 +354,24 @@ def project(
     landmarks: tuple[IndexArray, IndexArray],
     config: ElasticConfig,
 ) -> PointMap:
-    """Closest points of the source in position and normal, landmarks on their vertices exactly."""
+    """Closest points of the source in position and normal, landmarks on their vertices exactly, folds removed."""
     normals = vertex_normals(positions, target_triangles)
-    triangle, barycentric, _ = closest_points(
-        build_tree(source_positions, source_triangles),
-        positions,
-        normals,
-        normal_weight=config.projection_normal_weight,
-    )
+    tree = build_tree(source_positions, source_triangles)
+    triangle, barycentric, _ = closest_points(tree, positions, normals, normal_weight=config.projection_normal_weight)
     holder = np.zeros(len(source_positions), dtype=np.int64)
     holder[source_triangles.ravel()] = np.repeat(np.arange(len(source_triangles)), 3)
     triangle[landmarks[0]] = holder[landmarks[1]]
     barycentric[landmarks[0]] = source_triangles[triangle[landmarks[0]]] == landmarks[1][:, None]
+    triangle, barycentric = unfold(
+        triangle,
+        barycentric,
+        target_triangles,
+        source_positions,
+        source_triangles,
+        tree,
+        landmarks[0],
+        normal_weight=config.projection_normal_weight,
+    )
     return PointMap(triangle, barycentric)
 
 

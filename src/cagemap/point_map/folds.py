@@ -1,0 +1,119 @@
+"""Remove the folds of a map: flipped triangles are relaxed together with their neighbourhood and projected again.
+
+Inside a patch around the flips the image points move to the means of their neighbours while the rest of the map holds
+the patch's boundary: a discrete harmonic map, which is one-to-one where the patch's image is close to flat and convex
+(Tutte 1963).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from cagemap.mesh import FloatArray, IndexArray
+from cagemap.point_map.quality import flipped_triangles, map_positions
+from cagemap.point_map.surface_points import TriangleTree, closest_points, normalized, triangle_normals
+
+ROUNDS = 6
+SWEEPS = 10
+
+
+def unfold(
+    triangle: IndexArray,
+    barycentric: FloatArray,
+    target_triangles: IndexArray,
+    source: FloatArray,
+    source_triangles: IndexArray,
+    tree: TriangleTree,
+    held: IndexArray,
+    *,
+    normal_weight: float,
+    rounds: int = ROUNDS,
+) -> tuple[IndexArray, FloatArray]:
+    """Reduce the flipped triangles of a map; vertices far from a flip and held ones keep their image.
+
+    A connected patch keeps its new image only if fewer of its triangles are flipped than before; the patches grow by a
+    ring a round.
+
+    Parameters
+    ----------
+    triangle, barycentric : (n1,), (n1, 3)
+        The map.
+    target_triangles : (t1, 3) int64
+    source, source_triangles : (n2, 3), (t2, 3)
+        At unit area.
+    tree : TriangleTree
+        Of the source.
+    held : (p,) int64
+        Target vertices that may not move (landmarks).
+    normal_weight : float
+        Of the projection, see `closest_points`.
+
+    Returns
+    -------
+    triangle, barycentric : (n1,), (n1, 3)
+    """
+    normals = normalized(triangle_normals(source, source_triangles))
+    image = map_positions(source, source_triangles, triangle, barycentric)
+    flipped = flipped_triangles(image, target_triangles, normals[triangle])
+    movable = np.ones(len(image), dtype=bool)
+    movable[held] = False
+    triangle, barycentric = triangle.copy(), barycentric.copy()
+    for ring in range(1, rounds + 1):
+        if not flipped.any():
+            break
+        inside = _patch(target_triangles, flipped, ring, len(image)) & movable
+        vertices = np.flatnonzero(inside)
+        means = _neighbour_means(target_triangles, inside)
+        moved, directions = image.copy(), normals[triangle]
+        for _ in range(SWEEPS):
+            moved[vertices] = means @ moved
+            directions[vertices] = normalized(means @ directions)
+        found, weights, _ = closest_points(tree, moved[vertices], directions[vertices], normal_weight=normal_weight)
+        trial_triangle, trial_image = triangle.copy(), image.copy()
+        trial_triangle[vertices] = found
+        trial_image[vertices] = map_positions(source, source_triangles, found, weights)
+        still = flipped_triangles(trial_image, target_triangles, normals[trial_triangle])
+        better = _improved(target_triangles, inside, flipped, still)[vertices]
+        kept = vertices[better]
+        triangle[kept], barycentric[kept], image[kept] = found[better], weights[better], trial_image[kept]
+        flipped = flipped_triangles(image, target_triangles, normals[triangle])
+    return triangle, barycentric
+
+
+def _patch(triangles: IndexArray, flipped: np.ndarray, rings: int, n: int) -> np.ndarray:
+    """(n,) vertices of flipped triangles and of some rings around them."""
+    inside = np.zeros(n, dtype=bool)
+    inside[triangles[flipped].ravel()] = True
+    for _ in range(rings):
+        inside[triangles[inside[triangles].any(axis=1)].ravel()] = True
+    return inside
+
+
+def _improved(triangles: IndexArray, inside: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """(n,) vertices of those connected patches in which fewer triangles are flipped than before."""
+    n = len(inside)
+    touched = inside[triangles].any(axis=1)
+    near = triangles[touched]
+    pairs = np.concatenate([near[:, [0, 1]], near[:, [1, 2]], near[:, [2, 0]]])
+    pairs = pairs[inside[pairs].all(axis=1)]
+    graph = sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    count, patch = csgraph.connected_components(graph.tocsr(), directed=False)
+    # The inside corners of a triangle are neighbours, so that any of them names its patch.
+    corner = np.argmax(inside[near], axis=1)
+    patch_of = patch[near[np.arange(len(near)), corner]]
+    gain = np.bincount(patch_of, before[touched].astype(float) - after[touched], minlength=count)
+    return np.asarray(inside & (gain[patch] > 0))
+
+
+def _neighbour_means(triangles: IndexArray, inside: np.ndarray) -> sparse.csr_array:
+    """(v, n) matrix that averages the neighbours of every inside vertex."""
+    n = len(inside)
+    near = triangles[inside[triangles].any(axis=1)]
+    rows, columns = near[:, [0, 1, 2, 0, 1, 2]].ravel(), near[:, [1, 2, 0, 2, 0, 1]].ravel()
+    kept = inside[rows]
+    number = np.cumsum(inside) - 1
+    ones = np.ones(int(kept.sum()))
+    adjacency = sparse.csr_array((ones, (number[rows[kept]], columns[kept])), shape=(int(inside.sum()), n))
+    return sparse.csr_array(sparse.diags_array(1.0 / np.asarray(adjacency.sum(axis=1)).ravel()) @ adjacency)
