@@ -119,6 +119,11 @@ def landmark(options: Options) -> Figures:
     return run_task("landmark_added", {"pair": "proxies", "level": 2, "count": 300, "cache": options.cache})
 
 
+def stages(options: Options) -> Figures:
+    """Every stage beside the bytes it must move or the operations it must do."""
+    return run_task("stages", {"pair": "proxies", "level": options.level, "count": 300, "cache": options.cache})
+
+
 def start(options: Options) -> Figures:
     """What the first run costs: imports of --help, and compilation of all that a match and a bake run."""
     figures: Figures = {"help": min((cagemap("--help") for _ in range(5)), key=lambda run: run["wall"])}
@@ -131,7 +136,7 @@ def start(options: Options) -> Figures:
 
 
 PARTS: dict[str, Callable[[Options], Figures]] = {
-    part.__name__: part for part in (start, basis, match, growth, bake, landmark, peers)
+    part.__name__: part for part in (start, stages, basis, match, growth, bake, landmark, peers)
 }
 
 

@@ -59,6 +59,23 @@ def _pair(measured: Figures) -> tuple[str, str]:
     return seconds(measured["wall"]), seconds(measured["cpu"])
 
 
+def _stages(part: Figures) -> list[str]:
+    rates = part["rates"]
+    rows = []
+    for name, row in part["rows"].items():
+        amount = f"{row['amount'] / 1e6:.0f} MB" if row["unit"] == "bytes" else f"{row['amount'] / 1e9:.1f} Gflop"
+        distance = f"{row['cpu'] / row['limit']:.0f}x"
+        rows.append((name, seconds(row["cpu"]), amount, f"{row['limit'] * 1000:.0f} ms", distance, row["work"]))
+    lines = [
+        f"One surface of {thousands(part['vertices'])} vertices, one core: it copies {rates['bytes'] / 1e9:.1f} GB/s "
+        f"and multiplies matrices at {rates['flops'] / 1e9:.0f} Gflop/s.",
+        "",
+    ]
+    lines += table(["stage", "processor", "least work", "limit", "distance", "what the least work is"], rows)
+    lines += ["", "Within `match`, wall:", ""]
+    return lines + table(["stage", "wall"], [(name, seconds(value)) for name, value in part["map"].items()])
+
+
 def _start(part: Figures) -> list[str]:
     rows = [
         ("`cagemap --help`", *_pair(part["help"])),
@@ -139,6 +156,7 @@ def _peers(part: Figures) -> list[str]:
 
 SECTIONS: dict[str, tuple[str, Callable[[Figures], list[str]]]] = {
     "start": ("Start and first run", _start),
+    "stages": ("Stages and their physical limits", _stages),
     "basis": ("Basis against SciPy", _basis),
     "match": ("A whole match", _match),
     "growth": ("Growth", _growth),

@@ -181,6 +181,18 @@ def peer(pair: str, level: int, python: str, budget: float, folder: str) -> Figu
     }
 
 
+def stages(pair: str, level: int, count: int, cache: str) -> Figures:
+    """Every stage beside its physical limit."""
+    from benchmarks.speed.stages import measure_stages
+    from cagemap.files.meshes import read_mesh
+
+    chosen = PAIRS[pair]
+    source = _surfaces(chosen, level, count, cache)[1]
+    return measure_stages(
+        read_mesh(chosen.target_file), level, count, lambda target: _match(chosen, (target, source), count)
+    )
+
+
 def _surfaces(pair: HumanPair, level: int, count: int, cache: str) -> tuple[Any, Any]:
     from cagemap.basis import BasisConfig
     from cagemap.basis.threads import in_threads
@@ -295,7 +307,9 @@ def _bake(result: Any, size: int) -> None:
     bake_texture(prepare_transfer(*levels, result.point_map), texture, size=size, dtype=texture.dtype)
 
 
-TASKS = {task.__name__: task for task in (basis, warm_up, check_map, prepared_match, landmark_added, bake, peer)}
+TASKS = {
+    task.__name__: task for task in (basis, warm_up, check_map, prepared_match, landmark_added, stages, bake, peer)
+}
 
 
 if __name__ == "__main__":
