@@ -65,7 +65,9 @@ def unfold(
             break
         inside = _patch(target_triangles, flipped, ring, len(image)) & movable
         vertices = np.flatnonzero(inside)
-        means = _neighbour_means(target_triangles, inside)
+        touched = _touched(target_triangles, inside)  # all other triangles stay as they are
+        near = target_triangles[touched]
+        means = _neighbour_means(near, inside)
         moved, directions = image.copy(), normals[triangle]
         for _ in range(SWEEPS):
             moved[vertices] = means @ moved
@@ -74,11 +76,11 @@ def unfold(
         trial_triangle, trial_image = triangle.copy(), image.copy()
         trial_triangle[vertices] = found
         trial_image[vertices] = map_positions(source, source_triangles, found, weights)
-        still = flipped_triangles(trial_image, target_triangles, normals[trial_triangle])
-        better = _improved(target_triangles, inside, flipped, still)[vertices]
+        still = flipped_triangles(trial_image, near, normals[trial_triangle])
+        better = _improved(near, inside, flipped[touched], still)[vertices]
         kept = vertices[better]
         triangle[kept], barycentric[kept], image[kept] = found[better], weights[better], trial_image[kept]
-        flipped = flipped_triangles(image, target_triangles, normals[triangle])
+        flipped[touched] = flipped_triangles(image, near, normals[triangle])
     return triangle, barycentric
 
 
@@ -87,15 +89,18 @@ def _patch(triangles: IndexArray, flipped: np.ndarray, rings: int, n: int) -> np
     inside = np.zeros(n, dtype=bool)
     inside[triangles[flipped].ravel()] = True
     for _ in range(rings):
-        inside[triangles[inside[triangles].any(axis=1)].ravel()] = True
+        inside[triangles[_touched(triangles, inside)].ravel()] = True
     return inside
 
 
-def _improved(triangles: IndexArray, inside: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """(n,) vertices of those connected patches in which fewer triangles are flipped than before."""
+def _touched(triangles: IndexArray, inside: np.ndarray) -> np.ndarray:
+    """(t,) triangles with a corner inside."""
+    return np.asarray(inside[triangles[:, 0]] | inside[triangles[:, 1]] | inside[triangles[:, 2]])
+
+
+def _improved(near: IndexArray, inside: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """(n,) vertices of those connected patches in which fewer of the touched triangles are flipped than before."""
     n = len(inside)
-    touched = inside[triangles].any(axis=1)
-    near = triangles[touched]
     pairs = np.concatenate([near[:, [0, 1]], near[:, [1, 2]], near[:, [2, 0]]])
     pairs = pairs[inside[pairs].all(axis=1)]
     graph = sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
@@ -103,14 +108,13 @@ def _improved(triangles: IndexArray, inside: np.ndarray, before: np.ndarray, aft
     # The inside corners of a triangle are neighbours, so that any of them names its patch.
     corner = np.argmax(inside[near], axis=1)
     patch_of = patch[near[np.arange(len(near)), corner]]
-    gain = np.bincount(patch_of, before[touched].astype(float) - after[touched], minlength=count)
+    gain = np.bincount(patch_of, before.astype(float) - after, minlength=count)
     return np.asarray(inside & (gain[patch] > 0))
 
 
-def _neighbour_means(triangles: IndexArray, inside: np.ndarray) -> sparse.csr_array:
+def _neighbour_means(near: IndexArray, inside: np.ndarray) -> sparse.csr_array:
     """(v, n) matrix that averages the neighbours of every inside vertex."""
     n = len(inside)
-    near = triangles[inside[triangles].any(axis=1)]
     rows, columns = near[:, [0, 1, 2, 0, 1, 2]].ravel(), near[:, [1, 2, 0, 2, 0, 1]].ravel()
     kept = inside[rows]
     number = np.cumsum(inside) - 1
