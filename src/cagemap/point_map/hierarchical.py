@@ -69,6 +69,9 @@ class HierarchyConfig:
         Basis functions that descriptors are asked about at most; those above are found from the match.
     upsample_start : int
         Basis functions trusted from the descriptors alone, where spectral upsampling starts.
+    upsample_stop : int
+        Where it ends; the functions above are fitted once, further down, to vertices that move only among candidates.
+        Full searches with more functions make maps between bodies that are not isometric worse again.
     descriptor_bands : bool
         Extend C by eqs. 14-16 above the search levels too, as the paper does. Otherwise a band found there is fitted
         to the vertex matches, C = Phi1^+ P12 Phi2, which folds less: descriptors say little about functions that
@@ -81,7 +84,8 @@ class HierarchyConfig:
     weights: OperatorWeights = OperatorWeights()
     search_vertices: int = 3000
     descriptor_functions: int = 150
-    upsample_start: int = 20
+    upsample_start: int = 15
+    upsample_stop: int = 150
     descriptor_bands: bool = False
 
 
@@ -191,7 +195,7 @@ def coarse_map(
     start = min(config.upsample_start, *functional_map.shape)
     trusted = functional_map[:start, :start]
     match = nearest_rows(embed_target(target, start), embed_source(source, trusted))
-    stop = max(target.rows.shape[1], source.rows.shape[1])
+    stop = min(config.upsample_stop, max(target.rows.shape[1], source.rows.shape[1]))
     functional_map, match = upsample(target, source, match, growth(start, stop))
     return LevelMap(levels, functional_map, match)
 
