@@ -10,8 +10,8 @@ def markdown(figures: dict[str, list[dict]]) -> str:
     parts = []
     if figures.get("humans"):
         parts += [
-            "Errors x100 of sqrt(area), Euclidean, over vertices; an arrow reads source -> target. Truth: closest points",
-            "of the neutral surfaces, which coincide. `elastic` is the default method, `hfm` the paper's with spectral",
+            "Errors x100 of sqrt(area), Euclidean, over vertices; an arrow reads source -> target. Truth: closest",
+            "points of the neutral surfaces, which coincide. `elastic` is the default method, `hfm` the paper's with spectral",
             "upsampling, `pyfm` pyFM 1.3.1 with its defaults and ZoomOut to 150 on the same triangles and landmarks.",
             "",
             "| pair | vertices | landmarks | method | mean | median | p95 | max | worst landmark | flipped % (truth) "
@@ -22,7 +22,7 @@ def markdown(figures: dict[str, list[dict]]) -> str:
     if figures.get("animals"):
         parts += [
             "",
-            "No truth here: a landmark left out, and how far off it maps (mean, worst of those tried); stretch by area.",
+            "No truth here: a landmark left out, and how far off it maps (mean, worst); stretch by area.",
             "",
             "| pair | vertices | method | left out mean / max (n) | worst landmark | flipped % | coverage % "
             "| Dirichlet | area ratio 5-95 % | aspect 50, 95 % |",

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from cagemap.basis.factorization import Factorization, factor
 from cagemap.errors import ParameterError
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.operators.laplacian import vertex_areas
 from cagemap.point_map.elastic_graph import DifferentialField, ElasticGraph, cluster_graph, extrapolate, mesh_graph
+from cagemap.point_map.elastic_system import PositionSystem
 from cagemap.point_map.folds import unfold
 from cagemap.point_map.point_map import PointMap
 from cagemap.point_map.surface_points import (
@@ -30,6 +30,9 @@ from cagemap.point_map.surface_points import (
     vertex_normals,
 )
 from cagemap.refinement import Refinement, triangles, triangulate_control
+
+LANDMARK_ITERATIONS = 20
+COST_STIFFNESS = 1e-3  # alpha at which coarse fits from different starts are compared
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,7 @@ class ElasticConfig:
     """
 
     coarse_vertices: int = 1500
-    coarse: Stage = Stage(40, (5e-2, 2e-4), 1e-1)
+    coarse: Stage = Stage(40, (5e-2, 2e-4), 1e-2)
     fine: Stage = Stage(10, (2e-4, 1e-5), 3e-4)
     normal_weight: float = 0.03
     projection_normal_weight: float = 0.02
@@ -137,9 +140,56 @@ def fit(
         raise ParameterError(f"start: expected {graph.positions.shape} positions, got {start.shape}")
     coarse, vertices = cluster_graph(graph, min(config.coarse_vertices, graph.n), landmarks)
     held = np.arange(len(landmarks))
-    positions, maps = run_stage(coarse, None, source, start[vertices], held, landmark_positions, config.coarse, config)
-    positions = extrapolate(coarse, positions, maps, graph)
+    starts = [start[vertices], landmark_start(coarse, held, landmark_positions, config)]
+    runs = [run_stage(coarse, None, source, x, held, landmark_positions, config.coarse, config) for x in starts]
+    costs = [coarse_cost(coarse, source, x, maps, config) for x, maps in runs]
+    positions = extrapolate(coarse, *runs[int(np.argmin(costs))], graph)
     return run_stage(graph, target_triangles, source, positions, landmarks, landmark_positions, config.fine, config)[0]
+
+
+def landmark_start(
+    graph: ElasticGraph, landmarks: IndexArray, landmark_positions: FloatArray, config: ElasticConfig
+) -> FloatArray:
+    """(n, 3) the rest shape carried by its landmarks alone: a similarity, then the elastic energy without data.
+
+    It knows the twist of limbs, which coordinates on the surface do not: a hand with one landmark keeps its turn.
+    """
+    rotation, scale, shift = similarity(graph.positions[landmarks], landmark_positions)
+    positions = scale * graph.positions @ rotation.T + shift
+    laplacian = graph.laplacian()
+    field = DifferentialField.build(graph, laplacian, config.coarse.smoothing)
+    blocks = np.zeros((graph.n, 3, 3))
+    blocks[landmarks] = config.landmark_weight * np.eye(3)
+    factors = PositionSystem.build(laplacian).factor(1.0, blocks, None)
+    for _ in range(LANDMARK_ITERATIONS):
+        right = field.divergence(field.solve(positions))
+        right[landmarks] += config.landmark_weight * landmark_positions
+        positions = factors.solve(right.ravel()).reshape(-1, 3)
+    return positions
+
+
+def similarity(points: FloatArray, images: FloatArray) -> tuple[FloatArray, float, FloatArray]:
+    """Rotation R, scale s and shift t with s R p + t nearest to the images (Umeyama 1991); no reflection."""
+    centre, image_centre = points.mean(axis=0), images.mean(axis=0)
+    u, singular, vt = np.linalg.svd((images - image_centre).T @ (points - centre))
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0])
+    rotation = (u * signs) @ vt
+    spread = float(((points - centre) ** 2).sum())
+    scale = float((singular * signs).sum()) / spread if spread > 0 else 1.0
+    return rotation, scale, image_centre - scale * rotation @ centre
+
+
+def coarse_cost(
+    graph: ElasticGraph, source: Sheet, positions: FloatArray, maps: FloatArray, config: ElasticConfig
+) -> float:
+    """What a coarse fit costs: mean squared distance in position and normal, and the energy at a fixed stiffness."""
+    normals = _deformed_normals(graph, positions, maps, None)
+    found, _, distance = closest_points(source.tree, positions, normals, normal_weight=config.normal_weight)
+    turned = 2.0 - 2.0 * np.einsum(
+        "nd,nd->n", normalized(triangle_normals(source.positions, source.triangles[found])), normals
+    )
+    data = graph.areas @ (distance**2 + config.normal_weight**2 * turned)
+    return float(data + COST_STIFFNESS * graph.energy(positions, maps, config.coarse.smoothing))
 
 
 def run_stage(
@@ -160,7 +210,7 @@ def run_stage(
     """
     laplacian = graph.laplacian()
     field = DifferentialField.build(graph, laplacian, stage.smoothing)
-    system = _PositionSystem.build(laplacian)
+    system = PositionSystem.build(laplacian)
     positions, guess, factors = start, None, None
     maps = field.solve(positions)
     for alpha in _ramp(stage):
@@ -222,40 +272,6 @@ def _pulled_by_source(
     gather = sparse.csr_array((weights, (corners.ravel(), np.arange(len(weights)))), shape=(n, len(weights)))
     blocks = gather @ (normals[:, :, None] * normals[:, None, :]).reshape(-1, 9)
     return blocks.reshape(n, 3, 3), gather @ (wanted[:, None] * normals)
-
-
-@dataclass(frozen=True)
-class _PositionSystem:
-    """(3 n, 3 n) matrix alpha L + block diagonal, with the pattern kept between iterations."""
-
-    matrix: sparse.csc_array
-    elastic: FloatArray
-    blocks: IndexArray
-
-    @classmethod
-    def build(cls, laplacian: sparse.csr_array) -> _PositionSystem:
-        n = laplacian.shape[0]
-        ones = sparse.bsr_array((np.ones((n, 3, 3)), np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n)).tocsc()
-        elastic = sparse.csc_array(sparse.kron(laplacian, sparse.eye_array(3)))
-        pattern = sparse.csc_array(abs(elastic) + ones)
-        pattern.sort_indices()
-        # Where the entries of both parts stand in the common pattern: number them, and read the numbers back.
-        numbered = sparse.csc_array((np.arange(1.0, pattern.nnz + 1), pattern.indices, pattern.indptr), pattern.shape)
-        values = np.zeros(pattern.nnz)
-        elastic.sort_indices()
-        columns = np.repeat(np.arange(3 * n), np.diff(elastic.indptr))
-        at = np.asarray(numbered[elastic.indices, columns]).ravel().astype(np.int64) - 1
-        values[at] = elastic.data
-        rows = (3 * np.arange(n)[:, None, None] + np.arange(3)[None, :, None] + np.zeros((1, 1, 3), int)).ravel()
-        cols = (3 * np.arange(n)[:, None, None] + np.arange(3)[None, None, :] + np.zeros((1, 3, 1), int)).ravel()
-        blocks = np.asarray(numbered[rows, cols]).ravel().astype(np.int64) - 1
-        return cls(pattern, values, blocks)
-
-    def factor(self, alpha: float, blocks: FloatArray, like: Factorization | None) -> Factorization:
-        values = alpha * self.elastic
-        values[self.blocks] += blocks.ravel()
-        matrix = sparse.csc_array((values, self.matrix.indices, self.matrix.indptr), shape=self.matrix.shape)
-        return factor(matrix, like=like)
 
 
 def control_points(sampling: sparse.csr_array, points: FloatArray, steps: int = 12) -> FloatArray:

@@ -66,6 +66,13 @@ class ElasticGraph:
         weights = sparse.csr_array((self.weights, (self.heads, self.tails)), shape=(self.n, self.n))
         return sparse.csr_array(sparse.diags_array(np.asarray(weights.sum(axis=1)).ravel()) - weights)
 
+    def energy(self, positions: FloatArray, maps: FloatArray, epsilon: float) -> float:
+        """E(x, A), every edge once."""
+        means = 0.5 * (maps[self.heads] + maps[self.tails])
+        residual = positions[self.heads] - positions[self.tails] - np.einsum("eab,eb->ea", means, self.edges)
+        change = ((maps[self.heads] - maps[self.tails]) ** 2).sum(axis=(1, 2))
+        return float(0.5 * self.weights @ ((residual**2).sum(axis=1) + epsilon * change))
+
     def gather(self) -> sparse.csr_array:
         """(n, 2 m) matrix that sums edge values at the edges' heads."""
         count = len(self.heads)
