@@ -83,7 +83,11 @@ def _start(part: Figures) -> list[str]:
         ("the same again", *_pair(part["second"])),
         ("difference: compilation", *_pair(part["compilation"])),
     ]
-    return table(["", "wall", "processor"], rows)
+    lines = table(["", "wall", "processor"], rows)
+    if "kernels" not in part:
+        return lines
+    kernels = list(part["kernels"].items())
+    return [*lines, "", *table(["kernel compiled", "wall"], [(name, seconds(value)) for name, value in kernels])]
 
 
 def _basis(part: Figures) -> list[str]:

@@ -62,12 +62,30 @@ def basis(level: int, count: int, tolerances: list[float], exact: bool) -> Figur
 
 
 def warm_up() -> Figures:
-    """Compile every kernel of a match and a bake, where that has not been done."""
-    with tempfile.TemporaryDirectory() as cache:
+    """Compile every kernel of a match and a bake, where that has not been done; seconds of each compiled now."""
+    from numba.core import event
+
+    with tempfile.TemporaryDirectory() as cache, event.install_recorder("numba:compile") as recorder:
         surfaces = _surfaces(PAIRS["proxies"], WARM_LEVEL, 50, cache)
         result = _match(PAIRS["proxies"], surfaces, 50)
         _bake(result, 256)
-    return {}
+    return {"kernels": _compile_seconds(recorder.buffer)}
+
+
+def _compile_seconds(records: list[tuple[float, Any]]) -> dict[str, float]:
+    """Wall seconds of each outermost kernel; what it calls is compiled within it."""
+    seconds: dict[str, float] = {}
+    open_since: dict[int, list[tuple[str, float]]] = {}
+    for when, record in records:
+        stack = open_since.setdefault(record.data.get("thread", 0), [])
+        if record.is_start:
+            function = record.data["dispatcher"].py_func
+            stack.append((f"{function.__module__.removeprefix('cagemap.')}.{function.__name__}", when))
+        elif stack:
+            name, since = stack.pop()
+            if not stack:
+                seconds[name] = seconds.get(name, 0.0) + when - since
+    return dict(sorted(seconds.items(), key=lambda item: -item[1]))
 
 
 def check_map(pair: str, result: str) -> Figures:

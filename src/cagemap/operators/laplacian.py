@@ -115,7 +115,11 @@ def face_terms(positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, Fl
     areas : (n,) array
         See `vertex_areas`.
     """
-    weights, areas = _face_terms(np.ascontiguousarray(positions, dtype=np.float64), np.ascontiguousarray(faces))
+    quads = faces.shape[1] == 4
+    weights, areas = np.zeros((len(faces), 6 if quads else 3)), np.zeros(len(positions))
+    table, share = (QUAD_TABLE, 0.5) if quads else (TRIANGLE_TABLE, 1.0)
+    contiguous = np.ascontiguousarray(positions, dtype=np.float64), np.ascontiguousarray(faces)
+    _face_terms(*contiguous, table, share, weights, areas)
     return weights, areas
 
 
@@ -136,48 +140,38 @@ def face_terms_reference(positions: FloatArray, faces: IndexArray) -> tuple[Floa
     return weights, areas
 
 
-@njit(cache=True, error_model="numpy")
-def _add_triangle(positions, a, b, c, share, weights, m, bc, ca, ab, areas):  # type: ignore[no-untyped-def]
-    """Add the half cotangents of one triangle to the pairs facing its corners, its area to the corners."""
-    ux = positions[b, 0] - positions[a, 0]
-    uy = positions[b, 1] - positions[a, 1]
-    uz = positions[b, 2] - positions[a, 2]
-    vx = positions[c, 0] - positions[a, 0]
-    vy = positions[c, 1] - positions[a, 1]
-    vz = positions[c, 2] - positions[a, 2]
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    uu = ux * ux + uy * uy + uz * uz
-    vv = vx * vx + vy * vy + vz * vz
-    uv = ux * vx + uy * vy + uz * vz
-    doubled = np.sqrt(nx * nx + ny * ny + nz * nz)
-    third = share * doubled / 6.0
-    areas[a] += third
-    areas[b] += third
-    areas[c] += third
-    doubled = max(doubled, SLIVER * max(uu, vv, uu + vv - 2.0 * uv))
-    if doubled > 0.0:
-        half = 0.5 * share / doubled
-        weights[m, bc] += half * uv
-        weights[m, ca] += half * (uu - uv)
-        weights[m, ab] += half * (vv - uv)
+# Of every triangle of a face's triangulations: its corners a, b, c, and the columns of the pairs bc, ca, ab.
+TRIANGLE_TABLE = np.array([[0, 1, 2, 0, 1, 2]])
+QUAD_TABLE = np.array([[0, 1, 2, 1, 4, 0], [0, 2, 3, 2, 3, 4], [0, 1, 3, 5, 3, 0], [1, 2, 3, 2, 5, 1]])
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _face_terms(positions, faces):  # type: ignore[no-untyped-def]
-    size = faces.shape[1]
-    weights = np.zeros((len(faces), 6 if size == 4 else 3))
-    areas = np.zeros(len(positions))
+def _face_terms(positions, faces, table, share, weights, areas):  # type: ignore[no-untyped-def]
+    """Add the half cotangents of every triangle to the pairs facing its corners, its area to the corners."""
     for m in range(len(faces)):
-        a, b, c = faces[m, 0], faces[m, 1], faces[m, 2]
-        if size == 3:
-            _add_triangle(positions, a, b, c, 1.0, weights, m, 0, 1, 2, areas)
-        else:
-            d = faces[m, 3]
-            _add_triangle(positions, a, b, c, 0.5, weights, m, 1, 4, 0, areas)
-            _add_triangle(positions, a, c, d, 0.5, weights, m, 2, 3, 4, areas)
-            _add_triangle(positions, a, b, d, 0.5, weights, m, 5, 3, 0, areas)
-            _add_triangle(positions, b, c, d, 0.5, weights, m, 2, 5, 1, areas)
-    return weights, areas
+        for t in range(len(table)):
+            a, b, c = faces[m, table[t, 0]], faces[m, table[t, 1]], faces[m, table[t, 2]]
+            ux = positions[b, 0] - positions[a, 0]
+            uy = positions[b, 1] - positions[a, 1]
+            uz = positions[b, 2] - positions[a, 2]
+            vx = positions[c, 0] - positions[a, 0]
+            vy = positions[c, 1] - positions[a, 1]
+            vz = positions[c, 2] - positions[a, 2]
+            nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+            uu = ux * ux + uy * uy + uz * uz
+            vv = vx * vx + vy * vy + vz * vz
+            uv = ux * vx + uy * vy + uz * vz
+            doubled = np.sqrt(nx * nx + ny * ny + nz * nz)
+            third = share * doubled / 6.0
+            areas[a] += third
+            areas[b] += third
+            areas[c] += third
+            doubled = max(doubled, SLIVER * max(uu, vv, uu + vv - 2.0 * uv))
+            if doubled > 0.0:
+                half = 0.5 * share / doubled
+                weights[m, table[t, 3]] += half * uv
+                weights[m, table[t, 4]] += half * (uu - uv)
+                weights[m, table[t, 5]] += half * (vv - uv)
 
 
 def _pair_columns(size: int) -> IndexArray:

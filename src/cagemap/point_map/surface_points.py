@@ -12,6 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from cagemap.basis.threads import core_count, in_threads
 from cagemap.errors import ParameterError
 
 FloatArray = NDArray[np.float64]
@@ -19,7 +20,7 @@ IndexArray = NDArray[np.int64]
 
 _LEAF_SIZE = 4
 _STACK_SIZE = 64
-_CHUNK = 512  # neighbouring queries that one thread answers in a row, each starting from the last answer
+_CHUNK = 512  # queries that a thread answers in a row at least, each starting from the last answer
 
 
 @dataclass(frozen=True)
@@ -167,19 +168,21 @@ def closest_points(
         position_in_tree[tree.order] = np.arange(len(tree.order))
         start = np.where(guess >= 0, position_in_tree[guess], -1)
     sequence = np.argsort(_morton_codes(queries)) if guess is None else np.arange(len(queries))
-    found, barycentric, squared = _search(
-        tree.lower,
-        tree.upper,
-        tree.corners,
-        tree.normals,
-        queries,
-        directions,
-        normal_weight**2,
-        minimum_cosine,
-        np.ascontiguousarray(np.broadcast_to(np.square(within), len(queries)), dtype=np.float64),
-        start,
-        sequence,
-    )
+    found = np.full(len(queries), -1, dtype=np.int64)
+    barycentric, squared = np.zeros((len(queries), 3)), np.full(len(queries), np.inf)
+    limits = np.ascontiguousarray(np.broadcast_to(np.square(within), len(queries)), dtype=np.float64)
+
+    def search(part: IndexArray) -> None:
+        _search(
+            (tree.lower, tree.upper, tree.corners, tree.normals),
+            (queries, directions, limits, start),
+            (float(normal_weight) ** 2, float(minimum_cosine)),
+            part,
+            (found, barycentric, squared),
+        )
+
+    parts = 1 if len(queries) < _CHUNK else min(8 * core_count(), -(-len(queries) // _CHUNK))
+    in_threads(search, np.array_split(sequence, parts))
     triangle = np.where(found >= 0, tree.order[found], -1)
     return triangle, barycentric, np.sqrt(squared)
 
@@ -299,66 +302,62 @@ def _closest_in_triangle(corners, t, x, y, z):  # type: ignore[no-untyped-def]
     return v, w, ex * ex + ey * ey + ez * ez
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
-def _search(lower, upper, corners, normals, queries, directions, weight2, minimum_cosine, limits, start, sequence):  # type: ignore[no-untyped-def]
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _search(tree, asked, options, sequence, answers):  # type: ignore[no-untyped-def]
     """Depth-first branch and bound, the nearer child first: box distances bound the cost because normals only add."""
-    n_queries, n_triangles = len(queries), len(corners)
-    first_leaf = (len(lower) - 1) // 2
-    found = np.full(n_queries, -1, dtype=np.int64)
-    barycentric = np.zeros((n_queries, 3))
-    squared = np.full(n_queries, np.inf)
-    for chunk in numba.prange((n_queries + _CHUNK - 1) // _CHUNK):
-        nodes = np.empty(_STACK_SIZE, dtype=np.int64)
-        bounds = np.empty(_STACK_SIZE)
-        last = np.int64(-1)
-        for k in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, n_queries)):
-            i = sequence[k]
-            x, y, z = queries[i, 0], queries[i, 1], queries[i, 2]
-            nx, ny, nz = directions[i, 0], directions[i, 1], directions[i, 2]
-            best = limits[i]
-            best_v, best_w, best_squared = 0.0, 0.0, np.inf
-            best_t = np.int64(-1)
-            t = start[i] if start[i] >= 0 else last
-            if t >= 0:
+    lower, upper, corners, normals = tree
+    queries, directions, limits, start = asked
+    weight2, minimum_cosine = options
+    found, barycentric, squared = answers
+    n_triangles, first_leaf = len(corners), (len(lower) - 1) // 2
+    nodes, bounds = np.empty(_STACK_SIZE, dtype=np.int64), np.empty(_STACK_SIZE)
+    last = np.int64(-1)
+    for i in sequence:
+        x, y, z = queries[i, 0], queries[i, 1], queries[i, 2]
+        nx, ny, nz = directions[i, 0], directions[i, 1], directions[i, 2]
+        best = limits[i]
+        best_v, best_w, best_squared = 0.0, 0.0, np.inf
+        best_t = np.int64(-1)
+        t = start[i] if start[i] >= 0 else last
+        if t >= 0:
+            cosine = nx * normals[t, 0] + ny * normals[t, 1] + nz * normals[t, 2]
+            if cosine >= minimum_cosine:
+                v, w, d2 = _closest_in_triangle(corners, t, x, y, z)
+                cost = d2 + weight2 * 2.0 * (1.0 - cosine)
+                if cost < best:
+                    best = cost
+                    best_t, best_v, best_w, best_squared = t, v, w, d2
+        nodes[0], bounds[0] = 0, _box_distance(lower, upper, 0, x, y, z)
+        size = 1
+        while size > 0:
+            size -= 1
+            node = nodes[size]
+            if bounds[size] >= best:
+                continue
+            if node < first_leaf:
+                left, right = 2 * node + 1, 2 * node + 2
+                dl = _box_distance(lower, upper, left, x, y, z)
+                dr = _box_distance(lower, upper, right, x, y, z)
+                if dl < dr:
+                    nodes[size], bounds[size] = right, dr
+                    nodes[size + 1], bounds[size + 1] = left, dl
+                else:
+                    nodes[size], bounds[size] = left, dl
+                    nodes[size + 1], bounds[size + 1] = right, dr
+                size += 2
+                continue
+            begin = (node - first_leaf) * _LEAF_SIZE
+            for j in range(begin, min(begin + _LEAF_SIZE, n_triangles)):
+                t = np.int64(j)
                 cosine = nx * normals[t, 0] + ny * normals[t, 1] + nz * normals[t, 2]
-                if cosine >= minimum_cosine:
-                    v, w, d2 = _closest_in_triangle(corners, t, x, y, z)
-                    cost = d2 + weight2 * 2.0 * (1.0 - cosine)
-                    if cost < best:
-                        best = cost
-                        best_t, best_v, best_w, best_squared = t, v, w, d2
-            nodes[0], bounds[0] = 0, _box_distance(lower, upper, 0, x, y, z)
-            size = 1
-            while size > 0:
-                size -= 1
-                node = nodes[size]
-                if bounds[size] >= best:
+                penalty = weight2 * 2.0 * (1.0 - cosine)
+                if cosine < minimum_cosine or penalty >= best:
                     continue
-                if node < first_leaf:
-                    left, right = 2 * node + 1, 2 * node + 2
-                    dl = _box_distance(lower, upper, left, x, y, z)
-                    dr = _box_distance(lower, upper, right, x, y, z)
-                    if dl < dr:
-                        nodes[size], bounds[size] = right, dr
-                        nodes[size + 1], bounds[size + 1] = left, dl
-                    else:
-                        nodes[size], bounds[size] = left, dl
-                        nodes[size + 1], bounds[size + 1] = right, dr
-                    size += 2
-                    continue
-                begin = (node - first_leaf) * _LEAF_SIZE
-                for j in range(begin, min(begin + _LEAF_SIZE, n_triangles)):
-                    t = np.int64(j)
-                    cosine = nx * normals[t, 0] + ny * normals[t, 1] + nz * normals[t, 2]
-                    penalty = weight2 * 2.0 * (1.0 - cosine)
-                    if cosine < minimum_cosine or penalty >= best:
-                        continue
-                    v, w, d2 = _closest_in_triangle(corners, t, x, y, z)
-                    if d2 + penalty < best:
-                        best = d2 + penalty
-                        best_t, best_v, best_w, best_squared = t, v, w, d2
-            last = best_t if best_t >= 0 else last
-            found[i], squared[i] = best_t, best_squared
-            if best_t >= 0:
-                barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = 1.0 - best_v - best_w, best_v, best_w
-    return found, barycentric, squared
+                v, w, d2 = _closest_in_triangle(corners, t, x, y, z)
+                if d2 + penalty < best:
+                    best = d2 + penalty
+                    best_t, best_v, best_w, best_squared = t, v, w, d2
+        last = best_t if best_t >= 0 else last
+        found[i], squared[i] = best_t, best_squared
+        if best_t >= 0:
+            barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = 1.0 - best_v - best_w, best_v, best_w
