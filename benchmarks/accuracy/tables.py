@@ -11,7 +11,7 @@ def markdown(figures: dict[str, list[dict]]) -> str:
     if figures.get("humans"):
         parts += [
             "Errors x100 of sqrt(area), Euclidean, over vertices; an arrow reads source -> target. Truth: closest",
-            "points of the neutral surfaces, which coincide. `elastic` is the default method, `hfm` the paper's with spectral",
+            "points of the neutral surfaces, which coincide. `elastic` is the default, `hfm` the paper's with spectral",
             "upsampling, `pyfm` pyFM 1.3.1 with its defaults and ZoomOut to 150 on the same triangles and landmarks.",
             "",
             "| pair | vertices | landmarks | method | mean | median | p95 | max | worst landmark | flipped % (truth) "
