@@ -17,6 +17,7 @@ from cagemap.point_map.elastic import (
     elastic_map,
     fit,
     level_faces,
+    project,
 )
 from cagemap.point_map.elastic_graph import (
     DifferentialField,
@@ -196,6 +197,18 @@ def test_unfolding_repairs_folds_and_leaves_the_rest_alone(shape: tuple[Refineme
     )
     assert (moved[held] == 0).all()
     assert (moved > 0).mean() < 0.05
+
+
+def test_projection_meets_landmarks_wherever_the_fit_left_them(shape: tuple[Refinement, float]) -> None:
+    refinement, scale = shape
+    positions, faces = scale * refinement.finest.positions, level_faces(refinement, 3)[1]
+    landmarks = np.array([3, 40, 90])
+    fitted = positions.copy()
+    fitted[landmarks] = positions[np.array([500, 700, 900])]  # far off: the closest triangle does not hold the landmark
+    found = project(fitted, faces, positions, faces, (landmarks, landmarks), ElasticConfig())
+    image = map_positions(positions, faces, found.triangle, found.barycentric)
+    np.testing.assert_allclose(image[landmarks], positions[landmarks], atol=1e-12)
+    np.testing.assert_allclose(found.barycentric.sum(axis=1), 1, atol=1e-12)
 
 
 def test_interpolants_have_unit_values_and_are_harmonic(shape: tuple[Refinement, float]) -> None:
