@@ -18,11 +18,11 @@ from cagemap.mesh.checks import require_valid
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.operators import build_operators
 from cagemap.point_map.elastic import ElasticConfig
-from cagemap.point_map.hierarchical import HierarchyConfig, Pair, hierarchical_map, level_triangles
+from cagemap.point_map.hierarchical import HierarchyConfig, Pair, hierarchical_map
 from cagemap.point_map.point_map import PointMap
 from cagemap.point_map.quality import QualityFigures, measure_quality
 from cagemap.point_map.refined import RefinedConfig, refined_map
-from cagemap.refinement import Scheme, refine
+from cagemap.refinement import Scheme, level_triangles, refine
 
 Progress = Callable[[str], None]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cagemap.basis.eigen import EigenPairs, band_pairs, pairs_from_guess, residual_norms
 from cagemap.basis.error_estimate import ErrorEstimate, estimate_errors
@@ -15,11 +14,9 @@ from cagemap.basis.overlap import new_directions
 from cagemap.basis.products import multiply
 from cagemap.basis.schedule import BasisConfig, choose_split, plausible_count
 from cagemap.errors import ParameterError
+from cagemap.mesh import FloatArray, IndexArray
 from cagemap.operators import Operators
 from cagemap.refinement import Refinement
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 # Pairs computed below the start of a band, to see which of them the prolonged basis has already.
 OVERLAP = 12

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from cagemap.basis.factorization import Factorization, factor
@@ -14,9 +13,8 @@ from cagemap.basis.lanczos import shift_invert_lanczos
 from cagemap.basis.products import multiply
 from cagemap.basis.threads import in_threads
 from cagemap.errors import ParameterError, SolverError
-from cagemap.operators import Operators
-
-FloatArray = NDArray[np.float64]
+from cagemap.mesh import FloatArray
+from cagemap.operators import Operators, lumped_areas
 
 # Up to this size a dense solve is faster than an iteration.
 DENSE_ROWS = 800
@@ -230,7 +228,7 @@ def pairs_from_guess(
     shift = _widest_gap(guess_values, first, last)
     shifted = factor(_shifted(stiffness, mass, shift))
     values, vectors, mass_vectors = guess_values, guess, multiply(mass, guess)
-    areas = _areas(mass)
+    areas = lumped_areas(mass)
     for _ in range(max_iterations):
         image = shifted.solve(mass_vectors)
         # W - sigma M scales a pair by 1 / (lambda - sigma); undo it to keep the columns of one size.
@@ -388,16 +386,12 @@ def _with_residuals(
     vectors = np.ascontiguousarray(vectors)
     if mass_vectors is None:
         mass_vectors = multiply(mass, vectors)
-    norms = residual_norms(values, vectors, multiply(stiffness, vectors), mass_vectors, _areas(mass))
+    norms = residual_norms(values, vectors, multiply(stiffness, vectors), mass_vectors, lumped_areas(mass))
     return EigenPairs(np.array(values), vectors, norms, first_index)
 
 
 def _shifted(stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float) -> sparse.csr_array:
     return sparse.csr_array(stiffness - shift * mass)
-
-
-def _areas(mass: sparse.csr_array) -> FloatArray:
-    return np.asarray(mass.sum(axis=1), dtype=np.float64)
 
 
 def _smallest_positive(values: FloatArray) -> float:

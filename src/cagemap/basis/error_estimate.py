@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from cagemap.basis.products import multiply
-
-FloatArray = NDArray[np.float64]
-
+from cagemap.mesh import FloatArray
 
 # What a prediction leaves out: unfinished iterations, and all levels finer than the next. On bodies with badly
 # shaped faces it was up to 3.1 times too low.

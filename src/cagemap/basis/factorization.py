@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import linalg as sparse_linalg
 
 from cagemap.errors import ParameterError, SolverError
+from cagemap.mesh import FloatArray
 
 rslab: Any
 try:
@@ -23,7 +23,6 @@ try:
 except ImportError:  # no wheel for this platform
     rslab = None
 
-FloatArray = NDArray[np.float64]
 SparseMatrix = sparse.csr_array | sparse.csc_array
 
 # SuperLU's minimum degree ordering gives the least fill on small meshes and takes minutes on large ones.

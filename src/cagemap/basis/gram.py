@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cagemap.basis.products import multiply
+from cagemap.mesh import FloatArray
 from cagemap.operators import Operators
 from cagemap.refinement import Refinement
-
-FloatArray = NDArray[np.float64]
 
 
 def products_with_bands(

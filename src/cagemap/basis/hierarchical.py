@@ -13,11 +13,9 @@ from scipy import linalg, sparse
 from cagemap.basis.gram import products_with_bands
 from cagemap.basis.products import multiply
 from cagemap.errors import ParameterError
+from cagemap.mesh import FloatArray, IndexArray
 from cagemap.operators import Operators
 from cagemap.refinement import Refinement
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

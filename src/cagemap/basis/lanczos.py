@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from cagemap.basis.factorization import Factorization
 from cagemap.basis.products import multiply
 from cagemap.errors import SolverError
-
-FloatArray = NDArray[np.float64]
+from cagemap.mesh import FloatArray
 
 _SEED = 20190708  # SGP 2019 opened on that day; any fixed number makes the basis reproducible
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
+from cagemap.mesh import FloatArray, IndexArray
 
 # Eigenvalues closer than this, relatively, count as one repeated eigenvalue, whose eigenvectors may be rotated.
 CLUSTER = 1e-4

@@ -6,11 +6,12 @@ from cagemap.operators.laplacian import (
     triangle_cotangents,
     vertex_areas,
 )
-from cagemap.operators.sec import Operators, build_operators, restrict
+from cagemap.operators.sec import Operators, build_operators, lumped_areas, restrict
 
 __all__ = [
     "Operators",
     "build_operators",
+    "lumped_areas",
     "restrict",
     "stiffness",
     "triangle_areas",

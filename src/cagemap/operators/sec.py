@@ -41,12 +41,17 @@ class Operators:
 
     def areas(self, level: int) -> FloatArray:
         """(n_l,) row sums of the mass matrix of a level, M^l 1: the area that each vertex stands for."""
-        return np.asarray(self.mass[level].sum(axis=1), dtype=np.float64).ravel()
+        return lumped_areas(self.mass[level])
 
     @property
     def finest_areas(self) -> FloatArray:
         """(n_f,) diagonal of the finest mass matrix."""
         return np.asarray(self.mass[-1].diagonal(), dtype=np.float64)
+
+
+def lumped_areas(mass: sparse.csr_array) -> FloatArray:
+    """(n,) row sums M 1 of a mass matrix: the area that each vertex stands for."""
+    return np.asarray(mass.sum(axis=1), dtype=np.float64).ravel()
 
 
 def restrict(subdivision: sparse.csr_array, fine: sparse.csr_array) -> sparse.csr_array:

@@ -29,7 +29,7 @@ from cagemap.point_map.surface_points import (
     triangle_normals,
     vertex_normals,
 )
-from cagemap.refinement import Refinement, triangles, triangulate_control
+from cagemap.refinement import Refinement, level_triangles
 
 LANDMARK_ITERATIONS = 20
 COST_STIFFNESS = 1e-3  # alpha at which coarse fits from different starts are compared
@@ -289,10 +289,8 @@ def control_points(sampling: sparse.csr_array, points: FloatArray, steps: int = 
 def level_faces(refinement: Refinement, level: int) -> tuple[IndexArray, IndexArray]:
     """Faces of a level for its stiffness, and their triangles; n-gons of the control mesh are fans."""
     faces = refinement.levels[level].faces
-    if faces is None:
-        split = triangulate_control(refinement.control)
-        return split, split
-    return faces, triangles(faces)
+    split = level_triangles(refinement, level)
+    return (split if faces is None else faces), split
 
 
 def elastic_map(

@@ -36,7 +36,7 @@ from cagemap.point_map.blocks import SpectralRows, blocks, recover_in_blocks, se
 from cagemap.point_map.point_map import PointMap
 from cagemap.point_map.search import nearest_rows, strongest_parents
 from cagemap.point_map.upsample import Samples, embed_source, embed_target, fit_functional_map, growth, spread, upsample
-from cagemap.refinement import Refinement, triangles, triangulate_control
+from cagemap.refinement import level_triangles
 
 Progress = Callable[[str], None]
 LevelPair = tuple[int, int]
@@ -312,12 +312,6 @@ def _both_rows(pair: Pair, functional_map: FloatArray, levels: LevelPair) -> tup
     k1, k2 = functional_map.shape
     target = spectral_rows(pair.target, levels[0], k1)
     return target, spectral_rows(pair.source, levels[1], k2, functional_map.T)
-
-
-def level_triangles(refinement: Refinement, level: int) -> IndexArray:
-    """Triangles of a level: quads split by the one rule, n-gons of the control mesh in fans; (t, 3)."""
-    faces = refinement.levels[level].faces
-    return triangulate_control(refinement.control) if faces is None else triangles(faces)
 
 
 def _parents(surface: Surface, coarse: int, fine: int) -> sparse.csr_array:

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from cagemap.basis.factorization import factor
 from cagemap.errors import InvalidLandmarksError
 from cagemap.mesh import FloatArray, IndexArray
+from cagemap.operators import lumped_areas
 
 # Weights of the coordinates beside the spectral ones, per sqrt(k) basis functions (measured, docs/accuracy.md).
 HARMONIC_WEIGHT = 3.0
@@ -66,7 +67,7 @@ def interpolants(
             "differ: add landmark pairs or remove the repeated ones"
         )
     n, p = stiffness.shape[0], len(landmarks)
-    areas = np.asarray(mass.sum(axis=1)).ravel()
+    areas = lumped_areas(mass)
     grounded = np.arange(n) != landmarks[0]  # W is singular by constants only: ground one vertex
     factors = factor(sparse.csc_array(stiffness[grounded][:, grounded]))
 

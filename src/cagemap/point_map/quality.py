@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
+from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.surface_points import (
-    FloatArray,
-    IndexArray,
     build_tree,
     closest_points,
     normalized,

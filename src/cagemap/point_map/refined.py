@@ -16,12 +16,12 @@ from cagemap.point_map.hierarchical import (
     Pair,
     Progress,
     coarse_map,
-    level_triangles,
     search_levels,
 )
 from cagemap.point_map.landmark_coordinates import landmark_coordinates
 from cagemap.point_map.point_map import PointMap
 from cagemap.point_map.upsample import spread
+from cagemap.refinement import level_triangles
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 
 from cagemap.basis.threads import core_count, in_threads
 from cagemap.errors import ParameterError
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int64]
+from cagemap.mesh import FloatArray, IndexArray
 
 _LEAF_SIZE = 4
 _STACK_SIZE = 64

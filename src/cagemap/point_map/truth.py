@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.quality import (
     check_map,
     covered_share,
@@ -16,8 +17,6 @@ from cagemap.point_map.quality import (
     surface_area,
 )
 from cagemap.point_map.surface_points import (
-    FloatArray,
-    IndexArray,
     TriangleTree,
     build_tree,
     closest_points,

@@ -328,3 +328,9 @@ def triangulate_control(mesh: ControlMesh) -> IndexArray:
     step = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
     corners = np.column_stack([first, first + step + 1, first + step + 2])
     return mesh.face_indices[corners]
+
+
+def level_triangles(refinement: Refinement, level: int) -> IndexArray:
+    """Triangles of a level: quads split by the one rule, n-gons of the control mesh in fans; (t, 3)."""
+    faces = refinement.levels[level].faces
+    return triangulate_control(refinement.control) if faces is None else triangles(faces)
