@@ -10,15 +10,8 @@ from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.shapes import creature
 from cagemap.operators import build_operators
-from cagemap.point_map.elastic import (
-    ElasticConfig,
-    Sheet,
-    control_points,
-    elastic_map,
-    fit,
-    level_faces,
-    project,
-)
+from cagemap.point_map.elastic import ElasticConfig, FitShapes, Stage, fit, run_stage
+from cagemap.point_map.elastic_data import Sheet
 from cagemap.point_map.elastic_graph import (
     DifferentialField,
     ElasticGraph,
@@ -26,8 +19,11 @@ from cagemap.point_map.elastic_graph import (
     extrapolate,
     mesh_graph,
 )
+from cagemap.point_map.elastic_map import control_points, finest_map, fit_shapes, level_faces, project
+from cagemap.point_map.elastic_update import landmark_response
 from cagemap.point_map.folds import unfold
 from cagemap.point_map.landmark_coordinates import coordinate_match, interpolants, landmark_coordinates
+from cagemap.point_map.point_map import PointMap
 from cagemap.point_map.quality import flipped_triangles, map_positions, measure_quality
 from cagemap.point_map.surface_points import build_tree, closest_points, normalized, triangle_normals
 from cagemap.refinement import Refinement, refine
@@ -47,6 +43,22 @@ def graph_of(refinement: Refinement, scale: float, level: int) -> tuple[ElasticG
     faces, split = level_faces(refinement, level)
     n = refinement.levels[level].n_vertices
     return mesh_graph(scale * refinement.finest.positions[:n], faces, split), split
+
+
+def fitted_map(
+    target: tuple[Refinement, float],
+    source: tuple[Refinement, float],
+    level: int,
+    match: np.ndarray,
+    landmarks: np.ndarray,
+    config: ElasticConfig = ElasticConfig(),
+) -> PointMap:
+    """The whole fit, from a source vertex for every target vertex of a level; landmarks have the same numbers."""
+    scales = target[1], source[1]
+    shapes = fit_shapes(target[0], source[0], scales, level, landmarks, config)
+    on_source = source[1] * source[0].finest.positions
+    fitted = fit(shapes, on_source[match[shapes.vertices]], landmarks, on_source[landmarks], config)
+    return finest_map(target[0], source[0], source[1], level, fitted, (landmarks, landmarks), config)
 
 
 def affine(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -109,7 +121,9 @@ def test_a_surface_fits_itself_from_a_shaken_start(shape: tuple[Refinement, floa
     sheet = Sheet.build(finest, level_faces(refinement, 3)[1])
     landmarks = np.arange(0, refinement.levels[0].n_vertices, 3)
     start = graph.positions + 0.03 * np.random.default_rng(13).standard_normal((graph.n, 3))
-    found = fit(graph, split, sheet, start, landmarks, finest[landmarks], ElasticConfig(coarse_vertices=400))
+    config = ElasticConfig(coarse_vertices=400)
+    shapes = FitShapes.build(graph, split, sheet, landmarks, config)
+    found = fit(shapes, start[shapes.vertices], landmarks, finest[landmarks], config)
     error = np.linalg.norm(found - graph.positions, axis=1)
     assert error.mean() < 0.003  # ten times less than the noise; tangentially only landmarks and the energy hold it
     assert error[landmarks].max() < 1e-4
@@ -125,9 +139,7 @@ def test_same_shape_other_cage_gives_the_identity(shape: tuple[Refinement, float
     rng = np.random.default_rng(14)
     edges = refinement.matrices[1][:n].tocsr()
     match = np.array([rng.choice(edges.indices[edges.indptr[i] : edges.indptr[i + 1]]) for i in range(n)])
-    found = elastic_map(
-        refinement, other, (scale, other_scale), (2, 1), match, (landmarks, landmarks), ElasticConfig(400)
-    )
+    found = fitted_map(shape, (other, other_scale), 2, match, landmarks, ElasticConfig(400))
     source_triangles = level_faces(other, 2)[1]
     image = map_positions(other_scale * other.finest.positions, source_triangles, found.triangle, found.barycentric)
     error = np.linalg.norm(image - scale * refinement.finest.positions, axis=1)
@@ -146,8 +158,52 @@ def test_same_shape_other_cage_gives_the_identity(shape: tuple[Refinement, float
     assert figures.coverage > 0.99
 
 
+def test_momentum_gets_as_far_in_half_the_iterations(shape: tuple[Refinement, float]) -> None:
+    refinement, scale = shape
+    graph, split = graph_of(refinement, scale, 2)
+    sheet = Sheet.build(graph.positions, split)
+    landmarks = np.arange(0, refinement.levels[0].n_vertices, 6)
+    # Slide the surface along itself, smoothly: only the energy and the landmarks can bring it back.
+    x, y, z = graph.positions.T
+    slide = 0.04 * np.column_stack([np.sin(5 * y), np.sin(5 * z), np.sin(5 * x)])
+    slide -= np.einsum("nd,nd->n", slide, graph.normals)[:, None] * graph.normals
+
+    def error(iterations: int, momentum: float) -> float:
+        stage = Stage(iterations, (1e-4, 1e-4), 3e-4, momentum=momentum)
+        start = graph.positions + slide
+        held = graph.positions[landmarks]
+        found, _ = run_stage(graph, split, sheet, start, landmarks, held, stage, ElasticConfig())
+        return float(np.linalg.norm(found - graph.positions, axis=1).mean())
+
+    assert error(8, 0.8) < error(16, 0.0) < np.linalg.norm(slide, axis=1).mean()
+
+
+def test_the_response_to_landmarks_is_linear_and_keeps_what_is_held(shape: tuple[Refinement, float]) -> None:
+    refinement, scale = shape
+    graph, _ = graph_of(refinement, scale, 1)
+    rng = np.random.default_rng(16)
+    held = np.arange(0, refinement.levels[0].n_vertices, 15)
+    offsets = np.zeros((len(held), 3))
+    offsets[0] = 0.05 * np.cross(graph.normals[held[0]], rng.standard_normal(3))
+    moved, maps = landmark_response(graph, graph.normals, held, offsets, 1e-2, 1e2)
+    twice, _ = landmark_response(graph, graph.normals, held, 2 * offsets, 1e-2, 1e2)
+    still, flat = landmark_response(graph, graph.normals, held, 0 * offsets, 1e-2, 1e2)
+    np.testing.assert_allclose(twice, 2 * moved, atol=1e-12)
+    assert abs(still).max() == 0.0
+    assert abs(flat).max() == 0.0
+    size = np.linalg.norm(offsets[0])
+    np.testing.assert_allclose(moved[held], offsets, atol=1e-3 * size)  # weight 1e2 against a stiffness of 2e-4
+    lengths = np.linalg.norm(moved, axis=1)
+    distance = np.linalg.norm(graph.positions - graph.positions[held[0]], axis=1)
+    near = distance < np.quantile(distance, 0.05)
+    assert lengths[near].mean() > 0.2 * size  # the surroundings come along
+    normal_part = abs(np.einsum("nd,nd->n", moved, graph.normals))
+    assert np.median(normal_part[near] / lengths[near]) < 0.5  # along the surface
+    assert maps.shape == (graph.n, 3, 3)
+
+
 def test_landmark_coordinates_alone_lead_to_the_map_of_a_bent_twin(shape: tuple[Refinement, float]) -> None:
-    target, target_scale = shape
+    target, _ = shape
     cage = target.control
     # Swell and bend the shape smoothly: every vertex keeps its meaning, so the true map is the identity.
     x, y, z = (cage.positions / np.ptp(cage.positions)).T
@@ -161,7 +217,7 @@ def test_landmark_coordinates_alone_lead_to_the_map_of_a_bent_twin(shape: tuple[
     match = coordinate_match(*coordinates)
     np.testing.assert_array_equal(match[landmarks], landmarks)
     faces = level_faces(source, 3)[1]
-    found = elastic_map(target, source, (target_scale, source_scale), (2, 2), match, (landmarks, landmarks))
+    found = fitted_map(shape, (source, source_scale), 2, match, landmarks)
     truth = source_scale * source.finest.positions
     image = map_positions(truth, faces, found.triangle, found.barycentric)
     error = np.linalg.norm(image - truth, axis=1)
@@ -235,9 +291,7 @@ def test_what_cannot_be_fitted_is_refused(shape: tuple[Refinement, float]) -> No
     operators = build_operators(refinement)
     with pytest.raises(InvalidLandmarksError, match="repeated"):
         interpolants(operators.stiffness[1], operators.mass[1], np.array([4, 4, 5]))
-    with pytest.raises(ParameterError, match="target level 1"):
-        elastic_map(refinement, refinement, (scale, scale), (1, 1), np.zeros(5, int), (np.array([0]), np.array([0])))
     graph, split = graph_of(refinement, scale, 1)
-    sheet = Sheet.build(graph.positions, split)
-    with pytest.raises(ParameterError, match="start"):
-        fit(graph, split, sheet, graph.positions[:-1], np.array([0]), graph.positions[:1])
+    shapes = FitShapes.build(graph, split, Sheet.build(graph.positions, split), np.array([0]), ElasticConfig(200))
+    with pytest.raises(ParameterError, match="one for each coarse vertex"):
+        fit(shapes, graph.positions, np.array([0]), graph.positions[:1])

@@ -17,6 +17,7 @@ from cagemap import (
     prepare_surface,
     read_mesh,
     refine,
+    update_match,
 )
 from cagemap.errors import InvalidLandmarksError, InvalidMeshError, ParameterError
 from cagemap.example import example_pair
@@ -77,6 +78,36 @@ def test_a_relabelled_copy_is_found_again(pony, method):
     if method == "elastic":
         assert found.quality.landmark_errors.max() < 1e-12
     np.testing.assert_allclose(found.functional_map[:8, :8].T @ found.functional_map[:8, :8], np.eye(8), atol=0.05)
+
+
+def test_added_landmarks_move_the_map_to_them_at_once(pony):
+    """The pony against a bent one: the true map is known, and landmarks where it was missed bring the map there."""
+    x, y, z = (pony.positions / np.ptp(pony.positions)).T
+    bent = pony.with_positions(np.column_stack([x * (1 + 0.4 * z), y + 0.3 * z**2, z * (1 + 0.4 * x)]))
+    target, source = prepare_surface(pony, 2, BASIS), prepare_surface(bent, 2, BASIS)
+    truth = source.refinement.finest.positions
+
+    def errors(result):
+        image = result.point_map.pull_back(level_triangles(source.refinement, 2), truth)
+        return np.linalg.norm(image - truth, axis=1) * source.operators.scale
+
+    def landmarks(vertices):
+        return Landmarks(tuple(f"point {v}" for v in vertices), vertices, vertices, "target.obj", "source.obj")
+
+    few = np.linspace(0, pony.n_vertices - 1, 6).astype(np.int64)
+    config = MatchConfig()
+    before = match(target, source, landmarks(few), config)
+    worst = np.argsort(-errors(before)[: pony.n_vertices])[:3]
+    more = np.append(few, np.setdiff1d(worst, few))
+    updated = update_match(before, landmarks(more), config)
+    again = match(target, source, landmarks(more), config)
+    assert updated.quality.landmark_errors.max() < 1e-12
+    assert errors(updated)[more].max() < 1e-12
+    assert errors(updated).mean() < 0.9 * errors(before).mean()
+    assert errors(updated).mean() < 1.3 * errors(again).mean()
+    assert updated.quality.flipped_area < before.quality.flipped_area + 2e-3
+    same = update_match(before, landmarks(few), config)
+    assert abs(errors(same) - errors(before)).mean() < 0.05 * errors(before).mean()  # projected once more, no more
 
 
 def test_levels_are_walked_down_together(pony):

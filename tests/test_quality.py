@@ -97,6 +97,13 @@ def test_a_limit_leaves_out_what_is_farther_and_nothing_else(seed: int, weight: 
         assert np.isinf(limited[1::2]).all()
 
 
+def test_triangle_normals_are_cross_products() -> None:
+    rng = np.random.default_rng(37)
+    positions, triangles = rng.standard_normal((40, 3)), rng.integers(0, 40, (90, 3))
+    a, b, c = (positions[triangles[:, k]] for k in range(3))
+    np.testing.assert_allclose(triangle_normals(positions, triangles), np.cross(b - a, c - a), atol=1e-14)
+
+
 def test_closest_points_returns_nothing_where_no_normal_agrees() -> None:
     positions, triangles = grid(4)
     down = np.tile([0.0, 0.0, -1.0], (2, 1))

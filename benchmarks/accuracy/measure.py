@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.accuracy.data import HumanPair, animal_pair
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import MatchConfig, choose_level, match, prepare_pair
-from cagemap.point_map.elastic import level_faces
+from cagemap.point_map.elastic_map import level_faces
 from cagemap.point_map.point_map import PointMap
 from cagemap.point_map.quality import map_positions
 from cagemap.point_map.truth import compare_with_truth, round_trip, true_map

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from cagemap.pipeline import choose_level as choose_level
     from cagemap.pipeline import match as match
     from cagemap.pipeline import prepare_surface as prepare_surface
+    from cagemap.pipeline import update_match as update_match
     from cagemap.point_map.point_map import PointMap as PointMap
     from cagemap.refinement import CatmullClark as CatmullClark
     from cagemap.refinement import Loop as Loop
@@ -47,7 +48,7 @@ _ROOMS = {
     "mesh.checks": ("check_mesh",),
     "mesh.landmarks": ("Landmarks",),
     "operators": ("Operators", "build_operators"),
-    "pipeline": ("MatchConfig", "MatchResult", "choose_level", "match", "prepare_surface"),
+    "pipeline": ("MatchConfig", "MatchResult", "choose_level", "match", "prepare_surface", "update_match"),
     "point_map.point_map": ("PointMap",),
     "refinement": ("CatmullClark", "Loop", "Refinement", "refine"),
 }

@@ -21,7 +21,7 @@ from cagemap.point_map.elastic import ElasticConfig
 from cagemap.point_map.hierarchical import HierarchyConfig, Pair, hierarchical_map
 from cagemap.point_map.point_map import PointMap
 from cagemap.point_map.quality import QualityFigures, measure_quality
-from cagemap.point_map.refined import RefinedConfig, refined_map
+from cagemap.point_map.refined import RefinedConfig, refined_map, updated_map
 from cagemap.refinement import Scheme, level_triangles, refine
 
 Progress = Callable[[str], None]
@@ -228,6 +228,47 @@ def match(
             else:
                 refined = RefinedConfig(config.hierarchy, config.elastic)
                 functional_map, point_map = refined_map(pair, refined, progress)
+        progress("quality")
+        with _timed(timings, "quality"):
+            quality = judge(target, source, point_map, landmarks)
+    return MatchResult(target, source, landmarks, functional_map, point_map, quality, timings)
+
+
+def update_match(
+    before: MatchResult,
+    landmarks: Landmarks,
+    config: MatchConfig = MatchConfig(),
+    *,
+    progress: Progress = silent,
+) -> MatchResult:
+    """A match after landmarks were added, moved or removed: a preview at once, from the map that is there.
+
+    The map responds elastically to the landmarks; its error is within a few percent of that of a new match
+    (docs/accuracy.md). Where landmarks change what goes where, an arm for a leg, match again instead.
+
+    Parameters
+    ----------
+    before : MatchResult
+    landmarks : Landmarks
+        All of them, as they are now.
+    config : MatchConfig
+        As in the match before.
+    progress : callable
+        Called with the name of each stage.
+
+    Raises
+    ------
+    InvalidLandmarksError
+        If the landmarks do not fit the control meshes.
+    """
+    target, source = before.target, before.source
+    check_landmarks(landmarks, target.control, source.control)
+    pair = Pair(target, source, landmarks.target, landmarks.source)
+    timings: dict[str, float] = {}
+    with one_blas_thread():
+        with _timed(timings, "map"):
+            refined = RefinedConfig(config.hierarchy, config.elastic)
+            functional_map, point_map = updated_map(pair, before.point_map, refined, progress)
         progress("quality")
         with _timed(timings, "quality"):
             quality = judge(target, source, point_map, landmarks)

@@ -7,6 +7,8 @@ the patch's boundary: a discrete harmonic map, which is one-to-one where the pat
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
@@ -17,6 +19,23 @@ from cagemap.point_map.surface_points import TriangleTree, closest_points, norma
 
 ROUNDS = 6
 SWEEPS = 10
+# Share of the flipped triangles that a round must mend for another one to be worth it.
+LEAST_GAIN = 0.05
+
+
+@dataclass(frozen=True)
+class Images:
+    """Where the vertices of a piece of the target go.
+
+    Attributes
+    ----------
+    triangle, barycentric : (n,), (n, 3)
+    positions : (n, 3) float64
+    """
+
+    triangle: IndexArray
+    barycentric: FloatArray
+    positions: FloatArray
 
 
 def unfold(
@@ -34,7 +53,7 @@ def unfold(
     """Reduce the flipped triangles of a map; vertices far from a flip and held ones keep their image.
 
     A connected patch keeps its new image only if fewer of its triangles are flipped than before; the patches grow by a
-    ring a round.
+    ring a round, until a round mends little.
 
     Parameters
     ----------
@@ -57,31 +76,64 @@ def unfold(
     normals = normalized(triangle_normals(source, source_triangles))
     image = map_positions(source, source_triangles, triangle, barycentric)
     flipped = flipped_triangles(image, target_triangles, normals[triangle])
-    movable = np.ones(len(image), dtype=bool)
-    movable[held] = False
-    triangle, barycentric = triangle.copy(), barycentric.copy()
+    if not flipped.any():
+        return triangle, barycentric
+    # Nothing outside the last round's patch is looked at: go on with the triangles around it, renumbered.
+    region = _touched(target_triangles, _patch(target_triangles, flipped, rounds, len(image)))
+    vertices, near = np.unique(target_triangles[region], return_inverse=True)
+    near = near.reshape(-1, 3)
+    movable = ~np.isin(vertices, held)
+    local = Images(triangle[vertices], barycentric[vertices], image[vertices])
+    before = np.inf
     for ring in range(1, rounds + 1):
-        if not flipped.any():
+        flipped = flipped_triangles(local.positions, near, normals[local.triangle])
+        if flipped.sum() > (1.0 - LEAST_GAIN) * before or not flipped.any():
             break
-        inside = _patch(target_triangles, flipped, ring, len(image)) & movable
-        vertices = np.flatnonzero(inside)
-        touched = _touched(target_triangles, inside)  # all other triangles stay as they are
-        near = target_triangles[touched]
-        means = _neighbour_means(near, inside)
-        moved, directions = image.copy(), normals[triangle]
-        for _ in range(SWEEPS):
-            moved[vertices] = means @ moved
-            directions[vertices] = normalized(means @ directions)
-        found, weights, _ = closest_points(tree, moved[vertices], directions[vertices], normal_weight=normal_weight)
-        trial_triangle, trial_image = triangle.copy(), image.copy()
-        trial_triangle[vertices] = found
-        trial_image[vertices] = map_positions(source, source_triangles, found, weights)
-        still = flipped_triangles(trial_image, near, normals[trial_triangle])
-        better = _improved(near, inside, flipped[touched], still)[vertices]
-        kept = vertices[better]
-        triangle[kept], barycentric[kept], image[kept] = found[better], weights[better], trial_image[kept]
-        flipped[touched] = flipped_triangles(image, near, normals[triangle])
+        before = flipped.sum()
+        inside = _patch(near, flipped, ring, len(vertices)) & movable
+        local = _relaxed(local, near, inside, flipped, normals, source, source_triangles, tree, normal_weight)
+    triangle, barycentric = triangle.copy(), barycentric.copy()
+    triangle[vertices], barycentric[vertices] = local.triangle, local.barycentric
     return triangle, barycentric
+
+
+def _relaxed(
+    images: Images,
+    near: IndexArray,
+    inside: np.ndarray,
+    flipped: np.ndarray,
+    normals: FloatArray,
+    source: FloatArray,
+    source_triangles: IndexArray,
+    tree: TriangleTree,
+    normal_weight: float,
+) -> Images:
+    """Images of the vertices inside after some sweeps of averaging, where that leaves fewer triangles flipped."""
+    vertices = np.flatnonzero(inside)
+    touched = _touched(near, inside)
+    means = _neighbour_means(near[touched], inside)
+    moved, directions = images.positions.copy(), normals[images.triangle]
+    for _ in range(SWEEPS):
+        moved[vertices] = means @ moved
+        directions[vertices] = normalized(means @ directions)
+    found, weights, _ = closest_points(
+        tree,
+        moved[vertices],
+        directions[vertices],
+        normal_weight=normal_weight,
+        guess=images.triangle[vertices],
+    )
+    triangle, barycentric, positions = images.triangle.copy(), images.barycentric.copy(), images.positions.copy()
+    triangle[vertices], barycentric[vertices] = found, weights
+    positions[vertices] = map_positions(source, source_triangles, found, weights)
+    still = flipped_triangles(positions, near[touched], normals[triangle])
+    kept = _improved(near[touched], inside, flipped[touched], still)
+    chosen = kept[:, None]
+    return Images(
+        np.where(kept, triangle, images.triangle),
+        np.where(chosen, barycentric, images.barycentric),
+        np.where(chosen, positions, images.positions),
+    )
 
 
 def _patch(triangles: IndexArray, flipped: np.ndarray, rings: int, n: int) -> np.ndarray:

@@ -175,23 +175,12 @@ def ladder(pair: Pair, start: LevelPair) -> list[LevelPair]:
     return steps
 
 
-def coarse_map(
-    pair: Pair, config: HierarchyConfig, coordinates: tuple[FloatArray, FloatArray] | None = None
-) -> LevelMap:
-    """Functional map by eqs. 13-16 up to the search levels, then full search and spectral upsampling there.
-
-    Parameters
-    ----------
-    pair : Pair
-    config : HierarchyConfig
-    coordinates : pair of (n_l, c) arrays, optional
-        Extra coordinates of the vertices of the search levels, see `Samples`.
-    """
+def coarse_map(pair: Pair, config: HierarchyConfig) -> LevelMap:
+    """Functional map by eqs. 13-16 up to the search levels, then full search and spectral upsampling there."""
     levels = search_levels(pair, config)
     functional_map = descriptor_map(pair, levels, config)
-    extra = coordinates if coordinates is not None else (None, None)
-    target = _samples(pair.target, levels[0], extra[0])
-    source = _samples(pair.source, levels[1], extra[1])
+    target = _samples(pair.target, levels[0])
+    source = _samples(pair.source, levels[1])
     start = min(config.upsample_start, *functional_map.shape)
     trusted = functional_map[:start, :start]
     match = nearest_rows(embed_target(target, start), embed_source(source, trusted))
@@ -348,8 +337,7 @@ def _sample_level(surface: Surface, level: int) -> int:
     return level
 
 
-def _samples(surface: Surface, level: int, coordinates: FloatArray | None) -> Samples:
+def _samples(surface: Surface, level: int) -> Samples:
     """All vertices of a level with the row sums of its mass matrix as areas."""
     rows = evaluate(surface.basis, surface.refinement, level)
-    areas = surface.operators.areas(level)
-    return Samples(rows, areas, np.zeros((len(rows), 0)) if coordinates is None else coordinates)
+    return Samples(rows, surface.operators.areas(level), np.zeros((len(rows), 0)))

@@ -7,6 +7,7 @@ A map is given as arrays: ``triangle (n1,)`` and ``barycentric (n1, 3)``, the so
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -90,8 +91,11 @@ def map_positions(
     positions: FloatArray, triangles: IndexArray, triangle: IndexArray, barycentric: FloatArray
 ) -> FloatArray:
     """(n1, 3) positions of the points (triangle, barycentric) of a surface."""
-    corners = triangles[triangle]
-    return sum(barycentric[:, k, None] * positions[corners[:, k]] for k in range(3))  # type: ignore[return-value]
+    corners = triangles.take(triangle, axis=0)
+    images = barycentric[:, :1] * positions.take(corners[:, 0], axis=0)
+    for k in (1, 2):
+        images += barycentric[:, k, None] * positions.take(corners[:, k], axis=0)
+    return images
 
 
 def flipped_triangles(image: FloatArray, target_triangles: IndexArray, image_normals: FloatArray) -> NDArray[np.bool_]:
@@ -104,7 +108,7 @@ def flipped_triangles(image: FloatArray, target_triangles: IndexArray, image_nor
     image_normals : (n1, 3)
         Source normals at the image of every target vertex; a triangle compares with the sum over its corners.
     """
-    expected = sum(image_normals[target_triangles[:, k]] for k in range(3))
+    expected = sum(image_normals.take(target_triangles[:, k], axis=0) for k in range(3))
     return np.einsum("td,td->t", triangle_normals(image, target_triangles), expected) < 0
 
 
@@ -225,15 +229,17 @@ def measure_quality(
     target = target / np.sqrt(surface_area(target, target_triangles))
     source = source / np.sqrt(surface_area(source, source_triangles))
     image = map_positions(source, source_triangles, triangle, barycentric)
-    image_normals = normalized(triangle_normals(source, source_triangles))[triangle]
-    flipped = flipped_triangles(image, target_triangles, image_normals)
-    areas = 0.5 * row_lengths(triangle_normals(target, target_triangles))
-    largest, smallest = stretches(target, image, target_triangles)
-    aspect = largest / np.maximum(smallest, 1e-9)
-    trust = trust_field((largest, smallest), areas, target_triangles, flipped, len(target))
+    image_normals = normalized(triangle_normals(source, source_triangles)).take(triangle, axis=0)
+    with ThreadPoolExecutor(1) as pool:
+        covered = pool.submit(covered_share, image, target_triangles, source, source_triangles)
+        flipped = flipped_triangles(image, target_triangles, image_normals)
+        areas = 0.5 * row_lengths(triangle_normals(target, target_triangles))
+        largest, smallest = stretches(target, image, target_triangles)
+        aspect = largest / np.maximum(smallest, 1e-9)
+        trust = trust_field((largest, smallest), areas, target_triangles, flipped, len(target))
+        coverage = covered.result()
     errors = np.linalg.norm(image[landmarks[:, 0]] - source[landmarks[:, 1]], axis=1)
     flipped_area = float(areas[flipped].sum() / areas.sum())
-    coverage = covered_share(image, target_triangles, source, source_triangles)
     names = tuple(landmark_names) or tuple(f"pair {i}" for i in range(len(landmarks)))
     return QualityFigures(
         landmark_errors=errors,
@@ -258,8 +264,8 @@ def weighted_percentiles(values: FloatArray, weights: FloatArray, percents: Sequ
 
 def _first_form(positions: FloatArray, triangles: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(t,) inner products e1.e1, e1.e2, e2.e2 of the two edges leaving a triangle's first corner."""
-    e1 = positions[triangles[:, 1]] - positions[triangles[:, 0]]
-    e2 = positions[triangles[:, 2]] - positions[triangles[:, 0]]
+    first, second, third = (positions.take(triangles[:, k], axis=0) for k in range(3))
+    e1, e2 = second - first, third - first
     return np.einsum("td,td->t", e1, e1), np.einsum("td,td->t", e1, e2), np.einsum("td,td->t", e2, e2)
 
 
@@ -268,7 +274,8 @@ def _vertex_areas_and_lengths(positions: FloatArray, triangles: IndexArray) -> t
     n = len(positions)
     corners = triangles.ravel()
     areas = row_lengths(triangle_normals(positions, triangles)) / 6
-    edges = [row_lengths(positions[triangles[:, k]] - positions[triangles[:, k - 1]]) for k in range(3)]
+    at = [positions.take(triangles[:, k], axis=0) for k in range(3)]
+    edges = [row_lengths(at[k] - at[k - 1]) for k in range(3)]
     lengths = np.bincount(corners, np.repeat(sum(edges) / 3, 3), minlength=n)
     counts = np.maximum(np.bincount(corners, minlength=n), 1)
     return np.bincount(corners, np.repeat(areas, 3), minlength=n).astype(np.float64), lengths / counts

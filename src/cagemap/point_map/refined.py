@@ -5,23 +5,33 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
 
-from cagemap.basis import rows
-from cagemap.mesh import FloatArray
-from cagemap.point_map.elastic import ElasticConfig, elastic_map
-from cagemap.point_map.hierarchical import (
-    SAMPLE_VERTICES,
-    HierarchyConfig,
-    Pair,
-    Progress,
-    coarse_map,
-    search_levels,
-)
+from cagemap.basis import Surface, rows
+from cagemap.basis.threads import in_threads
+from cagemap.mesh import FloatArray, IndexArray
+from cagemap.point_map.elastic import ElasticConfig, fit
+from cagemap.point_map.elastic_map import finest_map, fit_shapes, level_graph
+from cagemap.point_map.elastic_update import respond
+from cagemap.point_map.hierarchical import HierarchyConfig, Pair, Progress, descriptor_map, search_levels
 from cagemap.point_map.landmark_coordinates import landmark_coordinates
 from cagemap.point_map.point_map import PointMap
-from cagemap.point_map.upsample import spread
+from cagemap.point_map.quality import map_positions
+from cagemap.point_map.search import nearest_rows
+from cagemap.point_map.upsample import (
+    FIT_SAMPLES,
+    Samples,
+    embed_source,
+    embed_target,
+    fit_functional_map,
+    growth,
+    spread,
+    upsample,
+)
 from cagemap.refinement import level_triangles
+
+# Source vertices that a start is sought among: twice as many as there are vertices to start.
+START_SAMPLES = 3000
+START_GROWTH = 1.5
 
 
 @dataclass(frozen=True)
@@ -46,39 +56,115 @@ def refined_map(
     InvalidLandmarksError
         If there are fewer than two landmarks.
     """
-    progress("functional map")
+    target, source = pair.target, pair.source
+    landmarks = pair.target_landmarks, pair.source_landmarks
+    scales = target.operators.scale, source.operators.scale
     levels = search_levels(pair, config.hierarchy)
-    coordinates = (
-        landmark_coordinates(
-            pair.target.operators.stiffness[levels[0]], pair.target.operators.mass[levels[0]], pair.target_landmarks
-        ),
-        landmark_coordinates(
-            pair.source.operators.stiffness[levels[1]], pair.source.operators.mass[levels[1]], pair.source_landmarks
-        ),
-    )
-    coarse = coarse_map(pair, config.hierarchy, coordinates)
+    progress("functional map")
+    shapes = fit_shapes(target.refinement, source.refinement, scales, levels[0], landmarks[0], config.elastic)
+    match = start_map(pair, levels, shapes.vertices, shapes.coarse.areas, config.hierarchy)
     progress("elastic fit")
-    point_map = elastic_map(
-        pair.target.refinement,
-        pair.source.refinement,
-        (pair.target.operators.scale, pair.source.operators.scale),
-        levels,
-        coarse.match,
-        (pair.target_landmarks, pair.source_landmarks),
-        config.elastic,
+    on_source = scales[1] * source.refinement.finest.positions
+    fitted = fit(shapes, on_source[match], landmarks[0], on_source[landmarks[1]], config.elastic)
+    progress("projection")
+    point_map = finest_map(
+        target.refinement, source.refinement, scales[1], levels[0], fitted, landmarks, config.elastic
     )
     progress("functional map of the fit")
     return functional_map_of(pair, point_map), point_map
 
 
+def updated_map(
+    pair: Pair, point_map: PointMap, config: RefinedConfig, progress: Progress = lambda stage: None
+) -> tuple[FloatArray, PointMap]:
+    """Functional map C12 and point map T12 after landmarks changed, from the point map before.
+
+    Parameters
+    ----------
+    pair : Pair
+        With the landmarks as they are now.
+    point_map : PointMap
+        Of the finest levels.
+    config : RefinedConfig
+    progress : callable
+    """
+    target, source = pair.target, pair.source
+    progress("elastic response")
+    level = search_levels(pair, config.hierarchy)[0]
+    graph, triangles = level_graph(target.refinement, target.operators.scale, level)
+    on_source = source.operators.scale * source.refinement.finest.positions
+    images = map_positions(
+        on_source,
+        level_triangles(source.refinement, source.finest),
+        point_map.triangle[: graph.n],
+        point_map.barycentric[: graph.n],
+    )
+    fitted = respond(graph, triangles, images, pair.target_landmarks, on_source[pair.source_landmarks], config.elastic)
+    landmarks = pair.target_landmarks, pair.source_landmarks
+    progress("projection")
+    point_map = finest_map(
+        target.refinement, source.refinement, source.operators.scale, level, fitted, landmarks, config.elastic
+    )
+    progress("functional map of the fit")
+    return functional_map_of(pair, point_map), point_map
+
+
+def start_map(
+    pair: Pair, levels: tuple[int, int], vertices: IndexArray, areas: FloatArray, config: HierarchyConfig
+) -> IndexArray:
+    """Where the spectral map sends some vertices: all that the elastic fit needs to know of it.
+
+    Parameters
+    ----------
+    pair : Pair
+    levels : (int, int)
+        Levels of target and source that are searched.
+    vertices : (q,) int64
+        Target vertices of that level.
+    areas : (q,) float64
+        Share of the surface that each stands for.
+    config : HierarchyConfig
+
+    Returns
+    -------
+    (q,) int64
+        Source vertices of their level.
+    """
+    functional_map = descriptor_map(pair, levels, config)
+    candidates = spread(len(pair.source.refinement.levels[levels[1]].positions), START_SAMPLES)
+    candidates = np.union1d(candidates, pair.source_landmarks)
+    sides = [
+        (pair.target, levels[0], pair.target_landmarks, vertices, areas),
+        (pair.source, levels[1], pair.source_landmarks, candidates, np.ones(len(candidates))),
+    ]
+    target, source = in_threads(lambda side: _samples(*side), sides)
+    start = min(config.upsample_start, *functional_map.shape)
+    trusted = functional_map[:start, :start]
+    match = nearest_rows(embed_target(target, start), embed_source(source, trusted))
+    stop = min(config.upsample_stop, max(target.rows.shape[1], source.rows.shape[1]))
+    _, match = upsample(target, source, match, growth(start, stop, START_GROWTH))
+    return candidates[match]
+
+
 def functional_map_of(pair: Pair, point_map: PointMap) -> FloatArray:
     """C12 = Phi~1^+ P12 Phi~2 of a point map of the finest levels, on a sample of its vertices (paper, 2.1.2)."""
-    chosen = spread(len(point_map.triangle), SAMPLE_VERTICES)
-    target_rows = rows(pair.target.basis, pair.target.refinement, pair.target.finest, chosen)
-    source_triangles = level_triangles(pair.source.refinement, pair.source.finest)
-    corners, places = np.unique(source_triangles[point_map.triangle[chosen]], return_inverse=True)
-    at_corners = rows(pair.source.basis, pair.source.refinement, pair.source.finest, corners)
+    target, source = pair.target, pair.source
+    chosen = spread(len(point_map.triangle), FIT_SAMPLES)
+    corners, places = np.unique(
+        level_triangles(source.refinement, source.finest)[point_map.triangle[chosen]], return_inverse=True
+    )
+    at_vertices, at_corners = in_threads(
+        lambda side: rows(side[0].basis, side[0].refinement, side[0].finest, side[1]),
+        [(target, chosen), (source, corners)],
+    )
     weights = point_map.barycentric[chosen]
     pulled = sum(weights[:, i, None] * at_corners[places.reshape(-1, 3)[:, i]] for i in range(3))
-    weighted = target_rows * pair.target.operators.finest_areas[chosen, None]
-    return np.asarray(linalg.solve(weighted.T @ target_rows, weighted.T @ pulled, assume_a="pos"))
+    samples = Samples(at_vertices, target.operators.finest_areas[chosen], np.zeros((len(chosen), 0)))
+    return fit_functional_map(samples, pulled, target.basis.count)
+
+
+def _samples(surface: Surface, level: int, landmarks: IndexArray, vertices: IndexArray, areas: FloatArray) -> Samples:
+    """Some vertices of a level, with their landmark coordinates."""
+    operators = surface.operators
+    coordinates = landmark_coordinates(operators.stiffness[level], operators.mass[level], landmarks)
+    return Samples(rows(surface.basis, surface.refinement, level, vertices), areas, coordinates[vertices])

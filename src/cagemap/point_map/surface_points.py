@@ -46,14 +46,8 @@ class TriangleTree:
 
 def triangle_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
     """(t, 3) normals of length twice the area, by the right-hand rule."""
-    a, b, c = (positions[triangles[:, k]] for k in range(3))
-    b -= a
-    c -= a
-    # np.cross, without its many passes.
-    normals = np.empty_like(b)
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        np.multiply(b[:, j], c[:, k], out=normals[:, i])
-        normals[:, i] -= b[:, k] * c[:, j]
+    normals = np.empty((len(triangles), 3))
+    _fill_normals(np.ascontiguousarray(positions, dtype=np.float64), triangles, normals)
     return normals
 
 
@@ -91,29 +85,30 @@ def build_tree(positions: FloatArray, triangles: IndexArray) -> TriangleTree:
     """
     if len(triangles) == 0:
         raise ParameterError("expected at least one triangle to search, got none: pass a non-empty surface")
+    positions = np.ascontiguousarray(positions, dtype=np.float64)
     if not np.isfinite(positions).all():
         bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
         raise ParameterError(f"expected finite positions, got {len(bad)} that are not, first at vertices {bad[:5]}")
-    centres = (positions[triangles[:, 0]] + positions[triangles[:, 1]] + positions[triangles[:, 2]]) / 3.0
+    centres = positions.take(triangles[:, 0], axis=0)
+    for k in (1, 2):
+        centres += positions.take(triangles[:, k], axis=0)
+    centres /= 3.0
     order = np.argsort(_morton_codes(centres), kind="stable")
-    ordered = triangles[order]
-    corners = positions[ordered]
-    a, b, c = (corners[:, k] for k in range(3))
     n_leaves = 1 << int(np.ceil(np.log2(max(1, -(-len(order) // _LEAF_SIZE)))))
     lower = np.full((2 * n_leaves - 1, 3), np.inf)
     upper = np.full((2 * n_leaves - 1, 3), -np.inf)
-    starts = np.arange(0, len(order), _LEAF_SIZE)
     first_leaf = n_leaves - 1
-    lower[first_leaf : first_leaf + len(starts)] = np.minimum.reduceat(np.minimum(np.minimum(a, b), c), starts, axis=0)
-    upper[first_leaf : first_leaf + len(starts)] = np.maximum.reduceat(np.maximum(np.maximum(a, b), c), starts, axis=0)
+    corners, normals = np.empty((len(order), 3, 3)), np.empty((len(order), 3))
+    ordered = triangles.take(order, axis=0)
+    _fill_leaves(positions, ordered, corners, lower[first_leaf:], upper[first_leaf:])
+    _fill_normals(positions, ordered, normals)
     while first_leaf > 0:
         parents = slice((first_leaf - 1) // 2, first_leaf)
         children = slice(first_leaf, 2 * first_leaf + 1)
         lower[parents] = lower[children].reshape(-1, 2, 3).min(axis=1)
         upper[parents] = upper[children].reshape(-1, 2, 3).max(axis=1)
         first_leaf = (first_leaf - 1) // 2
-    normals = normalized(triangle_normals(positions, ordered))
-    return TriangleTree(lower, upper, order.astype(np.int64), corners, normals)
+    return TriangleTree(lower, upper, order.astype(np.int64), corners, normalized(normals))
 
 
 def closest_points(
@@ -249,6 +244,32 @@ def _spread_bits(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
     ):
         spread = (spread | (spread << np.uint64(shift))) & np.uint64(mask)
     return spread
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _fill_normals(positions, triangles, normals):  # type: ignore[no-untyped-def]
+    """Cross products of the edges leaving every triangle's first corner."""
+    for t in range(len(triangles)):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        ax, ay, az = positions[a, 0], positions[a, 1], positions[a, 2]
+        ux, uy, uz = positions[b, 0] - ax, positions[b, 1] - ay, positions[b, 2] - az
+        vx, vy, vz = positions[c, 0] - ax, positions[c, 1] - ay, positions[c, 2] - az
+        normals[t, 0] = uy * vz - uz * vy
+        normals[t, 1] = uz * vx - ux * vz
+        normals[t, 2] = ux * vy - uy * vx
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _fill_leaves(positions, triangles, corners, lower, upper):  # type: ignore[no-untyped-def]
+    """Corner positions of every triangle, and the box of every leaf."""
+    for t in range(len(triangles)):
+        leaf = t // _LEAF_SIZE
+        for k in range(3):
+            for i in range(3):
+                x = positions[triangles[t, k], i]
+                corners[t, k, i] = x
+                lower[leaf, i] = min(lower[leaf, i], x)
+                upper[leaf, i] = max(upper[leaf, i], x)
 
 
 @numba.njit(cache=True, error_model="numpy", inline="always")

@@ -1,0 +1,156 @@
+"""The data term of the elastic fit: closest points both ways, as planes that the deformed target should lie on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from cagemap.mesh import FloatArray, IndexArray
+from cagemap.operators.laplacian import vertex_areas
+from cagemap.point_map.elastic_graph import ElasticGraph
+from cagemap.point_map.surface_points import (
+    TriangleTree,
+    build_tree,
+    closest_points,
+    normalized,
+    triangle_normals,
+    vertex_normals,
+)
+from cagemap.point_map.upsample import spread
+
+# Vertices of the source that pull at the target, per vertex of the target's mesh: more of them change nothing.
+PULLERS = 2.0
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """The source as the fit sees it: a surface to lie on.
+
+    Attributes
+    ----------
+    positions : (n2, 3) float64, at unit area
+    triangles : (t2, 3) int64
+    normals : (n2, 3) float64
+    areas : (n2,) float64
+        Shares of the surface's area, sum 1.
+    tree : TriangleTree
+    """
+
+    positions: FloatArray
+    triangles: IndexArray
+    normals: FloatArray
+    areas: FloatArray
+    tree: TriangleTree
+
+    @classmethod
+    def build(cls, positions: FloatArray, faces: IndexArray) -> Sheet:
+        """Prepare a surface for closest points; ``faces`` are triangles."""
+        areas = vertex_areas(positions, faces)
+        return cls(
+            positions, faces, vertex_normals(positions, faces), areas / areas.sum(), build_tree(positions, faces)
+        )
+
+
+@dataclass(frozen=True)
+class Pull:
+    """Quadratic data term ``sum_i (x_i - y_i)^T B_i (x_i - y_i)`` up to a constant, and where it was found.
+
+    Attributes
+    ----------
+    blocks : (n, 3, 3) float64
+        B_i.
+    right : (n, 3) float64
+        B_i y_i.
+    triangles : (m,) int64
+        Triangle of every closest point, a guess for the next search.
+    """
+
+    blocks: FloatArray
+    right: FloatArray
+    triangles: IndexArray
+
+
+def pull_to_source(
+    graph: ElasticGraph,
+    source: Sheet,
+    positions: FloatArray,
+    normals: FloatArray,
+    guess: IndexArray | None,
+    normal_weight: float,
+) -> Pull:
+    """Point-to-plane term of the deformed vertices: each should lie in the source's tangent plane at its foot.
+
+    Parameters
+    ----------
+    graph : ElasticGraph
+    source : Sheet
+    positions, normals : (n, 3) float64
+        Of the deformed target.
+    guess : (n,) int64, optional
+        Source triangles of an earlier search.
+    normal_weight : float
+        Of the search, see `closest_points`.
+    """
+    found, barycentric, _ = closest_points(source.tree, positions, normals, normal_weight=normal_weight, guess=guess)
+    corners = source.triangles[found]
+    foot = np.einsum("nk,nkd->nd", barycentric, source.positions[corners])
+    plane = normalized(np.einsum("nk,nkd->nd", barycentric, source.normals[corners]))
+    weights = graph.areas * np.clip(np.einsum("nd,nd->n", plane, normals), 0.0, 1.0)
+    blocks = weights[:, None, None] * plane[:, :, None] * plane[:, None, :]
+    return Pull(blocks, np.einsum("nab,nb->na", blocks, foot), found)
+
+
+def pull_by_source(
+    target_triangles: IndexArray,
+    source: Sheet,
+    positions: FloatArray,
+    guess: IndexArray | None,
+    normal_weight: float,
+) -> Pull:
+    """Point-to-plane term of source vertices: each should lie on the deformed target.
+
+    The residual r = n . (q - sum_k b_k x_k) of a source vertex q is asked of each corner of the triangle that holds
+    its closest point, n . x_k -> n . x_k + r with weight b_k: an upper bound of the true term (Jensen), equal at the
+    current positions, that keeps the blocks apart.
+
+    Parameters
+    ----------
+    target_triangles : (t1, 3) int64
+    source : Sheet
+    positions : (n, 3) float64
+        Of the deformed target.
+    guess : (m,) int64, optional
+        Target triangles of an earlier search.
+    normal_weight : float
+    """
+    n = len(positions)
+    chosen = spread(len(source.positions), int(PULLERS * n))
+    points, normals = source.positions[chosen], source.normals[chosen]
+    held_by, barycentric, _ = closest_points(
+        build_tree(positions, target_triangles), points, normals, normal_weight=normal_weight, guess=guess
+    )
+    corners = target_triangles[held_by]
+    foot = np.einsum("nk,nkd->nd", barycentric, positions[corners])
+    residual = np.einsum("nd,nd->n", normals, points - foot)
+    facing = normalized(triangle_normals(positions, target_triangles))[held_by]
+    areas = source.areas[chosen] / source.areas[chosen].sum()
+    shares = areas * np.clip(np.einsum("nd,nd->n", facing, normals), 0.0, 1.0)
+    weights = (shares[:, None] * barycentric).ravel()  # one row per corner
+    normals = np.repeat(normals, 3, axis=0)
+    wanted = np.einsum("nd,nd->n", normals, positions[corners.ravel()]) + np.repeat(residual, 3)
+    gather = sparse.csr_array((weights, (corners.ravel(), np.arange(len(weights)))), shape=(n, len(weights)))
+    blocks = gather @ (normals[:, :, None] * normals[:, None, :]).reshape(-1, 9)
+    return Pull(blocks.reshape(n, 3, 3), gather @ (wanted[:, None] * normals), held_by)
+
+
+def deformed_normals(
+    graph: ElasticGraph, positions: FloatArray, maps: FloatArray, target_triangles: IndexArray | None
+) -> FloatArray:
+    """(n, 3) unit normals of the deformed surface: from its triangles, or without them from the maps (n, 3, 3)."""
+    if target_triangles is not None:
+        return vertex_normals(positions, target_triangles)
+    # Normals transform with the cofactor matrix, whose rows are cross products of the map's rows.
+    cofactors = np.stack([np.cross(maps[:, (k + 1) % 3], maps[:, (k + 2) % 3]) for k in range(3)], axis=1)
+    return normalized(np.einsum("nab,nb->na", cofactors, graph.normals))
