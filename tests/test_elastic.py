@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
+from cagemap.basis import BasisConfig, Surface, hierarchical_basis
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.shapes import creature
@@ -19,9 +20,17 @@ from cagemap.point_map.elastic_graph import (
     extrapolate,
     mesh_graph,
 )
-from cagemap.point_map.elastic_map import control_points, finest_map, fit_shapes, level_faces, project
+from cagemap.point_map.elastic_map import (
+    control_points,
+    finest_surface,
+    fit_shapes,
+    level_faces,
+    project,
+    refined_positions,
+)
 from cagemap.point_map.elastic_update import landmark_response
 from cagemap.point_map.folds import unfold
+from cagemap.point_map.hierarchical import Pair
 from cagemap.point_map.landmark_coordinates import coordinate_match, interpolants, landmark_coordinates
 from cagemap.point_map.point_map import PointMap
 from cagemap.point_map.quality import flipped_triangles, map_positions, measure_quality
@@ -45,20 +54,27 @@ def graph_of(refinement: Refinement, scale: float, level: int) -> tuple[ElasticG
     return mesh_graph(scale * refinement.finest.positions[:n], faces, split), split
 
 
+def surface_of(refinement: Refinement) -> Surface:
+    """A surface with few basis functions: the fit does not ask for any."""
+    operators = build_operators(refinement)
+    return Surface(refinement, operators, hierarchical_basis(refinement, operators, BasisConfig(count=4)))
+
+
 def fitted_map(
-    target: tuple[Refinement, float],
-    source: tuple[Refinement, float],
+    target: Refinement,
+    source: Refinement,
     level: int,
     match: np.ndarray,
     landmarks: np.ndarray,
     config: ElasticConfig = ElasticConfig(),
 ) -> PointMap:
     """The whole fit, from a source vertex for every target vertex of a level; landmarks have the same numbers."""
-    scales = target[1], source[1]
-    shapes = fit_shapes(target[0], source[0], scales, level, landmarks, config)
-    on_source = source[1] * source[0].finest.positions
+    pair = Pair(surface_of(target), surface_of(source), landmarks, landmarks)
+    scales = pair.target.operators.scale, pair.source.operators.scale
+    on_source, triangles = finest_surface(pair.source)
+    shapes = fit_shapes(target, source, scales, level, landmarks, config)
     fitted = fit(shapes, on_source[match[shapes.vertices]], landmarks, on_source[landmarks], config)
-    return finest_map(target[0], source[0], source[1], level, fitted, (landmarks, landmarks), config)
+    return project(refined_positions(target, level, fitted), pair, build_tree(on_source, triangles), config)
 
 
 def affine(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -139,7 +155,7 @@ def test_same_shape_other_cage_gives_the_identity(shape: tuple[Refinement, float
     rng = np.random.default_rng(14)
     edges = refinement.matrices[1][:n].tocsr()
     match = np.array([rng.choice(edges.indices[edges.indptr[i] : edges.indptr[i + 1]]) for i in range(n)])
-    found = fitted_map(shape, (other, other_scale), 2, match, landmarks, ElasticConfig(400))
+    found = fitted_map(refinement, other, 2, match, landmarks, ElasticConfig(400))
     source_triangles = level_faces(other, 2)[1]
     image = map_positions(other_scale * other.finest.positions, source_triangles, found.triangle, found.barycentric)
     error = np.linalg.norm(image - scale * refinement.finest.positions, axis=1)
@@ -217,7 +233,7 @@ def test_landmark_coordinates_alone_lead_to_the_map_of_a_bent_twin(shape: tuple[
     match = coordinate_match(*coordinates)
     np.testing.assert_array_equal(match[landmarks], landmarks)
     faces = level_faces(source, 3)[1]
-    found = fitted_map(shape, (source, source_scale), 2, match, landmarks)
+    found = fitted_map(target, source, 2, match, landmarks)
     truth = source_scale * source.finest.positions
     image = map_positions(truth, faces, found.triangle, found.barycentric)
     error = np.linalg.norm(image - truth, axis=1)
@@ -256,12 +272,12 @@ def test_unfolding_repairs_folds_and_leaves_the_rest_alone(shape: tuple[Refineme
 
 
 def test_projection_meets_landmarks_wherever_the_fit_left_them(shape: tuple[Refinement, float]) -> None:
-    refinement, scale = shape
-    positions, faces = scale * refinement.finest.positions, level_faces(refinement, 3)[1]
+    surface = surface_of(shape[0])
+    positions, faces = finest_surface(surface)
     landmarks = np.array([3, 40, 90])
     fitted = positions.copy()
     fitted[landmarks] = positions[np.array([500, 700, 900])]  # far off: the closest triangle does not hold the landmark
-    found = project(fitted, faces, positions, faces, (landmarks, landmarks), ElasticConfig())
+    found = project(fitted, Pair(surface, surface, landmarks, landmarks), build_tree(positions, faces))
     image = map_positions(positions, faces, found.triangle, found.barycentric)
     np.testing.assert_allclose(image[landmarks], positions[landmarks], atol=1e-12)
     np.testing.assert_allclose(found.barycentric.sum(axis=1), 1, atol=1e-12)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -21,7 +22,7 @@ from cagemap.point_map.elastic import ElasticConfig
 from cagemap.point_map.hierarchical import HierarchyConfig, Pair, hierarchical_map
 from cagemap.point_map.point_map import PointMap
 from cagemap.point_map.quality import QualityFigures, measure_quality
-from cagemap.point_map.refined import RefinedConfig, refined_map, updated_map
+from cagemap.point_map.refined import RefinedConfig, functional_map_of, refined_map, updated_map
 from cagemap.refinement import Scheme, level_triangles, refine
 
 Progress = Callable[[str], None]
@@ -222,15 +223,18 @@ def match(
         symmetries = _symmetries(target.control, source.control) if config.use_symmetry else (None, None)
     pair = Pair(target, source, landmarks.target, landmarks.source, *symmetries)
     with one_blas_thread():
-        with _timed(timings, "map"):
-            if config.method == "hfm":
+        if config.method == "hfm":
+            with _timed(timings, "map"):
                 functional_map, point_map = hierarchical_map(pair, config.hierarchy, progress)
-            else:
-                refined = RefinedConfig(config.hierarchy, config.elastic)
-                functional_map, point_map = refined_map(pair, refined, progress)
-        progress("quality")
-        with _timed(timings, "quality"):
-            quality = judge(target, source, point_map, landmarks)
+            progress("quality")
+            with _timed(timings, "quality"):
+                quality = judge(target, source, point_map, landmarks)
+        else:
+            with _timed(timings, "map"):
+                point_map = refined_map(pair, RefinedConfig(config.hierarchy, config.elastic), progress)
+            progress("functional map of the fit, quality")
+            with _timed(timings, "quality"):
+                functional_map, quality = _read_off_and_judged(pair, point_map, landmarks)
     return MatchResult(target, source, landmarks, functional_map, point_map, quality, timings)
 
 
@@ -267,12 +271,19 @@ def update_match(
     timings: dict[str, float] = {}
     with one_blas_thread():
         with _timed(timings, "map"):
-            refined = RefinedConfig(config.hierarchy, config.elastic)
-            functional_map, point_map = updated_map(pair, before.point_map, refined, progress)
-        progress("quality")
+            point_map = updated_map(pair, before.point_map, RefinedConfig(config.hierarchy, config.elastic), progress)
+        progress("functional map of the fit, quality")
         with _timed(timings, "quality"):
-            quality = judge(target, source, point_map, landmarks)
+            functional_map, quality = _read_off_and_judged(pair, point_map, landmarks)
     return MatchResult(target, source, landmarks, functional_map, point_map, quality, timings)
+
+
+def _read_off_and_judged(pair: Pair, point_map: PointMap, landmarks: Landmarks) -> tuple[FloatArray, QualityFigures]:
+    """Functional map and quality figures of a point map, at the same time."""
+    with ThreadPoolExecutor(1) as aside:
+        functional_map = aside.submit(functional_map_of, pair, point_map)
+        quality = judge(pair.target, pair.source, point_map, landmarks)
+        return functional_map.result(), quality
 
 
 def judge(target: Surface, source: Surface, point_map: PointMap, landmarks: Landmarks) -> QualityFigures:

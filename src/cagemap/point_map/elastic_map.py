@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
+from cagemap.basis import Surface
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.elastic import ElasticConfig, FitShapes
 from cagemap.point_map.elastic_data import Sheet
 from cagemap.point_map.elastic_graph import ElasticGraph, mesh_graph
 from cagemap.point_map.folds import unfold
+from cagemap.point_map.hierarchical import Pair
 from cagemap.point_map.point_map import PointMap
-from cagemap.point_map.surface_points import build_tree, closest_points, vertex_normals
+from cagemap.point_map.surface_points import TriangleTree, closest_points, vertex_normals
 from cagemap.refinement import Refinement, level_triangles
 
 # Vertices from which a level of the source is fine enough to lie on while fitting.
@@ -53,41 +55,26 @@ def level_graph(target: Refinement, scale: float, level: int) -> tuple[ElasticGr
     return mesh_graph(scale * target.finest.positions[: target.levels[level].n_vertices], faces, split), split
 
 
-def finest_map(
-    target: Refinement,
-    source: Refinement,
-    source_scale: float,
-    level: int,
-    fitted: FloatArray,
-    landmarks: tuple[IndexArray, IndexArray],
-    config: ElasticConfig = ElasticConfig(),
-) -> PointMap:
-    """Map of the finest levels from fitted points.
+def finest_surface(surface: Surface) -> tuple[FloatArray, IndexArray]:
+    """Finest vertices at unit area, and triangles."""
+    positions = surface.operators.scale * surface.refinement.finest.positions
+    return positions, level_triangles(surface.refinement, surface.finest)
+
+
+def refined_positions(refinement: Refinement, level: int, points: FloatArray) -> FloatArray:
+    """(n_f, 3) finest vertices of the subdivision surface that passes through points of the vertices of one level.
 
     Parameters
     ----------
-    target, source : Refinement
-    source_scale : float
-        Factor from the source's lengths to those of unit area.
+    refinement : Refinement
     level : int
-        Level of the target that was fitted.
-    fitted : (n1_l, 3) float64
-        Points near the source, at unit area: points of the surface, not control points.
-    landmarks : pair of (p,) int64
-        Control vertices of target and source.
-
-    Returns
-    -------
-    PointMap
-        Landmarks are met exactly.
+    points : (n_l, 3) float64
+        Points of the finest surface, not control points.
     """
-    sampling = target.product(target.n_levels, level)
-    finest = sampling @ control_points(sparse.csr_array(sampling[: len(fitted)]), fitted)
-    target_triangles = level_triangles(target, target.n_levels)
-    source_triangles = level_triangles(source, source.n_levels)
-    return project(
-        finest, target_triangles, source_scale * source.finest.positions, source_triangles, landmarks, config
-    )
+    chosen = sparse.csr_array(sparse.eye_array(len(points), refinement.finest.n_vertices, format="csr"))
+    for matrix in reversed(refinement.matrices[level:]):
+        chosen = sparse.csr_array(chosen @ matrix)
+    return refinement.prolong(control_points(chosen, points), level, refinement.n_levels)
 
 
 def control_points(sampling: sparse.csr_array, points: FloatArray, steps: int = 12) -> FloatArray:
@@ -109,30 +96,42 @@ def level_faces(refinement: Refinement, level: int) -> tuple[IndexArray, IndexAr
     return (split if faces is None else faces), split
 
 
-def project(
-    positions: FloatArray,
-    target_triangles: IndexArray,
-    source_positions: FloatArray,
-    source_triangles: IndexArray,
-    landmarks: tuple[IndexArray, IndexArray],
-    config: ElasticConfig,
-) -> PointMap:
-    """Closest points of the source in position and normal, landmarks on their vertices exactly, folds removed."""
+def project(positions: FloatArray, pair: Pair, tree: TriangleTree, config: ElasticConfig = ElasticConfig()) -> PointMap:
+    """Closest points of the source in position and normal, landmarks on their vertices exactly, folds removed.
+
+    Parameters
+    ----------
+    positions : (n1, 3) float64
+        Of the target's finest vertices, near the source at unit area.
+    pair : Pair
+    tree : TriangleTree
+        Of the source's finest level at unit area.
+    config : ElasticConfig
+
+    Returns
+    -------
+    PointMap
+        Of the finest levels.
+    """
+    target_triangles = level_triangles(pair.target.refinement, pair.target.finest)
+    on_source, source_triangles = finest_surface(pair.source)
+    weight = config.projection_normal_weight
     normals = vertex_normals(positions, target_triangles)
-    tree = build_tree(source_positions, source_triangles)
-    triangle, barycentric, _ = closest_points(tree, positions, normals, normal_weight=config.projection_normal_weight)
-    holder = np.zeros(len(source_positions), dtype=np.int64)
+    triangle, barycentric, _ = closest_points(tree, positions, normals, normal_weight=weight)
+    landmarks = pair.target_landmarks, pair.source_landmarks
+    holder = np.zeros(len(on_source), dtype=np.int64)
     holder[source_triangles.ravel()] = np.repeat(np.arange(len(source_triangles)), 3)
     triangle[landmarks[0]] = holder[landmarks[1]]
     barycentric[landmarks[0]] = source_triangles[triangle[landmarks[0]]] == landmarks[1][:, None]
-    triangle, barycentric = unfold(
-        triangle,
-        barycentric,
-        target_triangles,
-        source_positions,
-        source_triangles,
-        tree,
-        landmarks[0],
-        normal_weight=config.projection_normal_weight,
+    return PointMap(
+        *unfold(
+            triangle,
+            barycentric,
+            target_triangles,
+            on_source,
+            source_triangles,
+            tree,
+            landmarks[0],
+            normal_weight=weight,
+        )
     )
-    return PointMap(triangle, barycentric)

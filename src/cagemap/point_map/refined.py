@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,13 +11,14 @@ from cagemap.basis import Surface, rows
 from cagemap.basis.threads import in_threads
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.elastic import ElasticConfig, fit
-from cagemap.point_map.elastic_map import finest_map, fit_shapes, level_graph
+from cagemap.point_map.elastic_map import finest_surface, fit_shapes, level_graph, project, refined_positions
 from cagemap.point_map.elastic_update import respond
 from cagemap.point_map.hierarchical import HierarchyConfig, Pair, Progress, descriptor_map, search_levels
 from cagemap.point_map.landmark_coordinates import landmark_coordinates
 from cagemap.point_map.point_map import PointMap
 from cagemap.point_map.quality import map_positions
 from cagemap.point_map.search import nearest_rows
+from cagemap.point_map.surface_points import build_tree
 from cagemap.point_map.upsample import (
     FIT_SAMPLES,
     Samples,
@@ -42,14 +44,12 @@ class RefinedConfig:
     elastic: ElasticConfig = ElasticConfig()
 
 
-def refined_map(
-    pair: Pair, config: RefinedConfig, progress: Progress = lambda stage: None
-) -> tuple[FloatArray, PointMap]:
-    """Functional map C12 and point map T12 of the finest levels.
+def refined_map(pair: Pair, config: RefinedConfig, progress: Progress = lambda stage: None) -> PointMap:
+    """Point map T12 of the finest levels.
 
     The functional map starts as the paper's (eqs. 13-16) and grows on the search levels beside harmonic and biharmonic
-    landmark coordinates; the elastic fit deforms the target's search level onto the source and its subdivision is
-    projected once; C12 is then read off the point map.
+    landmark coordinates; the elastic fit deforms the target's search level onto the source, and its subdivision is
+    projected once.
 
     Raises
     ------
@@ -60,24 +60,22 @@ def refined_map(
     landmarks = pair.target_landmarks, pair.source_landmarks
     scales = target.operators.scale, source.operators.scale
     levels = search_levels(pair, config.hierarchy)
-    progress("functional map")
-    shapes = fit_shapes(target.refinement, source.refinement, scales, levels[0], landmarks[0], config.elastic)
-    match = start_map(pair, levels, shapes.vertices, shapes.coarse.areas, config.hierarchy)
-    progress("elastic fit")
-    on_source = scales[1] * source.refinement.finest.positions
-    fitted = fit(shapes, on_source[match], landmarks[0], on_source[landmarks[1]], config.elastic)
-    progress("projection")
-    point_map = finest_map(
-        target.refinement, source.refinement, scales[1], levels[0], fitted, landmarks, config.elastic
-    )
-    progress("functional map of the fit")
-    return functional_map_of(pair, point_map), point_map
+    on_source, triangles = finest_surface(source)
+    with ThreadPoolExecutor(1) as aside:
+        tree = aside.submit(build_tree, on_source, triangles)  # the projection's; until then a core is free
+        progress("functional map")
+        shapes = fit_shapes(target.refinement, source.refinement, scales, levels[0], landmarks[0], config.elastic)
+        match = start_map(pair, levels, shapes.vertices, shapes.coarse.areas, config.hierarchy)
+        progress("elastic fit")
+        fitted = fit(shapes, on_source[match], landmarks[0], on_source[landmarks[1]], config.elastic)
+        progress("projection")
+        return project(refined_positions(target.refinement, levels[0], fitted), pair, tree.result(), config.elastic)
 
 
 def updated_map(
     pair: Pair, point_map: PointMap, config: RefinedConfig, progress: Progress = lambda stage: None
-) -> tuple[FloatArray, PointMap]:
-    """Functional map C12 and point map T12 after landmarks changed, from the point map before.
+) -> PointMap:
+    """Point map T12 of the finest levels after landmarks changed, from the one before.
 
     Parameters
     ----------
@@ -88,25 +86,17 @@ def updated_map(
     config : RefinedConfig
     progress : callable
     """
-    target, source = pair.target, pair.source
+    target = pair.target
     progress("elastic response")
     level = search_levels(pair, config.hierarchy)[0]
     graph, triangles = level_graph(target.refinement, target.operators.scale, level)
-    on_source = source.operators.scale * source.refinement.finest.positions
-    images = map_positions(
-        on_source,
-        level_triangles(source.refinement, source.finest),
-        point_map.triangle[: graph.n],
-        point_map.barycentric[: graph.n],
-    )
+    on_source, source_triangles = finest_surface(pair.source)
+    before = point_map.triangle[: graph.n], point_map.barycentric[: graph.n]
+    images = map_positions(on_source, source_triangles, *before)
     fitted = respond(graph, triangles, images, pair.target_landmarks, on_source[pair.source_landmarks], config.elastic)
-    landmarks = pair.target_landmarks, pair.source_landmarks
     progress("projection")
-    point_map = finest_map(
-        target.refinement, source.refinement, source.operators.scale, level, fitted, landmarks, config.elastic
-    )
-    progress("functional map of the fit")
-    return functional_map_of(pair, point_map), point_map
+    tree = build_tree(on_source, source_triangles)
+    return project(refined_positions(target.refinement, level, fitted), pair, tree, config.elastic)
 
 
 def start_map(
