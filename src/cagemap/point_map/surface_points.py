@@ -16,7 +16,7 @@ from cagemap.basis.threads import core_count, in_threads
 from cagemap.errors import ParameterError
 from cagemap.mesh import FloatArray, IndexArray
 
-_LEAF_SIZE = 4
+_LEAF_SIZE = 8
 _STACK_SIZE = 64
 _CHUNK = 512  # queries that a thread answers in a row at least, each starting from the last answer
 
@@ -160,7 +160,7 @@ def closest_points(
         position_in_tree = np.empty(len(tree.order), dtype=np.int64)
         position_in_tree[tree.order] = np.arange(len(tree.order))
         start = np.where(guess >= 0, position_in_tree[guess], -1)
-    sequence = np.argsort(_morton_codes(queries)) if guess is None else np.arange(len(queries))
+    sequence = np.argsort(_morton_codes(queries))
     found = np.full(len(queries), -1, dtype=np.int64)
     barycentric, squared = np.zeros((len(queries), 3)), np.full(len(queries), np.inf)
     limits = np.ascontiguousarray(np.broadcast_to(np.square(within), len(queries)), dtype=np.float64)
@@ -323,7 +323,7 @@ def _closest_in_triangle(corners, t, x, y, z):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _search(tree, asked, options, sequence, answers):  # type: ignore[no-untyped-def]
-    """Depth-first branch and bound, the nearer child first: box distances bound the cost because normals only add."""
+    """Branch and bound, the nearer child first: box distances bound the cost because normals only add."""
     lower, upper, corners, normals = tree
     queries, directions, limits, start = asked
     weight2, minimum_cosine = options
@@ -346,9 +346,16 @@ def _search(tree, asked, options, sequence, answers):  # type: ignore[no-untyped
                 if cost < best:
                     best = cost
                     best_t, best_v, best_w, best_squared = t, v, w, d2
-        nodes[0], bounds[0] = 0, _box_distance(lower, upper, 0, x, y, z)
+        # From the leaf of that triangle upwards: most of the tree is ruled out by the boxes beside the way to the root.
+        climb = first_leaf + max(t, 0) // _LEAF_SIZE
+        nodes[0], bounds[0] = climb, 0.0
         size = 1
-        while size > 0:
+        while size > 0 or climb > 0:
+            if size == 0:
+                sibling = climb + 1 if climb % 2 == 1 else climb - 1
+                climb = (climb - 1) // 2
+                nodes[0], bounds[0] = sibling, _box_distance(lower, upper, sibling, x, y, z)
+                size = 1
             size -= 1
             node = nodes[size]
             if bounds[size] >= best:
