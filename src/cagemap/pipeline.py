@@ -19,6 +19,7 @@ from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.operators import build_operators
 from cagemap.point_map.elastic import ElasticConfig
 from cagemap.point_map.hierarchical import HierarchyConfig, Pair, hierarchical_map
+from cagemap.point_map.landmark_check import LandmarkCheck, LandmarkSuspect, checked_map
 from cagemap.point_map.point_map import PointMap
 from cagemap.point_map.quality import QualityFigures, measure_quality
 from cagemap.point_map.refined import RefinedConfig, refined_map
@@ -49,6 +50,8 @@ class MatchConfig:
         The elastic fit.
     use_symmetry : bool
         Detect each control mesh's mirror symmetry and, where both have one, let the map commute with it (paper, 5.2).
+    check_landmarks : bool
+        Leave out landmark pairs that look wrong ("elastic" only); otherwise all are met exactly.
     """
 
     method: str = "elastic"
@@ -56,6 +59,7 @@ class MatchConfig:
     hierarchy: HierarchyConfig = HierarchyConfig()
     elastic: ElasticConfig = ElasticConfig()
     use_symmetry: bool = True
+    check_landmarks: bool = True
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -70,14 +74,18 @@ class MatchResult:
     ----------
     target, source : Surface
     landmarks : Landmarks
+        As given.
     functional_map : (k1, k2) array
         C12, takes source coefficients to target coefficients.
     point_map : PointMap
         T12: finest target vertices -> points of the finest source triangles.
     quality : QualityFigures
         What can be said about the map without knowing the true one.
+        Its landmark errors are those of the trusted pairs.
     timings : dict of str to float
         Seconds of every stage.
+    landmark_check : LandmarkCheck
+        Pairs that look wrong and were left out, and notes.
     """
 
     target: Surface
@@ -87,6 +95,17 @@ class MatchResult:
     point_map: PointMap
     quality: QualityFigures
     timings: dict[str, float] = field(repr=False)
+    landmark_check: LandmarkCheck = field(default_factory=LandmarkCheck)
+
+    @property
+    def suspects(self) -> tuple[LandmarkSuspect, ...]:
+        """Landmark pairs that were left out of the map."""
+        return self.landmark_check.suspects
+
+    @property
+    def trusted(self) -> Landmarks:
+        """The landmarks that the map meets."""
+        return self.landmarks.without([suspect.pair for suspect in self.suspects])
 
 
 def silent(stage: str) -> None:
@@ -221,17 +240,22 @@ def match(
     with _timed(timings, "symmetry"):
         symmetries = _symmetries(target.control, source.control) if config.use_symmetry else (None, None)
     pair = Pair(target, source, landmarks.target, landmarks.source, *symmetries)
+    check = LandmarkCheck()
     with one_blas_thread():
         with _timed(timings, "map"):
             if config.method == "hfm":
                 functional_map, point_map = hierarchical_map(pair, config.hierarchy, progress)
+            elif config.check_landmarks:
+                refined = RefinedConfig(config.hierarchy, config.elastic)
+                functional_map, point_map, check = checked_map(pair, landmarks.names, refined, progress)
             else:
                 refined = RefinedConfig(config.hierarchy, config.elastic)
                 functional_map, point_map = refined_map(pair, refined, progress)
         progress("quality")
         with _timed(timings, "quality"):
-            quality = judge(target, source, point_map, landmarks)
-    return MatchResult(target, source, landmarks, functional_map, point_map, quality, timings)
+            trusted = landmarks.without([suspect.pair for suspect in check.suspects])
+            quality = judge(target, source, point_map, trusted)
+    return MatchResult(target, source, landmarks, functional_map, point_map, quality, timings, check)
 
 
 def judge(target: Surface, source: Surface, point_map: PointMap, landmarks: Landmarks) -> QualityFigures:
