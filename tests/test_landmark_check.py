@@ -10,8 +10,10 @@ import pytest
 from cagemap import BasisConfig, Landmarks, MatchConfig, MatchResult, Surface, match, prepare_surface
 from cagemap.example import example_pair
 from cagemap.files.result import landmark_messages, result_of
+from cagemap.point_map.elastic import ElasticConfig, Stage
 from cagemap.point_map.elastic_graph import ElasticGraph, cluster_graph
-from cagemap.point_map.landmark_check import DISTANCES, STRAIN, level_graph
+from cagemap.point_map.hierarchical import HierarchyConfig
+from cagemap.point_map.landmark_check import DISTANCES, level_graph
 from cagemap.point_map.landmark_distances import (
     LandmarkDistances,
     misplaced_pairs,
@@ -20,13 +22,18 @@ from cagemap.point_map.landmark_distances import (
 )
 from cagemap.point_map.landmark_strain import ReducedEnergy, elastic_form, reduced_energy, strained_pair
 
-LEVEL = 2  # 3000 vertices or so
+LEVEL = 1  # 1700 and 2200 vertices
+# A quick fit: these tests ask which landmarks are followed, not how accurate the map is.
+CONFIG = MatchConfig(
+    hierarchy=HierarchyConfig(search_vertices=1000),
+    elastic=ElasticConfig(coarse_vertices=400, coarse=Stage(15, (5e-2, 2e-4), 1e-2), fine=Stage(3, (2e-4, 5e-5), 3e-4)),
+)
 
 
 @pytest.fixture(scope="module")
 def pair() -> tuple[Surface, Surface, Landmarks]:
     example = example_pair(texture_size=64)
-    basis = BasisConfig(count=60)
+    basis = BasisConfig(count=40)
     return (
         prepare_surface(example.target, LEVEL, basis),
         prepare_surface(example.source, LEVEL, basis),
@@ -65,7 +72,7 @@ def test_correct_pairs_are_left_alone(pair, graphs):
 
 def test_a_pair_on_the_wrong_limb_is_found_whichever_it_is(pair, graphs):
     _, source, landmarks = pair
-    for i in range(len(landmarks)):
+    for i in range(0, len(landmarks), 4):
         wrong = with_source(landmarks, {i: farthest(source, landmarks.source[i], landmarks.source)})
         assert misplaced(graphs, wrong) == [i]
 
@@ -157,7 +164,7 @@ def test_the_strained_pair_is_the_displaced_one(graphs):
 
 @pytest.fixture(scope="module")
 def followed(pair) -> MatchResult:
-    return match(*pair)
+    return match(*pair, CONFIG)
 
 
 @pytest.fixture(scope="module")
@@ -197,17 +204,18 @@ def test_the_result_tells_of_it(misled):
     assert len(stored.landmark_errors) == len(wrong)
     assert stored.landmark_errors[number] == found.suspects[0].distance
     (message,) = landmark_messages(stored.manifest)
-    assert wrong.names[number] in message and "--trust-landmarks" in message
+    assert wrong.names[number] in message
+    assert "--trust-landmarks" in message
 
 
 def test_trusted_landmarks_are_met_even_if_wrong(pair, misled):
     _, wrong, _ = misled
-    found = match(pair[0], pair[1], wrong, MatchConfig(check_landmarks=False))
+    found = match(pair[0], pair[1], wrong, replace(CONFIG, check_landmarks=False))
     assert found.suspects == ()
     assert found.quality.landmark_errors.max() < 1e-12
 
 
 def test_few_pairs_are_said_not_to_be_checked(pair):
-    found = match(pair[0], pair[1], pair[2].without(range(5, len(pair[2]))))
+    found = match(pair[0], pair[1], pair[2].without(range(5, len(pair[2]))), CONFIG)
     assert found.suspects == ()
     assert "too few" in found.landmark_check.notes[0]
