@@ -29,7 +29,7 @@ RIDGE = 1e-7
 # A landmark is suspect from this displacement on, of sqrt(area), if no other one would move nearly as far: shapes that
 # differ strain many landmarks, and mirror images alike; a mistake stands alone.
 LEAST_DISPLACEMENT = 0.05
-OF_NEXT = 1.45
+OF_NEXT = 1.5
 FEWEST_JUDGED = 6
 
 
