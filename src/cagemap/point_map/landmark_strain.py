@@ -30,7 +30,8 @@ RIDGE = 1e-7
 # differ strain many landmarks, and mirror images alike; a mistake stands alone.
 LEAST_DISPLACEMENT = 0.05
 OF_NEXT = 1.5
-FEWEST_JUDGED = 6
+# With fewer landmarks the others are too far away to know better, and too few to compare with.
+FEWEST_JUDGED = 10
 
 
 @dataclass(frozen=True)
