@@ -219,3 +219,10 @@ def test_few_pairs_are_said_not_to_be_checked(pair):
     found = match(pair[0], pair[1], pair[2].without(range(5, len(pair[2]))), CONFIG)
     assert found.suspects == ()
     assert "too few" in found.landmark_check.notes[0]
+
+
+def test_shuffled_pairs_are_kept_and_noted(pair):
+    shuffled = replace(pair[2], source=np.random.default_rng(33).permutation(pair[2].source))
+    found = match(pair[0], pair[1], shuffled, CONFIG)
+    assert found.suspects == ()
+    assert "contradict" in found.landmark_check.notes[0]
