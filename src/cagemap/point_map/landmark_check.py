@@ -38,8 +38,8 @@ CONFIRMED = 0.03
 DISSIMILAR = 0.12
 # Below this agreement of orientations the landmarks are mirrored as a whole; correct ones measured from 0.45 on.
 MIRRORED = -0.2
-# If distances accuse a larger share of the pairs, or typically differ by more, it is not known which are right. Shuffled
-# pairs measured 0.36 to 0.53, the least alike animals 0.26.
+# If distances accuse a larger share of the pairs, or typically differ by more, it is not known which are right.
+# Shuffled pairs measured 0.36 to 0.53, the least alike animals 0.26.
 MOST_SUSPECTS = 1 / 3
 UNRELATED = 0.32
 CONTRADICTION = (
