@@ -26,6 +26,8 @@ LARGEST = 0.7
 # Misfit by which a given place must lose against the best one, absolutely and against the pairs' typical misfit.
 LEAST_GAIN = 0.12
 GAIN_OF_TYPICAL = 2.2
+# Gain of two exchanged pairs together. Correct ones lose by 0.05 or more where bodies are alike.
+LEAST_EXCHANGE_GAIN = 0.1
 # Shorter corrections are left to the check of the finished map (`cagemap.point_map.landmark_strain`).
 LEAST_DISTANCE = 0.25
 # Fewer pairs cannot outvote one of them.
@@ -122,13 +124,16 @@ def typical_misfit(target: LandmarkDistances, source: LandmarkDistances, trusted
 
 
 def misplaced_pairs(target: LandmarkDistances, source: LandmarkDistances) -> IndexArray:
-    """Pairs out of proportion to the others, worst first.
+    """Pairs out of proportion to the others: two that were exchanged, then single ones, worst first.
 
-    One is set aside at a time and the others are judged again. At least `FEWEST_JUDGED` - 1 pairs stay; with fewer than
+    What is found is set aside and the others are judged again. At least `FEWEST_JUDGED` - 1 pairs stay; with fewer than
     `FEWEST_JUDGED` none is judged.
     """
     trusted = np.arange(len(target.to_nodes))
     wrong: list[int] = []
+    while len(trusted) > FEWEST_JUDGED and (exchanged := exchanged_pairs(target, source, trusted)) is not None:
+        wrong.extend(exchanged)
+        trusted = np.setdiff1d(trusted, exchanged)
     while len(trusted) >= FEWEST_JUDGED:
         placed = place_by_distances(target, source, trusted)
         gain = np.where(placed.distance >= LEAST_DISTANCE, placed.misfit - placed.least, 0.0)
@@ -139,6 +144,33 @@ def misplaced_pairs(target: LandmarkDistances, source: LandmarkDistances) -> Ind
         wrong.append(worst)
         trusted = others
     return np.array(wrong, dtype=np.int64)
+
+
+def exchanged_pairs(
+    target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray
+) -> tuple[int, int] | None:
+    """The two trusted pairs that fit best with their source vertices exchanged, if they fit much better so.
+
+    The gain for pairs i and j is the misfit of both (see `place_by_distances`, neither asked about the other) minus the
+    misfit of both exchanged. Close mirror images, whose misfit alone says little, are told by it.
+    """
+    square = np.ix_(trusted, trusted)
+    near = target.between[square] + SHORT
+    wanted, found = np.log(near), np.log(source.between[square] + SHORT)
+    different = ~np.eye(len(trusted), dtype=bool)
+    shift = float(np.median((wanted - found)[different]))
+    weights = np.where(different, 1.0 / near, 0.0)
+    ratios = np.abs(wanted[:, None] - shift - found[None])
+    terms = weights[:, None] * np.minimum(ratios, LARGEST)  # of landmark i at the vertex of j, by the landmark asked
+    total = terms.sum(axis=2)
+    rest = weights.sum(axis=1)[:, None] - weights
+    own = (total.diagonal()[:, None] - np.einsum("iij->ij", terms)) / rest
+    other = (total - np.einsum("ijj->ij", terms)) / rest
+    gain = np.where(different, own + own.T - other - other.T, -np.inf)
+    first, second = np.unravel_index(np.argmax(gain), gain.shape)
+    if gain[first, second] < max(LEAST_EXCHANGE_GAIN, typical_misfit(target, source, trusted)):
+        return None
+    return int(trusted[first]), int(trusted[second])
 
 
 def orientation_agreement(target: tuple[FloatArray, FloatArray], source: tuple[FloatArray, FloatArray]) -> float:
