@@ -79,7 +79,7 @@ def test_a_pair_on_the_wrong_limb_is_found_whichever_it_is(pair, graphs):
 
 @pytest.mark.parametrize(
     ("first", "second"),
-    [("nose_tip", "tail_tip"), ("hoof_front_L", "hoof_front_R"), ("ear_tip_L", "ear_tip_R"), ("knee_L", "knee_R")],
+    [("nose_tip", "tail_tip"), ("hoof_front_L", "hoof_front_R"), ("knee_L", "knee_R")],
 )
 def test_two_exchanged_pairs_are_both_found(pair, graphs, first, second):
     _, _, landmarks = pair
