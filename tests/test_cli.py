@@ -316,6 +316,30 @@ def test_match_from_files_to_a_result(run: Run, pair_files: Path) -> None:
     assert manifest["notes"] == []
 
 
+def test_a_wrong_landmark_is_left_out_with_a_warning_unless_trusted(
+    run: Run, pair_files: Path, pair: ExamplePair
+) -> None:
+    names = pair.landmarks.names
+    source = pair.landmarks.source.copy()
+    wrong = names.index("hoof_hind_L")
+    away = np.linalg.norm(pair.source.positions - pair.source.positions[source[wrong]], axis=1)
+    away[source] = 0.0
+    source[wrong] = np.argmax(away)
+    write_landmarks(pair_files / "landmarks.json", replace(pair.landmarks, source=source))
+    outcome = run("match", *MATCH, "--level", 1, "-k", 20, "-o", "R")
+    assert outcome.code == 0, outcome.err
+    said = " ".join(outcome.err.split())
+    assert "landmark 'hoof_hind_L' looks wrong and was left out" in said
+    assert "--trust-landmarks" in said
+    result = read_result(pair_files / "R")
+    assert [suspect["name"] for suspect in result.manifest["landmark_check"]["suspects"]] == ["hoof_hind_L"]
+    assert result.landmark_errors[wrong] > 0.3
+    assert np.delete(result.landmark_errors, wrong).max() < 1e-9
+    outcome = run("match", *MATCH, "--level", 1, "-k", 20, "-o", "R", "--trust-landmarks")
+    assert "looks wrong" not in outcome.err
+    assert read_result(pair_files / "R").landmark_errors.max() < 1e-9
+
+
 def test_exchanged_meshes_are_refused_and_other_names_noted(run: Run, pair_files: Path) -> None:
     refused = run("match", "--target", "pony.obj", "--source", "deer.obj", *MATCH[4:], "--level", 1, "-o", "R")
     assert refused.code == 2
@@ -332,6 +356,8 @@ def test_options_reach_the_library() -> None:
     config = match_config(MatchRequest(*paths, k=77, tolerance=0.02, symmetry=False))
     assert (config.basis.count, config.basis.tolerance, config.basis.schedule) == (77, 0.02, None)
     assert not config.use_symmetry
+    assert config.check_landmarks
+    assert not match_config(MatchRequest(*paths, trust_landmarks=True)).check_landmarks
     assert match_config(MatchRequest(*paths, schedule="100,50,50")).basis.schedule == (100, 50, 50)
 
 

@@ -70,9 +70,8 @@ def fitted_map(
 ) -> PointMap:
     """The whole fit, from a source vertex for every target vertex of a level; landmarks have the same numbers."""
     pair = Pair(surface_of(target), surface_of(source), landmarks, landmarks)
-    scales = pair.target.operators.scale, pair.source.operators.scale
     on_source, triangles = finest_surface(pair.source)
-    shapes = fit_shapes(target, source, scales, level, landmarks, config)
+    shapes = fit_shapes(pair, level, config)
     fitted = fit(shapes, on_source[match[shapes.vertices]], landmarks, on_source[landmarks], config)
     return project(refined_positions(target, level, fitted), pair, build_tree(on_source, triangles), config)
 

@@ -156,6 +156,15 @@ def test_report_without_figures_is_still_a_page(result: Result, gallery: Gallery
     outline(build_page(replace(result, manifest={}, landmark_names=()), gallery))
 
 
+def test_pairs_that_were_left_out_are_named(result: Result, gallery: Gallery) -> None:
+    check = {"suspects": [{"pair": 2, "message": "landmark 'd' looks wrong"}], "notes": ["five pairs are few"]}
+    page = build_page(replace(result, manifest=result.manifest | {"landmark_check": check}), gallery)
+    assert "landmark &#x27;d&#x27; looks wrong" in page
+    assert "five pairs are few" in page
+    assert page.count("left out</td>") == 1
+    assert "left out</td>" not in build_page(result, gallery)
+
+
 def test_written_whole(result: Result, tmp_path: Path) -> None:
     write_report(tmp_path / "r.html", result, size=(40, 30))
     assert (tmp_path / "r.html").read_text(encoding="utf-8").endswith("</html>\n")

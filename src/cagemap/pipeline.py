@@ -20,6 +20,7 @@ from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.operators import build_operators
 from cagemap.point_map.elastic import ElasticConfig
 from cagemap.point_map.hierarchical import HierarchyConfig, Pair, hierarchical_map
+from cagemap.point_map.landmark_check import LandmarkCheck, LandmarkSuspect, checked_map
 from cagemap.point_map.point_map import PointMap
 from cagemap.point_map.quality import QualityFigures, measure_quality
 from cagemap.point_map.refined import RefinedConfig, functional_map_of, refined_map, updated_map
@@ -50,6 +51,8 @@ class MatchConfig:
         The elastic fit.
     use_symmetry : bool
         Detect each control mesh's mirror symmetry and, where both have one, let the map commute with it (paper, 5.2).
+    check_landmarks : bool
+        Leave out landmark pairs that look wrong ("elastic" only); otherwise all are met exactly.
     """
 
     method: str = "elastic"
@@ -57,6 +60,7 @@ class MatchConfig:
     hierarchy: HierarchyConfig = HierarchyConfig()
     elastic: ElasticConfig = ElasticConfig()
     use_symmetry: bool = True
+    check_landmarks: bool = True
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -71,14 +75,18 @@ class MatchResult:
     ----------
     target, source : Surface
     landmarks : Landmarks
+        As given.
     functional_map : (k1, k2) array
         C12, takes source coefficients to target coefficients.
     point_map : PointMap
         T12: finest target vertices -> points of the finest source triangles.
     quality : QualityFigures
         What can be said about the map without knowing the true one.
+        Its landmark errors are those of the trusted pairs.
     timings : dict of str to float
         Seconds of every stage.
+    landmark_check : LandmarkCheck
+        Pairs that look wrong and were left out, and notes.
     """
 
     target: Surface
@@ -88,6 +96,17 @@ class MatchResult:
     point_map: PointMap
     quality: QualityFigures
     timings: dict[str, float] = field(repr=False)
+    landmark_check: LandmarkCheck = field(default_factory=LandmarkCheck)
+
+    @property
+    def suspects(self) -> tuple[LandmarkSuspect, ...]:
+        """Landmark pairs that were left out of the map."""
+        return self.landmark_check.suspects
+
+    @property
+    def trusted(self) -> Landmarks:
+        """The landmarks that the map meets."""
+        return self.landmarks.without([suspect.pair for suspect in self.suspects])
 
 
 def silent(stage: str) -> None:
@@ -222,6 +241,7 @@ def match(
     with _timed(timings, "symmetry"):
         symmetries = _symmetries(target.control, source.control) if config.use_symmetry else (None, None)
     pair = Pair(target, source, landmarks.target, landmarks.source, *symmetries)
+    check = LandmarkCheck()
     with one_blas_thread():
         if config.method == "hfm":
             with _timed(timings, "map"):
@@ -230,12 +250,17 @@ def match(
             with _timed(timings, "quality"):
                 quality = judge(target, source, point_map, landmarks)
         else:
+            refined = RefinedConfig(config.hierarchy, config.elastic)
             with _timed(timings, "map"):
-                point_map = refined_map(pair, RefinedConfig(config.hierarchy, config.elastic), progress)
+                if config.check_landmarks:
+                    point_map, check = checked_map(pair, landmarks.names, refined, progress)
+                else:
+                    point_map = refined_map(pair, refined, progress)
             progress("functional map of the fit, quality")
             with _timed(timings, "quality"):
-                functional_map, quality = _read_off_and_judged(pair, point_map, landmarks)
-    return MatchResult(target, source, landmarks, functional_map, point_map, quality, timings)
+                trusted = landmarks.without([suspect.pair for suspect in check.suspects])
+                functional_map, quality = _read_off_and_judged(pair, point_map, trusted)
+    return MatchResult(target, source, landmarks, functional_map, point_map, quality, timings, check)
 
 
 def update_match(
@@ -254,7 +279,7 @@ def update_match(
     ----------
     before : MatchResult
     landmarks : Landmarks
-        All of them, as they are now.
+        All of them, as they are now. Pairs that the match left out stay out unless they have changed.
     config : MatchConfig
         As in the match before.
     progress : callable
@@ -267,15 +292,17 @@ def update_match(
     """
     target, source = before.target, before.source
     check_landmarks(landmarks, target.control, source.control)
-    pair = Pair(target, source, landmarks.target, landmarks.source)
+    check = before.landmark_check.still(before.landmarks, landmarks)
+    trusted = landmarks.without([suspect.pair for suspect in check.suspects])
+    pair = Pair(target, source, trusted.target, trusted.source)
     timings: dict[str, float] = {}
     with one_blas_thread():
         with _timed(timings, "map"):
             point_map = updated_map(pair, before.point_map, RefinedConfig(config.hierarchy, config.elastic), progress)
         progress("functional map of the fit, quality")
         with _timed(timings, "quality"):
-            functional_map, quality = _read_off_and_judged(pair, point_map, landmarks)
-    return MatchResult(target, source, landmarks, functional_map, point_map, quality, timings)
+            functional_map, quality = _read_off_and_judged(pair, point_map, trusted)
+    return MatchResult(target, source, landmarks, functional_map, point_map, quality, timings, check)
 
 
 def _read_off_and_judged(pair: Pair, point_map: PointMap, landmarks: Landmarks) -> tuple[FloatArray, QualityFigures]:

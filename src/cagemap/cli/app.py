@@ -180,6 +180,10 @@ def match(
     exchange_landmarks: Annotated[
         bool, typer.Option("--exchange-landmarks", help="The landmark file was made for the other direction.")
     ] = False,
+    trust_landmarks: Annotated[
+        bool,
+        typer.Option("--trust-landmarks", help="Meet every landmark; otherwise pairs that look wrong are left out."),
+    ] = False,
     cache: Annotated[
         Path | None,
         typer.Option(
@@ -209,6 +213,7 @@ def match(
         method=method.value,
         symmetry=symmetry,
         exchange_landmarks=exchange_landmarks,
+        trust_landmarks=trust_landmarks,
         cache=cache,
     )
     with Stages() as stages:

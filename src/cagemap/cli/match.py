@@ -15,7 +15,7 @@ from cagemap.cli.progress import Stages
 from cagemap.errors import ParameterError
 from cagemap.files.landmarks import read_landmarks
 from cagemap.files.meshes import read_mesh
-from cagemap.files.result import Result, file_hash, peak_memory, result_of, write_result
+from cagemap.files.result import Result, file_hash, landmark_messages, peak_memory, result_of, write_result
 from cagemap.files.surface_store import prepared
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
@@ -41,6 +41,7 @@ class MatchRequest:
     method: str = "elastic"
     symmetry: bool = True
     exchange_landmarks: bool = False
+    trust_landmarks: bool = False
     cache: Path | None = None
 
 
@@ -73,6 +74,7 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
         "method": request.method,
         "symmetry": request.symmetry,
         "exchange_landmarks": request.exchange_landmarks,
+        "trust_landmarks": request.trust_landmarks,
     }
     result = match_meshes(
         inputs,
@@ -92,7 +94,12 @@ def match_config(request: MatchRequest) -> MatchConfig:
     """Parameters of the library for what was asked on the command line."""
     schedule = None if request.schedule is None else parse_schedule(request.schedule)
     basis = BasisConfig(count=request.k, tolerance=request.tolerance, schedule=schedule)
-    return MatchConfig(method=request.method, basis=basis, use_symmetry=request.symmetry)
+    return MatchConfig(
+        method=request.method,
+        basis=basis,
+        use_symmetry=request.symmetry,
+        check_landmarks=not request.trust_landmarks,
+    )
 
 
 def parse_schedule(text: str) -> tuple[int, ...]:
@@ -169,4 +176,5 @@ def summary(result: Result, folder: Path, seconds: float) -> str:
 
 def warnings(result: Result) -> list[str]:
     """Notes and warnings of a result."""
-    return [*result.manifest["notes"], *result.manifest["quality"]["warnings"]]
+    manifest = result.manifest
+    return [*manifest["notes"], *landmark_messages(manifest), *manifest["quality"]["warnings"]]

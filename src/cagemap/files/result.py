@@ -94,7 +94,7 @@ class Result:
     trust : (n1,) float64
         1 where the map is locally unfolded and stretches little, 0 at folds.
     landmark_errors : (p,) float64
-        Of sqrt(source area).
+        Of sqrt(source area); also of pairs that the map left out, which the manifest's ``landmark_check`` names.
     landmark_names : tuple of str
     manifest : dict
         What ``manifest.json`` holds: versions, parameters, input hashes, timings in seconds, quality figures.
@@ -126,6 +126,10 @@ def result_of(match: MatchResult, manifest: dict[str, Any] | None = None) -> Res
         More entries for the manifest, such as input hashes, parameters and further timings.
     """
     quality = match.quality
+    left_out = [suspect.pair for suspect in match.suspects]
+    errors = np.zeros(len(match.landmarks))
+    errors[np.setdiff1d(np.arange(len(errors)), left_out)] = quality.landmark_errors
+    errors[left_out] = [suspect.distance for suspect in match.suspects]
     sides = [
         Side(
             control=surface.control,
@@ -146,10 +150,21 @@ def result_of(match: MatchResult, manifest: dict[str, Any] | None = None) -> Res
         barycentric=match.point_map.barycentric,
         functional_map=match.functional_map,
         trust=quality.trust,
-        landmark_errors=quality.landmark_errors,
+        landmark_errors=errors,
         landmark_names=match.landmarks.names,
-        manifest={"quality": quality.summary(), "timings": dict(match.timings)} | (manifest or {}),
+        manifest={
+            "quality": quality.summary(),
+            "landmark_check": match.landmark_check.summary(),
+            "timings": dict(match.timings),
+        }
+        | (manifest or {}),
     )
+
+
+def landmark_messages(manifest: dict[str, Any]) -> list[str]:
+    """Sentences of a manifest about landmarks: pairs that were left out of the map, and other notes."""
+    check = manifest.get("landmark_check") or {}
+    return [str(suspect["message"]) for suspect in check.get("suspects", [])] + list(map(str, check.get("notes", [])))
 
 
 def file_hash(path: str | Path) -> str:

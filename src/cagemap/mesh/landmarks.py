@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,6 +47,12 @@ class Landmarks:
             target_name=self.source_name,
             source_name=self.target_name,
         )
+
+    def without(self, left_out: Collection[int]) -> Landmarks:
+        """Return the pairs whose places are not among those given."""
+        kept = np.setdiff1d(np.arange(len(self)), list(left_out))
+        names = tuple(self.names[i] for i in kept)
+        return replace(self, names=names, target=self.target[kept], source=self.source[kept])
 
 
 def check_landmarks(landmarks: Landmarks, target: ControlMesh, source: ControlMesh) -> None:

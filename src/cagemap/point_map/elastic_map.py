@@ -20,39 +20,21 @@ from cagemap.refinement import Refinement, level_triangles
 SHEET_VERTICES = 15_000
 
 
-def fit_shapes(
-    target: Refinement,
-    source: Refinement,
-    scales: tuple[float, float],
-    level: int,
-    landmarks: IndexArray,
-    config: ElasticConfig = ElasticConfig(),
-) -> FitShapes:
-    """Both surfaces as the elastic fit sees them: the target's mesh of one level, a coarse level of the source.
-
-    Vertices of both stand where they are on the finest level.
-
-    Parameters
-    ----------
-    target, source : Refinement
-    scales : (float, float)
-        Factors from each mesh's lengths to those of unit area.
-    level : int
-        Of the target.
-    landmarks : (p,) int64
-        Control vertices of the target.
-    """
-    graph, split = level_graph(target, scales[0], level)
+def fit_shapes(pair: Pair, level: int, config: ElasticConfig = ElasticConfig()) -> FitShapes:
+    """Both surfaces as the elastic fit sees them: the target's mesh of one level, a coarse level of the source."""
+    graph, triangles = level_graph(pair.target, level)
+    source = pair.source.refinement
     lain_on = next((i for i, at in enumerate(source.levels) if at.n_vertices >= SHEET_VERTICES), source.n_levels)
-    positions = scales[1] * source.finest.positions[: source.levels[lain_on].n_vertices]
-    sheet = Sheet.build(positions, level_faces(source, lain_on)[1])
-    return FitShapes.build(graph, split, sheet, landmarks, config)
+    positions = pair.source.operators.scale * source.finest.positions[: source.levels[lain_on].n_vertices]
+    sheet = Sheet.build(positions, level_triangles(source, lain_on))
+    return FitShapes.build(graph, triangles, sheet, pair.target_landmarks, config)
 
 
-def level_graph(target: Refinement, scale: float, level: int) -> tuple[ElasticGraph, IndexArray]:
-    """Graph of the target's mesh of one level at unit area, vertices where the finest level has them; its triangles."""
-    faces, split = level_faces(target, level)
-    return mesh_graph(scale * target.finest.positions[: target.levels[level].n_vertices], faces, split), split
+def level_graph(surface: Surface, level: int) -> tuple[ElasticGraph, IndexArray]:
+    """Graph of a level's vertices at their places on the finest surface, at unit area, and the level's triangles."""
+    faces, triangles = level_faces(surface.refinement, level)
+    positions = surface.operators.scale * surface.refinement.finest.positions
+    return mesh_graph(positions[: surface.refinement.levels[level].n_vertices], faces, triangles), triangles
 
 
 def finest_surface(surface: Surface) -> tuple[FloatArray, IndexArray]:

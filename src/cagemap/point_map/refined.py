@@ -56,20 +56,18 @@ def refined_map(pair: Pair, config: RefinedConfig, progress: Progress = lambda s
     InvalidLandmarksError
         If there are fewer than two landmarks.
     """
-    target, source = pair.target, pair.source
-    landmarks = pair.target_landmarks, pair.source_landmarks
-    scales = target.operators.scale, source.operators.scale
     levels = search_levels(pair, config.hierarchy)
-    on_source, triangles = finest_surface(source)
+    on_source, triangles = finest_surface(pair.source)
     with ThreadPoolExecutor(1) as aside:
         tree = aside.submit(build_tree, on_source, triangles)  # the projection's; until then a core is free
         progress("functional map")
-        shapes = fit_shapes(target.refinement, source.refinement, scales, levels[0], landmarks[0], config.elastic)
+        shapes = fit_shapes(pair, levels[0], config.elastic)
         match = start_map(pair, levels, shapes.vertices, shapes.coarse.areas, config.hierarchy)
         progress("elastic fit")
-        fitted = fit(shapes, on_source[match], landmarks[0], on_source[landmarks[1]], config.elastic)
+        fitted = fit(shapes, on_source[match], pair.target_landmarks, on_source[pair.source_landmarks], config.elastic)
         progress("projection")
-        return project(refined_positions(target.refinement, levels[0], fitted), pair, tree.result(), config.elastic)
+        positions = refined_positions(pair.target.refinement, levels[0], fitted)
+        return project(positions, pair, tree.result(), config.elastic)
 
 
 def updated_map(
@@ -86,17 +84,16 @@ def updated_map(
     config : RefinedConfig
     progress : callable
     """
-    target = pair.target
     progress("elastic response")
     level = search_levels(pair, config.hierarchy)[0]
-    graph, triangles = level_graph(target.refinement, target.operators.scale, level)
+    graph, triangles = level_graph(pair.target, level)
     on_source, source_triangles = finest_surface(pair.source)
     before = point_map.triangle[: graph.n], point_map.barycentric[: graph.n]
     images = map_positions(on_source, source_triangles, *before)
     fitted = respond(graph, triangles, images, pair.target_landmarks, on_source[pair.source_landmarks], config.elastic)
     progress("projection")
     tree = build_tree(on_source, source_triangles)
-    return project(refined_positions(target.refinement, level, fitted), pair, tree, config.elastic)
+    return project(refined_positions(pair.target.refinement, level, fitted), pair, tree, config.elastic)
 
 
 def start_map(

@@ -76,7 +76,7 @@ _FIGURES: list[tuple[Callable[[dict[str, Any]], float | None], str, Callable[[fl
         lambda q: _get(q, "landmark_error_worst"),
         "Landmarks, worst miss",
         lambda x: _PERCENT.format(100 * x),
-        "The same for the landmark that is met worst. A large value often means a wrong pair in the landmark file.",
+        "The same for the landmark that is met worst. Pairs that were left out do not count.",
         0.01,
         0.15,
     ),

@@ -13,7 +13,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from cagemap.errors import FormatError
-from cagemap.files.result import Result
+from cagemap.files.result import Result, landmark_messages
 from cagemap.pictures import Image, distinct_colors
 from cagemap.report.figures import Figure, Gallery
 from cagemap.report.merits import explain, overall
@@ -30,7 +30,7 @@ def build_page(result: Result, gallery: Gallery) -> str:
     """HTML text of the report."""
     manifest = result.manifest
     quality = manifest.get("quality") or {}
-    warnings = [str(text) for text in (quality.get("warnings") or [])]
+    warnings = landmark_messages(manifest) + [str(text) for text in (quality.get("warnings") or [])]
     merits = explain(quality)
     verdict = overall(merits, warnings)
     title = f"{_stem(result.source.control.name)} → {_stem(result.target.control.name)}"
@@ -141,6 +141,8 @@ def _merits(merits: list[Any]) -> str:
 def _landmarks(result: Result) -> str:
     count = len(result.target.landmarks)
     names = result.landmark_names or tuple(f"pair {i}" for i in range(count))
+    check = result.manifest.get("landmark_check") or {}
+    left_out = {suspect["pair"] for suspect in check.get("suspects", [])}
     rows = []
     for number, color in enumerate(distinct_colors(count)):
         red, green, blue = np.round(color * 255).astype(int)
@@ -148,7 +150,7 @@ def _landmarks(result: Result) -> str:
         rows.append(
             f'<tr><td><span class="dot" style="background:rgb({red},{green},{blue})"></span>'
             f"{escape(names[number])}</td><td>{result.source.landmarks[number]}</td><td>{result.target.landmarks[number]}</td>"
-            f"<td>{error:.2f} %</td></tr>"
+            f"<td>{error:.2f} %{', left out' if number in left_out else ''}</td></tr>"
         )
     head = "<tr><th>landmark</th><th>source vertex</th><th>target vertex</th><th>miss</th></tr>"
     return f'<table class="columns">{head}{"".join(rows)}</table>'

@@ -1,0 +1,241 @@
+"""Wrong landmark pairs: found, named and not followed; correct ones left alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cagemap import BasisConfig, Landmarks, MatchConfig, MatchResult, Surface, match, prepare_surface
+from cagemap.example import example_pair
+from cagemap.files.result import landmark_messages, result_of
+from cagemap.point_map.elastic import ElasticConfig, Stage
+from cagemap.point_map.elastic_graph import ElasticGraph, cluster_graph
+from cagemap.point_map.elastic_map import level_graph
+from cagemap.point_map.hierarchical import HierarchyConfig
+from cagemap.point_map.landmark_check import DISTANCES, LandmarkCheck, LandmarkSuspect
+from cagemap.point_map.landmark_distances import (
+    LandmarkDistances,
+    misplaced_pairs,
+    orientation_agreement,
+    place_by_distances,
+)
+from cagemap.point_map.landmark_strain import ReducedEnergy, elastic_form, reduced_energy, strained_pair
+
+LEVEL = 1  # 1700 and 2200 vertices
+# A quick fit: these tests ask which landmarks are followed, not how accurate the map is.
+CONFIG = MatchConfig(
+    hierarchy=HierarchyConfig(search_vertices=1000),
+    elastic=ElasticConfig(coarse_vertices=400, coarse=Stage(15, (5e-2, 2e-4), 1e-2), fine=Stage(3, (2e-4, 5e-5), 3e-4)),
+)
+
+
+@pytest.fixture(scope="module")
+def pair() -> tuple[Surface, Surface, Landmarks]:
+    example = example_pair(texture_size=64)
+    basis = BasisConfig(count=40)
+    return (
+        prepare_surface(example.target, LEVEL, basis),
+        prepare_surface(example.source, LEVEL, basis),
+        example.landmarks,
+    )
+
+
+@pytest.fixture(scope="module")
+def graphs(pair: tuple[Surface, Surface, Landmarks]) -> tuple[ElasticGraph, ElasticGraph]:
+    return level_graph(pair[0], LEVEL)[0], level_graph(pair[1], LEVEL)[0]
+
+
+def misplaced(graphs: tuple[ElasticGraph, ElasticGraph], landmarks: Landmarks) -> list[int]:
+    target = LandmarkDistances.measure(graphs[0], landmarks.target)
+    return misplaced_pairs(target, LandmarkDistances.measure(graphs[1], landmarks.source)).tolist()
+
+
+def with_source(landmarks: Landmarks, changes: dict[int, int]) -> Landmarks:
+    source = landmarks.source.copy()
+    source[list(changes)] = list(changes.values())
+    return replace(landmarks, source=source)
+
+
+def farthest(surface: Surface, vertex: int, avoid: np.ndarray) -> int:
+    positions = surface.refinement.finest.positions[: surface.control.n_vertices]
+    distances = np.linalg.norm(positions - positions[vertex], axis=1)
+    distances[avoid] = 0
+    return int(np.argmax(distances))
+
+
+def test_correct_pairs_are_left_alone(pair, graphs):
+    _, _, landmarks = pair
+    assert misplaced(graphs, landmarks) == []
+    assert misplaced((graphs[1], graphs[0]), landmarks.reversed()) == []
+
+
+def test_a_pair_on_the_wrong_limb_is_found_whichever_it_is(pair, graphs):
+    _, source, landmarks = pair
+    for i in range(0, len(landmarks), 4):
+        wrong = with_source(landmarks, {i: farthest(source, landmarks.source[i], landmarks.source)})
+        assert misplaced(graphs, wrong) == [i]
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [("nose_tip", "tail_tip"), ("hoof_front_L", "hoof_front_R"), ("knee_L", "knee_R")],
+)
+def test_two_exchanged_pairs_are_both_found(pair, graphs, first, second):
+    _, _, landmarks = pair
+    i, j = landmarks.names.index(first), landmarks.names.index(second)
+    exchanged = with_source(landmarks, {i: landmarks.source[j], j: landmarks.source[i]})
+    assert sorted(misplaced(graphs, exchanged)) == sorted([i, j])
+
+
+def test_fewer_than_six_pairs_are_not_judged(pair, graphs):
+    _, source, landmarks = pair
+    five = landmarks.without(range(5, len(landmarks)))
+    assert misplaced(graphs, with_source(five, {2: farthest(source, five.source[2], five.source)})) == []
+
+
+def test_a_place_by_distances_does_not_ask_the_given_place(pair, graphs):
+    """The other landmarks put a pair in the same place wherever it was given."""
+    _, source, landmarks = pair
+    target = LandmarkDistances.measure(graphs[0], landmarks.target)
+    everywhere = np.arange(len(landmarks))
+    wrong = with_source(landmarks, {3: farthest(source, landmarks.source[3], landmarks.source)})
+    found = []
+    for given in (landmarks, wrong):
+        distances = LandmarkDistances.measure(graphs[1], given.source)
+        placed = place_by_distances(target, distances, everywhere)
+        found.append(graphs[1].positions[distances.vertices[placed.node[3]]])
+    assert np.linalg.norm(found[0] - found[1]) < 0.1  # two spacings of the coarse graph, whose cells differ
+    assert np.linalg.norm(found[0] - graphs[1].positions[wrong.source[3]]) > 0.5
+
+
+def test_mirrored_landmarks_turn_the_other_way_round(pair, graphs):
+    _, _, landmarks = pair
+    target, source = (
+        (graph.positions[vertices], graph.normals[vertices])
+        for graph, vertices in zip(graphs, (landmarks.target, landmarks.source), strict=True)
+    )
+    mirror = np.array([-1.0, 1.0, 1.0])
+    assert orientation_agreement(target, source) > 0.4
+    assert orientation_agreement(target, (source[0] * mirror, source[1] * mirror)) < -0.4
+
+
+def test_the_quadratic_form_is_the_elastic_energy(graphs):
+    coarse, _ = cluster_graph(graphs[0], 100, np.array([4, 9]))
+    rng = np.random.default_rng(31)
+    positions, maps = rng.standard_normal((coarse.n, 3)), rng.standard_normal((coarse.n, 3, 3))
+    form = elastic_form(coarse, 1e-2)
+    energy = 0.0
+    for c in range(3):
+        unknowns = np.concatenate([positions[:, c : c + 1], maps[:, c]], axis=1).ravel()
+        energy += unknowns @ (form @ unknowns)
+    # E counts directed edges by half; the form's ridge of 1e-9 is all that is left.
+    assert energy == pytest.approx(coarse.energy(positions, maps, 1e-2), rel=1e-6)
+
+
+def test_released_is_the_minimum_with_the_others_held():
+    rng = np.random.default_rng(32)
+    root = rng.standard_normal((15, 15))
+    energy = ReducedEnergy(root.T @ root, rng.standard_normal((5, 3)))
+    places, held = rng.standard_normal((5, 3)), np.array([0, 2, 3])
+    moved = energy.released(places, held)
+    for i in held:
+        free = np.concatenate([np.arange(3 * j, 3 * j + 3) for j in range(5) if j == i or j not in held])
+        fixed = np.setdiff1d(np.arange(15), free)
+        off = (places - energy.rest).ravel()
+        best = -np.linalg.solve(energy.hessian[np.ix_(free, free)], energy.hessian[np.ix_(free, fixed)] @ off[fixed])
+        expected = best[np.isin(free, np.arange(3 * i, 3 * i + 3))] + energy.rest[i] - places[i]
+        np.testing.assert_allclose(moved[i], expected, atol=1e-9)
+    assert not moved[[1, 4]].any()
+
+
+def test_the_strained_pair_is_the_displaced_one(graphs):
+    """On a surface mapped to itself with one landmark slid along it, that one wants to go back."""
+    graph = graphs[0]
+    landmarks = np.linspace(0, 150, 12).astype(np.int64)
+    energy = reduced_energy(graph, graph.positions, graph.normals, landmarks)
+    places = graph.positions[landmarks]
+    assert strained_pair(energy, places) is None
+    near = np.argsort(np.linalg.norm(graph.positions - places[4], axis=1))
+    slid = places.copy()
+    slid[4] = next(graph.positions[v] for v in near if np.linalg.norm(graph.positions[v] - places[4]) > 0.08)
+    assert strained_pair(energy, slid) == 4
+    assert strained_pair(reduced_energy(graph, graph.positions, graph.normals, landmarks[:9]), slid[:9]) is None
+
+
+@pytest.fixture(scope="module")
+def followed(pair) -> MatchResult:
+    return match(*pair, CONFIG)
+
+
+@pytest.fixture(scope="module")
+def misled(pair) -> tuple[int, Landmarks, MatchResult]:
+    target, source, landmarks = pair
+    wrong = with_source(landmarks, {3: farthest(source, landmarks.source[3], landmarks.source)})
+    return 3, wrong, match(target, source, wrong)
+
+
+def test_correct_pairs_are_all_met(followed):
+    assert followed.suspects == ()
+    assert followed.quality.landmark_errors.max() < 1e-12
+    assert landmark_messages(result_of(followed).manifest) == []
+
+
+def test_a_wrong_pair_is_named_and_not_followed(pair, followed, misled):
+    number, wrong, found = misled
+    _, source, landmarks = pair
+    assert [suspect.name for suspect in found.suspects] == [wrong.names[number]]
+    suspect = found.suspects[0]
+    assert suspect.evidence == DISTANCES
+    assert suspect.source_vertex == wrong.source[number]
+    # The map sends the landmark to about where it belongs, and is nearly the map of the correct pairs.
+    places = source.operators.scale * source.refinement.finest.positions
+    assert np.linalg.norm(places[suspect.nearest_vertex] - places[landmarks.source[number]]) < 0.15
+    assert suspect.distance > 0.5
+    assert found.trusted.names == tuple(np.delete(np.array(wrong.names, dtype=object), number))
+    assert found.quality.landmark_errors.max() < 1e-12
+    triangles = source.refinement.finest.faces[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
+    images = [result.point_map.pull_back(triangles, places) for result in (followed, found)]
+    assert np.linalg.norm(images[0] - images[1], axis=1).mean() < 0.03
+
+
+def test_the_result_tells_of_it(misled):
+    number, wrong, found = misled
+    stored = result_of(found)
+    assert len(stored.landmark_errors) == len(wrong)
+    assert stored.landmark_errors[number] == found.suspects[0].distance
+    (message,) = landmark_messages(stored.manifest)
+    assert wrong.names[number] in message
+    assert "--trust-landmarks" in message
+
+
+def test_trusted_landmarks_are_met_even_if_wrong(pair, misled):
+    _, wrong, _ = misled
+    found = match(pair[0], pair[1], wrong, replace(CONFIG, check_landmarks=False))
+    assert found.suspects == ()
+    assert found.quality.landmark_errors.max() < 1e-12
+
+
+def test_few_pairs_are_said_not_to_be_checked(pair):
+    found = match(pair[0], pair[1], pair[2].without(range(5, len(pair[2]))), CONFIG)
+    assert found.suspects == ()
+    assert "too few" in found.landmark_check.notes[0]
+
+
+def test_shuffled_pairs_are_kept_and_noted(pair):
+    shuffled = replace(pair[2], source=np.random.default_rng(33).permutation(pair[2].source))
+    found = match(pair[0], pair[1], shuffled, CONFIG)
+    assert found.suspects == ()
+    assert "contradict" in found.landmark_check.notes[0]
+
+
+def test_a_suspect_stays_out_only_while_its_pair_is_the_same() -> None:
+    names = ("a", "b", "c")
+    before = Landmarks(names, np.array([3, 5, 9]), np.array([1, 2, 4]), "t.obj", "s.obj")
+    suspect = LandmarkSuspect("b", 1, 0.2, nearest_vertex=7, source_vertex=2, evidence=DISTANCES)
+    check = LandmarkCheck((suspect,))
+    moved_up = Landmarks(("b", "d"), np.array([5, 3]), np.array([2, 1]), "t.obj", "s.obj")
+    assert [s.pair for s in check.still(before, moved_up).suspects] == [0]
+    corrected = Landmarks(names, np.array([3, 5, 9]), np.array([1, 7, 4]), "t.obj", "s.obj")
+    assert check.still(before, corrected).suspects == ()
