@@ -72,7 +72,8 @@ def test_tolerance_is_kept_and_nothing_is_lost(surface, tolerance):
     # An eigenvalue error e mixes in other eigenfunctions with an angle of about sqrt(e), more where gaps are small.
     assert cosines(refinement, operators, basis, exact).min() > 1.0 - 15.0 * tolerance
     assert np.linalg.cond(basis.gram) < 2.0
-    assert basis.residuals.max() < 1e-4
+    # An eigenvalue's own error is about the square of its residual: a hundredth of what is allowed.
+    assert basis.residuals.max() ** 2 < 0.01 * tolerance
 
 
 def test_loose_tolerance_stays_on_coarse_levels(surface):
