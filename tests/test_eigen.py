@@ -73,10 +73,10 @@ def test_band_is_a_slice_of_the_spectrum(creature, reference, first, last):
 def test_without_rslab(creature, reference, monkeypatch, inertia):
     """SuperLU serves too, with inertia read off its diagonal, or without any."""
 
-    def without(matrix, *, like=None, library="auto"):
-        factors = factorization.factor(matrix, library="superlu")
+    def without(matrix, *, like=None, library="auto", dtype=np.float64):
+        factors = factorization.factor(matrix, library="superlu", dtype=dtype)
         negative = factors.negative_eigenvalues if inertia else None
-        return factorization.Factorization(factors.shape, negative, "superlu", factors.solve)
+        return factorization.Factorization(factors.shape, negative, "superlu", factors.solve, dtype=dtype)
 
     monkeypatch.setattr(eigen, "factor", without)
     pairs = band_pairs(creature.stiffness[2], creature.mass[2], 30, 50)

@@ -9,6 +9,7 @@ from scipy import linalg
 
 from cagemap.basis.eigen import EigenPairs, band_pairs, residual_norms
 from cagemap.basis.error_estimate import ErrorEstimate, estimate_errors
+from cagemap.basis.factorization import Precision
 from cagemap.basis.gram import extend_gram, products_with_bands
 from cagemap.basis.guess import Block, pairs_from_guess, working_type
 from cagemap.basis.hierarchical import HierarchicalBasis, evaluate
@@ -120,8 +121,8 @@ def _add_controlled(
         seen = growing.good * sizes[level] / sizes[level - 1] if level > 0 else 0.0
         plausible = plausible_count(sizes[level], config.tolerance, seen)
         last = reach = min(last, plausible)
-        if last < config.count and sizes[level + 1] > GUESS_ROWS and 3 * (config.count + GUARDS) < sizes[level]:
-            # The next level is large: pairs that are no use here are a guess for it.
+        if sizes[level + 1] > GUESS_ROWS and 3 * (config.count + GUARDS) < sizes[level]:
+            # The next level is large: should it be needed, pairs that are no use here are a guess for it.
             reach = config.count + GUARDS
     if last <= growing.count and reach <= last:
         growing.bands.append(np.zeros((sizes[level], 0)))
@@ -174,13 +175,13 @@ def _guess_is_good(growing: _Growing, first: int, last: int, rows: int, config: 
         and growing.pairs is not None
         and rows > GUESS_ROWS
         and growing.top_error < GUESS_ERROR
-        and growing.pairs.last_index >= last + GUARDS // 2
-        and 4 * (last - first) > last
+        and growing.pairs.last_index >= min(last, config.count) + GUARDS // 2
+        and 4 * (config.count - first) > config.count
     )
 
 
 def _guess(
-    growing: _Growing, level: int, last: int, refinement: Refinement, dtype: type[np.float64 | np.float32]
+    growing: _Growing, level: int, last: int, refinement: Refinement, dtype: Precision
 ) -> tuple[Block, FloatArray]:
     """The lowest pairs of the level below, refined: what it has computed, and below that the basis itself.
 
@@ -216,7 +217,15 @@ def _estimate(
     if level == operators.finest:
         return ErrorEstimate(np.zeros(len(pairs.values)), np.zeros(len(pairs.values) + 1))
     stiffness, mass = operators.stiffness[level + 1], operators.mass[level + 1]
-    return estimate_errors(refinement.matrices[level], stiffness, mass, pairs.values, pairs.vectors, tolerance)
+    return estimate_errors(
+        refinement.matrices[level],
+        stiffness,
+        mass,
+        pairs.values,
+        pairs.vectors,
+        tolerance,
+        finest_next=level + 1 == operators.finest,
+    )
 
 
 def _append(

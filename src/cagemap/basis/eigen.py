@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from scipy import linalg, sparse
 
-from cagemap.basis.factorization import Factorization, factor
+from cagemap.basis.factorization import Factorization, Precision, factor
 from cagemap.basis.lanczos import shift_invert_lanczos
 from cagemap.basis.products import multiply
 from cagemap.basis.threads import in_threads
@@ -24,6 +24,8 @@ _LARGEST_DENSE_ROWS = 5_000
 _RANK = 1e-13
 # Pairs computed beyond those asked for, among which a gap is sought to count the eigenvalues below it.
 _EXTRA_PAIRS = 8
+# Iterations asked for no more than this run in single precision.
+SINGLE_ACCURACY = 1e-6
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -174,31 +176,53 @@ def band_pairs(
                 f"functions, got {first} to {last}; start at a finer level"
             )
         return _with_residuals(stiffness, mass, values[first:last], vectors[:, first:last], first)
-    low, high = max(0, first - _EXTRA_PAIRS), min(n, last + _EXTRA_PAIRS)
-    shifted, sigma = _shift_inside(stiffness, mass, low, high, shift)
-    below = shifted.negative_eigenvalues
-    if below is None:
-        low, below = 0, 0  # the shift is then below the spectrum
-    for block_size in (16, 64):
-        values, vectors = shift_invert_lanczos(
-            shifted,
-            mass,
-            sigma,
-            below - low,
-            high - below,
-            start=start,
-            block_size=block_size,
-            tolerance=tolerance,
-            loose=(first - low, high - last + guards),
-        )
-        if all(in_threads(partial(counts_agree, stiffness, mass, values, low, shifted), (first, last))):
-            chosen = slice(first - low, last - low)
-            return _with_residuals(stiffness, mass, values[chosen], vectors[:, chosen], first)
+    attempts: list[tuple[int, Precision]] = [(16, np.float64), (64, np.float64)]
+    if tolerance >= SINGLE_ACCURACY:
+        attempts[0] = (16, np.float32)
+    for block_size, dtype in attempts:
+        pairs = _lanczos_pairs(stiffness, mass, first, last, shift, start, tolerance, guards, block_size, dtype)
+        if pairs is not None:
+            return pairs
         start = None
     raise SolverError(
         f"expected eigenpairs {first} to {last - 1}, but the inertia of the shifted matrix counts others between them; "
         "an eigenvalue of multiplicity above 64 is likely: ask for a number of pairs that does not split it"
     )
+
+
+def _lanczos_pairs(
+    stiffness: sparse.csr_array,
+    mass: sparse.csr_array,
+    first: int,
+    last: int,
+    shift: float | None,
+    start: FloatArray | None,
+    tolerance: float,
+    guards: int,
+    block_size: int,
+    dtype: Precision,
+) -> EigenPairs | None:
+    """`band_pairs` by block Lanczos in one precision; None if inertia, always in double precision, counts others."""
+    low, high = max(0, first - _EXTRA_PAIRS), min(len(lumped_areas(mass)), last + _EXTRA_PAIRS)
+    shifted, sigma = _shift_inside(stiffness, mass, low, high, shift, dtype)
+    below = shifted.negative_eigenvalues
+    if below is None:
+        low, below = 0, 0  # the shift is then below the spectrum
+    values, vectors = shift_invert_lanczos(
+        shifted,
+        mass,
+        sigma,
+        below - low,
+        high - below,
+        start=start,
+        block_size=block_size,
+        tolerance=tolerance,
+        loose=(first - low, high - last + guards),
+    )
+    if not all(in_threads(partial(counts_agree, stiffness, mass, values, low, shifted), (first, last))):
+        return None
+    chosen = slice(first - low, last - low)
+    return _with_residuals(stiffness, mass, values[chosen], vectors[:, chosen], first)
 
 
 def exact_basis(operators: Operators, level: int, count: int) -> EigenPairs:
@@ -237,7 +261,7 @@ def _dense_pairs(stiffness: FloatArray, mass: FloatArray) -> tuple[FloatArray, F
 
 
 def _shift_inside(
-    stiffness: sparse.csr_array, mass: sparse.csr_array, low: int, high: int, estimate: float | None
+    stiffness: sparse.csr_array, mass: sparse.csr_array, low: int, high: int, estimate: float | None, dtype: Precision
 ) -> tuple[Factorization, float]:
     """A shift inside the band low..high, factored; below the whole spectrum where no inertia can place it."""
     # Weyl's law for a surface: lambda_j is about 4 pi j / area.
@@ -246,13 +270,13 @@ def _shift_inside(
     shift = middle * spacing if estimate is None else estimate
     for _ in range(8):
         try:
-            shifted = factor(shifted_matrix(stiffness, mass, shift))
+            shifted = factor(shifted_matrix(stiffness, mass, shift), dtype=dtype)
         except SolverError:  # exactly on an eigenvalue
             shift *= 1.0 + 1e-4
             continue
         below = shifted.negative_eigenvalues
         if below is None:
-            return factor(shifted_matrix(stiffness, mass, -spacing)), -spacing
+            return factor(shifted_matrix(stiffness, mass, -spacing), dtype=dtype), -spacing
         if abs(below - middle) <= 0.2 * (high - low):
             return shifted, shift
         shift *= middle / max(below, 1)
@@ -286,13 +310,14 @@ def _with_residuals(
     values: FloatArray,
     vectors: FloatArray,
     first_index: int,
-    mass_vectors: FloatArray | None = None,
 ) -> EigenPairs:
-    vectors = np.ascontiguousarray(vectors)
-    if mass_vectors is None:
-        mass_vectors = multiply(mass, vectors)
-    norms = residual_norms(values, vectors, multiply(stiffness, vectors), mass_vectors, lumped_areas(mass))
-    return EigenPairs(np.array(values), vectors, norms, first_index)
+    exact = np.ascontiguousarray(vectors, dtype=np.float64)
+    stiffness_vectors, mass_vectors = multiply(stiffness, exact), multiply(mass, exact)
+    if vectors.dtype == np.float32:  # its Rayleigh quotients are better than what the iteration has summed up
+        values = np.einsum("ij,ij->j", exact, stiffness_vectors) / np.einsum("ij,ij->j", exact, mass_vectors)
+        values = np.maximum.accumulate(values)
+    norms = residual_norms(values, exact, stiffness_vectors, mass_vectors, lumped_areas(mass))
+    return EigenPairs(np.array(values), exact, norms, first_index)
 
 
 def shifted_matrix(stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float) -> sparse.csr_array:

@@ -23,6 +23,7 @@ try:
 except ImportError:  # no wheel for this platform
     rslab = None
 
+Precision = type[np.float64 | np.float32]
 SparseMatrix = sparse.csr_array | sparse.csc_array
 
 # SuperLU's minimum degree ordering gives the least fill on small meshes and takes minutes on large ones.
@@ -49,7 +50,7 @@ class Factorization:
     library: str
     _solve: Callable[[NDArray[Any]], NDArray[Any]] = field(repr=False)
     _analysis: Any = field(default=None, repr=False)
-    dtype: type[np.float64 | np.float32] = np.float64
+    dtype: Precision = np.float64
 
     def solve(self, right_sides: NDArray[Any]) -> NDArray[Any]:
         """Solve A X = B.
@@ -82,7 +83,7 @@ def factor(
     *,
     like: Factorization | None = None,
     library: str = "auto",
-    dtype: type[np.float64 | np.float32] = np.float64,
+    dtype: Precision = np.float64,
 ) -> Factorization:
     """Factor a symmetric, possibly indefinite sparse matrix.
 
@@ -119,9 +120,7 @@ def factor(
     return _factor_rslab(matrix, like, dtype)
 
 
-def _factor_rslab(
-    matrix: SparseMatrix, like: Factorization | None, dtype: type[np.float64 | np.float32]
-) -> Factorization:
+def _factor_rslab(matrix: SparseMatrix, like: Factorization | None, dtype: Precision) -> Factorization:
     lower = sparse.csc_array(sparse.tril(matrix, format="csc"))
     lower.sort_indices()
     try:
@@ -134,7 +133,7 @@ def _factor_rslab(
     return Factorization(matrix.shape, negative, "rslab", factors.solve_many, analysis, dtype)
 
 
-def _factor_superlu(matrix: SparseMatrix, dtype: type[np.float64 | np.float32]) -> Factorization:
+def _factor_superlu(matrix: SparseMatrix, dtype: Precision) -> Factorization:
     small = matrix.shape[0] <= _SUPERLU_MINIMUM_DEGREE_ROWS
     try:
         factors = sparse_linalg.splu(

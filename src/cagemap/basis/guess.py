@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from cagemap.basis.eigen import EigenPairs, counts_agree, shifted_matrix
-from cagemap.basis.factorization import Factorization, factor
+from cagemap.basis.factorization import Factorization, Precision, factor
 from cagemap.basis.products import multiply
 from cagemap.errors import SolverError
 from cagemap.mesh import FloatArray
@@ -31,7 +31,7 @@ _MOST_ADDED = 96
 _NEW = 1e-4
 
 
-def working_type(tolerance: float) -> type[np.float64 | np.float32]:
+def working_type(tolerance: float) -> Precision:
     """The precision that eigenvalues of a relative accuracy need while they are iterated on."""
     return np.float32 if tolerance >= SINGLE_TOLERANCE else np.float64
 
