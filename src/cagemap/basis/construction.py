@@ -11,7 +11,7 @@ from cagemap.basis.eigen import EigenPairs, band_pairs, residual_norms
 from cagemap.basis.error_estimate import ErrorEstimate, estimate_errors
 from cagemap.basis.factorization import Precision
 from cagemap.basis.gram import extend_gram, products_with_bands
-from cagemap.basis.guess import Block, pairs_from_guess, working_type
+from cagemap.basis.guess import SINGLE_TOLERANCE, Block, pairs_from_guess, working_type
 from cagemap.basis.hierarchical import HierarchicalBasis, evaluate
 from cagemap.basis.overlap import new_directions
 from cagemap.basis.products import multiply
@@ -30,6 +30,7 @@ GUESS_ERROR = 2e-1
 GUARDS = 30
 # Share of the tolerance that unfinished iterations may take there.
 GUESS_SHARE = 0.25
+NEARLY_DOUBLE = 1e-4
 START_COLUMNS = 16
 _SEED = 2019
 
@@ -152,13 +153,14 @@ def _window(
         return band_pairs(stiffness, mass, first, last, tolerance=config.solver_accuracy, guards=guards)
     if _guess_is_good(growing, first, last, mass.shape[0], config):
         accuracy = GUESS_SHARE * config.tolerance
-        guess, values = _guess(
-            growing, level, min(previous.last_index, last + GUARDS), refinement, working_type(accuracy)
-        )
         kept = (first, min(last, config.count))
-        pairs = pairs_from_guess(stiffness, mass, guess, values, kept=kept, tolerance=accuracy)
-        if pairs is not None:
-            return pairs
+        # Where the tolerance is near what single precision resolves, double precision is next to try.
+        precisions = [working_type(accuracy)] + [np.float64] * (SINGLE_TOLERANCE <= accuracy < NEARLY_DOUBLE)
+        for dtype in precisions:
+            guess, values = _guess(growing, level, min(previous.last_index, last + GUARDS), refinement, dtype)
+            pairs = pairs_from_guess(stiffness, mass, guess, values, kept=kept, tolerance=accuracy, dtype=dtype)
+            if pairs is not None:
+                return pairs
     # The coarser level's pairs in that range, mixed at random, are a block rich in what is sought; a little noise makes
     # it a full one.
     useful = previous.vectors[:, max(0, first - previous.first_index) :]
@@ -243,11 +245,12 @@ def _append(
     overlap = products_with_bands(tuple(growing.bands), refinement, multiply(mass, pairs.vectors), level)
     rotation, positions = new_directions(pairs.values, overlap, growing.gram, present)
     rotation, positions = rotation[:, :wanted], positions[:wanted]
-    band = np.ascontiguousarray(pairs.vectors @ rotation)
-    dual, energy = multiply(mass, band), multiply(stiffness, band)
+    band = np.asarray(pairs.vectors @ rotation.astype(pairs.vectors.dtype), dtype=np.float64)
+    dual = multiply(mass, band)
     # Pairs may come in single precision; the band is orthonormal and its values are Rayleigh quotients in double.
     turn = linalg.inv(linalg.cholesky(band.T @ dual)) if wanted else np.zeros((0, 0))
-    band, dual, energy = band @ turn, dual @ turn, energy @ turn
+    band, dual = band @ turn, dual @ turn
+    energy = multiply(stiffness, band)
     values = np.einsum("ij,ij->j", band, energy)
     residuals = residual_norms(values, band, energy, dual, lumped_areas(mass))
     growing.gram = extend_gram(growing.gram, tuple(growing.bands), refinement, dual, level)

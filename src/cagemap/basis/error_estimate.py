@@ -123,7 +123,7 @@ def estimate_errors(
         segment = np.searchsorted(sample, np.arange(count), side="right") - 1
         errors = _SAMPLE_SAFETY * np.maximum(sampled, np.append(sampled[1:], 0.0))[segment]
         gaps = np.diff(values, prepend=-scale[0], append=values[-1] + scale[0])
-        leaks = np.append(errors * scale, errors[-1] * scale[-1]) / gaps
+        leaks = np.append(errors * scale, errors[-1] * scale[-1]) / np.maximum(gaps, 1e-9 * scale[-1])
         if errors.max() <= 0.5 * tolerance or (work > _MUCH_WORK and not careful):
             return ErrorEstimate(errors, leaks)
         # From the first pair that is clearly too bad on nothing is kept.

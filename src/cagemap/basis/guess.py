@@ -55,6 +55,7 @@ def pairs_from_guess(
     kept: tuple[int, int] | None = None,
     tolerance: float = 1e-6,
     max_rounds: int = 6,
+    dtype: Precision | None = None,
 ) -> EigenPairs | None:
     """Lowest eigenpairs from prolonged ones.
 
@@ -72,8 +73,10 @@ def pairs_from_guess(
     kept : (int, int), optional
         Range of indices that must be accurate; those above are guards. Default: all.
     tolerance : float
-        Relative accuracy of the eigenvalues kept. From 1e-6 on everything but the proof is in single precision.
+        Relative accuracy of the eigenvalues kept.
     max_rounds : int
+    dtype : numpy.float64 or numpy.float32, optional
+        Precision of all but the proof. Default: single for tolerances from 1e-6 on.
 
     Returns
     -------
@@ -82,7 +85,7 @@ def pairs_from_guess(
         was missed. Compute that level from nothing instead.
     """
     first, last = (0, len(guess_values)) if kept is None else kept
-    dtype = working_type(tolerance)
+    dtype = working_type(tolerance) if dtype is None else dtype
     shift = _widest_gap(guess_values, first, last)
     areas = lumped_areas(mass)
     try:
