@@ -173,6 +173,7 @@ def test_errors_before_the_finest_level_are_predicted_closely(creature, monkeypa
     assert careful.max() < 3.0 * true.max(), "both safety factors, where nothing is kept anyway"
     assert np.all(true[careful <= tolerance] <= 1.1 * tolerance)
     assert np.sum(careful <= tolerance) > 2 * np.sum(rough <= tolerance)
+    assert np.sum(careful <= tolerance) > 0.6 * np.sum(true <= tolerance)
 
 
 def test_rows_and_blocks_are_parts_of_the_dense_basis(creature):
