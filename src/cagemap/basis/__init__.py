@@ -6,10 +6,10 @@ from cagemap.basis.eigen import (
     band_pairs,
     exact_basis,
     lowest_pairs,
-    pairs_from_guess,
     residual_norms,
 )
 from cagemap.basis.factorization import Factorization, factor
+from cagemap.basis.guess import pairs_from_guess
 from cagemap.basis.hierarchical import (
     HierarchicalBasis,
     evaluate,

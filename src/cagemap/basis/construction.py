@@ -5,29 +5,33 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy import linalg
 
-from cagemap.basis.eigen import EigenPairs, band_pairs, pairs_from_guess, residual_norms
+from cagemap.basis.eigen import EigenPairs, band_pairs, residual_norms
 from cagemap.basis.error_estimate import ErrorEstimate, estimate_errors
+from cagemap.basis.factorization import Precision
 from cagemap.basis.gram import extend_gram, products_with_bands
-from cagemap.basis.hierarchical import HierarchicalBasis
+from cagemap.basis.guess import SINGLE_TOLERANCE, Block, pairs_from_guess, working_type
+from cagemap.basis.hierarchical import HierarchicalBasis, evaluate
 from cagemap.basis.overlap import new_directions
 from cagemap.basis.products import multiply
 from cagemap.basis.schedule import BasisConfig, choose_split, plausible_count
 from cagemap.errors import ParameterError
 from cagemap.mesh import FloatArray, IndexArray
-from cagemap.operators import Operators
+from cagemap.operators import Operators, lumped_areas
 from cagemap.refinement import Refinement
 
 # Pairs computed below the start of a band, to see which of them the prolonged basis has already.
 OVERLAP = 12
 # Levels larger than this start from the pairs of the level below, if those are good to this relative error (safety
 # included) and reach half this many places beyond what is wanted.
-GUESS_ROWS = 30_000
-GUESS_ERROR = 1e-2
+GUESS_ROWS = 12_000
+GUESS_ERROR = 2e-1
 GUARDS = 30
 # Share of the tolerance that unfinished iterations may take there.
 GUESS_SHARE = 0.25
-START_COLUMNS = 32
+NEARLY_DOUBLE = 1e-4
+START_COLUMNS = 16
 _SEED = 2019
 
 
@@ -118,18 +122,19 @@ def _add_controlled(
         seen = growing.good * sizes[level] / sizes[level - 1] if level > 0 else 0.0
         plausible = plausible_count(sizes[level], config.tolerance, seen)
         last = reach = min(last, plausible)
-        if last < config.count and sizes[level + 1] > GUESS_ROWS and 3 * (config.count + GUARDS) < sizes[level]:
-            # The next level is large: pairs that are no use here are a guess for it.
+        if sizes[level + 1] > GUESS_ROWS and 3 * (config.count + GUARDS) < sizes[level]:
+            # The next level is large: should it be needed, pairs that are no use here are a guess for it.
             reach = config.count + GUARDS
     if last <= growing.count and reach <= last:
         growing.bands.append(np.zeros((sizes[level], 0)))
         growing.pairs = None
         return
     pairs = _window(operators, level, growing, reach, config, refinement)
-    _take_back(growing, pairs, config.tolerance)
-    candidates = pairs.part(pairs.first_index, min(pairs.last_index, config.count))
+    # A level started from a guess has all pairs below the window too, not as accurate.
+    candidates = pairs.part(max(0, growing.count - OVERLAP), min(pairs.last_index, config.count))
+    _take_back(growing, candidates, config.tolerance)
     estimate = _estimate(candidates, level, refinement, operators, config.tolerance)
-    present = growing.count - pairs.first_index
+    present = growing.count - candidates.first_index
     good, kept = choose_split(estimate, present, config.count - growing.count, config.tolerance)
     growing.good, growing.pairs = growing.count + good, pairs
     growing.top_error = float(estimate.errors[-1])
@@ -142,34 +147,59 @@ def _window(
     """Eigenpairs of a level from a few below the end of the basis so far up to ``last``, or more."""
     stiffness, mass = operators.stiffness[level], operators.mass[level]
     first = max(0, growing.count - OVERLAP)
+    guards = max(0, last - config.total)
     previous = growing.pairs
     if previous is None or previous.last_index <= first:
-        return band_pairs(stiffness, mass, first, last, tolerance=config.accuracy)
-    if (
-        config.schedule is None
-        and mass.shape[0] > GUESS_ROWS
-        and growing.top_error < GUESS_ERROR
-        and previous.last_index >= last + GUARDS // 2
-    ):
-        guess = previous.part(max(previous.first_index, first - GUARDS), min(previous.last_index, last + GUARDS))
-        pairs = pairs_from_guess(
-            stiffness,
-            mass,
-            multiply(refinement.matrices[level - 1], guess.vectors),
-            guess.values,
-            guess.first_index,
-            kept=(first, min(last, config.count)),
-            tolerance=GUESS_SHARE * config.tolerance,
-        )
-        if pairs is not None:
-            return pairs.part(first, pairs.last_index)
+        return band_pairs(stiffness, mass, first, last, tolerance=config.solver_accuracy, guards=guards)
+    if _guess_is_good(growing, first, last, mass.shape[0], config):
+        accuracy = GUESS_SHARE * config.tolerance
+        kept = (first, min(last, config.count))
+        # Where the tolerance is near what single precision resolves, double precision is next to try.
+        precisions = [working_type(accuracy)] + [np.float64] * (SINGLE_TOLERANCE <= accuracy < NEARLY_DOUBLE)
+        for dtype in precisions:
+            guess, values = _guess(growing, level, min(previous.last_index, last + GUARDS), refinement, dtype)
+            pairs = pairs_from_guess(stiffness, mass, guess, values, kept=kept, tolerance=accuracy, dtype=dtype)
+            if pairs is not None:
+                return pairs
     # The coarser level's pairs in that range, mixed at random, are a block rich in what is sought; a little noise makes
     # it a full one.
     useful = previous.vectors[:, max(0, first - previous.first_index) :]
     rng = np.random.default_rng(_SEED)
     block = refinement.prolong(useful @ rng.standard_normal((useful.shape[1], START_COLUMNS)), level - 1, level)
     block += 0.01 * np.abs(block).mean() * rng.standard_normal(block.shape)
-    return band_pairs(stiffness, mass, first, last, start=block, tolerance=config.accuracy)
+    return band_pairs(stiffness, mass, first, last, start=block, tolerance=config.solver_accuracy, guards=guards)
+
+
+def _guess_is_good(growing: _Growing, first: int, last: int, rows: int, config: BasisConfig) -> bool:
+    """Whether to start a level from the pairs of the one below, which pays where most of them are still to be found."""
+    return (
+        config.schedule is None
+        and growing.pairs is not None
+        and rows > GUESS_ROWS
+        and growing.top_error < GUESS_ERROR
+        and growing.pairs.last_index >= min(last, config.count) + GUARDS // 2
+        and 4 * (config.count - first) > config.count
+    )
+
+
+def _guess(
+    growing: _Growing, level: int, last: int, refinement: Refinement, dtype: Precision
+) -> tuple[Block, FloatArray]:
+    """The lowest pairs of the level below, refined: what it has computed, and below that the basis itself.
+
+    All from 0 on, so that what the iteration mixes into a pair can only come from above.
+    """
+    assert growing.pairs is not None
+    pairs = growing.pairs.part(growing.pairs.first_index, last)
+    vectors, values = pairs.vectors, pairs.values
+    if pairs.first_index > 0:
+        so_far = HierarchicalBasis(
+            tuple(growing.bands), growing.values, growing.residuals, growing.indices, growing.gram, growing.errors
+        )
+        lower = evaluate(so_far, refinement, level - 1)[:, : pairs.first_index]
+        vectors = np.hstack([lower, vectors])
+        values = np.concatenate([np.sort(growing.values[: pairs.first_index]), values])
+    return multiply(refinement.matrices[level - 1], vectors.astype(dtype, copy=False)), values
 
 
 def _take_back(growing: _Growing, pairs: EigenPairs, tolerance: float) -> None:
@@ -189,7 +219,15 @@ def _estimate(
     if level == operators.finest:
         return ErrorEstimate(np.zeros(len(pairs.values)), np.zeros(len(pairs.values) + 1))
     stiffness, mass = operators.stiffness[level + 1], operators.mass[level + 1]
-    return estimate_errors(refinement.matrices[level], stiffness, mass, pairs.values, pairs.vectors, tolerance)
+    return estimate_errors(
+        refinement.matrices[level],
+        stiffness,
+        mass,
+        pairs.values,
+        pairs.vectors,
+        tolerance,
+        finest_next=level + 1 == operators.finest,
+    )
 
 
 def _append(
@@ -207,11 +245,15 @@ def _append(
     overlap = products_with_bands(tuple(growing.bands), refinement, multiply(mass, pairs.vectors), level)
     rotation, positions = new_directions(pairs.values, overlap, growing.gram, present)
     rotation, positions = rotation[:, :wanted], positions[:wanted]
-    band = np.ascontiguousarray(pairs.vectors @ rotation)
-    values = np.einsum("ij,i,ij->j", rotation, pairs.values, rotation)
-    areas = np.asarray(mass.sum(axis=1), dtype=np.float64)
-    residuals = residual_norms(values, band, multiply(stiffness, band), multiply(mass, band), areas)
-    growing.gram = extend_gram(growing.gram, tuple(growing.bands), refinement, operators, band, level)
+    band = np.asarray(pairs.vectors @ rotation.astype(pairs.vectors.dtype), dtype=np.float64)
+    dual = multiply(mass, band)
+    # Pairs may come in single precision; the band is orthonormal and its values are Rayleigh quotients in double.
+    turn = linalg.inv(linalg.cholesky(band.T @ dual)) if wanted else np.zeros((0, 0))
+    band, dual = band @ turn, dual @ turn
+    energy = multiply(stiffness, band)
+    values = np.einsum("ij,ij->j", band, energy)
+    residuals = residual_norms(values, band, energy, dual, lumped_areas(mass))
+    growing.gram = extend_gram(growing.gram, tuple(growing.bands), refinement, dual, level)
     growing.bands.append(band)
     growing.values = np.concatenate([growing.values, values])
     growing.residuals = np.concatenate([growing.residuals, residuals])

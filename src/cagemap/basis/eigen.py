@@ -1,4 +1,4 @@
-"""Eigenpairs W x = lambda M x of one level: the lowest ones from nothing, or a band of them from a good guess."""
+"""Eigenpairs W x = lambda M x of one level: the lowest ones, or a band of them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from scipy import linalg, sparse
 
-from cagemap.basis.factorization import Factorization, factor
+from cagemap.basis.factorization import Factorization, Precision, factor
 from cagemap.basis.lanczos import shift_invert_lanczos
 from cagemap.basis.products import multiply
 from cagemap.basis.threads import in_threads
@@ -24,6 +24,8 @@ _LARGEST_DENSE_ROWS = 5_000
 _RANK = 1e-13
 # Pairs computed beyond those asked for, among which a gap is sought to count the eigenvalues below it.
 _EXTRA_PAIRS = 8
+# Iterations asked for no more than this run in single precision.
+SINGLE_ACCURACY = 1e-6
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -127,6 +129,7 @@ def band_pairs(
     shift: float | None = None,
     start: FloatArray | None = None,
     tolerance: float = 1e-9,
+    guards: int = 0,
 ) -> EigenPairs:
     """Eigenpairs first..last-1 of the spectrum, complete whatever their multiplicity.
 
@@ -145,6 +148,8 @@ def band_pairs(
         Block that is rich in the pairs wanted.
     tolerance : float
         Convergence of the iteration, relative to each eigenvalue of the inverted operator.
+    guards : int
+        How many of the last pairs are wanted as a rough guess only.
 
     Returns
     -------
@@ -171,18 +176,13 @@ def band_pairs(
                 f"functions, got {first} to {last}; start at a finer level"
             )
         return _with_residuals(stiffness, mass, values[first:last], vectors[:, first:last], first)
-    low, high = max(0, first - _EXTRA_PAIRS), min(n, last + _EXTRA_PAIRS)
-    shifted, sigma = _shift_inside(stiffness, mass, low, high, shift)
-    below = shifted.negative_eigenvalues
-    if below is None:
-        low, below = 0, 0  # the shift is then below the spectrum
-    for block_size in (32, 64):
-        values, vectors = shift_invert_lanczos(
-            shifted, mass, sigma, below - low, high - below, start=start, block_size=block_size, tolerance=tolerance
-        )
-        if all(in_threads(partial(_counts_agree, stiffness, mass, values, low, shifted), (first, last))):
-            chosen = slice(first - low, last - low)
-            return _with_residuals(stiffness, mass, values[chosen], vectors[:, chosen], first)
+    attempts: list[tuple[int, Precision]] = [(16, np.float64), (64, np.float64)]
+    if tolerance >= SINGLE_ACCURACY:
+        attempts[0] = (16, np.float32)
+    for block_size, dtype in attempts:
+        pairs = _lanczos_pairs(stiffness, mass, first, last, shift, start, tolerance, guards, block_size, dtype)
+        if pairs is not None:
+            return pairs
         start = None
     raise SolverError(
         f"expected eigenpairs {first} to {last - 1}, but the inertia of the shifted matrix counts others between them; "
@@ -190,67 +190,39 @@ def band_pairs(
     )
 
 
-def pairs_from_guess(
+def _lanczos_pairs(
     stiffness: sparse.csr_array,
     mass: sparse.csr_array,
-    guess: FloatArray,
-    guess_values: FloatArray,
-    first_index: int,
-    *,
-    kept: tuple[int, int] | None = None,
-    tolerance: float = 1e-6,
-    max_iterations: int = 3,
+    first: int,
+    last: int,
+    shift: float | None,
+    start: FloatArray | None,
+    tolerance: float,
+    guards: int,
+    block_size: int,
+    dtype: Precision,
 ) -> EigenPairs | None:
-    """Band of consecutive eigenpairs from prolonged ones: block inverse iteration and Rayleigh-Ritz.
-
-    Parameters
-    ----------
-    stiffness, mass : (n, n) CSR arrays
-    guess : (n, m) array
-        Approximate eigenvectors, guards on both sides included.
-    guess_values : (m,) array
-        Their approximate eigenvalues, ascending.
-    first_index : int
-        Index that the first of them should have in the spectrum.
-    kept : (int, int), optional
-        Range of indices that must be accurate; the rest are guards. Default: all.
-    tolerance : float
-        Relative accuracy of the eigenvalues kept.
-    max_iterations : int
-
-    Returns
-    -------
-    EigenPairs or None
-        None if the guess was not good enough: the iteration has not converged, or the inertia says that an eigenvalue
-        was missed. Compute that level from nothing instead.
-    """
-    first, last = (0, len(guess_values)) if kept is None else (kept[0] - first_index, kept[1] - first_index)
-    shift = _widest_gap(guess_values, first, last)
-    shifted = factor(_shifted(stiffness, mass, shift))
-    values, vectors, mass_vectors = guess_values, guess, multiply(mass, guess)
-    areas = lumped_areas(mass)
-    for _ in range(max_iterations):
-        image = shifted.solve(mass_vectors)
-        # W - sigma M scales a pair by 1 / (lambda - sigma); undo it to keep the columns of one size.
-        scale = _away_from_zero(values - shift)
-        image *= scale
-        mass_image = multiply(mass, image)
-        stiffness_image = mass_vectors * scale + shift * mass_image
-        values, rotation = _rayleigh_ritz(image, stiffness_image, mass_image)
-        vectors, mass_vectors = image @ rotation, mass_image @ rotation
-        residual = stiffness_image @ rotation
-        residual -= mass_vectors * values
-        if np.all(_kato_temple(residual, values, areas, first, last) <= tolerance):
-            break
-    else:
-        return None
+    """`band_pairs` by block Lanczos in one precision; None if inertia, always in double precision, counts others."""
+    low, high = max(0, first - _EXTRA_PAIRS), min(len(lumped_areas(mass)), last + _EXTRA_PAIRS)
+    shifted, sigma = _shift_inside(stiffness, mass, low, high, shift, dtype)
     below = shifted.negative_eigenvalues
-    if below is not None and below - int(np.sum(values < shift)) != first_index:
+    if below is None:
+        low, below = 0, 0  # the shift is then below the spectrum
+    values, vectors = shift_invert_lanczos(
+        shifted,
+        mass,
+        sigma,
+        below - low,
+        high - below,
+        start=start,
+        block_size=block_size,
+        tolerance=tolerance,
+        loose=(first - low, high - last + guards),
+    )
+    if not all(in_threads(partial(counts_agree, stiffness, mass, values, low, shifted), (first, last))):
         return None
-    if last < len(values) and not _counts_agree(stiffness, mass, values, first_index, shifted, first_index + last):
-        return None
-    norms = np.sqrt((residual * residual).T @ (1.0 / areas)) / np.maximum(values, 4.0 * np.pi / float(areas.sum()))
-    return EigenPairs(values, vectors, norms, first_index)
+    chosen = slice(first - low, last - low)
+    return _with_residuals(stiffness, mass, values[chosen], vectors[:, chosen], first)
 
 
 def exact_basis(operators: Operators, level: int, count: int) -> EigenPairs:
@@ -281,15 +253,15 @@ def _dense_pairs(stiffness: FloatArray, mass: FloatArray) -> tuple[FloatArray, F
 
     There is such a function on the cube: +1 and -1 in turn. W and M both vanish on it, and it is no function at all.
     """
-    squares, axes = linalg.eigh(mass)
+    squares, axes = linalg.eigh(mass, driver="evd")
     seen = squares > _RANK * squares[-1]
     scaled = axes[:, seen] / np.sqrt(squares[seen])
-    values, vectors = linalg.eigh(scaled.T @ stiffness @ scaled)
+    values, vectors = linalg.eigh(scaled.T @ stiffness @ scaled, driver="evd")
     return values, scaled @ vectors
 
 
 def _shift_inside(
-    stiffness: sparse.csr_array, mass: sparse.csr_array, low: int, high: int, estimate: float | None
+    stiffness: sparse.csr_array, mass: sparse.csr_array, low: int, high: int, estimate: float | None, dtype: Precision
 ) -> tuple[Factorization, float]:
     """A shift inside the band low..high, factored; below the whole spectrum where no inertia can place it."""
     # Weyl's law for a surface: lambda_j is about 4 pi j / area.
@@ -298,13 +270,13 @@ def _shift_inside(
     shift = middle * spacing if estimate is None else estimate
     for _ in range(8):
         try:
-            shifted = factor(_shifted(stiffness, mass, shift))
+            shifted = factor(shifted_matrix(stiffness, mass, shift), dtype=dtype)
         except SolverError:  # exactly on an eigenvalue
             shift *= 1.0 + 1e-4
             continue
         below = shifted.negative_eigenvalues
         if below is None:
-            return factor(_shifted(stiffness, mass, -spacing)), -spacing
+            return factor(shifted_matrix(stiffness, mass, -spacing), dtype=dtype), -spacing
         if abs(below - middle) <= 0.2 * (high - low):
             return shifted, shift
         shift *= middle / max(below, 1)
@@ -313,7 +285,7 @@ def _shift_inside(
     )
 
 
-def _counts_agree(
+def counts_agree(
     stiffness: sparse.csr_array,
     mass: sparse.csr_array,
     values: FloatArray,
@@ -328,51 +300,8 @@ def _counts_agree(
         return True
     gap = low + int(np.argmax(np.diff(values[low:high])))
     threshold = 0.5 * (values[gap] + values[gap + 1])
-    counted = factor(_shifted(stiffness, mass, threshold), like=like).negative_eigenvalues
+    counted = factor(shifted_matrix(stiffness, mass, threshold), like=like).negative_eigenvalues
     return counted == first_index + gap + 1
-
-
-def _widest_gap(values: FloatArray, first: int, last: int) -> float:
-    """A shift in the middle of the widest gap among the middle fifth of a band."""
-    middle = 0.5 * (values[first] + values[last - 1])
-    centre = int(np.clip(np.searchsorted(values, middle), 1, len(values) - 1))
-    reach = max(1, (last - first) // 10)
-    low, high = max(0, centre - reach - 1), min(len(values), centre + reach + 1)
-    if high - low < 2:
-        return float(values[0]) - 1.0
-    gap = low + int(np.argmax(np.diff(values[low:high])))
-    # Refined eigenvalues lie below their guesses: stay in the lower half of the gap's upper side.
-    return float(values[gap] + 0.4 * (values[gap + 1] - values[gap]))
-
-
-def _rayleigh_ritz(
-    block: FloatArray, stiffness_block: FloatArray, mass_block: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Best approximations of eigenpairs within the span of a block: X^T W X c = theta X^T M X c."""
-    stiffness_gram = block.T @ stiffness_block
-    mass_gram = block.T @ mass_block
-    stiffness_gram = 0.5 * (stiffness_gram + stiffness_gram.T)
-    mass_gram = 0.5 * (mass_gram + mass_gram.T)
-    try:
-        return linalg.eigh(stiffness_gram, mass_gram)
-    except linalg.LinAlgError as error:
-        raise SolverError(
-            f"expected {block.shape[1]} independent columns in a Rayleigh-Ritz step, got dependent ones; "
-            "the guess holds a vector twice"
-        ) from error
-
-
-def _kato_temple(residual: FloatArray, values: FloatArray, areas: FloatArray, first: int, last: int) -> FloatArray:
-    """Relative error of eigenvalues first..last from residuals: ||r||^2 / (gap to what lies outside the block)."""
-    squares = (residual[:, first:last] ** 2).T @ (1.0 / areas)
-    inner = values[first:last]
-    below = np.inf if first == 0 else inner - values[0]
-    above = np.inf if last == len(values) else values[-1] - inner
-    spacing = (values[-1] - values[0]) / max(1, len(values) - 1)
-    distance = np.maximum(np.minimum(below, above), spacing)
-    if first == 0 and last == len(values):
-        distance = np.maximum(values[-1] + spacing - inner, spacing)
-    return squares / (distance * np.maximum(inner, _smallest_positive(inner)))
 
 
 def _with_residuals(
@@ -381,25 +310,16 @@ def _with_residuals(
     values: FloatArray,
     vectors: FloatArray,
     first_index: int,
-    mass_vectors: FloatArray | None = None,
 ) -> EigenPairs:
-    vectors = np.ascontiguousarray(vectors)
-    if mass_vectors is None:
-        mass_vectors = multiply(mass, vectors)
-    norms = residual_norms(values, vectors, multiply(stiffness, vectors), mass_vectors, lumped_areas(mass))
-    return EigenPairs(np.array(values), vectors, norms, first_index)
+    exact = np.ascontiguousarray(vectors, dtype=np.float64)
+    stiffness_vectors, mass_vectors = multiply(stiffness, exact), multiply(mass, exact)
+    if vectors.dtype == np.float32:  # its Rayleigh quotients are better than what the iteration has summed up
+        values = np.einsum("ij,ij->j", exact, stiffness_vectors) / np.einsum("ij,ij->j", exact, mass_vectors)
+        values = np.maximum.accumulate(values)
+    norms = residual_norms(values, exact, stiffness_vectors, mass_vectors, lumped_areas(mass))
+    return EigenPairs(np.array(values), exact, norms, first_index)
 
 
-def _shifted(stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float) -> sparse.csr_array:
+def shifted_matrix(stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float) -> sparse.csr_array:
+    """W - shift M."""
     return sparse.csr_array(stiffness - shift * mass)
-
-
-def _smallest_positive(values: FloatArray) -> float:
-    """Lowest eigenvalue that is not that of the constant function."""
-    positive = values[values > 1e-8 * values[-1]]
-    return float(positive[0]) if len(positive) else 1.0
-
-
-def _away_from_zero(values: FloatArray) -> FloatArray:
-    floor = 1e-12 * float(np.abs(values).max())
-    return np.where(np.abs(values) < floor, floor, values)

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from cagemap.basis.products import multiply
 from cagemap.mesh import FloatArray
+
+Block = NDArray[Any]  # (n, q), float64 or float32
 
 # What a prediction leaves out: unfinished iterations, and all levels finer than the next. On bodies with badly
 # shaped faces it was up to 3.1 times too low.
@@ -16,9 +20,18 @@ SAFETY = 3.0
 # A sample may miss pairs on badly resolved parts, whose errors are several times those of their neighbours.
 _SAMPLE_SAFETY = 2.0
 _SAMPLES = 32
+# Chebyshev steps. Where only the finest level is left and errors are small, twice as many predict them to 8 %.
+_STEPS = 4
+_CAREFUL_STEPS = 8
+_CAREFUL_SAFETY = 1.25
+_TIGHT_TOLERANCE = 1e-4
+# Pairs predicted at once on a very large level: bounds the memory.
+_BLOCK = 64
 # Rows of the next level times pairs: below the first all pairs are predicted at once, above the second never.
 _CHEAP_WORK = 4_000_000
 _MUCH_WORK = 20_000_000
+# Relative tolerance above which single precision is enough.
+_SINGLE_TOLERANCE = 1e-6
 # Condition of the scaled stiffness matrix on what the coarser level cannot represent.
 CONDITION = 20.0
 _SEED = 2019
@@ -62,13 +75,17 @@ def estimate_errors(
     stiffness: sparse.csr_array,
     mass: sparse.csr_array,
     values: FloatArray,
-    vectors: FloatArray,
+    vectors: Block,
     tolerance: float,
+    *,
+    finest_next: bool = False,
 ) -> ErrorEstimate:
     """Errors of the eigenpairs of level l against the finest level, from the operators of level l + 1.
 
     All pairs are predicted together where that is cheap. On a large next level a sample of them comes first, and
-    settles the matter if it is clear of the tolerance; on a very large one the sample has to do.
+    settles the matter if it is clear of the tolerance; on a very large one the sample has to do, unless that is the
+    finest level and the tolerance tight: then pairs near the tolerance are predicted with care, since what is not good
+    enough has to be computed on the finest level itself.
 
     Parameters
     ----------
@@ -81,6 +98,8 @@ def estimate_errors(
         Eigenpairs of level l, M-orthonormal, ascending.
     tolerance : float
         Relative error that matters.
+    finest_next : bool
+        Whether level l + 1 is the finest.
 
     Returns
     -------
@@ -88,24 +107,45 @@ def estimate_errors(
     """
     count = len(values)
     # The constant function has eigenvalue 0 at every level; a fraction of the last eigenvalue stands in for it.
-    scale = np.maximum(values, 1e-3 * values[-1])
+    scale = np.maximum(values, 1e-3 * max(values[-1], 4.0 * np.pi / float(mass.sum())))
     work = stiffness.shape[0] * count
+    # Single precision disturbs eigenvalues by less than 1e-7.
+    vectors = vectors.astype(np.float32 if tolerance > _SINGLE_TOLERANCE else np.float64, copy=False)
+    careful = finest_next and tolerance <= _TIGHT_TOLERANCE
+    safety, steps = (_CAREFUL_SAFETY, _CAREFUL_STEPS) if careful else (SAFETY, _STEPS)
+    chosen = slice(0, count)
+    errors, leaks = np.zeros(count), np.zeros(count + 1)
     if work > _CHEAP_WORK and count > 2 * _SAMPLES:
         sample = np.unique(np.linspace(0, count - 1, _SAMPLES).astype(np.int64))
-        coupling = _coupling(subdivision, stiffness, mass, values[sample], vectors[:, sample])
-        sampled = SAFETY * _SAMPLE_SAFETY * np.diag(coupling) / scale[sample]
+        coupling = _coupling(subdivision, stiffness, mass, values[sample], vectors[:, sample], steps)
+        sampled = safety * np.diag(coupling) / scale[sample]
         # Errors grow with the index: between two samples take the larger.
         segment = np.searchsorted(sample, np.arange(count), side="right") - 1
-        errors = np.maximum(sampled, np.append(sampled[1:], 0.0))[segment]
-        if errors.max() <= 0.5 * tolerance or work > _MUCH_WORK:
-            gaps = np.diff(values, prepend=-scale[0], append=values[-1] + scale[0])
-            return ErrorEstimate(errors, np.append(errors * scale, errors[-1] * scale[-1]) / gaps)
-    prediction = predict_next_level(subdivision, stiffness, mass, values, vectors)
-    errors = SAFETY * np.maximum(values - prediction.values, 0.0) / scale
+        errors = _SAMPLE_SAFETY * np.maximum(sampled, np.append(sampled[1:], 0.0))[segment]
+        gaps = np.diff(values, prepend=-scale[0], append=values[-1] + scale[0])
+        leaks = np.append(errors * scale, errors[-1] * scale[-1]) / np.maximum(gaps, 1e-9 * scale[-1])
+        if errors.max() <= 0.5 * tolerance or (work > _MUCH_WORK and not careful):
+            return ErrorEstimate(errors, leaks)
+        # From the first pair that is clearly too bad on nothing is kept.
+        bad = sample[sampled > 2.0 * tolerance]
+        chosen = slice(0, min(count, int(bad[0]) + 1 + count // 10) if len(bad) else count)
+        if work > _MUCH_WORK:
+            unclear = np.flatnonzero(errors > tolerance)
+            first = int(unclear[0]) if len(unclear) else chosen.stop
+            for start in range(first, chosen.stop, _BLOCK):
+                part = slice(start, min(start + _BLOCK, chosen.stop))
+                prediction = predict_next_level(
+                    subdivision, stiffness, mass, values[part], vectors[:, part], steps=steps
+                )
+                errors[part] = safety * np.maximum(values[part] - prediction.values, 0.0) / scale[part]
+            return ErrorEstimate(errors, leaks)
+    prediction = predict_next_level(subdivision, stiffness, mass, values[chosen], vectors[:, chosen], steps=steps)
+    errors[chosen] = safety * np.maximum(values[chosen] - prediction.values, 0.0) / scale[chosen]
     # Entry s sums the squares of rows from s on and columns before s.
-    summed = np.zeros((count + 1, count + 1))
+    summed = np.zeros((chosen.stop + 1, chosen.stop + 1))
     summed[1:, 1:] = np.cumsum(np.cumsum(prediction.rotation**2, axis=0), axis=1)
-    return ErrorEstimate(errors, summed[-1] - np.diag(summed))
+    leaks[: chosen.stop + 1] = summed[-1] - np.diag(summed)
+    return ErrorEstimate(errors, leaks)
 
 
 def predict_next_level(
@@ -113,9 +153,9 @@ def predict_next_level(
     stiffness: sparse.csr_array,
     mass: sparse.csr_array,
     values: FloatArray,
-    vectors: FloatArray,
+    vectors: Block,
     *,
-    steps: int = 4,
+    steps: int = _STEPS,
 ) -> Prediction:
     """Predict the eigenpairs of level l + 1 from those of level l.
 
@@ -151,14 +191,17 @@ def _coupling(
     stiffness: sparse.csr_array,
     mass: sparse.csr_array,
     values: FloatArray,
-    vectors: FloatArray,
-    steps: int = 4,
+    vectors: Block,
+    steps: int = _STEPS,
 ) -> FloatArray:
     """(m, m) energy R^T Z that corrections within level l + 1 gain."""
     prolonged = multiply(subdivision, vectors)
-    residual = multiply(stiffness, prolonged) - multiply(mass, prolonged) * values
+    kind = prolonged.dtype
+    residual = multiply(mass, prolonged)
+    residual *= -values.astype(kind)
+    residual += multiply(stiffness, prolonged)
     correction = _smooth(stiffness, residual, steps)
-    energy = residual.T @ correction
+    energy = np.asarray(residual.T @ correction, dtype=np.float64)
     gained = np.diag(energy)
     # On the correction the operator is W - lambda M rather than W: a Rayleigh quotient mu near lambda gains more.
     weight = np.einsum("ij,ij->j", correction, multiply(mass, correction))
@@ -167,24 +210,25 @@ def _coupling(
     return 0.5 * (energy + energy.T) * np.outer(scale, scale)
 
 
-def _smooth(matrix: sparse.csr_array, right_sides: FloatArray, steps: int) -> FloatArray:
+def _smooth(matrix: sparse.csr_array, right_sides: Block, steps: int) -> Block:
     """Z near W^{-1} R for R of high frequency: Chebyshev iteration on D^{-1} W, D the diagonal.
 
     One fixed polynomial for all columns keeps R^T Z symmetric and, but for a ripple, not above R^T W^{-1} R.
     """
-    diagonal = matrix.diagonal()[:, None]
+    inverse = (1.0 / matrix.diagonal())[:, None].astype(right_sides.dtype)
     highest = _highest_scaled_eigenvalue(matrix)
     lowest = highest / CONDITION
     centre, radius = 0.5 * (highest + lowest), 0.5 * (highest - lowest)
-    step = right_sides / (diagonal * centre)
-    solution = step.copy()
     factor = 1.0 / centre
-    residual = right_sides
+    residual = right_sides.copy()
+    step = residual * (inverse * inverse.dtype.type(factor))
+    solution = step.copy()
     for iteration in range(1, steps):
-        residual = residual - multiply(matrix, step)
+        residual -= multiply(matrix, step)
         momentum = 0.5 * (radius * factor) ** 2 if iteration == 1 else (0.5 * radius * factor) ** 2
         factor = 1.0 / (centre - momentum / factor)
-        step = momentum * step + factor * (residual / diagonal)
+        step *= inverse.dtype.type(momentum)
+        step += residual * (inverse * inverse.dtype.type(factor))
         solution += step
     return solution
 

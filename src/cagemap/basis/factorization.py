@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import linalg as sparse_linalg
 
 from cagemap.errors import ParameterError, SolverError
-from cagemap.mesh import FloatArray
 
 rslab: Any
 try:
@@ -23,6 +23,7 @@ try:
 except ImportError:  # no wheel for this platform
     rslab = None
 
+Precision = type[np.float64 | np.float32]
 SparseMatrix = sparse.csr_array | sparse.csc_array
 
 # SuperLU's minimum degree ordering gives the least fill on small meshes and takes minutes on large ones.
@@ -40,15 +41,18 @@ class Factorization:
         Number of negative eigenvalues of A (Sylvester's law of inertia); None where the library cannot tell.
     library : str
         "rslab" or "superlu".
+    dtype : numpy dtype
+        Precision of the factors, float64 or float32.
     """
 
     shape: tuple[int, int]
     negative_eigenvalues: int | None
     library: str
-    _solve: Callable[[FloatArray], FloatArray] = field(repr=False)
+    _solve: Callable[[NDArray[Any]], NDArray[Any]] = field(repr=False)
     _analysis: Any = field(default=None, repr=False)
+    dtype: Precision = np.float64
 
-    def solve(self, right_sides: FloatArray) -> FloatArray:
+    def solve(self, right_sides: NDArray[Any]) -> NDArray[Any]:
         """Solve A X = B.
 
         Parameters
@@ -57,14 +61,14 @@ class Factorization:
 
         Returns
         -------
-        array of the same shape
+        array of the same shape, in the precision of the factors
 
         Raises
         ------
         ParameterError
             If the number of rows is not n.
         """
-        values = np.ascontiguousarray(right_sides, dtype=np.float64)
+        values = np.ascontiguousarray(right_sides, dtype=self.dtype)
         if values.ndim not in (1, 2) or values.shape[0] != self.shape[0]:
             raise ParameterError(
                 f"expected right sides with {self.shape[0]} rows, got an array of shape {values.shape}; "
@@ -74,7 +78,13 @@ class Factorization:
         return np.ascontiguousarray(solution).reshape(values.shape)
 
 
-def factor(matrix: SparseMatrix, *, like: Factorization | None = None, library: str = "auto") -> Factorization:
+def factor(
+    matrix: SparseMatrix,
+    *,
+    like: Factorization | None = None,
+    library: str = "auto",
+    dtype: Precision = np.float64,
+) -> Factorization:
     """Factor a symmetric, possibly indefinite sparse matrix.
 
     Parameters
@@ -84,6 +94,8 @@ def factor(matrix: SparseMatrix, *, like: Factorization | None = None, library: 
     like : Factorization, optional
         A factorisation of a matrix with the same pattern; its ordering is used again.
     library : {"auto", "rslab", "superlu"}
+    dtype : numpy.float64 or numpy.float32
+        Precision of the factors. Single takes half the memory and two thirds of the time; its inertia proves nothing.
 
     Returns
     -------
@@ -102,30 +114,30 @@ def factor(matrix: SparseMatrix, *, like: Factorization | None = None, library: 
     if library == "auto":
         library = "superlu" if rslab is None else "rslab"
     if library == "superlu":
-        return _factor_superlu(matrix)
+        return _factor_superlu(matrix, dtype)
     if library != "rslab" or rslab is None:
         raise ParameterError(f'expected library "auto", "superlu" or an installed "rslab", got {library!r}')
-    return _factor_rslab(matrix, like)
+    return _factor_rslab(matrix, like, dtype)
 
 
-def _factor_rslab(matrix: SparseMatrix, like: Factorization | None) -> Factorization:
+def _factor_rslab(matrix: SparseMatrix, like: Factorization | None, dtype: Precision) -> Factorization:
     lower = sparse.csc_array(sparse.tril(matrix, format="csc"))
     lower.sort_indices()
     try:
         # Approximate minimum degree: on meshes it beats nested dissection once analysis time is counted.
         analysis = rslab.analyze(lower, "ldlt", ordering="amd") if like is None else like._analysis
-        factors = analysis.factor(lower.data)
+        factors = analysis.factor(lower.data.astype(dtype, copy=False))
     except (RuntimeError, ValueError) as error:
         raise SolverError(_singular_message(matrix, error)) from error
     negative = int(factors.inertia[1])
-    return Factorization(matrix.shape, negative, "rslab", factors.solve_many, analysis)
+    return Factorization(matrix.shape, negative, "rslab", factors.solve_many, analysis, dtype)
 
 
-def _factor_superlu(matrix: SparseMatrix) -> Factorization:
+def _factor_superlu(matrix: SparseMatrix, dtype: Precision) -> Factorization:
     small = matrix.shape[0] <= _SUPERLU_MINIMUM_DEGREE_ROWS
     try:
         factors = sparse_linalg.splu(
-            sparse.csc_array(matrix),
+            sparse.csc_array(matrix, dtype=dtype),
             permc_spec="MMD_AT_PLUS_A" if small else "COLAMD",
             diag_pivot_thresh=0.0,
             options={"SymmetricMode": small},
@@ -135,7 +147,7 @@ def _factor_superlu(matrix: SparseMatrix) -> Factorization:
     # With diagonal pivots only, P A P^T = L D L^T with D the diagonal of U, and Sylvester's law counts its signs.
     diagonal_pivots = np.array_equal(factors.perm_r, factors.perm_c)
     negative = int(np.count_nonzero(factors.U.diagonal() < 0)) if diagonal_pivots else None
-    return Factorization(matrix.shape, negative, "superlu", factors.solve)
+    return Factorization(matrix.shape, negative, "superlu", factors.solve, dtype=dtype)
 
 
 def _singular_message(matrix: SparseMatrix, error: Exception) -> str:

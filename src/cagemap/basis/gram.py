@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cagemap.basis.products import multiply
 from cagemap.mesh import FloatArray
-from cagemap.operators import Operators
 from cagemap.refinement import Refinement
 
 
@@ -37,15 +35,11 @@ def products_with_bands(
 
 
 def extend_gram(
-    gram: FloatArray,
-    bands: tuple[FloatArray, ...],
-    refinement: Refinement,
-    operators: Operators,
-    band: FloatArray,
-    level: int,
+    gram: FloatArray, bands: tuple[FloatArray, ...], refinement: Refinement, dual: FloatArray, level: int
 ) -> FloatArray:
-    """Gram matrix Phi~^T M Phi~ after a band of one more level, eq. 9: [[G, E], [E^T, band^T M band]]."""
-    dual = multiply(operators.mass[level], band)
+    """Gram matrix Phi~^T M Phi~ after an orthonormal band of one more level, eq. 9: [[G, E], [E^T, I]].
+
+    ``dual`` is M^level times the band.
+    """
     cross = products_with_bands(bands, refinement, dual, level)
-    own = band.T @ dual
-    return np.block([[gram, cross], [cross.T, 0.5 * (own + own.T)]])
+    return np.block([[gram, cross], [cross.T, np.eye(dual.shape[1])]])

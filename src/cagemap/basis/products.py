@@ -23,13 +23,19 @@ def _multiply_rows(indptr, indices, data, block, first, last, out):  # type: ign
     """Rows first..last of A X; X and the result in C order, so that the inner loop is contiguous."""
     columns = block.shape[1]
     for row in range(first, last):
+        begin, end = indptr[row], indptr[row + 1]
+        whole = begin + (end - begin) // 4 * 4
         for j in range(columns):
             out[row, j] = 0.0
-        for entry in range(indptr[row], indptr[row + 1]):
-            value = data[entry]
-            other = indices[entry]
+        for entry in range(begin, whole, 4):  # four at a time: the result is read and written a quarter as often
+            a, b, c, d = data[entry], data[entry + 1], data[entry + 2], data[entry + 3]
+            p, q, r, s = indices[entry], indices[entry + 1], indices[entry + 2], indices[entry + 3]
             for j in range(columns):
-                out[row, j] += value * block[other, j]
+                out[row, j] += a * block[p, j] + b * block[q, j] + c * block[r, j] + d * block[s, j]
+        for entry in range(whole, end):
+            a, p = data[entry], indices[entry]
+            for j in range(columns):
+                out[row, j] += a * block[p, j]
 
 
 def multiply(matrix: sparse.csr_array, block: RealArray) -> RealArray:

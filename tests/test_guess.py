@@ -1,0 +1,90 @@
+"""Eigenpairs from those of the level below: as exact as asked for, and never incomplete."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cagemap.basis import BasisConfig, construction, exact_basis, guess, hierarchical_basis, pairs_from_guess
+from cagemap.mesh import shapes
+from cagemap.operators import build_operators
+from cagemap.refinement import refine
+
+KEPT, GUARDS = 60, 20
+
+
+@pytest.fixture(scope="module")
+def creature():
+    """Level 2 has 2434 vertices; its pairs refined to level 3, and what they should become."""
+    refinement = refine(shapes.creature(), 3)
+    operators = build_operators(refinement)
+    coarse = exact_basis(operators, 2, KEPT + GUARDS)
+    start = refinement.matrices[2] @ coarse.vectors
+    return operators.stiffness[3], operators.mass[3], start, coarse.values, exact_basis(operators, 3, KEPT + 1)
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-5, 1e-9])
+@pytest.mark.parametrize("first", [0, 30])
+def test_a_good_guess_becomes_exact(creature, tolerance, first):
+    stiffness, mass, start, values, exact = creature
+    found = pairs_from_guess(stiffness, mass, start, values, kept=(first, KEPT), tolerance=tolerance)
+    assert found.first_index == 0
+    kept = slice(max(1, first), KEPT)
+    errors = np.abs(found.values - np.append(exact.values, np.zeros(GUARDS - 1)))[kept] / exact.values[kept]
+    # Single precision, in which all but the tightest is computed, sums W X to about 1e-6 of the smallest eigenvalues.
+    assert errors.max() < max(tolerance, 1e-9)
+    assert found.vectors.dtype == (np.float32 if tolerance > 1e-6 else np.float64)
+    gram = found.vectors.T @ (mass @ found.vectors)
+    np.testing.assert_allclose(gram, np.eye(len(gram)), rtol=0, atol=1e-5 if tolerance > 1e-6 else 1e-10)
+
+
+def test_pairs_that_are_not_good_enough_get_directions_of_their_own(creature, monkeypatch):
+    """A guess spoilt in a few places: one inverse iteration does not do."""
+    stiffness, mass, start, values, exact = creature
+    rng = np.random.default_rng(61)
+    spoilt = start.copy()
+    spoilt[:, 40:50] += 0.3 * np.abs(start).mean() * rng.standard_normal((len(start), 10))
+    rounds = []
+    honest = guess._add_directions
+    monkeypatch.setattr(guess, "_add_directions", lambda *a: rounds.append(len(a[1])) or honest(*a))
+    found = pairs_from_guess(stiffness, mass, spoilt, values, kept=(0, KEPT), tolerance=1e-7)
+    assert rounds
+    assert max(rounds) < KEPT
+    np.testing.assert_allclose(found.values[1:KEPT], exact.values[1:KEPT], rtol=1e-7)
+
+
+def test_a_missing_pair_is_noticed(creature):
+    stiffness, mass, start, values, _ = creature
+    kept = np.arange(len(values)) != 17
+    assert pairs_from_guess(stiffness, mass, start[:, kept], values[kept], kept=(0, KEPT), tolerance=1e-3) is None
+
+
+def test_the_same_function_twice_is_refused(creature):
+    stiffness, mass, start, values, _ = creature
+    doubled, twice = start.copy(), values.copy()
+    doubled[:, 11], twice[11] = doubled[:, 10], twice[10]
+    assert pairs_from_guess(stiffness, mass, doubled, twice, kept=(0, KEPT), tolerance=1e-9) is None
+
+
+@pytest.mark.parametrize(
+    ("control", "level", "count"),
+    [(shapes.cube, 4, 16), (shapes.icosahedron, 4, 25), (lambda: shapes.torus(6, 4), 4, 35), (shapes.creature, 3, 90)],
+)
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-5])
+def test_a_basis_that_starts_levels_from_guesses_is_complete(control, level, count, tolerance, monkeypatch):
+    """Repeated eigenvalues and all: from 100 vertices on every level starts from the one below."""
+    used = []
+    honest = construction.pairs_from_guess
+    monkeypatch.setattr(construction, "GUESS_ROWS", 100)
+    monkeypatch.setattr(construction, "pairs_from_guess", lambda *a, **k: used.append(honest(*a, **k)) or used[-1])
+    refinement = refine(control(), level)
+    operators = build_operators(refinement)
+    basis = hierarchical_basis(refinement, operators, BasisConfig(count=count, tolerance=tolerance))
+    if tolerance < 1e-3:  # else coarse levels may do
+        assert any(pairs is not None for pairs in used)
+    exact = exact_basis(operators, level, count).values
+    errors = np.abs(np.sort(basis.eigenvalues) - exact)[1:] / exact[1:]
+    assert errors.max() < tolerance
+    assert np.linalg.cond(basis.gram) < 2.0
+    own = np.eye(basis.count)[basis.band_levels[:, None] == basis.band_levels]
+    np.testing.assert_allclose(basis.gram[basis.band_levels[:, None] == basis.band_levels], own, rtol=0, atol=1e-10)
