@@ -12,7 +12,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.shapes import creature
 from cagemap.operators import build_operators
 from cagemap.point_map.elastic import ElasticConfig, FitShapes, Stage, fit, run_stage
-from cagemap.point_map.elastic_data import Sheet
+from cagemap.point_map.elastic_data import Sheet, curved_points
 from cagemap.point_map.elastic_graph import (
     DifferentialField,
     ElasticGraph,
@@ -171,6 +171,23 @@ def test_same_shape_other_cage_gives_the_identity(shape: tuple[Refinement, float
     assert figures.landmark_errors.max() < 1e-12
     assert figures.flipped_area < 2e-3
     assert figures.coverage > 0.99
+
+
+def test_curved_points_are_exact_on_quadratic_surfaces() -> None:
+    rng = np.random.default_rng(18)
+    # Corners on z = h (a x^2 + b x y + c y^2); normals to first order in h, so that errors are of its third order.
+    for height in (1e-2, 1e-3):
+        a, b, c = rng.standard_normal(3)
+        flat = rng.standard_normal((40, 3, 2))
+        x, y = flat[..., 0], flat[..., 1]
+        corners = np.dstack([x, y, height * (a * x * x + b * x * y + c * y * y)])
+        normals = normalized(np.dstack([-height * (2 * a * x + b * y), -height * (b * x + 2 * c * y), np.ones_like(x)]))
+        weights = rng.dirichlet(np.ones(3), 40)
+        x, y, z = curved_points(corners, normals, weights).T
+        sag = height * (a * x * x + b * x * y + c * y * y) - np.einsum("mk,mk->m", weights, corners[..., 2])
+        error = height * (a * x * x + b * x * y + c * y * y) - z
+        assert abs(sag).max() > 0.1 * height
+        assert abs(error).max() < 200 * height**3
 
 
 def test_momentum_gets_as_far_in_half_the_iterations(shape: tuple[Refinement, float]) -> None:

@@ -83,6 +83,4 @@ def test_a_human_under_another_cage_is_the_same_human(shared_data, share):
         gap, error = gap_and_error(*pair, vertices)
         assert gap < 3e-4
         errors.append(error)
-    # 14 landmarks leave the fit to slide: measured 1.28e-3 to 1.62e-3, a quarter of the spacing of 6.4e-3.
-    assert max(errors) < 1.75e-3
-    assert np.mean(errors) < 1.6e-3
+    assert max(errors) < 1.5e-3  # the bar of issue 3; a quarter of the spacing of vertices, 6.4e-3

@@ -74,7 +74,7 @@ class ElasticConfig:
 
     coarse_vertices: int = 1500
     coarse: Stage = Stage(10, (5e-2, 2e-4), 1e-2, momentum=0.6)
-    fine: Stage = Stage(10, (2e-4, 1e-5), 3e-4, momentum=0.8)
+    fine: Stage = Stage(12, (2e-4, 1e-5), 1e-4, momentum=0.8)
     normal_weight: float = 0.03
     projection_normal_weight: float = 0.02
     landmark_weight: float = 1e2

@@ -95,7 +95,7 @@ def pull_to_source(
     """
     found, barycentric, _ = closest_points(source.tree, positions, normals, normal_weight=normal_weight, guess=guess)
     corners = source.triangles[found]
-    foot = np.einsum("nk,nkd->nd", barycentric, source.positions[corners])
+    foot = curved_points(source.positions[corners], source.normals[corners], barycentric)
     plane = normalized(np.einsum("nk,nkd->nd", barycentric, source.normals[corners]))
     weights = graph.areas * np.clip(np.einsum("nd,nd->n", plane, normals), 0.0, 1.0)
     blocks = weights[:, None, None] * plane[:, :, None] * plane[:, None, :]
@@ -132,7 +132,7 @@ def pull_by_source(
         build_tree(positions, target_triangles), points, normals, normal_weight=normal_weight, guess=guess
     )
     corners = target_triangles[held_by]
-    foot = np.einsum("nk,nkd->nd", barycentric, positions[corners])
+    foot = curved_points(positions[corners], vertex_normals(positions, target_triangles)[corners], barycentric)
     residual = np.einsum("nd,nd->n", normals, points - foot)
     facing = normalized(triangle_normals(positions, target_triangles))[held_by]
     areas = source.areas[chosen] / source.areas[chosen].sum()
@@ -143,6 +143,24 @@ def pull_by_source(
     gather = sparse.csr_array((weights, (corners.ravel(), np.arange(len(weights)))), shape=(n, len(weights)))
     blocks = gather @ (normals[:, :, None] * normals[:, None, :]).reshape(-1, 9)
     return Pull(blocks.reshape(n, 3, 3), gather @ (wanted[:, None] * normals), held_by)
+
+
+def curved_points(corners: FloatArray, normals: FloatArray, barycentric: FloatArray) -> FloatArray:
+    """(m, 3) points of the curved surface above those of its triangles, exact for quadratic surfaces.
+
+    A triangle lies h^2 / 8 R inside a surface of radius R. Vertices that are fitted to triangles, and triangles that
+    are fitted to vertices, would shrink and swell by that; the energy then slides the map sideways. Half the mean of
+    the projections onto the corners' tangent planes (Boubekeur and Alexa 2008) takes it away.
+
+    Parameters
+    ----------
+    corners, normals : (m, 3, 3) float64
+        Positions and unit normals of the triangles' corners.
+    barycentric : (m, 3) float64
+    """
+    flat = np.einsum("mk,mkd->md", barycentric, corners)
+    heights = np.einsum("mkd,mkd->mk", corners - flat[:, None], normals)
+    return np.asarray(flat + 0.5 * np.einsum("mk,mkd->md", barycentric * heights, normals))
 
 
 def deformed_normals(
