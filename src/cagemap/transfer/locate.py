@@ -13,6 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from cagemap.basis.threads import in_threads
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.point_map import PointMap
 from cagemap.transfer.surface import TexturedSurface, triangle_neighbors
@@ -22,6 +23,8 @@ _INSIDE = -1e-9
 _LONGEST_WALK = 512
 # How far, in units of its own barycentric coordinates, a triangle is extended outside (gutter, slivers).
 _EXTENSION = 2.0
+# Triangles that one thread plans at a time: 300 bytes each.
+_PLANNED_AT_ONCE = 1 << 15
 # No texel takes more than this many samples along each axis.
 MAX_SAMPLES_PER_AXIS = 16
 
@@ -182,20 +185,26 @@ def plan_samples(surface: MappedSurface, layout_corners: FloatArray, source_texe
         Texel coordinates of the source triangles' corners in the source texture.
     """
     source = locate_centers(surface)
-    mapped = surface.mapped[surface.target_triangles]
-    edges = mapped[:, 1:] - mapped[:, :1]
-    # Row i: the source's barycentric coordinates 1 and 2 along the target triangle's edge i.
-    slopes = edges @ surface.frames[source, 1:].transpose(0, 2, 1)  # (t1, 2, 2)
-    sides = source_texels[source, 1:] - source_texels[source, :1]
-    texels = slopes @ sides  # (t1, 2, 2): source texels along the edges
-    (x1, y1), (x2, y2) = (layout_corners[:, 1:] - layout_corners[:, :1]).transpose(1, 2, 0)
-    area = x1 * y2 - x2 * y1
-    scale = 1.0 / np.where(area == 0, np.inf, area)
-    along_x = (texels[:, 0] * y2[:, None] - texels[:, 1] * y1[:, None]) * scale[:, None]
-    along_y = (texels[:, 1] * x1[:, None] - texels[:, 0] * x2[:, None]) * scale[:, None]
-    spans = np.sqrt(np.stack([(along_x**2).sum(axis=1), (along_y**2).sum(axis=1)], axis=1))
-    # A span up to 1.25 is left to the bilinear filter: an unscaled texture then comes through unblurred.
-    return np.clip(np.ceil(spans - 0.25), 1, MAX_SAMPLES_PER_AXIS).astype(np.int32)
+    planned = np.empty((len(source), 2), dtype=np.int32)
+
+    def plan(part: slice) -> None:
+        mapped = surface.mapped[surface.target_triangles[part]]
+        sides = source_texels[source[part]]
+        # Row i of the first product: source's barycentric coordinates 1 and 2 along the target triangle's edge i.
+        slopes = np.einsum("tij,tkj->tik", mapped[:, 1:] - mapped[:, :1], surface.frames[source[part], 1:])
+        texels = np.einsum("tik,tkj->tij", slopes, sides[:, 1:] - sides[:, :1])  # source texels along the edges
+        corners = layout_corners[part]
+        (x1, y1), (x2, y2) = (corners[:, 1:] - corners[:, :1]).transpose(1, 2, 0)
+        area = x1 * y2 - x2 * y1
+        scale = 1.0 / np.where(area == 0, np.inf, area)
+        along_x = (texels[:, 0] * y2[:, None] - texels[:, 1] * y1[:, None]) * scale[:, None]
+        along_y = (texels[:, 1] * x1[:, None] - texels[:, 0] * x2[:, None]) * scale[:, None]
+        spans = np.sqrt(np.stack([(along_x**2).sum(axis=1), (along_y**2).sum(axis=1)], axis=1))
+        # A span up to 1.25 is left to the bilinear filter: an unscaled texture then comes through unblurred.
+        planned[part] = np.clip(np.ceil(spans - 0.25), 1, MAX_SAMPLES_PER_AXIS)
+
+    in_threads(plan, [slice(first, first + _PLANNED_AT_ONCE) for first in range(0, len(source), _PLANNED_AT_ONCE)])
+    return planned
 
 
 def target_barycentric(layout_corners: FloatArray, samples: Samples) -> FloatArray:
