@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from scipy import linalg, sparse
 
-from cagemap.basis.factorization import Factorization, Precision, factor
+from cagemap.basis.factorization import Factorization, factor
 from cagemap.basis.lanczos import shift_invert_lanczos
 from cagemap.basis.products import multiply
 from cagemap.basis.threads import in_threads
@@ -24,8 +24,6 @@ _LARGEST_DENSE_ROWS = 5_000
 _RANK = 1e-13
 # Pairs computed beyond those asked for, among which a gap is sought to count the eigenvalues below it.
 _EXTRA_PAIRS = 8
-# Iterations asked for no more than this run in single precision.
-SINGLE_ACCURACY = 1e-6
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -176,11 +174,9 @@ def band_pairs(
                 f"functions, got {first} to {last}; start at a finer level"
             )
         return _with_residuals(stiffness, mass, values[first:last], vectors[:, first:last], first)
-    attempts: list[tuple[int, Precision]] = [(16, np.float64), (64, np.float64)]
-    if tolerance >= SINGLE_ACCURACY:
-        attempts[0] = (16, np.float32)
-    for block_size, dtype in attempts:
-        pairs = _lanczos_pairs(stiffness, mass, first, last, shift, start, tolerance, guards, block_size, dtype)
+    # In double precision: on a body with slivers single precision lost every digit (docs/performance.md).
+    for block_size in (16, 64):
+        pairs = _lanczos_pairs(stiffness, mass, first, last, shift, start, tolerance, guards, block_size)
         if pairs is not None:
             return pairs
         start = None
@@ -200,11 +196,10 @@ def _lanczos_pairs(
     tolerance: float,
     guards: int,
     block_size: int,
-    dtype: Precision,
 ) -> EigenPairs | None:
-    """`band_pairs` by block Lanczos in one precision; None if inertia, always in double precision, counts others."""
+    """`band_pairs` by block Lanczos; None if inertia counts others."""
     low, high = max(0, first - _EXTRA_PAIRS), min(len(lumped_areas(mass)), last + _EXTRA_PAIRS)
-    shifted, sigma = _shift_inside(stiffness, mass, low, high, shift, dtype)
+    shifted, sigma = _shift_inside(stiffness, mass, low, high, shift)
     below = shifted.negative_eigenvalues
     if below is None:
         low, below = 0, 0  # the shift is then below the spectrum
@@ -261,7 +256,7 @@ def _dense_pairs(stiffness: FloatArray, mass: FloatArray) -> tuple[FloatArray, F
 
 
 def _shift_inside(
-    stiffness: sparse.csr_array, mass: sparse.csr_array, low: int, high: int, estimate: float | None, dtype: Precision
+    stiffness: sparse.csr_array, mass: sparse.csr_array, low: int, high: int, estimate: float | None
 ) -> tuple[Factorization, float]:
     """A shift inside the band low..high, factored; below the whole spectrum where no inertia can place it."""
     # Weyl's law for a surface: lambda_j is about 4 pi j / area.
@@ -270,13 +265,13 @@ def _shift_inside(
     shift = middle * spacing if estimate is None else estimate
     for _ in range(8):
         try:
-            shifted = factor(shifted_matrix(stiffness, mass, shift), dtype=dtype)
+            shifted = factor(shifted_matrix(stiffness, mass, shift))
         except SolverError:  # exactly on an eigenvalue
             shift *= 1.0 + 1e-4
             continue
         below = shifted.negative_eigenvalues
         if below is None:
-            return factor(shifted_matrix(stiffness, mass, -spacing), dtype=dtype), -spacing
+            return factor(shifted_matrix(stiffness, mass, -spacing)), -spacing
         if abs(below - middle) <= 0.2 * (high - low):
             return shifted, shift
         shift *= middle / max(below, 1)
@@ -313,9 +308,6 @@ def _with_residuals(
 ) -> EigenPairs:
     exact = np.ascontiguousarray(vectors, dtype=np.float64)
     stiffness_vectors, mass_vectors = multiply(stiffness, exact), multiply(mass, exact)
-    if vectors.dtype == np.float32:  # its Rayleigh quotients are better than what the iteration has summed up
-        values = np.einsum("ij,ij->j", exact, stiffness_vectors) / np.einsum("ij,ij->j", exact, mass_vectors)
-        values = np.maximum.accumulate(values)
     norms = residual_norms(values, exact, stiffness_vectors, mass_vectors, lumped_areas(mass))
     return EigenPairs(np.array(values), exact, norms, first_index)
 

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from cagemap.basis.factorization import Factorization
@@ -13,20 +10,18 @@ from cagemap.basis.products import multiply
 from cagemap.errors import SolverError
 from cagemap.mesh import FloatArray
 
-Block = NDArray[Any]  # (n, q), float64 or float32
-
 _SEED = 20190708  # SGP 2019 opened on that day; any fixed number makes the basis reproducible
 # Inverse squared condition of a block that one Cholesky QR leaves orthonormal enough for a Krylov basis, and that of
-# one which has lost a direction; in double and in single precision.
-_WELL_CONDITIONED = {np.dtype(np.float64): 1e-6, np.dtype(np.float32): 1e-2}
-_DEPENDENT = {np.dtype(np.float64): 1e-14, np.dtype(np.float32): 1e-9}
+# one which has lost a direction.
+_WELL_CONDITIONED = 1e-6
+_DEPENDENT = 1e-14
 # Residual that is enough for pairs which only have to be told from their neighbours.
 LOOSE = 1e-2
 
 
 def orthonormal_block(
-    block: Block, mass: sparse.csr_array, rng: np.random.Generator, against: Block, mass_against: Block
-) -> tuple[Block, Block, FloatArray]:
+    block: FloatArray, mass: sparse.csr_array, rng: np.random.Generator, against: FloatArray, mass_against: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """M-orthonormalise a block that is already M-orthogonal to ``against``, by Cholesky QR, twice where needed.
 
     Directions that are lost (the Krylov space became invariant) are replaced by random ones, with a zero row in R.
@@ -50,15 +45,15 @@ def orthonormal_block(
     total = np.eye(width)
     for _ in range(2):
         mass_block = multiply(mass, block)
-        gram = np.asarray(block.T @ mass_block, dtype=np.float64)
+        gram = block.T @ mass_block
         values, vectors = linalg.eigh(0.5 * (gram + gram.T))
-        weak = values <= _DEPENDENT[block.dtype] * max(values[-1], np.finfo(float).tiny)
+        weak = values <= _DEPENDENT * max(values[-1], np.finfo(float).tiny)
         roots = np.sqrt(np.where(weak, 1.0, values))
         total = (np.where(weak, 0.0, roots)[:, None] * vectors.T) @ total
-        turn = (vectors / roots).astype(block.dtype)
+        turn = vectors / roots
         block, mass_block = block @ turn, mass_block @ turn
         if weak.any():
-            fresh = rng.standard_normal((len(block), int(weak.sum()))).astype(block.dtype)
+            fresh = rng.standard_normal((len(block), int(weak.sum())))
             for _ in range(2):
                 kept = block[:, ~weak]
                 fresh -= against @ (mass_against.T @ fresh)
@@ -66,7 +61,7 @@ def orthonormal_block(
                 fresh /= np.sqrt(np.einsum("ij,ij->j", fresh, multiply(mass, fresh)))
             block[:, weak] = fresh
             mass_block = multiply(mass, block)
-        elif values[0] > _WELL_CONDITIONED[block.dtype] * values[-1]:
+        elif values[0] > _WELL_CONDITIONED * values[-1]:
             break
     return block, mass_block, total
 
@@ -82,7 +77,7 @@ def shift_invert_lanczos(
     block_size: int = 16,
     tolerance: float = 1e-9,
     loose: tuple[int, int] = (0, 0),
-) -> tuple[FloatArray, Block]:
+) -> tuple[FloatArray, FloatArray]:
     """Eigenpairs of W x = lambda M x on both sides of a shift.
 
     Parameters
@@ -121,12 +116,11 @@ def shift_invert_lanczos(
     n = mass.shape[0]
     rng = np.random.default_rng(_SEED)
     wanted = below + above
-    dtype = shifted.dtype
-    block = (rng.standard_normal((n, min(block_size, n))) if start is None else np.array(start)).astype(dtype)
+    block = rng.standard_normal((n, min(block_size, n))) if start is None else np.array(start, dtype=np.float64)
     width = block.shape[1]
     capacity = min(n, 4 * wanted + 12 * width) // width * width
-    basis = np.empty((n, capacity + width), dtype=dtype, order="F")
-    mass_basis = np.empty((n, capacity + width), dtype=dtype, order="F")
+    basis = np.empty((n, capacity + width), order="F")
+    mass_basis = np.empty((n, capacity + width), order="F")
     projected = np.zeros((capacity, capacity))
     basis[:, :width], mass_basis[:, :width], _ = orthonormal_block(block, mass, rng, basis[:, :0], mass_basis[:, :0])
     size = width
@@ -139,7 +133,7 @@ def shift_invert_lanczos(
         image = shifted.solve(mass_used[:, -width:])
         # The recurrence couples a block to itself and the one before; what rounding leaves along older ones goes last.
         recent = slice(max(0, size - 2 * width), size)
-        coefficients = np.zeros((size, width), dtype=dtype)
+        coefficients = np.zeros((size, width))
         coefficients[recent] = mass_used[:, recent].T @ image
         image -= used[:, recent] @ coefficients[recent]
         correction = mass_used.T @ image
@@ -157,7 +151,7 @@ def shift_invert_lanczos(
             if sides and np.all(errors <= allowed * np.abs(inverse_values[chosen])):
                 values = shift + 1.0 / inverse_values[chosen]
                 order = np.argsort(values)
-                return values[order], used @ rotation[:, chosen[order]].astype(dtype)
+                return values[order], used @ rotation[:, chosen[order]]
             next_check = size + max(width, size // 20)
         if full:
             raise SolverError(

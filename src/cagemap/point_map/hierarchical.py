@@ -149,11 +149,16 @@ def hierarchical_map(
 
 
 def search_levels(pair: Pair, config: HierarchyConfig) -> LevelPair:
-    """The levels whose point map is searched in full: the coarsest ones with enough vertices."""
+    """The levels whose point map is searched in full: the coarsest ones with enough vertices and basis functions."""
 
     def first(surface: Surface) -> int:
-        sizes = [len(level.positions) for level in surface.refinement.levels]
-        return next((i for i, size in enumerate(sizes) if size >= config.search_vertices), surface.finest)
+        functions = min(ENOUGH_FUNCTIONS, surface.basis.count)
+        enough = (
+            i
+            for i, level in enumerate(surface.refinement.levels)
+            if len(level.positions) >= config.search_vertices and _basis_size(surface, i) >= functions
+        )
+        return next(enough, surface.finest)
 
     return first(pair.target), first(pair.source)
 
