@@ -22,7 +22,7 @@ from cagemap import (
 from cagemap.errors import InvalidLandmarksError, InvalidMeshError, ParameterError
 from cagemap.example import example_pair
 from cagemap.mesh import shapes
-from cagemap.point_map.hierarchical import Pair, ladder
+from cagemap.point_map.hierarchical import HierarchyConfig, Pair, ladder, search_levels
 from cagemap.point_map.quality import map_positions
 from cagemap.point_map.truth import compare_with_truth, true_map
 from cagemap.refinement import level_triangles
@@ -121,6 +121,16 @@ def test_levels_are_walked_down_together(pony):
     assert moves.min() >= 0
     assert moves.max() == 1
     assert np.all(moves.sum(axis=1) > 0)
+
+
+def test_levels_without_functions_are_not_searched():
+    """A level may have vertices enough and yet no functions: a tight tolerance leaves them to finer levels."""
+    surface = prepare_surface(shapes.creature(), 2, BasisConfig(schedule=(1, 2, 57)))
+    nothing = np.zeros(0, dtype=np.int64)
+    pair = Pair(surface, surface, nothing, nothing)
+    assert search_levels(pair, HierarchyConfig(search_vertices=100)) == (2, 2)
+    usual = prepare_surface(shapes.creature(), 2, BasisConfig(schedule=(50, 10)))
+    assert search_levels(Pair(usual, surface, nothing, nothing), HierarchyConfig(search_vertices=100)) == (0, 2)
 
 
 def test_wrong_input_is_refused_before_anything_expensive(pony):
