@@ -106,7 +106,7 @@ class MatchResult:
     @property
     def trusted(self) -> Landmarks:
         """The landmarks that the map meets."""
-        return self.landmarks.without([suspect.pair for suspect in self.suspects])
+        return self.landmark_check.trusted(self.landmarks)
 
 
 def silent(stage: str) -> None:
@@ -258,8 +258,7 @@ def match(
                     point_map = refined_map(pair, refined, progress)
             progress("functional map of the fit, quality")
             with _timed(timings, "quality"):
-                trusted = landmarks.without([suspect.pair for suspect in check.suspects])
-                functional_map, quality = _read_off_and_judged(pair, point_map, trusted)
+                functional_map, quality = _read_off_and_judged(pair, point_map, check.trusted(landmarks))
     return MatchResult(target, source, landmarks, functional_map, point_map, quality, timings, check)
 
 
@@ -293,7 +292,7 @@ def update_match(
     target, source = before.target, before.source
     check_landmarks(landmarks, target.control, source.control)
     check = before.landmark_check.still(before.landmarks, landmarks)
-    trusted = landmarks.without([suspect.pair for suspect in check.suspects])
+    trusted = check.trusted(landmarks)
     pair = Pair(target, source, trusted.target, trusted.source)
     timings: dict[str, float] = {}
     with one_blas_thread():

@@ -54,6 +54,10 @@ class _Growing:
     def count(self) -> int:
         return len(self.gram)
 
+    def basis(self) -> HierarchicalBasis:
+        """The basis so far as a value."""
+        return HierarchicalBasis(tuple(self.bands), self.values, self.residuals, self.indices, self.gram, self.errors)
+
     def drop_last(self, count: int) -> None:
         """Take back the last functions, all of them in the last band that has any."""
         for level in reversed(range(len(self.bands))):
@@ -107,9 +111,7 @@ def hierarchical_basis(
             estimate = _estimate(pairs, level, refinement, operators, tolerance=np.inf)
             _append(growing, level, pairs, estimate, config.schedule[level], refinement, operators)
             growing.pairs = pairs
-    return HierarchicalBasis(
-        tuple(growing.bands), growing.values, growing.residuals, growing.indices, growing.gram, growing.errors
-    )
+    return growing.basis()
 
 
 def _add_controlled(
@@ -193,10 +195,7 @@ def _guess(
     pairs = growing.pairs.part(growing.pairs.first_index, last)
     vectors, values = pairs.vectors, pairs.values
     if pairs.first_index > 0:
-        so_far = HierarchicalBasis(
-            tuple(growing.bands), growing.values, growing.residuals, growing.indices, growing.gram, growing.errors
-        )
-        lower = evaluate(so_far, refinement, level - 1)[:, : pairs.first_index]
+        lower = evaluate(growing.basis(), refinement, level - 1)[:, : pairs.first_index]
         vectors = np.hstack([lower, vectors])
         values = np.concatenate([np.sort(growing.values[: pairs.first_index]), values])
     return multiply(refinement.matrices[level - 1], vectors.astype(dtype, copy=False)), values

@@ -175,49 +175,32 @@ def band_pairs(
             )
         return _with_residuals(stiffness, mass, values[first:last], vectors[:, first:last], first)
     # In double precision: on a body with slivers single precision lost every digit (docs/performance.md).
+    low, high = max(0, first - _EXTRA_PAIRS), min(n, last + _EXTRA_PAIRS)
+    shifted, sigma = _shift_inside(stiffness, mass, low, high, shift)
+    below = shifted.negative_eigenvalues
+    if below is None:
+        low, below = 0, 0  # the shift is then below the spectrum
+    loose = first - low, high - last + guards
     for block_size in (16, 64):
-        pairs = _lanczos_pairs(stiffness, mass, first, last, shift, start, tolerance, guards, block_size)
-        if pairs is not None:
-            return pairs
+        values, vectors = shift_invert_lanczos(
+            shifted,
+            mass,
+            sigma,
+            below - low,
+            high - below,
+            start=start,
+            block_size=block_size,
+            tolerance=tolerance,
+            loose=loose,
+        )
+        if all(in_threads(partial(counts_agree, stiffness, mass, values, low, shifted), (first, last))):
+            chosen = slice(first - low, last - low)
+            return _with_residuals(stiffness, mass, values[chosen], vectors[:, chosen], first)
         start = None
     raise SolverError(
         f"expected eigenpairs {first} to {last - 1}, but the inertia of the shifted matrix counts others between them; "
         "an eigenvalue of multiplicity above 64 is likely: ask for a number of pairs that does not split it"
     )
-
-
-def _lanczos_pairs(
-    stiffness: sparse.csr_array,
-    mass: sparse.csr_array,
-    first: int,
-    last: int,
-    shift: float | None,
-    start: FloatArray | None,
-    tolerance: float,
-    guards: int,
-    block_size: int,
-) -> EigenPairs | None:
-    """`band_pairs` by block Lanczos; None if inertia counts others."""
-    low, high = max(0, first - _EXTRA_PAIRS), min(len(lumped_areas(mass)), last + _EXTRA_PAIRS)
-    shifted, sigma = _shift_inside(stiffness, mass, low, high, shift)
-    below = shifted.negative_eigenvalues
-    if below is None:
-        low, below = 0, 0  # the shift is then below the spectrum
-    values, vectors = shift_invert_lanczos(
-        shifted,
-        mass,
-        sigma,
-        below - low,
-        high - below,
-        start=start,
-        block_size=block_size,
-        tolerance=tolerance,
-        loose=(first - low, high - last + guards),
-    )
-    if not all(in_threads(partial(counts_agree, stiffness, mass, values, low, shifted), (first, last))):
-        return None
-    chosen = slice(first - low, last - low)
-    return _with_residuals(stiffness, mass, values[chosen], vectors[:, chosen], first)
 
 
 def exact_basis(operators: Operators, level: int, count: int) -> EigenPairs:
@@ -306,10 +289,9 @@ def _with_residuals(
     vectors: FloatArray,
     first_index: int,
 ) -> EigenPairs:
-    exact = np.ascontiguousarray(vectors, dtype=np.float64)
-    stiffness_vectors, mass_vectors = multiply(stiffness, exact), multiply(mass, exact)
-    norms = residual_norms(values, exact, stiffness_vectors, mass_vectors, lumped_areas(mass))
-    return EigenPairs(np.array(values), exact, norms, first_index)
+    vectors = np.ascontiguousarray(vectors)
+    norms = residual_norms(values, vectors, multiply(stiffness, vectors), multiply(mass, vectors), lumped_areas(mass))
+    return EigenPairs(np.array(values), vectors, norms, first_index)
 
 
 def shifted_matrix(stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float) -> sparse.csr_array:

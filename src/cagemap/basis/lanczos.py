@@ -93,8 +93,7 @@ def shift_invert_lanczos(
     block_size : int
         Highest multiplicity of an eigenvalue that is found for certain.
     tolerance : float
-        Residual of a pair of the inverted operator relative to its eigenvalue 1 / (lambda - shift). The precision is
-        that of the factorisation: single is good to about 1e-6 |lambda - shift|.
+        Residual of a pair of the inverted operator relative to its eigenvalue 1 / (lambda - shift).
     loose : (int, int)
         How many of the outermost pairs below and above need no more than a residual of `LOOSE`.
 

@@ -235,7 +235,7 @@ def run_stage(
         pull = pull_to_source(graph, source, positions, normals, guess, config.normal_weight)
         blocks, right, guess = pull.blocks, pull.right, pull.triangles
         if target_triangles is not None:
-            back = pull_by_source(target_triangles, source, positions, guess_back, config.normal_weight)
+            back = pull_by_source(target_triangles, source, positions, normals, guess_back, config.normal_weight)
             blocks, right, guess_back = blocks + back.blocks, right + back.right, back.triangles
         blocks[landmarks] = config.landmark_weight * np.eye(3)
         right[landmarks] = config.landmark_weight * landmark_positions

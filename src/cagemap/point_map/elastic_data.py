@@ -106,6 +106,7 @@ def pull_by_source(
     target_triangles: IndexArray,
     source: Sheet,
     positions: FloatArray,
+    normals: FloatArray,
     guess: IndexArray | None,
     normal_weight: float,
 ) -> Pull:
@@ -119,7 +120,7 @@ def pull_by_source(
     ----------
     target_triangles : (t1, 3) int64
     source : Sheet
-    positions : (n, 3) float64
+    positions, normals : (n, 3) float64
         Of the deformed target.
     guess : (m,) int64, optional
         Target triangles of an earlier search.
@@ -127,22 +128,22 @@ def pull_by_source(
     """
     n = len(positions)
     chosen = spread(len(source.positions), int(PULLERS * n))
-    points, normals = source.positions[chosen], source.normals[chosen]
+    points, planes = source.positions[chosen], source.normals[chosen]
     held_by, barycentric, _ = closest_points(
-        build_tree(positions, target_triangles), points, normals, normal_weight=normal_weight, guess=guess
+        build_tree(positions, target_triangles), points, planes, normal_weight=normal_weight, guess=guess
     )
     corners = target_triangles[held_by]
-    foot = curved_points(positions[corners], vertex_normals(positions, target_triangles)[corners], barycentric)
-    residual = np.einsum("nd,nd->n", normals, points - foot)
+    foot = curved_points(positions[corners], normals[corners], barycentric)
+    residual = np.einsum("nd,nd->n", planes, points - foot)
     facing = normalized(triangle_normals(positions, target_triangles))[held_by]
     areas = source.areas[chosen] / source.areas[chosen].sum()
-    shares = areas * np.clip(np.einsum("nd,nd->n", facing, normals), 0.0, 1.0)
+    shares = areas * np.clip(np.einsum("nd,nd->n", facing, planes), 0.0, 1.0)
     weights = (shares[:, None] * barycentric).ravel()  # one row per corner
-    normals = np.repeat(normals, 3, axis=0)
-    wanted = np.einsum("nd,nd->n", normals, positions[corners.ravel()]) + np.repeat(residual, 3)
+    planes = np.repeat(planes, 3, axis=0)
+    wanted = np.einsum("nd,nd->n", planes, positions[corners.ravel()]) + np.repeat(residual, 3)
     gather = sparse.csr_array((weights, (corners.ravel(), np.arange(len(weights)))), shape=(n, len(weights)))
-    blocks = gather @ (normals[:, :, None] * normals[:, None, :]).reshape(-1, 9)
-    return Pull(blocks.reshape(n, 3, 3), gather @ (wanted[:, None] * normals), held_by)
+    blocks = gather @ (planes[:, :, None] * planes[:, None, :]).reshape(-1, 9)
+    return Pull(blocks.reshape(n, 3, 3), gather @ (wanted[:, None] * planes), held_by)
 
 
 def curved_points(corners: FloatArray, normals: FloatArray, barycentric: FloatArray) -> FloatArray:

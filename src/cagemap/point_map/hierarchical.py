@@ -186,12 +186,28 @@ def coarse_map(pair: Pair, config: HierarchyConfig) -> LevelMap:
     functional_map = descriptor_map(pair, levels, config)
     target = _samples(pair.target, levels[0])
     source = _samples(pair.source, levels[1])
+    return LevelMap(levels, *grown_map(functional_map, target, source, config))
+
+
+def grown_map(
+    functional_map: FloatArray, target: Samples, source: Samples, config: HierarchyConfig, factor: float = 1.25
+) -> tuple[FloatArray, IndexArray]:
+    """Functional map and match of samples from the leading block of C12: full search, then spectral upsampling.
+
+    Parameters
+    ----------
+    functional_map : (k1, k2) array
+        From descriptors.
+    target, source : Samples
+    config : HierarchyConfig
+    factor : float
+        See `growth`.
+    """
     start = min(config.upsample_start, *functional_map.shape)
     trusted = functional_map[:start, :start]
     match = nearest_rows(embed_target(target, start), embed_source(source, trusted))
     stop = min(config.upsample_stop, max(target.rows.shape[1], source.rows.shape[1]))
-    functional_map, match = upsample(target, source, match, growth(start, stop))
-    return LevelMap(levels, functional_map, match)
+    return upsample(target, source, match, growth(start, stop, factor))
 
 
 def descriptor_map(pair: Pair, levels: LevelPair, config: HierarchyConfig) -> FloatArray:

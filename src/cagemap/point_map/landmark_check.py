@@ -16,7 +16,7 @@ import numpy as np
 from cagemap.mesh import FloatArray
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.point_map.elastic_graph import ElasticGraph
-from cagemap.point_map.elastic_map import level_graph
+from cagemap.point_map.elastic_map import finest_surface, level_graph
 from cagemap.point_map.hierarchical import Pair, Progress, search_levels
 from cagemap.point_map.landmark_distances import (
     FEWEST_JUDGED,
@@ -27,9 +27,9 @@ from cagemap.point_map.landmark_distances import (
 )
 from cagemap.point_map.landmark_strain import ReducedEnergy, reduced_energy, strained_pair
 from cagemap.point_map.point_map import PointMap
+from cagemap.point_map.quality import map_positions
 from cagemap.point_map.refined import RefinedConfig, refined_map
 from cagemap.point_map.surface_points import normalized, triangle_normals
-from cagemap.refinement import level_triangles
 
 # A pair that the map without it misses by less, of sqrt(area), is taken back.
 CONFIRMED = 0.03
@@ -107,6 +107,10 @@ class LandmarkCheck:
 
     suspects: tuple[LandmarkSuspect, ...] = ()
     notes: tuple[str, ...] = ()
+
+    def trusted(self, landmarks: Landmarks) -> Landmarks:
+        """The landmarks checked, without the suspects."""
+        return landmarks.without([suspect.pair for suspect in self.suspects])
 
     def still(self, before: Landmarks, now: Landmarks) -> LandmarkCheck:
         """What is left of the check of some landmarks for others: suspects that are still there as they were."""
@@ -188,20 +192,19 @@ def trusted_pairs(pair: Pair, left_out: Collection[int]) -> Pair:
 def miss(pair: Pair, point_map: PointMap, landmark: int) -> tuple[float, int]:
     """How far from its source vertex a map puts a landmark, of sqrt(area), and the control vertex nearest to there."""
     row = slice(pair.target_landmarks[landmark], pair.target_landmarks[landmark] + 1)
-    finest = pair.source.refinement.finest.positions
-    corners = finest[level_triangles(pair.source.refinement, pair.source.finest)[point_map.triangle[row]]]
-    place = np.einsum("nk,nkd->nd", point_map.barycentric[row], corners)
-    distances = pair.source.operators.scale * np.linalg.norm(finest[: pair.source.control.n_vertices] - place, axis=1)
+    on_source, triangles = finest_surface(pair.source)
+    place = map_positions(on_source, triangles, point_map.triangle[row], point_map.barycentric[row])
+    distances = np.linalg.norm(on_source[: pair.source.control.n_vertices] - place, axis=1)
     return float(distances[pair.source_landmarks[landmark]]), int(np.argmin(distances))
 
 
 def strain(pair: Pair, graph: ElasticGraph, point_map: PointMap) -> tuple[ReducedEnergy, FloatArray]:
     """Energy of the landmarks' places at a map that holds them, and these places."""
-    finest, scale = pair.source.refinement.finest.positions, pair.source.operators.scale
-    triangles = level_triangles(pair.source.refinement, pair.source.finest)[point_map.triangle[: graph.n]]
-    images = scale * np.einsum("nk,nkd->nd", point_map.barycentric[: graph.n], finest[triangles])
-    normals = normalized(triangle_normals(finest, triangles))
-    return reduced_energy(graph, images, normals, pair.target_landmarks), scale * finest[pair.source_landmarks]
+    on_source, triangles = finest_surface(pair.source)
+    found = point_map.triangle[: graph.n]
+    images = map_positions(on_source, triangles, found, point_map.barycentric[: graph.n])
+    normals = normalized(triangle_normals(on_source, triangles[found]))
+    return reduced_energy(graph, images, normals, pair.target_landmarks), on_source[pair.source_landmarks]
 
 
 def orientation_notes(pair: Pair, graphs: tuple[ElasticGraph, ElasticGraph]) -> tuple[str, ...]:

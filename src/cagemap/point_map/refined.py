@@ -13,22 +13,12 @@ from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.elastic import ElasticConfig, fit
 from cagemap.point_map.elastic_map import finest_surface, fit_shapes, level_graph, project, refined_positions
 from cagemap.point_map.elastic_update import respond
-from cagemap.point_map.hierarchical import HierarchyConfig, Pair, Progress, descriptor_map, search_levels
+from cagemap.point_map.hierarchical import HierarchyConfig, Pair, Progress, descriptor_map, grown_map, search_levels
 from cagemap.point_map.landmark_coordinates import landmark_coordinates
 from cagemap.point_map.point_map import PointMap
 from cagemap.point_map.quality import map_positions
-from cagemap.point_map.search import nearest_rows
 from cagemap.point_map.surface_points import build_tree
-from cagemap.point_map.upsample import (
-    FIT_SAMPLES,
-    Samples,
-    embed_source,
-    embed_target,
-    fit_functional_map,
-    growth,
-    spread,
-    upsample,
-)
+from cagemap.point_map.upsample import FIT_SAMPLES, Samples, fit_functional_map, spread
 from cagemap.refinement import level_triangles
 
 # Source vertices that a start is sought among: twice as many as there are vertices to start.
@@ -125,11 +115,7 @@ def start_map(
         (pair.source, levels[1], pair.source_landmarks, candidates, np.ones(len(candidates))),
     ]
     target, source = in_threads(lambda side: _samples(*side), sides)
-    start = min(config.upsample_start, *functional_map.shape)
-    trusted = functional_map[:start, :start]
-    match = nearest_rows(embed_target(target, start), embed_source(source, trusted))
-    stop = min(config.upsample_stop, max(target.rows.shape[1], source.rows.shape[1]))
-    _, match = upsample(target, source, match, growth(start, stop, START_GROWTH))
+    _, match = grown_map(functional_map, target, source, config, START_GROWTH)
     return candidates[match]
 
 
