@@ -77,6 +77,24 @@ def test_closest_points_agree_with_trying_every_triangle(seed: int, weight: floa
         np.testing.assert_allclose(np.linalg.norm(foot - points, axis=1), d, atol=1e-12)
 
 
+@pytest.mark.parametrize("shuffled", [False, True], ids=["runs of triangles as leaves", "triangles sorted"])
+def test_both_orders_of_the_tree_find_the_same_points(shuffled: bool) -> None:
+    positions, triangles = grid(20)
+    positions[:, 2] = 0.2 * np.sin(6 * positions[:, 0])
+    rng = np.random.default_rng(5)
+    triangles = triangles.reshape(2, -1, 3).transpose(1, 0, 2).reshape(-1, 3)  # both halves of a square in turn
+    if shuffled:
+        triangles = triangles[rng.permutation(len(triangles))]
+    tree = build_tree(positions, triangles)
+    assert np.array_equal(np.sort(tree.order), np.arange(len(triangles)))
+    runs = tree.order[: len(triangles) // 8 * 8].reshape(-1, 8)
+    assert (np.diff(runs, axis=1) == 1).all() != shuffled
+    points, normals = rng.random((50, 3)), normalized(rng.standard_normal((50, 3)))
+    expected = closest_points_slowly(positions, triangles, points, normals, normal_weight=0.3)[2]
+    distance = closest_points(tree, points, normals, normal_weight=0.3)[2]
+    np.testing.assert_allclose(distance, expected, atol=1e-12)
+
+
 @settings(deadline=None, max_examples=15)
 @given(seed=st.integers(10, 10_000), weight=st.sampled_from([0.0, 0.3]), cosine=st.sampled_from([-2.0, 0.2]))
 def test_a_limit_leaves_out_what_is_farther_and_nothing_else(seed: int, weight: float, cosine: float) -> None:

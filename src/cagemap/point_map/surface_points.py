@@ -1,7 +1,9 @@
 """Closest points on a triangle mesh, with a preference for agreeing normals.
 
-A bounding-volume tree over the triangles in Morton order. The tree is implicit (node ``i`` has the children ``2 i + 1``
-and ``2 i + 2``), so that building it is a handful of array operations and only the search is a compiled kernel.
+A bounding-volume tree whose boxes bound positions and normals. The tree is implicit (node ``i`` has the children
+``2 i + 1`` and ``2 i + 2``), so that building it is a handful of array operations and only the search is a compiled
+kernel. Its leaves are runs of the mesh's own triangles where these lie together, as they do after subdivision (a face's
+children follow each other, and make a compact patch); otherwise all triangles are sorted along a space-filling curve.
 """
 
 from __future__ import annotations
@@ -19,6 +21,8 @@ from cagemap.mesh import FloatArray, IndexArray
 _LEAF_SIZE = 8
 _STACK_SIZE = 64
 _CHUNK = 512  # queries that a thread answers in a row at least, each starting from the last answer
+# Triangles that follow each other make a leaf where they lie together: within this many times a triangle's size.
+_COMPACT = 6.0
 
 
 @dataclass(frozen=True)
@@ -27,8 +31,9 @@ class TriangleTree:
 
     Attributes
     ----------
-    lower, upper : (nodes, 3) float64
-        Bounding boxes of an implicit complete binary tree; padding nodes are empty (lower > upper).
+    boxes : (nodes, 12) float64
+        Of an implicit complete binary tree: lower and upper bounds of positions, then of normals. Padding nodes are
+        empty (lower > upper position).
     order : (t,) int64
         Triangle of the mesh at every position of the tree.
     corners : (t, 3, 3) float64
@@ -37,8 +42,7 @@ class TriangleTree:
         Unit normals in tree order, zero for degenerate triangles.
     """
 
-    lower: FloatArray
-    upper: FloatArray
+    boxes: FloatArray
     order: IndexArray
     corners: FloatArray
     normals: FloatArray
@@ -89,26 +93,22 @@ def build_tree(positions: FloatArray, triangles: IndexArray) -> TriangleTree:
     if not np.isfinite(positions).all():
         bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
         raise ParameterError(f"expected finite positions, got {len(bad)} that are not, first at vertices {bad[:5]}")
-    centres = positions.take(triangles[:, 0], axis=0)
-    for k in (1, 2):
-        centres += positions.take(triangles[:, k], axis=0)
-    centres /= 3.0
-    order = np.argsort(_morton_codes(centres), kind="stable")
+    normals = triangle_normals(positions, triangles)
+    order = _leaf_order(positions, triangles, normals)
+    normals = normalized(normals.take(order, axis=0))
     n_leaves = 1 << int(np.ceil(np.log2(max(1, -(-len(order) // _LEAF_SIZE)))))
-    lower = np.full((2 * n_leaves - 1, 3), np.inf)
-    upper = np.full((2 * n_leaves - 1, 3), -np.inf)
+    boxes = np.empty((2 * n_leaves - 1, 12))
     first_leaf = n_leaves - 1
-    corners, normals = np.empty((len(order), 3, 3)), np.empty((len(order), 3))
-    ordered = triangles.take(order, axis=0)
-    _fill_leaves(positions, ordered, corners, lower[first_leaf:], upper[first_leaf:])
-    _fill_normals(positions, ordered, normals)
+    corners = np.empty((len(order), 3, 3))
+    _fill_leaves(positions, triangles.take(order, axis=0), normals, corners, boxes[first_leaf:])
     while first_leaf > 0:
-        parents = slice((first_leaf - 1) // 2, first_leaf)
-        children = slice(first_leaf, 2 * first_leaf + 1)
-        lower[parents] = lower[children].reshape(-1, 2, 3).min(axis=1)
-        upper[parents] = upper[children].reshape(-1, 2, 3).max(axis=1)
+        parents = boxes[(first_leaf - 1) // 2 : first_leaf]
+        left, right = boxes[first_leaf : 2 * first_leaf + 1 : 2], boxes[first_leaf + 1 : 2 * first_leaf + 1 : 2]
+        for lower, upper in ((slice(0, 3), slice(3, 6)), (slice(6, 9), slice(9, 12))):
+            np.minimum(left[:, lower], right[:, lower], out=parents[:, lower])
+            np.maximum(left[:, upper], right[:, upper], out=parents[:, upper])
         first_leaf = (first_leaf - 1) // 2
-    return TriangleTree(lower, upper, order.astype(np.int64), corners, normalized(normals))
+    return TriangleTree(boxes, order, corners, normals)
 
 
 def closest_points(
@@ -167,7 +167,7 @@ def closest_points(
 
     def search(part: IndexArray) -> None:
         _search(
-            (tree.lower, tree.upper, tree.corners, tree.normals),
+            (tree.boxes, tree.corners, tree.normals),
             (queries, directions, limits, start),
             (float(normal_weight) ** 2, float(minimum_cosine)),
             part,
@@ -221,6 +221,21 @@ def _plane_foot(q: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> F
     return np.stack([1 - beta - gamma, beta, gamma], axis=-1)
 
 
+def _leaf_order(positions: FloatArray, triangles: IndexArray, normals: FloatArray) -> IndexArray:
+    """(t,) triangles leaf by leaf along a space-filling curve; ``normals`` (t, 3) have length twice the area."""
+    centres = positions.take(triangles[:, 0], axis=0)
+    for k in (1, 2):
+        centres += positions.take(triangles[:, k], axis=0)
+    centres /= 3.0
+    whole = len(centres) // _LEAF_SIZE * _LEAF_SIZE
+    runs = centres[:whole].reshape(-1, _LEAF_SIZE, 3)
+    extents = row_lengths(runs.max(axis=1) - runs.min(axis=1)) if whole else np.full(1, np.inf)
+    if extents.mean() > _COMPACT * np.sqrt(row_lengths(normals)).mean():
+        return np.argsort(_morton_codes(centres), kind="stable")
+    first = _LEAF_SIZE * np.argsort(_morton_codes(runs.mean(axis=1)), kind="stable")
+    return np.concatenate([(first[:, None] + np.arange(_LEAF_SIZE)).ravel(), np.arange(whole, len(centres))])
+
+
 def _morton_codes(points: FloatArray) -> IndexArray:
     """(t,) positions of points along a space-filling curve, 21 bits an axis."""
     low, high = points.min(axis=0), points.max(axis=0)
@@ -260,24 +275,33 @@ def _fill_normals(positions, triangles, normals):  # type: ignore[no-untyped-def
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fill_leaves(positions, triangles, corners, lower, upper):  # type: ignore[no-untyped-def]
+def _fill_leaves(positions, triangles, normals, corners, boxes):  # type: ignore[no-untyped-def]
     """Corner positions of every triangle, and the box of every leaf."""
-    for t in range(len(triangles)):
-        leaf = t // _LEAF_SIZE
-        for k in range(3):
+    for leaf in range(len(boxes)):
+        for i in range(3):
+            boxes[leaf, i], boxes[leaf, 3 + i] = np.inf, -np.inf
+            boxes[leaf, 6 + i], boxes[leaf, 9 + i] = 1.0, -1.0
+        for t in range(leaf * _LEAF_SIZE, min((leaf + 1) * _LEAF_SIZE, len(triangles))):
             for i in range(3):
-                x = positions[triangles[t, k], i]
-                corners[t, k, i] = x
-                lower[leaf, i] = min(lower[leaf, i], x)
-                upper[leaf, i] = max(upper[leaf, i], x)
+                for k in range(3):
+                    x = positions[triangles[t, k], i]
+                    corners[t, k, i] = x
+                    boxes[leaf, i] = min(boxes[leaf, i], x)
+                    boxes[leaf, 3 + i] = max(boxes[leaf, 3 + i], x)
+                boxes[leaf, 6 + i] = min(boxes[leaf, 6 + i], normals[t, i])
+                boxes[leaf, 9 + i] = max(boxes[leaf, 9 + i], normals[t, i])
 
 
 @numba.njit(cache=True, error_model="numpy", inline="always")
-def _box_distance(lower, upper, node, x, y, z):  # type: ignore[no-untyped-def]
-    dx = max(lower[node, 0] - x, 0.0, x - upper[node, 0])
-    dy = max(lower[node, 1] - y, 0.0, y - upper[node, 1])
-    dz = max(lower[node, 2] - z, 0.0, z - upper[node, 2])
-    return dx * dx + dy * dy + dz * dz
+def _box_cost(boxes, node, x, y, z, nx, ny, nz, weight2):  # type: ignore[no-untyped-def]
+    """Least squared distance to a box of positions, and to one of normals (2 - 2 cos = |n_q - n_p|^2)."""
+    dx = max(boxes[node, 0] - x, 0.0, x - boxes[node, 3])
+    dy = max(boxes[node, 1] - y, 0.0, y - boxes[node, 4])
+    dz = max(boxes[node, 2] - z, 0.0, z - boxes[node, 5])
+    ex = max(boxes[node, 6] - nx, 0.0, nx - boxes[node, 9])
+    ey = max(boxes[node, 7] - ny, 0.0, ny - boxes[node, 10])
+    ez = max(boxes[node, 8] - nz, 0.0, nz - boxes[node, 11])
+    return dx * dx + dy * dy + dz * dz + weight2 * (ex * ex + ey * ey + ez * ez)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -323,12 +347,12 @@ def _closest_in_triangle(corners, t, x, y, z):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _search(tree, asked, options, sequence, answers):  # type: ignore[no-untyped-def]
-    """Branch and bound, the nearer child first: box distances bound the cost because normals only add."""
-    lower, upper, corners, normals = tree
+    """Branch and bound, the nearer child first: a box of positions and normals bounds the cost of all in it."""
+    boxes, corners, normals = tree
     queries, directions, limits, start = asked
     weight2, minimum_cosine = options
     found, barycentric, squared = answers
-    n_triangles, first_leaf = len(corners), (len(lower) - 1) // 2
+    n_triangles, first_leaf = len(corners), (len(boxes) - 1) // 2
     nodes, bounds = np.empty(_STACK_SIZE, dtype=np.int64), np.empty(_STACK_SIZE)
     last = np.int64(-1)
     for i in sequence:
@@ -354,7 +378,7 @@ def _search(tree, asked, options, sequence, answers):  # type: ignore[no-untyped
             if size == 0:
                 sibling = climb + 1 if climb % 2 == 1 else climb - 1
                 climb = (climb - 1) // 2
-                nodes[0], bounds[0] = sibling, _box_distance(lower, upper, sibling, x, y, z)
+                nodes[0], bounds[0] = sibling, _box_cost(boxes, sibling, x, y, z, nx, ny, nz, weight2)
                 size = 1
             size -= 1
             node = nodes[size]
@@ -362,8 +386,8 @@ def _search(tree, asked, options, sequence, answers):  # type: ignore[no-untyped
                 continue
             if node < first_leaf:
                 left, right = 2 * node + 1, 2 * node + 2
-                dl = _box_distance(lower, upper, left, x, y, z)
-                dr = _box_distance(lower, upper, right, x, y, z)
+                dl = _box_cost(boxes, left, x, y, z, nx, ny, nz, weight2)
+                dr = _box_cost(boxes, right, x, y, z, nx, ny, nz, weight2)
                 if dl < dr:
                     nodes[size], bounds[size] = right, dr
                     nodes[size + 1], bounds[size + 1] = left, dl
