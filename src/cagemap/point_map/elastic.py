@@ -9,9 +9,11 @@ moves whole limbs, then on the mesh of a level.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from cagemap.basis.factorization import Factorization
 from cagemap.basis.threads import in_threads
 from cagemap.errors import ParameterError
 from cagemap.mesh import FloatArray, IndexArray
@@ -229,14 +231,18 @@ def run_stage(
     system = PositionSystem.build(laplacian)
     positions, maps = start, field.solve(start)
     before: FloatArray | None = None
-    guess, guess_back, factors = None, None, None
+    factors: Factorization | None = None
+    guesses: list[IndexArray | None] = [None, None]
     for iteration, alpha in enumerate(stage.ramped(), start=1):
         normals = deformed_normals(graph, positions, maps, target_triangles)
-        pull = pull_to_source(graph, source, positions, normals, guess, config.normal_weight)
-        blocks, right, guess = pull.blocks, pull.right, pull.triangles
+        moved = positions, normals
+        asked = [partial(pull_to_source, graph, source, *moved, guesses[0], config.normal_weight)]
         if target_triangles is not None:
-            back = pull_by_source(target_triangles, source, positions, normals, guess_back, config.normal_weight)
-            blocks, right, guess_back = blocks + back.blocks, right + back.right, back.triangles
+            asked.append(partial(pull_by_source, target_triangles, source, *moved, guesses[1], config.normal_weight))
+        pulls = in_threads(lambda pull: pull(), asked)
+        blocks: FloatArray = np.sum([pull.blocks for pull in pulls], axis=0)
+        right: FloatArray = np.sum([pull.right for pull in pulls], axis=0)
+        guesses = [pull.triangles for pull in pulls]
         blocks[landmarks] = config.landmark_weight * np.eye(3)
         right[landmarks] = config.landmark_weight * landmark_positions
         factors = system.factor(alpha, blocks, factors)
