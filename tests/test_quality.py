@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, cKDTree
 
 from cagemap.errors import ParameterError
+from cagemap.mesh.shapes import torus
 from cagemap.point_map.quality import (
     covered_share,
     dirichlet_energy,
@@ -27,6 +28,7 @@ from cagemap.point_map.surface_points import (
     vertex_normals,
 )
 from cagemap.point_map.truth import compare_with_truth, round_trip, true_map
+from cagemap.refinement import level_triangles, refine
 
 
 def sphere(n: int, radii: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> tuple[np.ndarray, np.ndarray]:
@@ -183,6 +185,21 @@ def test_coverage_is_the_share_of_area_reached() -> None:
     image = positions * np.array([0.5, 1.0, 1.0])
     # Half an edge length (1/40) beyond the reached half still counts, and boundary rows have half the area.
     assert covered_share(image, triangles, positions, triangles) == pytest.approx(0.5, abs=0.02)
+
+
+def test_coverage_from_a_coarser_level_is_that_of_the_finest() -> None:
+    refinement = refine(torus(), 4)
+    positions, triangles = refinement.finest.positions, level_triangles(refinement, 4)
+    inner = np.flatnonzero(positions[:, 0] > 0)  # everything goes to this half
+    nearest = inner[cKDTree(positions[inner]).query(np.abs(positions) * np.sign(positions + [1e9, 0, 0]))[1]]
+    the_map = vertex_map(triangles, nearest)
+    measured = [
+        measure_quality(positions, triangles, positions, triangles, *the_map, np.zeros((0, 2), int), coarse_triangles=c)
+        for c in (None, level_triangles(refinement, 3))
+    ]
+    assert measured[0].coverage == pytest.approx(0.5, abs=0.02)
+    assert measured[1].coverage == pytest.approx(measured[0].coverage, abs=0.005)
+    assert measured[1].flipped_area == measured[0].flipped_area
 
 
 def test_a_mirrored_map_is_called_inside_out_and_missed_landmarks_are_named() -> None:

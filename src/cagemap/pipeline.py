@@ -22,7 +22,7 @@ from cagemap.point_map.elastic import ElasticConfig
 from cagemap.point_map.hierarchical import HierarchyConfig, Pair, hierarchical_map
 from cagemap.point_map.landmark_check import LandmarkCheck, LandmarkSuspect, checked_map
 from cagemap.point_map.point_map import PointMap
-from cagemap.point_map.quality import QualityFigures, measure_quality
+from cagemap.point_map.quality import COVERAGE_SAMPLES, QualityFigures, measure_quality
 from cagemap.point_map.refined import RefinedConfig, functional_map_of, refined_map, updated_map
 from cagemap.refinement import Scheme, level_triangles, refine
 
@@ -314,6 +314,8 @@ def _read_off_and_judged(pair: Pair, point_map: PointMap, landmarks: Landmarks) 
 
 def judge(target: Surface, source: Surface, point_map: PointMap, landmarks: Landmarks) -> QualityFigures:
     """Quality figures of a map between finest levels, without ground truth."""
+    levels = target.refinement.levels
+    dense = next((i for i, level in enumerate(levels) if level.n_vertices >= COVERAGE_SAMPLES), target.finest)
     return measure_quality(
         target.refinement.finest.positions,
         level_triangles(target.refinement, target.finest),
@@ -323,6 +325,7 @@ def judge(target: Surface, source: Surface, point_map: PointMap, landmarks: Land
         point_map.barycentric,
         np.column_stack([landmarks.target, landmarks.source]),
         landmarks.names,
+        coarse_triangles=level_triangles(target.refinement, dense),
     )
 
 

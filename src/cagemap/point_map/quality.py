@@ -205,6 +205,8 @@ def measure_quality(
     barycentric: FloatArray,
     landmarks: IndexArray,
     landmark_names: Sequence[str] = (),
+    *,
+    coarse_triangles: IndexArray | None = None,
 ) -> QualityFigures:
     """Measure a map without ground truth.
 
@@ -219,6 +221,8 @@ def measure_quality(
         Target and source vertex of every landmark pair.
     landmark_names : sequence of str, optional
         Used in warnings.
+    coarse_triangles : (t, 3) int64, optional
+        A coarser level's triangles of the target, whose vertices come first: what coverage asks, on dense meshes.
 
     Raises
     ------
@@ -231,7 +235,8 @@ def measure_quality(
     image = map_positions(source, source_triangles, triangle, barycentric)
     image_normals = normalized(triangle_normals(source, source_triangles)).take(triangle, axis=0)
     with ThreadPoolExecutor(1) as pool:
-        covered = pool.submit(covered_share, image, target_triangles, source, source_triangles)
+        asked = target_triangles if coarse_triangles is None else coarse_triangles
+        covered = pool.submit(covered_share, image[: asked.max() + 1], asked, source, source_triangles)
         flipped = flipped_triangles(image, target_triangles, image_normals)
         areas = 0.5 * row_lengths(triangle_normals(target, target_triangles))
         largest, smallest = stretches(target, image, target_triangles)
