@@ -24,7 +24,7 @@ from cagemap.point_map.point_map import PointMap
 from cagemap.refinement import Level
 from cagemap.transfer.dilation import LARGEST_SIDE, dilate
 from cagemap.transfer.locate import MappedSurface, Samples, locate_samples, map_surface, plan_samples
-from cagemap.transfer.surface import TexturedSurface, triangle_areas, triangle_neighbors
+from cagemap.transfer.surface import TexturedSurface, triangle_neighbors
 from cagemap.transfer.texels import GUTTER_RADIUS, Layout, lay_out, rasterize_band
 from cagemap.transfer.texture import Pixels, Wrap, lay_texture, look_up, udim_of, udim_origin
 
@@ -290,8 +290,8 @@ def unit(dtype: np.dtype[Any]) -> float:
 
 def _supersample(corner_uvs: FloatArray, height: int, width: int) -> int:
     """Raster samples along a texel's side, so that a typical triangle holds at least one."""
-    scaled = (corner_uvs * (width, height)).reshape(-1, 2)
-    areas = triangle_areas(scaled, np.arange(len(scaled)).reshape(-1, 3))
+    a, b, c = corner_uvs.transpose(1, 2, 0)
+    areas = 0.5 * width * height * np.abs((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0])
     areas = areas[areas > 0]
     typical = float(np.median(areas)) if len(areas) else 1.0
     return 1 if typical >= 1.0 else 2 if typical >= 0.25 else 4
