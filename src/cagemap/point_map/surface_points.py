@@ -163,7 +163,7 @@ def closest_points(
     sequence = np.argsort(_morton_codes(queries))
     found = np.full(len(queries), -1, dtype=np.int64)
     barycentric, squared = np.zeros((len(queries), 3)), np.full(len(queries), np.inf)
-    limits = np.ascontiguousarray(np.broadcast_to(np.square(within), len(queries)), dtype=np.float64)
+    limits = np.full(len(queries), np.square(within), dtype=np.float64)  # writable, or the kernel is compiled twice
 
     def search(part: IndexArray) -> None:
         _search(
