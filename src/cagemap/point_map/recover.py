@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
+from cagemap.basis.threads import in_threads, row_parts
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.point_map import PointMap
-from cagemap.point_map.search import Embedding
+from cagemap.point_map.search import ROWS, Embedding
 
 
 def vertex_triangles(triangles: IndexArray, n_vertices: int) -> tuple[IndexArray, IndexArray]:
@@ -49,8 +50,19 @@ def vertex_to_point(
     -------
     PointMap
     """
-    triangle, barycentric = _vertex_to_point(target_rows, source_rows, source_triangles, *around, match)
-    return PointMap(np.asarray(triangle), np.asarray(barycentric))
+    triangle, barycentric = np.empty(len(match), dtype=np.int64), np.empty((len(match), 3))
+
+    def project(part: slice) -> None:
+        _vertex_to_point(
+            (target_rows, source_rows),
+            (source_triangles, *around),
+            match,
+            (part.start, part.stop),
+            (triangle, barycentric),
+        )
+
+    in_threads(project, row_parts(len(match), ROWS))
+    return PointMap(triangle, barycentric)
 
 
 def closest_on_triangle(gram: FloatArray, offset: FloatArray) -> FloatArray:
@@ -110,12 +122,14 @@ def _closest_uv(aa, ab, bb, pa, pb):  # type: ignore[no-untyped-def]
     return best_u, best_v, best
 
 
-@njit(cache=True, parallel=True, fastmath=True, nogil=True)
-def _vertex_to_point(target_rows, source_rows, triangles, starts, around, match):  # type: ignore[no-untyped-def]
-    n, k = target_rows.shape
-    triangle = np.empty(n, dtype=np.int64)
-    barycentric = np.empty((n, 3))
-    for x in prange(n):
+@njit(cache=True, fastmath=True, nogil=True)
+def _vertex_to_point(embeddings, mesh, match, part, answers):  # type: ignore[no-untyped-def]
+    """Fill rows part[0] .. part[1] of the answers."""
+    target_rows, source_rows = embeddings
+    triangles, starts, around = mesh
+    triangle, barycentric = answers
+    k = target_rows.shape[1]
+    for x in range(part[0], part[1]):
         best = np.inf
         y = match[x]
         for t in range(starts[y], starts[y + 1]):
@@ -144,7 +158,6 @@ def _vertex_to_point(target_rows, source_rows, triangles, starts, around, match)
                 barycentric[x, corner] = 1.0 - u - v
                 barycentric[x, (corner + 1) % 3] = u
                 barycentric[x, (corner + 2) % 3] = v
-    return triangle, barycentric
 
 
 def reference_vertex_to_point(

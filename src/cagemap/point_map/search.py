@@ -7,17 +7,19 @@ x to the source vertex with the nearest embedding.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 
-from cagemap.basis.threads import in_threads
+from cagemap.basis.threads import in_threads, row_parts
 from cagemap.mesh import IndexArray
 
 Embedding = NDArray[np.float32]
 
 # Queries of one block of `nearest_rows`: its distances take 4 bytes times the number of points each.
 BLOCK = 512
+# Rows that a kernel works through at once.
+ROWS = 4096
 # Weight of S_1^l from which a coarse vertex counts as a parent of a refined one, relative to the row's largest.
 PARENT_SHARE = 0.5
 
@@ -43,12 +45,12 @@ def nearest_rows(queries: Embedding, points: Embedding) -> IndexArray:
     transposed = np.ascontiguousarray(points.T)
     nearest = np.empty(len(queries), dtype=np.int64)
 
-    def one_block(start: int) -> None:
-        scores = queries[start : start + BLOCK] @ transposed
+    def one_block(part: slice) -> None:
+        scores = queries[part] @ transposed
         scores -= half_norms
-        nearest[start : start + BLOCK] = np.argmax(scores, axis=1)
+        nearest[part] = np.argmax(scores, axis=1)
 
-    in_threads(one_block, range(0, len(queries), BLOCK))
+    in_threads(one_block, row_parts(len(queries), BLOCK))
     return nearest
 
 
@@ -96,17 +98,18 @@ def nearest_candidates(
     -------
     (n1,) array
     """
-    return np.asarray(
+    nearest = np.empty(len(target_rows), dtype=np.int64)
+
+    def search(part: slice) -> None:
         _nearest_candidates(
-            target_rows,
-            source_rows,
-            parents.indptr,
-            parents.indices,
-            children.indptr,
-            children.indices,
-            coarse_match,
+            (target_rows, source_rows),
+            (parents.indptr, parents.indices, children.indptr, children.indices, coarse_match),
+            (part.start, part.stop),
+            nearest,
         )
-    )
+
+    in_threads(search, row_parts(len(nearest), ROWS))
+    return nearest
 
 
 def nearest_candidates_reference(
@@ -128,11 +131,13 @@ def nearest_candidates_reference(
     return nearest
 
 
-@njit(cache=True, parallel=True, fastmath=True, nogil=True)
-def _nearest_candidates(target_rows, source_rows, parent_start, parents, child_start, children, coarse_match):  # type: ignore[no-untyped-def]
-    n, k = target_rows.shape
-    nearest = np.empty(n, dtype=np.int64)
-    for x in prange(n):
+@njit(cache=True, fastmath=True, nogil=True)
+def _nearest_candidates(embeddings, candidates, part, nearest):  # type: ignore[no-untyped-def]
+    """Fill rows part[0] .. part[1] of the answer."""
+    target_rows, source_rows = embeddings
+    parent_start, parents, child_start, children, coarse_match = candidates
+    k = target_rows.shape[1]
+    for x in range(part[0], part[1]):
         best = np.float32(np.inf)
         choice = -1
         for p in range(parent_start[x], parent_start[x + 1]):
@@ -152,4 +157,3 @@ def _nearest_candidates(target_rows, source_rows, parent_start, parents, child_s
                     best = distance
                     choice = y
         nearest[x] = choice
-    return nearest
