@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 from scipy import linalg, sparse
-from scipy.spatial import cKDTree
 
 from cagemap.basis.factorization import factor
 from cagemap.errors import InvalidLandmarksError
@@ -40,11 +39,6 @@ def landmark_coordinates(stiffness: sparse.csr_array, mass: sparse.csr_array, la
     """
     harmonic, biharmonic = interpolants(stiffness, mass, landmarks)
     return np.hstack([HARMONIC_WEIGHT * harmonic, BIHARMONIC_WEIGHT * biharmonic])
-
-
-def coordinate_match(target: FloatArray, source: FloatArray) -> IndexArray:
-    """(n1,) source vertex with the nearest landmark coordinates, for every target vertex; landmarks meet exactly."""
-    return np.asarray(cKDTree(source).query(target)[1], dtype=np.int64)
 
 
 def interpolants(
