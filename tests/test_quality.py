@@ -191,7 +191,8 @@ def test_coverage_from_a_coarser_level_is_that_of_the_finest() -> None:
     refinement = refine(torus(), 4)
     positions, triangles = refinement.finest.positions, level_triangles(refinement, 4)
     inner = np.flatnonzero(positions[:, 0] > 0)  # everything goes to this half
-    nearest = inner[cKDTree(positions[inner]).query(np.abs(positions) * np.sign(positions + [1e9, 0, 0]))[1]]
+    mirrored = np.column_stack([np.abs(positions[:, 0]), positions[:, 1:]])
+    nearest = inner[cKDTree(positions[inner]).query(mirrored)[1]]
     the_map = vertex_map(triangles, nearest)
     measured = [
         measure_quality(positions, triangles, positions, triangles, *the_map, np.zeros((0, 2), int), coarse_triangles=c)
