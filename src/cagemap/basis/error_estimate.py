@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from cagemap.basis.products import multiply
+from cagemap.basis.smoothing import Block, residuals, smoother
 from cagemap.mesh import FloatArray
-
-Block = NDArray[Any]  # (n, q), float64 or float32
 
 # What a prediction leaves out: unfinished iterations, and all levels finer than the next. On bodies with badly
 # shaped faces it was up to 3.1 times too low.
@@ -32,9 +29,6 @@ _CHEAP_WORK = 4_000_000
 _MUCH_WORK = 20_000_000
 # Relative tolerance above which single precision is enough.
 _SINGLE_TOLERANCE = 1e-6
-# Condition of the scaled stiffness matrix on what the coarser level cannot represent.
-CONDITION = 20.0
-_SEED = 2019
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,11 +190,8 @@ def _coupling(
 ) -> FloatArray:
     """(m, m) energy R^T Z that corrections within level l + 1 gain."""
     prolonged = multiply(subdivision, vectors)
-    kind = prolonged.dtype
-    residual = multiply(mass, prolonged)
-    residual *= -values.astype(kind)
-    residual += multiply(stiffness, prolonged)
-    correction = _smooth(stiffness, residual, steps)
+    residual = residuals(stiffness, mass, prolonged, values)
+    correction = smoother(stiffness)(residual, steps)
     energy = np.asarray(residual.T @ correction, dtype=np.float64)
     gained = np.diag(energy)
     # On the correction the operator is W - lambda M rather than W: a Rayleigh quotient mu near lambda gains more.
@@ -208,38 +199,3 @@ def _coupling(
     share = np.clip(values * weight / np.maximum(gained, np.finfo(float).tiny), 0.0, 0.5)
     scale = 1.0 / np.sqrt(1.0 - share)
     return 0.5 * (energy + energy.T) * np.outer(scale, scale)
-
-
-def _smooth(matrix: sparse.csr_array, right_sides: Block, steps: int) -> Block:
-    """Z near W^{-1} R for R of high frequency: Chebyshev iteration on D^{-1} W, D the diagonal.
-
-    One fixed polynomial for all columns keeps R^T Z symmetric and, but for a ripple, not above R^T W^{-1} R.
-    """
-    inverse = (1.0 / matrix.diagonal())[:, None].astype(right_sides.dtype)
-    highest = _highest_scaled_eigenvalue(matrix)
-    lowest = highest / CONDITION
-    centre, radius = 0.5 * (highest + lowest), 0.5 * (highest - lowest)
-    factor = 1.0 / centre
-    residual = right_sides.copy()
-    step = residual * (inverse * inverse.dtype.type(factor))
-    solution = step.copy()
-    for iteration in range(1, steps):
-        residual -= multiply(matrix, step)
-        momentum = 0.5 * (radius * factor) ** 2 if iteration == 1 else (0.5 * radius * factor) ** 2
-        factor = 1.0 / (centre - momentum / factor)
-        step *= inverse.dtype.type(momentum)
-        step += residual * (inverse * inverse.dtype.type(factor))
-        solution += step
-    return solution
-
-
-def _highest_scaled_eigenvalue(matrix: sparse.csr_array) -> float:
-    """Largest eigenvalue of D^{-1} A, a few percent high, by power iteration."""
-    inverse = 1.0 / matrix.diagonal()
-    vector = np.random.default_rng(_SEED).standard_normal(matrix.shape[0])
-    norm = 1.0
-    for _ in range(15):
-        image = inverse * (matrix @ vector)
-        norm = float(np.linalg.norm(image) / np.linalg.norm(vector))
-        vector = image / np.linalg.norm(image)
-    return 1.1 * norm
