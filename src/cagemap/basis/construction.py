@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import linalg
 
+from cagemap.basis.correction import Correction, corrected_pairs
 from cagemap.basis.eigen import EigenPairs, band_pairs, residual_norms
 from cagemap.basis.error_estimate import ErrorEstimate, estimate_errors
 from cagemap.basis.factorization import Precision
@@ -28,6 +29,9 @@ OVERLAP = 12
 GUESS_ROWS = 12_000
 GUESS_ERROR = 2e-1
 GUARDS = 30
+# A correction leaves about the square of an error, a hundred times: where the estimate, safety included, is below this
+# times the root of the tolerance, it meets its share.
+CORRECTION_REACH = 0.4
 # Share of the tolerance that unfinished iterations may take there.
 GUESS_SHARE = 0.25
 NEARLY_DOUBLE = 1e-4
@@ -156,6 +160,13 @@ def _window(
     if _guess_is_good(growing, first, last, mass.shape[0], config):
         accuracy = GUESS_SHARE * config.tolerance
         kept = (first, min(last, config.count))
+        if previous.first_index <= first and growing.top_error < CORRECTION_REACH * np.sqrt(config.tolerance):
+            correction = Correction.between(refinement.matrices[level - 1], stiffness, mass)
+            coarse = previous.part(first, min(previous.last_index, last + GUARDS))
+            fixed = _lowest(growing, first, level - 1, refinement)
+            pairs = corrected_pairs(correction, coarse, fixed, kept=kept, tolerance=accuracy)
+            if pairs is not None:
+                return pairs
         # Where the tolerance is near what single precision resolves, double precision is next to try.
         precisions = [working_type(accuracy)] + [np.float64] * (SINGLE_TOLERANCE <= accuracy < NEARLY_DOUBLE)
         for dtype in precisions:
@@ -193,12 +204,20 @@ def _guess(
     """
     assert growing.pairs is not None
     pairs = growing.pairs.part(growing.pairs.first_index, last)
-    vectors, values = pairs.vectors, pairs.values
+    vectors, values = _lowest(growing, last, level - 1, refinement), pairs.values
     if pairs.first_index > 0:
-        lower = evaluate(growing.basis(), refinement, level - 1)[:, : pairs.first_index]
-        vectors = np.hstack([lower, vectors])
         values = np.concatenate([np.sort(growing.values[: pairs.first_index]), values])
     return multiply(refinement.matrices[level - 1], vectors.astype(dtype, copy=False)), values
+
+
+def _lowest(growing: _Growing, last: int, level: int, refinement: Refinement) -> Block:
+    """(n, last) eigenvectors of a level: what it has computed, and below that the basis itself."""
+    assert growing.pairs is not None
+    pairs = growing.pairs
+    if pairs.first_index == 0:
+        return pairs.vectors[:, :last]
+    lower = evaluate(growing.basis(), refinement, level)[:, : min(pairs.first_index, last)]
+    return np.hstack([lower, pairs.vectors[:, : last - lower.shape[1]]])
 
 
 def _take_back(growing: _Growing, pairs: EigenPairs, tolerance: float) -> None:

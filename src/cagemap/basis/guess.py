@@ -11,7 +11,7 @@ from scipy import sparse
 from cagemap.basis.eigen import EigenPairs, counts_agree, shifted_matrix
 from cagemap.basis.factorization import Factorization, Precision, factor
 from cagemap.basis.products import multiply
-from cagemap.basis.ritz import Ritz, extended, rayleigh_quotients, rayleigh_ritz, row_parts
+from cagemap.basis.ritz import Ritz, extended, rayleigh_quotients, rayleigh_ritz, squared_residuals
 from cagemap.errors import SolverError
 from cagemap.mesh import FloatArray
 from cagemap.operators import lumped_areas
@@ -80,7 +80,7 @@ def pairs_from_guess(
         images = _inverse_iterates(shifted, multiply(mass, guess.astype(dtype, copy=False)), guess_values - shift)
         pairs = rayleigh_ritz(images, multiply(stiffness, images), multiply(mass, images))
         for _ in range(max_rounds):
-            residuals = _residuals(pairs, areas)
+            residuals = squared_residuals(pairs, areas)
             errors = _kato_temple(residuals, pairs.values)[first:last]
             if np.all(errors <= tolerance):
                 break
@@ -121,16 +121,6 @@ def _add_directions(
     """Rayleigh-Ritz on the pairs and one more inverse iterate of the chosen ones."""
     mass_vectors = np.ascontiguousarray(pairs.mass_vectors[:, chosen])
     return extended(pairs, _inverse_iterates(shifted, mass_vectors, pairs.values[chosen] - shift), stiffness, mass)
-
-
-def _residuals(pairs: Ritz, areas: FloatArray) -> FloatArray:
-    """(m,) squares of ||W x - lambda M x|| in the norm of D^{-1}."""
-    values, inverse = pairs.values.astype(pairs.vectors.dtype), (1.0 / areas).astype(pairs.vectors.dtype)
-    squares = np.zeros(len(values))
-    for rows in row_parts(len(areas)):
-        residual = pairs.stiffness_vectors[rows] - pairs.mass_vectors[rows] * values
-        squares += inverse[rows] @ (residual * residual)
-    return squares
 
 
 def _kato_temple(squares: FloatArray, values: FloatArray) -> FloatArray:

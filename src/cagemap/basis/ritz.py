@@ -12,7 +12,7 @@ from scipy import linalg, sparse
 from cagemap.basis.products import multiply
 from cagemap.basis.smoothing import Block
 from cagemap.errors import SolverError
-from cagemap.mesh import FloatArray
+from cagemap.mesh import FloatArray, IndexArray
 
 # Columns and rows multiplied at once: what fits a cache, and bounds the memory.
 _COLUMNS = 64
@@ -31,6 +31,11 @@ class Ritz:
     vectors: Block
     stiffness_vectors: Block
     mass_vectors: Block
+
+    def residuals(self, chosen: IndexArray) -> Block:
+        """(n, k) W x - lambda M x of some pairs."""
+        values = self.values[chosen].astype(self.vectors.dtype)
+        return np.ascontiguousarray(self.stiffness_vectors[:, chosen] - self.mass_vectors[:, chosen] * values)
 
 
 def rayleigh_ritz(block: Block, stiffness_block: Block, mass_block: Block) -> Ritz:
@@ -103,6 +108,16 @@ def rayleigh_quotients(stiffness: sparse.csr_array, mass: sparse.csr_array, vect
         energy = np.einsum("ij,ij->j", columns, multiply(stiffness, columns))
         parts.append(energy / np.einsum("ij,ij->j", columns, multiply(mass, columns)))
     return np.maximum.accumulate(np.concatenate(parts))
+
+
+def squared_residuals(pairs: Ritz, weights: FloatArray) -> FloatArray:
+    """(m,) squares of ||W x - lambda M x|| in the norm of the inverse of a diagonal matrix."""
+    values, inverse = pairs.values.astype(pairs.vectors.dtype), (1.0 / weights).astype(pairs.vectors.dtype)
+    squares = np.zeros(len(values))
+    for rows in row_parts(len(weights)):
+        residual = pairs.stiffness_vectors[rows] - pairs.mass_vectors[rows] * values
+        squares += inverse[rows] @ (residual * residual)
+    return squares
 
 
 def row_parts(rows: int) -> Iterator[slice]:

@@ -56,6 +56,7 @@ class Smoother:
         -------
         (n, q) array of the same type
         """
+        right_sides = np.ascontiguousarray(right_sides)
         kind = right_sides.dtype.type
         lowest = self.highest / CONDITION
         centre, radius = 0.5 * (self.highest + lowest), 0.5 * (self.highest - lowest)
