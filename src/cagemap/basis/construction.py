@@ -11,11 +11,13 @@ from cagemap.basis.correction import Correction, corrected_pairs
 from cagemap.basis.eigen import EigenPairs, band_pairs, residual_norms
 from cagemap.basis.error_estimate import ErrorEstimate, estimate_errors
 from cagemap.basis.factorization import Precision
+from cagemap.basis.finish import split_isolated
 from cagemap.basis.gram import extend_gram, products_with_bands
 from cagemap.basis.guess import SINGLE_TOLERANCE, Block, pairs_from_guess, working_type
 from cagemap.basis.hierarchical import HierarchicalBasis, evaluate
 from cagemap.basis.overlap import new_directions
 from cagemap.basis.products import multiply
+from cagemap.basis.ritz import gram
 from cagemap.basis.schedule import BasisConfig, choose_split, plausible_count
 from cagemap.errors import ParameterError
 from cagemap.mesh import FloatArray, IndexArray
@@ -32,6 +34,8 @@ GUARDS = 30
 # A correction leaves about the square of an error, a hundred times: where the estimate, safety included, is below this
 # times the root of the tolerance, it meets its share.
 CORRECTION_REACH = 0.4
+# Largest error, safety included, of a pair that the finest level is asked to mend alone.
+SPLIT_REACH = 1e-2
 # Share of the tolerance that unfinished iterations may take there.
 GUESS_SHARE = 0.25
 NEARLY_DOUBLE = 1e-4
@@ -144,7 +148,47 @@ def _add_controlled(
     good, kept = choose_split(estimate, present, config.count - growing.count, config.tolerance)
     growing.good, growing.pairs = growing.count + good, pairs
     growing.top_error = float(estimate.errors[-1])
+    if kept < config.count - growing.count and _add_split(growing, level, refinement, operators, config):
+        return
     _append(growing, level, candidates, estimate, kept, refinement, operators)
+
+
+def _add_split(
+    growing: _Growing, level: int, refinement: Refinement, operators: Operators, config: BasisConfig
+) -> bool:
+    """Finish the basis at the last two levels, the finest taking isolated pairs only; False where that is no use."""
+    pairs = growing.pairs
+    assert pairs is not None
+    if (
+        level + 1 != operators.finest
+        or operators.mass[-1].shape[0] <= GUESS_ROWS
+        or growing.top_error > SPLIT_REACH
+        or pairs.last_index < config.count + GUARDS // 2
+    ):
+        return False
+    window = pairs.part(max(0, growing.count - OVERLAP), pairs.last_index)
+    rotation, positions = _missing(growing, level, window, refinement, operators)
+    vectors = window.vectors @ rotation.astype(window.vectors.dtype)
+    finest = level + 1
+    split = split_isolated(
+        Correction.between(refinement.matrices[level], operators.stiffness[finest], operators.mass[finest]),
+        vectors,
+        window.values[positions],
+        evaluate(growing.basis(), refinement, level) if growing.count else np.zeros((len(vectors), 0)),
+        growing.count,
+        config.count - growing.count,
+        config.tolerance,
+        SPLIT_REACH,
+    )
+    if split is None:
+        return False
+    first = growing.count
+    indices = window.first_index + positions[split.kept]
+    _append_band(growing, level, vectors[:, split.kept], indices, split.errors, refinement, operators)
+    if len(split.places):
+        errors = np.zeros(len(split.places))
+        _append_band(growing, finest, split.vectors, first + split.places, errors, refinement, operators)
+    return True
 
 
 def _window(
@@ -258,25 +302,51 @@ def _append(
     operators: Operators,
 ) -> None:
     """Append the first ``wanted`` new directions of a window of eigenpairs as the band of a level (eq. 8)."""
-    mass, stiffness = operators.mass[level], operators.stiffness[level]
-    present = growing.count - pairs.first_index
-    overlap = products_with_bands(tuple(growing.bands), refinement, multiply(mass, pairs.vectors), level)
-    rotation, positions = new_directions(pairs.values, overlap, growing.gram, present)
+    rotation, positions = _missing(growing, level, pairs, refinement, operators)
     rotation, positions = rotation[:, :wanted], positions[:wanted]
-    band = np.asarray(pairs.vectors @ rotation.astype(pairs.vectors.dtype), dtype=np.float64)
-    dual = multiply(mass, band)
-    # Pairs may come in single precision; the band is orthonormal and its values are Rayleigh quotients in double.
-    turn = linalg.inv(linalg.cholesky(band.T @ dual)) if wanted else np.zeros((0, 0))
-    band, dual = band @ turn, dual @ turn
-    energy = multiply(stiffness, band)
-    values = np.einsum("ij,ij->j", band, energy)
+    vectors = pairs.vectors @ rotation.astype(pairs.vectors.dtype)
+    indices = pairs.first_index + positions
+    _append_band(growing, level, vectors, indices, estimate.errors[positions], refinement, operators)
+
+
+def _missing(
+    growing: _Growing, level: int, pairs: EigenPairs, refinement: Refinement, operators: Operators
+) -> tuple[FloatArray, IndexArray]:
+    """The directions of a window of eigenpairs that the basis does not have yet, see `new_directions`."""
+    present = growing.count - pairs.first_index
+    if present == 0:
+        return np.eye(len(pairs.values)), np.arange(len(pairs.values))
+    dual = multiply(operators.mass[level], pairs.vectors)
+    overlap = products_with_bands(tuple(growing.bands), refinement, dual, level)
+    return new_directions(pairs.values, overlap, growing.gram, present)
+
+
+def _append_band(
+    growing: _Growing,
+    level: int,
+    vectors: Block,
+    indices: IndexArray,
+    errors: FloatArray,
+    refinement: Refinement,
+    operators: Operators,
+) -> None:
+    """Append eigenvectors of a level as its band."""
+    mass, stiffness = operators.mass[level], operators.stiffness[level]
+    band = np.asarray(vectors, dtype=np.float64)
+    dual, energy = multiply(mass, band), multiply(stiffness, band)
+    if len(indices):
+        # Pairs may come in single precision or turned inside a cluster; the band is orthonormal and diagonal in double.
+        values, turn = linalg.eigh(gram(band, energy), gram(band, dual))
+        band, dual, energy = band @ turn, dual @ turn, energy @ turn
+    else:
+        values = np.zeros(0)
     residuals = residual_norms(values, band, energy, dual, lumped_areas(mass))
     growing.gram = extend_gram(growing.gram, tuple(growing.bands), refinement, dual, level)
     growing.bands.append(band)
     growing.values = np.concatenate([growing.values, values])
     growing.residuals = np.concatenate([growing.residuals, residuals])
-    growing.errors = np.concatenate([growing.errors, estimate.errors[positions]])
-    growing.indices = np.concatenate([growing.indices, pairs.first_index + positions])
+    growing.errors = np.concatenate([growing.errors, errors])
+    growing.indices = np.concatenate([growing.indices, indices])
 
 
 def _check_sizes(operators: Operators, config: BasisConfig) -> None:
