@@ -281,15 +281,7 @@ def _estimate(
     if level == operators.finest:
         return ErrorEstimate(np.zeros(len(pairs.values)), np.zeros(len(pairs.values) + 1))
     stiffness, mass = operators.stiffness[level + 1], operators.mass[level + 1]
-    return estimate_errors(
-        refinement.matrices[level],
-        stiffness,
-        mass,
-        pairs.values,
-        pairs.vectors,
-        tolerance,
-        finest_next=level + 1 == operators.finest,
-    )
+    return estimate_errors(refinement.matrices[level], stiffness, mass, pairs.values, pairs.vectors, tolerance)
 
 
 def _append(
@@ -333,13 +325,11 @@ def _append_band(
     """Append eigenvectors of a level as its band."""
     mass, stiffness = operators.mass[level], operators.stiffness[level]
     band = np.asarray(vectors, dtype=np.float64)
+    # Pairs may come in single precision; the band is orthonormal and its values are Rayleigh quotients in double.
+    turn = linalg.inv(linalg.cholesky(gram(band, multiply(mass, band)))) if len(indices) else np.zeros((0, 0))
+    band = band @ turn
     dual, energy = multiply(mass, band), multiply(stiffness, band)
-    if len(indices):
-        # Pairs may come in single precision or turned inside a cluster; the band is orthonormal and diagonal in double.
-        values, turn = linalg.eigh(gram(band, energy), gram(band, dual))
-        band, dual, energy = band @ turn, dual @ turn, energy @ turn
-    else:
-        values = np.zeros(0)
+    values = np.einsum("ij,ij->j", band, energy)
     residuals = residual_norms(values, band, energy, dual, lumped_areas(mass))
     growing.gram = extend_gram(growing.gram, tuple(growing.bands), refinement, dual, level)
     growing.bands.append(band)
