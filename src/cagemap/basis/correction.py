@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from cagemap.basis.eigen import EigenPairs, counts_agree
+from cagemap.basis.eigen import EigenPairs, shifted_matrix
+from cagemap.basis.factorization import factor
 from cagemap.basis.guess import working_type
 from cagemap.basis.products import multiply
 from cagemap.basis.ritz import Ritz, extended, rayleigh_quotients, rayleigh_ritz, squared_residuals
@@ -18,13 +19,14 @@ from cagemap.operators import lumped_areas
 
 # Steps of the smoother in a correction: of what it can reach they leave under a hundredth.
 STEPS = 8
-# What is left after a correction is gained only in part by the next: a factor of 2 was measured.
-_SAFETY = 3.0
 # Columns corrected at once: bounds the memory.
 _COLUMNS = 64
-# Most pairs that are corrected once more in a round.
+# Pairs looked at after the correction, the worst; where one is not good enough yet, as many as this at a time.
+_CHECKED = 24
 _MOST_AGAIN = 96
-_ROUNDS = 3
+_ROUNDS = 8
+# The gap for the count is sought among so many guards.
+_NEAR = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,14 +66,16 @@ class Correction:
             gains[part] = np.einsum("ij,ij->j", residual, self.smooth(residual, steps))
         return gains
 
-    def corrected(self, vectors: Block, values: FloatArray, fixed: Block) -> Block:
-        """(n_{l+1}, m) S X - Z, M-orthogonal to the refined ``fixed`` functions of level l, as S X is."""
-        block = np.empty((self.subdivision.shape[0], len(values)), dtype=vectors.dtype)
+    def corrected(self, vectors: Block, values: FloatArray, fixed: Block) -> tuple[Block, FloatArray]:
+        """(n_{l+1}, m) S X - Z, M-orthogonal to the refined ``fixed`` functions of level l, as S X is; (m,) r^T Z."""
+        block, gains = np.empty((self.subdivision.shape[0], len(values)), dtype=vectors.dtype), np.empty(len(values))
         for part in column_parts(len(values)):
             prolonged = multiply(self.subdivision, vectors[:, part])
             residual = residuals(self.stiffness, self.mass, prolonged, values[part])
-            block[:, part] = prolonged - self.without(fixed, self.smooth(residual, STEPS))
-        return block
+            change = self.smooth(residual, STEPS)
+            gains[part] = np.einsum("ij,ij->j", residual, change)
+            block[:, part] = prolonged - self.without(fixed, change)
+        return block, gains
 
     def without(self, fixed: Block, block: Block) -> Block:
         """A block of level l + 1 less its part along orthonormal functions of level l."""
@@ -85,8 +89,6 @@ def corrected_pairs(
     correction: Correction, coarse: EigenPairs, fixed: Block, *, kept: tuple[int, int], tolerance: float
 ) -> EigenPairs | None:
     """Consecutive eigenpairs of level l + 1 from those of level l, where these are close already.
-
-    The inertia of W - tau M, tau in a gap near the last pair kept, proves that none was missed.
 
     Parameters
     ----------
@@ -107,15 +109,11 @@ def corrected_pairs(
     """
     dtype = working_type(tolerance)
     inside = np.arange(kept[0], kept[1]) - coarse.first_index
-    try:
-        pairs = improved(
-            correction, coarse.vectors.astype(dtype, copy=False), coarse.values, fixed.astype(dtype), inside, tolerance
-        )
-        if pairs is None or not counts_agree(
-            correction.stiffness, correction.mass, pairs.values, coarse.first_index, None, kept[1]
-        ):
-            return None
-    except SolverError:  # on an eigenvalue, or dependent columns
+    vectors, fixed = (block.astype(dtype, copy=False) for block in (coarse.vectors, fixed))
+    pairs = improved(
+        correction, vectors, coarse.values, fixed, np.zeros(0), inside, coarse.first_index, kept[1], tolerance
+    )
+    if pairs is None:
         return None
     values, areas = pairs.values, lumped_areas(correction.mass)
     norms = np.sqrt(squared_residuals(pairs, areas)) / np.maximum(values, 4.0 * np.pi / float(areas.sum()))
@@ -129,14 +127,18 @@ def improved(
     vectors: Block,
     values: FloatArray,
     fixed: Block,
+    others: FloatArray,
     inside: IndexArray,
+    first_index: int,
+    end: int,
     tolerance: float,
 ) -> Ritz | None:
     """Eigenpairs of level l + 1 near some of level l, by corrections and Rayleigh-Ritz.
 
     The residuals R of the prolonged pairs S X are orthogonal to the image of S (paper, eq. 2), so that Z near W^{-1} R
     takes a few steps of smoothing, and the eigenvalues of S X - Z, after Rayleigh-Ritz, are wrong by the square of
-    what those of S X were. Pairs for which another correction would still gain too much get it as a further direction.
+    what those of S X were. W - tau M, tau in a gap near the last pair wanted, is factored once: its inertia proves that
+    no pair was missed, and pairs that are not good enough yet get (W - tau M)^{-1} r as a further direction.
 
     Parameters
     ----------
@@ -146,31 +148,51 @@ def improved(
         Eigenpairs of level l, M-orthonormal, ascending.
     fixed : (n_l, q) array
         Other eigenvectors of level l that the result is to be orthogonal to.
+    others : (o,) array
+        Eigenvalues of level l + 1 that are known well enough to be counted, from ``first_index`` on.
     inside : (k,) int64 array
         Which pairs must be accurate.
+    first_index : int
+        How many eigenvalues lie below all these.
+    end : int
+        Index after the last pair wanted.
     tolerance : float
         Relative.
 
     Returns
     -------
     Ritz or None
-        None if after a few rounds a correction would still gain too much.
+        None if the pairs do not get accurate within a few rounds, or the inertia counts other eigenvalues.
     """
     stiffness, mass = correction.stiffness, correction.mass
-    block = correction.corrected(vectors, values, fixed)
-    pairs = rayleigh_ritz(block, multiply(stiffness, block), multiply(mass, block))
+    block, errors = correction.corrected(vectors, values, fixed)
+    try:
+        pairs = rayleigh_ritz(block, multiply(stiffness, block), multiply(mass, block))
+        shift = _gap_after(np.sort(np.concatenate([others, pairs.values])), end - first_index)
+        shifted = factor(shifted_matrix(stiffness, mass, shift))
+    except SolverError:  # on an eigenvalue, or dependent columns
+        return None
     scale = np.maximum(pairs.values, 1e-3 * pairs.values[-1])
-    for _ in range(_ROUNDS):
-        # The residual itself, cheap for all pairs, says which to look at.
-        squares = squared_residuals(pairs, stiffness.diagonal())
-        worst = inside[np.argsort(-(squares / scale)[inside])[:_MOST_AGAIN]]
+    errors /= scale
+    for batch in (_CHECKED,) + (_MOST_AGAIN,) * _ROUNDS:
+        # Those that were worst to begin with are looked at first.
+        worst = inside[np.argsort(-errors[inside])[:batch]]
         residual = pairs.residuals(worst)
-        added = correction.smooth(residual, STEPS)
-        again = _SAFETY * np.einsum("ij,ij->j", residual, added) > tolerance * scale[worst]
+        added = shifted.solve(residual).astype(residual.dtype)
+        errors[worst] = np.abs(np.einsum("ij,ij->j", residual, added)) / scale[worst]
+        again = errors[worst] > tolerance
         if not again.any():
-            return pairs
+            found = first_index + np.sum(others < shift) + np.sum(pairs.values < shift)
+            return pairs if shifted.negative_eigenvalues in (None, found) else None
         pairs = extended(pairs, correction.without(fixed, added[:, again]), stiffness, mass)
     return None
+
+
+def _gap_after(values: FloatArray, end: int) -> float:
+    """A place in the widest gap from just before index ``end`` to a few pairs on."""
+    low, high = max(0, end - 1), min(len(values), end + _NEAR)
+    gap = low + int(np.argmax(np.diff(values[low:high])))
+    return float(0.5 * (values[gap] + values[gap + 1]))
 
 
 def column_parts(columns: int) -> list[slice]:

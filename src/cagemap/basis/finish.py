@@ -7,10 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cagemap.basis.correction import STEPS, Correction, improved
-from cagemap.basis.eigen import counts_agree
 from cagemap.basis.guess import working_type
 from cagemap.basis.smoothing import Block
-from cagemap.errors import SolverError
 from cagemap.mesh import FloatArray, IndexArray
 
 # Steps that tell which pairs are clearly good; their gains were 0.7 to 1.2 of the true errors.
@@ -96,26 +94,20 @@ def split_isolated(
     good = np.setdiff1d(np.arange(len(values)), bad)
     if not len(bad):
         return Split(good[:wanted], errors[:wanted], np.zeros((correction.subdivision.shape[0], 0)), bad)
-    try:
-        others = np.hstack([fixed.astype(dtype, copy=False), vectors[:, good]])
-        pairs = improved(
-            correction,
-            np.ascontiguousarray(vectors[:, bad]),
-            values[bad],
-            others,
-            np.arange(len(bad)),
-            _SHARE * tolerance,
-        )
-        if pairs is None:
-            return None
-        joined = np.concatenate([values[good], pairs.values])
-        order = np.argsort(joined, kind="stable")
-        if not counts_agree(
-            correction.stiffness, correction.mass, joined[order], first_index, None, first_index + wanted
-        ):
-            return None
-    except SolverError:
+    pairs = improved(
+        correction,
+        np.ascontiguousarray(vectors[:, bad]),
+        values[bad],
+        np.hstack([fixed.astype(dtype, copy=False), vectors[:, good]]),
+        values[good],
+        np.arange(len(bad)),
+        first_index,
+        first_index + wanted,
+        _SHARE * tolerance,
+    )
+    if pairs is None:
         return None
+    order = np.argsort(np.concatenate([values[good], pairs.values]), kind="stable")
     places = np.empty(len(order), dtype=np.int64)
     places[order] = np.arange(len(order))
     chosen = places < wanted
