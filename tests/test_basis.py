@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from cagemap.basis import (
     BasisConfig,
-    error_estimate,
     evaluate,
     exact_basis,
     gram_matrix,

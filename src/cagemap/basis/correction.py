@@ -24,7 +24,7 @@ _COLUMNS = 64
 # Pairs looked at after the correction, the worst; where one is not good enough yet, as many as this at a time.
 _CHECKED = 24
 _MOST_AGAIN = 96
-_ROUNDS = 8
+_ROUNDS = 4
 # The gap for the count is sought among so many guards.
 _NEAR = 8
 

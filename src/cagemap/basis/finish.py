@@ -88,19 +88,20 @@ def split_isolated(
     predicted = values - errors * scale
     if errors.max() > reach:
         return None
-    # Pairs that may end below the last one wanted.
-    near = predicted <= np.sort(predicted)[wanted - 1] + tolerance * scale[wanted - 1]
-    bad = np.flatnonzero((errors > tolerance) & near)
+    # Guards as bad as the others take part, or these could not get orthogonal to what guards ought to be.
+    bad = np.flatnonzero(errors > tolerance)
+    # Pairs that may end below the last one wanted have to be accurate.
+    inside = np.flatnonzero(predicted[bad] <= np.sort(predicted)[wanted - 1] + tolerance * scale[wanted - 1])
     good = np.setdiff1d(np.arange(len(values)), bad)
-    if not len(bad):
-        return Split(good[:wanted], errors[:wanted], np.zeros((correction.subdivision.shape[0], 0)), bad)
+    if not len(inside):
+        return Split(np.arange(wanted), errors[:wanted], np.zeros((correction.subdivision.shape[0], 0)), inside)
     pairs = improved(
         correction,
         np.ascontiguousarray(vectors[:, bad]),
         values[bad],
         np.hstack([fixed.astype(dtype, copy=False), vectors[:, good]]),
         values[good],
-        np.arange(len(bad)),
+        inside,
         first_index,
         first_index + wanted,
         _SHARE * tolerance,
