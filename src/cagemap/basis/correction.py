@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse import csgraph
 
 from cagemap.basis.eigen import EigenPairs, shifted_matrix
 from cagemap.basis.factorization import factor
@@ -41,17 +42,23 @@ class Correction:
         Of level l + 1.
     smooth : Smoother
         Of the stiffness matrix of level l + 1.
+    rank : (n_{l+1},) array
+        Row of every vertex of level l + 1 in all these: neighbours are near each other, for the cache.
     """
 
     subdivision: sparse.csr_array
     restriction: sparse.csr_array
     mass: sparse.csr_array
     smooth: Smoother
+    rank: IndexArray
 
     @classmethod
     def between(cls, subdivision: sparse.csr_array, stiffness: sparse.csr_array, mass: sparse.csr_array) -> Correction:
         """From S^l and the operators of level l + 1."""
-        return cls(subdivision, sparse.csr_array(subdivision.T), mass, smoother(stiffness))
+        order = csgraph.reverse_cuthill_mckee(stiffness, symmetric_mode=True)
+        rows = sparse.csr_array(subdivision[order])
+        stiffness, mass = (sparse.csr_array(matrix[order][:, order]) for matrix in (stiffness, mass))
+        return cls(rows, sparse.csr_array(rows.T), mass, smoother(stiffness), np.argsort(order))
 
     @property
     def stiffness(self) -> sparse.csr_array:
@@ -119,7 +126,7 @@ def corrected_pairs(
     norms = np.sqrt(squared_residuals(pairs, areas)) / np.maximum(values, 4.0 * np.pi / float(areas.sum()))
     if dtype == np.float32:
         values = rayleigh_quotients(correction.stiffness, correction.mass, pairs.vectors)
-    return EigenPairs(values, pairs.vectors, norms, coarse.first_index)
+    return EigenPairs(values, pairs.vectors[correction.rank], norms, coarse.first_index)
 
 
 def improved(
@@ -162,7 +169,8 @@ def improved(
     Returns
     -------
     Ritz or None
-        None if the pairs do not get accurate within a few rounds, or the inertia counts other eigenvalues.
+        Rows in the order of the correction. None if the pairs do not get accurate within a few rounds, or the inertia
+        counts other eigenvalues.
     """
     stiffness, mass = correction.stiffness, correction.mass
     block, errors = correction.corrected(vectors, values, fixed)

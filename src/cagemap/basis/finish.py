@@ -113,4 +113,4 @@ def split_isolated(
     places[order] = np.arange(len(order))
     chosen = places < wanted
     kept, added = chosen[: len(good)], chosen[len(good) :]
-    return Split(good[kept], errors[good[kept]], pairs.vectors[:, added], places[len(good) :][added])
+    return Split(good[kept], errors[good[kept]], pairs.vectors[correction.rank][:, added], places[len(good) :][added])

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse import linalg
+from scipy import linalg, sparse
 
 from cagemap.basis.products import in_row_shares, multiply
 from cagemap.mesh import FloatArray
@@ -18,9 +17,8 @@ Block = NDArray[Any]  # (n, q), float64 or float32
 
 # Condition of the scaled stiffness matrix on what the coarser level cannot represent.
 CONDITION = 20.0
-# Accuracy of the largest eigenvalue, and the factor that makes it an upper bound.
-_ROUGH = 1e-2
-_ABOVE = 1.04
+# That bound the largest eigenvalue; unrelated to the Lanczos iteration for eigenpairs.
+_LANCZOS_STEPS = 20
 _SEED = 2019
 
 
@@ -76,12 +74,19 @@ class Smoother:
 
 
 def smoother(matrix: sparse.csr_array) -> Smoother:
-    """The smoother of a stiffness matrix; its largest scaled eigenvalue comes from a few Lanczos steps."""
-    root = sparse.diags_array(1.0 / np.sqrt(matrix.diagonal()))
-    start = np.random.default_rng(_SEED).standard_normal(matrix.shape[0])
-    scaled = linalg.LinearOperator(matrix.shape, matvec=lambda x: root @ (matrix @ (root @ x)), dtype=np.float64)
-    highest = linalg.eigsh(scaled, 1, which="LA", v0=start, tol=_ROUGH, ncv=12, return_eigenvectors=False)
-    return Smoother(matrix, 1.0 / matrix.diagonal(), _ABOVE * float(highest[0]))
+    """The smoother of a stiffness matrix; a few Lanczos steps bound its largest scaled eigenvalue."""
+    root = 1.0 / np.sqrt(matrix.diagonal())
+    vector = np.random.default_rng(_SEED).standard_normal(matrix.shape[0])
+    vector, before = vector / np.linalg.norm(vector), np.zeros(matrix.shape[0])
+    diagonal, beside = np.zeros(_LANCZOS_STEPS), np.zeros(_LANCZOS_STEPS)
+    for step in range(_LANCZOS_STEPS):
+        image = root * (matrix @ (root * vector)) - beside[step - 1] * before
+        diagonal[step] = vector @ image
+        image -= diagonal[step] * vector
+        beside[step] = np.linalg.norm(image)
+        vector, before = image / max(beside[step], np.finfo(float).tiny), vector
+    highest, ends = linalg.eigh_tridiagonal(diagonal, beside[:-1], select="i", select_range=(len(diagonal) - 1,) * 2)
+    return Smoother(matrix, root**2, float(highest[0] + beside[-1] * abs(ends[-1, 0])))
 
 
 def residuals(stiffness: sparse.csr_array, mass: sparse.csr_array, vectors: Block, values: FloatArray) -> Block:
