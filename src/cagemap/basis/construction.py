@@ -34,6 +34,8 @@ GUARDS = 30
 # A correction leaves about the square of an error, a hundred times: where the estimate, safety included, is below this
 # times the root of the tolerance, it meets its share.
 CORRECTION_REACH = 0.4
+# Largest tolerance at which a correction is faster than inverse iteration of all pairs.
+CORRECTION_TOLERANCE = 1e-3
 # Largest error, safety included, of a pair that the finest level is asked to mend alone.
 SPLIT_REACH = 1e-2
 # Share of the tolerance that unfinished iterations may take there.
@@ -204,7 +206,8 @@ def _window(
     if _guess_is_good(growing, first, last, mass.shape[0], config):
         accuracy = GUESS_SHARE * config.tolerance
         kept = (first, min(last, config.count))
-        if previous.first_index <= first and growing.top_error < CORRECTION_REACH * np.sqrt(config.tolerance):
+        close = growing.top_error < CORRECTION_REACH * np.sqrt(config.tolerance)
+        if close and config.tolerance <= CORRECTION_TOLERANCE and previous.first_index <= first:
             correction = Correction.between(refinement.matrices[level - 1], stiffness, mass)
             coarse = previous.part(first, min(previous.last_index, last + GUARDS))
             fixed = _lowest(growing, first, level - 1, refinement)
