@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from cagemap.basis import (
     BasisConfig,
-    error_estimate,
     evaluate,
     exact_basis,
     gram_matrix,
@@ -155,25 +154,6 @@ def test_prediction_is_close_to_the_next_level(creature):
         assert 0.5 < np.median(ratio) < 1.5
         assert ratio.max() < 2.0, "the schedule's safety factor covers it"
         np.testing.assert_allclose(prediction.rotation.T @ prediction.rotation, np.eye(count), rtol=0, atol=1e-12)
-
-
-def test_errors_before_the_finest_level_are_predicted_closely(creature, monkeypatch):
-    """On a large finest level in blocks, and only where a sample leaves it open."""
-    refinement, operators, _ = creature
-    monkeypatch.setattr(error_estimate, "_CHEAP_WORK", 0)
-    monkeypatch.setattr(error_estimate, "_MUCH_WORK", 0)
-    pairs = exact_basis(operators, 2, 100)
-    fine = exact_basis(operators, 3, 100).values
-    true = (pairs.values - fine)[1:] / pairs.values[1:]
-    finer = refinement.matrices[2], operators.stiffness[3], operators.mass[3], pairs.values, pairs.vectors
-    monkeypatch.setattr(error_estimate, "_TIGHT_TOLERANCE", 1.0)
-    tolerance = float(np.median(true))
-    careful = error_estimate.estimate_errors(*finer, tolerance, finest_next=True).errors[1:]
-    rough = error_estimate.estimate_errors(*finer, tolerance).errors[1:]
-    assert careful.max() < 3.0 * true.max(), "both safety factors, where nothing is kept anyway"
-    assert np.all(true[careful <= tolerance] <= 1.1 * tolerance)
-    assert np.sum(careful <= tolerance) > 2 * np.sum(rough <= tolerance)
-    assert np.sum(careful <= tolerance) > 0.6 * np.sum(true <= tolerance)
 
 
 def test_rows_and_blocks_are_parts_of_the_dense_basis(creature):

@@ -74,9 +74,11 @@ def test_the_same_function_twice_is_refused(creature):
 def test_a_basis_that_starts_levels_from_guesses_is_complete(control, level, count, tolerance, monkeypatch):
     """Repeated eigenvalues and all: from 100 vertices on every level starts from the one below."""
     used = []
-    honest = construction.pairs_from_guess
     monkeypatch.setattr(construction, "GUESS_ROWS", 100)
-    monkeypatch.setattr(construction, "pairs_from_guess", lambda *a, **k: used.append(honest(*a, **k)) or used[-1])
+    for name in ("pairs_from_guess", "corrected_pairs", "split_isolated"):
+        honest = getattr(construction, name)
+        spy = lambda *a, honest=honest, **k: used.append(honest(*a, **k)) or used[-1]  # noqa: E731
+        monkeypatch.setattr(construction, name, spy)
     refinement = refine(control(), level)
     operators = build_operators(refinement)
     basis = hierarchical_basis(refinement, operators, BasisConfig(count=count, tolerance=tolerance))

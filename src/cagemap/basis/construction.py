@@ -7,15 +7,19 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import linalg
 
+from cagemap.basis.correction import Correction, corrected_pairs
 from cagemap.basis.eigen import EigenPairs, band_pairs, residual_norms
 from cagemap.basis.error_estimate import ErrorEstimate, estimate_errors
 from cagemap.basis.factorization import Precision
+from cagemap.basis.finish import split_isolated
 from cagemap.basis.gram import extend_gram, products_with_bands
-from cagemap.basis.guess import SINGLE_TOLERANCE, Block, pairs_from_guess, working_type
+from cagemap.basis.guess import SINGLE_TOLERANCE, pairs_from_guess, working_type
 from cagemap.basis.hierarchical import HierarchicalBasis, evaluate
 from cagemap.basis.overlap import new_directions
 from cagemap.basis.products import multiply
+from cagemap.basis.ritz import gram
 from cagemap.basis.schedule import BasisConfig, choose_split, plausible_count
+from cagemap.basis.smoothing import Block
 from cagemap.errors import ParameterError
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.operators import Operators, lumped_areas
@@ -28,6 +32,13 @@ OVERLAP = 12
 GUESS_ROWS = 12_000
 GUESS_ERROR = 2e-1
 GUARDS = 30
+# A correction leaves about the square of an error, a hundred times: where the estimate, safety included, is below this
+# times the root of the tolerance, it meets its share.
+CORRECTION_REACH = 0.4
+# Largest tolerance at which a correction is faster than inverse iteration of all pairs.
+CORRECTION_TOLERANCE = 1e-3
+# Largest error, safety included, of a pair that the finest level is asked to mend alone.
+SPLIT_REACH = 1e-2
 # Share of the tolerance that unfinished iterations may take there.
 GUESS_SHARE = 0.25
 NEARLY_DOUBLE = 1e-4
@@ -140,7 +151,47 @@ def _add_controlled(
     good, kept = choose_split(estimate, present, config.count - growing.count, config.tolerance)
     growing.good, growing.pairs = growing.count + good, pairs
     growing.top_error = float(estimate.errors[-1])
+    if kept < config.count - growing.count and _add_split(growing, level, refinement, operators, config):
+        return
     _append(growing, level, candidates, estimate, kept, refinement, operators)
+
+
+def _add_split(
+    growing: _Growing, level: int, refinement: Refinement, operators: Operators, config: BasisConfig
+) -> bool:
+    """Finish the basis at the last two levels, the finest taking isolated pairs only; False where that is no use."""
+    pairs = growing.pairs
+    assert pairs is not None
+    if (
+        level + 1 != operators.finest
+        or operators.mass[-1].shape[0] <= GUESS_ROWS
+        or growing.top_error > SPLIT_REACH
+        or pairs.last_index < config.count + GUARDS // 2
+    ):
+        return False
+    window = pairs.part(max(0, growing.count - OVERLAP), pairs.last_index)
+    rotation, positions = _missing(growing, level, window, refinement, operators)
+    vectors = window.vectors @ rotation.astype(window.vectors.dtype)
+    finest = level + 1
+    split = split_isolated(
+        Correction.between(refinement.matrices[level], operators.stiffness[finest], operators.mass[finest]),
+        vectors,
+        window.values[positions],
+        evaluate(growing.basis(), refinement, level) if growing.count else np.zeros((len(vectors), 0)),
+        growing.count,
+        config.count - growing.count,
+        config.tolerance,
+        SPLIT_REACH,
+    )
+    if split is None:
+        return False
+    first = growing.count
+    indices = window.first_index + positions[split.kept]
+    _append_band(growing, level, vectors[:, split.kept], indices, split.errors, refinement, operators)
+    if len(split.places):
+        errors = np.zeros(len(split.places))
+        _append_band(growing, finest, split.vectors, first + split.places, errors, refinement, operators)
+    return True
 
 
 def _window(
@@ -156,6 +207,14 @@ def _window(
     if _guess_is_good(growing, first, last, mass.shape[0], config):
         accuracy = GUESS_SHARE * config.tolerance
         kept = (first, min(last, config.count))
+        close = growing.top_error < CORRECTION_REACH * np.sqrt(config.tolerance)
+        if close and config.tolerance <= CORRECTION_TOLERANCE and previous.first_index <= first:
+            correction = Correction.between(refinement.matrices[level - 1], stiffness, mass)
+            coarse = previous.part(first, min(previous.last_index, last + GUARDS))
+            fixed = _lowest(growing, first, level - 1, refinement)
+            pairs = corrected_pairs(correction, coarse, fixed, kept=kept, tolerance=accuracy)
+            if pairs is not None:
+                return pairs
         # Where the tolerance is near what single precision resolves, double precision is next to try.
         precisions = [working_type(accuracy)] + [np.float64] * (SINGLE_TOLERANCE <= accuracy < NEARLY_DOUBLE)
         for dtype in precisions:
@@ -193,12 +252,20 @@ def _guess(
     """
     assert growing.pairs is not None
     pairs = growing.pairs.part(growing.pairs.first_index, last)
-    vectors, values = pairs.vectors, pairs.values
+    vectors, values = _lowest(growing, last, level - 1, refinement), pairs.values
     if pairs.first_index > 0:
-        lower = evaluate(growing.basis(), refinement, level - 1)[:, : pairs.first_index]
-        vectors = np.hstack([lower, vectors])
         values = np.concatenate([np.sort(growing.values[: pairs.first_index]), values])
     return multiply(refinement.matrices[level - 1], vectors.astype(dtype, copy=False)), values
+
+
+def _lowest(growing: _Growing, last: int, level: int, refinement: Refinement) -> Block:
+    """(n, last) eigenvectors of a level: what it has computed, and below that the basis itself."""
+    assert growing.pairs is not None
+    pairs = growing.pairs
+    if pairs.first_index == 0:
+        return pairs.vectors[:, :last]
+    lower = evaluate(growing.basis(), refinement, level)[:, : min(pairs.first_index, last)]
+    return np.hstack([lower, pairs.vectors[:, : last - lower.shape[1]]])
 
 
 def _take_back(growing: _Growing, pairs: EigenPairs, tolerance: float) -> None:
@@ -218,15 +285,7 @@ def _estimate(
     if level == operators.finest:
         return ErrorEstimate(np.zeros(len(pairs.values)), np.zeros(len(pairs.values) + 1))
     stiffness, mass = operators.stiffness[level + 1], operators.mass[level + 1]
-    return estimate_errors(
-        refinement.matrices[level],
-        stiffness,
-        mass,
-        pairs.values,
-        pairs.vectors,
-        tolerance,
-        finest_next=level + 1 == operators.finest,
-    )
+    return estimate_errors(refinement.matrices[level], stiffness, mass, pairs.values, pairs.vectors, tolerance)
 
 
 def _append(
@@ -239,25 +298,49 @@ def _append(
     operators: Operators,
 ) -> None:
     """Append the first ``wanted`` new directions of a window of eigenpairs as the band of a level (eq. 8)."""
-    mass, stiffness = operators.mass[level], operators.stiffness[level]
-    present = growing.count - pairs.first_index
-    overlap = products_with_bands(tuple(growing.bands), refinement, multiply(mass, pairs.vectors), level)
-    rotation, positions = new_directions(pairs.values, overlap, growing.gram, present)
+    rotation, positions = _missing(growing, level, pairs, refinement, operators)
     rotation, positions = rotation[:, :wanted], positions[:wanted]
-    band = np.asarray(pairs.vectors @ rotation.astype(pairs.vectors.dtype), dtype=np.float64)
-    dual = multiply(mass, band)
+    vectors = pairs.vectors @ rotation.astype(pairs.vectors.dtype)
+    indices = pairs.first_index + positions
+    _append_band(growing, level, vectors, indices, estimate.errors[positions], refinement, operators)
+
+
+def _missing(
+    growing: _Growing, level: int, pairs: EigenPairs, refinement: Refinement, operators: Operators
+) -> tuple[FloatArray, IndexArray]:
+    """The directions of a window of eigenpairs that the basis does not have yet, see `new_directions`."""
+    present = growing.count - pairs.first_index
+    if present == 0:
+        return np.eye(len(pairs.values)), np.arange(len(pairs.values))
+    dual = multiply(operators.mass[level], pairs.vectors)
+    overlap = products_with_bands(tuple(growing.bands), refinement, dual, level)
+    return new_directions(pairs.values, overlap, growing.gram, present)
+
+
+def _append_band(
+    growing: _Growing,
+    level: int,
+    vectors: Block,
+    indices: IndexArray,
+    errors: FloatArray,
+    refinement: Refinement,
+    operators: Operators,
+) -> None:
+    """Append eigenvectors of a level as its band."""
+    mass, stiffness = operators.mass[level], operators.stiffness[level]
+    band = np.asarray(vectors, dtype=np.float64)
     # Pairs may come in single precision; the band is orthonormal and its values are Rayleigh quotients in double.
-    turn = linalg.inv(linalg.cholesky(band.T @ dual)) if wanted else np.zeros((0, 0))
-    band, dual = band @ turn, dual @ turn
-    energy = multiply(stiffness, band)
+    turn = linalg.inv(linalg.cholesky(gram(band, multiply(mass, band)))) if len(indices) else np.zeros((0, 0))
+    band = band @ turn
+    dual, energy = multiply(mass, band), multiply(stiffness, band)
     values = np.einsum("ij,ij->j", band, energy)
     residuals = residual_norms(values, band, energy, dual, lumped_areas(mass))
     growing.gram = extend_gram(growing.gram, tuple(growing.bands), refinement, dual, level)
     growing.bands.append(band)
     growing.values = np.concatenate([growing.values, values])
     growing.residuals = np.concatenate([growing.residuals, residuals])
-    growing.errors = np.concatenate([growing.errors, estimate.errors[positions]])
-    growing.indices = np.concatenate([growing.indices, pairs.first_index + positions])
+    growing.errors = np.concatenate([growing.errors, errors])
+    growing.indices = np.concatenate([growing.indices, indices])
 
 
 def _check_sizes(operators: Operators, config: BasisConfig) -> None:

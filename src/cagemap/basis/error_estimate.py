@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from cagemap.basis.products import multiply
+from cagemap.basis.smoothing import Block, residuals, smoother
 from cagemap.mesh import FloatArray
-
-Block = NDArray[Any]  # (n, q), float64 or float32
 
 # What a prediction leaves out: unfinished iterations, and all levels finer than the next. On bodies with badly
 # shaped faces it was up to 3.1 times too low.
@@ -20,21 +17,13 @@ SAFETY = 3.0
 # A sample may miss pairs on badly resolved parts, whose errors are several times those of their neighbours.
 _SAMPLE_SAFETY = 2.0
 _SAMPLES = 32
-# Chebyshev steps. Where only the finest level is left and errors are small, twice as many predict them to 8 %.
+# Chebyshev steps.
 _STEPS = 4
-_CAREFUL_STEPS = 8
-_CAREFUL_SAFETY = 1.25
-_TIGHT_TOLERANCE = 1e-4
-# Pairs predicted at once on a very large level: bounds the memory.
-_BLOCK = 64
 # Rows of the next level times pairs: below the first all pairs are predicted at once, above the second never.
 _CHEAP_WORK = 4_000_000
 _MUCH_WORK = 20_000_000
 # Relative tolerance above which single precision is enough.
 _SINGLE_TOLERANCE = 1e-6
-# Condition of the scaled stiffness matrix on what the coarser level cannot represent.
-CONDITION = 20.0
-_SEED = 2019
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,15 +66,11 @@ def estimate_errors(
     values: FloatArray,
     vectors: Block,
     tolerance: float,
-    *,
-    finest_next: bool = False,
 ) -> ErrorEstimate:
     """Errors of the eigenpairs of level l against the finest level, from the operators of level l + 1.
 
     All pairs are predicted together where that is cheap. On a large next level a sample of them comes first, and
-    settles the matter if it is clear of the tolerance; on a very large one the sample has to do, unless that is the
-    finest level and the tolerance tight: then pairs near the tolerance are predicted with care, since what is not good
-    enough has to be computed on the finest level itself.
+    settles the matter if it is clear of the tolerance; on a very large one the sample has to do.
 
     Parameters
     ----------
@@ -98,8 +83,6 @@ def estimate_errors(
         Eigenpairs of level l, M-orthonormal, ascending.
     tolerance : float
         Relative error that matters.
-    finest_next : bool
-        Whether level l + 1 is the finest.
 
     Returns
     -------
@@ -111,36 +94,24 @@ def estimate_errors(
     work = stiffness.shape[0] * count
     # Single precision disturbs eigenvalues by less than 1e-7.
     vectors = vectors.astype(np.float32 if tolerance > _SINGLE_TOLERANCE else np.float64, copy=False)
-    careful = finest_next and tolerance <= _TIGHT_TOLERANCE
-    safety, steps = (_CAREFUL_SAFETY, _CAREFUL_STEPS) if careful else (SAFETY, _STEPS)
     chosen = slice(0, count)
     errors, leaks = np.zeros(count), np.zeros(count + 1)
     if work > _CHEAP_WORK and count > 2 * _SAMPLES:
         sample = np.unique(np.linspace(0, count - 1, _SAMPLES).astype(np.int64))
-        coupling = _coupling(subdivision, stiffness, mass, values[sample], vectors[:, sample], steps)
-        sampled = safety * np.diag(coupling) / scale[sample]
+        coupling = _coupling(subdivision, stiffness, mass, values[sample], vectors[:, sample])
+        sampled = SAFETY * np.diag(coupling) / scale[sample]
         # Errors grow with the index: between two samples take the larger.
         segment = np.searchsorted(sample, np.arange(count), side="right") - 1
         errors = _SAMPLE_SAFETY * np.maximum(sampled, np.append(sampled[1:], 0.0))[segment]
         gaps = np.diff(values, prepend=-scale[0], append=values[-1] + scale[0])
         leaks = np.append(errors * scale, errors[-1] * scale[-1]) / np.maximum(gaps, 1e-9 * scale[-1])
-        if errors.max() <= 0.5 * tolerance or (work > _MUCH_WORK and not careful):
+        if errors.max() <= 0.5 * tolerance or work > _MUCH_WORK:
             return ErrorEstimate(errors, leaks)
         # From the first pair that is clearly too bad on nothing is kept.
         bad = sample[sampled > 2.0 * tolerance]
         chosen = slice(0, min(count, int(bad[0]) + 1 + count // 10) if len(bad) else count)
-        if work > _MUCH_WORK:
-            unclear = np.flatnonzero(errors > tolerance)
-            first = int(unclear[0]) if len(unclear) else chosen.stop
-            for start in range(first, chosen.stop, _BLOCK):
-                part = slice(start, min(start + _BLOCK, chosen.stop))
-                prediction = predict_next_level(
-                    subdivision, stiffness, mass, values[part], vectors[:, part], steps=steps
-                )
-                errors[part] = safety * np.maximum(values[part] - prediction.values, 0.0) / scale[part]
-            return ErrorEstimate(errors, leaks)
-    prediction = predict_next_level(subdivision, stiffness, mass, values[chosen], vectors[:, chosen], steps=steps)
-    errors[chosen] = safety * np.maximum(values[chosen] - prediction.values, 0.0) / scale[chosen]
+    prediction = predict_next_level(subdivision, stiffness, mass, values[chosen], vectors[:, chosen])
+    errors[chosen] = SAFETY * np.maximum(values[chosen] - prediction.values, 0.0) / scale[chosen]
     # Entry s sums the squares of rows from s on and columns before s.
     summed = np.zeros((chosen.stop + 1, chosen.stop + 1))
     summed[1:, 1:] = np.cumsum(np.cumsum(prediction.rotation**2, axis=0), axis=1)
@@ -154,8 +125,6 @@ def predict_next_level(
     mass: sparse.csr_array,
     values: FloatArray,
     vectors: Block,
-    *,
-    steps: int = _STEPS,
 ) -> Prediction:
     """Predict the eigenpairs of level l + 1 from those of level l.
 
@@ -174,14 +143,12 @@ def predict_next_level(
     values : (m,) array
     vectors : (n_l, m) array
         Eigenpairs of level l, M-orthonormal.
-    steps : int
-        Chebyshev steps.
 
     Returns
     -------
     Prediction
     """
-    coupling = _coupling(subdivision, stiffness, mass, values, vectors, steps)
+    coupling = _coupling(subdivision, stiffness, mass, values, vectors)
     predicted, rotation = linalg.eigh(np.diag(values) - coupling)
     return Prediction(predicted, rotation)
 
@@ -192,15 +159,11 @@ def _coupling(
     mass: sparse.csr_array,
     values: FloatArray,
     vectors: Block,
-    steps: int = _STEPS,
 ) -> FloatArray:
     """(m, m) energy R^T Z that corrections within level l + 1 gain."""
     prolonged = multiply(subdivision, vectors)
-    kind = prolonged.dtype
-    residual = multiply(mass, prolonged)
-    residual *= -values.astype(kind)
-    residual += multiply(stiffness, prolonged)
-    correction = _smooth(stiffness, residual, steps)
+    residual = residuals(stiffness, mass, prolonged, values)
+    correction = smoother(stiffness)(residual, _STEPS)
     energy = np.asarray(residual.T @ correction, dtype=np.float64)
     gained = np.diag(energy)
     # On the correction the operator is W - lambda M rather than W: a Rayleigh quotient mu near lambda gains more.
@@ -208,38 +171,3 @@ def _coupling(
     share = np.clip(values * weight / np.maximum(gained, np.finfo(float).tiny), 0.0, 0.5)
     scale = 1.0 / np.sqrt(1.0 - share)
     return 0.5 * (energy + energy.T) * np.outer(scale, scale)
-
-
-def _smooth(matrix: sparse.csr_array, right_sides: Block, steps: int) -> Block:
-    """Z near W^{-1} R for R of high frequency: Chebyshev iteration on D^{-1} W, D the diagonal.
-
-    One fixed polynomial for all columns keeps R^T Z symmetric and, but for a ripple, not above R^T W^{-1} R.
-    """
-    inverse = (1.0 / matrix.diagonal())[:, None].astype(right_sides.dtype)
-    highest = _highest_scaled_eigenvalue(matrix)
-    lowest = highest / CONDITION
-    centre, radius = 0.5 * (highest + lowest), 0.5 * (highest - lowest)
-    factor = 1.0 / centre
-    residual = right_sides.copy()
-    step = residual * (inverse * inverse.dtype.type(factor))
-    solution = step.copy()
-    for iteration in range(1, steps):
-        residual -= multiply(matrix, step)
-        momentum = 0.5 * (radius * factor) ** 2 if iteration == 1 else (0.5 * radius * factor) ** 2
-        factor = 1.0 / (centre - momentum / factor)
-        step *= inverse.dtype.type(momentum)
-        step += residual * (inverse * inverse.dtype.type(factor))
-        solution += step
-    return solution
-
-
-def _highest_scaled_eigenvalue(matrix: sparse.csr_array) -> float:
-    """Largest eigenvalue of D^{-1} A, a few percent high, by power iteration."""
-    inverse = 1.0 / matrix.diagonal()
-    vector = np.random.default_rng(_SEED).standard_normal(matrix.shape[0])
-    norm = 1.0
-    for _ in range(15):
-        image = inverse * (matrix @ vector)
-        norm = float(np.linalg.norm(image) / np.linalg.norm(vector))
-        vector = image / np.linalg.norm(image)
-    return 1.1 * norm

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from cagemap.basis.products import multiply
 from cagemap.mesh import FloatArray
 from cagemap.refinement import Refinement
 
@@ -25,6 +26,9 @@ def products_with_bands(
     -------
     (k, q) array, k the number of functions in the bands
     """
+    bands = bands[: level + 1]
+    if 4 * sum(band.shape[1] for band in bands) < dual.shape[1]:
+        return _refined(bands, refinement, level).T @ dual
     parts: list[FloatArray] = []
     for coarser in reversed(range(level + 1)):
         if coarser < len(bands):
@@ -32,6 +36,17 @@ def products_with_bands(
         if coarser > 0:
             dual = refinement.matrices[coarser - 1].T @ dual
     return np.concatenate(parts[::-1]) if parts else np.zeros((0, dual.shape[1]))
+
+
+def _refined(bands: tuple[FloatArray, ...], refinement: Refinement, level: int) -> FloatArray:
+    """(n_level, k) Phi~: where it has few columns, they are refined sooner than many others restricted."""
+    values = np.zeros((refinement.levels[0].n_vertices, 0))
+    for finer in range(level + 1):
+        if finer > 0:
+            values = multiply(refinement.matrices[finer - 1], values)
+        if finer < len(bands):
+            values = np.hstack([values, bands[finer]])
+    return values
 
 
 def extend_gram(

@@ -56,6 +56,8 @@ def new_directions(
     for label in range(labels[-1] + 1):
         members = np.flatnonzero(labels == label)
         squares, turn = linalg.eigh(inside[:, members].T @ inside[:, members])
+        if squares[0] > 0.5 or squares[-1] < 0.5:  # not cut: its vectors stay as they are
+            squares, turn = np.sum(inside[:, members] ** 2, axis=0)[::-1], np.eye(len(members))[:, ::-1]
         # Ascending shares: turn them round so that the missing directions come last, next to the following pairs.
         share[members] = squares[::-1]
         rotation[np.ix_(members, members)] = turn[:, ::-1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
@@ -57,21 +58,33 @@ def multiply(matrix: sparse.csr_array, block: RealArray) -> RealArray:
     dtype = np.float32 if block.dtype == np.float32 else np.float64
     values = np.ascontiguousarray(block, dtype=dtype)
     entries = matrix.data.astype(dtype, copy=False)
-    rows = matrix.shape[0]
-    out = np.empty((rows, values.shape[1]), dtype=dtype)
-    work = matrix.nnz * values.shape[1]
-    threads = 1 if work < _PARALLEL_WORK else min(8, os.cpu_count() or 1)
-    # Equal shares of the nonzeros rather than of the rows.
-    shares = np.linspace(0, matrix.nnz, threads + 1)
-    bounds = np.searchsorted(matrix.indptr, shares[1:-1])
-    bounds = np.concatenate([[0], bounds, [rows]])
+    out = np.empty((matrix.shape[0], values.shape[1]), dtype=dtype)
 
-    def share(t: int) -> None:
-        _multiply_rows(matrix.indptr, matrix.indices, entries, values, bounds[t], bounds[t + 1], out)
+    def share(first: int, last: int) -> None:
+        _multiply_rows(matrix.indptr, matrix.indices, entries, values, first, last, out)
 
-    if threads == 1:
-        share(0)
-        return out
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(share, range(threads)))
+    in_row_shares(matrix, values.shape[1], share)
     return out
+
+
+def in_row_shares(matrix: sparse.csr_array, columns: int, work: Callable[[int, int], None]) -> None:
+    """Run work(first, last) over ranges of rows in a few threads, where there is enough of it to repay them.
+
+    Parameters
+    ----------
+    matrix : (n, m) CSR array
+        The ranges have equal shares of its nonzeros.
+    columns : int
+        Of the block that it is multiplied with.
+    work : callable
+        Releases the GIL.
+    """
+    rows = matrix.shape[0]
+    threads = 1 if matrix.nnz * columns < _PARALLEL_WORK else min(8, os.cpu_count() or 1)
+    if threads == 1:
+        work(0, rows)
+        return
+    shares = np.linspace(0, matrix.nnz, threads + 1)
+    bounds = np.concatenate([[0], np.searchsorted(matrix.indptr, shares[1:-1]), [rows]])
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(work, bounds[:-1], bounds[1:]))

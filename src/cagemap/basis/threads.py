@@ -44,6 +44,6 @@ def in_threads(work: Callable[[Item], Value], items: Sequence[Item], threads: in
         return list(pool.map(work, items))
 
 
-def row_parts(rows: int, size: int) -> list[slice]:
-    """All rows, ``size`` at a time: pieces to work on in threads, or one after the other within a cache."""
-    return [slice(start, min(rows, start + size)) for start in range(0, rows, size)]
+def parts(count: int, size: int) -> list[slice]:
+    """All rows or columns, ``size`` at a time: pieces to work on in threads, or one after the other within a cache."""
+    return [slice(start, min(count, start + size)) for start in range(0, count, size)]

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cagemap.basis.threads import in_threads, row_parts
+from cagemap.basis.threads import in_threads, parts
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.point_map import PointMap
 from cagemap.point_map.search import ROWS, Embedding
@@ -61,7 +61,7 @@ def vertex_to_point(
             (triangle, barycentric),
         )
 
-    in_threads(project, row_parts(len(match), ROWS))
+    in_threads(project, parts(len(match), ROWS))
     return PointMap(triangle, barycentric)
 
 

@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 
-from cagemap.basis.threads import in_threads, row_parts
+from cagemap.basis.threads import in_threads, parts
 from cagemap.mesh import IndexArray
 
 Embedding = NDArray[np.float32]
@@ -50,7 +50,7 @@ def nearest_rows(queries: Embedding, points: Embedding) -> IndexArray:
         scores -= half_norms
         nearest[part] = np.argmax(scores, axis=1)
 
-    in_threads(one_block, row_parts(len(queries), BLOCK))
+    in_threads(one_block, parts(len(queries), BLOCK))
     return nearest
 
 
@@ -108,7 +108,7 @@ def nearest_candidates(
             nearest,
         )
 
-    in_threads(search, row_parts(len(nearest), ROWS))
+    in_threads(search, parts(len(nearest), ROWS))
     return nearest
 
 

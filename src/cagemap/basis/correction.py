@@ -1,0 +1,204 @@
+"""Eigenpairs of one level from those of the level below without a solve: what is missing is of high frequency."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from cagemap.basis.eigen import EigenPairs, shifted_matrix
+from cagemap.basis.factorization import factor
+from cagemap.basis.guess import working_type
+from cagemap.basis.products import multiply
+from cagemap.basis.ritz import Ritz, extended, rayleigh_quotients, rayleigh_ritz, squared_residuals
+from cagemap.basis.smoothing import Block, Smoother, residuals, smoother
+from cagemap.basis.threads import parts
+from cagemap.errors import SolverError
+from cagemap.mesh import FloatArray, IndexArray
+from cagemap.operators import lumped_areas
+
+# Steps of the smoother in a correction: of what it can reach they leave under a hundredth.
+STEPS = 8
+# Columns corrected at once: bounds the memory.
+_COLUMNS = 64
+# Pairs looked at after the correction, the worst; where one is not good enough yet, as many as this at a time.
+_CHECKED = 24
+_MOST_AGAIN = 96
+_ROUNDS = 4
+# The gap for the count is sought among so many guards.
+_NEAR = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """Corrections of functions of level l within level l + 1.
+
+    Attributes
+    ----------
+    subdivision, restriction : (n_{l+1}, n_l) and (n_l, n_{l+1}) CSR arrays
+        S^l and its transpose.
+    mass : (n_{l+1}, n_{l+1}) CSR array
+        Of level l + 1.
+    smooth : Smoother
+        Of the stiffness matrix of level l + 1.
+    rank : (n_{l+1},) array
+        Row of every vertex of level l + 1 in all these: neighbours are near each other, for the cache.
+    """
+
+    subdivision: sparse.csr_array
+    restriction: sparse.csr_array
+    mass: sparse.csr_array
+    smooth: Smoother
+    rank: IndexArray
+
+    @classmethod
+    def between(cls, subdivision: sparse.csr_array, stiffness: sparse.csr_array, mass: sparse.csr_array) -> Correction:
+        """From S^l and the operators of level l + 1."""
+        order = csgraph.reverse_cuthill_mckee(stiffness, symmetric_mode=True)
+        rows = sparse.csr_array(subdivision[order])
+        stiffness, mass = (sparse.csr_array(matrix[order][:, order]) for matrix in (stiffness, mass))
+        return cls(rows, sparse.csr_array(rows.T), mass, smoother(stiffness), np.argsort(order))
+
+    @property
+    def stiffness(self) -> sparse.csr_array:
+        """W of level l + 1."""
+        return self.smooth.matrix
+
+    def gains(self, vectors: Block, values: FloatArray, steps: int) -> FloatArray:
+        """(m,) r^T Z: by how much a correction lowers each eigenvalue of level l, its own only."""
+        gains = np.empty(len(values))
+        for part in parts(len(values), _COLUMNS):
+            residual = residuals(self.stiffness, self.mass, multiply(self.subdivision, vectors[:, part]), values[part])
+            gains[part] = np.einsum("ij,ij->j", residual, self.smooth(residual, steps))
+        return gains
+
+    def corrected(self, vectors: Block, values: FloatArray, fixed: Block) -> tuple[Block, FloatArray]:
+        """(n_{l+1}, m) S X - Z, M-orthogonal to the refined ``fixed`` functions of level l, as S X is; (m,) r^T Z."""
+        block, gains = np.empty((self.subdivision.shape[0], len(values)), dtype=vectors.dtype), np.empty(len(values))
+        for part in parts(len(values), _COLUMNS):
+            prolonged = multiply(self.subdivision, vectors[:, part])
+            residual = residuals(self.stiffness, self.mass, prolonged, values[part])
+            change = self.smooth(residual, STEPS)
+            gains[part] = np.einsum("ij,ij->j", residual, change)
+            block[:, part] = prolonged - self.without(fixed, change)
+        return block, gains
+
+    def without(self, fixed: Block, block: Block) -> Block:
+        """A block of level l + 1 less its part along orthonormal functions of level l."""
+        if not fixed.shape[1]:
+            return block
+        along = fixed.T @ multiply(self.restriction, multiply(self.mass, block))
+        return block - multiply(self.subdivision, fixed @ along)
+
+
+def corrected_pairs(
+    correction: Correction, coarse: EigenPairs, fixed: Block, *, kept: tuple[int, int], tolerance: float
+) -> EigenPairs | None:
+    """Consecutive eigenpairs of level l + 1 from those of level l, where these are close already.
+
+    Parameters
+    ----------
+    correction : Correction
+    coarse : EigenPairs
+        Of level l; those above ``kept`` are guards.
+    fixed : (n_l, q) array
+        The pairs below, which stay as they are.
+    kept : (int, int)
+        Range of indices that must be accurate.
+    tolerance : float
+        Relative accuracy of the eigenvalues kept.
+
+    Returns
+    -------
+    EigenPairs or None
+        With the same indices as ``coarse``; None if the pairs were not close enough.
+    """
+    dtype = working_type(tolerance)
+    inside = np.arange(kept[0], kept[1]) - coarse.first_index
+    vectors, fixed = (block.astype(dtype, copy=False) for block in (coarse.vectors, fixed))
+    pairs = improved(
+        correction, vectors, coarse.values, fixed, np.zeros(0), inside, coarse.first_index, kept[1], tolerance
+    )
+    if pairs is None:
+        return None
+    values, areas = pairs.values, lumped_areas(correction.mass)
+    norms = np.sqrt(squared_residuals(pairs, areas)) / np.maximum(values, 4.0 * np.pi / float(areas.sum()))
+    if dtype == np.float32:
+        values = rayleigh_quotients(correction.stiffness, correction.mass, pairs.vectors)
+    return EigenPairs(values, pairs.vectors[correction.rank], norms, coarse.first_index)
+
+
+def improved(
+    correction: Correction,
+    vectors: Block,
+    values: FloatArray,
+    fixed: Block,
+    others: FloatArray,
+    inside: IndexArray,
+    first_index: int,
+    end: int,
+    tolerance: float,
+) -> Ritz | None:
+    """Eigenpairs of level l + 1 near some of level l, by corrections and Rayleigh-Ritz.
+
+    The residuals R of the prolonged pairs S X are orthogonal to the image of S (paper, eq. 2), so that Z near W^{-1} R
+    takes a few steps of smoothing, and the eigenvalues of S X - Z, after Rayleigh-Ritz, are wrong by the square of
+    what those of S X were. W - tau M, tau in a gap near the last pair wanted, is factored once: its inertia proves that
+    no pair was missed, and pairs that are not good enough yet get (W - tau M)^{-1} r as a further direction.
+
+    Parameters
+    ----------
+    correction : Correction
+    vectors : (n_l, m) array
+    values : (m,) array
+        Eigenpairs of level l, M-orthonormal, ascending.
+    fixed : (n_l, q) array
+        Other eigenvectors of level l that the result is to be orthogonal to.
+    others : (o,) array
+        Eigenvalues of level l + 1 that are known well enough to be counted, from ``first_index`` on.
+    inside : (k,) int64 array
+        Which pairs must be accurate.
+    first_index : int
+        How many eigenvalues lie below all these.
+    end : int
+        Index after the last pair wanted.
+    tolerance : float
+        Relative.
+
+    Returns
+    -------
+    Ritz or None
+        Rows in the order of the correction. None if the pairs do not get accurate within a few rounds, or the inertia
+        counts other eigenvalues.
+    """
+    stiffness, mass = correction.stiffness, correction.mass
+    block, errors = correction.corrected(vectors, values, fixed)
+    try:
+        pairs = rayleigh_ritz(block, multiply(stiffness, block), multiply(mass, block))
+        shift = _gap_after(np.sort(np.concatenate([others, pairs.values])), end - first_index)
+        shifted = factor(shifted_matrix(stiffness, mass, shift))
+    except SolverError:  # on an eigenvalue, or dependent columns
+        return None
+    scale = np.maximum(pairs.values, 1e-3 * pairs.values[-1])
+    errors /= scale
+    for batch in (_CHECKED,) + (_MOST_AGAIN,) * _ROUNDS:
+        # Those that were worst to begin with are looked at first.
+        worst = inside[np.argsort(-errors[inside])[:batch]]
+        residual = pairs.residuals(worst)
+        added = shifted.solve(residual).astype(residual.dtype)
+        errors[worst] = np.abs(np.einsum("ij,ij->j", residual, added)) / scale[worst]
+        again = errors[worst] > tolerance
+        if not again.any():
+            found = first_index + np.sum(others < shift) + np.sum(pairs.values < shift)
+            return pairs if shifted.negative_eigenvalues in (None, found) else None
+        pairs = extended(pairs, correction.without(fixed, added[:, again]), stiffness, mass)
+    return None
+
+
+def _gap_after(values: FloatArray, end: int) -> float:
+    """A place in the widest gap from just before index ``end`` to a few pairs on."""
+    low, high = max(0, end - 1), min(len(values), end + _NEAR)
+    gap = low + int(np.argmax(np.diff(values[low:high])))
+    return float(0.5 * (values[gap] + values[gap + 1]))

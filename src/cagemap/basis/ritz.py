@@ -1,0 +1,120 @@
+"""Rayleigh-Ritz on tall blocks, in place and some rows at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import linalg, sparse
+
+from cagemap.basis.products import multiply
+from cagemap.basis.smoothing import Block
+from cagemap.basis.threads import parts
+from cagemap.errors import SolverError
+from cagemap.mesh import FloatArray, IndexArray
+
+# Columns and rows multiplied at once: what fits a cache, and bounds the memory.
+_COLUMNS = 64
+_ROWS = 8192
+# Smallest eigenvalue of the Gram matrix of unit columns below which one of them is no direction of its own.
+_DEPENDENT = 1e-5
+# Part of a new direction that must be new.
+_NEW = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Ritz:
+    """Approximate eigenpairs X with W X and M X; X is M-orthonormal and X^T W X the diagonal matrix of values."""
+
+    values: FloatArray
+    vectors: Block
+    stiffness_vectors: Block
+    mass_vectors: Block
+
+    def residuals(self, chosen: IndexArray) -> Block:
+        """(n, k) W x - lambda M x of some pairs."""
+        values = self.values[chosen].astype(self.vectors.dtype)
+        return np.ascontiguousarray(self.stiffness_vectors[:, chosen] - self.mass_vectors[:, chosen] * values)
+
+
+def rayleigh_ritz(block: Block, stiffness_block: Block, mass_block: Block) -> Ritz:
+    """Best approximations of eigenpairs within the span of a block: X^T W X c = theta X^T M X c. Works in place."""
+    stiffness_gram, mass_gram = gram(block, stiffness_block), gram(block, mass_block)
+    sizes = np.sqrt(np.diag(mass_gram))
+    # Columns near eigenvectors are nearly orthogonal; whether rounding lets a dependent one pass is chance.
+    if linalg.eigvalsh(mass_gram / np.outer(sizes, sizes), subset_by_index=[0, 0])[0] < _DEPENDENT:
+        raise SolverError(
+            f"expected {block.shape[1]} independent columns in a Rayleigh-Ritz step, got dependent ones; "
+            "the guess holds a vector twice"
+        )
+    values, rotation = linalg.eigh(stiffness_gram, mass_gram, driver="gvd")
+    for part in (block, stiffness_block, mass_block):
+        rotate(part, rotation)
+    return Ritz(values, block, stiffness_block, mass_block)
+
+
+def extended(pairs: Ritz, added: Block, stiffness: sparse.csr_array, mass: sparse.csr_array) -> Ritz:
+    """Rayleigh-Ritz on the pairs and further directions; as many lowest pairs as before. Works in place."""
+    for _ in range(2):
+        added -= pairs.vectors @ (pairs.mass_vectors.T @ added)
+    mass_added = multiply(mass, added)
+    squares, axes = linalg.eigh(gram(added, mass_added))
+    new = squares > _NEW**2 * max(squares[-1], np.finfo(float).tiny)
+    turn = (axes[:, new] / np.sqrt(squares[new])).astype(added.dtype)
+    added, mass_added = added @ turn, mass_added @ turn
+    stiffness_added = multiply(stiffness, added)
+    count = len(pairs.values)
+    energy = np.zeros((count + added.shape[1], count + added.shape[1]))
+    energy[:count, :count] = np.diag(pairs.values)
+    energy[:count, count:] = gram(pairs.vectors, stiffness_added, symmetric=False)
+    energy[count:, :count] = energy[:count, count:].T
+    energy[count:, count:] = gram(added, stiffness_added)
+    values, rotation = linalg.eigh(energy, driver="evd")
+    blocks = (
+        (pairs.vectors, added),
+        (pairs.stiffness_vectors, stiffness_added),
+        (pairs.mass_vectors, mass_added),
+    )
+    for old, extra in blocks:
+        rotate(old, rotation[:count, :count], extra, rotation[count:, :count])
+    return Ritz(values[:count], *(old for old, _ in blocks))
+
+
+def gram(left: Block, right: Block, *, symmetric: bool = True) -> FloatArray:
+    """X^T Y in double precision, some rows at a time."""
+    total = np.zeros((left.shape[1], right.shape[1]))
+    for rows in parts(len(left), _ROWS):
+        total += left[rows].T @ right[rows]
+    return 0.5 * (total + total.T) if symmetric else total
+
+
+def rotate(block: Block, rotation: FloatArray, extra: Block | None = None, extra_rotation: Any = None) -> None:
+    """X <- X Q, or X Q + Y P, in place, some rows at a time."""
+    turn = rotation.astype(block.dtype)
+    extra_turn = None if extra is None else extra_rotation.astype(block.dtype)
+    for rows in parts(len(block), _ROWS):
+        product = block[rows] @ turn
+        if extra is not None:
+            product += extra[rows] @ extra_turn
+        block[rows] = product
+
+
+def rayleigh_quotients(stiffness: sparse.csr_array, mass: sparse.csr_array, vectors: Block) -> FloatArray:
+    """(m,) ascending x^T W x / x^T M x, in double precision."""
+    quotients = np.empty(vectors.shape[1])
+    for part in parts(vectors.shape[1], _COLUMNS):
+        columns = vectors[:, part].astype(np.float64)
+        energy = np.einsum("ij,ij->j", columns, multiply(stiffness, columns))
+        quotients[part] = energy / np.einsum("ij,ij->j", columns, multiply(mass, columns))
+    return np.maximum.accumulate(quotients)
+
+
+def squared_residuals(pairs: Ritz, weights: FloatArray) -> FloatArray:
+    """(m,) squares of ||W x - lambda M x|| in the norm of the inverse of a diagonal matrix."""
+    values, inverse = pairs.values.astype(pairs.vectors.dtype), (1.0 / weights).astype(pairs.vectors.dtype)
+    squares = np.zeros(len(values))
+    for rows in parts(len(weights), _ROWS):
+        residual = pairs.stiffness_vectors[rows] - pairs.mass_vectors[rows] * values
+        squares += inverse[rows] @ (residual * residual)
+    return squares
