@@ -166,7 +166,7 @@ def pull_by_source(
     wanted = np.einsum("nd,nd->n", planes, positions[corners.ravel()]) + np.repeat(residual, 3)
     gather = sparse.csr_array((weights, (corners.ravel(), np.arange(len(weights)))), shape=(n, len(weights)))
     blocks = gather @ (planes[:, :, None] * planes[:, None, :]).reshape(-1, 9)
-    received = np.asarray(gather.sum(axis=1)).ravel()
+    received = np.asarray(gather.sum(axis=1), dtype=np.float64).ravel()
     return Pull(blocks.reshape(n, 3, 3), gather @ (wanted[:, None] * planes), received, held_by, foot)
 
 
