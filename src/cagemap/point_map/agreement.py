@@ -24,7 +24,7 @@ NONE, FULL = 0.25, 0.5
 # Lengths of round trips at which the weight is a quarter. Where the source lies outside the target, the target may not
 # have reached it yet: sqrt(alpha), the length below which the energy outweighs the data, times this is forgiven.
 INSIDE_TRIP = 0.006
-OUTSIDE_TRIPS = 4.0
+OUTSIDE_TRIPS = 6.0
 
 
 @dataclass(frozen=True)
