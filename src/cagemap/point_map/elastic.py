@@ -9,14 +9,13 @@ moves whole limbs, then on the mesh of a level.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
-from cagemap.basis.factorization import Factorization
 from cagemap.basis.threads import in_threads
 from cagemap.errors import ParameterError
 from cagemap.mesh import FloatArray, IndexArray
+from cagemap.point_map.agreement import ReceivedArea
 from cagemap.point_map.elastic_data import Sheet, deformed_normals, pull_by_source, pull_to_source
 from cagemap.point_map.elastic_graph import DifferentialField, ElasticGraph, cluster_graph, extrapolate
 from cagemap.point_map.elastic_system import PositionSystem
@@ -68,8 +67,10 @@ class ElasticConfig:
     coarse, fine : Stage
     normal_weight : float
         Closest points count position and this length times the normal.
-    projection_normal_weight : float
-        The same in the last projection.
+    fine_normal_weight : float
+        The same for those of the fine stage's vertices.
+    projection_normal_weights : (float, float)
+        The same in the last projection, see `facing_points`.
     landmark_weight : float
         Of a landmark, against a data weight of 1 for the whole surface.
     """
@@ -78,7 +79,8 @@ class ElasticConfig:
     coarse: Stage = Stage(10, (5e-2, 2e-4), 1e-2, momentum=0.6)
     fine: Stage = Stage(12, (2e-4, 1e-5), 1e-4, momentum=0.8)
     normal_weight: float = 0.03
-    projection_normal_weight: float = 0.02
+    fine_normal_weight: float = 0.01
+    projection_normal_weights: tuple[float, float] = (0.002, 0.02)
     landmark_weight: float = 1e2
 
 
@@ -223,7 +225,8 @@ def run_stage(
     """Alternate closest points, positions and differentials; returns positions (n, 3) and maps (n, 3, 3).
 
     Where the graph has triangles the data term works both ways: every deformed vertex lies on the source, and every
-    source vertex on the deformed target, which is what fills fingers, ears and lips. The alternation creeps along the
+    source vertex on the deformed target, which is what fills fingers, ears and lips; parts of either that have no
+    counterpart do not pull (`cagemap.point_map.agreement`). The alternation creeps along the
     surface, where only the energy pulls; momentum makes it three times faster.
     """
     laplacian = graph.laplacian()
@@ -231,18 +234,19 @@ def run_stage(
     system = PositionSystem.build(laplacian)
     positions, maps = start, field.solve(start)
     before: FloatArray | None = None
-    factors: Factorization | None = None
-    guesses: list[IndexArray | None] = [None, None]
+    guess, guess_back, factors = None, None, None
+    normal_weight = config.normal_weight if target_triangles is None else config.fine_normal_weight
+    received = None if target_triangles is None else ReceivedArea.build(graph, laplacian)
     for iteration, alpha in enumerate(stage.ramped(), start=1):
         normals = deformed_normals(graph, positions, maps, target_triangles)
-        moved = positions, normals
-        asked = [partial(pull_to_source, graph, source, *moved, guesses[0], config.normal_weight)]
-        if target_triangles is not None:
-            asked.append(partial(pull_by_source, target_triangles, source, *moved, guesses[1], config.normal_weight))
-        pulls = in_threads(lambda pull: pull(), asked)
-        blocks: FloatArray = np.sum([pull.blocks for pull in pulls], axis=0)
-        right: FloatArray = np.sum([pull.right for pull in pulls], axis=0)
-        guesses = [pull.triangles for pull in pulls]
+        pull = pull_to_source(graph, source, positions, normals, guess, normal_weight)
+        blocks, right, guess = pull.blocks, pull.right, pull.triangles
+        if target_triangles is not None and received is not None:
+            back = pull_by_source(
+                target_triangles, source, positions, normals, guess_back, config.normal_weight, pull.feet, alpha
+            )
+            pull = pull.scaled(received.weights(back.weights))
+            blocks, right, guess_back = pull.blocks + back.blocks, pull.right + back.right, back.triangles
         blocks[landmarks] = config.landmark_weight * np.eye(3)
         right[landmarks] = config.landmark_weight * landmark_positions
         factors = system.factor(alpha, blocks, factors)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
 
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.operators.laplacian import vertex_areas
+from cagemap.point_map.agreement import round_trip_weights
 from cagemap.point_map.elastic_graph import ElasticGraph
 from cagemap.point_map.surface_points import (
     TriangleTree,
@@ -63,13 +64,28 @@ class Pull:
         B_i.
     right : (n, 3) float64
         B_i y_i.
+    weights : (n,) float64
+        Area that every vertex stands for in the term.
     triangles : (m,) int64
         Triangle of every closest point, a guess for the next search.
+    feet : (m, 3) float64
+        The closest points.
     """
 
     blocks: FloatArray
     right: FloatArray
+    weights: FloatArray
     triangles: IndexArray
+    feet: FloatArray
+
+    def scaled(self, factors: FloatArray) -> Pull:
+        """Every vertex's term times a factor (n,)."""
+        return replace(
+            self,
+            blocks=factors[:, None, None] * self.blocks,
+            right=factors[:, None] * self.right,
+            weights=factors * self.weights,
+        )
 
 
 def pull_to_source(
@@ -99,7 +115,7 @@ def pull_to_source(
     plane = normalized(np.einsum("nk,nkd->nd", barycentric, source.normals[corners]))
     weights = graph.areas * np.clip(np.einsum("nd,nd->n", plane, normals), 0.0, 1.0)
     blocks = weights[:, None, None] * plane[:, :, None] * plane[:, None, :]
-    return Pull(blocks, np.einsum("nab,nb->na", blocks, foot), found)
+    return Pull(blocks, np.einsum("nab,nb->na", blocks, foot), weights, found, foot)
 
 
 def pull_by_source(
@@ -109,6 +125,8 @@ def pull_by_source(
     normals: FloatArray,
     guess: IndexArray | None,
     normal_weight: float,
+    feet: FloatArray,
+    alpha: float,
 ) -> Pull:
     """Point-to-plane term of source vertices: each should lie on the deformed target.
 
@@ -125,6 +143,10 @@ def pull_by_source(
     guess : (m,) int64, optional
         Target triangles of an earlier search.
     normal_weight : float
+    feet : (n, 3) float64
+        Where the target's vertices lie nearest on the source.
+    alpha : float
+        Stiffness of the energy, see `round_trip_weights`.
     """
     n = len(positions)
     chosen = spread(len(source.positions), int(PULLERS * n))
@@ -138,12 +160,14 @@ def pull_by_source(
     facing = normalized(triangle_normals(positions, target_triangles))[held_by]
     areas = source.areas[chosen] / source.areas[chosen].sum()
     shares = areas * np.clip(np.einsum("nd,nd->n", facing, planes), 0.0, 1.0)
+    shares *= round_trip_weights(np.einsum("mk,mkd->md", barycentric, feet[corners]) - points, residual, alpha)
     weights = (shares[:, None] * barycentric).ravel()  # one row per corner
     planes = np.repeat(planes, 3, axis=0)
     wanted = np.einsum("nd,nd->n", planes, positions[corners.ravel()]) + np.repeat(residual, 3)
     gather = sparse.csr_array((weights, (corners.ravel(), np.arange(len(weights)))), shape=(n, len(weights)))
     blocks = gather @ (planes[:, :, None] * planes[:, None, :]).reshape(-1, 9)
-    return Pull(blocks.reshape(n, 3, 3), gather @ (wanted[:, None] * planes), held_by)
+    received = np.asarray(gather.sum(axis=1), dtype=np.float64).ravel()
+    return Pull(blocks.reshape(n, 3, 3), gather @ (wanted[:, None] * planes), received, held_by, foot)
 
 
 def curved_points(corners: FloatArray, normals: FloatArray, barycentric: FloatArray) -> FloatArray:

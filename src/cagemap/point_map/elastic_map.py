@@ -18,6 +18,8 @@ from cagemap.refinement import Refinement, level_triangles
 
 # Vertices from which a level of the source is fine enough to lie on while fitting.
 SHEET_VERTICES = 15_000
+# A projected point whose normal makes a smaller cosine with its own is on the wrong side, or far from the source.
+LEAST_COSINE = 0.5
 
 
 def fit_shapes(pair: Pair, level: int, config: ElasticConfig = ElasticConfig()) -> FitShapes:
@@ -97,9 +99,8 @@ def project(positions: FloatArray, pair: Pair, tree: TriangleTree, config: Elast
     """
     target_triangles = level_triangles(pair.target.refinement, pair.target.finest)
     on_source, source_triangles = finest_surface(pair.source)
-    weight = config.projection_normal_weight
-    normals = vertex_normals(positions, target_triangles)
-    triangle, barycentric, _ = closest_points(tree, positions, normals, normal_weight=weight)
+    weights = config.projection_normal_weights
+    triangle, barycentric = facing_points(tree, positions, vertex_normals(positions, target_triangles), weights)
     landmarks = pair.target_landmarks, pair.source_landmarks
     holder = np.zeros(len(on_source), dtype=np.int64)
     holder[source_triangles.ravel()] = np.repeat(np.arange(len(source_triangles)), 3)
@@ -114,6 +115,37 @@ def project(positions: FloatArray, pair: Pair, tree: TriangleTree, config: Elast
             source_triangles,
             tree,
             landmarks[0],
-            normal_weight=weight,
+            normal_weight=weights[0],
         )
     )
+
+
+def facing_points(
+    tree: TriangleTree, points: FloatArray, normals: FloatArray, weights: tuple[float, float]
+) -> tuple[IndexArray, FloatArray]:
+    """Closest points of a surface; where they do not face the same way, those that weigh normals more.
+
+    On the surface, a normal that differs from the source's moves the closest point sideways: where the surface bends
+    little, by far, and neighbours by different amounts. Normals are only to tell the sides of thin parts apart.
+
+    Parameters
+    ----------
+    tree : TriangleTree
+    points, normals : (m, 3) float64
+    weights : (float, float)
+        Normal weights of the first search, and of the second.
+
+    Returns
+    -------
+    triangle, barycentric : (m,), (m, 3)
+    """
+    triangle, barycentric, _ = closest_points(tree, points, normals, normal_weight=weights[0])
+    facing = np.empty_like(tree.normals)
+    facing[tree.order] = tree.normals
+    cosine = np.einsum("md,md->m", facing[triangle], normals)
+    away = np.flatnonzero(cosine < LEAST_COSINE)
+    if len(away):
+        triangle[away], barycentric[away], _ = closest_points(
+            tree, points[away], normals[away], normal_weight=weights[1], guess=triangle[away]
+        )
+    return triangle, barycentric

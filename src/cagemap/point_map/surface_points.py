@@ -239,7 +239,7 @@ def _leaf_order(positions: FloatArray, triangles: IndexArray, normals: FloatArra
 def _morton_codes(points: FloatArray) -> IndexArray:
     """(t,) positions of points along a space-filling curve, 21 bits an axis."""
     low, high = points.min(axis=0), points.max(axis=0)
-    extent = max(float((high - low).max()), np.finfo(float).tiny)
+    extent = max(float((high - low).max()), 1e-300)  # not 0, and its inverse is finite
     code = np.zeros(len(points), dtype=np.uint64)
     for axis in range(3):
         cells = np.minimum((points[:, axis] - low[axis]) * (2**21 / extent), 2**21 - 1).astype(np.uint64)

@@ -1,0 +1,109 @@
+"""What has no counterpart does not pull, and a projection that keeps to its side."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from cagemap.mesh.shapes import creature
+from cagemap.operators import build_operators
+from cagemap.point_map import agreement
+from cagemap.point_map.agreement import ReceivedArea, round_trip_weights
+from cagemap.point_map.elastic import ElasticConfig, Stage, run_stage
+from cagemap.point_map.elastic_data import Sheet
+from cagemap.point_map.elastic_graph import ElasticGraph, mesh_graph
+from cagemap.point_map.elastic_map import facing_points, level_faces
+from cagemap.point_map.surface_points import build_tree, closest_points, normalized, triangle_normals
+from cagemap.refinement import refine
+
+
+@pytest.fixture(scope="module")
+def graph() -> tuple[ElasticGraph, np.ndarray, np.ndarray]:
+    """Graph, faces and triangles of a creature of 2434 vertices."""
+    refinement = refine(creature(), 2)
+    faces, split = level_faces(refinement, 2)
+    return mesh_graph(build_operators(refinement).scale * refinement.finest.positions, faces, split), faces, split
+
+
+def test_what_receives_no_area_does_not_pull(graph: tuple[ElasticGraph, np.ndarray, np.ndarray]) -> None:
+    rest = graph[0]
+    received = ReceivedArea.build(rest, rest.laplacian())
+    np.testing.assert_allclose(received.weights(rest.areas), 1.0)
+    np.testing.assert_allclose(received.weights(np.zeros(rest.n)), 0.0)
+    distance = np.linalg.norm(rest.positions - rest.positions[100], axis=1)
+    weights = received.weights(np.where(distance < 0.06, 0.0, rest.areas))
+    assert (weights[distance < 0.03] == 0).all()
+    assert (weights[distance > 0.08] > 0.999).all()
+
+
+def test_round_trips_count_more_inside_than_outside() -> None:
+    lengths = np.linspace(0, 0.05, 11)
+    trips = lengths[:, None] * normalized(np.array([[1.0, 2.0, 2.0]]))
+    inside = round_trip_weights(trips, np.full(11, -1e-3), 2e-4)
+    outside = round_trip_weights(trips, np.full(11, 1e-3), 2e-4)
+    assert inside[0] == outside[0] == 1.0
+    assert (np.diff(inside) < 0).all()
+    assert (np.diff(outside) < 0).all()
+    assert (inside[1:] < outside[1:]).all()
+    # The softer the energy, the less is forgiven.
+    assert (round_trip_weights(trips, np.ones(11), 1e-5)[1:] < outside[1:]).all()
+
+
+def test_a_pocket_that_the_source_lacks_drags_nothing_along(
+    graph: tuple[ElasticGraph, np.ndarray, np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    smooth, faces, split = graph
+    # Push a finger into the flattest place: the pocket's walls face each other, nothing on the source is like them.
+    near = cKDTree(smooth.positions).query_ball_point(smooth.positions, 0.1)
+    middle = max(range(0, smooth.n, 31), key=lambda i: float((smooth.normals[near[i]] @ smooth.normals[i]).min()))
+    reach = np.linalg.norm(smooth.positions - smooth.positions[middle], axis=1) / 0.06
+    depth = 0.12 * np.clip(1.0 - reach**4, 0.0, None) * (smooth.normals @ smooth.normals[middle] > 0)
+    pocketed = mesh_graph(smooth.positions - depth[:, None] * smooth.normals[middle], faces, split)
+    landmarks = np.flatnonzero(reach > 3)[::25]
+
+    def error() -> float:
+        found, _ = run_stage(
+            pocketed,
+            split,
+            Sheet.build(smooth.positions, split),
+            pocketed.positions,
+            landmarks,
+            smooth.positions[landmarks],
+            Stage(8, (2e-4, 1e-5), 1e-4, momentum=0.8),
+            ElasticConfig(),
+        )
+        around = reach > 2
+        return float(np.linalg.norm(found - smooth.positions, axis=1)[around].mean())
+
+    weighed = error()
+    monkeypatch.setattr(agreement, "NONE", -2.0)
+    monkeypatch.setattr(agreement, "FULL", -1.0)
+    assert weighed < 0.5 * error()
+
+
+def test_projection_keeps_to_its_side_and_its_place() -> None:
+    # A sheet 0.004 thick: without normals a point just through it would land on the other side.
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=float)
+    positions = np.vstack([np.column_stack([corners, np.full(4, height)]) for height in (0.0, 0.004)])
+    triangles = np.array([[0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7]])  # the lower side faces down
+    tree = build_tree(positions, triangles)
+    rng = np.random.default_rng(51)
+    points = np.column_stack([rng.uniform(0.2, 0.8, (50, 2)), rng.uniform(-0.004, 0.008, 50)])
+    normals = normalized(np.array([0.0, 0.0, 1.0]) + 0.3 * rng.standard_normal((50, 3)))
+    triangle, _ = facing_points(tree, points, normals, (0.002, 0.02))
+    assert (triangle >= 2).all()
+    alone, _, _ = closest_points(tree, points, normals, normal_weight=0.002)
+    assert (alone < 2).any()
+    # Where the surface bends little, a normal that is off does not move the foot far.
+    bend = np.column_stack([np.linspace(-1, 1, 41), 0.05 * np.linspace(-1, 1, 41) ** 2])
+    strip = np.vstack([np.column_stack([bend[:, 0], np.full(41, y), bend[:, 1]]) for y in (-1.0, 1.0)])
+    row = np.arange(40)
+    quads = np.column_stack([row, row + 1, row + 42, row + 41])
+    strip_triangles = np.vstack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    assert (triangle_normals(strip, strip_triangles)[:, 2] > 0).all()
+    query = np.array([[0.0, 0.0, 0.001]])
+    tilted = normalized(np.array([[0.2, 0.0, 1.0]]))
+    found, weights = facing_points(build_tree(strip, strip_triangles), query, tilted, (0.002, 0.02))
+    foot = np.einsum("mk,mkd->md", weights, strip[strip_triangles[found]])
+    assert abs(foot[0, 0]) < 1e-3
