@@ -94,9 +94,11 @@ def areas_and_stiffness(positions: FloatArray, faces: IndexArray) -> tuple[Float
             (np.ones(faces.size, np.int8), faces.ravel(), np.arange(faces.size + 1)), shape=(n, faces.size)
         )
     )
-    indptr, indices, data = _gather_rows(
-        np.ascontiguousarray(faces), weights, _pair_columns(corners), incident.indptr, incident.indices
-    )
+    room = n + (corners - 1) * len(incident.indices)
+    rows = np.zeros(n + 1, dtype=np.int32), np.empty(room, dtype=np.int32), np.empty(room)
+    around = incident.indptr, incident.indices
+    end = _gather_rows(np.ascontiguousarray(faces), weights, _pair_columns(corners), around, rows)
+    indptr, indices, data = rows[0], rows[1][:end].copy(), rows[2][:end].copy()
     return areas, sparse.csr_array((data, indices, indptr), shape=(n, n))
 
 
@@ -182,14 +184,16 @@ def _pair_columns(size: int) -> IndexArray:
     return columns
 
 
+# Kernels fill arrays that they are given: to allocate inside would double the time they take to compile.
 @njit(cache=True, nogil=True)
-def _gather_rows(faces, weights, pair_columns, starts, corners):  # type: ignore[no-untyped-def]
-    """CSR arrays of W: row v holds minus the summed weights of v and each neighbour, and their sum for v itself."""
+def _gather_rows(faces, weights, pair_columns, around, rows):  # type: ignore[no-untyped-def]
+    """CSR arrays of W: row v holds minus the summed weights of v and each neighbour, and their sum for v itself.
+
+    Returns the number of entries.
+    """
+    starts, corners = around
+    indptr, indices, data = rows
     n, size = len(starts) - 1, faces.shape[1]
-    room = n + (size - 1) * len(corners)
-    indptr = np.zeros(n + 1, dtype=np.int32)
-    indices = np.empty(room, dtype=np.int32)
-    data = np.empty(room)
     end = 0
     for v in range(n):
         begin = end
@@ -218,4 +222,4 @@ def _gather_rows(faces, weights, pair_columns, starts, corners):  # type: ignore
                 place -= 1
             indices[place], data[place] = column, value
         indptr[v + 1] = end
-    return indptr, indices[:end].copy(), data[:end].copy()
+    return end

@@ -92,6 +92,8 @@ def restrict_pair(
     n = subdivision.shape[1]
     transposed = sparse.csr_array(subdivision.T)
     room = min(n * n, 64 * n)
+    dense = [(np.zeros((size, 2)), np.zeros(size, dtype=np.bool_)) for size in subdivision.shape]
+    touched = np.empty(len(subdivision.indptr) - 1, dtype=np.int32)
     while True:
         indices, data, indptr = np.empty(room, dtype=np.int32), np.empty((room, 2)), np.zeros(n + 1, dtype=np.int32)
         entries = _restrict_pair(
@@ -99,11 +101,14 @@ def restrict_pair(
             (stiffness.indptr, stiffness.indices, mass.data, stiffness.data),
             (subdivision.indptr, subdivision.indices, subdivision.data),
             order,
+            (*dense[0], touched, *dense[1]),
             (indptr, indices, data),
         )
         if entries >= 0:
             break
         room *= 2  # vertices of very high valence
+        for row, met in dense:
+            row[:], met[:] = 0.0, False
     rank = np.argsort(order)
     masses, stiffnesses = (
         sparse.csr_array((data[:entries, i], indices[:entries], indptr), shape=(n, n))[rank] for i in (0, 1)
@@ -154,21 +159,18 @@ def _with_diagonal(pattern: sparse.csr_array, diagonal: FloatArray) -> sparse.cs
 
 
 @njit(cache=True, nogil=True)
-def _restrict_pair(transposed, fine, subdivision, order, result):  # type: ignore[no-untyped-def]
+def _restrict_pair(transposed, fine, subdivision, order, dense, result):  # type: ignore[no-untyped-def]
     """Rows order[0], order[1], ... of S^T A S for both matrices A; returns the number of entries, -1 if out of room.
 
-    For row i, w = sum_r S_ri A_r, then sum_s w_s S_s, each gathered in a dense row that is used again.
+    For row i, w = sum_r S_ri A_r, then sum_s w_s S_s, each gathered in a dense row that is zero before and after.
     """
     t_starts, t_rows, t_weights = transposed
     a_starts, a_columns, a_mass, a_stiffness = fine
     s_starts, s_columns, s_weights = subdivision
+    middle, met_middle, touched, row, met = dense
     indptr, indices, data = result
-    n_coarse, n_fine = len(t_starts) - 1, len(a_starts) - 1
-    middle, row = np.zeros((n_fine, 2)), np.zeros((n_coarse, 2))
-    met_middle, met = np.zeros(n_fine, dtype=np.bool_), np.zeros(n_coarse, dtype=np.bool_)
-    touched = np.empty(n_fine, dtype=np.int32)
     end = 0
-    for k in range(n_coarse):
+    for k in range(len(order)):
         n_touched = 0
         for p in range(t_starts[order[k]], t_starts[order[k] + 1]):
             r, weight = t_rows[p], t_weights[p]
