@@ -19,6 +19,7 @@ from cagemap.basis import (
 )
 from cagemap.basis.error_estimate import predict_next_level
 from cagemap.basis.overlap import clusters, new_directions
+from cagemap.basis.smoothing import smoother
 from cagemap.errors import ParameterError
 from cagemap.files.meshes import read_mesh
 from cagemap.mesh import shapes
@@ -142,7 +143,7 @@ def test_prediction_is_close_to_the_next_level(creature):
         pairs = exact_basis(operators, level, count)
         prediction = predict_next_level(
             refinement.matrices[level],
-            operators.stiffness[level + 1],
+            smoother(operators.stiffness[level + 1]),
             operators.mass[level + 1],
             pairs.values,
             pairs.vectors,

@@ -314,8 +314,7 @@ def _read_off_and_judged(pair: Pair, point_map: PointMap, landmarks: Landmarks) 
 
 def judge(target: Surface, source: Surface, point_map: PointMap, landmarks: Landmarks) -> QualityFigures:
     """Quality figures of a map between finest levels, without ground truth."""
-    levels = target.refinement.levels
-    dense = next((i for i, level in enumerate(levels) if level.n_vertices >= COVERAGE_SAMPLES), target.finest)
+    dense = target.refinement.coarsest_level(COVERAGE_SAMPLES)
     return measure_quality(
         target.refinement.finest.positions,
         level_triangles(target.refinement, target.finest),

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from cagemap.basis.eigen import EigenPairs, shifted_matrix
+from cagemap.basis.eigen import EigenPairs, relative_residuals, shifted_matrix
 from cagemap.basis.factorization import factor
 from cagemap.basis.guess import working_type
 from cagemap.basis.products import multiply
@@ -124,7 +124,7 @@ def corrected_pairs(
     if pairs is None:
         return None
     values, areas = pairs.values, lumped_areas(correction.mass)
-    norms = np.sqrt(squared_residuals(pairs, areas)) / np.maximum(values, 4.0 * np.pi / float(areas.sum()))
+    norms = relative_residuals(squared_residuals(pairs, areas), values, areas)
     if dtype == np.float32:
         values = rayleigh_quotients(correction.stiffness, correction.mass, pairs.vectors)
     return EigenPairs(values, pairs.vectors[correction.rank], norms, coarse.first_index)

@@ -83,7 +83,12 @@ def residual_norms(
     """
     residual = stiffness_vectors - mass_vectors * values
     squares = (residual * residual).T @ (1.0 / areas)
-    return np.sqrt(squares) / np.maximum(values, 4.0 * np.pi / float(areas.sum()))
+    return relative_residuals(squares, values, areas)
+
+
+def relative_residuals(squares: FloatArray, values: FloatArray, areas: FloatArray) -> FloatArray:
+    """(m,) `residual_norms` from their squares, before these are related to the eigenvalues."""
+    return np.asarray(np.sqrt(squares) / np.maximum(values, 4.0 * np.pi / float(areas.sum())))
 
 
 def lowest_pairs(

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from cagemap.basis.products import multiply
-from cagemap.basis.smoothing import Block, residuals, smoother
+from cagemap.basis.smoothing import Block, Smoother, residuals, smoother
 from cagemap.mesh import FloatArray
 
 # What a prediction leaves out: unfinished iterations, and all levels finer than the next. On bodies with badly
@@ -94,11 +94,11 @@ def estimate_errors(
     work = stiffness.shape[0] * count
     # Single precision disturbs eigenvalues by less than 1e-7.
     vectors = vectors.astype(np.float32 if tolerance > _SINGLE_TOLERANCE else np.float64, copy=False)
-    chosen = slice(0, count)
+    chosen, smooth = slice(0, count), smoother(stiffness)
     errors, leaks = np.zeros(count), np.zeros(count + 1)
     if work > _CHEAP_WORK and count > 2 * _SAMPLES:
         sample = np.unique(np.linspace(0, count - 1, _SAMPLES).astype(np.int64))
-        coupling = _coupling(subdivision, stiffness, mass, values[sample], vectors[:, sample])
+        coupling = _coupling(subdivision, smooth, mass, values[sample], vectors[:, sample])
         sampled = SAFETY * np.diag(coupling) / scale[sample]
         # Errors grow with the index: between two samples take the larger.
         segment = np.searchsorted(sample, np.arange(count), side="right") - 1
@@ -110,7 +110,7 @@ def estimate_errors(
         # From the first pair that is clearly too bad on nothing is kept.
         bad = sample[sampled > 2.0 * tolerance]
         chosen = slice(0, min(count, int(bad[0]) + 1 + count // 10) if len(bad) else count)
-    prediction = predict_next_level(subdivision, stiffness, mass, values[chosen], vectors[:, chosen])
+    prediction = predict_next_level(subdivision, smooth, mass, values[chosen], vectors[:, chosen])
     errors[chosen] = SAFETY * np.maximum(values[chosen] - prediction.values, 0.0) / scale[chosen]
     # Entry s sums the squares of rows from s on and columns before s.
     summed = np.zeros((chosen.stop + 1, chosen.stop + 1))
@@ -121,7 +121,7 @@ def estimate_errors(
 
 def predict_next_level(
     subdivision: sparse.csr_array,
-    stiffness: sparse.csr_array,
+    smooth: Smoother,
     mass: sparse.csr_array,
     values: FloatArray,
     vectors: Block,
@@ -138,7 +138,9 @@ def predict_next_level(
     ----------
     subdivision : (n_{l+1}, n_l) CSR array
         S^l.
-    stiffness, mass : (n_{l+1}, n_{l+1}) CSR arrays
+    smooth : Smoother
+        Of the stiffness matrix of the next level.
+    mass : (n_{l+1}, n_{l+1}) CSR array
         Of the next level.
     values : (m,) array
     vectors : (n_l, m) array
@@ -148,22 +150,22 @@ def predict_next_level(
     -------
     Prediction
     """
-    coupling = _coupling(subdivision, stiffness, mass, values, vectors)
+    coupling = _coupling(subdivision, smooth, mass, values, vectors)
     predicted, rotation = linalg.eigh(np.diag(values) - coupling)
     return Prediction(predicted, rotation)
 
 
 def _coupling(
     subdivision: sparse.csr_array,
-    stiffness: sparse.csr_array,
+    smooth: Smoother,
     mass: sparse.csr_array,
     values: FloatArray,
     vectors: Block,
 ) -> FloatArray:
     """(m, m) energy R^T Z that corrections within level l + 1 gain."""
     prolonged = multiply(subdivision, vectors)
-    residual = residuals(stiffness, mass, prolonged, values)
-    correction = smoother(stiffness)(residual, _STEPS)
+    residual = residuals(smooth.matrix, mass, prolonged, values)
+    correction = smooth(residual, _STEPS)
     energy = np.asarray(residual.T @ correction, dtype=np.float64)
     gained = np.diag(energy)
     # On the correction the operator is W - lambda M rather than W: a Rayleigh quotient mu near lambda gains more.

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import DTypeLike, NDArray
 
 from cagemap.basis.products import multiply
 from cagemap.mesh import FloatArray
@@ -28,7 +31,8 @@ def products_with_bands(
     """
     bands = bands[: level + 1]
     if 4 * sum(band.shape[1] for band in bands) < dual.shape[1]:
-        return _refined(bands, refinement, level).T @ dual
+        # Few columns are refined sooner than many others restricted.
+        return refined_bands(bands, refinement, level).T @ dual
     parts: list[FloatArray] = []
     for coarser in reversed(range(level + 1)):
         if coarser < len(bands):
@@ -38,14 +42,16 @@ def products_with_bands(
     return np.concatenate(parts[::-1]) if parts else np.zeros((0, dual.shape[1]))
 
 
-def _refined(bands: tuple[FloatArray, ...], refinement: Refinement, level: int) -> FloatArray:
-    """(n_level, k) Phi~: where it has few columns, they are refined sooner than many others restricted."""
-    values = np.zeros((refinement.levels[0].n_vertices, 0))
+def refined_bands(
+    bands: tuple[FloatArray, ...], refinement: Refinement, level: int, dtype: DTypeLike = np.float64
+) -> NDArray[Any]:
+    """(n_level, k~_level) Phi~^level, eq. 8: the bands up to a level, refined to it."""
+    values: NDArray[Any] = np.zeros((refinement.levels[0].n_vertices, 0), dtype=dtype)
     for finer in range(level + 1):
         if finer > 0:
             values = multiply(refinement.matrices[finer - 1], values)
         if finer < len(bands):
-            values = np.hstack([values, bands[finer]])
+            values = np.hstack([values, bands[finer].astype(dtype, copy=False)])
     return values
 
 

@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from cagemap.basis.eigen import EigenPairs, counts_agree, shifted_matrix
+from cagemap.basis.eigen import EigenPairs, counts_agree, relative_residuals, shifted_matrix
 from cagemap.basis.factorization import Factorization, Precision, factor
 from cagemap.basis.products import multiply
 from cagemap.basis.ritz import Ritz, extended, rayleigh_quotients, rayleigh_ritz, squared_residuals
 from cagemap.basis.smoothing import Block
+from cagemap.basis.threads import parts
 from cagemap.errors import SolverError
 from cagemap.mesh import FloatArray
 from cagemap.operators import lumped_areas
@@ -93,16 +94,14 @@ def pairs_from_guess(
     values = pairs.values
     if dtype == np.float32 and tolerance < _QUOTIENT_TOLERANCE:
         values = rayleigh_quotients(stiffness, mass, pairs.vectors)
-    norms = np.sqrt(residuals) / np.maximum(values, 4.0 * np.pi / float(areas.sum()))
-    return EigenPairs(values, pairs.vectors, norms, 0)
+    return EigenPairs(values, pairs.vectors, relative_residuals(residuals, values, areas), 0)
 
 
 def _inverse_iterates(shifted: Factorization, mass_vectors: Block, scale: FloatArray) -> Block:
     """(W - sigma M)^{-1} M X, columns scaled by lambda - sigma to keep them of one size; in place of M X."""
     floor = 1e-12 * float(np.abs(scale).max())
     factors = np.where(np.abs(scale) < floor, floor, scale).astype(mass_vectors.dtype)
-    for start in range(0, mass_vectors.shape[1], _COLUMNS):
-        part = slice(start, start + _COLUMNS)
+    for part in parts(mass_vectors.shape[1], _COLUMNS):
         mass_vectors[:, part] = shifted.solve(mass_vectors[:, part]) * factors[part]
     return mass_vectors
 

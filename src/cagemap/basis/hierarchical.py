@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from scipy import linalg, sparse
 
-from cagemap.basis.gram import products_with_bands
+from cagemap.basis.gram import products_with_bands, refined_bands
 from cagemap.basis.products import multiply
+from cagemap.basis.threads import parts
 from cagemap.errors import ParameterError
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.operators import Operators
@@ -99,12 +100,7 @@ def evaluate(
         If there is no such level.
     """
     _check_level(refinement, level)
-    values: NDArray[Any] = basis.bands[0].astype(dtype)
-    for finer in range(1, level + 1):
-        values = multiply(refinement.matrices[finer - 1], values)
-        if finer <= basis.last_level:
-            values = np.hstack([values, basis.bands[finer].astype(dtype)])
-    return values
+    return refined_bands(basis.bands, refinement, level, dtype)
 
 
 def rows(
@@ -182,16 +178,15 @@ def row_blocks(
     n = refinement.levels[level].n_vertices
     base = min(level, basis.last_level)
     dense = evaluate(basis, refinement, base, dtype=dtype)
-    for start in range(0, n, block):
-        stop = min(n, start + block)
+    for part in parts(n, block):
         if level == base:
-            values = dense[start:stop]
+            values = dense[part]
         else:
-            chosen = refinement.matrices[level - 1][start:stop]
+            chosen = refinement.matrices[level - 1][part]
             for coarser in reversed(range(base, level - 1)):
                 chosen = chosen @ refinement.matrices[coarser]
             values = multiply(sparse.csr_array(chosen), dense)
-        yield slice(start, stop), values
+        yield part, values
 
 
 def gram_matrix(basis: HierarchicalBasis, operators: Operators, refinement: Refinement, level: int) -> FloatArray:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import Any, TypeVar
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
+
+from cagemap.basis.threads import core_count, in_threads
 
 # A block of float64 (or of float32 where only a nearest neighbour is asked) gives one of the same type.
 RealArray = TypeVar("RealArray", NDArray[np.float64], NDArray[np.float32], NDArray[Any])
@@ -80,11 +81,7 @@ def in_row_shares(matrix: sparse.csr_array, columns: int, work: Callable[[int, i
         Releases the GIL.
     """
     rows = matrix.shape[0]
-    threads = 1 if matrix.nnz * columns < _PARALLEL_WORK else min(8, os.cpu_count() or 1)
-    if threads == 1:
-        work(0, rows)
-        return
+    threads = 1 if matrix.nnz * columns < _PARALLEL_WORK else min(8, core_count())
     shares = np.linspace(0, matrix.nnz, threads + 1)
-    bounds = np.concatenate([[0], np.searchsorted(matrix.indptr, shares[1:-1]), [rows]])
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(work, bounds[:-1], bounds[1:]))
+    bounds = [0, *np.searchsorted(matrix.indptr, shares[1:-1]).tolist(), rows]
+    in_threads(lambda share: work(*share), list(pairwise(bounds)))

@@ -26,7 +26,7 @@ def fit_shapes(pair: Pair, level: int, config: ElasticConfig = ElasticConfig()) 
     """Both surfaces as the elastic fit sees them: the target's mesh of one level, a coarse level of the source."""
     graph, triangles = level_graph(pair.target, level)
     source = pair.source.refinement
-    lain_on = next((i for i, at in enumerate(source.levels) if at.n_vertices >= SHEET_VERTICES), source.n_levels)
+    lain_on = source.coarsest_level(SHEET_VERTICES)
     positions = pair.source.operators.scale * source.finest.positions[: source.levels[lain_on].n_vertices]
     sheet = Sheet.build(positions, level_triangles(source, lain_on))
     return FitShapes.build(graph, triangles, sheet, pair.target_landmarks, config)
@@ -140,9 +140,7 @@ def facing_points(
     triangle, barycentric : (m,), (m, 3)
     """
     triangle, barycentric, _ = closest_points(tree, points, normals, normal_weight=weights[0])
-    facing = np.empty_like(tree.normals)
-    facing[tree.order] = tree.normals
-    cosine = np.einsum("md,md->m", facing[triangle], normals)
+    cosine = np.einsum("md,md->m", tree.mesh_normals()[triangle], normals)
     away = np.flatnonzero(cosine < LEAST_COSINE)
     if len(away):
         triangle[away], barycentric[away], _ = closest_points(

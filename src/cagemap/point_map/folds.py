@@ -15,7 +15,7 @@ from scipy.sparse import csgraph
 
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.quality import flipped_triangles, map_positions
-from cagemap.point_map.surface_points import TriangleTree, closest_points, normalized, triangle_normals
+from cagemap.point_map.surface_points import TriangleTree, closest_points, normalized
 
 ROUNDS = 6
 SWEEPS = 10
@@ -73,7 +73,7 @@ def unfold(
     -------
     triangle, barycentric : (n1,), (n1, 3)
     """
-    normals = normalized(triangle_normals(source, source_triangles))
+    normals = tree.mesh_normals()
     image = map_positions(source, source_triangles, triangle, barycentric)
     flipped = flipped_triangles(image, target_triangles, normals[triangle])
     if not flipped.any():

@@ -47,12 +47,26 @@ class TriangleTree:
     corners: FloatArray
     normals: FloatArray
 
+    def mesh_normals(self) -> FloatArray:
+        """(t, 3) the unit normals in the order of the mesh."""
+        normals = np.empty_like(self.normals)
+        normals[self.order] = self.normals
+        return normals
+
 
 def triangle_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
     """(t, 3) normals of length twice the area, by the right-hand rule."""
     normals = np.empty((len(triangles), 3))
     _fill_normals(np.ascontiguousarray(positions, dtype=np.float64), triangles, normals)
     return normals
+
+
+def triangle_centres(positions: FloatArray, triangles: IndexArray) -> FloatArray:
+    """(t, 3) means of the triangles' corners."""
+    centres = positions.take(triangles[:, 0], axis=0)
+    for k in (1, 2):
+        centres += positions.take(triangles[:, k], axis=0)
+    return np.asarray(centres / 3.0)
 
 
 def vertex_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
@@ -223,10 +237,7 @@ def _plane_foot(q: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> F
 
 def _leaf_order(positions: FloatArray, triangles: IndexArray, normals: FloatArray) -> IndexArray:
     """(t,) triangles leaf by leaf along a space-filling curve; ``normals`` (t, 3) have length twice the area."""
-    centres = positions.take(triangles[:, 0], axis=0)
-    for k in (1, 2):
-        centres += positions.take(triangles[:, k], axis=0)
-    centres /= 3.0
+    centres = triangle_centres(positions, triangles)
     whole = len(centres) // _LEAF_SIZE * _LEAF_SIZE
     runs = centres[:whole].reshape(-1, _LEAF_SIZE, 3)
     extents = row_lengths(runs.max(axis=1) - runs.min(axis=1)) if whole else np.full(1, np.inf)

@@ -95,6 +95,11 @@ class Refinement:
         """Number of refinement steps L; levels are numbered 0 to L."""
         return len(self.matrices)
 
+    def coarsest_level(self, vertices: int) -> int:
+        """The coarsest level of at least so many vertices; the finest one if none has."""
+        enough = (number for number, level in enumerate(self.levels) if level.n_vertices >= vertices)
+        return next(enough, self.n_levels)
+
     def product(self, fine: int, coarse: int) -> csr_array:
         """``S^{fine,coarse} = S^{fine-1} ... S^{coarse}``, (n_fine, n_coarse); the identity if the levels are equal."""
         self._check_order(fine, coarse)

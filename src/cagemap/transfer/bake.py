@@ -24,7 +24,7 @@ from cagemap.point_map.point_map import PointMap
 from cagemap.refinement import Level
 from cagemap.transfer.dilation import LARGEST_SIDE, dilate
 from cagemap.transfer.locate import MappedSurface, Samples, locate_samples, map_surface, plan_samples
-from cagemap.transfer.surface import TexturedSurface, triangle_neighbors
+from cagemap.transfer.surface import TexturedSurface, triangle_areas, triangle_neighbors
 from cagemap.transfer.texels import GUTTER_RADIUS, Layout, lay_out, rasterize_band
 from cagemap.transfer.texture import Pixels, Wrap, lay_texture, look_up, udim_of, udim_origin
 
@@ -177,7 +177,7 @@ def make_canvas(transfer: Transfer, size: int | tuple[int, int], options: BakeOp
     if not (0 < height <= LARGEST_SIDE and 0 < width <= LARGEST_SIDE):
         raise ParameterError(f"size: expected 1 to {LARGEST_SIDE} texels a side, got {height} x {width}")
     corner_uvs = transfer.target.corner_uvs() - udim_origin(options.tile)
-    finer = options.supersample or _supersample(corner_uvs, height, width)
+    finer = options.supersample or _supersample(transfer.target, height, width)
     if not 1 <= finer <= 16:
         raise ParameterError(f"supersample: expected 1 to 16 samples along a texel's side, got {finer}")
     band_rows = max(1, _BAND_TEXELS // (width * finer * finer)) * finer
@@ -288,10 +288,9 @@ def unit(dtype: np.dtype[Any]) -> float:
     return float(np.iinfo(dtype).max) if dtype.kind == "u" else 1.0
 
 
-def _supersample(corner_uvs: FloatArray, height: int, width: int) -> int:
+def _supersample(target: TexturedSurface, height: int, width: int) -> int:
     """Raster samples along a texel's side, so that a typical triangle holds at least one."""
-    a, b, c = corner_uvs.transpose(1, 2, 0)
-    areas = 0.5 * width * height * np.abs((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0])
+    areas = width * height * triangle_areas(*target.layout())
     areas = areas[areas > 0]
     typical = float(np.median(areas)) if len(areas) else 1.0
     return 1 if typical >= 1.0 else 2 if typical >= 0.25 else 4

@@ -8,15 +8,15 @@ in *one* source triangle, whose own texture coordinates it may then interpolate:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import reduce
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.basis.threads import in_threads
+from cagemap.basis.threads import in_threads, parts
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.point_map import PointMap
+from cagemap.point_map.surface_points import triangle_centres
 from cagemap.transfer.surface import TexturedSurface, triangle_neighbors
 
 _INSIDE = -1e-9
@@ -163,8 +163,7 @@ def locate_samples(
 
 def locate_centers(surface: MappedSurface) -> IndexArray:
     """(t1,) source triangle at the image of every target triangle's centre."""
-    at_corners = (surface.mapped.take(surface.target_triangles[:, k], axis=0) for k in range(3))
-    centers = reduce(np.add, at_corners) / 3.0
+    centers = triangle_centres(surface.mapped, surface.target_triangles)
     found = np.empty(len(centers), dtype=np.int64)
     starts = surface.start_triangles[surface.target_triangles[:, 0]]
     _walk_all(surface.frames, surface.neighbors, starts, centers, found)
@@ -205,7 +204,7 @@ def plan_samples(surface: MappedSurface, layout_corners: FloatArray, source_texe
         # A span up to 1.25 is left to the bilinear filter: an unscaled texture then comes through unblurred.
         planned[part] = np.clip(np.ceil(spans - 0.25), 1, MAX_SAMPLES_PER_AXIS)
 
-    in_threads(plan, [slice(first, first + _PLANNED_AT_ONCE) for first in range(0, len(source), _PLANNED_AT_ONCE)])
+    in_threads(plan, parts(len(source), _PLANNED_AT_ONCE))
     return planned
 
 
