@@ -30,8 +30,10 @@ OVERLAP = 12
 # Levels larger than this start from the pairs of the level below, if those are good to this relative error (safety
 # included) and reach half this many places beyond what is wanted.
 GUESS_ROWS = 12_000
-GUESS_ERROR = 2e-1
+GUESS_ERROR = 5e-1
 GUARDS = 30
+# How many pairs below a window take part in its Rayleigh-Ritz step, in widths of the window; all where it is tight.
+BELOW = 1
 # A correction leaves about the square of an error, a hundred times: where the estimate, safety included, is below this
 # times the root of the tolerance, it meets its share.
 CORRECTION_REACH = 0.4
@@ -218,8 +220,12 @@ def _window(
         # Where the tolerance is near what single precision resolves, double precision is next to try.
         precisions = [working_type(accuracy)] + [np.float64] * (SINGLE_TOLERANCE <= accuracy < NEARLY_DOUBLE)
         for dtype in precisions:
-            guess, values = _guess(growing, level, min(previous.last_index, last + GUARDS), refinement, dtype)
-            pairs = pairs_from_guess(stiffness, mass, guess, values, kept=kept, tolerance=accuracy, dtype=dtype)
+            end = min(previous.last_index, last + GUARDS)
+            start = max(0, first - BELOW * (end - first)) if config.tolerance > CORRECTION_TOLERANCE else 0
+            guess, values = _guess(growing, level, start, end, refinement, dtype)
+            pairs = pairs_from_guess(
+                stiffness, mass, guess, values, first_index=start, kept=kept, tolerance=accuracy, dtype=dtype
+            )
             if pairs is not None:
                 return pairs
     # The coarser level's pairs in that range, mixed at random, are a block rich in what is sought; a little noise makes
@@ -239,23 +245,22 @@ def _guess_is_good(growing: _Growing, first: int, last: int, rows: int, config: 
         and rows > GUESS_ROWS
         and growing.top_error < GUESS_ERROR
         and growing.pairs.last_index >= min(last, config.count) + GUARDS // 2
-        and 4 * (config.count - first) > config.count
     )
 
 
 def _guess(
-    growing: _Growing, level: int, last: int, refinement: Refinement, dtype: Precision
+    growing: _Growing, level: int, start: int, end: int, refinement: Refinement, dtype: Precision
 ) -> tuple[Block, FloatArray]:
-    """The lowest pairs of the level below, refined: what it has computed, and below that the basis itself.
+    """Pairs start..end of the level below, refined: what it has computed, and below that the basis itself.
 
-    All from 0 on, so that what the iteration mixes into a pair can only come from above.
+    More than are wanted at the lower end, so that what the iteration mixes into a pair can only come from above.
     """
     assert growing.pairs is not None
-    pairs = growing.pairs.part(growing.pairs.first_index, last)
-    vectors, values = _lowest(growing, last, level - 1, refinement), pairs.values
+    pairs = growing.pairs.part(growing.pairs.first_index, end)
+    vectors, values = _lowest(growing, end, level - 1, refinement)[:, start:], pairs.values
     if pairs.first_index > 0:
         values = np.concatenate([np.sort(growing.values[: pairs.first_index]), values])
-    return multiply(refinement.matrices[level - 1], vectors.astype(dtype, copy=False)), values
+    return multiply(refinement.matrices[level - 1], vectors.astype(dtype, copy=False)), values[start:]
 
 
 def _lowest(growing: _Growing, last: int, level: int, refinement: Refinement) -> Block:

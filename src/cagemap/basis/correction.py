@@ -10,7 +10,7 @@ from scipy.sparse import csgraph
 
 from cagemap.basis.eigen import EigenPairs, relative_residuals, shifted_matrix
 from cagemap.basis.factorization import factor
-from cagemap.basis.guess import working_type
+from cagemap.basis.guess import gap_after, working_type
 from cagemap.basis.products import multiply
 from cagemap.basis.ritz import Ritz, extended, rayleigh_quotients, rayleigh_ritz, squared_residuals
 from cagemap.basis.smoothing import Block, Smoother, residuals, smoother
@@ -27,8 +27,6 @@ _COLUMNS = 64
 _CHECKED = 24
 _MOST_AGAIN = 96
 _ROUNDS = 4
-# The gap for the count is sought among so many guards.
-_NEAR = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +175,7 @@ def improved(
     block, errors = correction.corrected(vectors, values, fixed)
     try:
         pairs = rayleigh_ritz(block, multiply(stiffness, block), multiply(mass, block))
-        shift = _gap_after(np.sort(np.concatenate([others, pairs.values])), end - first_index)
+        shift = gap_after(np.sort(np.concatenate([others, pairs.values])), end - first_index)
         shifted = factor(shifted_matrix(stiffness, mass, shift))
     except SolverError:  # on an eigenvalue, or dependent columns
         return None
@@ -195,10 +193,3 @@ def improved(
             return pairs if shifted.negative_eigenvalues in (None, found) else None
         pairs = extended(pairs, correction.without(fixed, added[:, again]), stiffness, mass)
     return None
-
-
-def _gap_after(values: FloatArray, end: int) -> float:
-    """A place in the widest gap from just before index ``end`` to a few pairs on."""
-    low, high = max(0, end - 1), min(len(values), end + _NEAR)
-    gap = low + int(np.argmax(np.diff(values[low:high])))
-    return float(0.5 * (values[gap] + values[gap + 1]))

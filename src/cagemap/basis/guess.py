@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from cagemap.basis.eigen import EigenPairs, counts_agree, relative_residuals, shifted_matrix
 from cagemap.basis.factorization import Factorization, Precision, factor
 from cagemap.basis.products import multiply
-from cagemap.basis.ritz import Ritz, extended, rayleigh_quotients, rayleigh_ritz, squared_residuals
+from cagemap.basis.ritz import Ritz, extended, rayleigh_quotients, ritz_rotation, rotated, squared_residuals
 from cagemap.basis.smoothing import Block
 from cagemap.basis.threads import parts
 from cagemap.errors import SolverError
@@ -22,6 +21,12 @@ SINGLE_TOLERANCE = 1e-6
 _QUOTIENT_TOLERANCE = 1e-4
 # Columns solved for at once: what fits a cache.
 _COLUMNS = 64
+# Pairs just outside of the ones wanted: those below are iterated too, those above searched for a gap.
+_NEAR = 8
+# Share of the tolerance from which on a pair gets a direction of its own if others need one.
+_NEARLY = 0.3
+# The largest error may grow a little from round to round as pairs change places, not more.
+_DIVERGED = 10.0
 # Most pairs that get a direction of their own in one round.
 _MOST_ADDED = 96
 
@@ -37,6 +42,7 @@ def pairs_from_guess(
     guess: Block,
     guess_values: FloatArray,
     *,
+    first_index: int = 0,
     kept: tuple[int, int] | None = None,
     tolerance: float = 1e-6,
     max_rounds: int = 6,
@@ -44,9 +50,10 @@ def pairs_from_guess(
 ) -> EigenPairs | None:
     """Lowest eigenpairs from prolonged ones.
 
-    One block inverse iteration (W - sigma M)^{-1} M with Rayleigh-Ritz; then Rayleigh-Ritz again with an inverse
-    iterate more of each pair that is not good enough yet. A bound of Kato and Temple ends it, and the inertia of
-    W - tau M, tau in a gap near the last pair kept, proves that none was missed.
+    One block inverse iteration (W - sigma M)^{-1} M with Rayleigh-Ritz; then Rayleigh-Ritz again with a further
+    direction (W - tau M)^{-1} r, tau in a gap near the last pair kept, for each pair that is not good enough yet. A
+    bound of Kato and Temple ends it, and the inertia of W - tau M proves that none was missed. Vectors well below the
+    pairs wanted take part in Rayleigh-Ritz as they are: without them the window would drift down to them.
 
     Parameters
     ----------
@@ -55,8 +62,11 @@ def pairs_from_guess(
         Approximate lowest eigenvectors, guards at the upper end included.
     guess_values : (m,) array
         Their approximate eigenvalues, ascending.
+    first_index : int
+        Index of the first of them in the spectrum; those that are not given should be far from the ones wanted.
     kept : (int, int), optional
-        Range of indices that must be accurate; those above are guards. Default: all.
+        Range of indices that must be accurate; those above are guards, those below are not returned.
+        Default: all.
     tolerance : float
         Relative accuracy of the eigenvalues kept.
     max_rounds : int
@@ -69,32 +79,51 @@ def pairs_from_guess(
         None if the guess was not good enough: the iteration has not converged, or the inertia says that an eigenvalue
         was missed. Compute that level from nothing instead.
     """
-    first, last = (0, len(guess_values)) if kept is None else kept
+    start, end = first_index, first_index + len(guess_values)
+    first, last = (start, end) if kept is None else kept
+    window = slice(first - start, None)
     dtype = working_type(tolerance) if dtype is None else dtype
-    shift = _widest_gap(guess_values, first, last)
+    shift = _widest_gap(guess_values, first - start, last - start)
     areas = lumped_areas(mass)
+    iterated = slice(max(0, first - start - _NEAR), None)
     try:
         shifted = factor(shifted_matrix(stiffness, mass, shift), dtype=dtype)
-        images = _inverse_iterates(shifted, multiply(mass, guess.astype(dtype, copy=False)), guess_values - shift)
-        pairs = rayleigh_ritz(images, multiply(stiffness, images), multiply(mass, images))
+        block = guess.astype(dtype)
+        mass_vectors = multiply(mass, np.ascontiguousarray(block[:, iterated]))
+        block[:, iterated] = _inverse_iterates(shifted, mass_vectors, guess_values[iterated] - shift)
+        blocks = (block, multiply(stiffness, block), multiply(mass, block))
+        values, rotation = ritz_rotation(*blocks)
+        pairs = Ritz(values[window], *(rotated(part, rotation[:, window]) for part in blocks))
+        del block, blocks
+        upper: Factorization | None = None
+        bound, before = -np.inf, np.inf
         for _ in range(max_rounds):
             residuals = squared_residuals(pairs, areas)
-            errors = _kato_temple(residuals, pairs.values)[first:last]
+            errors = _kato_temple(residuals, pairs.values)[: last - first]
             if np.all(errors <= tolerance):
                 break
+            if errors.max() > _DIVERGED * before:  # rounding has taken over
+                return None
+            before = errors.max()
+            if upper is None:
+                # What is not good enough yet mostly lies next to the guards, far from the first shift.
+                bound = gap_after(pairs.values, min(last - first, len(pairs.values) - 1))
+                upper = factor(shifted_matrix(stiffness, mass, bound), like=shifted)
             # Pairs that are nearly good enough come along.
-            worst = np.argsort(-errors)[: min(_MOST_ADDED, int(np.sum(errors > 0.3 * tolerance)))]
-            pairs = _add_directions(pairs, first + worst, stiffness, mass, shifted, shift)
+            worst = np.argsort(-errors)[: min(_MOST_ADDED, int(np.sum(errors > _NEARLY * tolerance)))]
+            added = upper.solve(pairs.residuals(worst)).astype(dtype)
+            pairs = extended(pairs, added, stiffness, mass)
         else:
             return None
-        if last < len(pairs.values) and not counts_agree(stiffness, mass, pairs.values, 0, shifted, last):
+        counted = upper is not None and upper.negative_eigenvalues == first + np.sum(pairs.values < bound)
+        if last < end and not (counted or counts_agree(stiffness, mass, pairs.values, first, shifted, last)):
             return None
     except SolverError:  # on an eigenvalue, or a guess with the same function twice
         return None
     values = pairs.values
     if dtype == np.float32 and tolerance < _QUOTIENT_TOLERANCE:
         values = rayleigh_quotients(stiffness, mass, pairs.vectors)
-    return EigenPairs(values, pairs.vectors, relative_residuals(residuals, values, areas), 0)
+    return EigenPairs(values, pairs.vectors, relative_residuals(residuals, values, areas), first)
 
 
 def _inverse_iterates(shifted: Factorization, mass_vectors: Block, scale: FloatArray) -> Block:
@@ -104,19 +133,6 @@ def _inverse_iterates(shifted: Factorization, mass_vectors: Block, scale: FloatA
     for part in parts(mass_vectors.shape[1], _COLUMNS):
         mass_vectors[:, part] = shifted.solve(mass_vectors[:, part]) * factors[part]
     return mass_vectors
-
-
-def _add_directions(
-    pairs: Ritz,
-    chosen: NDArray[np.int64],
-    stiffness: sparse.csr_array,
-    mass: sparse.csr_array,
-    shifted: Factorization,
-    shift: float,
-) -> Ritz:
-    """Rayleigh-Ritz on the pairs and one more inverse iterate of the chosen ones."""
-    mass_vectors = np.ascontiguousarray(pairs.mass_vectors[:, chosen])
-    return extended(pairs, _inverse_iterates(shifted, mass_vectors, pairs.values[chosen] - shift), stiffness, mass)
 
 
 def _kato_temple(squares: FloatArray, values: FloatArray) -> FloatArray:
@@ -138,3 +154,10 @@ def _widest_gap(values: FloatArray, first: int, last: int) -> float:
     gap = low + int(np.argmax(np.diff(values[low:high])))
     # Refined eigenvalues lie below their guesses: stay in the lower half of the gap's upper side.
     return float(values[gap] + 0.4 * (values[gap + 1] - values[gap]))
+
+
+def gap_after(values: FloatArray, end: int) -> float:
+    """A place in the widest gap from just before index ``end`` to a few pairs on."""
+    low, high = max(0, end - 1), min(len(values), end + _NEAR)
+    gap = low + int(np.argmax(np.diff(values[low:high])))
+    return float(0.5 * (values[gap] + values[gap + 1]))

@@ -50,14 +50,14 @@ def new_directions(
         return np.eye(m), np.arange(m)
     # In an orthonormal basis of the prolonged span a squared column norm is the share of a vector inside that span.
     inside = linalg.solve_triangular(linalg.cholesky(gram, lower=True), overlap, lower=True)
-    rotation = np.zeros((m, m))
-    share = np.empty(m)
+    rotation = np.eye(m)
+    share = np.sum(inside**2, axis=0)
     labels = clusters(values)
-    for label in range(labels[-1] + 1):
+    for label in np.flatnonzero(np.bincount(labels) > 1):
         members = np.flatnonzero(labels == label)
         squares, turn = linalg.eigh(inside[:, members].T @ inside[:, members])
         if squares[0] > 0.5 or squares[-1] < 0.5:  # not cut: its vectors stay as they are
-            squares, turn = np.sum(inside[:, members] ** 2, axis=0)[::-1], np.eye(len(members))[:, ::-1]
+            continue
         # Ascending shares: turn them round so that the missing directions come last, next to the following pairs.
         share[members] = squares[::-1]
         rotation[np.ix_(members, members)] = turn[:, ::-1]

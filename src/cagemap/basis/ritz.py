@@ -40,6 +40,12 @@ class Ritz:
 
 def rayleigh_ritz(block: Block, stiffness_block: Block, mass_block: Block) -> Ritz:
     """Best approximations of eigenpairs within the span of a block: X^T W X c = theta X^T M X c. Works in place."""
+    values, rotation = ritz_rotation(block, stiffness_block, mass_block)
+    return Ritz(values, *(rotated(part, rotation) for part in (block, stiffness_block, mass_block)))
+
+
+def ritz_rotation(block: Block, stiffness_block: Block, mass_block: Block) -> tuple[FloatArray, FloatArray]:
+    """(q,) theta ascending and (q, q) c of X^T W X c = theta X^T M X c, from X, W X and M X."""
     stiffness_gram, mass_gram = gram(block, stiffness_block), gram(block, mass_block)
     sizes = np.sqrt(np.diag(mass_gram))
     # Columns near eigenvectors are nearly orthogonal; whether rounding lets a dependent one pass is chance.
@@ -49,9 +55,7 @@ def rayleigh_ritz(block: Block, stiffness_block: Block, mass_block: Block) -> Ri
             "the guess holds a vector twice"
         )
     values, rotation = linalg.eigh(stiffness_gram, mass_gram, driver="gvd")
-    for part in (block, stiffness_block, mass_block):
-        rotate(part, rotation)
-    return Ritz(values, block, stiffness_block, mass_block)
+    return values, rotation
 
 
 def extended(pairs: Ritz, added: Block, stiffness: sparse.csr_array, mass: sparse.csr_array) -> Ritz:
@@ -76,28 +80,32 @@ def extended(pairs: Ritz, added: Block, stiffness: sparse.csr_array, mass: spars
         (pairs.stiffness_vectors, stiffness_added),
         (pairs.mass_vectors, mass_added),
     )
-    for old, extra in blocks:
-        rotate(old, rotation[:count, :count], extra, rotation[count:, :count])
-    return Ritz(values[:count], *(old for old, _ in blocks))
+    turned = (rotated(old, rotation[:count, :count], extra, rotation[count:, :count]) for old, extra in blocks)
+    return Ritz(values[:count], *turned)
 
 
 def gram(left: Block, right: Block, *, symmetric: bool = True) -> FloatArray:
-    """X^T Y in double precision, some rows at a time."""
+    """X^T Y in double precision, some rows at a time; of a symmetric one no more than half is computed."""
     total = np.zeros((left.shape[1], right.shape[1]))
+    columns = parts(left.shape[1], _COLUMNS) if symmetric else [slice(0, left.shape[1])]
     for rows in parts(len(left), _ROWS):
-        total += left[rows].T @ right[rows]
-    return 0.5 * (total + total.T) if symmetric else total
+        for part in columns:
+            beyond = slice(part.start if symmetric else 0, None)
+            total[part, beyond] += left[rows, part].T @ right[rows, beyond]
+    return np.triu(total) + np.triu(total, 1).T if symmetric else total
 
 
-def rotate(block: Block, rotation: FloatArray, extra: Block | None = None, extra_rotation: Any = None) -> None:
-    """X <- X Q, or X Q + Y P, in place, some rows at a time."""
+def rotated(block: Block, rotation: FloatArray, extra: Block | None = None, extra_rotation: Any = None) -> Block:
+    """X Q, or X Q + Y P, some rows at a time; in the memory of X, which is lost, where Q is square."""
     turn = rotation.astype(block.dtype)
     extra_turn = None if extra is None else extra_rotation.astype(block.dtype)
+    turned = block if rotation.shape[1] == block.shape[1] else np.empty((len(block), rotation.shape[1]), block.dtype)
     for rows in parts(len(block), _ROWS):
         product = block[rows] @ turn
         if extra is not None:
             product += extra[rows] @ extra_turn
-        block[rows] = product
+        turned[rows] = product
+    return turned
 
 
 def rayleigh_quotients(stiffness: sparse.csr_array, mass: sparse.csr_array, vectors: Block) -> FloatArray:
