@@ -80,6 +80,21 @@ def test_only_isolated_bad_pairs_go_to_the_finest_level(creature):
     np.testing.assert_allclose(kept.T @ (correction.mass @ band), 0.0, rtol=0, atol=1e-5)
 
 
+def test_errors_that_smoothing_underrates_are_found_by_solves(creature, monkeypatch):
+    """As on slivers, where a pair was wrong by 2.4 times the tolerance; here smoothing sees a third of every error."""
+    correction, coarse, exact = creature
+    errors = relative(coarse.values, exact.values)[: KEPT - 1]
+    tolerance = float(np.quantile(errors, 0.75))
+    honest = Correction.gains
+    monkeypatch.setattr(Correction, "gains", lambda *a: 0.3 * honest(*a))
+    fixed = np.zeros((len(coarse.vectors), 0))
+    split = split_isolated(correction, coarse.vectors, coarse.values, fixed, 0, KEPT, tolerance, 1.0)
+    places = np.setdiff1d(np.arange(KEPT), split.places)
+    kept = coarse.values[split.kept] / np.maximum(exact.values[places], 1e-3 * exact.values[-1])
+    assert np.max(kept[1:] - 1.0) < tolerance
+    assert np.all(split.errors <= tolerance)
+
+
 def test_pairs_out_of_reach_are_left_to_others(creature):
     correction, coarse, _ = creature
     arguments = correction, coarse.vectors, coarse.values, np.zeros((len(coarse.vectors), 0)), 0, KEPT

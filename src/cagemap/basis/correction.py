@@ -9,7 +9,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from cagemap.basis.eigen import EigenPairs, relative_residuals, shifted_matrix
-from cagemap.basis.factorization import factor
+from cagemap.basis.factorization import Factorization, factor
 from cagemap.basis.guess import gap_after, working_type
 from cagemap.basis.products import multiply
 from cagemap.basis.ritz import Ritz, extended, rayleigh_quotients, rayleigh_ritz, squared_residuals
@@ -27,6 +27,14 @@ _COLUMNS = 64
 _CHECKED = 24
 _MOST_AGAIN = 96
 _ROUNDS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """W - tau M of level l + 1, factored, tau in a gap near the last pair wanted."""
+
+    shift: float
+    shifted: Factorization
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +91,16 @@ class Correction:
             block[:, part] = prolonged - self.without(fixed, change)
         return block, gains
 
+    def bound(self, values: FloatArray, end: int) -> Bound:
+        """Of eigenvalues in any order, where index ``end`` is the first that is not wanted."""
+        shift = gap_after(np.sort(values), end)
+        return Bound(shift, factor(shifted_matrix(self.stiffness, self.mass, shift)))
+
+    def errors(self, vectors: Block, values: FloatArray, bound: Bound) -> FloatArray:
+        """(m,) how far each eigenvalue of level l is from level l + 1, by solves."""
+        residual = residuals(self.stiffness, self.mass, multiply(self.subdivision, vectors), values)
+        return np.abs(np.einsum("ij,ij->j", residual, bound.shifted.solve(residual)))
+
     def without(self, fixed: Block, block: Block) -> Block:
         """A block of level l + 1 less its part along orthonormal functions of level l."""
         if not fixed.shape[1]:
@@ -138,6 +156,7 @@ def improved(
     first_index: int,
     end: int,
     tolerance: float,
+    bound: Bound | None = None,
 ) -> Ritz | None:
     """Eigenpairs of level l + 1 near some of level l, by corrections and Rayleigh-Ritz.
 
@@ -164,6 +183,8 @@ def improved(
         Index after the last pair wanted.
     tolerance : float
         Relative.
+    bound : Bound, optional
+        W - tau M, if it is factored already.
 
     Returns
     -------
@@ -175,8 +196,8 @@ def improved(
     block, errors = correction.corrected(vectors, values, fixed)
     try:
         pairs = rayleigh_ritz(block, multiply(stiffness, block), multiply(mass, block))
-        shift = gap_after(np.sort(np.concatenate([others, pairs.values])), end - first_index)
-        shifted = factor(shifted_matrix(stiffness, mass, shift))
+        if bound is None:
+            bound = correction.bound(np.concatenate([others, pairs.values]), end - first_index)
     except SolverError:  # on an eigenvalue, or dependent columns
         return None
     scale = np.maximum(pairs.values, 1e-3 * pairs.values[-1])
@@ -185,11 +206,11 @@ def improved(
         # Those that were worst to begin with are looked at first.
         worst = inside[np.argsort(-errors[inside])[:batch]]
         residual = pairs.residuals(worst)
-        added = shifted.solve(residual).astype(residual.dtype)
+        added = bound.shifted.solve(residual).astype(residual.dtype)
         errors[worst] = np.abs(np.einsum("ij,ij->j", residual, added)) / scale[worst]
         again = errors[worst] > tolerance
         if not again.any():
-            found = first_index + np.sum(others < shift) + np.sum(pairs.values < shift)
-            return pairs if shifted.negative_eigenvalues in (None, found) else None
+            found = first_index + np.sum(others < bound.shift) + np.sum(pairs.values < bound.shift)
+            return pairs if bound.shifted.negative_eigenvalues in (None, found) else None
         pairs = extended(pairs, correction.without(fixed, added[:, again]), stiffness, mass)
     return None

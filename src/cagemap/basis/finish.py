@@ -9,6 +9,7 @@ import numpy as np
 from cagemap.basis.correction import STEPS, Correction, improved
 from cagemap.basis.guess import working_type
 from cagemap.basis.smoothing import Block
+from cagemap.errors import SolverError
 from cagemap.mesh import FloatArray, IndexArray
 
 # Steps that tell which pairs are clearly good; their gains were 0.7 to 1.2 of the true errors.
@@ -16,6 +17,8 @@ _ROUGH_STEPS = 2
 _ROUGH_SAFETY = 2.0
 # The gains of all steps are 8 % low.
 _CAREFUL_SAFETY = 1.25
+# Pairs whose errors are checked by solves.
+_DOUBTFUL = 8
 # Share of the tolerance that the corrected pairs may be off.
 _SHARE = 0.25
 
@@ -85,9 +88,19 @@ def split_isolated(
     errors[unclear] = (
         _CAREFUL_SAFETY * correction.gains(np.ascontiguousarray(vectors[:, unclear]), values[unclear], STEPS)
     ) / scale[unclear]
-    predicted = values - errors * scale
     if errors.max() > reach:
         return None
+    try:
+        bound = correction.bound(values - errors * scale, wanted)
+    except SolverError:  # on an eigenvalue
+        return None
+    # Smoothing does not reach all that slivers lack: solves tell for the least certain of the pairs to keep.
+    clear = np.flatnonzero(errors <= tolerance)
+    doubtful = clear[np.argsort(-errors[clear])[:_DOUBTFUL]]
+    if len(doubtful):
+        exact = correction.errors(np.ascontiguousarray(vectors[:, doubtful]), values[doubtful], bound) / scale[doubtful]
+        errors *= max(1.0, float(np.max(exact / errors[doubtful])))
+    predicted = values - errors * scale
     # Guards as bad as the others take part, or these could not get orthogonal to what guards ought to be.
     bad = np.flatnonzero(errors > tolerance)
     # Pairs that may end below the last one wanted have to be accurate.
@@ -105,6 +118,7 @@ def split_isolated(
         first_index,
         first_index + wanted,
         _SHARE * tolerance,
+        bound,
     )
     if pairs is None:
         return None

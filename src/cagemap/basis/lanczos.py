@@ -123,7 +123,7 @@ def shift_invert_lanczos(
     projected = np.zeros((capacity, capacity))
     basis[:, :width], mass_basis[:, :width], _ = orthonormal_block(block, mass, rng, basis[:, :0], mass_basis[:, :0])
     size = width
-    next_check = int(1.4 * wanted) + 2 * width
+    next_check = int(1.7 * wanted)
     # Ascending 1 / (lambda - shift): outermost below and outermost above stand side by side.
     allowed = np.full(wanted, tolerance)
     allowed[below - min(loose[0], below) : below + min(loose[1], above)] = max(LOOSE, tolerance)
