@@ -10,7 +10,7 @@ import numpy as np
 from cagemap.basis import Surface, rows
 from cagemap.basis.threads import in_threads
 from cagemap.mesh import FloatArray, IndexArray
-from cagemap.point_map.elastic import ElasticConfig, fit
+from cagemap.point_map.elastic import ElasticConfig, RestShape, coarse_fit, fit
 from cagemap.point_map.elastic_map import finest_surface, fit_shapes, level_graph, project, refined_positions
 from cagemap.point_map.elastic_update import respond
 from cagemap.point_map.hierarchical import HierarchyConfig, Pair, Progress, descriptor_map, grown_map, search_levels
@@ -48,16 +48,23 @@ def refined_map(pair: Pair, config: RefinedConfig, progress: Progress = lambda s
     """
     levels = search_levels(pair, config.hierarchy)
     on_source, triangles = finest_surface(pair.source)
-    with ThreadPoolExecutor(1) as aside:
-        tree = aside.submit(build_tree, on_source, triangles)  # the projection's; until then a core is free
-        progress("functional map")
-        shapes = fit_shapes(pair, levels[0], config.elastic)
+    places = on_source[pair.source_landmarks]
+    elastic = config.elastic
+    progress("functional map")
+    shapes = fit_shapes(pair, levels[0], elastic)
+    with ThreadPoolExecutor(1) as aside:  # what does not need the functional map, in the order in which it is asked for
+        coarse = aside.submit(RestShape.build, shapes.coarse, None, elastic.coarse.smoothing)
+        blind = aside.submit(lambda: coarse_fit(coarse.result(), shapes.sheet, None, places, elastic))
+        fine = aside.submit(RestShape.build, shapes.graph, shapes.triangles, elastic.fine.smoothing)
+        tree = aside.submit(build_tree, on_source, triangles)
         match = start_map(pair, levels, shapes.vertices, shapes.coarse.areas, config.hierarchy)
         progress("elastic fit")
-        fitted = fit(shapes, on_source[match], pair.target_landmarks, on_source[pair.source_landmarks], config.elastic)
+        guided = coarse_fit(coarse.result(), shapes.sheet, on_source[match], places, elastic)
+        started = guided, blind.result()
+        fitted = fit(shapes, fine.result(), started, pair.target_landmarks, places, elastic)
         progress("projection")
         positions = refined_positions(pair.target.refinement, levels[0], fitted)
-        return project(positions, pair, tree.result(), config.elastic)
+        return project(positions, pair, tree.result(), elastic)
 
 
 def updated_map(
