@@ -71,10 +71,19 @@ def triangle_centres(positions: FloatArray, triangles: IndexArray) -> FloatArray
 
 def vertex_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
     """(n, 3) unit vertex normals, area-weighted means of the adjacent triangles' normals."""
-    per_triangle = triangle_normals(positions, triangles)
-    corners = triangles.ravel()
-    sums = [np.bincount(corners, np.repeat(per_triangle[:, d], 3), minlength=len(positions)) for d in range(3)]
-    return normalized(np.column_stack(sums).astype(np.float64))
+    sums = np.zeros((len(positions), 3))
+    _add_rings(np.ascontiguousarray(positions, dtype=np.float64), triangles, sums)
+    return normalized(sums)
+
+
+def ring_sums(positions: FloatArray, triangles: IndexArray, count: int) -> FloatArray:
+    """(count, 6) sums over the triangles around each of the first vertices.
+
+    Columns: the normals of length twice the area, the areas, the means of the edges' lengths, and ones.
+    """
+    sums = np.zeros((count, 6))
+    _add_rings(np.ascontiguousarray(positions, dtype=np.float64), triangles, sums)
+    return sums
 
 
 def row_lengths(vectors: FloatArray) -> FloatArray:
@@ -283,6 +292,28 @@ def _fill_normals(positions, triangles, normals):  # type: ignore[no-untyped-def
         normals[t, 0] = uy * vz - uz * vy
         normals[t, 1] = uz * vx - ux * vz
         normals[t, 2] = ux * vy - uy * vx
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _add_rings(positions, triangles, sums):  # type: ignore[no-untyped-def]
+    """Add every triangle's normal, and what else `ring_sums` has columns for, to the rows of its corners."""
+    added = np.ones(6)
+    for t in range(len(triangles)):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        ax, ay, az = positions[a, 0], positions[a, 1], positions[a, 2]
+        ux, uy, uz = positions[b, 0] - ax, positions[b, 1] - ay, positions[b, 2] - az
+        vx, vy, vz = positions[c, 0] - ax, positions[c, 1] - ay, positions[c, 2] - az
+        added[0], added[1], added[2] = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        if sums.shape[1] > 3:
+            wx, wy, wz = vx - ux, vy - uy, vz - uz
+            edges = np.sqrt(vx * vx + vy * vy + vz * vz) + np.sqrt(ux * ux + uy * uy + uz * uz)
+            added[3] = 0.5 * np.sqrt(added[0] * added[0] + added[1] * added[1] + added[2] * added[2])
+            added[4] = (edges + np.sqrt(wx * wx + wy * wy + wz * wz)) / 3.0
+        for k in range(3):
+            corner = triangles[t, k]
+            if corner < len(sums):
+                for i in range(sums.shape[1]):
+                    sums[corner, i] += added[i]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
