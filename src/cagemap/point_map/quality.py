@@ -17,6 +17,7 @@ from cagemap.basis.threads import in_threads, parts
 from cagemap.errors import ParameterError
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.surface_points import (
+    CACHED,
     build_tree,
     closest_points,
     normalized,
@@ -30,7 +31,6 @@ FLIPPED_TOLERANCE = 5e-3  # of the target's area
 COVERAGE_TOLERANCE = 0.98  # of the source's area
 TRUSTED_STRETCH = 2.0  # up to this stretch or compression (relative to isometry) a map is fully trusted
 COVERAGE_SAMPLES = 50_000
-CACHED = 16_384  # triangles or points whose figures stay within a core's cache from one array operation to the next
 
 
 @dataclass(frozen=True)

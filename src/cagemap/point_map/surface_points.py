@@ -14,9 +14,11 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.basis.threads import core_count, in_threads
+from cagemap.basis.threads import core_count, in_threads, parts
 from cagemap.errors import ParameterError
 from cagemap.mesh import FloatArray, IndexArray
+
+CACHED = 16_384  # triangles or points whose figures stay within a core's cache from one array operation to the next
 
 _LEAF_SIZE = 8
 _STACK_SIZE = 64
@@ -72,7 +74,7 @@ def triangle_centres(positions: FloatArray, triangles: IndexArray) -> FloatArray
 def vertex_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
     """(n, 3) unit vertex normals, area-weighted means of the adjacent triangles' normals."""
     sums = np.zeros((len(positions), 3))
-    _add_rings(np.ascontiguousarray(positions, dtype=np.float64), triangles, sums)
+    _add_to_corners(triangles, triangle_normals(positions, triangles), sums)
     return normalized(sums)
 
 
@@ -82,7 +84,14 @@ def ring_sums(positions: FloatArray, triangles: IndexArray, count: int) -> Float
     Columns: the normals of length twice the area, the areas, the means of the edges' lengths, and ones.
     """
     sums = np.zeros((count, 6))
-    _add_rings(np.ascontiguousarray(positions, dtype=np.float64), triangles, sums)
+    for part in parts(len(triangles), CACHED):
+        near = triangles[part]
+        near = near[(near < count).any(axis=1)]
+        normals = triangle_normals(positions, near)
+        corners = [positions.take(near[:, k], axis=0) for k in range(3)]
+        edges = sum(row_lengths(corners[k] - corners[k - 1]) for k in range(3)) / 3
+        figures = np.column_stack([normals, 0.5 * row_lengths(normals), edges, np.ones(len(near))])
+        _add_to_corners(near, figures, sums)
     return sums
 
 
@@ -197,8 +206,8 @@ def closest_points(
             (found, barycentric, squared),
         )
 
-    parts = 1 if len(queries) < _CHUNK else min(8 * core_count(), -(-len(queries) // _CHUNK))
-    in_threads(search, np.array_split(sequence, parts))
+    pieces = 1 if len(queries) < _CHUNK else min(8 * core_count(), -(-len(queries) // _CHUNK))
+    in_threads(search, np.array_split(sequence, pieces))
     triangle = np.where(found >= 0, tree.order[found], -1)
     return triangle, barycentric, np.sqrt(squared)
 
@@ -295,25 +304,14 @@ def _fill_normals(positions, triangles, normals):  # type: ignore[no-untyped-def
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _add_rings(positions, triangles, sums):  # type: ignore[no-untyped-def]
-    """Add every triangle's normal, and what else `ring_sums` has columns for, to the rows of its corners."""
-    added = np.ones(6)
+def _add_to_corners(triangles, values, sums):  # type: ignore[no-untyped-def]
+    """Add every triangle's row to the rows of its corners, of those that have one."""
     for t in range(len(triangles)):
-        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        ax, ay, az = positions[a, 0], positions[a, 1], positions[a, 2]
-        ux, uy, uz = positions[b, 0] - ax, positions[b, 1] - ay, positions[b, 2] - az
-        vx, vy, vz = positions[c, 0] - ax, positions[c, 1] - ay, positions[c, 2] - az
-        added[0], added[1], added[2] = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        if sums.shape[1] > 3:
-            wx, wy, wz = vx - ux, vy - uy, vz - uz
-            edges = np.sqrt(vx * vx + vy * vy + vz * vz) + np.sqrt(ux * ux + uy * uy + uz * uz)
-            added[3] = 0.5 * np.sqrt(added[0] * added[0] + added[1] * added[1] + added[2] * added[2])
-            added[4] = (edges + np.sqrt(wx * wx + wy * wy + wz * wz)) / 3.0
         for k in range(3):
             corner = triangles[t, k]
             if corner < len(sums):
-                for i in range(sums.shape[1]):
-                    sums[corner, i] += added[i]
+                for i in range(values.shape[1]):
+                    sums[corner, i] += values[t, i]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -418,25 +416,26 @@ def _search(tree, asked, options, sequence, answers):  # type: ignore[no-untyped
         size = 1
         while size > 0 or climb > 0:
             if size == 0:
-                sibling = climb + 1 if climb % 2 == 1 else climb - 1
+                node = climb + 1 if climb % 2 == 1 else climb - 1
                 climb = (climb - 1) // 2
-                nodes[0], bounds[0] = sibling, _box_cost(boxes, sibling, x, y, z, nx, ny, nz, weight2)
-                size = 1
-            size -= 1
-            node = nodes[size]
-            if bounds[size] >= best:
+                bound = _box_cost(boxes, node, x, y, z, nx, ny, nz, weight2)
+            else:
+                size -= 1
+                node, bound = nodes[size], bounds[size]
+            if bound >= best:
                 continue
-            if node < first_leaf:
-                left, right = 2 * node + 1, 2 * node + 2
-                dl = _box_cost(boxes, left, x, y, z, nx, ny, nz, weight2)
-                dr = _box_cost(boxes, right, x, y, z, nx, ny, nz, weight2)
-                if dl < dr:
-                    nodes[size], bounds[size] = right, dr
-                    nodes[size + 1], bounds[size + 1] = left, dl
-                else:
-                    nodes[size], bounds[size] = left, dl
-                    nodes[size + 1], bounds[size + 1] = right, dr
-                size += 2
+            while node < first_leaf:
+                node, other = 2 * node + 1, 2 * node + 2
+                bound = _box_cost(boxes, node, x, y, z, nx, ny, nz, weight2)
+                farther = _box_cost(boxes, other, x, y, z, nx, ny, nz, weight2)
+                if farther <= bound:
+                    node, other, bound, farther = other, node, farther, bound
+                if farther < best:
+                    nodes[size], bounds[size] = other, farther
+                    size += 1
+                if bound >= best:
+                    break
+            if bound >= best:
                 continue
             begin = (node - first_leaf) * _LEAF_SIZE
             for j in range(begin, min(begin + _LEAF_SIZE, n_triangles)):
