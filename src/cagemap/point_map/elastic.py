@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cagemap.basis.factorization import factor
 from cagemap.errors import ParameterError
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.agreement import ReceivedArea
@@ -308,9 +309,10 @@ def run_stage(
             blocks[landmarks] = config.landmark_weight * np.eye(3)
             right[landmarks] = config.landmark_weight * landmark_positions
             # Single precision: what a step misses, the next one finds in its residual, which is in double.
-            factors = field.system.factor(alpha, blocks, field.factors, np.float32)
+            matrix = field.system.at(alpha, blocks)
+            factors = factor(matrix, like=field.factors, dtype=np.float32)
             residual = (right + alpha * field.divergence(maps.result())).ravel()
-            residual -= field.system.at(alpha, blocks) @ positions.ravel()
+            residual -= matrix @ positions.ravel()
             after = positions + factors.solve(residual).reshape(-1, 3)
             goes_on = 1 < iteration < stage.iterations
             positions = after + stage.momentum * (after - before) if goes_on else after

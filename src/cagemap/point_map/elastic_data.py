@@ -181,7 +181,7 @@ def pull_by_source(
     corners = target_triangles[held_by]
     foot = curved_points(positions[corners], normals[corners], barycentric)
     residual = np.einsum("nd,nd->n", planes, points - foot)
-    facing = tree.mesh_normals()[held_by]
+    facing = tree.normals_of(held_by)
     shares = pullers.areas * np.clip(np.einsum("nd,nd->n", facing, planes), 0.0, 1.0)
     shares *= round_trip_weights(np.einsum("mk,mkd->md", barycentric, feet[corners]) - points, residual, alpha)
     # Column j gives what source vertex j asks to the three corners around its foot.

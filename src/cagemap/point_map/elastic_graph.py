@@ -231,7 +231,8 @@ def _cells(graph: ElasticGraph, count: int) -> IndexArray:
     for _ in range(8):
         features = np.hstack([graph.positions, 0.5 * NORMAL_SPREAD * width * graph.normals]) / width
         keys = np.floor(features - features.min(axis=0)).astype(np.int64)
-        _, cell = np.unique(keys, axis=0, return_inverse=True)
+        counts = keys.max(axis=0) + 1
+        _, cell = np.unique(np.ravel_multi_index(tuple(keys.T), tuple(counts)), return_inverse=True)
         found = int(cell.max()) + 1
         if 0.85 * count <= found <= 1.2 * count or (found == graph.n and count >= graph.n):
             break

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from cagemap.basis.factorization import Factorization, Precision, factor
+from cagemap.basis.factorization import Factorization, factor
 from cagemap.mesh import FloatArray, IndexArray
 
 
@@ -45,12 +45,6 @@ class BlockSystem:
         values[self.blocks] += blocks.ravel()
         return sparse.csc_array((values, self.matrix.indices, self.matrix.indptr), shape=self.matrix.shape)
 
-    def factor(
-        self,
-        alpha: float,
-        blocks: FloatArray,
-        like: Factorization | None = None,
-        dtype: Precision = np.float64,
-    ) -> Factorization:
+    def factor(self, alpha: float, blocks: FloatArray, like: Factorization | None = None) -> Factorization:
         """Factor alpha L + blocks (n, 3, 3), with the ordering of an earlier factorisation if there is one."""
-        return factor(self.at(alpha, blocks), like=like, dtype=dtype)
+        return factor(self.at(alpha, blocks), like=like)

@@ -94,11 +94,14 @@ def map_positions(
 ) -> FloatArray:
     """(n1, 3) positions of the points (triangle, barycentric) of a surface."""
     images = np.empty((len(triangle), 3))
-    for part in parts(len(triangle), CACHED):
+
+    def fill(part: slice) -> None:
         corners, weights = triangles.take(triangle[part], axis=0), barycentric[part]
         images[part] = weights[:, :1] * positions.take(corners[:, 0], axis=0)
         for k in (1, 2):
             images[part] += weights[:, k, None] * positions.take(corners[:, k], axis=0)
+
+    in_threads(fill, parts(len(triangle), CACHED))
     return images
 
 
@@ -113,10 +116,13 @@ def flipped_triangles(image: FloatArray, target_triangles: IndexArray, image_nor
         Source normals at the image of every target vertex; a triangle compares with the sum over its corners.
     """
     flipped = np.empty(len(target_triangles), dtype=np.bool_)
-    for part in parts(len(target_triangles), CACHED):
+
+    def fill(part: slice) -> None:
         corners = target_triangles[part]
         expected = sum(image_normals.take(corners[:, k], axis=0) for k in range(3))
         flipped[part] = np.einsum("td,td->t", triangle_normals(image, corners), expected) < 0
+
+    in_threads(fill, parts(len(target_triangles), CACHED))
     return flipped
 
 

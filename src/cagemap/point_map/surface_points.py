@@ -38,6 +38,8 @@ class TriangleTree:
         empty (lower > upper position).
     order : (t,) int64
         Triangle of the mesh at every position of the tree.
+    places : (t,) int64
+        Position in the tree of every triangle of the mesh.
     corners : (t, 3, 3) float64
         Corner positions in tree order.
     normals : (t, 3) float64
@@ -46,14 +48,13 @@ class TriangleTree:
 
     boxes: FloatArray
     order: IndexArray
+    places: IndexArray
     corners: FloatArray
     normals: FloatArray
 
-    def mesh_normals(self) -> FloatArray:
-        """(t, 3) the unit normals in the order of the mesh."""
-        normals = np.empty_like(self.normals)
-        normals[self.order] = self.normals
-        return normals
+    def normals_of(self, triangles: IndexArray) -> FloatArray:
+        """(m, 3) unit normals of some triangles (m,) of the mesh."""
+        return self.normals.take(self.places.take(triangles), axis=0)
 
 
 def triangle_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
@@ -140,7 +141,9 @@ def build_tree(positions: FloatArray, triangles: IndexArray) -> TriangleTree:
             np.minimum(left[:, lower], right[:, lower], out=parents[:, lower])
             np.maximum(left[:, upper], right[:, upper], out=parents[:, upper])
         first_leaf = (first_leaf - 1) // 2
-    return TriangleTree(boxes, order, corners, normals)
+    places = np.empty_like(order)
+    places[order] = np.arange(len(order))
+    return TriangleTree(boxes, order, places, corners, normals)
 
 
 def closest_points(
@@ -189,9 +192,7 @@ def closest_points(
         raise ParameterError("expected normals of the queries, got none: normal_weight and minimum_cosine need them")
     start = np.full(len(queries), -1, dtype=np.int64)
     if guess is not None:
-        position_in_tree = np.empty(len(tree.order), dtype=np.int64)
-        position_in_tree[tree.order] = np.arange(len(tree.order))
-        start = np.where(guess >= 0, position_in_tree[guess], -1)
+        start = np.where(guess >= 0, tree.places[guess], -1)
     sequence = np.argsort(_morton_codes(queries))
     found = np.full(len(queries), -1, dtype=np.int64)
     barycentric, squared = np.zeros((len(queries), 3)), np.full(len(queries), np.inf)
@@ -257,23 +258,27 @@ def _leaf_order(positions: FloatArray, triangles: IndexArray, normals: FloatArra
     """(t,) triangles leaf by leaf along a space-filling curve; ``normals`` (t, 3) have length twice the area."""
     centres = triangle_centres(positions, triangles)
     whole = len(centres) // _LEAF_SIZE * _LEAF_SIZE
-    runs = centres[:whole].reshape(-1, _LEAF_SIZE, 3)
-    extents = row_lengths(runs.max(axis=1) - runs.min(axis=1)) if whole else np.full(1, np.inf)
+    # Coordinate by coordinate, for rows of three are too short for array operations.
+    runs = [centres[:whole, d].reshape(-1, _LEAF_SIZE) for d in range(3)]
+    extents = (
+        np.sqrt(sum(np.square(run.max(axis=1) - run.min(axis=1)) for run in runs)) if whole else np.full(1, np.inf)
+    )
     if extents.mean() > _COMPACT * np.sqrt(row_lengths(normals)).mean():
         return np.argsort(_morton_codes(centres), kind="stable")
-    first = _LEAF_SIZE * np.argsort(_morton_codes(runs.mean(axis=1)), kind="stable")
+    first = _LEAF_SIZE * np.argsort(_morton_codes(np.column_stack([run.mean(axis=1) for run in runs])), kind="stable")
     return np.concatenate([(first[:, None] + np.arange(_LEAF_SIZE)).ravel(), np.arange(whole, len(centres))])
 
 
 def _morton_codes(points: FloatArray) -> IndexArray:
     """(t,) positions of points along a space-filling curve, 21 bits an axis."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    extent = max(float((high - low).max()), 1e-300)  # not 0, and its inverse is finite
-    code = np.zeros(len(points), dtype=np.uint64)
-    for axis in range(3):
-        cells = np.minimum((points[:, axis] - low[axis]) * (2**21 / extent), 2**21 - 1).astype(np.uint64)
-        code |= _spread_bits(cells) << np.uint64(axis)
-    return code.astype(np.int64)
+    low, high = (np.array([extreme(column) for column in points.T]) for extreme in (np.min, np.max))
+    scale = 2**21 / max(float((high - low).max()), 1e-300)  # not 0, and its inverse is finite
+    codes = np.zeros(len(points), dtype=np.uint64)
+    for part in parts(len(points), CACHED):
+        for axis in range(3):
+            cells = np.minimum((points[part, axis] - low[axis]) * scale, 2**21 - 1).astype(np.uint64)
+            codes[part] |= _spread_bits(cells) << np.uint64(axis)
+    return codes.astype(np.int64)
 
 
 def _spread_bits(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
