@@ -20,6 +20,7 @@ from cagemap.point_map.surface_points import (
     CACHED,
     build_tree,
     closest_points,
+    corner_sums,
     normalized,
     ring_sums,
     row_lengths,
@@ -202,9 +203,7 @@ def trust_field(
     """
     delta = np.maximum(sigma[0], 1 / np.maximum(sigma[1], 1e-6))
     per_triangle = np.where(flipped, 0.0, np.minimum(1.0, (TRUSTED_STRETCH / delta) ** 2))
-    corners = triangles.ravel()
-    weighted = np.bincount(corners, np.repeat(areas * per_triangle, 3), minlength=n)
-    total = np.bincount(corners, np.repeat(areas, 3), minlength=n)
+    weighted, total = corner_sums(triangles, np.column_stack([areas * per_triangle, areas]), n).T
     return np.divide(weighted, total, out=np.zeros(n), where=total > 0)
 
 
@@ -245,7 +244,7 @@ def measure_quality(
     target = target / np.sqrt(surface_area(target, target_triangles))
     source = source / np.sqrt(surface_area(source, source_triangles))
     image = map_positions(source, source_triangles, triangle, barycentric)
-    image_normals = normalized(triangle_normals(source, source_triangles)).take(triangle, axis=0)
+    image_normals = normalized(triangle_normals(source, source_triangles.take(triangle, axis=0)))
 
     def on_triangles(part: slice) -> tuple[FloatArray, NDArray[np.bool_], FloatArray, FloatArray]:
         these = target_triangles[part]
@@ -256,7 +255,7 @@ def measure_quality(
     with ThreadPoolExecutor(1) as pool:
         asked = target_triangles if coarse_triangles is None else coarse_triangles
         covered = pool.submit(covered_share, image[: asked.max() + 1], asked, source, source_triangles)
-        found = [on_triangles(part) for part in parts(len(target_triangles), CACHED)]
+        found = in_threads(on_triangles, parts(len(target_triangles), CACHED))
         areas, flipped, largest, smallest = (np.concatenate(kind) for kind in zip(*found, strict=True))
         aspect = largest / np.maximum(smallest, 1e-9)
         trust = trust_field((largest, smallest), areas, target_triangles, flipped, len(target))

@@ -74,9 +74,14 @@ def triangle_centres(positions: FloatArray, triangles: IndexArray) -> FloatArray
 
 def vertex_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
     """(n, 3) unit vertex normals, area-weighted means of the adjacent triangles' normals."""
-    sums = np.zeros((len(positions), 3))
-    _add_to_corners(triangles, triangle_normals(positions, triangles), sums)
-    return normalized(sums)
+    return normalized(corner_sums(triangles, triangle_normals(positions, triangles), len(positions)))
+
+
+def corner_sums(triangles: IndexArray, values: FloatArray, count: int) -> FloatArray:
+    """(count, d) sums of rows (t, d) over the triangles around each of the first vertices."""
+    sums = np.zeros((count, values.shape[1]))
+    _add_to_corners(triangles, values, sums)
+    return sums
 
 
 def ring_sums(positions: FloatArray, triangles: IndexArray, count: int) -> FloatArray:
