@@ -64,7 +64,7 @@ def test_a_pocket_that_the_source_lacks_drags_nothing_along(
 
     def error() -> float:
         stage = Stage(8, (2e-4, 1e-5), 1e-4, momentum=0.8)
-        found, _ = run_stage(
+        found = run_stage(
             RestShape.build(pocketed, split, stage.smoothing),
             Sheet.build(smooth.positions, split),
             pocketed.positions,

@@ -190,8 +190,9 @@ def coarse_fit(
         raise ParameterError(f"start: expected {expected} positions, one for each coarse vertex, got {start.shape}")
     held = np.arange(len(landmark_positions))
     first = landmark_start(rest, held, landmark_positions, config) if start is None else start
-    ended = run_stage(rest, source, first, held, landmark_positions, config.coarse, config)
-    return CoarseFit(coarse_cost(rest.graph, source, *ended, config), *ended)
+    positions = run_stage(rest, source, first, held, landmark_positions, config.coarse, config)
+    maps = rest.field.solve(positions)
+    return CoarseFit(coarse_cost(rest.graph, source, positions, maps, config), positions, maps)
 
 
 def fit(
@@ -223,7 +224,7 @@ def fit(
     """
     best = min(coarse, key=lambda ended: ended.cost)
     start = extrapolate(shapes.coarse, best.positions, best.maps, shapes.graph)
-    return run_stage(rest, shapes.sheet, start, landmarks, landmark_positions, config.fine, config)[0]
+    return run_stage(rest, shapes.sheet, start, landmarks, landmark_positions, config.fine, config)
 
 
 def landmark_start(
@@ -278,8 +279,8 @@ def run_stage(
     landmark_positions: FloatArray,
     stage: Stage,
     config: ElasticConfig,
-) -> tuple[FloatArray, FloatArray]:
-    """Alternate closest points, positions and differentials; returns positions (n, 3) and maps (n, 3, 3).
+) -> FloatArray:
+    """Alternate closest points, positions and differentials; returns positions (n, 3).
 
     Where the graph has triangles the data term works both ways: every deformed vertex lies on the source, and every
     source vertex on the deformed target, which is what fills fingers, ears and lips; parts of either that have no
@@ -292,9 +293,9 @@ def run_stage(
     positions, before = start, start
     guess, guess_back = None, None
     with ThreadPoolExecutor(1) as aside:
-        maps = aside.submit(field.solve, start)  # on a mesh only the solve asks for them, so that searches go on
         for iteration, alpha in enumerate(stage.ramped(), start=1):
             if triangles is None:
+                maps = aside.submit(field.solve, positions)
                 normals = deformed_normals(graph, maps.result())
             else:
                 normals = vertex_normals(positions, triangles)
@@ -306,6 +307,8 @@ def run_stage(
                 )
                 pull = pull.scaled(rest.received.weights(back.weights))
                 blocks, right, guess_back = pull.blocks + back.blocks, pull.right + back.right, back.triangles
+                # Only the residual asks for them here: beside the factorisation, which keeps to one core.
+                maps = aside.submit(field.solve, positions)
             blocks[landmarks] = config.landmark_weight * np.eye(3)
             right[landmarks] = config.landmark_weight * landmark_positions
             # Single precision: what a step misses, the next one finds in its residual, which is in double.
@@ -316,5 +319,5 @@ def run_stage(
             after = positions + factors.solve(residual).reshape(-1, 3)
             goes_on = 1 < iteration < stage.iterations
             positions = after + stage.momentum * (after - before) if goes_on else after
-            before, maps = after, aside.submit(field.solve, positions)
-        return positions, maps.result()
+            before = after
+    return positions
