@@ -90,6 +90,9 @@ def test_both_orders_of_the_tree_find_the_same_points(shuffled: bool) -> None:
         triangles = triangles[rng.permutation(len(triangles))]
     tree = build_tree(positions, triangles)
     assert np.array_equal(np.sort(tree.order), np.arange(len(triangles)))
+    np.testing.assert_array_equal(
+        tree.normals_of(np.arange(len(triangles))), normalized(triangle_normals(positions, triangles))
+    )
     runs = tree.order[: len(triangles) // 8 * 8].reshape(-1, 8)
     assert (np.diff(runs, axis=1) == 1).all() != shuffled
     points, normals = rng.random((50, 3)), normalized(rng.standard_normal((50, 3)))

@@ -342,7 +342,7 @@ def _fill_leaves(positions, triangles, normals, corners, boxes):  # type: ignore
                 boxes[leaf, 9 + i] = max(boxes[leaf, 9 + i], normals[t, i])
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@numba.njit(cache=True, error_model="numpy")
 def _box_cost(boxes, node, x, y, z, nx, ny, nz, weight2):  # type: ignore[no-untyped-def]
     """Least squared distance to a box of positions, and to one of normals (2 - 2 cos = |n_q - n_p|^2)."""
     dx = max(boxes[node, 0] - x, 0.0, x - boxes[node, 3])
