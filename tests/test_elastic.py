@@ -12,8 +12,9 @@ from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.shapes import creature
 from cagemap.operators import build_operators
-from cagemap.point_map.elastic import ElasticConfig, FitShapes, Stage, fit, run_stage
-from cagemap.point_map.elastic_data import Sheet, curved_points
+from cagemap.point_map.agreement import round_trip_weights
+from cagemap.point_map.elastic import ElasticConfig, FitShapes, RestShape, Stage, coarse_fit, fit, run_stage
+from cagemap.point_map.elastic_data import Pullers, Sheet, curved_points, pull_by_source
 from cagemap.point_map.elastic_graph import (
     DifferentialField,
     ElasticGraph,
@@ -35,7 +36,7 @@ from cagemap.point_map.hierarchical import Pair
 from cagemap.point_map.landmark_coordinates import interpolants, landmark_coordinates
 from cagemap.point_map.point_map import PointMap
 from cagemap.point_map.quality import flipped_triangles, map_positions, measure_quality
-from cagemap.point_map.surface_points import build_tree, closest_points, normalized, triangle_normals
+from cagemap.point_map.surface_points import build_tree, closest_points, normalized, triangle_normals, vertex_normals
 from cagemap.refinement import Refinement, refine
 
 
@@ -61,6 +62,16 @@ def surface_of(refinement: Refinement) -> Surface:
     return Surface(refinement, operators, hierarchical_basis(refinement, operators, BasisConfig(count=4)))
 
 
+def fit_both_starts(
+    shapes: FitShapes, start: np.ndarray, landmarks: np.ndarray, places: np.ndarray, config: ElasticConfig
+) -> np.ndarray:
+    """The whole fit from a rough start and from the landmarks, whichever ends cheaper."""
+    coarse = RestShape.build(shapes.coarse, None, config.coarse.smoothing)
+    started = [coarse_fit(coarse, shapes.sheet, first, places, config) for first in (start, None)]
+    fine = RestShape.build(shapes.graph, shapes.triangles, config.fine.smoothing)
+    return fit(shapes, fine, started, landmarks, places, config)
+
+
 def fitted_map(
     target: Refinement,
     source: Refinement,
@@ -73,7 +84,7 @@ def fitted_map(
     pair = Pair(surface_of(target), surface_of(source), landmarks, landmarks)
     on_source, triangles = finest_surface(pair.source)
     shapes = fit_shapes(pair, level, config)
-    fitted = fit(shapes, on_source[match[shapes.vertices]], landmarks, on_source[landmarks], config)
+    fitted = fit_both_starts(shapes, on_source[match[shapes.vertices]], landmarks, on_source[landmarks], config)
     return project(refined_positions(target, level, fitted), pair, build_tree(on_source, triangles), config)
 
 
@@ -94,6 +105,25 @@ def test_an_affine_deformation_costs_nothing(shape: tuple[Refinement, float], cl
     np.testing.assert_allclose(maps, np.broadcast_to(matrix, maps.shape), atol=1e-6)  # ridge of 1e-9
     # The positions are then a solution of the energy's position equations.
     np.testing.assert_allclose(laplacian @ positions, field.divergence(maps), atol=1e-6 * abs(laplacian.data).max())
+
+
+def test_both_right_sides_are_those_of_the_energy(shape: tuple[Refinement, float]) -> None:
+    graph, _ = graph_of(*shape, 1)
+    rng = np.random.default_rng(19)
+    positions, maps = rng.standard_normal((graph.n, 3)), rng.standard_normal((graph.n, 3, 3))
+    laplacian = graph.laplacian()
+    field = DifferentialField.build(graph, laplacian, 1e-2)
+    blocks, moments, divergence = np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3))
+    for i, j, weight, edge in zip(graph.heads, graph.tails, graph.weights, graph.edges, strict=True):
+        blocks[i] += weight * np.outer(edge, edge)
+        moments[i] += weight * np.outer(edge, positions[i] - positions[j])
+        divergence[i] += weight * 0.5 * (maps[i] + maps[j]) @ edge
+    np.testing.assert_allclose((field.moments @ positions).reshape(-1, 3, 3), moments, atol=1e-12)
+    np.testing.assert_allclose(field.divergence(maps), divergence, atol=1e-12)
+    # (G_i + epsilon L) A_i^T = c_i, up to the ridge.
+    transposed = field.solve(positions).transpose(0, 2, 1)
+    left = blocks @ transposed + 1e-2 * (laplacian @ transposed.reshape(graph.n, 9)).reshape(-1, 3, 3)
+    np.testing.assert_allclose(left, moments, atol=1e-6)
 
 
 def test_extrapolation_is_exact_for_affine_deformations(shape: tuple[Refinement, float]) -> None:
@@ -139,7 +169,7 @@ def test_a_surface_fits_itself_from_a_shaken_start(shape: tuple[Refinement, floa
     start = graph.positions + 0.03 * np.random.default_rng(13).standard_normal((graph.n, 3))
     config = ElasticConfig(coarse_vertices=400)
     shapes = FitShapes.build(graph, split, sheet, landmarks, config)
-    found = fit(shapes, start[shapes.vertices], landmarks, finest[landmarks], config)
+    found = fit_both_starts(shapes, start[shapes.vertices], landmarks, finest[landmarks], config)
     error = np.linalg.norm(found - graph.positions, axis=1)
     assert error.mean() < 0.003  # ten times less than the noise; tangentially only landmarks and the energy hold it
     assert error[landmarks].max() < 1e-4
@@ -174,6 +204,39 @@ def test_same_shape_other_cage_gives_the_identity(shape: tuple[Refinement, float
     assert figures.coverage > 0.99
 
 
+def test_what_source_vertices_ask_is_the_sum_over_their_triangles_corners(shape: tuple[Refinement, float]) -> None:
+    refinement, scale = shape
+    graph, split = graph_of(refinement, scale, 1)
+    sheet = Sheet.build(scale * refinement.finest.positions, level_faces(refinement, 3)[1])
+    pullers = Pullers.choose(sheet, 300)
+    assert pullers.areas.sum() == pytest.approx(1)
+    rng = np.random.default_rng(20)
+    positions = graph.positions + 0.01 * rng.standard_normal((graph.n, 3))
+    normals = vertex_normals(positions, split)
+    feet = graph.positions
+    pull = pull_by_source(split, pullers, positions, normals, None, 0.03, feet, 1e-4)
+    found, weights, _ = closest_points(build_tree(positions, split), pullers.points, pullers.planes, normal_weight=0.03)
+    facing = normalized(triangle_normals(positions, split))[found]
+    blocks, right, received = np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3)), np.zeros(graph.n)
+    for j, corners in enumerate(split[found]):
+        plane, foot = (
+            pullers.planes[j],
+            curved_points(positions[corners][None], normals[corners][None], weights[[j]])[0],
+        )
+        residual = plane @ (pullers.points[j] - foot)
+        trip = weights[[j]] @ feet[corners] - pullers.points[j]
+        trust = round_trip_weights(trip, np.array([residual]), 1e-4)[0]
+        share = pullers.areas[j] * max(facing[j] @ plane, 0.0) * trust
+        for corner, weight in zip(corners, share * weights[j], strict=True):
+            blocks[corner] += weight * np.outer(plane, plane)
+            right[corner] += weight * (plane @ positions[corner] + residual) * plane
+            received[corner] += weight
+    assert received.max() > 0
+    np.testing.assert_allclose(pull.blocks, blocks, atol=1e-14)
+    np.testing.assert_allclose(pull.right, right, atol=1e-14)
+    np.testing.assert_allclose(pull.weights, received, atol=1e-14)
+
+
 def test_curved_points_are_exact_on_quadratic_surfaces() -> None:
     rng = np.random.default_rng(18)
     # Corners on z = h (a x^2 + b x y + c y^2); normals to first order in h, so that errors are of its third order.
@@ -205,7 +268,8 @@ def test_momentum_gets_as_far_in_half_the_iterations(shape: tuple[Refinement, fl
         stage = Stage(iterations, (1e-4, 1e-4), 3e-4, momentum=momentum)
         start = graph.positions + slide
         held = graph.positions[landmarks]
-        found, _ = run_stage(graph, split, sheet, start, landmarks, held, stage, ElasticConfig())
+        rest = RestShape.build(graph, split, stage.smoothing)
+        found = run_stage(rest, sheet, start, landmarks, held, stage, ElasticConfig())
         return float(np.linalg.norm(found - graph.positions, axis=1).mean())
 
     assert error(8, 0.8) < error(16, 0.0) < np.linalg.norm(slide, axis=1).mean()
@@ -327,4 +391,4 @@ def test_what_cannot_be_fitted_is_refused(shape: tuple[Refinement, float]) -> No
     graph, split = graph_of(refinement, scale, 1)
     shapes = FitShapes.build(graph, split, Sheet.build(graph.positions, split), np.array([0]), ElasticConfig(200))
     with pytest.raises(ParameterError, match="one for each coarse vertex"):
-        fit(shapes, graph.positions, np.array([0]), graph.positions[:1])
+        coarse_fit(RestShape.build(shapes.coarse, None, 1e-2), shapes.sheet, graph.positions, graph.positions[:1])

@@ -24,6 +24,7 @@ from cagemap.point_map.surface_points import (
     closest_points,
     closest_points_slowly,
     normalized,
+    ring_sums,
     triangle_normals,
     vertex_normals,
 )
@@ -89,6 +90,9 @@ def test_both_orders_of_the_tree_find_the_same_points(shuffled: bool) -> None:
         triangles = triangles[rng.permutation(len(triangles))]
     tree = build_tree(positions, triangles)
     assert np.array_equal(np.sort(tree.order), np.arange(len(triangles)))
+    np.testing.assert_array_equal(
+        tree.normals_of(np.arange(len(triangles))), normalized(triangle_normals(positions, triangles))
+    )
     runs = tree.order[: len(triangles) // 8 * 8].reshape(-1, 8)
     assert (np.diff(runs, axis=1) == 1).all() != shuffled
     points, normals = rng.random((50, 3)), normalized(rng.standard_normal((50, 3)))
@@ -256,6 +260,21 @@ def test_vertex_normals_of_a_sphere_are_radial() -> None:
     positions, triangles = sphere(2000)
     cosine = np.einsum("nd,nd->n", vertex_normals(positions, triangles), positions)
     assert cosine.min() > 0.999  # second order in the spacing, which is 0.08
+
+
+def test_ring_sums_are_sums_over_adjacent_triangles() -> None:
+    rng = np.random.default_rng(8)
+    positions, triangles = rng.standard_normal((20, 3)), rng.integers(0, 20, (60, 3))
+    expected = np.zeros((20, 6))
+    for triangle in triangles:
+        a, b, c = positions[triangle]
+        normal = np.cross(b - a, c - a)
+        mean = np.mean([np.linalg.norm(a - b), np.linalg.norm(b - c), np.linalg.norm(c - a)])
+        for corner in triangle:
+            expected[corner] += [*normal, 0.5 * np.linalg.norm(normal), mean, 1.0]
+    np.testing.assert_allclose(ring_sums(positions, triangles, 20), expected, atol=1e-13)
+    np.testing.assert_array_equal(ring_sums(positions, triangles, 7), ring_sums(positions, triangles, 20)[:7])
+    np.testing.assert_allclose(vertex_normals(positions, triangles), normalized(expected[:, :3]), atol=1e-13)
 
 
 def test_surface_area_and_percentiles() -> None:

@@ -8,18 +8,19 @@ moves whole limbs, then on the mesh of a level.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
-from cagemap.basis.threads import in_threads
+from cagemap.basis.factorization import factor
 from cagemap.errors import ParameterError
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.agreement import ReceivedArea
-from cagemap.point_map.elastic_data import Sheet, deformed_normals, pull_by_source, pull_to_source
+from cagemap.point_map.elastic_data import PULLERS, Pullers, Sheet, deformed_normals, pull_by_source, pull_to_source
 from cagemap.point_map.elastic_graph import DifferentialField, ElasticGraph, cluster_graph, extrapolate
-from cagemap.point_map.elastic_system import PositionSystem
-from cagemap.point_map.surface_points import closest_points, normalized, triangle_normals
+from cagemap.point_map.surface_points import closest_points, normalized, triangle_normals, vertex_normals
 
 LANDMARK_ITERATIONS = 20
 COST_STIFFNESS = 1e-3  # alpha at which coarse fits from different starts are compared
@@ -117,22 +118,100 @@ class FitShapes:
         return cls(graph, triangles, sheet, coarse, vertices)
 
 
+@dataclass(frozen=True)
+class RestShape:
+    """A graph with all that its rest shape alone decides: built before it is known where the shape goes.
+
+    Attributes
+    ----------
+    graph : ElasticGraph
+    field : DifferentialField
+    triangles : (t, 3) int64 or None
+        Of a mesh; None for clusters of one.
+    received : ReceivedArea or None
+        Of a mesh.
+    """
+
+    graph: ElasticGraph
+    field: DifferentialField
+    triangles: IndexArray | None
+    received: ReceivedArea | None
+
+    @classmethod
+    def build(cls, graph: ElasticGraph, triangles: IndexArray | None, smoothing: float) -> RestShape:
+        """Factor the matrices that stay the same in all iterations of a stage."""
+        laplacian = graph.laplacian()
+        field = DifferentialField.build(graph, laplacian, smoothing)
+        return cls(graph, field, triangles, None if triangles is None else ReceivedArea.build(graph, laplacian))
+
+
+@dataclass(frozen=True)
+class CoarseFit:
+    """Where a coarse stage ended.
+
+    Attributes
+    ----------
+    cost : float
+        See `coarse_cost`.
+    positions, maps : (k, 3), (k, 3, 3) float64
+    """
+
+    cost: float
+    positions: FloatArray
+    maps: FloatArray
+
+
+def coarse_fit(
+    rest: RestShape,
+    source: Sheet,
+    start: FloatArray | None,
+    landmark_positions: FloatArray,
+    config: ElasticConfig = ElasticConfig(),
+) -> CoarseFit:
+    """The coarse stage from rough positions, or from the landmarks alone.
+
+    Parameters
+    ----------
+    rest : RestShape
+        Of the coarse graph, the landmarks its first vertices.
+    source : Sheet
+    start : (k, 3) float64 or None
+        Rough positions on the source; None to start from the landmarks.
+    landmark_positions : (p, 3) float64
+        Where they belong.
+
+    Raises
+    ------
+    ParameterError
+        If the start has not one position for every vertex of the coarse graph.
+    """
+    expected = rest.graph.positions.shape
+    if start is not None and start.shape != expected:
+        raise ParameterError(f"start: expected {expected} positions, one for each coarse vertex, got {start.shape}")
+    held = np.arange(len(landmark_positions))
+    first = landmark_start(rest, held, landmark_positions, config) if start is None else start
+    positions = run_stage(rest, source, first, held, landmark_positions, config.coarse, config)
+    maps = rest.field.solve(positions)
+    return CoarseFit(coarse_cost(rest.graph, source, positions, maps, config), positions, maps)
+
+
 def fit(
     shapes: FitShapes,
-    start: FloatArray,
+    rest: RestShape,
+    coarse: Sequence[CoarseFit],
     landmarks: IndexArray,
     landmark_positions: FloatArray,
     config: ElasticConfig = ElasticConfig(),
 ) -> FloatArray:
-    """Deform the target's mesh onto the source.
-
-    The coarse stage runs twice, from the start given and from the landmarks alone; what ends cheaper goes on.
+    """Deform the target's mesh onto the source, from the coarse fit that ended cheapest.
 
     Parameters
     ----------
     shapes : FitShapes
-    start : (k, 3) float64
-        Rough positions on the source, of the coarse graph's vertices.
+    rest : RestShape
+        Of the mesh.
+    coarse : sequence of CoarseFit
+        From different starts.
     landmarks : (p,) int64
         Vertices of the mesh.
     landmark_positions : (p, 3) float64
@@ -142,45 +221,25 @@ def fit(
     -------
     (n, 3) float64
         Positions near the source; project them for a map.
-
-    Raises
-    ------
-    ParameterError
-        If the start has not one position for every vertex of the coarse graph.
     """
-    coarse = shapes.coarse
-    if start.shape != coarse.positions.shape:
-        raise ParameterError(
-            f"start: expected {coarse.positions.shape} positions, one for each coarse vertex, got {start.shape}"
-        )
-    held = np.arange(len(landmarks))
-
-    def run(from_landmarks: bool) -> tuple[float, FloatArray, FloatArray]:
-        first = landmark_start(coarse, held, landmark_positions, config) if from_landmarks else start
-        positions, maps = run_stage(coarse, None, shapes.sheet, first, held, landmark_positions, config.coarse, config)
-        return coarse_cost(coarse, shapes.sheet, positions, maps, config), positions, maps
-
-    _, positions, maps = min(in_threads(run, (False, True)), key=lambda ended: ended[0])
-    fine = extrapolate(coarse, positions, maps, shapes.graph)
-    return run_stage(
-        shapes.graph, shapes.triangles, shapes.sheet, fine, landmarks, landmark_positions, config.fine, config
-    )[0]
+    best = min(coarse, key=lambda ended: ended.cost)
+    start = extrapolate(shapes.coarse, best.positions, best.maps, shapes.graph)
+    return run_stage(rest, shapes.sheet, start, landmarks, landmark_positions, config.fine, config)
 
 
 def landmark_start(
-    graph: ElasticGraph, landmarks: IndexArray, landmark_positions: FloatArray, config: ElasticConfig
+    rest: RestShape, landmarks: IndexArray, landmark_positions: FloatArray, config: ElasticConfig
 ) -> FloatArray:
     """(n, 3) the rest shape carried by its landmarks alone: a similarity, then the elastic energy without data.
 
     It knows the twist of limbs, which coordinates on the surface do not: a hand with one landmark keeps its turn.
     """
+    graph, field = rest.graph, rest.field
     rotation, scale, shift = similarity(graph.positions[landmarks], landmark_positions)
     positions = scale * graph.positions @ rotation.T + shift
-    laplacian = graph.laplacian()
-    field = DifferentialField.build(graph, laplacian, config.coarse.smoothing)
     blocks = np.zeros((graph.n, 3, 3))
     blocks[landmarks] = config.landmark_weight * np.eye(3)
-    factors = PositionSystem.build(laplacian).factor(1.0, blocks, None)
+    factors = field.system.factor(1.0, blocks, field.factors)
     for _ in range(LANDMARK_ITERATIONS):
         right = field.divergence(field.solve(positions))
         right[landmarks] += config.landmark_weight * landmark_positions
@@ -203,7 +262,7 @@ def coarse_cost(
     graph: ElasticGraph, source: Sheet, positions: FloatArray, maps: FloatArray, config: ElasticConfig
 ) -> float:
     """What a coarse fit costs: mean squared distance in position and normal, and the energy at a fixed stiffness."""
-    normals = deformed_normals(graph, positions, maps, None)
+    normals = deformed_normals(graph, maps)
     found, _, distance = closest_points(source.tree, positions, normals, normal_weight=config.normal_weight)
     turned = 2.0 - 2.0 * np.einsum(
         "nd,nd->n", normalized(triangle_normals(source.positions, source.triangles[found])), normals
@@ -213,46 +272,52 @@ def coarse_cost(
 
 
 def run_stage(
-    graph: ElasticGraph,
-    target_triangles: IndexArray | None,
+    rest: RestShape,
     source: Sheet,
     start: FloatArray,
     landmarks: IndexArray,
     landmark_positions: FloatArray,
     stage: Stage,
     config: ElasticConfig,
-) -> tuple[FloatArray, FloatArray]:
-    """Alternate closest points, positions and differentials; returns positions (n, 3) and maps (n, 3, 3).
+) -> FloatArray:
+    """Alternate closest points, positions and differentials; returns positions (n, 3).
 
     Where the graph has triangles the data term works both ways: every deformed vertex lies on the source, and every
     source vertex on the deformed target, which is what fills fingers, ears and lips; parts of either that have no
     counterpart do not pull (`cagemap.point_map.agreement`). The alternation creeps along the
     surface, where only the energy pulls; momentum makes it three times faster.
     """
-    laplacian = graph.laplacian()
-    field = DifferentialField.build(graph, laplacian, stage.smoothing)
-    system = PositionSystem.build(laplacian)
-    positions, maps = start, field.solve(start)
-    before: FloatArray | None = None
-    guess, guess_back, factors = None, None, None
-    normal_weight = config.normal_weight if target_triangles is None else config.fine_normal_weight
-    received = None if target_triangles is None else ReceivedArea.build(graph, laplacian)
-    for iteration, alpha in enumerate(stage.ramped(), start=1):
-        normals = deformed_normals(graph, positions, maps, target_triangles)
-        pull = pull_to_source(graph, source, positions, normals, guess, normal_weight)
-        blocks, right, guess = pull.blocks, pull.right, pull.triangles
-        if target_triangles is not None and received is not None:
-            back = pull_by_source(
-                target_triangles, source, positions, normals, guess_back, config.normal_weight, pull.feet, alpha
-            )
-            pull = pull.scaled(received.weights(back.weights))
-            blocks, right, guess_back = pull.blocks + back.blocks, pull.right + back.right, back.triangles
-        blocks[landmarks] = config.landmark_weight * np.eye(3)
-        right[landmarks] = config.landmark_weight * landmark_positions
-        factors = system.factor(alpha, blocks, factors)
-        after = factors.solve((right + alpha * field.divergence(maps)).ravel()).reshape(-1, 3)
-        positions = after
-        if before is not None and iteration < stage.iterations:
-            positions = after + stage.momentum * (after - before)
-        before, maps = after, field.solve(positions)
-    return positions, maps
+    graph, field, triangles = rest.graph, rest.field, rest.triangles
+    pullers = None if triangles is None else Pullers.choose(source, int(PULLERS * graph.n))
+    normal_weight = config.normal_weight if triangles is None else config.fine_normal_weight
+    positions, before = start, start
+    guess, guess_back = None, None
+    with ThreadPoolExecutor(1) as aside:
+        for iteration, alpha in enumerate(stage.ramped(), start=1):
+            if triangles is None:
+                maps = aside.submit(field.solve, positions)
+                normals = deformed_normals(graph, maps.result())
+            else:
+                normals = vertex_normals(positions, triangles)
+            pull = pull_to_source(graph, source, positions, normals, guess, normal_weight)
+            blocks, right, guess = pull.blocks, pull.right, pull.triangles
+            if triangles is not None and pullers is not None and rest.received is not None:
+                back = pull_by_source(
+                    triangles, pullers, positions, normals, guess_back, config.normal_weight, pull.feet, alpha
+                )
+                pull = pull.scaled(rest.received.weights(back.weights))
+                blocks, right, guess_back = pull.blocks + back.blocks, pull.right + back.right, back.triangles
+                # Only the residual asks for them here: beside the factorisation, which keeps to one core.
+                maps = aside.submit(field.solve, positions)
+            blocks[landmarks] = config.landmark_weight * np.eye(3)
+            right[landmarks] = config.landmark_weight * landmark_positions
+            # Single precision: what a step misses, the next one finds in its residual, which is in double.
+            matrix = field.system.at(alpha, blocks)
+            factors = factor(matrix, like=field.factors, dtype=np.float32)
+            residual = (right + alpha * field.divergence(maps.result())).ravel()
+            residual -= matrix @ positions.ravel()
+            after = positions + factors.solve(residual).reshape(-1, 3)
+            goes_on = 1 < iteration < stage.iterations
+            positions = after + stage.momentum * (after - before) if goes_on else after
+            before = after
+    return positions

@@ -16,7 +16,6 @@ from cagemap.point_map.surface_points import (
     build_tree,
     closest_points,
     normalized,
-    triangle_normals,
     vertex_normals,
 )
 from cagemap.point_map.upsample import spread
@@ -52,6 +51,34 @@ class Sheet:
         return cls(
             positions, faces, vertex_normals(positions, faces), areas / areas.sum(), build_tree(positions, faces)
         )
+
+
+@dataclass(frozen=True)
+class Pullers:
+    """Points of the source that pull at the target.
+
+    Attributes
+    ----------
+    points, planes : (m, 3) float64
+        Positions and unit normals.
+    areas : (m,) float64
+        Sum 1.
+    outer : (m, 9) float64
+        Normal times normal.
+    """
+
+    points: FloatArray
+    planes: FloatArray
+    areas: FloatArray
+    outer: FloatArray
+
+    @classmethod
+    def choose(cls, source: Sheet, count: int) -> Pullers:
+        """Some vertices of a source, spread over its numbering."""
+        chosen = spread(len(source.positions), count)
+        planes, areas = source.normals[chosen], source.areas[chosen]
+        outer = (planes[:, :, None] * planes[:, None, :]).reshape(-1, 9)
+        return cls(source.positions[chosen], planes, areas / areas.sum(), outer)
 
 
 @dataclass(frozen=True)
@@ -120,7 +147,7 @@ def pull_to_source(
 
 def pull_by_source(
     target_triangles: IndexArray,
-    source: Sheet,
+    pullers: Pullers,
     positions: FloatArray,
     normals: FloatArray,
     guess: IndexArray | None,
@@ -137,7 +164,7 @@ def pull_by_source(
     Parameters
     ----------
     target_triangles : (t1, 3) int64
-    source : Sheet
+    pullers : Pullers
     positions, normals : (n, 3) float64
         Of the deformed target.
     guess : (m,) int64, optional
@@ -148,26 +175,24 @@ def pull_by_source(
     alpha : float
         Stiffness of the energy, see `round_trip_weights`.
     """
-    n = len(positions)
-    chosen = spread(len(source.positions), int(PULLERS * n))
-    points, planes = source.positions[chosen], source.normals[chosen]
-    held_by, barycentric, _ = closest_points(
-        build_tree(positions, target_triangles), points, planes, normal_weight=normal_weight, guess=guess
-    )
+    points, planes = pullers.points, pullers.planes
+    tree = build_tree(positions, target_triangles)
+    held_by, barycentric, _ = closest_points(tree, points, planes, normal_weight=normal_weight, guess=guess)
     corners = target_triangles[held_by]
     foot = curved_points(positions[corners], normals[corners], barycentric)
     residual = np.einsum("nd,nd->n", planes, points - foot)
-    facing = normalized(triangle_normals(positions, target_triangles))[held_by]
-    areas = source.areas[chosen] / source.areas[chosen].sum()
-    shares = areas * np.clip(np.einsum("nd,nd->n", facing, planes), 0.0, 1.0)
+    facing = tree.normals_of(held_by)
+    shares = pullers.areas * np.clip(np.einsum("nd,nd->n", facing, planes), 0.0, 1.0)
     shares *= round_trip_weights(np.einsum("mk,mkd->md", barycentric, feet[corners]) - points, residual, alpha)
-    weights = (shares[:, None] * barycentric).ravel()  # one row per corner
-    planes = np.repeat(planes, 3, axis=0)
-    wanted = np.einsum("nd,nd->n", planes, positions[corners.ravel()]) + np.repeat(residual, 3)
-    gather = sparse.csr_array((weights, (corners.ravel(), np.arange(len(weights)))), shape=(n, len(weights)))
-    blocks = gather @ (planes[:, :, None] * planes[:, None, :]).reshape(-1, 9)
-    received = np.asarray(gather.sum(axis=1), dtype=np.float64).ravel()
-    return Pull(blocks.reshape(n, 3, 3), gather @ (wanted[:, None] * planes), received, held_by, foot)
+    # Column j gives what source vertex j asks to the three corners around its foot.
+    gather = sparse.csc_array(
+        ((shares[:, None] * barycentric).ravel(), corners.ravel(), 3 * np.arange(len(points) + 1)),
+        shape=(len(positions), len(points)),
+    )
+    gathered = gather @ np.hstack([pullers.outer, residual[:, None] * planes, np.ones((len(points), 1))])
+    blocks = gathered[:, :9].reshape(-1, 3, 3)
+    right = np.einsum("nab,nb->na", blocks, positions) + gathered[:, 9:12]
+    return Pull(blocks, right, gathered[:, 12], held_by, foot)
 
 
 def curved_points(corners: FloatArray, normals: FloatArray, barycentric: FloatArray) -> FloatArray:
@@ -188,12 +213,8 @@ def curved_points(corners: FloatArray, normals: FloatArray, barycentric: FloatAr
     return np.asarray(flat + 0.5 * np.einsum("mk,mkd->md", barycentric * heights, normals))
 
 
-def deformed_normals(
-    graph: ElasticGraph, positions: FloatArray, maps: FloatArray, target_triangles: IndexArray | None
-) -> FloatArray:
-    """(n, 3) unit normals of the deformed surface: from its triangles, or without them from the maps (n, 3, 3)."""
-    if target_triangles is not None:
-        return vertex_normals(positions, target_triangles)
+def deformed_normals(graph: ElasticGraph, maps: FloatArray) -> FloatArray:
+    """(n, 3) unit normals of a deformed graph, from its maps (n, 3, 3)."""
     # Normals transform with the cofactor matrix, whose rows are cross products of the map's rows.
     cofactors = np.stack([np.cross(maps[:, (k + 1) % 3], maps[:, (k + 2) % 3]) for k in range(3)], axis=1)
     return normalized(np.einsum("nab,nb->na", cofactors, graph.normals))

@@ -18,9 +18,10 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from cagemap.basis.factorization import Factorization, factor
+from cagemap.basis.factorization import Factorization
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.operators.laplacian import stiffness, vertex_areas
+from cagemap.point_map.elastic_system import BlockSystem
 from cagemap.point_map.surface_points import normalized, vertex_normals
 
 # Cotangent weights may be negative; the energy wants positive ones: at least this share of the median.
@@ -160,42 +161,47 @@ class DifferentialField:
 
     The normal equations ``(G_i + epsilon L) a = c``, ``G_i = sum_j w_ij e_ij e_ij^T``, are those of the energy with A_i
     instead of A_ij in its first term; they decouple into the three rows of A, with one matrix for all.
+
+    Attributes
+    ----------
+    system : BlockSystem
+        Of L: positions need matrices of the same pattern.
+    factors : Factorization
+        Of ``G + epsilon L``.
+    moments : (3 n, n) csr_array
+        B of ``c = B x``: row 3 i + b holds ``sum_j w_ij e_ij,b (x_i - x_j)``.
     """
 
-    graph: ElasticGraph
+    system: BlockSystem
     factors: Factorization
-    gather: sparse.csr_array
-    edges: FloatArray
+    moments: sparse.csr_array
 
     @classmethod
     def build(cls, graph: ElasticGraph, laplacian: sparse.csr_array, epsilon: float) -> DifferentialField:
         """Factor the (3 n, 3 n) matrix once for all iterations."""
-        edges, gather = graph.edges, graph.gather()
+        edges = graph.edges
         outer = graph.weights[:, None, None] * edges[:, :, None] * edges[:, None, :]
-        blocks = (gather @ outer.reshape(-1, 9)).reshape(-1, 3, 3)
-        diagonal = sparse.bsr_array(
-            (blocks, np.arange(graph.n), np.arange(graph.n + 1)), shape=(3 * graph.n, 3 * graph.n)
-        )
+        blocks = (graph.gather() @ outer.reshape(-1, 9)).reshape(-1, 3, 3)
         # A flat ring leaves its normal direction open: lean on the neighbours, and a trace of ridge for safety.
-        ridge = 1e-9 * float(np.einsum("naa->n", blocks).mean())
-        matrix = diagonal.tocsc() + sparse.csc_array(sparse.kron(epsilon * laplacian, sparse.eye_array(3)))
-        return cls(graph, factor(sparse.csc_array(matrix + ridge * sparse.eye_array(3 * graph.n))), gather, edges)
+        blocks += 1e-9 * float(np.einsum("naa->n", blocks).mean()) * np.eye(3)
+        system = BlockSystem.build(laplacian)
+        weighted = (graph.weights[:, None] * edges).ravel()
+        rows = (3 * graph.heads[:, None] + np.arange(3)).ravel()
+        at_heads, at_tails = np.repeat(graph.heads, 3), np.repeat(graph.tails, 3)
+        moments = sparse.csr_array(
+            (np.concatenate([weighted, -weighted]), (np.tile(rows, 2), np.concatenate([at_heads, at_tails]))),
+            shape=(3 * graph.n, graph.n),
+        )
+        return cls(system, system.factor(epsilon, blocks), moments)
 
     def solve(self, positions: FloatArray) -> FloatArray:
         """(n, 3, 3) maps A for positions x."""
-        graph = self.graph
-        moved = positions[graph.heads] - positions[graph.tails]
-        products = (graph.weights[:, None, None] * self.edges[:, :, None] * moved[:, None, :]).reshape(-1, 9)
-        transposed = self.factors.solve(
-            (self.gather @ products).reshape(3 * graph.n, 3)
-        )  # rows (i, b), columns a: A_i[a, b]
+        transposed = self.factors.solve(self.moments @ positions)  # rows (i, b), columns a: A_i[a, b]
         return np.ascontiguousarray(transposed.reshape(-1, 3, 3).transpose(0, 2, 1))
 
     def divergence(self, maps: FloatArray) -> FloatArray:
-        """(n, 3) right side of the position solve: ``sum_j w_ij A_ij e_ij``."""
-        graph = self.graph
-        means = 0.5 * (maps[graph.heads] + maps[graph.tails])
-        return np.asarray(self.gather @ (graph.weights[:, None] * np.einsum("eab,eb->ea", means, self.edges)))
+        """(n, 3) right side of the position solve: ``sum_j w_ij A_ij e_ij``, which is ``B^T A / 2``."""
+        return np.asarray(0.5 * (self.moments.T @ maps.transpose(0, 2, 1).reshape(-1, 3)))
 
 
 def extrapolate(
@@ -225,7 +231,8 @@ def _cells(graph: ElasticGraph, count: int) -> IndexArray:
     for _ in range(8):
         features = np.hstack([graph.positions, 0.5 * NORMAL_SPREAD * width * graph.normals]) / width
         keys = np.floor(features - features.min(axis=0)).astype(np.int64)
-        _, cell = np.unique(keys, axis=0, return_inverse=True)
+        counts = keys.max(axis=0) + 1
+        _, cell = np.unique(np.ravel_multi_index(tuple(keys.T), tuple(counts)), return_inverse=True)
         found = int(cell.max()) + 1
         if 0.85 * count <= found <= 1.2 * count or (found == graph.n and count >= graph.n):
             break

@@ -102,8 +102,11 @@ def project(positions: FloatArray, pair: Pair, tree: TriangleTree, config: Elast
     weights = config.projection_normal_weights
     triangle, barycentric = facing_points(tree, positions, vertex_normals(positions, target_triangles), weights)
     landmarks = pair.target_landmarks, pair.source_landmarks
+    wanted = np.zeros(len(on_source), dtype=bool)
+    wanted[landmarks[1]] = True
+    at_landmarks = np.flatnonzero(wanted[source_triangles.ravel()])
     holder = np.zeros(len(on_source), dtype=np.int64)
-    holder[source_triangles.ravel()] = np.repeat(np.arange(len(source_triangles)), 3)
+    holder[source_triangles.ravel()[at_landmarks]] = at_landmarks // 3
     triangle[landmarks[0]] = holder[landmarks[1]]
     barycentric[landmarks[0]] = source_triangles[triangle[landmarks[0]]] == landmarks[1][:, None]
     return PointMap(
@@ -140,7 +143,7 @@ def facing_points(
     triangle, barycentric : (m,), (m, 3)
     """
     triangle, barycentric, _ = closest_points(tree, points, normals, normal_weight=weights[0])
-    cosine = np.einsum("md,md->m", tree.mesh_normals()[triangle], normals)
+    cosine = np.einsum("md,md->m", tree.normals_of(triangle), normals)
     away = np.flatnonzero(cosine < LEAST_COSINE)
     if len(away):
         triangle[away], barycentric[away], _ = closest_points(

@@ -1,4 +1,4 @@
-"""The linear system of the elastic fit's positions."""
+"""The linear systems of the elastic fit: of its positions and, with the same pattern, of its differentials."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from cagemap.mesh import FloatArray, IndexArray
 
 
 @dataclass(frozen=True)
-class PositionSystem:
-    """(3 n, 3 n) matrix alpha L + block diagonal, with the pattern kept between iterations."""
+class BlockSystem:
+    """(3 n, 3 n) matrices alpha L + block diagonal, with the pattern kept from one to the next."""
 
     matrix: sparse.csc_array
     elastic: FloatArray
     blocks: IndexArray
 
     @classmethod
-    def build(cls, laplacian: sparse.csr_array) -> PositionSystem:
+    def build(cls, laplacian: sparse.csr_array) -> BlockSystem:
         """Lay out the pattern for an (n, n) Laplacian."""
         n = laplacian.shape[0]
         ones = sparse.bsr_array((np.ones((n, 3, 3)), np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n)).tocsc()
@@ -39,9 +39,12 @@ class PositionSystem:
         blocks = np.asarray(numbered[rows, cols]).ravel().astype(np.int64) - 1
         return cls(pattern, values, blocks)
 
-    def factor(self, alpha: float, blocks: FloatArray, like: Factorization | None) -> Factorization:
-        """Factor alpha L + blocks (n, 3, 3), with the ordering of an earlier factorisation if there is one."""
+    def at(self, alpha: float, blocks: FloatArray) -> sparse.csc_array:
+        """The matrix alpha L + blocks (n, 3, 3)."""
         values = alpha * self.elastic
         values[self.blocks] += blocks.ravel()
-        matrix = sparse.csc_array((values, self.matrix.indices, self.matrix.indptr), shape=self.matrix.shape)
-        return factor(matrix, like=like)
+        return sparse.csc_array((values, self.matrix.indices, self.matrix.indptr), shape=self.matrix.shape)
+
+    def factor(self, alpha: float, blocks: FloatArray, like: Factorization | None = None) -> Factorization:
+        """Factor alpha L + blocks (n, 3, 3), with the ordering of an earlier factorisation if there is one."""
+        return factor(self.at(alpha, blocks), like=like)

@@ -15,7 +15,6 @@ import numpy as np
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.elastic import ElasticConfig
 from cagemap.point_map.elastic_graph import DifferentialField, ElasticGraph, cluster_graph, extrapolate
-from cagemap.point_map.elastic_system import PositionSystem
 from cagemap.point_map.surface_points import vertex_normals
 
 
@@ -67,7 +66,7 @@ def landmark_response(
     blocks[held] = landmark_weight * np.eye(3)
     pulled = np.zeros((graph.n, 3))
     pulled[held] = landmark_weight * offsets
-    factors = PositionSystem.build(laplacian).factor(config.stiffness, blocks, None)
+    factors = field.system.factor(config.stiffness, blocks, field.factors)
     before, maps = np.zeros((graph.n, 3)), np.zeros((graph.n, 3, 3))
     for iteration in range(config.iterations):
         after = factors.solve((pulled + config.stiffness * field.divergence(maps)).ravel()).reshape(-1, 3)

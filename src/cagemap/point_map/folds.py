@@ -13,9 +13,10 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from cagemap.basis.threads import in_threads, parts
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.quality import flipped_triangles, map_positions
-from cagemap.point_map.surface_points import TriangleTree, closest_points, normalized
+from cagemap.point_map.surface_points import CACHED, TriangleTree, closest_points, normalized
 
 ROUNDS = 6
 SWEEPS = 10
@@ -73,9 +74,8 @@ def unfold(
     -------
     triangle, barycentric : (n1,), (n1, 3)
     """
-    normals = tree.mesh_normals()
     image = map_positions(source, source_triangles, triangle, barycentric)
-    flipped = flipped_triangles(image, target_triangles, normals[triangle])
+    flipped = flipped_triangles(image, target_triangles, tree.normals_of(triangle))
     if not flipped.any():
         return triangle, barycentric
     # Nothing outside the last round's patch is looked at: go on with the triangles around it, renumbered.
@@ -86,12 +86,12 @@ def unfold(
     local = Images(triangle[vertices], barycentric[vertices], image[vertices])
     before = np.inf
     for ring in range(1, rounds + 1):
-        flipped = flipped_triangles(local.positions, near, normals[local.triangle])
+        flipped = flipped_triangles(local.positions, near, tree.normals_of(local.triangle))
         if flipped.sum() > (1.0 - LEAST_GAIN) * before or not flipped.any():
             break
         before = flipped.sum()
         inside = _patch(near, flipped, ring, len(vertices)) & movable
-        local = _relaxed(local, near, inside, flipped, normals, source, source_triangles, tree, normal_weight)
+        local = _relaxed(local, near, inside, flipped, source, source_triangles, tree, normal_weight)
     triangle, barycentric = triangle.copy(), barycentric.copy()
     triangle[vertices], barycentric[vertices] = local.triangle, local.barycentric
     return triangle, barycentric
@@ -102,7 +102,6 @@ def _relaxed(
     near: IndexArray,
     inside: np.ndarray,
     flipped: np.ndarray,
-    normals: FloatArray,
     source: FloatArray,
     source_triangles: IndexArray,
     tree: TriangleTree,
@@ -112,7 +111,7 @@ def _relaxed(
     vertices = np.flatnonzero(inside)
     touched = _touched(near, inside)
     means = _neighbour_means(near[touched], inside)
-    moved, directions = images.positions.copy(), normals[images.triangle]
+    moved, directions = images.positions.copy(), tree.normals_of(images.triangle)
     for _ in range(SWEEPS):
         moved[vertices] = means @ moved
         directions[vertices] = normalized(means @ directions)
@@ -126,7 +125,7 @@ def _relaxed(
     triangle, barycentric, positions = images.triangle.copy(), images.barycentric.copy(), images.positions.copy()
     triangle[vertices], barycentric[vertices] = found, weights
     positions[vertices] = map_positions(source, source_triangles, found, weights)
-    still = flipped_triangles(positions, near[touched], normals[triangle])
+    still = flipped_triangles(positions, near[touched], tree.normals_of(triangle))
     kept = _improved(near[touched], inside, flipped[touched], still)
     chosen = kept[:, None]
     return Images(
@@ -147,7 +146,14 @@ def _patch(triangles: IndexArray, flipped: np.ndarray, rings: int, n: int) -> np
 
 def _touched(triangles: IndexArray, inside: np.ndarray) -> np.ndarray:
     """(t,) triangles with a corner inside."""
-    return np.asarray(inside[triangles[:, 0]] | inside[triangles[:, 1]] | inside[triangles[:, 2]])
+    touched = np.empty(len(triangles), dtype=np.bool_)
+
+    def fill(part: slice) -> None:
+        first, second, third = (inside.take(corner) for corner in triangles[part].T)
+        touched[part] = first | second | third
+
+    in_threads(fill, parts(len(triangles), CACHED))
+    return touched
 
 
 def _improved(near: IndexArray, inside: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:

@@ -13,7 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from cagemap.mesh import FloatArray
+from cagemap.basis import Surface
+from cagemap.basis.threads import in_threads
+from cagemap.mesh import FloatArray, IndexArray
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.point_map.elastic_graph import ElasticGraph
 from cagemap.point_map.elastic_map import finest_surface, level_graph
@@ -146,9 +148,9 @@ def checked_map(
         return refined_map(pair, config, progress), LandmarkCheck(notes=(note,))
     progress("landmark distances")
     level = search_levels(pair, config.hierarchy)
-    graphs = level_graph(pair.target, level[0])[0], level_graph(pair.source, level[1])[0]
-    landmarks = pair.target_landmarks, pair.source_landmarks
-    target, source = (LandmarkDistances.measure(*side) for side in zip(graphs, landmarks, strict=True))
+    sides = (pair.target, level[0], pair.target_landmarks), (pair.source, level[1], pair.source_landmarks)
+    (target_graph, target), (source_graph, source) = in_threads(lambda side: _measured(*side), sides)
+    graphs = target_graph, source_graph
     misplaced = misplaced_pairs(target, source)
     notes: tuple[str, ...] = ()
     if len(misplaced) > MOST_SUSPECTS * count or typical_misfit(target, source, np.arange(count)) > UNRELATED:
@@ -181,6 +183,12 @@ def checked_map(
         for i in sorted(evidence)
     )
     return current, LandmarkCheck(suspects, notes + orientation_notes(trusted_pairs(pair, evidence), graphs))
+
+
+def _measured(surface: Surface, level: int, landmarks: IndexArray) -> tuple[ElasticGraph, LandmarkDistances]:
+    """Graph of a level, and the distances of the landmarks on it."""
+    graph = level_graph(surface, level)[0]
+    return graph, LandmarkDistances.measure(graph, landmarks)
 
 
 def trusted_pairs(pair: Pair, left_out: Collection[int]) -> Pair:

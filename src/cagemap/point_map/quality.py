@@ -13,15 +13,18 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from cagemap.basis.threads import in_threads, parts
 from cagemap.errors import ParameterError
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.surface_points import (
+    CACHED,
     build_tree,
     closest_points,
+    corner_sums,
     normalized,
+    ring_sums,
     row_lengths,
     triangle_normals,
-    vertex_normals,
 )
 
 LANDMARK_TOLERANCE = 5e-4  # of sqrt(area): a landmark farther off than this is named
@@ -91,10 +94,15 @@ def map_positions(
     positions: FloatArray, triangles: IndexArray, triangle: IndexArray, barycentric: FloatArray
 ) -> FloatArray:
     """(n1, 3) positions of the points (triangle, barycentric) of a surface."""
-    corners = triangles.take(triangle, axis=0)
-    images = barycentric[:, :1] * positions.take(corners[:, 0], axis=0)
-    for k in (1, 2):
-        images += barycentric[:, k, None] * positions.take(corners[:, k], axis=0)
+    images = np.empty((len(triangle), 3))
+
+    def fill(part: slice) -> None:
+        corners, weights = triangles.take(triangle[part], axis=0), barycentric[part]
+        images[part] = weights[:, :1] * positions.take(corners[:, 0], axis=0)
+        for k in (1, 2):
+            images[part] += weights[:, k, None] * positions.take(corners[:, k], axis=0)
+
+    in_threads(fill, parts(len(triangle), CACHED))
     return images
 
 
@@ -108,8 +116,15 @@ def flipped_triangles(image: FloatArray, target_triangles: IndexArray, image_nor
     image_normals : (n1, 3)
         Source normals at the image of every target vertex; a triangle compares with the sum over its corners.
     """
-    expected = sum(image_normals.take(target_triangles[:, k], axis=0) for k in range(3))
-    return np.einsum("td,td->t", triangle_normals(image, target_triangles), expected) < 0
+    flipped = np.empty(len(target_triangles), dtype=np.bool_)
+
+    def fill(part: slice) -> None:
+        corners = target_triangles[part]
+        expected = sum(image_normals.take(corners[:, k], axis=0) for k in range(3))
+        flipped[part] = np.einsum("td,td->t", triangle_normals(image, corners), expected) < 0
+
+    in_threads(fill, parts(len(target_triangles), CACHED))
+    return flipped
 
 
 def flipped_share(image: FloatArray, target: FloatArray, triangles: IndexArray, image_normals: FloatArray) -> float:
@@ -156,18 +171,16 @@ def covered_share(
     length of the edges around that vertex. The first ``samples`` vertices are judged: in a refined mesh they are
     the vertices of coarser levels and spread evenly.
     """
-    normals = vertex_normals(source, source_triangles)
-    areas, lengths = _vertex_areas_and_lengths(source, source_triangles)
-    judged = slice(0, min(samples, len(source)))
+    judged = min(samples, len(source))
+    normals, areas, edges, triangles = np.split(ring_sums(source, source_triangles, judged), (3, 4, 5), axis=1)
     reached, _, _ = closest_points(
         build_tree(image, target_triangles),
-        source[judged],
-        normals[judged],
+        source[:judged],
+        normalized(normals),
         minimum_cosine=0.0,
-        within=0.5 * lengths[judged],
+        within=0.5 * (edges / np.maximum(triangles, 1)).ravel(),
     )
-    weights = areas[judged]
-    return float(weights[reached >= 0].sum() / weights.sum())
+    return float(areas[reached >= 0].sum() / areas.sum())
 
 
 def trust_field(
@@ -190,9 +203,7 @@ def trust_field(
     """
     delta = np.maximum(sigma[0], 1 / np.maximum(sigma[1], 1e-6))
     per_triangle = np.where(flipped, 0.0, np.minimum(1.0, (TRUSTED_STRETCH / delta) ** 2))
-    corners = triangles.ravel()
-    weighted = np.bincount(corners, np.repeat(areas * per_triangle, 3), minlength=n)
-    total = np.bincount(corners, np.repeat(areas, 3), minlength=n)
+    weighted, total = corner_sums(triangles, np.column_stack([areas * per_triangle, areas]), n).T
     return np.divide(weighted, total, out=np.zeros(n), where=total > 0)
 
 
@@ -233,16 +244,24 @@ def measure_quality(
     target = target / np.sqrt(surface_area(target, target_triangles))
     source = source / np.sqrt(surface_area(source, source_triangles))
     image = map_positions(source, source_triangles, triangle, barycentric)
-    image_normals = normalized(triangle_normals(source, source_triangles)).take(triangle, axis=0)
+    image_normals = normalized(triangle_normals(source, source_triangles.take(triangle, axis=0)))
+
+    def on_triangles(part: slice) -> tuple[FloatArray, NDArray[np.bool_], FloatArray, FloatArray]:
+        these = target_triangles[part]
+        sigma = stretches(target, image, these)
+        flipped = flipped_triangles(image, these, image_normals)
+        return 0.5 * row_lengths(triangle_normals(target, these)), flipped, *sigma
+
     with ThreadPoolExecutor(1) as pool:
         asked = target_triangles if coarse_triangles is None else coarse_triangles
         covered = pool.submit(covered_share, image[: asked.max() + 1], asked, source, source_triangles)
-        flipped = flipped_triangles(image, target_triangles, image_normals)
-        areas = 0.5 * row_lengths(triangle_normals(target, target_triangles))
-        largest, smallest = stretches(target, image, target_triangles)
+        found = in_threads(on_triangles, parts(len(target_triangles), CACHED))
+        areas, flipped, largest, smallest = (np.concatenate(kind) for kind in zip(*found, strict=True))
         aspect = largest / np.maximum(smallest, 1e-9)
         trust = trust_field((largest, smallest), areas, target_triangles, flipped, len(target))
         coverage = covered.result()
+    asked_about = (largest * smallest, areas, (1, 5, 50, 95, 99)), (aspect, areas, (50, 95, 99))
+    area_ratios, aspect_ratios = in_threads(lambda asked: weighted_percentiles(*asked), asked_about)
     errors = np.linalg.norm(image[landmarks[:, 0]] - source[landmarks[:, 1]], axis=1)
     flipped_area = float(areas[flipped].sum() / areas.sum())
     names = tuple(landmark_names) or tuple(f"pair {i}" for i in range(len(landmarks)))
@@ -251,8 +270,8 @@ def measure_quality(
         flipped_area=flipped_area,
         coverage=coverage,
         dirichlet=float(0.5 * (areas * (largest**2 + smallest**2)).sum()),
-        area_ratios=weighted_percentiles(largest * smallest, areas, (1, 5, 50, 95, 99)),
-        aspect_ratios=weighted_percentiles(aspect, areas, (50, 95, 99)),
+        area_ratios=area_ratios,
+        aspect_ratios=aspect_ratios,
         trust=trust,
         warnings=_warnings(errors, names, flipped_area, coverage, trust, target),
     )
@@ -272,18 +291,6 @@ def _first_form(positions: FloatArray, triangles: IndexArray) -> tuple[FloatArra
     first, second, third = (positions.take(triangles[:, k], axis=0) for k in range(3))
     e1, e2 = second - first, third - first
     return np.einsum("td,td->t", e1, e1), np.einsum("td,td->t", e1, e2), np.einsum("td,td->t", e2, e2)
-
-
-def _vertex_areas_and_lengths(positions: FloatArray, triangles: IndexArray) -> tuple[FloatArray, FloatArray]:
-    """(n,) a third of the adjacent triangles' areas, and the mean length of the adjacent triangles' edges."""
-    n = len(positions)
-    corners = triangles.ravel()
-    areas = row_lengths(triangle_normals(positions, triangles)) / 6
-    at = [positions.take(triangles[:, k], axis=0) for k in range(3)]
-    edges = [row_lengths(at[k] - at[k - 1]) for k in range(3)]
-    lengths = np.bincount(corners, np.repeat(sum(edges) / 3, 3), minlength=n)
-    counts = np.maximum(np.bincount(corners, minlength=n), 1)
-    return np.bincount(corners, np.repeat(areas, 3), minlength=n).astype(np.float64), lengths / counts
 
 
 def check_map(n_target: int, n_source_triangles: int, triangle: IndexArray, barycentric: FloatArray) -> None:

@@ -10,14 +10,14 @@ import numpy as np
 from cagemap.basis import Surface, rows
 from cagemap.basis.threads import in_threads
 from cagemap.mesh import FloatArray, IndexArray
-from cagemap.point_map.elastic import ElasticConfig, fit
+from cagemap.point_map.elastic import ElasticConfig, RestShape, coarse_fit, fit
 from cagemap.point_map.elastic_map import finest_surface, fit_shapes, level_graph, project, refined_positions
 from cagemap.point_map.elastic_update import respond
 from cagemap.point_map.hierarchical import HierarchyConfig, Pair, Progress, descriptor_map, grown_map, search_levels
 from cagemap.point_map.landmark_coordinates import landmark_coordinates
 from cagemap.point_map.point_map import PointMap
 from cagemap.point_map.quality import map_positions
-from cagemap.point_map.surface_points import build_tree
+from cagemap.point_map.surface_points import TriangleTree, build_tree
 from cagemap.point_map.upsample import FIT_SAMPLES, Samples, fit_functional_map, spread
 from cagemap.refinement import level_triangles
 
@@ -47,17 +47,9 @@ def refined_map(pair: Pair, config: RefinedConfig, progress: Progress = lambda s
         If there are fewer than two landmarks.
     """
     levels = search_levels(pair, config.hierarchy)
-    on_source, triangles = finest_surface(pair.source)
-    with ThreadPoolExecutor(1) as aside:
-        tree = aside.submit(build_tree, on_source, triangles)  # the projection's; until then a core is free
-        progress("functional map")
-        shapes = fit_shapes(pair, levels[0], config.elastic)
-        match = start_map(pair, levels, shapes.vertices, shapes.coarse.areas, config.hierarchy)
-        progress("elastic fit")
-        fitted = fit(shapes, on_source[match], pair.target_landmarks, on_source[pair.source_landmarks], config.elastic)
-        progress("projection")
-        positions = refined_positions(pair.target.refinement, levels[0], fitted)
-        return project(positions, pair, tree.result(), config.elastic)
+    fitted, tree = _fitted(pair, levels, config, progress)
+    progress("projection")
+    return project(refined_positions(pair.target.refinement, levels[0], fitted), pair, tree, config.elastic)
 
 
 def updated_map(
@@ -134,6 +126,26 @@ def functional_map_of(pair: Pair, point_map: PointMap) -> FloatArray:
     pulled = sum(weights[:, i, None] * at_corners[places.reshape(-1, 3)[:, i]] for i in range(3))
     samples = Samples(at_vertices, target.operators.finest_areas[chosen], np.zeros((len(chosen), 0)))
     return fit_functional_map(samples, pulled, target.basis.count)
+
+
+def _fitted(
+    pair: Pair, levels: tuple[int, int], config: RefinedConfig, progress: Progress
+) -> tuple[FloatArray, TriangleTree]:
+    """Positions of the target's search level on the source, and the tree of the source's finest triangles."""
+    on_source, triangles = finest_surface(pair.source)
+    places, elastic = on_source[pair.source_landmarks], config.elastic
+    progress("functional map")
+    shapes = fit_shapes(pair, levels[0], elastic)
+    with ThreadPoolExecutor(1) as aside:  # what does not need the functional map, in the order in which it is asked for
+        coarse = aside.submit(RestShape.build, shapes.coarse, None, elastic.coarse.smoothing)
+        blind = aside.submit(lambda: coarse_fit(coarse.result(), shapes.sheet, None, places, elastic))
+        fine = aside.submit(RestShape.build, shapes.graph, shapes.triangles, elastic.fine.smoothing)
+        tree = aside.submit(build_tree, on_source, triangles)
+        match = start_map(pair, levels, shapes.vertices, shapes.coarse.areas, config.hierarchy)
+        progress("elastic fit")
+        guided = coarse_fit(coarse.result(), shapes.sheet, on_source[match], places, elastic)
+        started = guided, blind.result()
+        return fit(shapes, fine.result(), started, pair.target_landmarks, places, elastic), tree.result()
 
 
 def _samples(surface: Surface, level: int, landmarks: IndexArray, vertices: IndexArray, areas: FloatArray) -> Samples:

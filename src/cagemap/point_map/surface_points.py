@@ -14,9 +14,11 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.basis.threads import core_count, in_threads
+from cagemap.basis.threads import core_count, in_threads, parts
 from cagemap.errors import ParameterError
 from cagemap.mesh import FloatArray, IndexArray
+
+CACHED = 16_384  # triangles or points whose figures stay within a core's cache from one array operation to the next
 
 _LEAF_SIZE = 8
 _STACK_SIZE = 64
@@ -36,6 +38,8 @@ class TriangleTree:
         empty (lower > upper position).
     order : (t,) int64
         Triangle of the mesh at every position of the tree.
+    places : (t,) int64
+        Position in the tree of every triangle of the mesh.
     corners : (t, 3, 3) float64
         Corner positions in tree order.
     normals : (t, 3) float64
@@ -44,14 +48,13 @@ class TriangleTree:
 
     boxes: FloatArray
     order: IndexArray
+    places: IndexArray
     corners: FloatArray
     normals: FloatArray
 
-    def mesh_normals(self) -> FloatArray:
-        """(t, 3) the unit normals in the order of the mesh."""
-        normals = np.empty_like(self.normals)
-        normals[self.order] = self.normals
-        return normals
+    def normals_of(self, triangles: IndexArray) -> FloatArray:
+        """(m, 3) unit normals of some triangles (m,) of the mesh."""
+        return self.normals.take(self.places.take(triangles), axis=0)
 
 
 def triangle_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
@@ -71,10 +74,31 @@ def triangle_centres(positions: FloatArray, triangles: IndexArray) -> FloatArray
 
 def vertex_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
     """(n, 3) unit vertex normals, area-weighted means of the adjacent triangles' normals."""
-    per_triangle = triangle_normals(positions, triangles)
-    corners = triangles.ravel()
-    sums = [np.bincount(corners, np.repeat(per_triangle[:, d], 3), minlength=len(positions)) for d in range(3)]
-    return normalized(np.column_stack(sums).astype(np.float64))
+    return normalized(corner_sums(triangles, triangle_normals(positions, triangles), len(positions)))
+
+
+def corner_sums(triangles: IndexArray, values: FloatArray, count: int) -> FloatArray:
+    """(count, d) sums of rows (t, d) over the triangles around each of the first vertices."""
+    sums = np.zeros((count, values.shape[1]))
+    _add_to_corners(triangles, values, sums)
+    return sums
+
+
+def ring_sums(positions: FloatArray, triangles: IndexArray, count: int) -> FloatArray:
+    """(count, 6) sums over the triangles around each of the first vertices.
+
+    Columns: the normals of length twice the area, the areas, the means of the edges' lengths, and ones.
+    """
+    sums = np.zeros((count, 6))
+    for part in parts(len(triangles), CACHED):
+        near = triangles[part]
+        near = near[(near < count).any(axis=1)]
+        normals = triangle_normals(positions, near)
+        corners = [positions.take(near[:, k], axis=0) for k in range(3)]
+        edges = sum(row_lengths(corners[k] - corners[k - 1]) for k in range(3)) / 3
+        figures = np.column_stack([normals, 0.5 * row_lengths(normals), edges, np.ones(len(near))])
+        _add_to_corners(near, figures, sums)
+    return sums
 
 
 def row_lengths(vectors: FloatArray) -> FloatArray:
@@ -122,7 +146,9 @@ def build_tree(positions: FloatArray, triangles: IndexArray) -> TriangleTree:
             np.minimum(left[:, lower], right[:, lower], out=parents[:, lower])
             np.maximum(left[:, upper], right[:, upper], out=parents[:, upper])
         first_leaf = (first_leaf - 1) // 2
-    return TriangleTree(boxes, order, corners, normals)
+    places = np.empty_like(order)
+    places[order] = np.arange(len(order))
+    return TriangleTree(boxes, order, places, corners, normals)
 
 
 def closest_points(
@@ -171,9 +197,7 @@ def closest_points(
         raise ParameterError("expected normals of the queries, got none: normal_weight and minimum_cosine need them")
     start = np.full(len(queries), -1, dtype=np.int64)
     if guess is not None:
-        position_in_tree = np.empty(len(tree.order), dtype=np.int64)
-        position_in_tree[tree.order] = np.arange(len(tree.order))
-        start = np.where(guess >= 0, position_in_tree[guess], -1)
+        start = np.where(guess >= 0, tree.places[guess], -1)
     sequence = np.argsort(_morton_codes(queries))
     found = np.full(len(queries), -1, dtype=np.int64)
     barycentric, squared = np.zeros((len(queries), 3)), np.full(len(queries), np.inf)
@@ -188,8 +212,8 @@ def closest_points(
             (found, barycentric, squared),
         )
 
-    parts = 1 if len(queries) < _CHUNK else min(8 * core_count(), -(-len(queries) // _CHUNK))
-    in_threads(search, np.array_split(sequence, parts))
+    pieces = 1 if len(queries) < _CHUNK else min(8 * core_count(), -(-len(queries) // _CHUNK))
+    in_threads(search, np.array_split(sequence, pieces))
     triangle = np.where(found >= 0, tree.order[found], -1)
     return triangle, barycentric, np.sqrt(squared)
 
@@ -239,23 +263,27 @@ def _leaf_order(positions: FloatArray, triangles: IndexArray, normals: FloatArra
     """(t,) triangles leaf by leaf along a space-filling curve; ``normals`` (t, 3) have length twice the area."""
     centres = triangle_centres(positions, triangles)
     whole = len(centres) // _LEAF_SIZE * _LEAF_SIZE
-    runs = centres[:whole].reshape(-1, _LEAF_SIZE, 3)
-    extents = row_lengths(runs.max(axis=1) - runs.min(axis=1)) if whole else np.full(1, np.inf)
+    # Coordinate by coordinate, for rows of three are too short for array operations.
+    runs = [centres[:whole, d].reshape(-1, _LEAF_SIZE) for d in range(3)]
+    extents = (
+        np.sqrt(sum(np.square(run.max(axis=1) - run.min(axis=1)) for run in runs)) if whole else np.full(1, np.inf)
+    )
     if extents.mean() > _COMPACT * np.sqrt(row_lengths(normals)).mean():
         return np.argsort(_morton_codes(centres), kind="stable")
-    first = _LEAF_SIZE * np.argsort(_morton_codes(runs.mean(axis=1)), kind="stable")
+    first = _LEAF_SIZE * np.argsort(_morton_codes(np.column_stack([run.mean(axis=1) for run in runs])), kind="stable")
     return np.concatenate([(first[:, None] + np.arange(_LEAF_SIZE)).ravel(), np.arange(whole, len(centres))])
 
 
 def _morton_codes(points: FloatArray) -> IndexArray:
     """(t,) positions of points along a space-filling curve, 21 bits an axis."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    extent = max(float((high - low).max()), 1e-300)  # not 0, and its inverse is finite
-    code = np.zeros(len(points), dtype=np.uint64)
-    for axis in range(3):
-        cells = np.minimum((points[:, axis] - low[axis]) * (2**21 / extent), 2**21 - 1).astype(np.uint64)
-        code |= _spread_bits(cells) << np.uint64(axis)
-    return code.astype(np.int64)
+    low, high = (np.array([extreme(column) for column in points.T]) for extreme in (np.min, np.max))
+    scale = 2**21 / max(float((high - low).max()), 1e-300)  # not 0, and its inverse is finite
+    codes = np.zeros(len(points), dtype=np.uint64)
+    for part in parts(len(points), CACHED):
+        for axis in range(3):
+            cells = np.minimum((points[part, axis] - low[axis]) * scale, 2**21 - 1).astype(np.uint64)
+            codes[part] |= _spread_bits(cells) << np.uint64(axis)
+    return codes.astype(np.int64)
 
 
 def _spread_bits(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
@@ -286,6 +314,17 @@ def _fill_normals(positions, triangles, normals):  # type: ignore[no-untyped-def
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def _add_to_corners(triangles, values, sums):  # type: ignore[no-untyped-def]
+    """Add every triangle's row to the rows of its corners, of those that have one."""
+    for t in range(len(triangles)):
+        for k in range(3):
+            corner = triangles[t, k]
+            if corner < len(sums):
+                for i in range(values.shape[1]):
+                    sums[corner, i] += values[t, i]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _fill_leaves(positions, triangles, normals, corners, boxes):  # type: ignore[no-untyped-def]
     """Corner positions of every triangle, and the box of every leaf."""
     for leaf in range(len(boxes)):
@@ -303,7 +342,7 @@ def _fill_leaves(positions, triangles, normals, corners, boxes):  # type: ignore
                 boxes[leaf, 9 + i] = max(boxes[leaf, 9 + i], normals[t, i])
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@numba.njit(cache=True, error_model="numpy")
 def _box_cost(boxes, node, x, y, z, nx, ny, nz, weight2):  # type: ignore[no-untyped-def]
     """Least squared distance to a box of positions, and to one of normals (2 - 2 cos = |n_q - n_p|^2)."""
     dx = max(boxes[node, 0] - x, 0.0, x - boxes[node, 3])
@@ -387,25 +426,26 @@ def _search(tree, asked, options, sequence, answers):  # type: ignore[no-untyped
         size = 1
         while size > 0 or climb > 0:
             if size == 0:
-                sibling = climb + 1 if climb % 2 == 1 else climb - 1
+                node = climb + 1 if climb % 2 == 1 else climb - 1
                 climb = (climb - 1) // 2
-                nodes[0], bounds[0] = sibling, _box_cost(boxes, sibling, x, y, z, nx, ny, nz, weight2)
-                size = 1
-            size -= 1
-            node = nodes[size]
-            if bounds[size] >= best:
+                bound = _box_cost(boxes, node, x, y, z, nx, ny, nz, weight2)
+            else:
+                size -= 1
+                node, bound = nodes[size], bounds[size]
+            if bound >= best:
                 continue
-            if node < first_leaf:
-                left, right = 2 * node + 1, 2 * node + 2
-                dl = _box_cost(boxes, left, x, y, z, nx, ny, nz, weight2)
-                dr = _box_cost(boxes, right, x, y, z, nx, ny, nz, weight2)
-                if dl < dr:
-                    nodes[size], bounds[size] = right, dr
-                    nodes[size + 1], bounds[size + 1] = left, dl
-                else:
-                    nodes[size], bounds[size] = left, dl
-                    nodes[size + 1], bounds[size + 1] = right, dr
-                size += 2
+            while node < first_leaf:
+                node, other = 2 * node + 1, 2 * node + 2
+                bound = _box_cost(boxes, node, x, y, z, nx, ny, nz, weight2)
+                farther = _box_cost(boxes, other, x, y, z, nx, ny, nz, weight2)
+                if farther <= bound:
+                    node, other, bound, farther = other, node, farther, bound
+                if farther < best:
+                    nodes[size], bounds[size] = other, farther
+                    size += 1
+                if bound >= best:
+                    break
+            if bound >= best:
                 continue
             begin = (node - first_leaf) * _LEAF_SIZE
             for j in range(begin, min(begin + _LEAF_SIZE, n_triangles)):
