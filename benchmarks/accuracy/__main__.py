@@ -48,7 +48,7 @@ def main() -> None:
                 keep(
                     "humans",
                     human_rows(
-                        HUMANS[key], vertices, arguments.landmarks, [method], arguments.pyfm, arguments.peer_seconds
+                        HUMANS[key], vertices, arguments.landmarks, method, arguments.pyfm, arguments.peer_seconds
                     ),
                 )
         for key in arguments.animals:

@@ -11,77 +11,77 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.accuracy.data import HumanPair, animal_pair
+from cagemap.basis import Surface
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.pipeline import MatchConfig, choose_level, match, prepare_pair
-from cagemap.point_map.elastic_map import level_faces
+from cagemap.pipeline import ENOUGH, MatchConfig, choose_level, match, prepare_pair
 from cagemap.point_map.point_map import PointMap
 from cagemap.point_map.quality import map_positions
 from cagemap.point_map.truth import compare_with_truth, round_trip, true_map
+from cagemap.refinement import Refinement, level_triangles, refine
 
 WORKER = Path(__file__).resolve().parents[1] / "speed" / "pyfm_worker.py"
 
 
 @dataclass(frozen=True)
 class Side:
-    """A prepared surface with its neutral shape."""
+    """A refined surface with its neutral shape; prepared for our own methods, which need a level of at least 1."""
 
-    surface: object
+    surface: Surface | None
     positions: np.ndarray
     triangles: np.ndarray
     neutral: np.ndarray
 
 
 def human_rows(
-    pair: HumanPair, vertices: int, counts: list[int], methods: list[str], pyfm: str | None, seconds: float
+    pair: HumanPair, vertices: int, counts: list[int], method: str, pyfm: str | None, seconds: float
 ) -> list[dict]:
-    """One row of figures for every method, number of landmarks and direction."""
-    sides = _sides(pair, vertices)
+    """One row of figures for every number of landmarks and direction."""
+    sides = _refined_sides(pair, vertices) if method == "pyfm" else _prepared_sides(pair, vertices)
     truths = [_truth(sides, direction) for direction in (0, 1)]
     rows = []
     for count in counts:
         forward = pair.landmarks(count)
-        for method in methods:
-            maps, times = [], []
-            for landmarks, (source, target) in ((forward, sides), (forward.reversed(), sides[::-1])):
-                start = time.perf_counter()
-                maps.append(_map(method, target, source, landmarks, pyfm, seconds))
-                times.append(time.perf_counter() - start)
-            for direction, landmarks in ((0, forward), (1, forward.reversed())):
-                source, target = sides if direction == 0 else sides[::-1]
-                found, back = maps[direction], maps[1 - direction]
-                pairs = np.column_stack([landmarks.target, landmarks.source])
-                figures = compare_with_truth(
-                    target.positions, target.triangles, source.positions, source.triangles,
-                    found.triangle, found.barycentric, truths[direction], pairs,
-                )  # fmt: skip
-                trip = round_trip(
-                    target.positions, target.triangles, source.triangles,
-                    (found.triangle, found.barycentric), (back.triangle, back.barycentric),
-                )  # fmt: skip
-                names = (pair.first, pair.second) if direction == 0 else (pair.second, pair.first)
-                rows.append(
-                    {
-                        "pair": pair.key,
-                        "source": names[0],
-                        "target": names[1],
-                        "method": method,
-                        "landmarks": count,
-                        "vertices": [len(target.positions), len(source.positions)],
-                        "mean": 100 * figures.mean,
-                        "median": 100 * figures.median,
-                        "p95": 100 * figures.p95,
-                        "max": 100 * figures.maximum,
-                        "worst_landmark": 100 * figures.worst_landmark,
-                        "flipped": 100 * figures.flipped_area,
-                        "true_flipped": 100 * figures.true_flipped_area,
-                        "dirichlet_ratio": figures.dirichlet_ratio,
-                        "coverage": 100 * figures.coverage,
-                        "round_trip": 100 * float(trip.mean()),
-                        "known": 100 * figures.known,
-                        "seconds": times[direction],
-                    }
-                )
-                print(_line(rows[-1]), flush=True)
+        maps, times = [], []
+        for landmarks, (source, target) in ((forward, sides), (forward.reversed(), sides[::-1])):
+            start = time.perf_counter()
+            maps.append(_map(method, target, source, landmarks, pyfm, seconds))
+            times.append(time.perf_counter() - start)
+        for direction, landmarks in ((0, forward), (1, forward.reversed())):
+            source, target = sides if direction == 0 else sides[::-1]
+            found, back = maps[direction], maps[1 - direction]
+            pairs = np.column_stack([landmarks.target, landmarks.source])
+            figures = compare_with_truth(
+                target.positions, target.triangles, source.positions, source.triangles,
+                found.triangle, found.barycentric, truths[direction], pairs,
+            )  # fmt: skip
+            trip = round_trip(
+                target.positions, target.triangles, source.triangles,
+                (found.triangle, found.barycentric), (back.triangle, back.barycentric),
+            )  # fmt: skip
+            names = (pair.first, pair.second) if direction == 0 else (pair.second, pair.first)
+            rows.append(
+                {
+                    "pair": pair.key,
+                    "source": names[0],
+                    "target": names[1],
+                    "method": method,
+                    "landmarks": count,
+                    "vertices": [len(target.positions), len(source.positions)],
+                    "mean": 100 * figures.mean,
+                    "median": 100 * figures.median,
+                    "p95": 100 * figures.p95,
+                    "max": 100 * figures.maximum,
+                    "worst_landmark": 100 * figures.worst_landmark,
+                    "flipped": 100 * figures.flipped_area,
+                    "true_flipped": 100 * figures.true_flipped_area,
+                    "dirichlet_ratio": figures.dirichlet_ratio,
+                    "coverage": 100 * figures.coverage,
+                    "round_trip": 100 * float(trip.mean()),
+                    "known": 100 * figures.known,
+                    "seconds": times[direction],
+                }
+            )
+            print(_line(rows[-1]), flush=True)
     return rows
 
 
@@ -95,7 +95,7 @@ def animal_rows(key: str, vertices: int, method: str, left_out: int) -> list[dic
         config = MatchConfig(method=method)
         result = match(to, of, landmarks, config)
         positions = of.operators.scale * of.refinement.finest.positions
-        triangles = level_faces(of.refinement, of.refinement.n_levels)[1]
+        triangles = level_triangles(of.refinement, of.refinement.n_levels)
         errors = []
         for i in np.unique(np.linspace(0, len(landmarks) - 1, left_out).astype(int)):
             less = _without(landmarks, int(i))
@@ -136,18 +136,30 @@ def _without(landmarks: Landmarks, index: int) -> Landmarks:
     return replace(landmarks, names=names, target=landmarks.target[keep], source=landmarks.source[keep])
 
 
-def _sides(pair: HumanPair, vertices: int) -> tuple[Side, Side]:
+def _prepared_sides(pair: HumanPair, vertices: int) -> tuple[Side, Side]:
     """First and second mesh of a pair, prepared at the level with about so many vertices."""
     meshes = pair.meshes()
     levels = tuple(choose_level(mesh, vertices) for mesh in meshes)
     surfaces = prepare_pair(meshes[0], meshes[1], (levels[0], levels[1]))
+    first, second = (
+        _side(surface.refinement, neutral, surface) for surface, neutral in zip(surfaces, pair.neutrals(), strict=True)
+    )
+    return first, second
+
+
+def _refined_sides(pair: HumanPair, vertices: int) -> tuple[Side, Side]:
+    """The same for others' methods, which may take a control mesh that has enough vertices as it is."""
     sides = []
-    for surface, neutral in zip(surfaces, pair.neutrals(), strict=True):
-        refinement = surface.refinement
-        top = refinement.n_levels
-        prolonged = refinement.prolong(neutral, 0, top)
-        sides.append(Side(surface, refinement.finest.positions, level_faces(refinement, top)[1], prolonged))
+    for mesh, neutral in zip(pair.meshes(), pair.neutrals(), strict=True):
+        level = 0 if mesh.n_vertices >= ENOUGH * vertices else choose_level(mesh, vertices)
+        sides.append(_side(refine(mesh, level), neutral, None))
     return sides[0], sides[1]
+
+
+def _side(refinement: Refinement, neutral: np.ndarray, surface: Surface | None) -> Side:
+    top = refinement.n_levels
+    prolonged = refinement.prolong(neutral, 0, top)
+    return Side(surface, refinement.finest.positions, level_triangles(refinement, top), prolonged)
 
 
 def _truth(sides: tuple[Side, Side], direction: int) -> tuple:
@@ -156,7 +168,7 @@ def _truth(sides: tuple[Side, Side], direction: int) -> tuple:
 
 
 def _map(method: str, target: Side, source: Side, landmarks: Landmarks, pyfm: str | None, seconds: float) -> PointMap:
-    if method != "pyfm":
+    if target.surface is not None and source.surface is not None:
         return match(target.surface, source.surface, landmarks, MatchConfig(method=method)).point_map
     with tempfile.TemporaryDirectory() as folder:
         given, answer = f"{folder}/in.npz", f"{folder}/out.npz"
