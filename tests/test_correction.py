@@ -7,7 +7,7 @@ import pytest
 from scipy import sparse
 from scipy.sparse import linalg
 
-from cagemap.basis import construction, exact_basis, hierarchical_basis
+from cagemap.basis import construction, exact_basis, finish, hierarchical_basis
 from cagemap.basis.correction import Correction, corrected_pairs
 from cagemap.basis.eigen import EigenPairs
 from cagemap.basis.finish import split_isolated
@@ -81,7 +81,11 @@ def test_only_isolated_bad_pairs_go_to_the_finest_level(creature):
 
 
 def test_errors_that_smoothing_underrates_are_found_by_solves(creature, monkeypatch):
-    """As on slivers, where a pair was wrong by 2.4 times the tolerance; here smoothing sees a third of every error."""
+    """As on slivers, where a pair was wrong by 2.4 times the tolerance; here smoothing sees a third of every error.
+
+    The mesh is so coarse that a quarter of the pairs is worse than the check is used for.
+    """
+    monkeypatch.setattr(finish, "_SECOND_ORDER", 1.0)
     correction, coarse, exact = creature
     errors = relative(coarse.values, exact.values)[: KEPT - 1]
     tolerance = float(np.quantile(errors, 0.75))

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, sparse
 
 from cagemap.basis.correction import Correction, corrected_pairs
 from cagemap.basis.eigen import EigenPairs, band_pairs, residual_norms
 from cagemap.basis.error_estimate import ErrorEstimate, estimate_errors
 from cagemap.basis.factorization import Precision
 from cagemap.basis.finish import split_isolated
-from cagemap.basis.gram import extend_gram, products_with_bands
+from cagemap.basis.gram import extend_gram, products_with_bands, refined_bands
 from cagemap.basis.guess import SINGLE_TOLERANCE, pairs_from_guess, working_type
 from cagemap.basis.hierarchical import HierarchicalBasis, evaluate
 from cagemap.basis.overlap import new_directions
@@ -172,8 +172,7 @@ def _add_split(
     ):
         return False
     window = pairs.part(max(0, growing.count - OVERLAP), pairs.last_index)
-    rotation, positions = _missing(growing, level, window, refinement, operators)
-    vectors = window.vectors @ rotation.astype(window.vectors.dtype)
+    vectors, positions = _missing(growing, level, window, None, refinement, operators)
     finest = level + 1
     split = split_isolated(
         Correction.between(refinement.matrices[level], operators.stiffness[finest], operators.mass[finest]),
@@ -303,23 +302,34 @@ def _append(
     operators: Operators,
 ) -> None:
     """Append the first ``wanted`` new directions of a window of eigenpairs as the band of a level (eq. 8)."""
-    rotation, positions = _missing(growing, level, pairs, refinement, operators)
-    rotation, positions = rotation[:, :wanted], positions[:wanted]
-    vectors = pairs.vectors @ rotation.astype(pairs.vectors.dtype)
+    vectors, positions = _missing(growing, level, pairs, wanted, refinement, operators)
     indices = pairs.first_index + positions
     _append_band(growing, level, vectors, indices, estimate.errors[positions], refinement, operators)
 
 
 def _missing(
-    growing: _Growing, level: int, pairs: EigenPairs, refinement: Refinement, operators: Operators
-) -> tuple[FloatArray, IndexArray]:
-    """The directions of a window of eigenpairs that the basis does not have yet, see `new_directions`."""
+    growing: _Growing,
+    level: int,
+    pairs: EigenPairs,
+    wanted: int | None,
+    refinement: Refinement,
+    operators: Operators,
+) -> tuple[Block, IndexArray]:
+    """The first ``wanted`` eigenvectors of a window that the basis does not have yet, and their places in it."""
     present = growing.count - pairs.first_index
     if present == 0:
-        return np.eye(len(pairs.values)), np.arange(len(pairs.values))
-    dual = multiply(operators.mass[level], pairs.vectors)
-    overlap = products_with_bands(tuple(growing.bands), refinement, dual, level)
-    return new_directions(pairs.values, overlap, growing.gram, present)
+        return pairs.vectors[:, :wanted], np.arange(len(pairs.values))[:wanted]
+    mass, vectors = operators.mass[level], pairs.vectors
+    if 4 * growing.count < len(pairs.values):
+        functions = multiply(mass, refined_bands(tuple(growing.bands), refinement, level))
+        overlap = (functions.astype(vectors.dtype).T @ vectors).astype(np.float64)
+    else:
+        overlap = products_with_bands(tuple(growing.bands), refinement, multiply(mass, vectors), level)
+    rotation, positions = new_directions(pairs.values, overlap, growing.gram, present)
+    rotation, positions = rotation[:, :wanted], positions[:wanted]
+    if np.array_equal(rotation, np.eye(len(rotation))[:, positions]):  # no cluster was cut
+        return vectors[:, positions], positions
+    return vectors @ rotation.astype(vectors.dtype), positions
 
 
 def _append_band(
@@ -333,10 +343,7 @@ def _append_band(
 ) -> None:
     """Append eigenvectors of a level as its band."""
     mass, stiffness = operators.mass[level], operators.stiffness[level]
-    band = np.asarray(vectors, dtype=np.float64)
-    # Pairs may come in single precision; the band is orthonormal and its values are Rayleigh quotients in double.
-    turn = linalg.inv(linalg.cholesky(gram(band, multiply(mass, band)))) if len(indices) else np.zeros((0, 0))
-    band = band @ turn
+    band = _orthonormal(vectors, mass)
     dual, energy = multiply(mass, band), multiply(stiffness, band)
     values = np.einsum("ij,ij->j", band, energy)
     residuals = residual_norms(values, band, energy, dual, lumped_areas(mass))
@@ -346,6 +353,17 @@ def _append_band(
     growing.residuals = np.concatenate([growing.residuals, residuals])
     growing.errors = np.concatenate([growing.errors, errors])
     growing.indices = np.concatenate([growing.indices, indices])
+
+
+def _orthonormal(vectors: Block, mass: sparse.csr_array) -> FloatArray:
+    """Eigenvectors, orthonormal but for the rounding of single precision perhaps, made so in double."""
+    band = np.array(vectors, dtype=np.float64, order="C")
+    if not band.shape[1]:
+        return band
+    turn = linalg.inv(linalg.cholesky(gram(band, multiply(mass, band))))
+    # What is to be added is small: the precision of the vectors is enough for it.
+    band += vectors @ (turn - np.eye(len(turn))).astype(vectors.dtype)
+    return band
 
 
 def _check_sizes(operators: Operators, config: BasisConfig) -> None:

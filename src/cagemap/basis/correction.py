@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -72,23 +73,34 @@ class Correction:
         """W of level l + 1."""
         return self.smooth.matrix
 
+    def like(self, block: Block) -> Correction:
+        """The same with matrices of a block's type, which are then not converted for every part of its columns."""
+        dtype: Any = block.dtype
+        subdivision, restriction, mass, stiffness = (
+            sparse.csr_array((matrix.data.astype(dtype, copy=False), matrix.indices, matrix.indptr), shape=matrix.shape)
+            for matrix in (self.subdivision, self.restriction, self.mass, self.stiffness)
+        )
+        return Correction(subdivision, restriction, mass, replace(self.smooth, matrix=stiffness), self.rank)
+
     def gains(self, vectors: Block, values: FloatArray, steps: int) -> FloatArray:
         """(m,) r^T Z: by how much a correction lowers each eigenvalue of level l, its own only."""
-        gains = np.empty(len(values))
+        alike, gains = self.like(vectors), np.empty(len(values))
         for part in parts(len(values), _COLUMNS):
-            residual = residuals(self.stiffness, self.mass, multiply(self.subdivision, vectors[:, part]), values[part])
-            gains[part] = np.einsum("ij,ij->j", residual, self.smooth(residual, steps))
+            prolonged = multiply(alike.subdivision, vectors[:, part])
+            residual = residuals(alike.stiffness, alike.mass, prolonged, values[part])
+            gains[part] = np.einsum("ij,ij->j", residual, alike.smooth(residual, steps))
         return gains
 
     def corrected(self, vectors: Block, values: FloatArray, fixed: Block) -> tuple[Block, FloatArray]:
         """(n_{l+1}, m) S X - Z, M-orthogonal to the refined ``fixed`` functions of level l, as S X is; (m,) r^T Z."""
         block, gains = np.empty((self.subdivision.shape[0], len(values)), dtype=vectors.dtype), np.empty(len(values))
+        alike = self.like(vectors)
         for part in parts(len(values), _COLUMNS):
-            prolonged = multiply(self.subdivision, vectors[:, part])
-            residual = residuals(self.stiffness, self.mass, prolonged, values[part])
-            change = self.smooth(residual, STEPS)
+            prolonged = multiply(alike.subdivision, vectors[:, part])
+            residual = residuals(alike.stiffness, alike.mass, prolonged, values[part])
+            change = alike.smooth(residual, STEPS)
             gains[part] = np.einsum("ij,ij->j", residual, change)
-            block[:, part] = prolonged - self.without(fixed, change)
+            block[:, part] = prolonged - alike.without(fixed, change)
         return block, gains
 
     def bound(self, values: FloatArray, end: int) -> Bound:

@@ -11,7 +11,7 @@ from scipy import linalg, sparse
 from cagemap.basis.factorization import Factorization, factor
 from cagemap.basis.lanczos import shift_invert_lanczos
 from cagemap.basis.products import multiply
-from cagemap.basis.threads import in_threads
+from cagemap.basis.threads import in_threads, parts
 from cagemap.errors import ParameterError, SolverError
 from cagemap.mesh import FloatArray
 from cagemap.operators import Operators, lumped_areas
@@ -22,6 +22,8 @@ DENSE_ROWS = 800
 _LARGEST_DENSE_ROWS = 5_000
 # Relative eigenvalue of a coarse mass matrix below which a direction is one that subdivision maps to zero.
 _RANK = 1e-13
+# Rows worked on at once: what fits a cache.
+_ROWS = 2048
 # Pairs computed beyond those asked for, among which a gap is sought to count the eigenvalues below it.
 _EXTRA_PAIRS = 8
 
@@ -81,8 +83,10 @@ def residual_norms(
     -------
     (m,) array, unitless
     """
-    residual = stiffness_vectors - mass_vectors * values
-    squares = (residual * residual).T @ (1.0 / areas)
+    squares = np.zeros(len(values))
+    for rows in parts(len(areas), _ROWS):
+        residual = stiffness_vectors[rows] - mass_vectors[rows] * values
+        squares += (1.0 / areas[rows]) @ (residual * residual)
     return relative_residuals(squares, values, areas)
 
 

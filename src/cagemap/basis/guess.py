@@ -45,7 +45,7 @@ def pairs_from_guess(
     first_index: int = 0,
     kept: tuple[int, int] | None = None,
     tolerance: float = 1e-6,
-    max_rounds: int = 6,
+    max_rounds: int = 10,
     dtype: Precision | None = None,
 ) -> EigenPairs | None:
     """Lowest eigenpairs from prolonged ones.
