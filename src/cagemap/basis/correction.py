@@ -110,6 +110,8 @@ class Correction:
 
     def errors(self, vectors: Block, values: FloatArray, bound: Bound) -> FloatArray:
         """(m,) how far each eigenvalue of level l is from level l + 1, by solves."""
+        if not len(values):
+            return np.zeros(0)
         residual = residuals(self.stiffness, self.mass, multiply(self.subdivision, vectors), values)
         return np.abs(np.einsum("ij,ij->j", residual, bound.shifted.solve(residual)))
 

@@ -19,8 +19,8 @@ _ROUGH_SAFETY = 2.0
 _CAREFUL_SAFETY = 1.25
 # Errors by solves were 8 to 25 % high up to this tolerance, and several times too high at 1 %.
 _SECOND_ORDER = 1e-3
-# Pairs whose errors are checked by solves.
-_DOUBTFUL = 8
+# Pairs of either number of steps whose errors are checked by solves.
+_DOUBTFUL = 6
 # Share of the tolerance that the corrected pairs may be off.
 _SHARE = 0.25
 
@@ -97,12 +97,13 @@ def split_isolated(
     except SolverError:  # on an eigenvalue
         return None
     # Smoothing does not reach all that slivers lack: solves tell for the least certain of the pairs to keep.
-    clear = np.flatnonzero(errors[:wanted] <= tolerance)
-    doubtful = clear[np.argsort(-errors[clear])[:_DOUBTFUL]]
-    if len(doubtful) and tolerance <= _SECOND_ORDER:
-        exact = correction.errors(np.ascontiguousarray(vectors[:, doubtful]), values[doubtful], bound) / scale[doubtful]
-        if np.any(exact > tolerance):
-            errors *= float(np.max(exact / errors[doubtful]))
+    if tolerance <= _SECOND_ORDER:
+        for group in (unclear, np.setdiff1d(np.arange(len(values)), unclear)):
+            clear = group[(errors[group] <= tolerance) & (group < wanted)]
+            doubtful = clear[np.argsort(-errors[clear])[:_DOUBTFUL]]
+            exact = correction.errors(vectors[:, doubtful], values[doubtful], bound) / scale[doubtful]
+            if np.any(exact > tolerance):
+                errors[group] *= float(np.max(exact / errors[doubtful]))
     predicted = values - errors * scale
     # Guards as bad as the others take part, or these could not get orthogonal to what guards ought to be.
     bad = np.flatnonzero(errors > tolerance)
