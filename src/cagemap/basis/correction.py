@@ -13,7 +13,7 @@ from cagemap.basis.eigen import EigenPairs, relative_residuals, shifted_matrix
 from cagemap.basis.factorization import Factorization, factor
 from cagemap.basis.guess import gap_after, working_type
 from cagemap.basis.products import multiply
-from cagemap.basis.ritz import Ritz, extended, rayleigh_quotients, rayleigh_ritz, squared_residuals
+from cagemap.basis.ritz import Ritz, extended, rayleigh_quotients, ritz_rotation, rotated
 from cagemap.basis.smoothing import Block, Smoother, residuals, smoother
 from cagemap.basis.threads import parts
 from cagemap.errors import SolverError
@@ -148,16 +148,15 @@ def corrected_pairs(
     dtype = working_type(tolerance)
     inside = np.arange(kept[0], kept[1]) - coarse.first_index
     vectors, fixed = (block.astype(dtype, copy=False) for block in (coarse.vectors, fixed))
-    pairs = improved(
+    found = improved(
         correction, vectors, coarse.values, fixed, np.zeros(0), inside, coarse.first_index, kept[1], tolerance
     )
-    if pairs is None:
+    if found is None:
         return None
-    values, areas = pairs.values, lumped_areas(correction.mass)
-    norms = relative_residuals(squared_residuals(pairs, areas), values, areas)
-    if dtype == np.float32:
-        values = rayleigh_quotients(correction.stiffness, correction.mass, pairs.vectors)
-    return EigenPairs(values, pairs.vectors[correction.rank], norms, coarse.first_index)
+    areas = lumped_areas(correction.mass)
+    values, squares = rayleigh_quotients(correction.stiffness, correction.mass, found[1], areas)
+    norms = relative_residuals(squares, values, areas)
+    return EigenPairs(values, found[1][correction.rank], norms, coarse.first_index)
 
 
 def improved(
@@ -171,7 +170,7 @@ def improved(
     end: int,
     tolerance: float,
     bound: Bound | None = None,
-) -> Ritz | None:
+) -> tuple[FloatArray, Block] | None:
     """Eigenpairs of level l + 1 near some of level l, by corrections and Rayleigh-Ritz.
 
     The residuals R of the prolonged pairs S X are orthogonal to the image of S (paper, eq. 2), so that Z near W^{-1} R
@@ -202,29 +201,35 @@ def improved(
 
     Returns
     -------
-    Ritz or None
-        Rows in the order of the correction. None if the pairs do not get accurate within a few rounds, or the inertia
-        counts other eigenvalues.
+    (m,) array and (n_{l+1}, m) array, or None
+        Eigenvalues and eigenvectors, rows in the order of the correction. None if the pairs do not get accurate within
+        a few rounds, or the inertia counts other eigenvalues.
     """
     stiffness, mass = correction.stiffness, correction.mass
     block, errors = correction.corrected(vectors, values, fixed)
     try:
-        pairs = rayleigh_ritz(block, multiply(stiffness, block), multiply(mass, block))
+        images = multiply(stiffness, block), multiply(mass, block)
+        found, rotation = ritz_rotation(block, *images)
         if bound is None:
-            bound = correction.bound(np.concatenate([others, pairs.values]), end - first_index)
+            bound = correction.bound(np.concatenate([others, found]), end - first_index)
     except SolverError:  # on an eigenvalue, or dependent columns
         return None
-    scale = np.maximum(pairs.values, 1e-3 * pairs.values[-1])
+    vectors = rotated(block, rotation)
+    scale = np.maximum(found, 1e-3 * found[-1])
     errors /= scale
+    pairs: Ritz | None = None
     for batch in (_CHECKED,) + (_MOST_AGAIN,) * _ROUNDS:
         # Those that were worst to begin with are looked at first.
         worst = inside[np.argsort(-errors[inside])[:batch]]
-        residual = pairs.residuals(worst)
+        residual = residuals(stiffness, mass, vectors[:, worst], found[worst])
         added = bound.shifted.solve(residual).astype(residual.dtype)
         errors[worst] = np.abs(np.einsum("ij,ij->j", residual, added)) / scale[worst]
         again = errors[worst] > tolerance
         if not again.any():
-            found = first_index + np.sum(others < bound.shift) + np.sum(pairs.values < bound.shift)
-            return pairs if bound.shifted.negative_eigenvalues in (None, found) else None
+            below = first_index + np.sum(others < bound.shift) + np.sum(found < bound.shift)
+            return (found, vectors) if bound.shifted.negative_eigenvalues in (None, below) else None
+        if pairs is None:  # W X and M X are seldom needed
+            pairs = Ritz(found, vectors, *(rotated(image, rotation) for image in images))
         pairs = extended(pairs, correction.without(fixed, added[:, again]), stiffness, mass)
+        found, vectors = pairs.values, pairs.vectors
     return None

@@ -114,7 +114,7 @@ def split_isolated(
         return Split(np.arange(wanted), errors[:wanted], np.zeros((correction.subdivision.shape[0], 0)), inside)
     others = np.empty((len(vectors), fixed.shape[1] + len(good)), dtype=dtype)
     others[:, : fixed.shape[1]], others[:, fixed.shape[1] :] = fixed, np.take(vectors, good, axis=1)
-    pairs = improved(
+    found = improved(
         correction,
         np.ascontiguousarray(vectors[:, bad]),
         values[bad],
@@ -126,11 +126,11 @@ def split_isolated(
         _SHARE * tolerance,
         bound,
     )
-    if pairs is None:
+    if found is None:
         return None
-    order = np.argsort(np.concatenate([values[good], pairs.values]), kind="stable")
+    order = np.argsort(np.concatenate([values[good], found[0]]), kind="stable")
     places = np.empty(len(order), dtype=np.int64)
     places[order] = np.arange(len(order))
     chosen = places < wanted
     kept, added = chosen[: len(good)], chosen[len(good) :]
-    return Split(good[kept], errors[good[kept]], pairs.vectors[correction.rank][:, added], places[len(good) :][added])
+    return Split(good[kept], errors[good[kept]], found[1][correction.rank][:, added], places[len(good) :][added])

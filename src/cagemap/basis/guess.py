@@ -122,7 +122,7 @@ def pairs_from_guess(
         return None
     values = pairs.values
     if dtype == np.float32 and tolerance < _QUOTIENT_TOLERANCE:
-        values = rayleigh_quotients(stiffness, mass, pairs.vectors)
+        values, residuals = rayleigh_quotients(stiffness, mass, pairs.vectors, areas)
     return EigenPairs(values, pairs.vectors, relative_residuals(residuals, values, areas), first)
 
 

@@ -38,12 +38,6 @@ class Ritz:
         return np.ascontiguousarray(self.stiffness_vectors[:, chosen] - self.mass_vectors[:, chosen] * values)
 
 
-def rayleigh_ritz(block: Block, stiffness_block: Block, mass_block: Block) -> Ritz:
-    """Best approximations of eigenpairs within the span of a block: X^T W X c = theta X^T M X c. Works in place."""
-    values, rotation = ritz_rotation(block, stiffness_block, mass_block)
-    return Ritz(values, *(rotated(part, rotation) for part in (block, stiffness_block, mass_block)))
-
-
 def ritz_rotation(block: Block, stiffness_block: Block, mass_block: Block) -> tuple[FloatArray, FloatArray]:
     """(q,) theta ascending and (q, q) c of X^T W X c = theta X^T M X c, from X, W X and M X."""
     stiffness_gram, mass_gram = gram(block, stiffness_block), gram(block, mass_block)
@@ -108,14 +102,18 @@ def rotated(block: Block, rotation: FloatArray, extra: Block | None = None, extr
     return turned
 
 
-def rayleigh_quotients(stiffness: sparse.csr_array, mass: sparse.csr_array, vectors: Block) -> FloatArray:
-    """(m,) ascending x^T W x / x^T M x, in double precision."""
-    quotients = np.empty(vectors.shape[1])
+def rayleigh_quotients(
+    stiffness: sparse.csr_array, mass: sparse.csr_array, vectors: Block, weights: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(m,) ascending x^T W x / x^T M x and (m,) `squared_residuals`, in double precision."""
+    quotients, squares = np.empty(vectors.shape[1]), np.empty(vectors.shape[1])
     for part in parts(vectors.shape[1], _COLUMNS):
         columns = vectors[:, part].astype(np.float64)
-        energy = np.einsum("ij,ij->j", columns, multiply(stiffness, columns))
-        quotients[part] = energy / np.einsum("ij,ij->j", columns, multiply(mass, columns))
-    return np.maximum.accumulate(quotients)
+        energy, dual = multiply(stiffness, columns), multiply(mass, columns)
+        quotients[part] = np.einsum("ij,ij->j", columns, energy) / np.einsum("ij,ij->j", columns, dual)
+        energy -= dual * quotients[part]
+        squares[part] = (1.0 / weights) @ (energy * energy)
+    return np.maximum.accumulate(quotients), squares
 
 
 def squared_residuals(pairs: Ritz, weights: FloatArray) -> FloatArray:
