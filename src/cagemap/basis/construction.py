@@ -39,6 +39,8 @@ BELOW = 1
 CORRECTION_REACH = 0.4
 # Largest tolerance at which a correction is faster than inverse iteration of all pairs.
 CORRECTION_TOLERANCE = 1e-3
+# By how much an error falls at most from one level to the next.
+LEVEL_GAIN = 20.0
 # Largest error, safety included, of a pair that the finest level is asked to mend alone.
 SPLIT_REACH = 1e-2
 # Share of the tolerance that unfinished iterations may take there.
@@ -148,10 +150,15 @@ def _add_controlled(
     # A level started from a guess has all pairs below the window too, not as accurate.
     candidates = pairs.part(max(0, growing.count - OVERLAP), min(pairs.last_index, config.count))
     _take_back(growing, candidates, config.tolerance)
+    growing.pairs = pairs
+    # Where the level below was far too coarse, this one will be too coarse for some: the split has its own estimate.
+    clear = config.tolerance <= CORRECTION_TOLERANCE and growing.top_error > LEVEL_GAIN * config.tolerance
+    if clear and _add_split(growing, level, refinement, operators, config):
+        return
     estimate = _estimate(candidates, level, refinement, operators, config.tolerance)
     present = growing.count - candidates.first_index
     good, kept = choose_split(estimate, present, config.count - growing.count, config.tolerance)
-    growing.good, growing.pairs = growing.count + good, pairs
+    growing.good = growing.count + good
     growing.top_error = float(estimate.errors[-1])
     if kept < config.count - growing.count and _add_split(growing, level, refinement, operators, config):
         return
