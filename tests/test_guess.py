@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cagemap.basis import BasisConfig, construction, exact_basis, guess, hierarchical_basis, pairs_from_guess
+from cagemap.basis import (
+    BasisConfig,
+    band_pairs,
+    construction,
+    exact_basis,
+    guess,
+    hierarchical_basis,
+    pairs_from_guess,
+)
 from cagemap.mesh import shapes
 from cagemap.operators import build_operators
 from cagemap.refinement import refine
@@ -21,6 +29,13 @@ def creature():
     coarse = exact_basis(operators, 2, KEPT + GUARDS)
     start = refinement.matrices[2] @ coarse.vectors
     return operators.stiffness[3], operators.mass[3], start, coarse.values, exact_basis(operators, 3, KEPT + 1)
+
+
+@pytest.fixture(scope="module")
+def far(creature):
+    """An eigenvector of level 3 that is not among those started from."""
+    stiffness, mass, *_ = creature
+    return band_pairs(stiffness, mass, KEPT + GUARDS + 5, KEPT + GUARDS + 6).vectors[:, 0]
 
 
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-5, 1e-9])
@@ -70,6 +85,16 @@ def test_a_window_does_not_drift_to_the_pairs_below_it(creature, start, toleranc
     assert found is not None
     assert found.first_index == first
     np.testing.assert_allclose(found.values[: KEPT - first], exact.values[first:KEPT], rtol=tolerance)
+
+
+def test_a_window_starts_where_it_should_although_values_fall(creature, far):
+    """The pair below it is so rough that it seems to lie inside: the first of the window must not be lost for it."""
+    stiffness, mass, guessed, values, exact = creature
+    rough = guessed.copy()
+    rough[:, 29] += far
+    found = pairs_from_guess(stiffness, mass, rough, values, kept=(30, KEPT), tolerance=1e-5)
+    assert found.vectors.shape[1] == KEPT + GUARDS - 30
+    np.testing.assert_allclose(found.values[: KEPT - 30], exact.values[30:KEPT], rtol=1e-5)
 
 
 def test_a_missing_pair_is_noticed(creature):

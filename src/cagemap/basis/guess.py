@@ -81,11 +81,12 @@ def pairs_from_guess(
     """
     start, end = first_index, first_index + len(guess_values)
     first, last = (start, end) if kept is None else kept
-    window = slice(first - start, None)
+    # Values still fall: which of them is the first is known at the end only.
+    low = max(start, first - _NEAR)
+    iterated, asked = slice(low - start, None), slice(first - low, last - low)
     dtype = working_type(tolerance) if dtype is None else dtype
     shift = _widest_gap(guess_values, first - start, last - start)
     areas = lumped_areas(mass)
-    iterated = slice(max(0, first - start - _NEAR), None)
     try:
         shifted = factor(shifted_matrix(stiffness, mass, shift), dtype=dtype)
         block = guess.astype(dtype)
@@ -93,13 +94,13 @@ def pairs_from_guess(
         block[:, iterated] = _inverse_iterates(shifted, mass_vectors, guess_values[iterated] - shift)
         blocks = (block, multiply(stiffness, block), multiply(mass, block))
         values, rotation = ritz_rotation(*blocks)
-        pairs = Ritz(values[window], *(rotated(part, rotation[:, window]) for part in blocks))
+        pairs = Ritz(values[iterated], *(rotated(part, rotation[:, iterated]) for part in blocks))
         del block, blocks
         upper: Factorization | None = None
         bound, before = -np.inf, np.inf
         for _ in range(max_rounds):
             residuals = squared_residuals(pairs, areas)
-            errors = _kato_temple(residuals, pairs.values)[: last - first]
+            errors = _kato_temple(residuals, pairs.values)[asked]
             if np.all(errors <= tolerance):
                 break
             if errors.max() > _DIVERGED * before:  # rounding has taken over
@@ -107,23 +108,24 @@ def pairs_from_guess(
             before = errors.max()
             if upper is None:
                 # What is not good enough yet mostly lies next to the guards, far from the first shift.
-                bound = gap_after(pairs.values, min(last - first, len(pairs.values) - 1))
+                bound = gap_after(pairs.values, min(last - low, len(pairs.values) - 1))
                 upper = factor(shifted_matrix(stiffness, mass, bound), like=shifted)
             # Pairs that are nearly good enough come along.
-            worst = np.argsort(-errors)[: min(_MOST_ADDED, int(np.sum(errors > _NEARLY * tolerance)))]
+            worst = asked.start + np.argsort(-errors)[: min(_MOST_ADDED, int(np.sum(errors > _NEARLY * tolerance)))]
             added = upper.solve(pairs.residuals(worst)).astype(dtype)
             pairs = extended(pairs, added, stiffness, mass)
         else:
             return None
-        counted = upper is not None and upper.negative_eigenvalues == first + np.sum(pairs.values < bound)
-        if last < end and not (counted or counts_agree(stiffness, mass, pairs.values, first, shifted, last)):
+        counted = upper is not None and upper.negative_eigenvalues == low + np.sum(pairs.values < bound)
+        if last < end and not (counted or counts_agree(stiffness, mass, pairs.values, low, shifted, last)):
             return None
     except SolverError:  # on an eigenvalue, or a guess with the same function twice
         return None
     values = pairs.values
     if dtype == np.float32 and tolerance < _QUOTIENT_TOLERANCE:
         values, residuals = rayleigh_quotients(stiffness, mass, pairs.vectors, areas)
-    return EigenPairs(values, pairs.vectors, relative_residuals(residuals, values, areas), first)
+    found = EigenPairs(values, pairs.vectors, relative_residuals(residuals, values, areas), low)
+    return found.part(first, found.last_index)
 
 
 def _inverse_iterates(shifted: Factorization, mass_vectors: Block, scale: FloatArray) -> Block:
