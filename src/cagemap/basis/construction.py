@@ -12,7 +12,7 @@ from cagemap.basis.eigen import EigenPairs, band_pairs, residual_norms
 from cagemap.basis.error_estimate import ErrorEstimate, estimate_errors
 from cagemap.basis.factorization import Precision
 from cagemap.basis.finish import split_isolated
-from cagemap.basis.gram import extend_gram, products_with_bands, refined_bands
+from cagemap.basis.gram import extend_gram, overlaps_with_bands
 from cagemap.basis.guess import SINGLE_TOLERANCE, pairs_from_guess, working_type
 from cagemap.basis.hierarchical import HierarchicalBasis, evaluate
 from cagemap.basis.overlap import new_directions
@@ -152,7 +152,9 @@ def _add_controlled(
     _take_back(growing, candidates, config.tolerance)
     growing.pairs = pairs
     # Where the level below was far too coarse, this one will be too coarse for some: the split has its own estimate.
-    clear = config.tolerance <= CORRECTION_TOLERANCE and growing.top_error > LEVEL_GAIN * config.tolerance
+    clear = (
+        config.tolerance <= CORRECTION_TOLERANCE and LEVEL_GAIN * config.tolerance < growing.top_error <= SPLIT_REACH
+    )
     if clear and _add_split(growing, level, refinement, operators, config):
         return
     estimate = _estimate(candidates, level, refinement, operators, config.tolerance)
@@ -160,7 +162,8 @@ def _add_controlled(
     good, kept = choose_split(estimate, present, config.count - growing.count, config.tolerance)
     growing.good = growing.count + good
     growing.top_error = float(estimate.errors[-1])
-    if kept < config.count - growing.count and _add_split(growing, level, refinement, operators, config):
+    too_few = kept < config.count - growing.count and not clear  # or it has been tried
+    if too_few and _add_split(growing, level, refinement, operators, config):
         return
     _append(growing, level, candidates, estimate, kept, refinement, operators)
 
@@ -178,7 +181,7 @@ def _add_split(
         or pairs.last_index < config.count + GUARDS // 2
     ):
         return False
-    window = pairs.part(max(0, growing.count - OVERLAP), pairs.last_index)
+    window = pairs.part(max(pairs.first_index, growing.count - OVERLAP), pairs.last_index)
     vectors, positions = _missing(growing, level, window, None, refinement, operators)
     finest = level + 1
     split = split_isolated(
@@ -214,20 +217,19 @@ def _window(
         return band_pairs(stiffness, mass, first, last, tolerance=config.solver_accuracy, guards=guards)
     if _guess_is_good(growing, first, last, mass.shape[0], config):
         accuracy = GUESS_SHARE * config.tolerance
-        kept = (first, min(last, config.count))
+        kept, end = (first, min(last, config.count)), min(previous.last_index, last + GUARDS)
         close = growing.top_error < CORRECTION_REACH * np.sqrt(config.tolerance)
         if close and config.tolerance <= CORRECTION_TOLERANCE and previous.first_index <= first:
             correction = Correction.between(refinement.matrices[level - 1], stiffness, mass)
-            coarse = previous.part(first, min(previous.last_index, last + GUARDS))
+            coarse = previous.part(first, end)
             fixed = _lowest(growing, first, level - 1, refinement)
             pairs = corrected_pairs(correction, coarse, fixed, kept=kept, tolerance=accuracy)
             if pairs is not None:
                 return pairs
         # Where the tolerance is near what single precision resolves, double precision is next to try.
         precisions = [working_type(accuracy)] + [np.float64] * (SINGLE_TOLERANCE <= accuracy < NEARLY_DOUBLE)
+        start = max(0, first - BELOW * (end - first)) if config.tolerance > CORRECTION_TOLERANCE else 0
         for dtype in precisions:
-            end = min(previous.last_index, last + GUARDS)
-            start = max(0, first - BELOW * (end - first)) if config.tolerance > CORRECTION_TOLERANCE else 0
             guess, values = _guess(growing, level, start, end, refinement, dtype)
             pairs = pairs_from_guess(
                 stiffness, mass, guess, values, first_index=start, kept=kept, tolerance=accuracy, dtype=dtype
@@ -244,7 +246,7 @@ def _window(
 
 
 def _guess_is_good(growing: _Growing, first: int, last: int, rows: int, config: BasisConfig) -> bool:
-    """Whether to start a level from the pairs of the one below, which pays where most of them are still to be found."""
+    """Whether to start a level from the pairs of the one below: it is large, and they are good and reach far enough."""
     return (
         config.schedule is None
         and growing.pairs is not None
@@ -326,12 +328,8 @@ def _missing(
     present = growing.count - pairs.first_index
     if present == 0:
         return pairs.vectors[:, :wanted], np.arange(len(pairs.values))[:wanted]
-    mass, vectors = operators.mass[level], pairs.vectors
-    if 4 * growing.count < len(pairs.values):
-        functions = multiply(mass, refined_bands(tuple(growing.bands), refinement, level))
-        overlap = (functions.astype(vectors.dtype).T @ vectors).astype(np.float64)
-    else:
-        overlap = products_with_bands(tuple(growing.bands), refinement, multiply(mass, vectors), level)
+    vectors = pairs.vectors
+    overlap = overlaps_with_bands(tuple(growing.bands), refinement, operators.mass[level], vectors, level)
     rotation, positions = new_directions(pairs.values, overlap, growing.gram, present)
     rotation, positions = rotation[:, :wanted], positions[:wanted]
     if np.array_equal(rotation, np.eye(len(rotation))[:, positions]):  # no cluster was cut

@@ -82,12 +82,16 @@ class Correction:
         )
         return Correction(subdivision, restriction, mass, replace(self.smooth, matrix=stiffness), self.rank)
 
+    def prolonged(self, vectors: Block, values: FloatArray) -> tuple[Block, Block]:
+        """(n_{l+1}, m) S X, and its residuals W S X - M S X Lambda."""
+        block = multiply(self.subdivision, vectors)
+        return block, residuals(self.stiffness, self.mass, block, values)
+
     def gains(self, vectors: Block, values: FloatArray, steps: int) -> FloatArray:
         """(m,) r^T Z: by how much a correction lowers each eigenvalue of level l, its own only."""
         alike, gains = self.like(vectors), np.empty(len(values))
         for part in parts(len(values), _COLUMNS):
-            prolonged = multiply(alike.subdivision, vectors[:, part])
-            residual = residuals(alike.stiffness, alike.mass, prolonged, values[part])
+            _, residual = alike.prolonged(vectors[:, part], values[part])
             gains[part] = np.einsum("ij,ij->j", residual, alike.smooth(residual, steps))
         return gains
 
@@ -96,8 +100,7 @@ class Correction:
         block, gains = np.empty((self.subdivision.shape[0], len(values)), dtype=vectors.dtype), np.empty(len(values))
         alike = self.like(vectors)
         for part in parts(len(values), _COLUMNS):
-            prolonged = multiply(alike.subdivision, vectors[:, part])
-            residual = residuals(alike.stiffness, alike.mass, prolonged, values[part])
+            prolonged, residual = alike.prolonged(vectors[:, part], values[part])
             change = alike.smooth(residual, STEPS)
             gains[part] = np.einsum("ij,ij->j", residual, change)
             block[:, part] = prolonged - alike.without(fixed, change)
@@ -112,7 +115,7 @@ class Correction:
         """(m,) how far each eigenvalue of level l is from level l + 1, by solves."""
         if not len(values):
             return np.zeros(0)
-        residual = residuals(self.stiffness, self.mass, multiply(self.subdivision, vectors), values)
+        _, residual = self.prolonged(vectors, values)
         return np.abs(np.einsum("ij,ij->j", residual, bound.shifted.solve(residual)))
 
     def without(self, fixed: Block, block: Block) -> Block:

@@ -11,7 +11,8 @@ from scipy import linalg, sparse
 from cagemap.basis.factorization import Factorization, factor
 from cagemap.basis.lanczos import shift_invert_lanczos
 from cagemap.basis.products import multiply
-from cagemap.basis.threads import in_threads, parts
+from cagemap.basis.ritz import Ritz, squared_residuals
+from cagemap.basis.threads import in_threads
 from cagemap.errors import ParameterError, SolverError
 from cagemap.mesh import FloatArray
 from cagemap.operators import Operators, lumped_areas
@@ -22,8 +23,6 @@ DENSE_ROWS = 800
 _LARGEST_DENSE_ROWS = 5_000
 # Relative eigenvalue of a coarse mass matrix below which a direction is one that subdivision maps to zero.
 _RANK = 1e-13
-# Rows worked on at once: what fits a cache.
-_ROWS = 2048
 # Pairs computed beyond those asked for, among which a gap is sought to count the eigenvalues below it.
 _EXTRA_PAIRS = 8
 
@@ -83,11 +82,8 @@ def residual_norms(
     -------
     (m,) array, unitless
     """
-    squares = np.zeros(len(values))
-    for rows in parts(len(areas), _ROWS):
-        residual = stiffness_vectors[rows] - mass_vectors[rows] * values
-        squares += (1.0 / areas[rows]) @ (residual * residual)
-    return relative_residuals(squares, values, areas)
+    pairs = Ritz(values, vectors, stiffness_vectors, mass_vectors)
+    return relative_residuals(squared_residuals(pairs, areas), values, areas)
 
 
 def relative_residuals(squares: FloatArray, values: FloatArray, areas: FloatArray) -> FloatArray:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cagemap.basis.correction import STEPS, Correction, improved
+from cagemap.basis.correction import STEPS, Bound, Correction, improved
 from cagemap.basis.guess import working_type
 from cagemap.basis.smoothing import Block
 from cagemap.errors import SolverError
@@ -92,12 +92,13 @@ def split_isolated(
     ) / scale[unclear]
     if errors.max() > reach:
         return None
-    try:
-        bound = correction.bound(values - errors * scale, wanted)
-    except SolverError:  # on an eigenvalue
-        return None
-    # Smoothing does not reach all that slivers lack: solves tell for the least certain of the pairs to keep.
+    bound: Bound | None = None
     if tolerance <= _SECOND_ORDER:
+        try:
+            bound = correction.bound(values - errors * scale, wanted)
+        except SolverError:  # on an eigenvalue
+            return None
+        # Smoothing does not reach all that slivers lack: solves tell for the least certain of the pairs to keep.
         for group in (unclear, np.setdiff1d(np.arange(len(values)), unclear)):
             clear = group[(errors[group] <= tolerance) & (group < wanted)]
             doubtful = clear[np.argsort(-errors[clear])[:_DOUBTFUL]]
@@ -112,13 +113,13 @@ def split_isolated(
     good = np.setdiff1d(np.arange(len(values)), bad)
     if not len(inside):
         return Split(np.arange(wanted), errors[:wanted], np.zeros((correction.subdivision.shape[0], 0)), inside)
-    others = np.empty((len(vectors), fixed.shape[1] + len(good)), dtype=dtype)
-    others[:, : fixed.shape[1]], others[:, fixed.shape[1] :] = fixed, np.take(vectors, good, axis=1)
+    held = np.empty((len(vectors), fixed.shape[1] + len(good)), dtype=dtype)
+    held[:, : fixed.shape[1]], held[:, fixed.shape[1] :] = fixed, np.take(vectors, good, axis=1)
     found = improved(
         correction,
         np.ascontiguousarray(vectors[:, bad]),
         values[bad],
-        others,
+        held,
         values[good],
         inside,
         first_index,

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
+from scipy import sparse
 
 from cagemap.basis.products import multiply
 from cagemap.mesh import FloatArray
@@ -30,8 +31,7 @@ def products_with_bands(
     (k, q) array, k the number of functions in the bands
     """
     bands = bands[: level + 1]
-    if 4 * sum(band.shape[1] for band in bands) < dual.shape[1]:
-        # Few columns are refined sooner than many others restricted.
+    if _few(bands, dual.shape[1]):
         return refined_bands(bands, refinement, level).T @ dual
     parts: list[FloatArray] = []
     for coarser in reversed(range(level + 1)):
@@ -40,6 +40,21 @@ def products_with_bands(
         if coarser > 0:
             dual = refinement.matrices[coarser - 1].T @ dual
     return np.concatenate(parts[::-1]) if parts else np.zeros((0, dual.shape[1]))
+
+
+def overlaps_with_bands(
+    bands: tuple[FloatArray, ...], refinement: Refinement, mass: sparse.csr_array, vectors: NDArray[Any], level: int
+) -> FloatArray:
+    """(k, q) Phi~^T M X for functions X, (n_level, q), of the level of the mass matrix, in either precision."""
+    if _few(bands, vectors.shape[1]):
+        functions = multiply(mass, refined_bands(bands, refinement, level))
+        return (functions.astype(vectors.dtype).T @ vectors).astype(np.float64)
+    return products_with_bands(bands, refinement, multiply(mass, vectors), level)
+
+
+def _few(bands: tuple[FloatArray, ...], columns: int) -> bool:
+    """Whether the functions of the bands are refined sooner than so many columns are restricted."""
+    return 4 * sum(band.shape[1] for band in bands) < columns
 
 
 def refined_bands(

@@ -81,11 +81,10 @@ def extended(pairs: Ritz, added: Block, stiffness: sparse.csr_array, mass: spars
 def gram(left: Block, right: Block, *, symmetric: bool = True) -> FloatArray:
     """X^T Y in double precision, some rows at a time; of a symmetric one no more than half is computed."""
     total = np.zeros((left.shape[1], right.shape[1]))
-    columns = parts(left.shape[1], _COLUMNS) if symmetric else [slice(0, left.shape[1])]
+    columns = parts(left.shape[1], _COLUMNS) if symmetric else [slice(0, None)]
     for rows in parts(len(left), _ROWS):
         for part in columns:
-            beyond = slice(part.start if symmetric else 0, None)
-            total[part, beyond] += left[rows, part].T @ right[rows, beyond]
+            total[part, part.start :] += left[rows, part].T @ right[rows, part.start :]
     return np.triu(total) + np.triu(total, 1).T if symmetric else total
 
 
@@ -111,8 +110,7 @@ def rayleigh_quotients(
         columns = vectors[:, part].astype(np.float64)
         energy, dual = multiply(stiffness, columns), multiply(mass, columns)
         quotients[part] = np.einsum("ij,ij->j", columns, energy) / np.einsum("ij,ij->j", columns, dual)
-        energy -= dual * quotients[part]
-        squares[part] = (1.0 / weights) @ (energy * energy)
+        squares[part] = squared_residuals(Ritz(quotients[part], columns, energy, dual), weights)
     return np.maximum.accumulate(quotients), squares
 
 
