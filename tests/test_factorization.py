@@ -7,7 +7,7 @@ import pytest
 from scipy import sparse
 
 from cagemap.basis import factorization
-from cagemap.basis.factorization import factor
+from cagemap.basis.factorization import analyze, factor
 from cagemap.errors import ParameterError, SolverError
 from cagemap.mesh import shapes
 from cagemap.operators import build_operators
@@ -44,11 +44,14 @@ def test_solve_and_inertia(matrices, library, shift):
 
 
 @pytest.mark.skipif(factorization.rslab is None, reason="no rslab wheel here")
-def test_ordering_is_used_again(matrices):
+@pytest.mark.parametrize("of", [factor, analyze])
+def test_ordering_is_used_again(matrices, of, monkeypatch):
     stiffness, mass = matrices
-    first = factor(sparse.csr_array(stiffness + mass))
+    first = of(sparse.csr_array(stiffness + mass))
     matrix = sparse.csr_array(stiffness - 50.0 * mass)
-    again, anew = factor(matrix, like=first), factor(matrix)
+    anew = factor(matrix)
+    monkeypatch.setattr(factorization, "_ordered", lambda lower: pytest.fail("ordered once more"))
+    again = factor(matrix, like=first)
     ones = np.ones(matrix.shape[0])
     np.testing.assert_array_equal(again.solve(ones), anew.solve(ones))
     assert again.negative_eigenvalues == anew.negative_eigenvalues

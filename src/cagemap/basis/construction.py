@@ -17,7 +17,7 @@ from cagemap.basis.guess import SINGLE_TOLERANCE, pairs_from_guess, working_type
 from cagemap.basis.hierarchical import HierarchicalBasis, evaluate
 from cagemap.basis.overlap import new_directions
 from cagemap.basis.products import multiply
-from cagemap.basis.ritz import gram
+from cagemap.basis.ritz import gram, subtract
 from cagemap.basis.schedule import BasisConfig, choose_split, plausible_count
 from cagemap.basis.smoothing import Block
 from cagemap.errors import ParameterError
@@ -366,8 +366,8 @@ def _orthonormal(vectors: Block, mass: sparse.csr_array) -> FloatArray:
     if not band.shape[1]:
         return band
     turn = linalg.inv(linalg.cholesky(gram(band, multiply(mass, band))))
-    # What is to be added is small: the precision of the vectors is enough for it.
-    band += vectors @ (turn - np.eye(len(turn))).astype(vectors.dtype)
+    # What is to be taken is small: the precision of the vectors is enough for it.
+    subtract(band, vectors, np.eye(len(turn)) - turn)
     return band
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,7 +11,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from cagemap.basis.eigen import EigenPairs, relative_residuals, shifted_matrix
-from cagemap.basis.factorization import Factorization, factor
+from cagemap.basis.factorization import Analysis, Factorization, analyze, factor
 from cagemap.basis.guess import gap_after, working_type
 from cagemap.basis.products import multiply
 from cagemap.basis.ritz import Ritz, extended, rayleigh_quotients, ritz_rotation, rotated
@@ -106,10 +107,14 @@ class Correction:
             block[:, part] = prolonged - alike.without(fixed, change)
         return block, gains
 
-    def bound(self, values: FloatArray, end: int) -> Bound:
+    def analyzed(self) -> Analysis:
+        """Of W - tau M, whatever tau."""
+        return analyze(shifted_matrix(self.stiffness, self.mass, -1.0))
+
+    def bound(self, values: FloatArray, end: int, analysis: Analysis) -> Bound:
         """Of eigenvalues in any order, where index ``end`` is the first that is not wanted."""
         shift = gap_after(np.sort(values), end)
-        return Bound(shift, factor(shifted_matrix(self.stiffness, self.mass, shift)))
+        return Bound(shift, factor(shifted_matrix(self.stiffness, self.mass, shift), like=analysis))
 
     def errors(self, vectors: Block, values: FloatArray, bound: Bound) -> FloatArray:
         """(m,) how far each eigenvalue of level l is from level l + 1, by solves."""
@@ -172,7 +177,7 @@ def improved(
     first_index: int,
     end: int,
     tolerance: float,
-    bound: Bound | None = None,
+    known: Bound | None = None,
 ) -> tuple[FloatArray, Block] | None:
     """Eigenpairs of level l + 1 near some of level l, by corrections and Rayleigh-Ritz.
 
@@ -199,7 +204,7 @@ def improved(
         Index after the last pair wanted.
     tolerance : float
         Relative.
-    bound : Bound, optional
+    known : Bound, optional
         W - tau M, if it is factored already.
 
     Returns
@@ -209,14 +214,15 @@ def improved(
         a few rounds, or the inertia counts other eigenvalues.
     """
     stiffness, mass = correction.stiffness, correction.mass
-    block, errors = correction.corrected(vectors, values, fixed)
-    try:
-        images = multiply(stiffness, block), multiply(mass, block)
-        found, rotation = ritz_rotation(block, *images)
-        if bound is None:
-            bound = correction.bound(np.concatenate([others, found]), end - first_index)
-    except SolverError:  # on an eigenvalue, or dependent columns
-        return None
+    with ThreadPoolExecutor(1) as aside:
+        analysis = aside.submit(correction.analyzed if known is None else Analysis)
+        block, errors = correction.corrected(vectors, values, fixed)
+        try:
+            images = multiply(stiffness, block), multiply(mass, block)
+            found, rotation = ritz_rotation(block, *images)
+            bound = known or correction.bound(np.concatenate([others, found]), end - first_index, analysis.result())
+        except SolverError:  # on an eigenvalue, or dependent columns
+            return None
     vectors = rotated(block, rotation)
     scale = np.maximum(found, 1e-3 * found[-1])
     errors /= scale

@@ -31,6 +31,13 @@ _SUPERLU_MINIMUM_DEGREE_ROWS = 30_000
 
 
 @dataclass(frozen=True)
+class Analysis:
+    """Where the entries of a sparse symmetric matrix are, ordered for a factorisation of any values there."""
+
+    _symbolic: Any = field(default=None, repr=False)
+
+
+@dataclass(frozen=True)
 class Factorization:
     """A factored symmetric matrix A.
 
@@ -49,7 +56,7 @@ class Factorization:
     negative_eigenvalues: int | None
     library: str
     _solve: Callable[[NDArray[Any]], NDArray[Any]] = field(repr=False)
-    _analysis: Any = field(default=None, repr=False)
+    _symbolic: Any = field(default=None, repr=False)
     dtype: Precision = np.float64
 
     def solve(self, right_sides: NDArray[Any]) -> NDArray[Any]:
@@ -78,10 +85,18 @@ class Factorization:
         return np.ascontiguousarray(solution).reshape(values.shape)
 
 
+def analyze(matrix: SparseMatrix) -> Analysis:
+    """The half of a factorisation that keeps to one core and needs no values: do it while other work fills the rest.
+
+    Empty without rslab.
+    """
+    return Analysis() if rslab is None else Analysis(_ordered(_lower_triangle(matrix)))
+
+
 def factor(
     matrix: SparseMatrix,
     *,
-    like: Factorization | None = None,
+    like: Factorization | Analysis | None = None,
     library: str = "auto",
     dtype: Precision = np.float64,
 ) -> Factorization:
@@ -91,8 +106,8 @@ def factor(
     ----------
     matrix : (n, n) sparse array
         Symmetric; only its lower triangle is read (rslab). Any unit.
-    like : Factorization, optional
-        A factorisation of a matrix with the same pattern; its ordering is used again.
+    like : Factorization or Analysis, optional
+        Of a matrix with the same pattern; its ordering is used again.
     library : {"auto", "rslab", "superlu"}
     dtype : numpy.float64 or numpy.float32
         Precision of the factors. Single takes half the memory and two thirds of the time; its inertia proves nothing.
@@ -120,17 +135,26 @@ def factor(
     return _factor_rslab(matrix, like, dtype)
 
 
-def _factor_rslab(matrix: SparseMatrix, like: Factorization | None, dtype: Precision) -> Factorization:
+def _lower_triangle(matrix: SparseMatrix) -> sparse.csc_array:
     lower = sparse.csc_array(sparse.tril(matrix, format="csc"))
     lower.sort_indices()
+    return lower
+
+
+def _ordered(lower: sparse.csc_array) -> Any:
+    # Approximate minimum degree: on meshes it beats nested dissection once analysis time is counted.
+    return rslab.analyze(lower, "ldlt", ordering="amd")
+
+
+def _factor_rslab(matrix: SparseMatrix, like: Factorization | Analysis | None, dtype: Precision) -> Factorization:
+    lower = _lower_triangle(matrix)
     try:
-        # Approximate minimum degree: on meshes it beats nested dissection once analysis time is counted.
-        analysis = rslab.analyze(lower, "ldlt", ordering="amd") if like is None else like._analysis
-        factors = analysis.factor(lower.data.astype(dtype, copy=False))
+        symbolic = _ordered(lower) if like is None else like._symbolic
+        factors = symbolic.factor(lower.data.astype(dtype, copy=False))
     except (RuntimeError, ValueError) as error:
         raise SolverError(_singular_message(matrix, error)) from error
     negative = int(factors.inertia[1])
-    return Factorization(matrix.shape, negative, "rslab", factors.solve_many, analysis, dtype)
+    return Factorization(matrix.shape, negative, "rslab", factors.solve_many, symbolic, dtype)
 
 
 def _factor_superlu(matrix: SparseMatrix, dtype: Precision) -> Factorization:

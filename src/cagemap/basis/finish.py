@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,17 +86,18 @@ def split_isolated(
     scale = np.maximum(values, 1e-3 * values[-1])
     dtype = working_type(tolerance)
     vectors = vectors.astype(dtype, copy=False)
-    errors = _ROUGH_SAFETY * correction.gains(vectors, values, _ROUGH_STEPS) / scale
-    unclear = np.flatnonzero(errors > tolerance)
-    errors[unclear] = (
-        _CAREFUL_SAFETY * correction.gains(np.ascontiguousarray(vectors[:, unclear]), values[unclear], STEPS)
-    ) / scale[unclear]
+    with ThreadPoolExecutor(1) as aside:
+        analysis = aside.submit(correction.analyzed) if tolerance <= _SECOND_ORDER else None
+        errors = _ROUGH_SAFETY * correction.gains(vectors, values, _ROUGH_STEPS) / scale
+        unclear = np.flatnonzero(errors > tolerance)
+        few = np.ascontiguousarray(vectors[:, unclear])
+        errors[unclear] = _CAREFUL_SAFETY * correction.gains(few, values[unclear], STEPS) / scale[unclear]
     if errors.max() > reach:
         return None
     bound: Bound | None = None
-    if tolerance <= _SECOND_ORDER:
+    if analysis is not None:
         try:
-            bound = correction.bound(values - errors * scale, wanted)
+            bound = correction.bound(values - errors * scale, wanted, analysis.result())
         except SolverError:  # on an eigenvalue
             return None
         # Smoothing does not reach all that slivers lack: solves tell for the least certain of the pairs to keep.

@@ -10,13 +10,15 @@ from scipy import linalg, sparse
 
 from cagemap.basis.products import multiply
 from cagemap.basis.smoothing import Block
-from cagemap.basis.threads import parts
+from cagemap.basis.threads import in_threads, parts
 from cagemap.errors import SolverError
 from cagemap.mesh import FloatArray, IndexArray
 
 # Columns and rows multiplied at once: what fits a cache, and bounds the memory.
 _COLUMNS = 64
 _ROWS = 8192
+# Sums of products over rows, each over every so many of these pieces.
+_SHARES = 4
 # Smallest eigenvalue of the Gram matrix of unit columns below which one of them is no direction of its own.
 _DEPENDENT = 1e-5
 # Part of a new direction that must be new.
@@ -55,12 +57,12 @@ def ritz_rotation(block: Block, stiffness_block: Block, mass_block: Block) -> tu
 def extended(pairs: Ritz, added: Block, stiffness: sparse.csr_array, mass: sparse.csr_array) -> Ritz:
     """Rayleigh-Ritz on the pairs and further directions; as many lowest pairs as before. Works in place."""
     for _ in range(2):
-        added -= pairs.vectors @ (pairs.mass_vectors.T @ added)
+        subtract(added, pairs.vectors, gram(pairs.mass_vectors, added, symmetric=False))
     mass_added = multiply(mass, added)
     squares, axes = linalg.eigh(gram(added, mass_added))
     new = squares > _NEW**2 * max(squares[-1], np.finfo(float).tiny)
-    turn = (axes[:, new] / np.sqrt(squares[new])).astype(added.dtype)
-    added, mass_added = added @ turn, mass_added @ turn
+    turn = axes[:, new] / np.sqrt(squares[new])
+    added, mass_added = rotated(added, turn), rotated(mass_added, turn)
     stiffness_added = multiply(stiffness, added)
     count = len(pairs.values)
     energy = np.zeros((count + added.shape[1], count + added.shape[1]))
@@ -80,11 +82,18 @@ def extended(pairs: Ritz, added: Block, stiffness: sparse.csr_array, mass: spars
 
 def gram(left: Block, right: Block, *, symmetric: bool = True) -> FloatArray:
     """X^T Y in double precision, some rows at a time; of a symmetric one no more than half is computed."""
-    total = np.zeros((left.shape[1], right.shape[1]))
     columns = parts(left.shape[1], _COLUMNS) if symmetric else [slice(0, None)]
-    for rows in parts(len(left), _ROWS):
-        for part in columns:
-            total[part, part.start :] += left[rows, part].T @ right[rows, part.start :]
+
+    def share(pieces: list[slice]) -> FloatArray:
+        total = np.zeros((left.shape[1], right.shape[1]))
+        for rows in pieces:
+            for part in columns:
+                total[part, part.start :] += left[rows, part].T @ right[rows, part.start :]
+        return total
+
+    pieces = parts(len(left), _ROWS)
+    # As many sums whatever the number of cores, so that the result does not depend on it.
+    total = np.sum(in_threads(share, [pieces[i::_SHARES] for i in range(_SHARES)]), axis=0)
     return np.triu(total) + np.triu(total, 1).T if symmetric else total
 
 
@@ -93,12 +102,25 @@ def rotated(block: Block, rotation: FloatArray, extra: Block | None = None, extr
     turn = rotation.astype(block.dtype)
     extra_turn = None if extra is None else extra_rotation.astype(block.dtype)
     turned = block if rotation.shape[1] == block.shape[1] else np.empty((len(block), rotation.shape[1]), block.dtype)
-    for rows in parts(len(block), _ROWS):
+
+    def turn_rows(rows: slice) -> None:
         product = block[rows] @ turn
         if extra is not None:
             product += extra[rows] @ extra_turn
         turned[rows] = product
+
+    in_threads(turn_rows, parts(len(block), _ROWS))
     return turned
+
+
+def subtract(block: Block, vectors: Block, coefficients: FloatArray) -> None:
+    """Take X C from a block in place, some rows at a time; computed in the type of X."""
+    factors = coefficients.astype(vectors.dtype)
+
+    def subtract_rows(rows: slice) -> None:
+        block[rows] -= vectors[rows] @ factors
+
+    in_threads(subtract_rows, parts(len(block), _ROWS))
 
 
 def rayleigh_quotients(
