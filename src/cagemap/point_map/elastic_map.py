@@ -19,7 +19,7 @@ from cagemap.refinement import Refinement, level_triangles
 # Vertices from which a level of the source is fine enough to lie on while fitting.
 SHEET_VERTICES = 15_000
 # A projected point whose normal makes a smaller cosine with its own is on the wrong side, or far from the source.
-LEAST_COSINE = 0.5
+LEAST_COSINE = 0.15
 
 
 def fit_shapes(pair: Pair, level: int, config: ElasticConfig = ElasticConfig()) -> FitShapes:

@@ -18,10 +18,10 @@ from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.quality import flipped_triangles, map_positions
 from cagemap.point_map.surface_points import CACHED, TriangleTree, closest_points, normalized
 
-ROUNDS = 6
+ROUNDS = 8
 SWEEPS = 10
 # Share of the flipped triangles that a round must mend for another one to be worth it.
-LEAST_GAIN = 0.05
+LEAST_GAIN = 0.02
 
 
 @dataclass(frozen=True)
