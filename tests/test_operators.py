@@ -158,12 +158,19 @@ def test_joint_restriction_agrees_with_sparse_products(refined):
     subdivision = refinement.matrices[1]
     mass, stiff = operators.mass[2], operators.stiffness[2]  # below the finest level they share their pattern
     order = rng.permutation(subdivision.shape[1])
+    starts = subdivision.indptr[-1] - subdivision.indptr[::-1]
+    parts = subdivision.data[::-1], subdivision.indices[::-1], starts
+    backwards = sparse.csr_array(parts, shape=subdivision.shape)[::-1]  # the same with entries of a row descending
+    assert not backwards.has_sorted_indices and abs(backwards - subdivision).max() == 0.0
+    for unsorted, computed in zip(*(restrict_pair(s, mass, stiff, order) for s in (backwards, subdivision)), strict=True):
+        np.testing.assert_array_equal(unsorted.data, computed.data)
     for computed, fine in zip(restrict_pair(subdivision, mass, stiff, order), (mass, stiff), strict=True):
         expected = restrict(subdivision, fine)
         assert computed.has_canonical_format
         np.testing.assert_array_equal(computed.indices, expected.indices)
         np.testing.assert_array_equal(computed.indptr, expected.indptr)
         np.testing.assert_allclose(computed.data, expected.data, atol=EXACT * abs(expected.data).max())
+        assert abs(computed - computed.T).max() == 0.0
 
 
 def test_joint_restriction_makes_room_for_long_rows():

@@ -90,32 +90,35 @@ def restrict_pair(
         With the same pattern again.
     """
     n = subdivision.shape[1]
+    subdivision = subdivision if subdivision.has_sorted_indices else subdivision.sorted_indices()
     transposed = sparse.csr_array(subdivision.T)
-    room = min(n * n, 64 * n)
-    dense = [(np.zeros((size, 2)), np.zeros(size, dtype=np.bool_)) for size in subdivision.shape]
-    touched = np.empty(len(subdivision.indptr) - 1, dtype=np.int32)
+    room = min(n * (n + 1) // 2, 32 * n)
+    nowhere = np.iinfo(np.uint32).max
+    rows = [(np.empty((size, 2)), np.full(size, nowhere, dtype=np.uint32)) for size in subdivision.shape]
+    touched = np.empty(subdivision.shape[0], dtype=np.uint32)
     while True:
-        indices, data, indptr = np.empty(room, dtype=np.int32), np.empty((room, 2)), np.zeros(n + 1, dtype=np.int32)
+        lower = np.zeros(n + 1, dtype=np.int32), np.empty(room, dtype=np.int32), np.empty((room, 2))
         entries = _restrict_pair(
             (transposed.indptr, transposed.indices, transposed.data),
             (stiffness.indptr, stiffness.indices, mass.data, stiffness.data),
             (subdivision.indptr, subdivision.indices, subdivision.data),
             order,
-            (*dense[0], touched, *dense[1]),
-            (indptr, indices, data),
+            (*rows[0], touched, *rows[1]),
+            lower,
         )
         if entries >= 0:
             break
         room *= 2  # vertices of very high valence
-        for row, met in dense:
-            row[:], met[:] = 0.0, False
-    rank = np.argsort(order)
-    masses, stiffnesses = (
-        sparse.csr_array((data[:entries, i], indices[:entries], indptr), shape=(n, n))[rank] for i in (0, 1)
+        for _, last in rows:
+            last[:] = nowhere
+    filled = np.zeros(n + 2, dtype=np.int32)
+    arrays = np.empty(2 * entries, dtype=np.int32), np.empty(2 * entries), np.empty(2 * entries)
+    _mirror(np.argsort(order), lower, filled, *arrays)
+    indices, masses, stiffnesses = (array[: filled[n]] for array in arrays)
+    coarse_mass, coarse_stiffness = (
+        sparse.csr_array((data, indices, filled[: n + 1]), shape=(n, n)) for data in (masses, stiffnesses)
     )
-    # One index array serves both.
-    masses = sparse.csr_array((masses.data, stiffnesses.indices, stiffnesses.indptr), shape=(n, n))
-    return masses, stiffnesses
+    return coarse_mass, coarse_stiffness
 
 
 def build_operators(refinement: Refinement) -> Operators:
@@ -158,52 +161,84 @@ def _with_diagonal(pattern: sparse.csr_array, diagonal: FloatArray) -> sparse.cs
     return sparse.csr_array((data, pattern.indices, pattern.indptr), shape=pattern.shape)
 
 
+# Unsigned indices: signed ones are asked on every access whether they count from the end, a quarter of the time.
 @njit(cache=True, nogil=True)
-def _restrict_pair(transposed, fine, subdivision, order, dense, result):  # type: ignore[no-untyped-def]
-    """Rows order[0], order[1], ... of S^T A S for both matrices A; returns the number of entries, -1 if out of room.
+def _restrict_pair(transposed, fine, subdivision, order, rows, lower):  # type: ignore[no-untyped-def]
+    """Lower triangle of S^T A S for both matrices A, row order[0] first; the number of entries, -1 if out of room.
 
-    For row i, w = sum_r S_ri A_r, then sum_s w_s S_s, each gathered in a dense row that is zero before and after.
+    For row i, w = sum_r S_ri A_r, then sum_s w_s S_s, each gathered in a dense row; an entry counts where i is the last
+    row that touched it.
     """
     t_starts, t_rows, t_weights = transposed
     a_starts, a_columns, a_mass, a_stiffness = fine
     s_starts, s_columns, s_weights = subdivision
-    middle, met_middle, touched, row, met = dense
-    indptr, indices, data = result
-    end = 0
-    for k in range(len(order)):
-        n_touched = 0
-        for p in range(t_starts[order[k]], t_starts[order[k] + 1]):
-            r, weight = t_rows[p], t_weights[p]
-            for q in range(a_starts[r], a_starts[r + 1]):
-                s = a_columns[q]
-                if not met_middle[s]:
-                    met_middle[s] = True
+    middle, last_middle, touched, row, last = rows
+    indptr, indices, data = lower
+    zero, one, room = np.uint64(0), np.uint64(1), np.uint64(len(indices))
+    end = zero
+    for k in range(np.uint64(len(order))):
+        i = np.uint64(order[k])
+        n_touched = zero
+        for p in range(np.uint64(t_starts[i]), np.uint64(t_starts[i + one])):
+            r, weight = np.uint64(t_rows[p]), t_weights[p]
+            for q in range(np.uint64(a_starts[r]), np.uint64(a_starts[r + one])):
+                s = np.uint64(a_columns[q])
+                if last_middle[s] != i:
+                    last_middle[s] = i
                     touched[n_touched] = s
-                    n_touched += 1
-                middle[s, 0] += weight * a_mass[q]
-                middle[s, 1] += weight * a_stiffness[q]
+                    n_touched += one
+                    middle[s, zero], middle[s, one] = 0.0, 0.0
+                middle[s, zero] += weight * a_mass[q]
+                middle[s, one] += weight * a_stiffness[q]
         begin = end
         for t in range(n_touched):
-            s = touched[t]
-            w_mass, w_stiffness = middle[s, 0], middle[s, 1]
-            met_middle[s], middle[s, 0], middle[s, 1] = False, 0.0, 0.0
-            for q in range(s_starts[s], s_starts[s + 1]):
-                j = s_columns[q]
-                if not met[j]:
-                    if end == len(indices):
+            s = np.uint64(touched[t])
+            w_mass, w_stiffness = middle[s, zero], middle[s, one]
+            for q in range(np.uint64(s_starts[s]), np.uint64(s_starts[s + one])):
+                j = np.uint64(s_columns[q])
+                if j > i:  # columns ascend
+                    break
+                if last[j] != i:
+                    if end == room:
                         return -1
-                    met[j] = True
+                    last[j] = i
+                    row[j, zero], row[j, one] = 0.0, 0.0
                     place = end  # insertion sort: rows are short, and those of S are sorted
-                    while place > begin and indices[place - 1] > j:
-                        indices[place] = indices[place - 1]
-                        place -= 1
+                    while place > begin and indices[place - one] > j:
+                        indices[place] = indices[place - one]
+                        place -= one
                     indices[place] = j
-                    end += 1
-                row[j, 0] += w_mass * s_weights[q]
-                row[j, 1] += w_stiffness * s_weights[q]
+                    end += one
+                row[j, zero] += w_mass * s_weights[q]
+                row[j, one] += w_stiffness * s_weights[q]
         for q in range(begin, end):
-            j = indices[q]
-            data[q, 0], data[q, 1] = row[j, 0], row[j, 1]
-            met[j], row[j, 0], row[j, 1] = False, 0.0, 0.0
-        indptr[k + 1] = end
-    return end
+            j = np.uint64(indices[q])
+            data[q, zero], data[q, one] = row[j, zero], row[j, one]
+        indptr[k + one] = end
+    return np.int64(end)
+
+
+@njit(cache=True, nogil=True)
+def _mirror(rank, lower, filled, indices, first, second):  # type: ignore[no-untyped-def]
+    """CSR arrays of two symmetric matrices from their lower triangles, row i at place rank[i]; rows come out sorted.
+
+    ``filled``, zeros (n + 2,), becomes the row starts, at places 0 to n: while row i is filled, place i + 1 is its end.
+    """
+    starts, columns, data = lower
+    n = len(rank)
+    for i in range(n):
+        for p in range(starts[rank[i]], starts[rank[i] + 1]):
+            j = columns[p]
+            filled[i + 2] += 1
+            if j != i:
+                filled[j + 2] += 1
+    for i in range(n):
+        filled[i + 2] += filled[i + 1]
+    for i in range(n):  # what lies right of a diagonal comes with the rows after it
+        for p in range(starts[rank[i]], starts[rank[i] + 1]):
+            j = columns[p]
+            indices[filled[i + 1]], first[filled[i + 1]], second[filled[i + 1]] = j, data[p, 0], data[p, 1]
+            filled[i + 1] += 1
+            if j != i:
+                indices[filled[j + 1]], first[filled[j + 1]], second[filled[j + 1]] = i, data[p, 0], data[p, 1]
+                filled[j + 1] += 1
