@@ -16,8 +16,11 @@ from cagemap.point_map.agreement import round_trip_weights
 from cagemap.point_map.elastic import ElasticConfig, FitShapes, RestShape, Stage, coarse_fit, fit, run_stage
 from cagemap.point_map.elastic_data import Pullers, Sheet, curved_points, pull_by_source
 from cagemap.point_map.elastic_graph import (
+    FLAT,
+    LEAST_STRETCH,
     DifferentialField,
     ElasticGraph,
+    bounded_maps,
     cluster_graph,
     extrapolate,
     mesh_graph,
@@ -35,7 +38,7 @@ from cagemap.point_map.folds import unfold
 from cagemap.point_map.hierarchical import Pair
 from cagemap.point_map.landmark_coordinates import interpolants, landmark_coordinates
 from cagemap.point_map.point_map import PointMap
-from cagemap.point_map.quality import flipped_triangles, map_positions, measure_quality
+from cagemap.point_map.quality import flipped_share, flipped_triangles, map_positions, measure_quality
 from cagemap.point_map.surface_points import build_tree, closest_points, normalized, triangle_normals, vertex_normals
 from cagemap.refinement import Refinement, refine
 
@@ -124,6 +127,42 @@ def test_both_right_sides_are_those_of_the_energy(shape: tuple[Refinement, float
     transposed = field.solve(positions).transpose(0, 2, 1)
     left = blocks @ transposed + 1e-2 * (laplacian @ transposed.reshape(graph.n, 9)).reshape(-1, 3, 3)
     np.testing.assert_allclose(left, moments, atol=1e-6)
+
+
+def test_maps_that_flatten_or_mirror_are_bounded_and_no_others() -> None:
+    rng = np.random.default_rng(21)
+    normals = normalized(rng.standard_normal((400, 3)))
+    maps = rng.standard_normal((400, 3, 3))
+    found, bounded = bounded_maps(maps, normals)
+    expected = []
+    for i, (before, after, normal) in enumerate(zip(maps, found, normals, strict=True)):
+        tangents = np.linalg.svd(normal[None])[2][1:]
+        across, along = np.linalg.svd(before @ tangents.T)[1]
+        if np.linalg.det(before) > 0 and along >= FLAT * across:
+            np.testing.assert_array_equal(after, before)
+            continue
+        expected.append(i)
+        largest, _, least = np.linalg.svd(after)[1]
+        assert np.linalg.det(after) > 0
+        assert least > (1 - 1e-9) * LEAST_STRETCH * largest
+        sizes = np.linalg.svd(before)[1]
+        assert largest == pytest.approx(sizes[0])
+        # No farther from the map before than that takes: only the two smaller stretches change.
+        assert np.linalg.norm(after - before) <= np.hypot(LEAST_STRETCH * sizes[0], LEAST_STRETCH * sizes[0] + sizes[2])
+    assert 100 < len(expected) < 300  # half are mirrored, and some flat
+    np.testing.assert_array_equal(bounded, expected)
+
+
+def test_a_part_that_is_thin_along_its_normal_is_not_bounded() -> None:
+    flat = np.diag([1.0, 0.8, 0.001])[None]
+    assert len(bounded_maps(flat, np.array([[0.0, 0.0, 1.0]]))[1]) == 0
+    assert len(bounded_maps(flat, np.array([[1.0, 0.0, 0.0]]))[1]) == 1
+
+
+def test_a_map_that_shrinks_everything_to_a_point_stays_finite() -> None:
+    found, bounded = bounded_maps(np.zeros((1, 3, 3)), np.array([[0.0, 0.0, 1.0]]))
+    np.testing.assert_array_equal(found, 0.0)
+    assert len(bounded) == 1
 
 
 def test_extrapolation_is_exact_for_affine_deformations(shape: tuple[Refinement, float]) -> None:
@@ -273,6 +312,61 @@ def test_momentum_gets_as_far_in_half_the_iterations(shape: tuple[Refinement, fl
         return float(np.linalg.norm(found - graph.positions, axis=1).mean())
 
     assert error(8, 0.8) < error(16, 0.0) < np.linalg.norm(slide, axis=1).mean()
+
+
+def test_patience_ends_as_soon_as_nothing_folds(shape: tuple[Refinement, float]) -> None:
+    refinement, scale = shape
+    graph, split = graph_of(refinement, scale, 2)
+    landmarks = np.arange(0, refinement.levels[0].n_vertices, 6)
+    start = graph.positions + 0.01 * graph.normals
+
+    def found(patience: int) -> np.ndarray:
+        stage = Stage(3, (1e-3, 1e-4), 3e-4, patience=patience)
+        rest = RestShape.build(graph, split, stage.smoothing)
+        sheet = Sheet.build(graph.positions, split)
+        return run_stage(rest, sheet, start, landmarks, graph.positions[landmarks], stage, ElasticConfig())
+
+    np.testing.assert_array_equal(found(5), found(0))
+    np.testing.assert_array_equal(Stage(3, (1e-3, 1e-4), 3e-4, patience=2).ramped()[3:], 1e-4)
+
+
+def test_long_thin_legs_do_not_fold_on_short_thick_ones() -> None:
+    # A landmark at each hoof's front lies higher on the source, as an artist would not notice: the shanks then have to
+    # shrink to a third, and without bounded maps 2 % of the surface folded.
+    source = creature()
+    x, y, z = source.positions.T
+    height = np.where(y < 1.6, 1.5 + 3.0 * (y - 1.5), y)
+    thin, foot = y < 1.4, np.where(z > 2.5, 5.0, 0.0)
+    side = np.sign(x)
+    positions = np.column_stack(
+        [np.where(thin, side + 0.3 * (x - side), x), height, np.where(thin, foot + 0.3 * (z - foot), z)]
+    )
+    hooves = np.flatnonzero((y == -0.5) & (abs(x) == 0.5) & (z - foot == 0.5))
+    above = np.flatnonzero((y == 0.5) & (abs(x) == 0.5) & (z - foot == 0.5))
+    above = above[np.lexsort((z[above], x[above]))]
+    hooves = hooves[np.lexsort((z[hooves], x[hooves]))]
+    assert len(hooves) == len(above) == 4
+    body = np.flatnonzero((y > 1.6) & (np.arange(len(y)) % 9 == 0))
+    pair = Pair(
+        surface_of(refine(source.with_positions(positions), 3)),
+        surface_of(refine(source, 3)),
+        np.concatenate([body, hooves]),
+        np.concatenate([body, above]),
+    )
+    config = ElasticConfig()
+    on_source, triangles = finest_surface(pair.source)
+    places = on_source[pair.source_landmarks]
+    shapes = fit_shapes(pair, 3, config)
+    coarse = coarse_fit(
+        RestShape.build(shapes.coarse, None, config.coarse.smoothing), shapes.sheet, None, places, config
+    )
+    fine = RestShape.build(shapes.graph, shapes.triangles, config.fine.smoothing)
+    fitted = fit(shapes, fine, [coarse], pair.target_landmarks, places, config)
+    found = project(fitted, pair, build_tree(on_source, triangles), config)
+    on_target, target_triangles = finest_surface(pair.target)
+    image = map_positions(on_source, triangles, found.triangle, found.barycentric)
+    facing = normalized(triangle_normals(on_source, triangles))[found.triangle]
+    assert flipped_share(image, on_target, target_triangles, facing) < 1e-4
 
 
 def test_the_response_to_landmarks_is_linear_and_keeps_what_is_held(shape: tuple[Refinement, float]) -> None:

@@ -19,11 +19,13 @@ from cagemap.errors import ParameterError
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.agreement import ReceivedArea
 from cagemap.point_map.elastic_data import PULLERS, Pullers, Sheet, deformed_normals, pull_by_source, pull_to_source
-from cagemap.point_map.elastic_graph import DifferentialField, ElasticGraph, cluster_graph, extrapolate
+from cagemap.point_map.elastic_graph import DifferentialField, ElasticGraph, bounded_maps, cluster_graph, extrapolate
 from cagemap.point_map.surface_points import closest_points, normalized, triangle_normals, vertex_normals
 
 LANDMARK_ITERATIONS = 20
 COST_STIFFNESS = 1e-3  # alpha at which coarse fits from different starts are compared
+# Share of the vertices with bounded differentials above which a stage goes on.
+UNSETTLED = 0.005
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,9 @@ class Stage:
         See ``stiffness``.
     momentum : float
         Every iteration but the last goes on by this share of its change: x <- x + momentum (x - x_before).
+    patience : int
+        At most this many iterations more, at the last stiffness, while the deformation would still fold or flatten more
+        than `UNSETTLED` of the surface.
     """
 
     iterations: int
@@ -49,11 +54,12 @@ class Stage:
     smoothing: float
     ramp: float = 0.7
     momentum: float = 0.0
+    patience: int = 0
 
     def ramped(self) -> FloatArray:
-        """(iterations,) stiffness alpha of every iteration."""
+        """(iterations + patience,) stiffness alpha of every iteration."""
         first, last = self.stiffness
-        steps = np.minimum(np.arange(self.iterations) / max(self.ramp * self.iterations, 1e-9), 1.0)
+        steps = np.minimum(np.arange(self.iterations + self.patience) / max(self.ramp * self.iterations, 1e-9), 1.0)
         return np.asarray(first * (last / first) ** steps)
 
 
@@ -78,7 +84,7 @@ class ElasticConfig:
 
     coarse_vertices: int = 1500
     coarse: Stage = Stage(10, (5e-2, 2e-4), 1e-2, momentum=0.6)
-    fine: Stage = Stage(12, (2e-4, 1e-5), 1e-4, momentum=0.8)
+    fine: Stage = Stage(12, (2e-4, 1e-5), 1e-4, momentum=0.8, patience=12)
     normal_weight: float = 0.03
     fine_normal_weight: float = 0.01
     projection_normal_weights: tuple[float, float] = (0.002, 0.02)
@@ -144,6 +150,10 @@ class RestShape:
         field = DifferentialField.build(graph, laplacian, smoothing)
         return cls(graph, field, triangles, None if triangles is None else ReceivedArea.build(graph, laplacian))
 
+    def differentials(self, positions: FloatArray) -> tuple[FloatArray, IndexArray]:
+        """(n, 3, 3) maps A for positions x (n, 3), none of which folds or flattens, and which of them were bounded."""
+        return bounded_maps(self.field.solve(positions), self.graph.normals)
+
 
 @dataclass(frozen=True)
 class CoarseFit:
@@ -191,7 +201,7 @@ def coarse_fit(
     held = np.arange(len(landmark_positions))
     first = landmark_start(rest, held, landmark_positions, config) if start is None else start
     positions = run_stage(rest, source, first, held, landmark_positions, config.coarse, config)
-    maps = rest.field.solve(positions)
+    maps, _ = rest.differentials(positions)
     return CoarseFit(coarse_cost(rest.graph, source, positions, maps, config), positions, maps)
 
 
@@ -241,7 +251,7 @@ def landmark_start(
     blocks[landmarks] = config.landmark_weight * np.eye(3)
     factors = field.system.factor(1.0, blocks, field.factors)
     for _ in range(LANDMARK_ITERATIONS):
-        right = field.divergence(field.solve(positions))
+        right = field.divergence(rest.differentials(positions)[0])
         right[landmarks] += config.landmark_weight * landmark_positions
         positions = factors.solve(right.ravel()).reshape(-1, 3)
     return positions
@@ -295,8 +305,8 @@ def run_stage(
     with ThreadPoolExecutor(1) as aside:
         for iteration, alpha in enumerate(stage.ramped(), start=1):
             if triangles is None:
-                maps = aside.submit(field.solve, positions)
-                normals = deformed_normals(graph, maps.result())
+                differentials = aside.submit(rest.differentials, positions)
+                normals = deformed_normals(graph, differentials.result()[0])
             else:
                 normals = vertex_normals(positions, triangles)
             pull = pull_to_source(graph, source, positions, normals, guess, normal_weight)
@@ -308,16 +318,18 @@ def run_stage(
                 pull = pull.scaled(rest.received.weights(back.weights))
                 blocks, right, guess_back = pull.blocks + back.blocks, pull.right + back.right, back.triangles
                 # Only the residual asks for them here: beside the factorisation, which keeps to one core.
-                maps = aside.submit(field.solve, positions)
+                differentials = aside.submit(rest.differentials, positions)
             blocks[landmarks] = config.landmark_weight * np.eye(3)
             right[landmarks] = config.landmark_weight * landmark_positions
             # Single precision: what a step misses, the next one finds in its residual, which is in double.
             matrix = field.system.at(alpha, blocks)
             factors = factor(matrix, like=field.factors, dtype=np.float32)
-            residual = (right + alpha * field.divergence(maps.result())).ravel()
+            maps, bounded = differentials.result()
+            residual = (right + alpha * field.divergence(maps)).ravel()
             residual -= matrix @ positions.ravel()
             after = positions + factors.solve(residual).reshape(-1, 3)
-            goes_on = 1 < iteration < stage.iterations
-            positions = after + stage.momentum * (after - before) if goes_on else after
+            if iteration >= stage.iterations and len(bounded) <= UNSETTLED * graph.n:
+                return after
+            positions = after + stage.momentum * (after - before) if iteration > 1 else after
             before = after
-    return positions
+    return before

@@ -10,7 +10,7 @@ from scipy import sparse
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.operators.laplacian import vertex_areas
 from cagemap.point_map.agreement import round_trip_weights
-from cagemap.point_map.elastic_graph import ElasticGraph
+from cagemap.point_map.elastic_graph import ElasticGraph, transformed_normals
 from cagemap.point_map.surface_points import (
     TriangleTree,
     build_tree,
@@ -215,6 +215,4 @@ def curved_points(corners: FloatArray, normals: FloatArray, barycentric: FloatAr
 
 def deformed_normals(graph: ElasticGraph, maps: FloatArray) -> FloatArray:
     """(n, 3) unit normals of a deformed graph, from its maps (n, 3, 3)."""
-    # Normals transform with the cofactor matrix, whose rows are cross products of the map's rows.
-    cofactors = np.stack([np.cross(maps[:, (k + 1) % 3], maps[:, (k + 2) % 3]) for k in range(3)], axis=1)
-    return normalized(np.einsum("nab,nb->na", cofactors, graph.normals))
+    return normalized(transformed_normals(maps, graph.normals))

@@ -28,6 +28,10 @@ from cagemap.point_map.surface_points import normalized, vertex_normals
 LEAST_WEIGHT = 1e-2
 # How far apart, in units of a cluster's size, opposite normals are.
 NORMAL_SPREAD = 1.0
+# Ratio of a map's two stretches in the tangent plane below which it flattens the surface.
+FLAT = 0.2
+# Such a map gets all three singular values up to this share of its largest.
+LEAST_STRETCH = 0.3
 
 
 @dataclass(frozen=True)
@@ -202,6 +206,52 @@ class DifferentialField:
     def divergence(self, maps: FloatArray) -> FloatArray:
         """(n, 3) right side of the position solve: ``sum_j w_ij A_ij e_ij``, which is ``B^T A / 2``."""
         return np.asarray(0.5 * (self.moments.T @ maps.transpose(0, 2, 1).reshape(-1, 3)))
+
+
+def bounded_maps(maps: FloatArray, normals: FloatArray) -> tuple[FloatArray, IndexArray]:
+    """Linear maps without those that flatten a surface or turn it over.
+
+    The energy alone lets a differential pass through zero and come out mirrored: limbs that have to shrink fold like an
+    accordion. A map whose two stretches in the tangent plane have a ratio below `FLAT`, or whose determinant is not
+    positive, gets its singular values s_1 >= s_2 >= +-s_3 bounded from below by ``LEAST_STRETCH * s_1``; the last of
+    them has the determinant's sign before. All others stay as they are: a part that is thin on the other shape, flat
+    along its normal, is no fold.
+
+    Parameters
+    ----------
+    maps : (n, 3, 3) float64
+    normals : (n, 3) float64
+        Unit normals of the rest shape.
+
+    Returns
+    -------
+    maps : (n, 3, 3) float64
+    bounded : (b,) int64
+        Which of them have changed.
+    """
+    across, turned = np.einsum("nab,nb->na", maps, normals), transformed_normals(maps, normals)
+    # With stretches s and t in the tangent plane: s t, and s^2 + t^2.
+    product = np.linalg.norm(turned, axis=1)
+    squares = np.einsum("nab,nab->n", maps, maps) - np.einsum("na,na->n", across, across)
+    mirrored = np.einsum("na,na->n", turned, across) <= 0
+    bounded = np.flatnonzero(mirrored | (product < FLAT / (1.0 + FLAT**2) * squares))
+    if not len(bounded):
+        return maps, bounded
+    left, stretches, right = np.linalg.svd(maps[bounded])
+    sign = np.where(mirrored[bounded], -1.0, 1.0)
+    left[:, :, 2] *= sign[:, None]
+    stretches[:, 2] *= sign
+    stretches = np.maximum(stretches, LEAST_STRETCH * stretches[:, :1])
+    changed = maps.copy()
+    changed[bounded] = (left * stretches[:, None, :]) @ right
+    return changed, bounded
+
+
+def transformed_normals(maps: FloatArray, normals: FloatArray) -> FloatArray:
+    """(n, 3) normals after linear maps (n, 3, 3), as long as areas are stretched: cofactor matrices times normals."""
+    # Rows of the cofactor matrix are cross products of the map's rows.
+    cofactors = np.stack([np.cross(maps[:, (k + 1) % 3], maps[:, (k + 2) % 3]) for k in range(3)], axis=1)
+    return np.asarray(np.einsum("nab,nb->na", cofactors, normals))
 
 
 def extrapolate(
