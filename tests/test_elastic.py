@@ -159,6 +159,15 @@ def test_a_part_that_is_thin_along_its_normal_is_not_bounded() -> None:
     assert len(bounded_maps(flat, np.array([[1.0, 0.0, 0.0]]))[1]) == 1
 
 
+def test_flat_maps_come_out_upright_whatever_the_factorisation_says() -> None:
+    rng = np.random.default_rng(22)
+    maps = rng.standard_normal((50, 3, 2)) @ rng.integers(-3, 4, (50, 2, 3))
+    found, bounded = bounded_maps(maps, normalized(rng.standard_normal((50, 3))))
+    assert np.all(np.linalg.det(found[bounded]) > 0)
+    # Rounding decides which of them have a positive determinant and pass as thin along the normal.
+    assert len(bounded) > 10
+
+
 def test_a_map_that_shrinks_everything_to_a_point_stays_finite() -> None:
     found, bounded = bounded_maps(np.zeros((1, 3, 3)), np.array([[0.0, 0.0, 1.0]]))
     np.testing.assert_array_equal(found, 0.0)

@@ -233,12 +233,12 @@ def bounded_maps(maps: FloatArray, normals: FloatArray) -> tuple[FloatArray, Ind
     # With stretches s and t in the tangent plane: s t, and s^2 + t^2.
     product = np.linalg.norm(turned, axis=1)
     squares = np.einsum("nab,nab->n", maps, maps) - np.einsum("na,na->n", across, across)
-    mirrored = np.einsum("na,na->n", turned, across) <= 0
-    bounded = np.flatnonzero(mirrored | (product < FLAT / (1.0 + FLAT**2) * squares))
+    determinant = np.einsum("na,na->n", turned, across)
+    bounded = np.flatnonzero((determinant <= 0) | (product < FLAT / (1.0 + FLAT**2) * squares))
     if not len(bounded):
         return maps, bounded
     left, stretches, right = np.linalg.svd(maps[bounded])
-    sign = np.where(mirrored[bounded], -1.0, 1.0)
+    sign = np.sign(np.linalg.det(left @ right))
     left[:, :, 2] *= sign[:, None]
     stretches[:, 2] *= sign
     stretches = np.maximum(stretches, LEAST_STRETCH * stretches[:, :1])
