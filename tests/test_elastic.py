@@ -357,15 +357,15 @@ def test_long_thin_legs_do_not_fold_on_short_thick_ones() -> None:
     assert len(hooves) == len(above) == 4
     body = np.flatnonzero((y > 1.6) & (np.arange(len(y)) % 9 == 0))
     pair = Pair(
-        surface_of(refine(source.with_positions(positions), 3)),
-        surface_of(refine(source, 3)),
+        surface_of(refine(source.with_positions(positions), 2)),
+        surface_of(refine(source, 2)),
         np.concatenate([body, hooves]),
         np.concatenate([body, above]),
     )
     config = ElasticConfig()
     on_source, triangles = finest_surface(pair.source)
     places = on_source[pair.source_landmarks]
-    shapes = fit_shapes(pair, 3, config)
+    shapes = fit_shapes(pair, 2, config)
     coarse = coarse_fit(
         RestShape.build(shapes.coarse, None, config.coarse.smoothing), shapes.sheet, None, places, config
     )
