@@ -350,17 +350,19 @@ def test_long_thin_legs_do_not_fold_on_short_thick_ones() -> None:
     positions = np.column_stack(
         [np.where(thin, side + 0.3 * (x - side), x), height, np.where(thin, foot + 0.3 * (z - foot), z)]
     )
-    hooves = np.flatnonzero((y == -0.5) & (abs(x) == 0.5) & (z - foot == 0.5))
-    above = np.flatnonzero((y == 0.5) & (abs(x) == 0.5) & (z - foot == 0.5))
-    above = above[np.lexsort((z[above], x[above]))]
-    hooves = hooves[np.lexsort((z[hooves], x[hooves]))]
-    assert len(hooves) == len(above) == 4
+
+    def leg_fronts(at: float) -> np.ndarray:
+        """Inner front edge of every leg at a height, leg by leg."""
+        found = np.flatnonzero((y == at) & (abs(x) == 0.5) & (z - foot == 0.5))
+        assert len(found) == 4
+        return found[np.lexsort((z[found], x[found]))]
+
     body = np.flatnonzero((y > 1.6) & (np.arange(len(y)) % 9 == 0))
     pair = Pair(
         surface_of(refine(source.with_positions(positions), 2)),
         surface_of(refine(source, 2)),
-        np.concatenate([body, hooves]),
-        np.concatenate([body, above]),
+        np.concatenate([body, leg_fronts(-0.5)]),
+        np.concatenate([body, leg_fronts(0.5)]),
     )
     config = ElasticConfig()
     on_source, triangles = finest_surface(pair.source)
