@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
 import sys
@@ -66,23 +65,15 @@ def test_version_and_help_name_every_command(run: Run) -> None:
         assert run(command, "--help").code == 0
 
 
-def test_help_is_instant() -> None:
-    command = [
-        sys.executable,
-        "-c",
-        "import sys; sys.argv = ['cagemap', '--help']; from cagemap.cli import main; main()",
-    ]
-    imported = subprocess.run(
-        [*command[:1], "-X", "importtime", *command[1:]], capture_output=True, text=True, check=False
-    )
+def test_help_loads_nothing_heavy() -> None:
+    # How long it takes is measured by benchmarks.speed ("start").
+    shown = "import sys; sys.argv = ['cagemap', '--help']; from cagemap.cli import main; main()"
+    command = [sys.executable, "-X", "importtime", "-c", shown]
+    imported = subprocess.run(command, capture_output=True, text=True, check=False)
     assert imported.returncode == 0
+    assert " cagemap.cli" in imported.stderr
     for heavy in ("numpy", "scipy", "numba", "embreex", "OpenImageIO"):
         assert f" {heavy}\n" not in imported.stderr
-    before = os.times()
-    subprocess.run(command, capture_output=True, check=True)
-    after = os.times()
-    # Processor time, since other tests may run beside this one. Measured 0.25 s.
-    assert after.children_user - before.children_user < 0.5
 
 
 def test_check_reports_and_judges(run: Run, tmp_path: Path) -> None:
