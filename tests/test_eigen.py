@@ -50,6 +50,23 @@ def test_lanczos_agrees_with_arpack(creature, reference):
     np.testing.assert_allclose(np.linalg.norm(inside, axis=0), 1.0, rtol=0, atol=1e-9)
 
 
+def test_a_krylov_space_in_single_precision(creature, reference, monkeypatch):
+    """Loose tolerances store it so; eigenvalues keep five digits, those far from the shift too."""
+    honest, stored = eigen.shift_invert_lanczos, []
+
+    def noting(*arguments, **options):
+        values, vectors = honest(*arguments, **options)
+        stored.append(vectors.dtype)
+        return values, vectors
+
+    monkeypatch.setattr(eigen, "shift_invert_lanczos", noting)
+    pairs = band_pairs(creature.stiffness[2], creature.mass[2], 0, 80, tolerance=eigen.SINGLE_STORAGE)
+    assert stored == [np.float32]
+    assert relative(pairs.values, reference[0][:80]).max() < 1e-5
+    gram = pairs.vectors.T @ (creature.mass[2] @ pairs.vectors)
+    np.testing.assert_allclose(gram, np.eye(80), rtol=0, atol=1e-5)
+
+
 def test_residuals_are_what_they_say(creature):
     stiffness, mass = creature.stiffness[1], creature.mass[1]
     pairs = lowest_pairs(stiffness, mass, 30)

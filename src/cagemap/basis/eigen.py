@@ -23,6 +23,8 @@ DENSE_ROWS = 800
 _LARGEST_DENSE_ROWS = 5_000
 # Relative eigenvalue of a coarse mass matrix below which a direction is one that subdivision maps to zero.
 _RANK = 1e-13
+# Convergence from which on a Krylov space in single precision is exact enough: it disturbs eigenvalues by under 1e-5.
+SINGLE_STORAGE = 1e-5
 # Pairs computed beyond those asked for, among which a gap is sought to count the eigenvalues below it.
 _EXTRA_PAIRS = 8
 
@@ -179,14 +181,14 @@ def band_pairs(
                 f"functions, got {first} to {last}; start at a finer level"
             )
         return _with_residuals(stiffness, mass, values[first:last], vectors[:, first:last], first)
-    # In double precision: on a body with slivers single precision lost every digit (docs/performance.md).
+    # Factors in double precision: on a body with slivers single precision lost every digit (docs/performance.md).
     low, high = max(0, first - _EXTRA_PAIRS), min(n, last + _EXTRA_PAIRS)
     shifted, sigma = _shift_inside(stiffness, mass, low, high, shift)
     below = shifted.negative_eigenvalues
     if below is None:
         low, below = 0, 0  # the shift is then below the spectrum
     loose = first - low, high - last + guards
-    for block_size in (16, 64):
+    for block_size, dtype in ((16, np.float32 if tolerance >= SINGLE_STORAGE else np.float64), (64, np.float64)):
         values, vectors = shift_invert_lanczos(
             shifted,
             mass,
@@ -197,6 +199,7 @@ def band_pairs(
             block_size=block_size,
             tolerance=tolerance,
             loose=loose,
+            dtype=dtype,
         )
         if all(in_threads(partial(counts_agree, stiffness, mass, values, low, shifted), (first, last))):
             chosen = slice(first - low, last - low)
@@ -294,7 +297,7 @@ def _with_residuals(
     vectors: FloatArray,
     first_index: int,
 ) -> EigenPairs:
-    vectors = np.ascontiguousarray(vectors)
+    vectors = np.ascontiguousarray(vectors, dtype=np.float64)
     norms = residual_norms(values, vectors, multiply(stiffness, vectors), multiply(mass, vectors), lumped_areas(mass))
     return EigenPairs(np.array(values), vectors, norms, first_index)
 

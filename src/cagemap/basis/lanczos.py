@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy import linalg, sparse
 
-from cagemap.basis.factorization import Factorization
+from cagemap.basis.factorization import Factorization, Precision
 from cagemap.basis.products import multiply
+from cagemap.basis.smoothing import Block
 from cagemap.errors import SolverError
 from cagemap.mesh import FloatArray
 
@@ -20,7 +21,7 @@ LOOSE = 1e-2
 
 
 def orthonormal_block(
-    block: FloatArray, mass: sparse.csr_array, rng: np.random.Generator, against: FloatArray, mass_against: FloatArray
+    block: FloatArray, mass: sparse.csr_array, rng: np.random.Generator, against: Block, mass_against: Block
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """M-orthonormalise a block that is already M-orthogonal to ``against``, by Cholesky QR, twice where needed.
 
@@ -77,7 +78,8 @@ def shift_invert_lanczos(
     block_size: int = 16,
     tolerance: float = 1e-9,
     loose: tuple[int, int] = (0, 0),
-) -> tuple[FloatArray, FloatArray]:
+    dtype: Precision = np.float64,
+) -> tuple[FloatArray, Block]:
     """Eigenpairs of W x = lambda M x on both sides of a shift.
 
     Parameters
@@ -96,11 +98,13 @@ def shift_invert_lanczos(
         Residual of a pair of the inverted operator relative to its eigenvalue 1 / (lambda - shift).
     loose : (int, int)
         How many of the outermost pairs below and above need no more than a residual of `LOOSE`.
+    dtype : numpy.float64 or numpy.float32
+        How the Krylov space is stored and what is orthogonalised in; solves are always in double.
 
     Returns
     -------
     eigenvalues : (below + above,) array, ascending
-    vectors : (n, below + above) array, M-orthonormal
+    vectors : (n, below + above) array of that type, M-orthonormal
 
     Raises
     ------
@@ -118,10 +122,11 @@ def shift_invert_lanczos(
     block = rng.standard_normal((n, min(block_size, n))) if start is None else np.array(start, dtype=np.float64)
     width = block.shape[1]
     capacity = min(n, 4 * wanted + 12 * width) // width * width
-    basis = np.empty((n, capacity + width), order="F")
-    mass_basis = np.empty((n, capacity + width), order="F")
+    basis = np.empty((n, capacity + width), dtype, order="F")
+    mass_basis = np.empty((n, capacity + width), dtype, order="F")
     projected = np.zeros((capacity, capacity))
-    basis[:, :width], mass_basis[:, :width], _ = orthonormal_block(block, mass, rng, basis[:, :0], mass_basis[:, :0])
+    block, mass_block, _ = orthonormal_block(block, mass, rng, basis[:, :0], mass_basis[:, :0])
+    basis[:, :width], mass_basis[:, :width] = block, mass_block
     size = width
     next_check = int(1.7 * wanted)
     # Ascending 1 / (lambda - shift): outermost below and outermost above stand side by side.
@@ -129,17 +134,17 @@ def shift_invert_lanczos(
     allowed[below - min(loose[0], below) : below + min(loose[1], above)] = max(LOOSE, tolerance)
     while True:
         used, mass_used = basis[:, :size], mass_basis[:, :size]
-        image = shifted.solve(mass_used[:, -width:])
+        image: Block = np.asarray(shifted.solve(mass_block), dtype=dtype)
         # The recurrence couples a block to itself and the one before; what rounding leaves along older ones goes last.
         recent = slice(max(0, size - 2 * width), size)
-        coefficients = np.zeros((size, width))
+        coefficients = np.zeros((size, width), dtype)
         coefficients[recent] = mass_used[:, recent].T @ image
         image -= used[:, recent] @ coefficients[recent]
         correction = mass_used.T @ image
         image -= used @ correction
         coefficients += correction
         projected[:size, size - width : size] = coefficients
-        block, mass_block, factor = orthonormal_block(image, mass, rng, used, mass_used)
+        block, mass_block, factor = orthonormal_block(image.astype(np.float64, copy=False), mass, rng, used, mass_used)
         full = size + width > capacity
         if size >= min(next_check, capacity) and size >= wanted:
             square = projected[:size, :size]
@@ -150,7 +155,7 @@ def shift_invert_lanczos(
             if sides and np.all(errors <= allowed * np.abs(inverse_values[chosen])):
                 values = shift + 1.0 / inverse_values[chosen]
                 order = np.argsort(values)
-                return values[order], used @ rotation[:, chosen[order]]
+                return values[order], used @ rotation[:, chosen[order]].astype(dtype)
             next_check = size + max(width, size // 20)
         if full:
             raise SolverError(
