@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import pytest
 
 from cagemap import __version__
 from cagemap.cli import main
+from cagemap.cli.app import match as match_command
 from cagemap.cli.match import MatchRequest, match_config, read_inputs
 from cagemap.cli.progress import Stages
 from cagemap.example import ExamplePair, example_pair
@@ -21,7 +23,9 @@ from cagemap.files.images import read_image, write_image
 from cagemap.files.landmarks import write_landmarks
 from cagemap.files.meshes import read_mesh, write_mesh
 from cagemap.files.result import file_hash, read_result, write_result
+from cagemap.files.surface_store import prepared
 from cagemap.mesh import cube, icosahedron
+from cagemap.pipeline import MAP_BASIS, MatchConfig, prepare_pair, prepare_surface
 from cagemap.report import write_report
 
 from example_result import identity_result, textured_cube
@@ -340,6 +344,15 @@ def test_exchanged_meshes_are_refused_and_other_names_noted(run: Run, pair_files
     request = MatchRequest(*(pair_files / name for name in ("stag.obj", "pony.obj", "landmarks.json", "R")))
     (note,) = read_inputs(request).notes
     assert "stag.obj" in note
+
+
+def test_command_line_and_library_have_the_same_defaults() -> None:
+    shown = inspect.signature(match_command).parameters
+    asked = MatchRequest(*[Path("x")] * 4)
+    assert (shown["k"].default, shown["tolerance"].default) == (asked.k, asked.tolerance)
+    assert match_config(asked).basis == MatchConfig().basis == MAP_BASIS
+    for prepare in (prepare_surface, prepare_pair, prepared):
+        assert inspect.signature(prepare).parameters["config"].default == MAP_BASIS
 
 
 def test_options_reach_the_library() -> None:

@@ -54,13 +54,16 @@ class Options:
 def basis(options: Options) -> Figures:
     """Our basis against SciPy's exact one at the finest level."""
     level, count = (3, 100) if options.quick else (5, 300)
-    return run_task("basis", {"level": level, "count": count, "tolerances": [1e-2, 1e-5], "exact": True})
+    return run_task("basis", {"level": level, "count": count, "tolerances": [5e-2, 1e-2, 1e-5], "exact": True})
 
 
 def match(options: Options) -> Figures:
     """From two OBJ files to a written RESULT, and again with both surfaces prepared."""
     figures = _match("proxies", options.level, options.result)
     figures["accuracy"] = run_task("check_map", {"pair": "proxies", "result": options.result})["mean error"]
+    tight = str(Path(options.folder) / "RESULT-tight")
+    figures["tight"] = _match("proxies", options.level, tight, "--tolerance", 0.01)
+    figures["tight"]["accuracy"] = run_task("check_map", {"pair": "proxies", "result": tight})["mean error"]
     figures["prepared"] = run_task(
         "prepared_match",
         {
@@ -141,14 +144,14 @@ PARTS: dict[str, Callable[[Options], Figures]] = {
 }
 
 
-def _match(pair: str, level: int, result: str) -> Figures:
-    """Run `cagemap match` in a process of its own, as a user does."""
+def _match(pair: str, level: int, result: str, *more: str | float) -> Figures:
+    """Run `cagemap match` in a process of its own, as a user does; with more options of the command line."""
     import json
 
     chosen = PAIRS[pair]
     process = cagemap(
         *("match", "--target", chosen.target_file, "--source", chosen.source_file, "--landmarks", chosen.landmarks),
-        *("--level", level, "-k", 300, "-o", result),
+        *("--level", level, "-k", 300, "-o", result, *more),
     )
     process.pop("output")
     manifest = json.loads((Path(result) / "manifest.json").read_text())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,13 +35,13 @@ def measure_stages(control: Any, level: int, count: int, run: Callable[[Any], An
     run : callable
         Surface -> MatchResult, with that surface as target.
     """
-    from cagemap.basis import BasisConfig, hierarchical_basis
+    from cagemap.basis import hierarchical_basis
     from cagemap.basis.surface import Surface
     from cagemap.basis.threads import one_blas_thread
     from cagemap.files.result import result_of, write_result
     from cagemap.files.surface_store import load_surface, save_surface
     from cagemap.operators import build_operators
-    from cagemap.pipeline import judge
+    from cagemap.pipeline import MAP_BASIS, judge
     from cagemap.refinement import refine
 
     with one_blas_thread(), tempfile.TemporaryDirectory() as folder:
@@ -51,7 +52,7 @@ def measure_stages(control: Any, level: int, count: int, run: Callable[[Any], An
         with timed(times, "operators"):
             operators = build_operators(refinement)
         with timed(times, "basis"):
-            basis = hierarchical_basis(refinement, operators, BasisConfig(count=count))
+            basis = hierarchical_basis(refinement, operators, replace(MAP_BASIS, count=count))
         surface, place = Surface(refinement, operators, basis), Path(folder) / "surface.npz"
         with timed(times, "store a surface"):
             save_surface(place, surface)

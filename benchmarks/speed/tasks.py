@@ -217,12 +217,12 @@ def stages(pair: str, level: int, count: int, cache: str) -> Figures:
 
 
 def _surfaces(pair: HumanPair, level: int, count: int, cache: str) -> tuple[Any, Any]:
-    from cagemap.basis import BasisConfig
     from cagemap.basis.threads import in_threads
     from cagemap.files.meshes import read_mesh
     from cagemap.files.surface_store import prepared
+    from cagemap.pipeline import MAP_BASIS
 
-    config = BasisConfig(count=count)
+    config = replace(MAP_BASIS, count=count)
     files = [pair.target_file, pair.source_file]
     target, source = in_threads(lambda file: prepared(cache, read_mesh(file), level, config), files)
     return target, source
@@ -235,10 +235,9 @@ def _landmarks(pair: HumanPair) -> Any:
 
 
 def _match(pair: HumanPair, surfaces: tuple[Any, Any], count: int, landmarks: Any = None) -> Any:
-    from cagemap.basis import BasisConfig
-    from cagemap.pipeline import MatchConfig, match
+    from cagemap.pipeline import MAP_BASIS, MatchConfig, match
 
-    return match(*surfaces, landmarks or _landmarks(pair), MatchConfig(basis=BasisConfig(count=count)))
+    return match(*surfaces, landmarks or _landmarks(pair), MatchConfig(basis=replace(MAP_BASIS, count=count)))
 
 
 def _sizes(surfaces: tuple[Any, Any]) -> list[int]:

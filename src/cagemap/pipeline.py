@@ -29,6 +29,8 @@ from cagemap.refinement import Scheme, level_triangles, refine
 Progress = Callable[[str], None]
 
 METHODS = ("elastic", "hfm")
+# What a map needs: at eigenvalues to 1 % maps are the same, and preparing takes twice as long (docs/accuracy.md).
+MAP_BASIS = BasisConfig(tolerance=0.05)
 # A level counts as having the vertices asked for from this share on; the next one has four times as many.
 ENOUGH = 0.75
 MOST_LEVELS = 12
@@ -56,7 +58,7 @@ class MatchConfig:
     """
 
     method: str = "elastic"
-    basis: BasisConfig = BasisConfig()
+    basis: BasisConfig = MAP_BASIS
     hierarchy: HierarchyConfig = HierarchyConfig()
     elastic: ElasticConfig = ElasticConfig()
     use_symmetry: bool = True
@@ -139,7 +141,7 @@ def choose_level(control: ControlMesh, vertices: int) -> int:
 def prepare_surface(
     control: ControlMesh,
     level: int,
-    config: BasisConfig = BasisConfig(),
+    config: BasisConfig = MAP_BASIS,
     *,
     scheme: Scheme | None = None,
     progress: Progress = silent,
@@ -180,7 +182,7 @@ def prepare_pair(
     target: ControlMesh,
     source: ControlMesh,
     levels: tuple[int, int],
-    config: BasisConfig = BasisConfig(),
+    config: BasisConfig = MAP_BASIS,
     *,
     prepare: Callable[..., Surface] = prepare_surface,
     progress: Progress = silent,

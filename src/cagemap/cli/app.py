@@ -157,7 +157,7 @@ def match(
     k: Annotated[int, typer.Option("-k", min=3, help="Basis functions of each surface.")] = 300,
     tolerance: Annotated[
         float, typer.Option("--tolerance", help="Relative error allowed in eigenvalues; sets the level of each band.")
-    ] = 0.01,
+    ] = 0.05,
     schedule: Annotated[
         str | None,
         typer.Option(

@@ -20,7 +20,7 @@ from cagemap.files.surface_store import prepared
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
-from cagemap.pipeline import MatchConfig, choose_level, match, prepare_pair, prepare_surface
+from cagemap.pipeline import MAP_BASIS, MatchConfig, choose_level, match, prepare_pair, prepare_surface
 
 DEFAULT_VERTICES = 200_000
 
@@ -35,8 +35,8 @@ class MatchRequest:
     output: Path
     level: int | None = None
     vertices: int | None = None
-    k: int = 300
-    tolerance: float = 0.01
+    k: int = MAP_BASIS.count
+    tolerance: float = MAP_BASIS.tolerance
     schedule: str | None = None
     method: str = "elastic"
     symmetry: bool = True

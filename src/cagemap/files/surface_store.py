@@ -29,7 +29,7 @@ from cagemap.files.mesh_arrays import control_from_arrays, control_to_arrays, sc
 from cagemap.files.result import mesh_hash
 from cagemap.mesh import ControlMesh
 from cagemap.operators import Operators
-from cagemap.pipeline import prepare_surface
+from cagemap.pipeline import MAP_BASIS, prepare_surface
 from cagemap.refinement import Refinement, Scheme, default_scheme, refine
 
 FORMAT = "cagemap-surface"
@@ -42,9 +42,7 @@ _REMEDY = "Delete the file and prepare the surface again."
 Prepare = Callable[..., Surface]
 
 
-def surface_key(
-    control: ControlMesh, level: int, scheme: Scheme | None = None, config: BasisConfig | None = None
-) -> str:
+def surface_key(control: ControlMesh, level: int, scheme: Scheme | None = None, config: BasisConfig = MAP_BASIS) -> str:
     """Hash of everything that a prepared surface depends on; 64 hexadecimal digits.
 
     Parameters
@@ -55,8 +53,8 @@ def surface_key(
         The finest level.
     scheme : CatmullClark or Loop, optional
         Default: the mesh's default scheme.
-    config : BasisConfig, optional
-        Default: the default configuration.
+    config : BasisConfig
+        Default: what `cagemap.pipeline.prepare_surface` makes.
 
     Notes
     -----
@@ -69,7 +67,7 @@ def surface_key(
         "materials": list(control.material_names),
         "level": level,
         "scheme": scheme_to_entry(scheme),
-        "basis": asdict(BasisConfig() if config is None else config),
+        "basis": asdict(config),
     }
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
@@ -119,7 +117,7 @@ def prepared(
     folder: str | Path,
     control: ControlMesh,
     level: int,
-    config: BasisConfig | None = None,
+    config: BasisConfig = MAP_BASIS,
     *,
     scheme: Scheme | None = None,
     progress: Callable[[str], None] = lambda stage: None,
@@ -136,7 +134,7 @@ def prepared(
     control : ControlMesh
     level : int
         The finest level.
-    config : BasisConfig, optional
+    config : BasisConfig
     scheme : CatmullClark or Loop, optional
     progress : callable
         Called with the name of each stage.
@@ -150,7 +148,6 @@ def prepared(
     CagemapError
         Whatever preparing raises; nothing is stored then.
     """
-    config = BasisConfig() if config is None else config
     scheme = default_scheme(control) if scheme is None else scheme
     place = _usable_folder(Path(folder)) / (surface_key(control, level, scheme, config) + SUFFIX)
     if place.is_file():
