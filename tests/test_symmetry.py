@@ -8,7 +8,7 @@ import pytest
 from cagemap.descriptors import check_symmetry, detect_mirror_symmetry, propagate_symmetry, symmetry_operator
 from cagemap.errors import ParameterError
 from cagemap.files.obj import read_obj
-from cagemap.mesh import shapes
+from cagemap.mesh import ControlMesh, shapes
 from cagemap.operators import build_operators
 from cagemap.refinement import refine
 
@@ -34,6 +34,17 @@ def test_bent_mesh_has_no_mirror():
     positions = mesh.positions.copy()
     positions[:, 0] += 0.1 * positions[:, 0] ** 2 + 0.05 * positions[:, 1]
     assert detect_mirror_symmetry(mesh.with_positions(positions)) is None
+
+
+def test_faces_must_mirror_too():
+    """A box has mirrors with its lid whole; not with the lid cut along one diagonal, although the vertices do."""
+    box = shapes.cube()
+    box = box.with_positions(box.positions * [1.0, 2.0, 3.5])
+    faces = [box.face(i) for i in range(box.n_faces)]
+    lid = faces.pop()
+    cut = [lid[[0, 1, 2]], lid[[2, 3, 0]]]
+    assert detect_mirror_symmetry(ControlMesh.from_faces(box.positions, [lid[[2, 3, 0, 1]], *faces])) is not None
+    assert detect_mirror_symmetry(ControlMesh.from_faces(box.positions, [*faces, *cut])) is None
 
 
 def test_symmetry_propagates_with_the_positions():

@@ -27,17 +27,17 @@ def detect_mirror_symmetry(control: ControlMesh, tolerance: float = MIRROR_TOLER
     positions = control.positions - control.positions.mean(axis=0)
     diagonal = float(np.linalg.norm(np.ptp(positions, axis=0)))
     _, principal = np.linalg.eigh(positions.T @ positions)
-    faces = _sorted_faces(control, np.arange(control.n_vertices))
     tree = cKDTree(positions)
     for normal in (*np.eye(3), *principal.T):
         mirrored = positions - 2.0 * np.outer(positions @ normal, normal)
-        distances, image = (np.atleast_1d(found) for found in tree.query(mirrored))
-        image = image.astype(np.int64)
-        if distances.max() > tolerance * diagonal or not np.array_equal(image[image], np.arange(len(image))):
+        # Farther than the bound nothing is looked for, and the index is n.
+        _, found = tree.query(mirrored, distance_upper_bound=np.nextafter(tolerance * diagonal, np.inf))
+        image = np.atleast_1d(found).astype(np.int64)
+        if image.max() == len(image) or not np.array_equal(image[image], np.arange(len(image))):
             continue
         if np.array_equal(image, np.arange(len(image))):
             continue  # a flat mesh mirrored onto itself says nothing
-        if _sorted_faces(control, image) == faces:
+        if _sends_faces_to_faces(control, image):
             return image
     return None
 
@@ -52,7 +52,7 @@ def check_symmetry(symmetry: IndexArray, control: ControlMesh) -> None:
     n = control.n_vertices
     if symmetry.shape != (n,) or not np.array_equal(np.sort(symmetry), np.arange(n)):
         raise ParameterError(f"symmetry: expected a permutation of the {n} control vertices of {control.name}")
-    if _sorted_faces(control, symmetry) != _sorted_faces(control, np.arange(n)):
+    if not _sends_faces_to_faces(control, symmetry):
         raise ParameterError(f"symmetry: it does not send the faces of {control.name} to faces")
 
 
@@ -105,7 +105,17 @@ def symmetry_operator(
     return np.triu(np.tril(operator, 1), -1)
 
 
-def _sorted_faces(control: ControlMesh, image: IndexArray) -> set[tuple[int, ...]]:
-    """Faces as sorted vertex tuples after renaming the vertices (the control mesh is small)."""
+def _sends_faces_to_faces(control: ControlMesh, image: IndexArray) -> bool:
+    """Whether the faces are the same sets of vertices after renaming the vertices by a permutation."""
     renamed = image[control.face_indices]
-    return {tuple(sorted(face)) for face in np.split(renamed, control.face_offsets[1:-1])}
+    for size in np.unique(control.face_sizes):
+        corners = control.face_offsets[:-1][control.face_sizes == size, None] + np.arange(size)
+        if not np.array_equal(_ordered_rows(renamed[corners]), _ordered_rows(control.face_indices[corners])):
+            return False
+    return True
+
+
+def _ordered_rows(rows: IndexArray) -> IndexArray:
+    """Every row ascending, rows in lexicographic order."""
+    ascending = np.sort(rows, axis=1)
+    return np.asarray(ascending[np.lexsort(ascending.T[::-1])])
