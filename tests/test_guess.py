@@ -14,6 +14,7 @@ from cagemap.basis import (
     hierarchical_basis,
     pairs_from_guess,
 )
+from cagemap.basis.ritz import Ritz, extended
 from cagemap.mesh import shapes
 from cagemap.operators import build_operators
 from cagemap.refinement import refine
@@ -97,10 +98,38 @@ def test_a_window_starts_where_it_should_although_values_fall(creature, far):
     np.testing.assert_allclose(found.values[: KEPT - 30], exact.values[30:KEPT], rtol=1e-5)
 
 
-def test_a_missing_pair_is_noticed(creature):
+@pytest.mark.parametrize("first", [0, 30])
+@pytest.mark.parametrize("missing", [[43], [40, 41, 55]])
+def test_missing_pairs_are_found(creature, first, missing):
+    """A coarse level may not know a function of a finer one at all, on a part that it resolves badly."""
+    stiffness, mass, start, values, exact = creature
+    kept = ~np.isin(np.arange(len(values)), missing)
+    found = pairs_from_guess(stiffness, mass, start[:, kept], values[kept], kept=(first, KEPT), tolerance=1e-4)
+    assert found.first_index == first
+    wanted = slice(max(first, 1), KEPT)
+    np.testing.assert_allclose(found.values[wanted.start - first : KEPT - first], exact.values[wanted], rtol=1e-4)
+
+
+@pytest.mark.parametrize("missing", [range(31, 42), [17]])
+def test_missing_pairs_that_cannot_be_found_are_noticed(creature, missing):
+    """Too many of them, or one that belongs below the window."""
     stiffness, mass, start, values, _ = creature
-    kept = np.arange(len(values)) != 17
-    assert pairs_from_guess(stiffness, mass, start[:, kept], values[kept], kept=(0, KEPT), tolerance=1e-3) is None
+    kept = ~np.isin(np.arange(len(values)), missing)
+    window = {"kept": (30, KEPT), "tolerance": 1e-3}
+    assert pairs_from_guess(stiffness, mass, start[:, kept], values[kept], **window) is None
+
+
+def test_directions_nearly_alike_leave_pairs_orthonormal(creature):
+    """Solves next to a missing eigenvalue answer with nearly the same function for every pair."""
+    stiffness, mass, start, _, exact = creature
+    others = np.arange(KEPT) != 43
+    vectors = exact.vectors[:, :KEPT][:, others].astype(np.float32)
+    pairs = Ritz(exact.values[:KEPT][others], vectors, stiffness @ vectors, mass @ vectors)
+    added = exact.vectors[:, [43]] + 2e-4 * start[:, KEPT + 2 : KEPT + 12]
+    found = extended(pairs, added.astype(np.float32), stiffness, mass)
+    gram = found.vectors.T.astype(np.float64) @ (mass @ found.vectors.astype(np.float64))
+    np.testing.assert_allclose(gram, np.eye(KEPT - 1), rtol=0, atol=1e-5)
+    np.testing.assert_allclose(found.values[1:], exact.values[1 : KEPT - 1], rtol=1e-4)
 
 
 def test_the_same_function_twice_is_refused(creature):

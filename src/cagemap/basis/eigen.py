@@ -201,7 +201,7 @@ def band_pairs(
             loose=loose,
             dtype=dtype,
         )
-        if all(in_threads(partial(counts_agree, stiffness, mass, values, low, shifted), (first, last))):
+        if not any(in_threads(partial(missed_pairs, stiffness, mass, values, low, shifted), (first, last))):
             chosen = slice(first - low, last - low)
             return _with_residuals(stiffness, mass, values[chosen], vectors[:, chosen], first)
         start = None
@@ -271,23 +271,23 @@ def _shift_inside(
     )
 
 
-def counts_agree(
+def missed_pairs(
     stiffness: sparse.csr_array,
     mass: sparse.csr_array,
     values: FloatArray,
     first_index: int,
     like: Factorization | None,
     end: int,
-) -> bool:
-    """Whether as many eigenvalues lie below a gap near index ``end`` as the list says (Sylvester's law of inertia)."""
+) -> int:
+    """How many eigenvalues below a gap near index ``end`` a list lacks (Sylvester's law of inertia); 0 if unknown."""
     position = end - first_index
     low, high = max(0, position - _EXTRA_PAIRS), min(len(values), position + _EXTRA_PAIRS)
     if first_index + position == 0:
-        return True
+        return 0
     gap = low + int(np.argmax(np.diff(values[low:high])))
     threshold = 0.5 * (values[gap] + values[gap + 1])
     counted = factor(shifted_matrix(stiffness, mass, threshold), like=like).negative_eigenvalues
-    return counted is None or counted == first_index + gap + 1
+    return 0 if counted is None else counted - (first_index + gap + 1)
 
 
 def _with_residuals(

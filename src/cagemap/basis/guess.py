@@ -5,10 +5,19 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from cagemap.basis.eigen import EigenPairs, counts_agree, relative_residuals, shifted_matrix
+from cagemap.basis.eigen import EigenPairs, missed_pairs, relative_residuals, shifted_matrix
 from cagemap.basis.factorization import Factorization, Precision, factor
 from cagemap.basis.products import multiply
-from cagemap.basis.ritz import Ritz, extended, rayleigh_quotients, ritz_rotation, rotated, squared_residuals
+from cagemap.basis.ritz import (
+    Ritz,
+    extended,
+    gram,
+    rayleigh_quotients,
+    ritz_rotation,
+    rotated,
+    squared_residuals,
+    subtract,
+)
 from cagemap.basis.smoothing import Block
 from cagemap.basis.threads import parts
 from cagemap.errors import SolverError
@@ -29,6 +38,11 @@ _NEARLY = 0.3
 _DIVERGED = 10.0
 # Most pairs that get a direction of their own in one round.
 _MOST_ADDED = 96
+# Most pairs that a guess may lack, columns of the block that looks for them, and its inverse iterations.
+_MOST_MISSED = 8
+_STRANGERS = 24
+_SEARCH_STEPS = 6
+_SEED = 2019
 
 
 def working_type(tolerance: float) -> Precision:
@@ -52,8 +66,9 @@ def pairs_from_guess(
 
     One block inverse iteration (W - sigma M)^{-1} M with Rayleigh-Ritz; then Rayleigh-Ritz again with a further
     direction (W - tau M)^{-1} r, tau in a gap near the last pair kept, for each pair that is not good enough yet. A
-    bound of Kato and Temple ends it, and the inertia of W - tau M proves that none was missed. Vectors well below the
-    pairs wanted take part in Rayleigh-Ritz as they are: without them the window would drift down to them.
+    bound of Kato and Temple ends it, and the inertia of W - tau M proves that none was missed; a few that were are
+    looked for among what is orthogonal to all the others. Vectors well below the pairs wanted take part in
+    Rayleigh-Ritz as they are: without them the window would drift down to them.
 
     Parameters
     ----------
@@ -76,8 +91,8 @@ def pairs_from_guess(
     Returns
     -------
     EigenPairs or None
-        None if the guess was not good enough: the iteration has not converged, or the inertia says that an eigenvalue
-        was missed. Compute that level from nothing instead.
+        None if the guess was not good enough: the iteration has not converged, or the inertia says that eigenvalues
+        are missing still. Compute that level from nothing instead.
     """
     start, end = first_index, first_index + len(guess_values)
     first, last = (start, end) if kept is None else kept
@@ -97,12 +112,25 @@ def pairs_from_guess(
         pairs = Ritz(values[iterated], *(rotated(part, rotation[:, iterated]) for part in blocks))
         del block, blocks
         upper: Factorization | None = None
-        bound, before = -np.inf, np.inf
+        bound, before, searched = -np.inf, np.inf, False
         for _ in range(max_rounds):
             residuals = squared_residuals(pairs, areas)
             errors = _kato_temple(residuals, pairs.values)[asked]
             if np.all(errors <= tolerance):
-                break
+                counted = upper is not None and upper.negative_eigenvalues == low + np.sum(pairs.values < bound)
+                if last == end or counted:
+                    break
+                missed = missed_pairs(stiffness, mass, pairs.values, low, shifted, last)
+                if missed == 0:
+                    break
+                if searched or start > 0 or not 0 < missed <= _MOST_MISSED:
+                    return None
+                lowest = pairs.values[0]
+                strangers = _strangers(shifted, mass, pairs, guess[:, :low])
+                pairs, before, searched = extended(pairs, strangers, stiffness, mass), np.inf, True
+                if low > 0 and pairs.values[0] < (1.0 - tolerance) * lowest:  # it belongs below the window
+                    return None
+                continue
             if errors.max() > _DIVERGED * before:  # rounding has taken over
                 return None
             before = errors.max()
@@ -115,9 +143,6 @@ def pairs_from_guess(
             added = upper.solve(pairs.residuals(worst)).astype(dtype)
             pairs = extended(pairs, added, stiffness, mass)
         else:
-            return None
-        counted = upper is not None and upper.negative_eigenvalues == low + np.sum(pairs.values < bound)
-        if last < end and not (counted or counts_agree(stiffness, mass, pairs.values, low, shifted, last)):
             return None
     except SolverError:  # on an eigenvalue, or a guess with the same function twice
         return None
@@ -135,6 +160,23 @@ def _inverse_iterates(shifted: Factorization, mass_vectors: Block, scale: FloatA
     for part in parts(mass_vectors.shape[1], _COLUMNS):
         mass_vectors[:, part] = shifted.solve(mass_vectors[:, part]) * factors[part]
     return mass_vectors
+
+
+def _strangers(shifted: Factorization, mass: sparse.csr_array, pairs: Ritz, below: Block) -> Block:
+    """(n, q) functions rich in eigenvectors that are neither among the pairs nor, about, among those below them.
+
+    Inverse iteration of a random block that is kept M-orthogonal to all of these, and well conditioned, so that
+    single precision leaves it so.
+    """
+    dtype = pairs.vectors.dtype
+    block = np.random.default_rng(_SEED).standard_normal((len(below), _STRANGERS)).astype(dtype)
+    below = below.astype(dtype, copy=False)
+    for _ in range(_SEARCH_STEPS):
+        block = shifted.solve(multiply(mass, block))
+        subtract(block, pairs.vectors, gram(pairs.mass_vectors, block, symmetric=False))
+        subtract(block, below, gram(below, multiply(mass, block), symmetric=False))
+        block = np.linalg.qr(block)[0]
+    return block
 
 
 def _kato_temple(squares: FloatArray, values: FloatArray) -> FloatArray:

@@ -56,13 +56,13 @@ def ritz_rotation(block: Block, stiffness_block: Block, mass_block: Block) -> tu
 
 def extended(pairs: Ritz, added: Block, stiffness: sparse.csr_array, mass: sparse.csr_array) -> Ritz:
     """Rayleigh-Ritz on the pairs and further directions; as many lowest pairs as before. Works in place."""
-    for _ in range(2):
+    for _ in range(2):  # directions that are nearly alike grow in the first turn, and what rounding has left in them
         subtract(added, pairs.vectors, gram(pairs.mass_vectors, added, symmetric=False))
-    mass_added = multiply(mass, added)
-    squares, axes = linalg.eigh(gram(added, mass_added))
-    new = squares > _NEW**2 * max(squares[-1], np.finfo(float).tiny)
-    turn = axes[:, new] / np.sqrt(squares[new])
-    added, mass_added = rotated(added, turn), rotated(mass_added, turn)
+        mass_added = multiply(mass, added)
+        squares, axes = linalg.eigh(gram(added, mass_added))
+        new = squares > _NEW**2 * max(squares[-1], np.finfo(float).tiny)
+        turn = axes[:, new] / np.sqrt(squares[new])
+        added, mass_added = rotated(added, turn), rotated(mass_added, turn)
     stiffness_added = multiply(stiffness, added)
     count = len(pairs.values)
     energy = np.zeros((count + added.shape[1], count + added.shape[1]))
