@@ -57,7 +57,7 @@ def test_corrected_pairs_are_those_of_the_finer_level(creature, tolerance, first
 def test_a_missing_pair_is_noticed(creature):
     correction, coarse, _ = creature
     there = np.arange(KEPT + GUARDS) != 17
-    holed = EigenPairs(coarse.values[there], coarse.vectors[:, there], coarse.residuals[there], 0)
+    holed = EigenPairs(coarse.values[there], coarse.vectors[:, there], 0)
     fixed = np.zeros((len(coarse.vectors), 0))
     assert corrected_pairs(correction, holed, fixed, kept=(0, KEPT), tolerance=1e-3) is None
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from cagemap.basis.eigen import EigenPairs, relative_residuals, shifted_matrix
+from cagemap.basis.eigen import EigenPairs, shifted_matrix
 from cagemap.basis.factorization import Analysis, Factorization, analyze, factor
 from cagemap.basis.guess import gap_after, working_type
 from cagemap.basis.products import multiply
@@ -19,7 +19,6 @@ from cagemap.basis.smoothing import Block, Smoother, residuals, smoother
 from cagemap.basis.threads import parts
 from cagemap.errors import SolverError
 from cagemap.mesh import FloatArray, IndexArray
-from cagemap.operators import lumped_areas
 
 # Steps of the smoother in a correction: of what it can reach they leave under a hundredth.
 STEPS = 8
@@ -161,10 +160,8 @@ def corrected_pairs(
     )
     if found is None:
         return None
-    areas = lumped_areas(correction.mass)
-    values, squares = rayleigh_quotients(correction.stiffness, correction.mass, found[1], areas)
-    norms = relative_residuals(squares, values, areas)
-    return EigenPairs(values, found[1][correction.rank], norms, coarse.first_index)
+    values = rayleigh_quotients(correction.stiffness, correction.mass, found[1])
+    return EigenPairs(values, found[1][correction.rank], coarse.first_index)
 
 
 def improved(

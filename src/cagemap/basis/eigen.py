@@ -10,12 +10,12 @@ from scipy import linalg, sparse
 
 from cagemap.basis.factorization import Factorization, factor
 from cagemap.basis.lanczos import shift_invert_lanczos
-from cagemap.basis.products import multiply
 from cagemap.basis.ritz import Ritz, squared_residuals
+from cagemap.basis.smoothing import Block
 from cagemap.basis.threads import in_threads
 from cagemap.errors import ParameterError, SolverError
 from cagemap.mesh import FloatArray
-from cagemap.operators import Operators, lumped_areas
+from cagemap.operators import Operators
 
 # Up to this size a dense solve is faster than an iteration.
 DENSE_ROWS = 800
@@ -38,16 +38,13 @@ class EigenPairs:
     values : (m,) array
         Ascending. Unit 1 / length^2 (unit area: none).
     vectors : (n, m) array
-        M-orthonormal.
-    residuals : (m,) array
-        ||W x - lambda M x|| / lambda in the norm of D^{-1}, D = diag(M 1): see `residual_norms`.
+        M-orthonormal; in single precision where the tolerance that they were computed with left no more.
     first_index : int
         True index of the first pair in the level's whole spectrum, counted from 0.
     """
 
     values: FloatArray
-    vectors: FloatArray
-    residuals: FloatArray
+    vectors: Block
     first_index: int
 
     @property
@@ -58,7 +55,7 @@ class EigenPairs:
     def part(self, first: int, last: int) -> EigenPairs:
         """The pairs with indices first..last-1 in the spectrum."""
         chosen = slice(first - self.first_index, last - self.first_index)
-        return EigenPairs(self.values[chosen], self.vectors[:, chosen], self.residuals[chosen], first)
+        return EigenPairs(self.values[chosen], self.vectors[:, chosen], first)
 
     def __repr__(self) -> str:
         return f"EigenPairs({self.first_index} to {self.last_index - 1} of {len(self.vectors)})"
@@ -84,12 +81,7 @@ def residual_norms(
     -------
     (m,) array, unitless
     """
-    pairs = Ritz(values, vectors, stiffness_vectors, mass_vectors)
-    return relative_residuals(squared_residuals(pairs, areas), values, areas)
-
-
-def relative_residuals(squares: FloatArray, values: FloatArray, areas: FloatArray) -> FloatArray:
-    """(m,) `residual_norms` from their squares, before these are related to the eigenvalues."""
+    squares = squared_residuals(Ritz(values, vectors, stiffness_vectors, mass_vectors), areas)
     return np.asarray(np.sqrt(squares) / np.maximum(values, 4.0 * np.pi / float(areas.sum())))
 
 
@@ -180,7 +172,7 @@ def band_pairs(
                 f"expected a range of eigenpairs within 0 to {len(values)}, as many as the level has independent "
                 f"functions, got {first} to {last}; start at a finer level"
             )
-        return _with_residuals(stiffness, mass, values[first:last], vectors[:, first:last], first)
+        return EigenPairs(values[first:last], np.ascontiguousarray(vectors[:, first:last]), first)
     # Factors in double precision: on a body with slivers single precision lost every digit (docs/performance.md).
     low, high = max(0, first - _EXTRA_PAIRS), min(n, last + _EXTRA_PAIRS)
     shifted, sigma = _shift_inside(stiffness, mass, low, high, shift)
@@ -203,7 +195,7 @@ def band_pairs(
         )
         if not any(in_threads(partial(missed_pairs, stiffness, mass, values, low, shifted), (first, last))):
             chosen = slice(first - low, last - low)
-            return _with_residuals(stiffness, mass, values[chosen], vectors[:, chosen], first)
+            return EigenPairs(values[chosen], np.ascontiguousarray(vectors[:, chosen]), first)
         start = None
     raise SolverError(
         f"expected eigenpairs {first} to {last - 1}, but the inertia of the shifted matrix counts others between them; "
@@ -288,18 +280,6 @@ def missed_pairs(
     threshold = 0.5 * (values[gap] + values[gap + 1])
     counted = factor(shifted_matrix(stiffness, mass, threshold), like=like).negative_eigenvalues
     return 0 if counted is None else counted - (first_index + gap + 1)
-
-
-def _with_residuals(
-    stiffness: sparse.csr_array,
-    mass: sparse.csr_array,
-    values: FloatArray,
-    vectors: FloatArray,
-    first_index: int,
-) -> EigenPairs:
-    vectors = np.ascontiguousarray(vectors, dtype=np.float64)
-    norms = residual_norms(values, vectors, multiply(stiffness, vectors), multiply(mass, vectors), lumped_areas(mass))
-    return EigenPairs(np.array(values), vectors, norms, first_index)
 
 
 def shifted_matrix(stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float) -> sparse.csr_array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from cagemap.basis.eigen import EigenPairs, missed_pairs, relative_residuals, shifted_matrix
+from cagemap.basis.eigen import EigenPairs, missed_pairs, shifted_matrix
 from cagemap.basis.factorization import Factorization, Precision, factor
 from cagemap.basis.products import multiply
 from cagemap.basis.ritz import (
@@ -148,8 +148,8 @@ def pairs_from_guess(
         return None
     values = pairs.values
     if dtype == np.float32 and tolerance < _QUOTIENT_TOLERANCE:
-        values, residuals = rayleigh_quotients(stiffness, mass, pairs.vectors, areas)
-    found = EigenPairs(values, pairs.vectors, relative_residuals(residuals, values, areas), low)
+        values = rayleigh_quotients(stiffness, mass, pairs.vectors)
+    found = EigenPairs(values, pairs.vectors, low)
     return found.part(first, found.last_index)
 
 

@@ -123,17 +123,14 @@ def subtract(block: Block, vectors: Block, coefficients: FloatArray) -> None:
     in_threads(subtract_rows, parts(len(block), _ROWS))
 
 
-def rayleigh_quotients(
-    stiffness: sparse.csr_array, mass: sparse.csr_array, vectors: Block, weights: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """(m,) ascending x^T W x / x^T M x and (m,) `squared_residuals`, in double precision."""
-    quotients, squares = np.empty(vectors.shape[1]), np.empty(vectors.shape[1])
+def rayleigh_quotients(stiffness: sparse.csr_array, mass: sparse.csr_array, vectors: Block) -> FloatArray:
+    """(m,) ascending x^T W x / x^T M x in double precision."""
+    quotients = np.empty(vectors.shape[1])
     for part in parts(vectors.shape[1], _COLUMNS):
         columns = vectors[:, part].astype(np.float64)
         energy, dual = multiply(stiffness, columns), multiply(mass, columns)
         quotients[part] = np.einsum("ij,ij->j", columns, energy) / np.einsum("ij,ij->j", columns, dual)
-        squares[part] = squared_residuals(Ritz(quotients[part], columns, energy, dual), weights)
-    return np.maximum.accumulate(quotients), squares
+    return np.maximum.accumulate(quotients)
 
 
 def squared_residuals(pairs: Ritz, weights: FloatArray) -> FloatArray:
