@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_info
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from cagemap.basis import BasisConfig
 from cagemap.basis.threads import in_threads, one_blas_thread
@@ -21,10 +21,12 @@ def blas_threads():
 
 def test_blas_is_limited_inside_and_as_before_outside():
     np.linalg.eigh(np.eye(3))
-    before = blas_threads()
-    with one_blas_thread():
-        assert set(blas_threads().values()) == {1}
-    assert blas_threads() == before
+    with threadpool_limits(limits=2, user_api="blas"):
+        before = blas_threads()
+        assert set(before.values()) == {2}
+        with one_blas_thread():
+            assert set(blas_threads().values()) == {1}
+        assert blas_threads() == before
 
 
 def test_results_come_in_order_and_the_first_error_is_raised():
