@@ -67,7 +67,7 @@ def warm_up() -> Figures:
 
     with tempfile.TemporaryDirectory() as cache, event.install_recorder("numba:compile") as recorder:
         surfaces = _surfaces(PAIRS["proxies"], WARM_LEVEL, 50, cache)
-        result = _match(PAIRS["proxies"], surfaces, 50)
+        result = _match(PAIRS["proxies"], surfaces)
         _bake(result, 256)
     return {"kernels": _compile_seconds(recorder.buffer)}
 
@@ -109,7 +109,7 @@ def prepared_match(pair: str, level: int, count: int, cache: str, output: str) -
         with timed(figures, "load"):
             surfaces = _surfaces(PAIRS[pair], level, count, cache)
         with timed(figures, "match"):
-            result = _match(PAIRS[pair], surfaces, count)
+            result = _match(PAIRS[pair], surfaces)
         with timed(figures, "write"):
             write_result(output, result_of(result))
     return figures | {"vertices": _sizes(surfaces)}
@@ -123,12 +123,12 @@ def landmark_added(pair: str, level: int, count: int, cache: str) -> Figures:
     surfaces = _surfaces(PAIRS[pair], level, count, cache)
     whole = _landmarks(PAIRS[pair])
     fewer = replace(whole, names=whole.names[:-1], target=whole.target[:-1], source=whole.source[:-1])
-    before = _match(PAIRS[pair], surfaces, count, fewer)
+    before = _match(PAIRS[pair], surfaces, fewer)
     update_match(before, fewer)  # what is compiled or loaded on first use
     with timed(figures, "preview"):
         result = update_match(before, whole)
     with timed(figures, "match again"):
-        _match(PAIRS[pair], surfaces, count, whole)
+        _match(PAIRS[pair], surfaces, whole)
     figures |= _assert_accurate(
         PAIRS[pair],
         level,
@@ -211,9 +211,7 @@ def stages(pair: str, level: int, count: int, cache: str) -> Figures:
 
     chosen = PAIRS[pair]
     source = _surfaces(chosen, level, count, cache)[1]
-    return measure_stages(
-        read_mesh(chosen.target_file), level, count, lambda target: _match(chosen, (target, source), count)
-    )
+    return measure_stages(read_mesh(chosen.target_file), level, count, lambda target: _match(chosen, (target, source)))
 
 
 def _surfaces(pair: HumanPair, level: int, count: int, cache: str) -> tuple[Any, Any]:
@@ -234,10 +232,10 @@ def _landmarks(pair: HumanPair) -> Any:
     return read_landmarks(pair.landmarks, pair.target_file, pair.source_file)[0]
 
 
-def _match(pair: HumanPair, surfaces: tuple[Any, Any], count: int, landmarks: Any = None) -> Any:
-    from cagemap.pipeline import MAP_BASIS, MatchConfig, match
+def _match(pair: HumanPair, surfaces: tuple[Any, Any], landmarks: Any = None) -> Any:
+    from cagemap.pipeline import match
 
-    return match(*surfaces, landmarks or _landmarks(pair), MatchConfig(basis=replace(MAP_BASIS, count=count)))
+    return match(*surfaces, landmarks or _landmarks(pair))
 
 
 def _sizes(surfaces: tuple[Any, Any]) -> list[int]:

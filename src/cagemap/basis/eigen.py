@@ -272,10 +272,10 @@ def missed_pairs(
     end: int,
 ) -> int:
     """How many eigenvalues below a gap near index ``end`` a list lacks (Sylvester's law of inertia); 0 if unknown."""
+    if end == 0:
+        return 0
     position = end - first_index
     low, high = max(0, position - _EXTRA_PAIRS), min(len(values), position + _EXTRA_PAIRS)
-    if first_index + position == 0:
-        return 0
     gap = low + int(np.argmax(np.diff(values[low:high])))
     threshold = 0.5 * (values[gap] + values[gap + 1])
     counted = factor(shifted_matrix(stiffness, mass, threshold), like=like).negative_eigenvalues
