@@ -10,7 +10,8 @@ from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.elastic import ElasticConfig, FitShapes
 from cagemap.point_map.elastic_data import Sheet
 from cagemap.point_map.elastic_graph import ElasticGraph, mesh_graph
-from cagemap.point_map.folds import unfold
+from cagemap.point_map.folded_parts import lay_out_parts
+from cagemap.point_map.folds import Images, Sides, unfold
 from cagemap.point_map.hierarchical import Pair
 from cagemap.point_map.point_map import PointMap
 from cagemap.point_map.surface_points import TriangleTree, closest_points, vertex_normals
@@ -97,7 +98,7 @@ def project(positions: FloatArray, pair: Pair, tree: TriangleTree, config: Elast
     PointMap
         Of the finest levels.
     """
-    target_triangles = level_triangles(pair.target.refinement, pair.target.finest)
+    on_target, target_triangles = finest_surface(pair.target)
     on_source, source_triangles = finest_surface(pair.source)
     weights = config.projection_normal_weights
     triangle, barycentric = facing_points(tree, positions, vertex_normals(positions, target_triangles), weights)
@@ -109,18 +110,11 @@ def project(positions: FloatArray, pair: Pair, tree: TriangleTree, config: Elast
     holder[source_triangles.ravel()[at_landmarks]] = at_landmarks // 3
     triangle[landmarks[0]] = holder[landmarks[1]]
     barycentric[landmarks[0]] = source_triangles[triangle[landmarks[0]]] == landmarks[1][:, None]
-    return PointMap(
-        *unfold(
-            triangle,
-            barycentric,
-            target_triangles,
-            on_source,
-            source_triangles,
-            tree,
-            landmarks[0],
-            normal_weight=weights[0],
-        )
-    )
+    sides = Sides(on_target, target_triangles, on_source, source_triangles, tree)
+    images = Images.of(triangle, barycentric, sides)
+    images, flipped = unfold(images, sides, landmarks[0], normal_weight=weights[0])
+    images = lay_out_parts(images, flipped, sides, landmarks[0])
+    return PointMap(images.triangle, images.barycentric)
 
 
 def facing_points(

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
@@ -25,12 +26,34 @@ LEAST_GAIN = 0.02
 
 
 @dataclass(frozen=True)
+class Sides:
+    """The surfaces that a map goes between.
+
+    Attributes
+    ----------
+    target, target_triangles : (n1, 3), (t1, 3)
+        At unit area.
+    source, source_triangles : (n2, 3), (t2, 3)
+        At unit area.
+    tree : TriangleTree
+        Of the source.
+    """
+
+    target: FloatArray
+    target_triangles: IndexArray
+    source: FloatArray
+    source_triangles: IndexArray
+    tree: TriangleTree
+
+
+@dataclass(frozen=True)
 class Images:
-    """Where the vertices of a piece of the target go.
+    """Where vertices of the target go.
 
     Attributes
     ----------
     triangle, barycentric : (n,), (n, 3)
+        Of the source.
     positions : (n, 3) float64
     """
 
@@ -38,19 +61,35 @@ class Images:
     barycentric: FloatArray
     positions: FloatArray
 
+    @classmethod
+    def of(cls, triangle: IndexArray, barycentric: FloatArray, sides: Sides) -> Images:
+        """With the positions of these points of the source."""
+        return cls(triangle, barycentric, map_positions(sides.source, sides.source_triangles, triangle, barycentric))
+
+    def flipped(self, triangles: IndexArray, tree: TriangleTree) -> NDArray[np.bool_]:
+        """(t,) which of some triangles (t, 3) of the target lie upside down."""
+        return flipped_triangles(self.positions, triangles, tree.normals_of(self.triangle))
+
+    def at(self, vertices: IndexArray) -> Images:
+        """Of some vertices alone."""
+        return Images(self.triangle[vertices], self.barycentric[vertices], self.positions[vertices])
+
+    def with_new(self, vertices: IndexArray, new: Images) -> Images:
+        """Other images for some vertices."""
+        changed = self.triangle.copy(), self.barycentric.copy(), self.positions.copy()
+        for values, others in zip(changed, (new.triangle, new.barycentric, new.positions), strict=True):
+            values[vertices] = others
+        return Images(*changed)
+
 
 def unfold(
-    triangle: IndexArray,
-    barycentric: FloatArray,
-    target_triangles: IndexArray,
-    source: FloatArray,
-    source_triangles: IndexArray,
-    tree: TriangleTree,
+    images: Images,
+    sides: Sides,
     held: IndexArray,
     *,
     normal_weight: float,
     rounds: int = ROUNDS,
-) -> tuple[IndexArray, FloatArray]:
+) -> tuple[Images, NDArray[np.bool_]]:
     """Reduce the flipped triangles of a map; vertices far from a flip and held ones keep their image.
 
     A connected patch keeps its new image only if fewer of its triangles are flipped than before; the patches grow by a
@@ -58,13 +97,9 @@ def unfold(
 
     Parameters
     ----------
-    triangle, barycentric : (n1,), (n1, 3)
+    images : Images
         The map.
-    target_triangles : (t1, 3) int64
-    source, source_triangles : (n2, 3), (t2, 3)
-        At unit area.
-    tree : TriangleTree
-        Of the source.
+    sides : Sides
     held : (p,) int64
         Target vertices that may not move (landmarks).
     normal_weight : float
@@ -72,67 +107,53 @@ def unfold(
 
     Returns
     -------
-    triangle, barycentric : (n1,), (n1, 3)
+    images : Images
+    flipped : (t1,) bool
+        Target triangles that still are.
     """
-    image = map_positions(source, source_triangles, triangle, barycentric)
-    flipped = flipped_triangles(image, target_triangles, tree.normals_of(triangle))
+    triangles = sides.target_triangles
+    flipped = images.flipped(triangles, sides.tree)
     if not flipped.any():
-        return triangle, barycentric
+        return images, flipped
     # Nothing outside the last round's patch is looked at: go on with the triangles around it, renumbered.
-    region = _touched(target_triangles, _patch(target_triangles, flipped, rounds, len(image)))
-    vertices, near = np.unique(target_triangles[region], return_inverse=True)
+    region = touched_triangles(triangles, _patch(triangles, flipped, rounds, len(images.triangle)))
+    vertices, near = np.unique(triangles[region], return_inverse=True)
     near = near.reshape(-1, 3)
     movable = ~np.isin(vertices, held)
-    local = Images(triangle[vertices], barycentric[vertices], image[vertices])
-    before = np.inf
+    local, folded = images.at(vertices), flipped[region]
     for ring in range(1, rounds + 1):
-        flipped = flipped_triangles(local.positions, near, tree.normals_of(local.triangle))
-        if flipped.sum() > (1.0 - LEAST_GAIN) * before or not flipped.any():
+        before = folded.sum()
+        inside = _patch(near, folded, ring, len(vertices)) & movable
+        local = _relaxed(local, near, inside, folded, sides, normal_weight)
+        folded = local.flipped(near, sides.tree)
+        if folded.sum() > (1.0 - LEAST_GAIN) * before or not folded.any():
             break
-        before = flipped.sum()
-        inside = _patch(near, flipped, ring, len(vertices)) & movable
-        local = _relaxed(local, near, inside, flipped, source, source_triangles, tree, normal_weight)
-    triangle, barycentric = triangle.copy(), barycentric.copy()
-    triangle[vertices], barycentric[vertices] = local.triangle, local.barycentric
-    return triangle, barycentric
+    flipped[region] = folded
+    return images.with_new(vertices, local), flipped
 
 
 def _relaxed(
-    images: Images,
-    near: IndexArray,
-    inside: np.ndarray,
-    flipped: np.ndarray,
-    source: FloatArray,
-    source_triangles: IndexArray,
-    tree: TriangleTree,
-    normal_weight: float,
+    images: Images, near: IndexArray, inside: np.ndarray, flipped: np.ndarray, sides: Sides, normal_weight: float
 ) -> Images:
     """Images of the vertices inside after some sweeps of averaging, where that leaves fewer triangles flipped."""
     vertices = np.flatnonzero(inside)
-    touched = _touched(near, inside)
-    means = _neighbour_means(near[touched], inside)
-    moved, directions = images.positions.copy(), tree.normals_of(images.triangle)
+    touched = touched_triangles(near, inside)
+    means = neighbour_means(near[touched], inside)
+    moved, directions = images.positions.copy(), sides.tree.normals_of(images.triangle)
     for _ in range(SWEEPS):
         moved[vertices] = means @ moved
         directions[vertices] = normalized(means @ directions)
     found, weights, _ = closest_points(
-        tree,
+        sides.tree,
         moved[vertices],
         directions[vertices],
         normal_weight=normal_weight,
         guess=images.triangle[vertices],
     )
-    triangle, barycentric, positions = images.triangle.copy(), images.barycentric.copy(), images.positions.copy()
-    triangle[vertices], barycentric[vertices] = found, weights
-    positions[vertices] = map_positions(source, source_triangles, found, weights)
-    still = flipped_triangles(positions, near[touched], tree.normals_of(triangle))
-    kept = _improved(near[touched], inside, flipped[touched], still)
-    chosen = kept[:, None]
-    return Images(
-        np.where(kept, triangle, images.triangle),
-        np.where(chosen, barycentric, images.barycentric),
-        np.where(chosen, positions, images.positions),
-    )
+    new = images.with_new(vertices, Images.of(found, weights, sides))
+    still = new.flipped(near[touched], sides.tree)
+    kept = np.flatnonzero(_improved(near[touched], inside, flipped[touched], still))
+    return images.with_new(kept, new.at(kept))
 
 
 def _patch(triangles: IndexArray, flipped: np.ndarray, rings: int, n: int) -> np.ndarray:
@@ -140,11 +161,11 @@ def _patch(triangles: IndexArray, flipped: np.ndarray, rings: int, n: int) -> np
     inside = np.zeros(n, dtype=bool)
     inside[triangles[flipped].ravel()] = True
     for _ in range(rings):
-        inside[triangles[_touched(triangles, inside)].ravel()] = True
+        inside[triangles[touched_triangles(triangles, inside)].ravel()] = True
     return inside
 
 
-def _touched(triangles: IndexArray, inside: np.ndarray) -> np.ndarray:
+def touched_triangles(triangles: IndexArray, inside: np.ndarray) -> np.ndarray:
     """(t,) triangles with a corner inside."""
     touched = np.empty(len(triangles), dtype=np.bool_)
 
@@ -158,11 +179,7 @@ def _touched(triangles: IndexArray, inside: np.ndarray) -> np.ndarray:
 
 def _improved(near: IndexArray, inside: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """(n,) vertices of those connected patches in which fewer of the touched triangles are flipped than before."""
-    n = len(inside)
-    pairs = np.concatenate([near[:, [0, 1]], near[:, [1, 2]], near[:, [2, 0]]])
-    pairs = pairs[inside[pairs].all(axis=1)]
-    graph = sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    count, patch = csgraph.connected_components(graph.tocsr(), directed=False)
+    count, patch = patches(near, inside)
     # The inside corners of a triangle are neighbours, so that any of them names its patch.
     corner = np.argmax(inside[near], axis=1)
     patch_of = patch[near[np.arange(len(near)), corner]]
@@ -170,12 +187,27 @@ def _improved(near: IndexArray, inside: np.ndarray, before: np.ndarray, after: n
     return np.asarray(inside & (gain[patch] > 0))
 
 
-def _neighbour_means(near: IndexArray, inside: np.ndarray) -> sparse.csr_array:
-    """(v, n) matrix that averages the neighbours of every inside vertex."""
+def patches(triangles: IndexArray, inside: np.ndarray) -> tuple[int, IndexArray]:
+    """Number of connected patches, and (n,) patch of every vertex; vertices outside are patches of their own."""
     n = len(inside)
-    rows, columns = near[:, [0, 1, 2, 0, 1, 2]].ravel(), near[:, [1, 2, 0, 2, 0, 1]].ravel()
+    near = triangles[touched_triangles(triangles, inside)]
+    pairs = near[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    pairs = pairs[inside[pairs].all(axis=1)]
+    graph = sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    count, patch = csgraph.connected_components(graph.tocsr(), directed=False)
+    return int(count), patch.astype(np.int64)
+
+
+def convex_rows(rows: IndexArray, columns: IndexArray, weights: FloatArray, inside: np.ndarray) -> sparse.csr_array:
+    """(v, n) convex combinations for the v vertices inside: weights, summed where they meet, in rows of sum 1."""
     kept = inside[rows]
     number = np.cumsum(inside) - 1
-    ones = np.ones(int(kept.sum()))
-    adjacency = sparse.csr_array((ones, (number[rows[kept]], columns[kept])), shape=(int(inside.sum()), n))
-    return sparse.csr_array(sparse.diags_array(1.0 / np.asarray(adjacency.sum(axis=1)).ravel()) @ adjacency)
+    shape = (int(inside.sum()), len(inside))
+    matrix = sparse.csr_array((weights[kept], (number[rows[kept]], columns[kept])), shape=shape)
+    return sparse.csr_array(sparse.diags_array(1.0 / np.asarray(matrix.sum(axis=1)).ravel()) @ matrix)
+
+
+def neighbour_means(triangles: IndexArray, inside: np.ndarray) -> sparse.csr_array:
+    """(v, n) matrix that averages the neighbours of every inside vertex."""
+    rows, columns = triangles[:, [0, 1, 2, 0, 1, 2]].ravel(), triangles[:, [1, 2, 0, 2, 0, 1]].ravel()
+    return convex_rows(rows, columns, np.ones(len(rows)), inside)

@@ -1,0 +1,165 @@
+"""Folded parts laid out within discs: one-to-one where theory says so, and nothing else moved."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial import Delaunay
+
+from cagemap.point_map.folded_parts import (
+    LEAST_SHARE,
+    Disc,
+    combined,
+    convex_weights,
+    flat_disc,
+    folded_parts,
+    lay_out_parts,
+    moved_to,
+    triangle_areas,
+)
+from cagemap.point_map.folds import Images, Sides
+from cagemap.point_map.surface_points import build_tree, closest_points
+
+SIDE = 41
+
+
+def grid() -> tuple[np.ndarray, np.ndarray]:
+    """The unit square in the plane z = 0, as (n, 3) positions and (t, 3) triangles that face up."""
+    x, y = np.meshgrid(np.linspace(0, 1, SIDE), np.linspace(0, 1, SIDE))
+    a = (np.arange(SIDE - 1)[:, None] * SIDE + np.arange(SIDE - 1)).ravel()
+    triangles = np.concatenate(
+        [np.column_stack([a, a + 1, a + SIDE + 1]), np.column_stack([a, a + SIDE + 1, a + SIDE])]
+    )
+    return np.column_stack([x.ravel(), y.ravel(), np.zeros(SIDE * SIDE)]), triangles
+
+
+def round_disc(rings: int = 6) -> tuple[Disc, np.ndarray]:
+    """Points on circles, triangulated, and their (n, 2) places; counter-clockwise."""
+    angles = [np.linspace(0, 2 * np.pi, 6 * k, endpoint=False) + 0.1 * k for k in range(1, rings + 1)]
+    places = np.concatenate(
+        [np.zeros((1, 2))] + [k * np.column_stack([np.cos(a), np.sin(a)]) for k, a in enumerate(angles, start=1)]
+    )
+    triangles = Delaunay(places).simplices.astype(np.int64)
+    turned = signed_areas(places, triangles) < 0
+    triangles[turned] = triangles[turned][:, ::-1]
+    n = len(places)
+    rim = np.arange(n - 6 * rings, n)
+    return Disc(np.arange(n), np.arange(len(triangles)), triangles, rim, np.arange(n) < n - 6 * rings), places
+
+
+def signed_areas(places: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    first, second, third = (places[triangles[:, k]] for k in range(3))
+    return np.linalg.det(np.stack([second - first, third - first], axis=-1)) / 2
+
+
+def collapsed(centre: tuple[float, float], radius: float) -> tuple[Images, Sides]:
+    """A square's map to itself that pushes a disc through itself: distances r from its centre go out, back and out."""
+    positions, triangles = grid()
+    tree = build_tree(positions, triangles)
+    offset = positions[:, :2] - centre
+    r = np.linalg.norm(offset, axis=1) / radius
+    squeezed = np.where(r < 1, np.interp(r, [0, 0.3, 0.6, 1], [0, 0.9, 0.5, 1]) / np.maximum(r, 1e-9), 1.0)
+    wanted = np.column_stack([centre + squeezed[:, None] * offset, np.zeros(len(r))])
+    sides = Sides(positions, triangles, positions, triangles, tree)
+    triangle, barycentric, _ = closest_points(tree, wanted)
+    return Images.of(triangle, barycentric, sides), sides
+
+
+def test_a_disc_is_laid_flat_without_folds_whatever_it_is_made_of() -> None:
+    disc, _ = round_disc()
+    plane = flat_disc(disc)
+    assert signed_areas(plane, disc.triangles).min() > 0
+    np.testing.assert_allclose(np.linalg.norm(plane[disc.rim], axis=1), 1.0, rtol=1e-14)
+
+
+def test_mean_value_combinations_leave_a_map_that_is_one_to_one_as_it_is() -> None:
+    disc, places = round_disc()
+    sheared = places @ np.array([[1.0, 0.4], [0.0, 0.7]]) + 0.02 * np.sin(3 * places)
+    assert signed_areas(sheared, disc.triangles).min() > 0
+    again = combined(convex_weights(sheared, disc), sheared, disc.inside)
+    np.testing.assert_allclose(again, sheared, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_convex_combinations_unfold_whatever_lies_in_a_convex_rim(seed: int) -> None:
+    disc, places = round_disc()
+    folded = places.copy()
+    inner = np.flatnonzero(np.linalg.norm(places, axis=1) < 3.5)
+    folded[inner] += np.random.default_rng(seed).normal(scale=1.5, size=(len(inner), 2))
+    assert (signed_areas(folded, disc.triangles) < 0).sum() > 10
+    weights = convex_weights(folded, disc)
+    np.testing.assert_allclose(np.asarray(weights.sum(axis=1)).ravel(), 1.0, rtol=1e-13)
+    assert weights.data.min() > 0
+    unfolded = combined(weights, folded, disc.inside)
+    assert signed_areas(unfolded, disc.triangles).min() > 0
+    np.testing.assert_array_equal(unfolded[disc.rim], places[disc.rim])
+
+
+def test_landmarks_move_to_their_places_and_carry_the_disc_with_them() -> None:
+    disc, places = round_disc()
+    chosen, goals = np.array([0, 3]), np.array([[2.5, 1.0], [-2.0, -3.0]])
+    moved = moved_to(places, disc.rim, chosen, goals)
+    assert moved is not None
+    np.testing.assert_allclose(moved[chosen], goals, atol=1e-12)
+    np.testing.assert_allclose(moved[disc.rim], places[disc.rim], atol=1e-12)
+    # Points move with triangles of rim and landmarks, of which a triangle of the disc may straddle two.
+    assert (signed_areas(moved, disc.triangles) > 0).mean() > 0.97
+
+
+def test_landmarks_cannot_leave_the_disc() -> None:
+    disc, places = round_disc()
+    assert moved_to(places, disc.rim, np.array([0]), np.array([[9.0, 0.0]])) is None
+
+
+@pytest.mark.parametrize("held", [[], [(0.5, 0.5)]])
+def test_a_part_that_collapsed_is_laid_out_and_the_rest_stays(held: list[tuple[float, float]]) -> None:
+    images, sides = collapsed((0.5, 0.5), 0.3)
+    triangles = sides.target_triangles
+    landmarks = np.array([np.argmin(np.linalg.norm(sides.target[:, :2] - at, axis=1)) for at in held], dtype=np.int64)
+    flipped = images.flipped(triangles, sides.tree)
+    assert triangle_areas(sides.target, triangles[flipped]).sum() > 0.05
+    found = lay_out_parts(images, flipped, sides, landmarks)
+    assert not found.flipped(triangles, sides.tree).any()
+    np.testing.assert_array_equal(found.positions, Images.of(found.triangle, found.barycentric, sides).positions)
+    np.testing.assert_array_equal(found.positions[landmarks], images.positions[landmarks])
+    moved = np.linalg.norm(found.positions - images.positions, axis=1) > 1e-9
+    distance = np.linalg.norm(sides.target[:, :2] - 0.5, axis=1)
+    assert moved.any()
+    assert distance[moved].max() < 0.45  # 1.5 times as far as the fold
+
+
+def test_a_landmark_beside_its_natural_place_stays_and_does_not_fold_the_part_again() -> None:
+    images, sides = collapsed((0.5, 0.5), 0.3)
+    triangles = sides.target_triangles
+    off = int(np.argmin(np.linalg.norm(sides.target[:, :2] - [0.64, 0.52], axis=1)))  # in the turned-over ring
+    before = images.flipped(triangles, sides.tree)
+    assert before[np.any(triangles == off, axis=1)].all()
+    free = lay_out_parts(images, before, sides, np.zeros(0, dtype=np.int64))
+    assert np.linalg.norm(free.positions[off] - images.positions[off]) > 0.03  # more than a spacing
+    found = lay_out_parts(images, before, sides, np.array([off]))
+    np.testing.assert_array_equal(found.barycentric[off], images.barycentric[off])
+    assert not found.flipped(triangles, sides.tree).any()
+
+
+def test_parts_are_told_apart_and_small_ones_left_alone() -> None:
+    positions, triangles = grid()
+    middle = positions[triangles].mean(axis=1)[:, :2]
+    flipped = np.zeros(len(triangles), dtype=bool)
+    for centre, radius in (((0.25, 0.25), 0.08), ((0.7, 0.7), 0.15)):
+        flipped |= np.linalg.norm(middle - centre, axis=1) < radius
+    flipped[np.argmin(np.linalg.norm(middle - [0.9, 0.1], axis=1))] = True
+    parts = folded_parts(positions, triangles, flipped)
+    assert triangle_areas(positions, triangles[:1])[0] < LEAST_SHARE
+    assert len(parts) == 2
+    np.testing.assert_allclose(positions[parts[0]].mean(axis=0), [0.7, 0.7, 0], atol=0.01)
+    np.testing.assert_allclose(positions[parts[1]].mean(axis=0), [0.25, 0.25, 0], atol=0.01)
+    assert folded_parts(positions, triangles, np.zeros(len(triangles), dtype=bool)) == []
+
+
+def test_the_border_of_a_surface_stays_where_it_is() -> None:
+    images, sides = collapsed((0.0, 0.5), 0.3)
+    flipped = images.flipped(sides.target_triangles, sides.tree)
+    assert flipped.any()
+    found = lay_out_parts(images, flipped, sides, np.zeros(0, dtype=np.int64))
+    border = np.isin(sides.target[:, :2], [0.0, 1.0]).any(axis=1)
+    np.testing.assert_array_equal(found.positions[border], images.positions[border])
