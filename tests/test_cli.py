@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cagemap import __version__
+from cagemap import BasisConfig, __version__
 from cagemap.cli import main
 from cagemap.cli.app import match as match_command
-from cagemap.cli.match import MatchRequest, match_config, read_inputs
+from cagemap.cli.match import MatchRequest, basis_config, match_config, read_inputs
 from cagemap.cli.progress import Stages
 from cagemap.example import ExamplePair, example_pair
 from cagemap.files.images import read_image, write_image
@@ -350,19 +350,20 @@ def test_command_line_and_library_have_the_same_defaults() -> None:
     shown = inspect.signature(match_command).parameters
     asked = MatchRequest(*[Path("x")] * 4)
     assert (shown["k"].default, shown["tolerance"].default) == (asked.k, asked.tolerance)
-    assert match_config(asked).basis == MatchConfig().basis == MAP_BASIS
+    assert basis_config(asked) == MAP_BASIS
+    assert match_config(asked) == MatchConfig()
     for prepare in (prepare_surface, prepare_pair, prepared):
         assert inspect.signature(prepare).parameters["config"].default == MAP_BASIS
 
 
 def test_options_reach_the_library() -> None:
     paths = [Path("x")] * 4
-    config = match_config(MatchRequest(*paths, k=77, tolerance=0.02, symmetry=False))
-    assert (config.basis.count, config.basis.tolerance, config.basis.schedule) == (77, 0.02, None)
-    assert not config.use_symmetry
-    assert config.check_landmarks
+    asked = MatchRequest(*paths, k=77, tolerance=0.02, symmetry=False)
+    assert basis_config(asked) == BasisConfig(count=77, tolerance=0.02, schedule=None)
+    assert not match_config(asked).use_symmetry
+    assert match_config(asked).check_landmarks
     assert not match_config(MatchRequest(*paths, trust_landmarks=True)).check_landmarks
-    assert match_config(MatchRequest(*paths, schedule="100,50,50")).basis.schedule == (100, 50, 50)
+    assert basis_config(MatchRequest(*paths, schedule="100,50,50")).schedule == (100, 50, 50)
 
 
 @pytest.mark.slow

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import sparse
 from scipy.spatial import Delaunay
 
+from cagemap.errors import SolverError
 from cagemap.point_map.folded_parts import (
     LEAST_SHARE,
     Disc,
@@ -93,6 +95,22 @@ def test_convex_combinations_unfold_whatever_lies_in_a_convex_rim(seed: int) -> 
     unfolded = combined(weights, folded, disc.inside)
     assert signed_areas(unfolded, disc.triangles).min() > 0
     np.testing.assert_array_equal(unfolded[disc.rim], places[disc.rim])
+
+
+def test_slivers_and_coinciding_points_have_combinations_too() -> None:
+    disc, places = round_disc()
+    places[1], places[2] = places[0] + [1e-13, 0], places[0] + [0, 1e-200]  # beside each other, upright or not
+    places[20] = places[19] + 0.5 * (places[21] - places[19])
+    weights = convex_weights(places, disc)
+    assert np.isfinite(weights.data).all()
+    assert np.isfinite(combined(weights, places, disc.inside)).all()
+
+
+def test_vertices_that_depend_on_each_other_alone_are_refused() -> None:
+    disc, places = round_disc()
+    itself = sparse.csr_array(sparse.eye_array(len(places), format="csr")[np.flatnonzero(disc.inside)])
+    with pytest.raises(SolverError, match="depend on each other"):
+        combined(itself, places, disc.inside)
 
 
 def test_landmarks_move_to_their_places_and_carry_the_disc_with_them() -> None:

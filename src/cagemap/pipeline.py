@@ -38,15 +38,13 @@ MOST_LEVELS = 12
 
 @dataclass(frozen=True)
 class MatchConfig:
-    """Parameters of a match; the defaults are the measured ones.
+    """Parameters of a match of two prepared surfaces; the defaults are the measured ones.
 
     Attributes
     ----------
     method : str
         "elastic": the spectral map with landmark coordinates, finished by an elastic fit; landmarks are met exactly.
         "hfm": the paper's hierarchical functional map with spectral upsampling.
-    basis : BasisConfig
-        Number of functions, eigenvalue tolerance or the paper's fixed schedule.
     hierarchy : HierarchyConfig
         Descriptors, weights and search.
     elastic : ElasticConfig
@@ -58,7 +56,6 @@ class MatchConfig:
     """
 
     method: str = "elastic"
-    basis: BasisConfig = MAP_BASIS
     hierarchy: HierarchyConfig = HierarchyConfig()
     elastic: ElasticConfig = ElasticConfig()
     use_symmetry: bool = True

@@ -59,7 +59,7 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     """Match two mesh files and write the RESULT folder; returns a summary and warnings."""
     if request.level is not None and request.vertices is not None:
         raise ParameterError("--level and --vertices: expected one of them, got both. --vertices chooses the level.")
-    config = match_config(request)
+    basis, config = basis_config(request), match_config(request)
     started = time.perf_counter()
     stages("read")
     inputs = read_inputs(request)
@@ -78,6 +78,7 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     }
     result = match_meshes(
         inputs,
+        basis,
         config,
         stages,
         level=request.level,
@@ -90,15 +91,16 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     return summary(result, request.output, time.perf_counter() - started), warnings(result)
 
 
-def match_config(request: MatchRequest) -> MatchConfig:
-    """Parameters of the library for what was asked on the command line."""
+def basis_config(request: MatchRequest) -> BasisConfig:
+    """Parameters of the surfaces' bases that were asked for on the command line."""
     schedule = None if request.schedule is None else parse_schedule(request.schedule)
-    basis = BasisConfig(count=request.k, tolerance=request.tolerance, schedule=schedule)
+    return BasisConfig(count=request.k, tolerance=request.tolerance, schedule=schedule)
+
+
+def match_config(request: MatchRequest) -> MatchConfig:
+    """Parameters of the match that was asked for on the command line."""
     return MatchConfig(
-        method=request.method,
-        basis=basis,
-        use_symmetry=request.symmetry,
-        check_landmarks=not request.trust_landmarks,
+        method=request.method, use_symmetry=request.symmetry, check_landmarks=not request.trust_landmarks
     )
 
 
@@ -131,6 +133,7 @@ def read_inputs(request: MatchRequest) -> Inputs:
 
 def match_meshes(
     inputs: Inputs,
+    basis: BasisConfig,
     config: MatchConfig,
     stages: Stages,
     *,
@@ -146,7 +149,7 @@ def match_meshes(
         require_size(control, levels[-1])
     prepare = prepare_surface if cache is None else partial(prepared, cache)
     target, source = prepare_pair(
-        inputs.target, inputs.source, (levels[0], levels[1]), config.basis, prepare=prepare, progress=stages
+        inputs.target, inputs.source, (levels[0], levels[1]), basis, prepare=prepare, progress=stages
     )
     found = match(target, source, inputs.landmarks, config, progress=stages)
     stages("gather")

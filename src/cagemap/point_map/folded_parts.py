@@ -19,6 +19,7 @@ from scipy.sparse import csgraph
 from scipy.sparse import linalg as sparse_linalg
 from scipy.spatial import Delaunay
 
+from cagemap.errors import SolverError
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.folds import Images, Sides, convex_rows, neighbour_means, patches, touched_triangles
 from cagemap.point_map.surface_points import build_tree, closest_points, row_lengths, triangle_normals
@@ -141,7 +142,10 @@ def _laid_out(
         return None
     plane = flat_disc(below)
     before = np.einsum("nk,nkd->nd", now.barycentric, plane[below.triangles[at]])
-    after = combined(convex_weights(before, disc), before, disc.inside)
+    try:
+        after = combined(convex_weights(before, disc), before, disc.inside)
+    except SolverError:  # points of the map coincide to rounding
+        return None
     fixed = disc.inside & np.isin(disc.vertices, held)
     moved = moved_to(after, disc.rim, np.flatnonzero(fixed), before[fixed]) if fixed.any() else after
     if moved is None:
@@ -194,14 +198,26 @@ def convex_weights(places: FloatArray, disc: Disc) -> sparse.csr_array:
 
 
 def combined(weights: sparse.csr_array, places: FloatArray, inside: BoolArray) -> FloatArray:
-    """(n, 2) places where every vertex inside is the given combination (v, n) of all, and the others stay."""
+    """(n, 2) places where every vertex inside is the given combination (v, n) of all, and the others stay.
+
+    Raises
+    ------
+    SolverError
+        If some vertices are combinations of each other alone.
+    """
     held = np.where(inside[:, None], 0.0, places)
     matrix = sparse.csc_array(sparse.eye_array(weights.shape[0]) - weights[:, np.flatnonzero(inside)])
     result = places.copy()
     # Rows are diagonally dominant, so that no other pivot is needed than the diagonal.
-    factors = sparse_linalg.splu(
-        matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-    )
+    try:
+        factors = sparse_linalg.splu(
+            matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
+    except RuntimeError as error:
+        raise SolverError(
+            f"expected every vertex inside to depend on the rim, got {len(places)} vertices of which some depend on "
+            f"each other alone ({error}); give their links to the rim weights above rounding"
+        ) from error
     result[inside] = factors.solve(weights @ held)
     return result
 
@@ -231,7 +247,8 @@ def moved_to(places: FloatArray, rim: IndexArray, chosen: IndexArray, goals: Flo
         places[known] = np.einsum("nk,nkd->nd", barycentric, ends[mesh.simplices[triangle[known]]])
         places[corners] = ends
         if share == 1.0:
-            return places
+            # A sliver of the triangulation has no barycentric coordinates.
+            return places if np.isfinite(places).all() else None
     return None
 
 
