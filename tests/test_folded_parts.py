@@ -174,6 +174,15 @@ def test_parts_are_told_apart_and_small_ones_left_alone() -> None:
     assert folded_parts(positions, triangles, np.zeros(len(triangles), dtype=bool)) == []
 
 
+def test_pieces_close_to_each_other_are_one_part() -> None:
+    positions, triangles = grid()
+    middle = positions[triangles].mean(axis=1)[:, :2]
+    beside = np.abs(middle[:, 0] - 0.5)
+    for gap, count in ((0.06, 1), (0.15, 2)):  # of a strip in two; edges are 0.025 long
+        flipped = (beside > gap / 2) & (beside < gap / 2 + 0.1) & (np.abs(middle[:, 1] - 0.5) < 0.1)
+        assert len(folded_parts(positions, triangles, flipped)) == count
+
+
 def test_the_border_of_a_surface_stays_where_it_is() -> None:
     images, sides = collapsed((0.0, 0.5), 0.3)
     flipped = images.flipped(sides.target_triangles, sides.tree)

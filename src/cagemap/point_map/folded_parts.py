@@ -21,11 +21,13 @@ from scipy.spatial import Delaunay
 
 from cagemap.errors import SolverError
 from cagemap.mesh import FloatArray, IndexArray
-from cagemap.point_map.folds import Images, Sides, convex_rows, neighbour_means, patches, touched_triangles
+from cagemap.point_map.folds import Images, Sides, around, convex_rows, neighbour_means, patches, touched_triangles
 from cagemap.point_map.surface_points import build_tree, closest_points, row_lengths, triangle_normals
 
 # Least share of the target's area that is folded in a part for it to be laid out.
 LEAST_SHARE = 1e-3
+# Folded pieces that are less apart than this, of sqrt(area) and along edges of an even mesh, are one part.
+APART = 0.02
 # Radii of the ball, in those of the folded part's image: the first that does is taken.
 GROWTHS = (1.1, 1.5, 2.0, 3.0)
 # The source's disc reaches this much farther than the ball.
@@ -95,7 +97,7 @@ def lay_out_parts(images: Images, flipped: BoolArray, sides: Sides, held: IndexA
 
 
 def folded_parts(positions: FloatArray, triangles: IndexArray, flipped: BoolArray) -> list[IndexArray]:
-    """Vertices of flipped triangles (t,), by part, the largest first; parts that nearly touch are one.
+    """Vertices of flipped triangles (t,), by part, the largest first; pieces less than `APART` apart are one.
 
     Parameters
     ----------
@@ -106,13 +108,10 @@ def folded_parts(positions: FloatArray, triangles: IndexArray, flipped: BoolArra
     areas = triangle_areas(positions, triangles[flipped])
     if areas.sum() < LEAST_SHARE:
         return []
-    folded = np.zeros(len(positions), dtype=bool)
-    folded[triangles[flipped].ravel()] = True
-    near = folded.copy()
-    near[triangles[touched_triangles(triangles, folded)].ravel()] = True
-    _, part = patches(triangles, near)
+    n = len(positions)
+    _, part = patches(triangles, around(triangles, flipped, max(1, round(0.5 * APART * np.sqrt(n))), n))
     share = np.bincount(part[triangles[flipped, 0]], areas)
-    vertices = np.flatnonzero(folded)
+    vertices = np.unique(triangles[flipped])
     large = np.flatnonzero(share >= LEAST_SHARE)
     return [vertices[part[vertices] == k] for k in large[np.argsort(-share[large])]]
 

@@ -116,14 +116,14 @@ def unfold(
     if not flipped.any():
         return images, flipped
     # Nothing outside the last round's patch is looked at: go on with the triangles around it, renumbered.
-    region = touched_triangles(triangles, _patch(triangles, flipped, rounds, len(images.triangle)))
+    region = touched_triangles(triangles, around(triangles, flipped, rounds, len(images.triangle)))
     vertices, near = np.unique(triangles[region], return_inverse=True)
     near = near.reshape(-1, 3)
     movable = ~np.isin(vertices, held)
     local, folded = images.at(vertices), flipped[region]
     for ring in range(1, rounds + 1):
         before = folded.sum()
-        inside = _patch(near, folded, ring, len(vertices)) & movable
+        inside = around(near, folded, ring, len(vertices)) & movable
         local = _relaxed(local, near, inside, folded, sides, normal_weight)
         folded = local.flipped(near, sides.tree)
         if folded.sum() > (1.0 - LEAST_GAIN) * before or not folded.any():
@@ -156,8 +156,8 @@ def _relaxed(
     return images.with_new(kept, new.at(kept))
 
 
-def _patch(triangles: IndexArray, flipped: np.ndarray, rings: int, n: int) -> np.ndarray:
-    """(n,) vertices of flipped triangles and of some rings around them."""
+def around(triangles: IndexArray, flipped: np.ndarray, rings: int, n: int) -> NDArray[np.bool_]:
+    """(n,) which vertices are those of flipped triangles and of some rings around them."""
     inside = np.zeros(n, dtype=bool)
     inside[triangles[flipped].ravel()] = True
     for _ in range(rings):
