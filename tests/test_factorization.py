@@ -1,4 +1,4 @@
-"""Symmetric factorisations: both libraries behind one interface."""
+"""Factorisations: both libraries behind one interface."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from scipy import sparse
 
 from cagemap.basis import factorization
-from cagemap.basis.factorization import analyze, factor
+from cagemap.basis.factorization import analyze, factor, factor_general
 from cagemap.errors import ParameterError, SolverError
 from cagemap.mesh import shapes
 from cagemap.operators import build_operators
@@ -57,8 +57,26 @@ def test_ordering_is_used_again(matrices, of, monkeypatch):
     assert again.negative_eigenvalues == anew.negative_eigenvalues
 
 
+@pytest.mark.parametrize("library", LIBRARIES)
+def test_general_matrix(matrices, library):
+    stiffness, _ = matrices
+    rng = np.random.default_rng(12)
+    matrix = sparse.csr_array(abs(stiffness))
+    matrix.data *= rng.uniform(-1, 1, matrix.nnz)  # of symmetric pattern only
+    rows = np.asarray(abs(matrix).sum(axis=1)).ravel()
+    matrix = sparse.csr_array(matrix + sparse.diags_array(1.5 * rows))
+    factors = factor_general(matrix, library=library)
+    right_sides = rng.standard_normal((matrix.shape[0], 2))
+    assert abs(matrix @ factors.solve(right_sides) - right_sides).max() < SOLVED
+    assert (factors.library, factors.negative_eigenvalues) == (library, None)
+
+
 def test_refusals(matrices):
     stiffness, mass = matrices
+    with pytest.raises(ParameterError, match="square"):
+        factor_general(sparse.csr_array(np.ones((2, 3))))
+    with pytest.raises(ParameterError, match="library"):
+        factor_general(mass, library="magic")
     with pytest.raises(ParameterError, match="square"):
         factor(sparse.csr_array(np.ones((2, 3))))
     with pytest.raises(ParameterError, match="rows"):
@@ -71,3 +89,5 @@ def test_refusals(matrices):
 def test_singular_matrix_is_refused(library):
     with pytest.raises(SolverError, match="non-singular"):
         factor(sparse.csr_array(np.zeros((4, 4))), library=library)
+    with pytest.raises(SolverError, match="non-singular"):
+        factor_general(sparse.csr_array(np.zeros((4, 4))), library=library)

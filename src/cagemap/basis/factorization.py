@@ -1,13 +1,13 @@
-"""Sparse symmetric factorisations behind one small interface, so that the library can be replaced.
+"""Sparse factorisations behind one small interface, so that the library can be replaced.
 
 rslab (LDL^T, exact inertia) where it is installed, SciPy's SuperLU elsewhere. Everything else in cagemap that solves a
-sparse symmetric system calls `factor` and `Factorization.solve` and nothing more.
+large sparse system calls `factor` or `factor_general` and `Factorization.solve` and nothing more.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -39,7 +39,7 @@ class Analysis:
 
 @dataclass(frozen=True)
 class Factorization:
-    """A factored symmetric matrix A.
+    """A factored matrix A.
 
     Attributes
     ----------
@@ -126,13 +126,54 @@ def factor(
     rows, columns = matrix.shape
     if rows != columns:
         raise ParameterError(f"expected a square symmetric matrix, got shape {matrix.shape}")
-    if library == "auto":
-        library = "superlu" if rslab is None else "rslab"
-    if library == "superlu":
+    if _chosen(library) == "superlu":
         return _factor_superlu(matrix, dtype)
-    if library != "rslab" or rslab is None:
-        raise ParameterError(f'expected library "auto", "superlu" or an installed "rslab", got {library!r}')
     return _factor_rslab(matrix, like, dtype)
+
+
+def factor_general(matrix: SparseMatrix, *, library: str = "auto") -> Factorization:
+    """Factor a sparse matrix whose pattern is symmetric and whose values need not be, in double precision.
+
+    Parameters
+    ----------
+    matrix : (n, n) sparse array
+        Whose diagonal may serve as pivots, such as a diagonally dominant one. Any unit.
+    library : {"auto", "rslab", "superlu"}
+
+    Returns
+    -------
+    Factorization
+        Without a number of negative eigenvalues.
+
+    Raises
+    ------
+    ParameterError
+        If the matrix is not square, or the library named is not installed.
+    SolverError
+        If the matrix is singular to working precision.
+    """
+    rows, columns = matrix.shape
+    if rows != columns:
+        raise ParameterError(f"expected a square matrix, got shape {matrix.shape}")
+    if _chosen(library) == "superlu":
+        return replace(_factor_superlu(matrix, np.float64), negative_eigenvalues=None)
+    entries = sparse.csc_array(matrix, dtype=np.float64)
+    entries.sort_indices()
+    try:
+        # Minimum degree as in `_ordered`.
+        factors = rslab.analyze(entries, "lu", ordering="amd").factor(entries.data)
+    except (RuntimeError, ValueError) as error:
+        raise SolverError(_singular_message(matrix, error)) from error
+    return Factorization(matrix.shape, None, "rslab", factors.solve_many)
+
+
+def _chosen(library: str) -> str:
+    """Name of the library to factor with."""
+    if library == "auto":
+        return "superlu" if rslab is None else "rslab"
+    if library not in ("rslab", "superlu") or (library == "rslab" and rslab is None):
+        raise ParameterError(f'expected library "auto", "superlu" or an installed "rslab", got {library!r}')
+    return library
 
 
 def _lower_triangle(matrix: SparseMatrix) -> sparse.csc_array:

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
-from scipy.sparse import linalg as sparse_linalg
 from scipy.spatial import Delaunay
 
+from cagemap.basis.factorization import factor_general
 from cagemap.errors import SolverError
 from cagemap.mesh import FloatArray, IndexArray
 from cagemap.point_map.folds import Images, Sides, around, convex_rows, neighbour_means, patches, touched_triangles
@@ -207,17 +207,7 @@ def combined(weights: sparse.csr_array, places: FloatArray, inside: BoolArray) -
     held = np.where(inside[:, None], 0.0, places)
     matrix = sparse.csc_array(sparse.eye_array(weights.shape[0]) - weights[:, np.flatnonzero(inside)])
     result = places.copy()
-    # Rows are diagonally dominant, so that no other pivot is needed than the diagonal.
-    try:
-        factors = sparse_linalg.splu(
-            matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
-    except RuntimeError as error:
-        raise SolverError(
-            f"expected every vertex inside to depend on the rim, got {len(places)} vertices of which some depend on "
-            f"each other alone ({error}); give their links to the rim weights above rounding"
-        ) from error
-    result[inside] = factors.solve(weights @ held)
+    result[inside] = factor_general(matrix).solve(weights @ held)
     return result
 
 
