@@ -26,10 +26,12 @@ from cagemap.point_map.surface_points import build_tree, closest_points, row_len
 
 # Least share of the target's area that is folded in a part for it to be laid out.
 LEAST_SHARE = 1e-3
+# A map that folds over more than this in all has lost its way, and no part of it is worth the time.
+MOST_FOLDED = 0.02
 # Folded pieces that are less apart than this, of sqrt(area) and along edges of an even mesh, are one part.
 APART = 0.02
 # Radii of the ball, in those of the folded part's image: the first that does is taken.
-GROWTHS = (1.1, 1.5, 2.0, 3.0)
+GROWTHS = (1.1, 1.5, 2.0)
 # The source's disc reaches this much farther than the ball.
 MARGIN = 1.15
 # Largest share of either surface that a disc may be.
@@ -97,16 +99,17 @@ def lay_out_parts(images: Images, flipped: BoolArray, sides: Sides, held: IndexA
 
 
 def folded_parts(positions: FloatArray, triangles: IndexArray, flipped: BoolArray) -> list[IndexArray]:
-    """Vertices of flipped triangles (t,), by part, the largest first; pieces less than `APART` apart are one.
+    """Vertices of flipped triangles (t,), by part, the largest first; none if more than `MOST_FOLDED` is folded.
 
     Parameters
     ----------
     positions, triangles : (n, 3), (t, 3)
         At unit area.
     flipped : (t,) bool
+        Pieces of them less than `APART` apart are one part.
     """
     areas = triangle_areas(positions, triangles[flipped])
-    if areas.sum() < LEAST_SHARE:
+    if not LEAST_SHARE <= areas.sum() <= MOST_FOLDED:
         return []
     n = len(positions)
     _, part = patches(triangles, around(triangles, flipped, max(1, round(0.5 * APART * np.sqrt(n))), n))
