@@ -12,6 +12,7 @@ from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.shapes import creature
 from cagemap.operators import build_operators
+from cagemap.point_map import folds
 from cagemap.point_map.agreement import round_trip_weights
 from cagemap.point_map.elastic import ElasticConfig, FitShapes, RestShape, Stage, coarse_fit, fit, run_stage
 from cagemap.point_map.elastic_data import Pullers, Sheet, curved_points, pull_by_source
@@ -456,6 +457,25 @@ def test_unfolding_repairs_folds_and_leaves_the_rest_alone(shape: tuple[Refineme
     moved = np.linalg.norm(again.positions - images.positions, axis=1)
     assert (moved[held] == 0).all()
     assert (moved > 0).mean() < 0.05
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_unfolding_knows_what_still_folds_however_far_folds_spread(
+    shape: tuple[Refinement, float], seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refinement, scale = shape
+    positions, faces = scale * refinement.finest.positions, level_faces(refinement, 3)[1]
+    tree = build_tree(positions, faces)
+    sides = Sides(positions, faces, positions, faces, tree)
+    # A patch sent to another, upside down, cannot be unfolded; where every sweep is kept, folds spread to its border.
+    centre, other = positions[np.random.default_rng(seed).choice(len(positions), 2, replace=False)]
+    near = np.linalg.norm(positions - centre, axis=1) < 0.12
+    wanted = np.where(near[:, None], other - (positions - centre), positions)
+    images = Images.of(*closest_points(tree, wanted)[:2], sides)
+    monkeypatch.setattr(folds, "_improved", lambda near, inside, before, after: inside)
+    again, still = unfold(images, sides, np.zeros(0, dtype=np.int64), normal_weight=0.02, rounds=2)
+    assert still.sum() > 100
+    np.testing.assert_array_equal(still, again.flipped(faces, tree))
 
 
 def test_projection_meets_landmarks_wherever_the_fit_left_them(shape: tuple[Refinement, float]) -> None:

@@ -116,10 +116,12 @@ def unfold(
     if not flipped.any():
         return images, flipped
     # Nothing outside the last round's patch is looked at: go on with the triangles around it, renumbered.
-    region = touched_triangles(triangles, around(triangles, flipped, rounds, len(images.triangle)))
+    inner = around(triangles, flipped, rounds, len(images.triangle))
+    region = touched_triangles(triangles, inner)
     vertices, near = np.unique(triangles[region], return_inverse=True)
     near = near.reshape(-1, 3)
-    movable = ~np.isin(vertices, held)
+    # Folds may spread while they are relaxed; what lies at the border has triangles beyond it.
+    movable = inner[vertices] & ~np.isin(vertices, held)
     local, folded = images.at(vertices), flipped[region]
     for ring in range(1, rounds + 1):
         before = folded.sum()
