@@ -8,6 +8,7 @@ from scipy import sparse
 from scipy.spatial import Delaunay
 
 from cagemap.errors import SolverError
+from cagemap.operators import triangle_areas
 from cagemap.point_map.folded_parts import (
     LEAST_SHARE,
     MOST_FOLDED,
@@ -18,7 +19,6 @@ from cagemap.point_map.folded_parts import (
     folded_parts,
     lay_out_parts,
     moved_to,
-    triangle_areas,
 )
 from cagemap.point_map.folds import Images, Sides
 from cagemap.point_map.surface_points import build_tree, closest_points
@@ -47,7 +47,7 @@ def round_disc(rings: int = 6) -> tuple[Disc, np.ndarray]:
     triangles[turned] = triangles[turned][:, ::-1]
     n = len(places)
     rim = np.arange(n - 6 * rings, n)
-    return Disc(np.arange(n), np.arange(len(triangles)), triangles, rim, np.arange(n) < n - 6 * rings), places
+    return Disc(np.arange(n), np.arange(len(triangles)), triangles, rim), places
 
 
 def signed_areas(places: np.ndarray, triangles: np.ndarray) -> np.ndarray:

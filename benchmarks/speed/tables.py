@@ -106,18 +106,17 @@ def _basis(part: Figures) -> list[str]:
 def _match(part: Figures) -> list[str]:
     prepared = part["prepared"]
     sizes = _sides(part["vertices"])
-    tight = part.get("tight")  # a table recorded before there was one has none
-    rows = [(f"two OBJ files to RESULT, {sizes}", *_pair(part), gigabytes(part["peak"]))]
-    if tight:
-        rows.append(("the same with eigenvalues to 1 %", *_pair(tight), gigabytes(tight["peak"])))
-    rows += [
+    tight = part["tight"]
+    rows = [
+        (f"two OBJ files to RESULT, {sizes}", *_pair(part), gigabytes(part["peak"])),
+        ("the same with eigenvalues to 1 %", *_pair(tight), gigabytes(tight["peak"])),
         ("both surfaces prepared", *_pair(prepared["total"]), gigabytes(prepared["process"]["peak"])),
         ("- of it reading them", *_pair(prepared["load"]), ""),
         ("- of it the match", *_pair(prepared["match"]), ""),
     ]
     lines = table(["", "wall", "processor", "peak memory"], rows)
-    errors = f"{part['accuracy']:.2f}" + (f", with eigenvalues to 1 % {tight['accuracy']:.2f}" if tight else "")
-    lines += ["", f"Mean error against the true map: {errors} (x100 of sqrt(area)). Stages (wall):", ""]
+    errors = f"{part['accuracy']:.2f}, with eigenvalues to 1 % {tight['accuracy']:.2f} (x100 of sqrt(area))"
+    lines += ["", f"Mean error against the true map: {errors}. Stages (wall):", ""]
     return lines + table(["stage", "wall"], [(name, seconds(value)) for name, value in part["stages"].items()])
 
 

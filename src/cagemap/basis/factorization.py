@@ -123,10 +123,7 @@ def factor(
     SolverError
         If the matrix is singular to working precision.
     """
-    rows, columns = matrix.shape
-    if rows != columns:
-        raise ParameterError(f"expected a square symmetric matrix, got shape {matrix.shape}")
-    if _chosen(library) == "superlu":
+    if _chosen(library, matrix) == "superlu":
         return _factor_superlu(matrix, dtype)
     return _factor_rslab(matrix, like, dtype)
 
@@ -152,10 +149,7 @@ def factor_general(matrix: SparseMatrix, *, library: str = "auto") -> Factorizat
     SolverError
         If the matrix is singular to working precision.
     """
-    rows, columns = matrix.shape
-    if rows != columns:
-        raise ParameterError(f"expected a square matrix, got shape {matrix.shape}")
-    if _chosen(library) == "superlu":
+    if _chosen(library, matrix) == "superlu":
         return replace(_factor_superlu(matrix, np.float64), negative_eigenvalues=None)
     entries = sparse.csc_array(matrix, dtype=np.float64)
     entries.sort_indices()
@@ -167,8 +161,11 @@ def factor_general(matrix: SparseMatrix, *, library: str = "auto") -> Factorizat
     return Factorization(matrix.shape, None, "rslab", factors.solve_many)
 
 
-def _chosen(library: str) -> str:
-    """Name of the library to factor with."""
+def _chosen(library: str, matrix: SparseMatrix) -> str:
+    """Name of the library to factor a matrix with, both checked."""
+    rows, columns = matrix.shape
+    if rows != columns:
+        raise ParameterError(f"expected a square matrix, got shape {matrix.shape}")
     if library == "auto":
         return "superlu" if rslab is None else "rslab"
     if library not in ("rslab", "superlu") or (library == "rslab" and rslab is None):

@@ -10,6 +10,7 @@ value coordinates, so that it stays there as it is.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,8 +22,9 @@ from scipy.spatial import Delaunay
 from cagemap.basis.factorization import factor_general
 from cagemap.errors import SolverError
 from cagemap.mesh import FloatArray, IndexArray
+from cagemap.operators import triangle_areas
 from cagemap.point_map.folds import Images, Sides, around, convex_rows, neighbour_means, patches, touched_triangles
-from cagemap.point_map.surface_points import build_tree, closest_points, row_lengths, triangle_normals
+from cagemap.point_map.surface_points import build_tree, closest_points, row_lengths
 
 # Least share of the target's area that is folded in a part for it to be laid out.
 LEAST_SHARE = 1e-3
@@ -58,15 +60,19 @@ class Disc:
         The same, numbered within the piece.
     rim : (r,) int64
         Vertices on its border in counter-clockwise order, numbered within the piece.
-    inside : (n,) bool
-        Vertices that are not.
     """
 
     vertices: IndexArray
     chosen: IndexArray
     triangles: IndexArray
     rim: IndexArray
-    inside: BoolArray
+
+    @property
+    def inside(self) -> BoolArray:
+        """(n,) which vertices are not on the rim."""
+        inside = np.ones(len(self.vertices), dtype=bool)
+        inside[self.rim] = False
+        return inside
 
 
 def lay_out_parts(images: Images, flipped: BoolArray, sides: Sides, held: IndexArray) -> Images:
@@ -112,7 +118,7 @@ def folded_parts(positions: FloatArray, triangles: IndexArray, flipped: BoolArra
     if not LEAST_SHARE <= areas.sum() <= MOST_FOLDED:
         return []
     n = len(positions)
-    _, part = patches(triangles, around(triangles, flipped, max(1, round(0.5 * APART * np.sqrt(n))), n))
+    part = patches(triangles, around(triangles, flipped, max(1, round(0.5 * APART * np.sqrt(n))), n))
     share = np.bincount(part[triangles[flipped, 0]], areas)
     vertices = np.unique(triangles[flipped])
     large = np.flatnonzero(share >= LEAST_SHARE)
@@ -128,13 +134,14 @@ def _laid_out(
     radius = growth * away[part].max()
     ball = away < radius
     ball[part] = True
-    disc = _disc_touching(sides.target_triangles, ball, part)
+    disc = _disc_in(ball, sides.target_triangles, part, touched_triangles)
     if disc is None:
         return None
     now = images.at(disc.vertices)
     needed = sides.source_triangles[now.triangle].ravel()
     distance = row_lengths(sides.source - centre)
-    below = _disc_within(sides.source_triangles, distance <= max(MARGIN * radius, distance[needed].max()), needed)
+    around_it = distance <= max(MARGIN * radius, distance[needed].max())
+    below = _disc_in(around_it, sides.source_triangles, needed[:1], _whole_triangles)
     if below is None:
         return None
     number = np.full(len(sides.source_triangles), -1)
@@ -193,7 +200,7 @@ def convex_weights(places: FloatArray, disc: Disc) -> sparse.csr_array:
     # All angles may be positive and still go around twice.
     upright &= np.abs(whole - 2.0 * np.pi) < 1e-3
     upright |= ~inside
-    _, patch = patches(triangles, upright)
+    patch = patches(triangles, upright)
     kept = upright & np.isin(patch, patch[~inside])
     row, value = np.concatenate(rows), np.concatenate(weights)
     return convex_rows(row, np.concatenate(columns), np.where(kept[row] & np.isfinite(value), value, 1.0), inside)
@@ -220,16 +227,16 @@ def moved_to(places: FloatArray, rim: IndexArray, chosen: IndexArray, goals: Flo
     The rim and the chosen points are triangulated; as they move by as much as no triangle turns over, all other points
     move affinely with their triangle. None if they do not arrive.
     """
+    corners = np.concatenate([rim, chosen])
+    wanted = np.concatenate([places[rim], goals])
     for _ in range(STEPS):
-        corners = np.concatenate([rim, chosen])
         mesh = Delaunay(places[corners])
-        wanted = np.concatenate([places[rim], goals])
-        share = 1.0
-        while share > 1e-3 and not _upright(mesh, places[corners] + share * (wanted - places[corners])):
+        ends, share = wanted, 1.0
+        while not _upright(mesh, ends):
             share /= 2.0
-        if share <= 1e-3:
-            return None
-        ends = places[corners] + share * (wanted - places[corners])
+            if share <= 1e-3:
+                return None
+            ends = mesh.points + share * (wanted - mesh.points)
         triangle = mesh.find_simplex(places)
         known = triangle >= 0
         frame = mesh.transform[triangle[known]]
@@ -242,11 +249,6 @@ def moved_to(places: FloatArray, rim: IndexArray, chosen: IndexArray, goals: Flo
             # A sliver of the triangulation has no barycentric coordinates.
             return places if np.isfinite(places).all() else None
     return None
-
-
-def triangle_areas(positions: FloatArray, triangles: IndexArray) -> FloatArray:
-    """(t,) areas."""
-    return 0.5 * row_lengths(triangle_normals(positions, triangles))
 
 
 def _upright(mesh: Delaunay, ends: FloatArray) -> bool:
@@ -267,26 +269,22 @@ def _located(points: FloatArray, plane: FloatArray, triangles: IndexArray) -> tu
     return chosen, weights
 
 
-def _disc_touching(triangles: IndexArray, ball: BoolArray, part: IndexArray) -> Disc | None:
-    """The disc of triangles with a corner in a ball that is connected to a part of it."""
-    _, patch = patches(triangles, ball)
-    inside = ball & np.isin(patch, patch[part])
+def _disc_in(
+    ball: BoolArray, triangles: IndexArray, seeds: IndexArray, choose: Callable[[IndexArray, BoolArray], BoolArray]
+) -> Disc | None:
+    """The disc of triangles chosen by their corners in that part of a ball which hangs together with the seeds."""
+    patch = patches(triangles, ball)
+    inside = ball & np.isin(patch, patch[seeds])
 
     def disc(inside: BoolArray) -> Disc | None:
-        return _disc(triangles, np.flatnonzero(touched_triangles(triangles, inside)), len(inside))
+        return _disc(triangles, np.flatnonzero(choose(triangles, inside)), len(inside))
 
     return disc(inside) or disc(_filled(triangles, inside))
 
 
-def _disc_within(triangles: IndexArray, ball: BoolArray, needed: IndexArray) -> Disc | None:
-    """The disc of triangles with all corners in a ball and connected to vertices that are needed."""
-    _, patch = patches(triangles, ball)
-    inside = ball & (patch == patch[needed[0]])
-
-    def disc(inside: BoolArray) -> Disc | None:
-        return _disc(triangles, np.flatnonzero(inside[triangles].all(axis=1)), len(inside))
-
-    return disc(inside) or disc(_filled(triangles, inside))
+def _whole_triangles(triangles: IndexArray, inside: BoolArray) -> BoolArray:
+    """(t,) triangles with all corners inside."""
+    return np.asarray(inside[triangles].all(axis=1))
 
 
 def _disc(triangles: IndexArray, chosen: IndexArray, count: int) -> Disc | None:
@@ -302,16 +300,14 @@ def _disc(triangles: IndexArray, chosen: IndexArray, count: int) -> Disc | None:
     if euler != 1 or border.nnz == 0 or n > LARGEST * count:
         return None
     rim = csgraph.depth_first_order(border.tocsr(), int(border.row[0]), return_predecessors=False).astype(np.int64)
-    inside = np.ones(n, dtype=bool)
-    inside[rim] = False
-    return Disc(vertices, chosen, corners, rim, inside) if len(rim) == border.nnz else None
+    return Disc(vertices, chosen, corners, rim) if len(rim) == border.nnz else None
 
 
 def _filled(triangles: IndexArray, inside: BoolArray) -> BoolArray:
     """Vertices inside and those that they surround: all that is not connected with most of the others."""
     if inside.all():
         return inside
-    _, patch = patches(triangles, ~inside)
+    patch = patches(triangles, ~inside)
     return np.asarray(patch != np.bincount(patch[~inside]).argmax())
 
 

@@ -181,23 +181,22 @@ def touched_triangles(triangles: IndexArray, inside: np.ndarray) -> np.ndarray:
 
 def _improved(near: IndexArray, inside: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """(n,) vertices of those connected patches in which fewer of the touched triangles are flipped than before."""
-    count, patch = patches(near, inside)
+    patch = patches(near, inside)
     # The inside corners of a triangle are neighbours, so that any of them names its patch.
     corner = np.argmax(inside[near], axis=1)
     patch_of = patch[near[np.arange(len(near)), corner]]
-    gain = np.bincount(patch_of, before.astype(float) - after, minlength=count)
+    gain = np.bincount(patch_of, before.astype(float) - after, minlength=len(inside))
     return np.asarray(inside & (gain[patch] > 0))
 
 
-def patches(triangles: IndexArray, inside: np.ndarray) -> tuple[int, IndexArray]:
-    """Number of connected patches, and (n,) patch of every vertex; vertices outside are patches of their own."""
+def patches(triangles: IndexArray, inside: np.ndarray) -> IndexArray:
+    """(n,) connected patch of every vertex, below n; vertices outside are patches of their own."""
     n = len(inside)
     near = triangles[touched_triangles(triangles, inside)]
     pairs = near[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     pairs = pairs[inside[pairs].all(axis=1)]
     graph = sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    count, patch = csgraph.connected_components(graph.tocsr(), directed=False)
-    return int(count), patch.astype(np.int64)
+    return csgraph.connected_components(graph.tocsr(), directed=False)[1].astype(np.int64)
 
 
 def convex_rows(rows: IndexArray, columns: IndexArray, weights: FloatArray, inside: np.ndarray) -> sparse.csr_array:
