@@ -11,8 +11,9 @@ import pytest
 
 from cagemap.errors import InvalidMeshError
 from cagemap.files.meshes import read_mesh, write_mesh
-from cagemap.mesh import ControlMesh, IndexArray
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import check_mesh, keep_faces, require_valid
+from cagemap.numerics.arrays import IndexArray
 
 # The table of the data's README: vertices, quads, triangles, n-gons, boundary loops, UV islands. All have genus 0.
 ANIMALS = {

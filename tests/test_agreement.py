@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from cagemap.geometry.closest import build_tree, closest_points, normalized, triangle_normals
+from cagemap.maps.elastic import counterparts as agreement
+from cagemap.maps.elastic.counterparts import ReceivedArea, round_trip_weights
+from cagemap.maps.elastic.data import Sheet
+from cagemap.maps.elastic.fit import ElasticConfig, RestShape, Stage, run_stage
+from cagemap.maps.elastic.graph import ElasticGraph, mesh_graph
+from cagemap.maps.projection.project import facing_points, level_faces
 from cagemap.mesh.shapes import creature
 from cagemap.operators import build_operators
-from cagemap.point_map import agreement
-from cagemap.point_map.agreement import ReceivedArea, round_trip_weights
-from cagemap.point_map.elastic import ElasticConfig, RestShape, Stage, run_stage
-from cagemap.point_map.elastic_data import Sheet
-from cagemap.point_map.elastic_graph import ElasticGraph, mesh_graph
-from cagemap.point_map.elastic_map import facing_points, level_faces
-from cagemap.point_map.surface_points import build_tree, closest_points, normalized, triangle_normals
 from cagemap.refinement import refine
 
 

@@ -9,10 +9,11 @@ import pytest
 from scipy import sparse
 from scipy.sparse.linalg import eigsh
 
-from cagemap.basis import band_pairs, eigen, exact_basis, factorization, lowest_pairs
-from cagemap.basis.products import _multiply_rows, multiply
+from cagemap.basis import band_pairs, eigen, exact_basis, lowest_pairs
 from cagemap.errors import ParameterError, SolverError
 from cagemap.mesh import shapes
+from cagemap.numerics import factorization
+from cagemap.numerics.products import _multiply_rows, multiply
 from cagemap.operators import build_operators
 from cagemap.refinement import refine
 

@@ -9,14 +9,11 @@ from scipy.spatial import cKDTree
 
 from cagemap.basis import BasisConfig, Surface, hierarchical_basis
 from cagemap.errors import InvalidLandmarksError, ParameterError
-from cagemap.mesh import ControlMesh
-from cagemap.mesh.shapes import creature
-from cagemap.operators import build_operators
-from cagemap.point_map import folds
-from cagemap.point_map.agreement import round_trip_weights
-from cagemap.point_map.elastic import ElasticConfig, FitShapes, RestShape, Stage, coarse_fit, fit, run_stage
-from cagemap.point_map.elastic_data import Pullers, Sheet, curved_points, pull_by_source
-from cagemap.point_map.elastic_graph import (
+from cagemap.geometry.closest import build_tree, closest_points, normalized, triangle_normals, vertex_normals
+from cagemap.maps.elastic.counterparts import round_trip_weights
+from cagemap.maps.elastic.data import Pullers, Sheet, curved_points, pull_by_source
+from cagemap.maps.elastic.fit import ElasticConfig, FitShapes, RestShape, Stage, coarse_fit, fit, run_stage
+from cagemap.maps.elastic.graph import (
     FLAT,
     LEAST_STRETCH,
     DifferentialField,
@@ -26,7 +23,10 @@ from cagemap.point_map.elastic_graph import (
     extrapolate,
     mesh_graph,
 )
-from cagemap.point_map.elastic_map import (
+from cagemap.maps.elastic.update import landmark_response
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.projection import unfold as folds
+from cagemap.maps.projection.project import (
     control_points,
     finest_surface,
     fit_shapes,
@@ -34,13 +34,13 @@ from cagemap.point_map.elastic_map import (
     project,
     refined_positions,
 )
-from cagemap.point_map.elastic_update import landmark_response
-from cagemap.point_map.folds import Images, Sides, unfold
-from cagemap.point_map.hierarchical import Pair
-from cagemap.point_map.landmark_coordinates import interpolants, landmark_coordinates
-from cagemap.point_map.point_map import PointMap
-from cagemap.point_map.quality import flipped_share, flipped_triangles, map_positions, measure_quality
-from cagemap.point_map.surface_points import build_tree, closest_points, normalized, triangle_normals, vertex_normals
+from cagemap.maps.projection.unfold import Images, Sides, unfold
+from cagemap.maps.quality import flipped_share, flipped_triangles, map_positions, measure_quality
+from cagemap.maps.spectral.hierarchical import Pair
+from cagemap.maps.spectral.landmark_coordinates import interpolants, landmark_coordinates
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.shapes import creature
+from cagemap.operators import build_operators
 from cagemap.refinement import Refinement, refine
 
 

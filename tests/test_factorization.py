@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from cagemap.basis import factorization
-from cagemap.basis.factorization import analyze, factor, factor_general
 from cagemap.errors import ParameterError, SolverError
 from cagemap.mesh import shapes
+from cagemap.numerics import factorization
+from cagemap.numerics.factorization import analyze, factor, factor_general
 from cagemap.operators import build_operators
 from cagemap.refinement import refine
 

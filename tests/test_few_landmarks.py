@@ -8,9 +8,9 @@ import pytest
 from cagemap import BasisConfig, Landmarks, MatchConfig, Surface, match, prepare_surface, read_mesh, refine
 from cagemap.example import example_pair
 from cagemap.files.landmarks import read_landmarks
-from cagemap.point_map.elastic import ElasticConfig, Stage
-from cagemap.point_map.hierarchical import HierarchyConfig
-from cagemap.point_map.truth import compare_with_truth, true_map
+from cagemap.maps.elastic.fit import ElasticConfig, Stage
+from cagemap.maps.spectral.hierarchical import HierarchyConfig
+from cagemap.maps.truth import compare_with_truth, true_map
 from cagemap.refinement import level_triangles
 
 # A quick fit: the question is which basin it ends in.

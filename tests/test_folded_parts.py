@@ -8,8 +8,8 @@ from scipy import sparse
 from scipy.spatial import Delaunay
 
 from cagemap.errors import SolverError
-from cagemap.operators import triangle_areas
-from cagemap.point_map.folded_parts import (
+from cagemap.geometry.closest import build_tree, closest_points
+from cagemap.maps.projection.lay_out import (
     LEAST_SHARE,
     MOST_FOLDED,
     Disc,
@@ -20,8 +20,8 @@ from cagemap.point_map.folded_parts import (
     lay_out_parts,
     moved_to,
 )
-from cagemap.point_map.folds import Images, Sides
-from cagemap.point_map.surface_points import build_tree, closest_points
+from cagemap.maps.projection.unfold import Images, Sides
+from cagemap.operators import triangle_areas
 
 SIDE = 81
 

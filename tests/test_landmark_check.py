@@ -10,18 +10,18 @@ import pytest
 from cagemap import BasisConfig, Landmarks, MatchConfig, MatchResult, Surface, match, prepare_surface
 from cagemap.example import example_pair
 from cagemap.files.result import landmark_messages, result_of
-from cagemap.point_map.elastic import ElasticConfig, Stage
-from cagemap.point_map.elastic_graph import ElasticGraph, cluster_graph
-from cagemap.point_map.elastic_map import level_graph
-from cagemap.point_map.hierarchical import HierarchyConfig
-from cagemap.point_map.landmark_check import DISTANCES, LandmarkCheck, LandmarkSuspect
-from cagemap.point_map.landmark_distances import (
+from cagemap.maps.elastic.fit import ElasticConfig, Stage
+from cagemap.maps.elastic.graph import ElasticGraph, cluster_graph
+from cagemap.maps.landmarks.check import DISTANCES, LandmarkCheck, LandmarkSuspect
+from cagemap.maps.landmarks.distances import (
     LandmarkDistances,
     misplaced_pairs,
     orientation_agreement,
     place_by_distances,
 )
-from cagemap.point_map.landmark_strain import ReducedEnergy, elastic_form, reduced_energy, strained_pair
+from cagemap.maps.landmarks.strain import ReducedEnergy, elastic_form, reduced_energy, strained_pair
+from cagemap.maps.projection.project import level_graph
+from cagemap.maps.spectral.hierarchical import HierarchyConfig
 
 LEVEL = 1  # 1700 and 2200 vertices
 # A quick fit: these tests ask which landmarks are followed, not how accurate the map is.

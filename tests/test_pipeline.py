@@ -21,10 +21,10 @@ from cagemap import (
 )
 from cagemap.errors import InvalidLandmarksError, InvalidMeshError, ParameterError
 from cagemap.example import example_pair
+from cagemap.maps.quality import map_positions
+from cagemap.maps.spectral.hierarchical import HierarchyConfig, Pair, ladder, search_levels
+from cagemap.maps.truth import compare_with_truth, true_map
 from cagemap.mesh import shapes
-from cagemap.point_map.hierarchical import HierarchyConfig, Pair, ladder, search_levels
-from cagemap.point_map.quality import map_positions
-from cagemap.point_map.truth import compare_with_truth, true_map
 from cagemap.refinement import level_triangles
 
 BASIS = BasisConfig(count=60)

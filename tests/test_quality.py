@@ -9,17 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull, cKDTree
 
 from cagemap.errors import ParameterError
-from cagemap.mesh.shapes import torus
-from cagemap.point_map.quality import (
-    covered_share,
-    dirichlet_energy,
-    flipped_triangles,
-    measure_quality,
-    stretches,
-    surface_area,
-    weighted_percentiles,
-)
-from cagemap.point_map.surface_points import (
+from cagemap.geometry.closest import (
     build_tree,
     closest_points,
     closest_points_slowly,
@@ -28,7 +18,17 @@ from cagemap.point_map.surface_points import (
     triangle_normals,
     vertex_normals,
 )
-from cagemap.point_map.truth import compare_with_truth, round_trip, true_map
+from cagemap.maps.quality import (
+    covered_share,
+    dirichlet_energy,
+    flipped_triangles,
+    measure_quality,
+    stretches,
+    surface_area,
+    weighted_percentiles,
+)
+from cagemap.maps.truth import compare_with_truth, round_trip, true_map
+from cagemap.mesh.shapes import torus
 from cagemap.refinement import level_triangles, refine
 
 

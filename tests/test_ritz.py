@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cagemap.basis import threads
 from cagemap.basis.ritz import gram, rotated, subtract
+from cagemap.numerics import threads
 
 ROWS, WIDE, NARROW = 5 * 8192 + 7, 70, 9  # more pieces than shares, the last one small; more than one group of columns
 

@@ -13,8 +13,8 @@ from scipy import sparse
 from cagemap import BasisConfig, ControlMesh, Landmarks, Surface, match, prepare_surface, read_mesh, refine
 from cagemap.example import example_pair
 from cagemap.files.landmarks import read_landmarks
-from cagemap.point_map.elastic_map import control_points
-from cagemap.point_map.surface_points import build_tree, closest_points
+from cagemap.geometry.closest import build_tree, closest_points
+from cagemap.maps.projection.project import control_points
 from cagemap.refinement import level_triangles
 
 SEED = 17

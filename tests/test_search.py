@@ -7,21 +7,21 @@ import pytest
 from scipy import sparse
 
 from cagemap.errors import ParameterError
-from cagemap.mesh import shapes
-from cagemap.point_map.point_map import PointMap
-from cagemap.point_map.recover import (
-    closest_on_triangle,
-    reference_vertex_to_point,
-    vertex_to_point,
-    vertex_triangles,
-)
-from cagemap.point_map.search import (
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.spectral.search import (
     nearest_candidates,
     nearest_candidates_reference,
     nearest_rows,
     strongest_parents,
 )
-from cagemap.point_map.upsample import Samples, fit_functional_map, growth, spread, upsample
+from cagemap.maps.spectral.vertex_to_point import (
+    closest_on_triangle,
+    reference_vertex_to_point,
+    vertex_to_point,
+    vertex_triangles,
+)
+from cagemap.maps.spectral.zoomout import Samples, fit_functional_map, growth, spread, upsample
+from cagemap.mesh import shapes
 from cagemap.refinement import refine, triangles
 
 RNG = np.random.default_rng(271)

@@ -7,9 +7,9 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from cagemap.basis import BasisConfig
-from cagemap.basis.threads import in_threads, one_blas_thread
 from cagemap.errors import ParameterError
 from cagemap.mesh import shapes
+from cagemap.numerics.threads import in_threads, one_blas_thread
 from cagemap.pipeline import prepare_pair, prepare_surface
 
 CONFIG = BasisConfig(count=12)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cagemap.errors import ParameterError
+from cagemap.maps.point_map import PointMap
 from cagemap.mesh import torus
-from cagemap.point_map.point_map import PointMap
 from cagemap.refinement import Level, refine
 from cagemap.transfer import (
     BakeOptions,

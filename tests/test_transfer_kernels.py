@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cagemap.maps.point_map import PointMap
 from cagemap.mesh import torus
-from cagemap.point_map.point_map import PointMap
 from cagemap.refinement import refine
 from cagemap.transfer import reference
 from cagemap.transfer.dilation import dilate

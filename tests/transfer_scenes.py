@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh, cube
-from cagemap.point_map.point_map import PointMap
 from cagemap.refinement import Level, triangles
 
 

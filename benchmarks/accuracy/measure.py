@@ -12,11 +12,11 @@ import numpy as np
 
 from benchmarks.accuracy.data import HumanPair, animal_pair
 from cagemap.basis import Surface
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.quality import map_positions
+from cagemap.maps.truth import compare_with_truth, round_trip, true_map
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import ENOUGH, MatchConfig, choose_level, match, prepare_pair
-from cagemap.point_map.point_map import PointMap
-from cagemap.point_map.quality import map_positions
-from cagemap.point_map.truth import compare_with_truth, round_trip, true_map
 from cagemap.refinement import Refinement, level_triangles, refine
 
 WORKER = Path(__file__).resolve().parents[1] / "speed" / "pyfm_worker.py"

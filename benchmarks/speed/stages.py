@@ -37,9 +37,9 @@ def measure_stages(control: Any, level: int, count: int, run: Callable[[Any], An
     """
     from cagemap.basis import hierarchical_basis
     from cagemap.basis.surface import Surface
-    from cagemap.basis.threads import one_blas_thread
     from cagemap.files.result import result_of, write_result
     from cagemap.files.surface_store import load_surface, save_surface
+    from cagemap.numerics.threads import one_blas_thread
     from cagemap.operators import build_operators
     from cagemap.pipeline import MAP_BASIS, judge
     from cagemap.refinement import refine

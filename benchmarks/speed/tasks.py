@@ -27,8 +27,8 @@ def basis(level: int, count: int, tolerances: list[float], exact: bool) -> Figur
     from scipy.sparse.linalg import eigsh
 
     from cagemap.basis import BasisConfig, hierarchical_basis
-    from cagemap.basis.threads import one_blas_thread
     from cagemap.files.meshes import read_mesh
+    from cagemap.numerics.threads import one_blas_thread
     from cagemap.operators import build_operators
     from cagemap.refinement import refine
 
@@ -143,7 +143,7 @@ def landmark_added(pair: str, level: int, count: int, cache: str) -> Figures:
 def bake(result: str, sizes: list[int]) -> Figures:
     """A texture through a stored map, in memory; first the map that is the identity must give the texture back."""
     from cagemap.files.result import read_result
-    from cagemap.point_map.point_map import PointMap
+    from cagemap.maps.point_map import PointMap
     from cagemap.transfer import bake_texture, prepare_transfer
 
     figures: Figures = {}
@@ -215,9 +215,9 @@ def stages(pair: str, level: int, count: int, cache: str) -> Figures:
 
 
 def _surfaces(pair: HumanPair, level: int, count: int, cache: str) -> tuple[Any, Any]:
-    from cagemap.basis.threads import in_threads
     from cagemap.files.meshes import read_mesh
     from cagemap.files.surface_store import prepared
+    from cagemap.numerics.threads import in_threads
     from cagemap.pipeline import MAP_BASIS
 
     config = replace(MAP_BASIS, count=count)
@@ -253,8 +253,8 @@ def _mean_error(
 ) -> float:
     """Mean distance on the source between the map and the true one, x100 of sqrt(area) (protocol B)."""
     from cagemap.files.meshes import read_mesh
-    from cagemap.point_map.quality import map_positions, surface_area
-    from cagemap.point_map.truth import true_map
+    from cagemap.maps.quality import map_positions, surface_area
+    from cagemap.maps.truth import true_map
     from cagemap.refinement import refine, triangles
 
     levels = (target_level, source_level)
@@ -288,7 +288,7 @@ def _smooth_texture(size: int) -> Any:
 
 def _identity_error(level: Any, source_triangles: Any, size: int = 1024) -> float:
     """Largest difference, of 255, between a texture and itself baked through the identity, inside the islands."""
-    from cagemap.point_map.point_map import PointMap
+    from cagemap.maps.point_map import PointMap
     from cagemap.transfer import bake_texture, prepare_transfer
 
     n = len(level.positions)

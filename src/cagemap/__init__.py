@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from cagemap.files.meshes import write_mesh as write_mesh
     from cagemap.files.result import read_result as read_result
     from cagemap.files.result import write_result as write_result
+    from cagemap.maps.point_map import PointMap as PointMap
     from cagemap.mesh import ControlMesh as ControlMesh
     from cagemap.mesh.checks import check_mesh as check_mesh
     from cagemap.mesh.landmarks import Landmarks as Landmarks
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     from cagemap.pipeline import match as match
     from cagemap.pipeline import prepare_surface as prepare_surface
     from cagemap.pipeline import update_match as update_match
-    from cagemap.point_map.point_map import PointMap as PointMap
     from cagemap.refinement import CatmullClark as CatmullClark
     from cagemap.refinement import Loop as Loop
     from cagemap.refinement import Refinement as Refinement
@@ -49,7 +49,7 @@ _ROOMS = {
     "mesh.landmarks": ("Landmarks",),
     "operators": ("Operators", "build_operators"),
     "pipeline": ("MatchConfig", "MatchResult", "choose_level", "match", "prepare_surface", "update_match"),
-    "point_map.point_map": ("PointMap",),
+    "maps.point_map": ("PointMap",),
     "refinement": ("CatmullClark", "Loop", "Refinement", "refine"),
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}

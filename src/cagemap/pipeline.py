@@ -11,19 +11,20 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cagemap.basis import BasisConfig, Surface, hierarchical_basis
-from cagemap.basis.threads import in_threads, one_blas_thread
 from cagemap.descriptors import check_symmetry, detect_mirror_symmetry
 from cagemap.errors import ParameterError
-from cagemap.mesh import ControlMesh, FloatArray, IndexArray
+from cagemap.maps.elastic.fit import ElasticConfig
+from cagemap.maps.elastic.method import RefinedConfig, functional_map_of, refined_map, updated_map
+from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect, checked_map
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.quality import COVERAGE_SAMPLES, QualityFigures, measure_quality
+from cagemap.maps.spectral.hierarchical import HierarchyConfig, Pair, hierarchical_map
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import in_threads, one_blas_thread
 from cagemap.operators import build_operators
-from cagemap.point_map.elastic import ElasticConfig
-from cagemap.point_map.hierarchical import HierarchyConfig, Pair, hierarchical_map
-from cagemap.point_map.landmark_check import LandmarkCheck, LandmarkSuspect, checked_map
-from cagemap.point_map.point_map import PointMap
-from cagemap.point_map.quality import COVERAGE_SAMPLES, QualityFigures, measure_quality
-from cagemap.point_map.refined import RefinedConfig, functional_map_of, refined_map, updated_map
 from cagemap.refinement import Scheme, level_triangles, refine
 
 Progress = Callable[[str], None]

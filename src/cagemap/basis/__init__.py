@@ -8,9 +8,8 @@ from cagemap.basis.eigen import (
     lowest_pairs,
     residual_norms,
 )
-from cagemap.basis.factorization import Factorization, factor
 from cagemap.basis.guess import pairs_from_guess
-from cagemap.basis.hierarchical import (
+from cagemap.basis.hierarchical_basis import (
     HierarchicalBasis,
     evaluate,
     gram_matrix,
@@ -18,24 +17,20 @@ from cagemap.basis.hierarchical import (
     row_blocks,
     rows,
 )
-from cagemap.basis.products import multiply
 from cagemap.basis.schedule import BasisConfig
 from cagemap.basis.surface import Surface
 
 __all__ = [
     "BasisConfig",
     "EigenPairs",
-    "Factorization",
     "HierarchicalBasis",
     "Surface",
     "band_pairs",
     "evaluate",
     "exact_basis",
-    "factor",
     "gram_matrix",
     "hierarchical_basis",
     "lowest_pairs",
-    "multiply",
     "pairs_from_guess",
     "project",
     "residual_norms",

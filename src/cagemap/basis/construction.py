@@ -10,18 +10,18 @@ from scipy import linalg, sparse
 from cagemap.basis.correction import Correction, corrected_pairs
 from cagemap.basis.eigen import EigenPairs, band_pairs, residual_norms
 from cagemap.basis.error_estimate import ErrorEstimate, estimate_errors
-from cagemap.basis.factorization import Precision
 from cagemap.basis.finish import split_isolated
 from cagemap.basis.gram import extend_gram, overlaps_with_bands
 from cagemap.basis.guess import SINGLE_TOLERANCE, pairs_from_guess, working_type
-from cagemap.basis.hierarchical import HierarchicalBasis, evaluate
+from cagemap.basis.hierarchical_basis import HierarchicalBasis, evaluate
 from cagemap.basis.overlap import new_directions
-from cagemap.basis.products import multiply
 from cagemap.basis.ritz import gram, subtract
 from cagemap.basis.schedule import BasisConfig, choose_split, plausible_count
 from cagemap.basis.smoothing import Block
 from cagemap.errors import ParameterError
-from cagemap.mesh import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.factorization import Precision
+from cagemap.numerics.products import multiply
 from cagemap.operators import Operators, lumped_areas
 from cagemap.refinement import Refinement
 

@@ -11,14 +11,14 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from cagemap.basis.eigen import EigenPairs, shifted_matrix
-from cagemap.basis.factorization import Analysis, Factorization, analyze, factor
 from cagemap.basis.guess import gap_after, working_type
-from cagemap.basis.products import multiply
 from cagemap.basis.ritz import Ritz, extended, rayleigh_quotients, ritz_rotation, rotated
 from cagemap.basis.smoothing import Block, Smoother, residuals, smoother
-from cagemap.basis.threads import parts
 from cagemap.errors import SolverError
-from cagemap.mesh import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.factorization import Analysis, Factorization, analyze, factor
+from cagemap.numerics.products import multiply
+from cagemap.numerics.threads import parts
 
 # Steps of the smoother in a correction: of what it can reach they leave under a hundredth.
 STEPS = 8

@@ -8,13 +8,13 @@ from functools import partial
 import numpy as np
 from scipy import linalg, sparse
 
-from cagemap.basis.factorization import Factorization, factor
 from cagemap.basis.lanczos import shift_invert_lanczos
 from cagemap.basis.ritz import Ritz, squared_residuals
 from cagemap.basis.smoothing import Block
-from cagemap.basis.threads import in_threads
 from cagemap.errors import ParameterError, SolverError
-from cagemap.mesh import FloatArray
+from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.factorization import Factorization, factor
+from cagemap.numerics.threads import in_threads
 from cagemap.operators import Operators
 
 # Up to this size a dense solve is faster than an iteration.

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, sparse
 
-from cagemap.basis.products import multiply
 from cagemap.basis.smoothing import Block, Smoother, residuals, smoother
-from cagemap.mesh import FloatArray
+from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.products import multiply
 
 # What a prediction leaves out: unfinished iterations, and all levels finer than the next. On bodies with badly
 # shaped faces it was up to 3.1 times too low.

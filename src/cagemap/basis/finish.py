@@ -11,7 +11,7 @@ from cagemap.basis.correction import STEPS, Bound, Correction, improved
 from cagemap.basis.guess import working_type
 from cagemap.basis.smoothing import Block
 from cagemap.errors import SolverError
-from cagemap.mesh import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
 
 # Steps that tell which pairs are clearly good; their gains were 0.7 to 1.2 of the true errors.
 _ROUGH_STEPS = 2

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from scipy import sparse
 
-from cagemap.basis.products import multiply
-from cagemap.mesh import FloatArray
+from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.products import multiply
 from cagemap.refinement import Refinement
 
 

@@ -6,8 +6,6 @@ import numpy as np
 from scipy import sparse
 
 from cagemap.basis.eigen import EigenPairs, missed_pairs, shifted_matrix
-from cagemap.basis.factorization import Factorization, Precision, factor
-from cagemap.basis.products import multiply
 from cagemap.basis.ritz import (
     Ritz,
     extended,
@@ -19,9 +17,11 @@ from cagemap.basis.ritz import (
     subtract,
 )
 from cagemap.basis.smoothing import Block
-from cagemap.basis.threads import parts
 from cagemap.errors import SolverError
-from cagemap.mesh import FloatArray
+from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.factorization import Factorization, Precision, factor
+from cagemap.numerics.products import multiply
+from cagemap.numerics.threads import parts
 from cagemap.operators import lumped_areas
 
 # Single precision disturbs eigenvectors by 1e-6, and Rayleigh quotients taken of them in double by its square.

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy import linalg, sparse
 
-from cagemap.basis.factorization import Factorization, Precision
-from cagemap.basis.products import multiply
 from cagemap.basis.smoothing import Block
 from cagemap.errors import SolverError
-from cagemap.mesh import FloatArray
+from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.factorization import Factorization, Precision
+from cagemap.numerics.products import multiply
 
 _SEED = 20190708  # SGP 2019 opened on that day; any fixed number makes the basis reproducible
 # Inverse squared condition of a block that one Cholesky QR leaves orthonormal enough for a Krylov basis, and that of

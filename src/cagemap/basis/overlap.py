@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import linalg
 
-from cagemap.mesh import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
 
 # Eigenvalues closer than this, relatively, count as one repeated eigenvalue, whose eigenvectors may be rotated.
 CLUSTER = 1e-4

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from scipy import linalg, sparse
 
-from cagemap.basis.products import multiply
 from cagemap.basis.smoothing import Block
-from cagemap.basis.threads import in_threads, parts
 from cagemap.errors import SolverError
-from cagemap.mesh import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.products import multiply
+from cagemap.numerics.threads import in_threads, parts
 
 # Columns and rows multiplied at once: what fits a cache, and bounds the memory.
 _COLUMNS = 64

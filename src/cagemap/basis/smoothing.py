@@ -10,8 +10,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
-from cagemap.basis.products import in_row_shares, multiply
-from cagemap.mesh import FloatArray
+from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.products import in_row_shares, multiply
 
 Block = NDArray[Any]  # (n, q), float64 or float32
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cagemap.basis.hierarchical import HierarchicalBasis
+from cagemap.basis.hierarchical_basis import HierarchicalBasis
 from cagemap.mesh import ControlMesh
 from cagemap.operators import Operators
 from cagemap.refinement import Refinement

@@ -15,7 +15,7 @@ from cagemap.files.attributes import read_attributes, write_attributes
 from cagemap.files.images import Image, check_writable, pixel_type, read_texture, texture_pixels, udim_path, write_image
 from cagemap.files.meshes import write_mesh
 from cagemap.files.result import Result, note_transfer, read_result
-from cagemap.point_map.point_map import PointMap
+from cagemap.maps.point_map import PointMap
 from cagemap.transfer import (
     BakeOptions,
     Transfer,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from cagemap.errors import ParameterError
-from cagemap.mesh import FloatArray
+from cagemap.numerics.arrays import FloatArray
 
 # [SOG09]: the diffusion times that the spectrum can tell apart.
 HEAT_RANGE = 4.0 * np.log(10.0)

@@ -7,7 +7,8 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from cagemap.errors import ParameterError
-from cagemap.mesh import ControlMesh, FloatArray, IndexArray
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
 
 # Two control vertices are mirror images of each other within this fraction of the bounding box diagonal.
 MIRROR_TOLERANCE = 1e-3

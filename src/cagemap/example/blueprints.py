@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cagemap.mesh import FloatArray
+from cagemap.numerics.arrays import FloatArray
 
 
 @dataclass(frozen=True)

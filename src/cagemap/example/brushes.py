@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cagemap.example.canvas import Float32Array
-from cagemap.mesh import FloatArray
+from cagemap.numerics.arrays import FloatArray
 
 PALETTE = {
     "coat": "#F0C88F",

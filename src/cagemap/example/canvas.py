@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.example.modelling import CHANNELS, Creature
-from cagemap.mesh import FloatArray
-from cagemap.point_map.surface_points import vertex_normals
+from cagemap.geometry.closest import vertex_normals
+from cagemap.numerics.arrays import FloatArray
 from cagemap.refinement import refine
 from cagemap.transfer.surface import TexturedSurface, triangle_areas, triangle_neighbors
 from cagemap.transfer.texels import lay_out, rasterize_band

@@ -12,7 +12,7 @@ import numpy as np
 from cagemap.example.blueprints import DEER, PONY, Blueprint, Patch
 from cagemap.example.modelling import CHANNELS, Creature, Modeller
 from cagemap.example.unwrap import unwrap
-from cagemap.mesh import FloatArray
+from cagemap.numerics.arrays import FloatArray
 
 SIDES = ("L", "R")
 PADDING = 8 / 1024

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cagemap.mesh import ControlMesh, FloatArray, IndexArray
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
 
 CHANNELS = ("spine", "girth", "leg", "tail", "ear", "cup")
 """Scalars that every vertex carries, so that paint can follow the anatomy.

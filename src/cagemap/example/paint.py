@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from cagemap.example.brushes import lay_over, rgb, rise, star
 from cagemap.example.canvas import Anatomy, Float32Array, Samples, fill_texture
 from cagemap.example.modelling import Creature
-from cagemap.mesh import FloatArray
+from cagemap.numerics.arrays import FloatArray
 
 STRIPE_SPACING = 0.205
 BADGE_RADIUS = 0.215

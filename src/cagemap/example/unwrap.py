@@ -9,7 +9,8 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.sparse.linalg import splu
 
-from cagemap.mesh import ControlMesh, FloatArray, IndexArray
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
 
 ARAP_ITERATIONS = 30
 STEPS = 8

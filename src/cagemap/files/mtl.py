@@ -10,7 +10,7 @@ import numpy as np
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.text import at_line, read_text
-from cagemap.mesh import FloatArray
+from cagemap.numerics.arrays import FloatArray
 
 Color = tuple[float, float, float]
 _UNKNOWN: Color = (float("nan"), float("nan"), float("nan"))

@@ -14,8 +14,9 @@ from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.mtl import read_material_colors, write_materials
 from cagemap.files.text import at_line, check_writable_name, read_text
-from cagemap.mesh import ControlMesh, FloatArray, IndexArray
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
+from cagemap.numerics.arrays import FloatArray, IndexArray
 
 _KEYWORDS = {"v": 1, "vt": 2, "f": 3, "fo": 3, "usemtl": 4, "mtllib": 5}
 _POSITION, _UV, _FACE, _USE_MATERIAL, _MATERIAL_FILE = 1, 2, 3, 4, 5

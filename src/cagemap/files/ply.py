@@ -13,8 +13,9 @@ from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.ply_records import Column, read_columns
 from cagemap.files.text import read_bytes
-from cagemap.mesh import ControlMesh, FloatArray, IndexArray
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
+from cagemap.numerics.arrays import FloatArray, IndexArray
 
 _FACE_LISTS = ("vertex_indices", "vertex_index")
 _VERTEX_UVS = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.text import at_line
-from cagemap.mesh import IndexArray
+from cagemap.numerics.arrays import IndexArray
 
 _TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4"},

@@ -29,7 +29,8 @@ from cagemap.files.mesh_arrays import (
     scheme_from_entry,
     scheme_to_entry,
 )
-from cagemap.mesh import ControlMesh, FloatArray, IndexArray
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Refinement, Scheme, refine, triangles
 
 if TYPE_CHECKING:  # reading a result needs no solvers

@@ -1,6 +1,6 @@
 """Functional maps: eq. 13 at level 0, eqs. 14-16 block by block above."""
 
-from cagemap.functional_map.hierarchical import (
+from cagemap.functional_map.extension import (
     OperatorWeights,
     SpectralData,
     coarse_functional_map,

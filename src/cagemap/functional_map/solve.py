@@ -11,7 +11,7 @@ import numpy as np
 from scipy import linalg
 
 from cagemap.errors import ParameterError
-from cagemap.mesh import FloatArray
+from cagemap.numerics.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Control meshes: the value, its checks, and small named shapes."""
 
-from cagemap.mesh.control_mesh import ControlMesh, FloatArray, IndexArray
+from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.shapes import (
     bipyramid,
     creature,
@@ -18,8 +18,6 @@ from cagemap.mesh.shapes import (
 
 __all__ = [
     "ControlMesh",
-    "FloatArray",
-    "IndexArray",
     "bipyramid",
     "creature",
     "cube",

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cagemap.errors import InvalidMeshError
-from cagemap.mesh.control_mesh import ControlMesh, IndexArray
+from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.geometry_checks import extent_problem, inside_out_problem, zero_area_problem
 from cagemap.mesh.mesh_report import MeshReport, Problem, first_few
 from cagemap.mesh.structure_checks import structure_problems
@@ -27,6 +27,7 @@ from cagemap.mesh.topology import (
     uv_islands,
     valences,
 )
+from cagemap.numerics.arrays import IndexArray
 
 
 def check_mesh(mesh: ControlMesh) -> MeshReport:

@@ -9,10 +9,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cagemap.mesh.control_mesh import ControlMesh, IndexArray
+from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.measures import face_areas, face_extents, signed_volume
 from cagemap.mesh.mesh_report import Problem
 from cagemap.mesh.topology import used_vertices
+from cagemap.numerics.arrays import IndexArray
 
 # Squares and products of lengths must neither overflow nor vanish in float64 (1e308, 1e-308).
 SMALLEST_EXTENT, LARGEST_EXTENT = 1e-60, 1e60

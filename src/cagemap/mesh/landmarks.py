@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cagemap.errors import InvalidLandmarksError
-from cagemap.mesh.control_mesh import ControlMesh, IndexArray
+from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
+from cagemap.numerics.arrays import IndexArray
 
 # Two pairs leave a rotation about their axis undecided, three decide it.
 FEWEST_PAIRS = 3

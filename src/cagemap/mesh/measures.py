@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cagemap.mesh.control_mesh import ControlMesh, FloatArray, IndexArray
+from cagemap.mesh.control_mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
 
 
 def fan_triangles(mesh: ControlMesh) -> tuple[IndexArray, IndexArray]:

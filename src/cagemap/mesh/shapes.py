@@ -7,7 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from cagemap.errors import ParameterError
-from cagemap.mesh.control_mesh import ControlMesh, FloatArray, IndexArray
+from cagemap.mesh.control_mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
 
 Cell = tuple[int, int, int]
 

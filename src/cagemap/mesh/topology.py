@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from cagemap.mesh.control_mesh import ControlMesh, IndexArray
+from cagemap.mesh.control_mesh import ControlMesh
+from cagemap.numerics.arrays import IndexArray
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from scipy import sparse
 
-from cagemap.mesh import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
 
 # A triangle whose doubled area is below this fraction of its longest squared edge is treated as if it had that area:
 # its cotangents stay finite, and its energy only shrinks, so W stays positive semi-definite.

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from scipy import sparse
 
-from cagemap.mesh import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.operators.laplacian import areas_and_stiffness
 from cagemap.refinement import Refinement, triangulate_control
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cagemap.mesh import FloatArray
+from cagemap.numerics.arrays import FloatArray
 from cagemap.pictures.camera import Camera
 from cagemap.pictures.render import Image, Model, visible
 

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
 from cagemap.errors import ParameterError
-from cagemap.mesh import FloatArray, IndexArray
+from cagemap.geometry.closest import vertex_normals
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pictures.camera import Camera
 from cagemap.pictures.colors import to_display, to_linear
-from cagemap.point_map.surface_points import vertex_normals
 
 Image = NDArray[np.uint8]
 _CLAY = np.array([0.80, 0.78, 0.75])

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from cagemap.errors import ParameterError
-from cagemap.mesh import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement.matrices import RowFiller, put_sharp_rows, put_smooth_rows, vertex_kinds
 from cagemap.refinement.refinement import Refinement, topology_of
 from cagemap.refinement.schemes import CREASE_LIMIT, CatmullClark, Loop, Scheme

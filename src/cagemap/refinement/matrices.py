@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array, vstack
 
-from cagemap.mesh import FloatArray
+from cagemap.numerics.arrays import FloatArray
 from cagemap.refinement.schemes import CREASE_VERTEX, CatmullClark, Loop, Scheme
 from cagemap.refinement.topology import BoolArray, IntArray, Topology
 

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.sparse import csr_array, eye_array
 
 from cagemap.errors import InvalidMeshError, ParameterError
-from cagemap.mesh import ControlMesh, FloatArray, IndexArray
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement.face_varying import refine_uvs
 from cagemap.refinement.matrices import subdivision_matrix
 from cagemap.refinement.schemes import CatmullClark, Loop, Scheme

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
-from cagemap.mesh import FloatArray
+from cagemap.numerics.arrays import FloatArray
 
 Integers: TypeAlias = NDArray[np.integer]
 Boundary = Literal["edge_and_corner", "edge_only"]

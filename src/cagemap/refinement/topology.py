@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import InvalidMeshError
-from cagemap.mesh import ControlMesh, IndexArray
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import IndexArray
 
 IntArray: TypeAlias = NDArray[np.int32]
 BoolArray: TypeAlias = NDArray[np.bool_]

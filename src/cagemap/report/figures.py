@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.files.result import Result
-from cagemap.mesh import FloatArray
+from cagemap.numerics.arrays import FloatArray
 from cagemap.pictures import (
     BACK,
     ENOUGH,

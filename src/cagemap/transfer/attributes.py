@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cagemap.errors import ParameterError
-from cagemap.mesh import ControlMesh, FloatArray, IndexArray
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.transfer.bake import BakeOptions, Transfer, bake, make_canvas, unit
 from cagemap.transfer.locate import Samples, locate_centers
 from cagemap.transfer.surface import triangle_areas

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cagemap.errors import ParameterError
-from cagemap.mesh import FloatArray, IndexArray
-from cagemap.point_map.point_map import PointMap
+from cagemap.maps.point_map import PointMap
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Level
 from cagemap.transfer.dilation import LARGEST_SIDE, dilate
 from cagemap.transfer.locate import MappedSurface, Samples, locate_samples, map_surface, plan_samples

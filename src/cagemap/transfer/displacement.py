@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from cagemap.errors import ParameterError
-from cagemap.mesh import FloatArray
+from cagemap.numerics.arrays import FloatArray
 from cagemap.transfer.bake import BakeOptions, Transfer, bake, make_canvas, unit
 from cagemap.transfer.locate import Samples, plan_samples, target_barycentric
 from cagemap.transfer.surface import triangle_areas

@@ -13,10 +13,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.basis.threads import in_threads, parts
-from cagemap.mesh import FloatArray, IndexArray
-from cagemap.point_map.point_map import PointMap
-from cagemap.point_map.surface_points import triangle_centres
+from cagemap.geometry.closest import triangle_centres
+from cagemap.maps.point_map import PointMap
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import in_threads, parts
 from cagemap.transfer.surface import TexturedSurface, triangle_neighbors
 
 _INSIDE = -1e-9

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from cagemap.mesh import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
 
 _COLUMNS = 512
 _ANGLES = np.deg2rad(np.arange(0.0, 90.0, 2.0))

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
-from cagemap.mesh import FloatArray, IndexArray
-from cagemap.point_map.surface_points import closest_points_slowly
+from cagemap.geometry.closest import closest_points_slowly
+from cagemap.numerics.arrays import FloatArray, IndexArray
 
 
 def neighbors_slowly(corners: IndexArray) -> IndexArray:

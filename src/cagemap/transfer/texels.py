@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.mesh import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
 
 TriangleImage = NDArray[np.int32]
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
-from cagemap.mesh import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.transfer.locate import Samples
 
 Pixels = NDArray[Any]

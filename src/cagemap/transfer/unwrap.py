@@ -16,7 +16,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from cagemap.errors import InvalidMeshError
-from cagemap.mesh import ControlMesh, FloatArray, IndexArray
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import refine, triangulate_control
 from cagemap.transfer.packing import pack_islands
 

@@ -1,0 +1,1 @@
+"""Triangulated surfaces, points on them, and the search for closest points."""

@@ -1,0 +1,464 @@
+"""Closest points on a triangle mesh, with a preference for agreeing normals.
+
+A bounding-volume tree whose boxes bound positions and normals. The tree is implicit (node ``i`` has the children
+``2 i + 1`` and ``2 i + 2``), so that building it is a handful of array operations and only the search is a compiled
+kernel. Its leaves are runs of the mesh's own triangles where these lie together, as they do after subdivision (a face's
+children follow each other, and make a compact patch); otherwise all triangles are sorted along a space-filling curve.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import ParameterError
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import core_count, in_threads, parts
+
+CACHED = 16_384  # triangles or points whose figures stay within a core's cache from one array operation to the next
+
+_LEAF_SIZE = 8
+_STACK_SIZE = 64
+_CHUNK = 512  # queries that a thread answers in a row at least, each starting from the last answer
+# Triangles that follow each other make a leaf where they lie together: within this many times a triangle's size.
+_COMPACT = 6.0
+
+
+@dataclass(frozen=True)
+class TriangleTree:
+    """Triangles of a surface, ordered for closest-point search.
+
+    Attributes
+    ----------
+    boxes : (nodes, 12) float64
+        Of an implicit complete binary tree: lower and upper bounds of positions, then of normals. Padding nodes are
+        empty (lower > upper position).
+    order : (t,) int64
+        Triangle of the mesh at every position of the tree.
+    places : (t,) int64
+        Position in the tree of every triangle of the mesh.
+    corners : (t, 3, 3) float64
+        Corner positions in tree order.
+    normals : (t, 3) float64
+        Unit normals in tree order, zero for degenerate triangles.
+    """
+
+    boxes: FloatArray
+    order: IndexArray
+    places: IndexArray
+    corners: FloatArray
+    normals: FloatArray
+
+    def normals_of(self, triangles: IndexArray) -> FloatArray:
+        """(m, 3) unit normals of some triangles (m,) of the mesh."""
+        return self.normals.take(self.places.take(triangles), axis=0)
+
+
+def triangle_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
+    """(t, 3) normals of length twice the area, by the right-hand rule."""
+    normals = np.empty((len(triangles), 3))
+    _fill_normals(np.ascontiguousarray(positions, dtype=np.float64), triangles, normals)
+    return normals
+
+
+def triangle_centres(positions: FloatArray, triangles: IndexArray) -> FloatArray:
+    """(t, 3) means of the triangles' corners."""
+    centres = positions.take(triangles[:, 0], axis=0)
+    for k in (1, 2):
+        centres += positions.take(triangles[:, k], axis=0)
+    return np.asarray(centres / 3.0)
+
+
+def vertex_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
+    """(n, 3) unit vertex normals, area-weighted means of the adjacent triangles' normals."""
+    return normalized(corner_sums(triangles, triangle_normals(positions, triangles), len(positions)))
+
+
+def corner_sums(triangles: IndexArray, values: FloatArray, count: int) -> FloatArray:
+    """(count, d) sums of rows (t, d) over the triangles around each of the first vertices."""
+    sums = np.zeros((count, values.shape[1]))
+    _add_to_corners(triangles, values, sums)
+    return sums
+
+
+def ring_sums(positions: FloatArray, triangles: IndexArray, count: int) -> FloatArray:
+    """(count, 6) sums over the triangles around each of the first vertices.
+
+    Columns: the normals of length twice the area, the areas, the means of the edges' lengths, and ones.
+    """
+    sums = np.zeros((count, 6))
+    for part in parts(len(triangles), CACHED):
+        near = triangles[part]
+        near = near[(near < count).any(axis=1)]
+        normals = triangle_normals(positions, near)
+        corners = [positions.take(near[:, k], axis=0) for k in range(3)]
+        edges = sum(row_lengths(corners[k] - corners[k - 1]) for k in range(3)) / 3
+        figures = np.column_stack([normals, 0.5 * row_lengths(normals), edges, np.ones(len(near))])
+        _add_to_corners(near, figures, sums)
+    return sums
+
+
+def row_lengths(vectors: FloatArray) -> FloatArray:
+    """Lengths along the last axis; unlike ``np.linalg.norm`` fast for short rows."""
+    return np.asarray(np.sqrt(np.einsum("...d,...d->...", vectors, vectors)))
+
+
+def normalized(vectors: FloatArray) -> FloatArray:
+    """Rows scaled to unit length; zero rows stay zero."""
+    lengths = row_lengths(vectors)[..., None]
+    return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
+
+
+def build_tree(positions: FloatArray, triangles: IndexArray) -> TriangleTree:
+    """Order the triangles of a surface for :func:`closest_points`.
+
+    Parameters
+    ----------
+    positions : (n, 3) float64
+    triangles : (t, 3) int64
+
+    Raises
+    ------
+    ParameterError
+        If there is no triangle or a position is not finite.
+    """
+    if len(triangles) == 0:
+        raise ParameterError("expected at least one triangle to search, got none: pass a non-empty surface")
+    positions = np.ascontiguousarray(positions, dtype=np.float64)
+    if not np.isfinite(positions).all():
+        bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
+        raise ParameterError(f"expected finite positions, got {len(bad)} that are not, first at vertices {bad[:5]}")
+    normals = triangle_normals(positions, triangles)
+    order = _leaf_order(positions, triangles, normals)
+    normals = normalized(normals.take(order, axis=0))
+    n_leaves = 1 << int(np.ceil(np.log2(max(1, -(-len(order) // _LEAF_SIZE)))))
+    boxes = np.empty((2 * n_leaves - 1, 12))
+    first_leaf = n_leaves - 1
+    corners = np.empty((len(order), 3, 3))
+    _fill_leaves(positions, triangles.take(order, axis=0), normals, corners, boxes[first_leaf:])
+    while first_leaf > 0:
+        parents = boxes[(first_leaf - 1) // 2 : first_leaf]
+        left, right = boxes[first_leaf : 2 * first_leaf + 1 : 2], boxes[first_leaf + 1 : 2 * first_leaf + 1 : 2]
+        for lower, upper in ((slice(0, 3), slice(3, 6)), (slice(6, 9), slice(9, 12))):
+            np.minimum(left[:, lower], right[:, lower], out=parents[:, lower])
+            np.maximum(left[:, upper], right[:, upper], out=parents[:, upper])
+        first_leaf = (first_leaf - 1) // 2
+    places = np.empty_like(order)
+    places[order] = np.arange(len(order))
+    return TriangleTree(boxes, order, places, corners, normals)
+
+
+def closest_points(
+    tree: TriangleTree,
+    points: FloatArray,
+    normals: FloatArray | None = None,
+    *,
+    normal_weight: float = 0.0,
+    minimum_cosine: float = -2.0,
+    guess: IndexArray | None = None,
+    within: FloatArray | float = np.inf,
+) -> tuple[IndexArray, FloatArray, FloatArray]:
+    """Closest point of a surface for every query, in position and normal.
+
+    Minimises ``|q - p|^2 + w^2 |n_q - n_p|^2`` over the surface's points ``p``, ``n_p`` being the normal of the
+    triangle that holds ``p``. Only triangles whose normal makes a cosine of at least ``minimum_cosine`` with ``n_q``
+    are allowed.
+
+    Parameters
+    ----------
+    tree : TriangleTree
+    points : (m, 3) float64
+    normals : (m, 3) float64, optional
+        Unit normals of the queries; needed by the two options below.
+    normal_weight : float
+        ``w``, a length: how far away a point may be to win over one with the opposite normal is ``2 w``.
+    minimum_cosine : float
+        Below -1 every triangle is allowed.
+    guess : (m,) int64, optional
+        A triangle for every query that is probably near; makes the search faster, never changes the minimum.
+    within : (m,) float64 or float
+        Only points whose cost (what is minimised) is below its square are looked for. Where normals rule out all that
+        is near, this is what keeps the search from walking the whole surface.
+
+    Returns
+    -------
+    triangle : (m,) int64
+        -1 where no triangle is allowed or near enough.
+    barycentric : (m, 3) float64
+    distance : (m,) float64
+        Euclidean ``|q - p|``, infinite where no triangle is found.
+    """
+    queries = np.ascontiguousarray(points, dtype=np.float64)
+    directions = np.zeros_like(queries) if normals is None else np.ascontiguousarray(normals, dtype=np.float64)
+    if normals is None and (normal_weight > 0 or minimum_cosine > -1):
+        raise ParameterError("expected normals of the queries, got none: normal_weight and minimum_cosine need them")
+    start = np.full(len(queries), -1, dtype=np.int64)
+    if guess is not None:
+        start = np.where(guess >= 0, tree.places[guess], -1)
+    sequence = np.argsort(_morton_codes(queries))
+    found = np.full(len(queries), -1, dtype=np.int64)
+    barycentric, squared = np.zeros((len(queries), 3)), np.full(len(queries), np.inf)
+    limits = np.full(len(queries), np.square(within), dtype=np.float64)  # writable, or the kernel is compiled twice
+
+    def search(part: IndexArray) -> None:
+        _search(
+            (tree.boxes, tree.corners, tree.normals),
+            (queries, directions, limits, start),
+            (float(normal_weight) ** 2, float(minimum_cosine)),
+            part,
+            (found, barycentric, squared),
+        )
+
+    pieces = 1 if len(queries) < _CHUNK else min(8 * core_count(), -(-len(queries) // _CHUNK))
+    in_threads(search, np.array_split(sequence, pieces))
+    triangle = np.where(found >= 0, tree.order[found], -1)
+    return triangle, barycentric, np.sqrt(squared)
+
+
+def closest_points_slowly(
+    positions: FloatArray,
+    triangles: IndexArray,
+    points: FloatArray,
+    normals: FloatArray,
+    *,
+    normal_weight: float = 0.0,
+    minimum_cosine: float = -2.0,
+) -> tuple[IndexArray, FloatArray, FloatArray]:
+    """Do what :func:`closest_points` does by trying every triangle: the reference of the kernel, for small inputs."""
+    a, b, c = (positions[triangles[:, k]][None] for k in range(3))
+    q = points[:, None]
+    candidates = [_plane_foot(q, a, b, c)]
+    for first, second, slots in ((a, b, (0, 1)), (b, c, (1, 2)), (c, a, (2, 0))):
+        edge = second - first
+        t = np.clip(np.einsum("mtd,mtd->mt", q - first, edge) / np.einsum("mtd,mtd->mt", edge, edge), 0, 1)
+        weights = np.zeros((*t.shape, 3))
+        weights[..., slots[0]], weights[..., slots[1]] = 1 - t, t
+        candidates.append(weights)
+    stacked = np.stack(candidates, axis=2)  # (m, t, 4, 3)
+    feet = np.einsum("mtsk,tkd->mtsd", stacked, positions[triangles])
+    squared = np.where(stacked.min(axis=-1) < 0, np.inf, ((feet - q[:, :, None]) ** 2).sum(axis=-1))
+    best = squared.argmin(axis=2)
+    rows, columns = np.indices(best.shape)
+    squared, stacked = squared[rows, columns, best], stacked[rows, columns, best]
+    cosine = normals @ normalized(triangle_normals(positions, triangles)).T
+    cost = np.where(cosine >= minimum_cosine, squared + normal_weight**2 * 2 * (1 - cosine), np.inf)
+    triangle = cost.argmin(axis=1)
+    m = np.arange(len(points))
+    return triangle, stacked[m, triangle], np.sqrt(squared[m, triangle])
+
+
+def _plane_foot(q: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
+    """(m, t, 3) barycentric coordinates of the foot of the perpendicular on every triangle's plane."""
+    normal = np.cross(b - a, c - a)
+    area = np.einsum("mtd,mtd->mt", normal, normal)
+    beta = np.einsum("mtd,mtd->mt", np.cross(q - a, c - a), normal) / area
+    gamma = np.einsum("mtd,mtd->mt", np.cross(b - a, q - a), normal) / area
+    return np.stack([1 - beta - gamma, beta, gamma], axis=-1)
+
+
+def _leaf_order(positions: FloatArray, triangles: IndexArray, normals: FloatArray) -> IndexArray:
+    """(t,) triangles leaf by leaf along a space-filling curve; ``normals`` (t, 3) have length twice the area."""
+    centres = triangle_centres(positions, triangles)
+    whole = len(centres) // _LEAF_SIZE * _LEAF_SIZE
+    # Coordinate by coordinate, for rows of three are too short for array operations.
+    runs = [centres[:whole, d].reshape(-1, _LEAF_SIZE) for d in range(3)]
+    extents = (
+        np.sqrt(sum(np.square(run.max(axis=1) - run.min(axis=1)) for run in runs)) if whole else np.full(1, np.inf)
+    )
+    if extents.mean() > _COMPACT * np.sqrt(row_lengths(normals)).mean():
+        return np.argsort(_morton_codes(centres), kind="stable")
+    first = _LEAF_SIZE * np.argsort(_morton_codes(np.column_stack([run.mean(axis=1) for run in runs])), kind="stable")
+    return np.concatenate([(first[:, None] + np.arange(_LEAF_SIZE)).ravel(), np.arange(whole, len(centres))])
+
+
+def _morton_codes(points: FloatArray) -> IndexArray:
+    """(t,) positions of points along a space-filling curve, 21 bits an axis."""
+    low, high = (np.array([extreme(column) for column in points.T]) for extreme in (np.min, np.max))
+    scale = 2**21 / max(float((high - low).max()), 1e-300)  # not 0, and its inverse is finite
+    codes = np.zeros(len(points), dtype=np.uint64)
+    for part in parts(len(points), CACHED):
+        for axis in range(3):
+            cells = np.minimum((points[part, axis] - low[axis]) * scale, 2**21 - 1).astype(np.uint64)
+            codes[part] |= _spread_bits(cells) << np.uint64(axis)
+    return codes.astype(np.int64)
+
+
+def _spread_bits(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Insert two zero bits before each of the lowest 21 bits."""
+    spread = values
+    for shift, mask in (
+        (32, 0x1F00000000FFFF),
+        (16, 0x1F0000FF0000FF),
+        (8, 0x100F00F00F00F00F),
+        (4, 0x10C30C30C30C30C3),
+        (2, 0x1249249249249249),
+    ):
+        spread = (spread | (spread << np.uint64(shift))) & np.uint64(mask)
+    return spread
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _fill_normals(positions, triangles, normals):  # type: ignore[no-untyped-def]
+    """Cross products of the edges leaving every triangle's first corner."""
+    for t in range(len(triangles)):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        ax, ay, az = positions[a, 0], positions[a, 1], positions[a, 2]
+        ux, uy, uz = positions[b, 0] - ax, positions[b, 1] - ay, positions[b, 2] - az
+        vx, vy, vz = positions[c, 0] - ax, positions[c, 1] - ay, positions[c, 2] - az
+        normals[t, 0] = uy * vz - uz * vy
+        normals[t, 1] = uz * vx - ux * vz
+        normals[t, 2] = ux * vy - uy * vx
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _add_to_corners(triangles, values, sums):  # type: ignore[no-untyped-def]
+    """Add every triangle's row to the rows of its corners, of those that have one."""
+    for t in range(len(triangles)):
+        for k in range(3):
+            corner = triangles[t, k]
+            if corner < len(sums):
+                for i in range(values.shape[1]):
+                    sums[corner, i] += values[t, i]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _fill_leaves(positions, triangles, normals, corners, boxes):  # type: ignore[no-untyped-def]
+    """Corner positions of every triangle, and the box of every leaf."""
+    for leaf in range(len(boxes)):
+        for i in range(3):
+            boxes[leaf, i], boxes[leaf, 3 + i] = np.inf, -np.inf
+            boxes[leaf, 6 + i], boxes[leaf, 9 + i] = 1.0, -1.0
+        for t in range(leaf * _LEAF_SIZE, min((leaf + 1) * _LEAF_SIZE, len(triangles))):
+            for i in range(3):
+                for k in range(3):
+                    x = positions[triangles[t, k], i]
+                    corners[t, k, i] = x
+                    boxes[leaf, i] = min(boxes[leaf, i], x)
+                    boxes[leaf, 3 + i] = max(boxes[leaf, 3 + i], x)
+                boxes[leaf, 6 + i] = min(boxes[leaf, 6 + i], normals[t, i])
+                boxes[leaf, 9 + i] = max(boxes[leaf, 9 + i], normals[t, i])
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _box_cost(boxes, node, x, y, z, nx, ny, nz, weight2):  # type: ignore[no-untyped-def]
+    """Least squared distance to a box of positions, and to one of normals (2 - 2 cos = |n_q - n_p|^2)."""
+    dx = max(boxes[node, 0] - x, 0.0, x - boxes[node, 3])
+    dy = max(boxes[node, 1] - y, 0.0, y - boxes[node, 4])
+    dz = max(boxes[node, 2] - z, 0.0, z - boxes[node, 5])
+    ex = max(boxes[node, 6] - nx, 0.0, nx - boxes[node, 9])
+    ey = max(boxes[node, 7] - ny, 0.0, ny - boxes[node, 10])
+    ez = max(boxes[node, 8] - nz, 0.0, nz - boxes[node, 11])
+    return dx * dx + dy * dy + dz * dz + weight2 * (ex * ex + ey * ey + ez * ez)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _closest_in_triangle(corners, t, x, y, z):  # type: ignore[no-untyped-def]
+    """Barycentric coordinates of corners 1 and 2, squared distance (Ericson, Real-Time Collision Detection 5.1.5)."""
+    ax, ay, az = corners[t, 0, 0], corners[t, 0, 1], corners[t, 0, 2]
+    abx, aby, abz = corners[t, 1, 0] - ax, corners[t, 1, 1] - ay, corners[t, 1, 2] - az
+    acx, acy, acz = corners[t, 2, 0] - ax, corners[t, 2, 1] - ay, corners[t, 2, 2] - az
+    px, py, pz = x - ax, y - ay, z - az
+    d1 = abx * px + aby * py + abz * pz
+    d2 = acx * px + acy * py + acz * pz
+    bx, by, bz = px - abx, py - aby, pz - abz
+    d3 = abx * bx + aby * by + abz * bz
+    d4 = acx * bx + acy * by + acz * bz
+    cx, cy, cz = px - acx, py - acy, pz - acz
+    d5 = abx * cx + aby * cy + abz * cz
+    d6 = acx * cx + acy * cy + acz * cz
+    va = d3 * d6 - d5 * d4
+    vb = d5 * d2 - d1 * d6
+    vc = d1 * d4 - d3 * d2
+    v, w = 0.0, 0.0
+    if d1 <= 0.0 and d2 <= 0.0:
+        v, w = 0.0, 0.0
+    elif d3 >= 0.0 and d4 <= d3:
+        v, w = 1.0, 0.0
+    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        v, w = d1 / (d1 - d3), 0.0
+    elif d6 >= 0.0 and d5 <= d6:
+        v, w = 0.0, 1.0
+    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        v, w = 0.0, d2 / (d2 - d6)
+    elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
+        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        v = 1.0 - w
+    else:
+        total = va + vb + vc
+        v, w = vb / total, vc / total
+    ex = px - v * abx - w * acx
+    ey = py - v * aby - w * acy
+    ez = pz - v * abz - w * acz
+    return v, w, ex * ex + ey * ey + ez * ez
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _search(tree, asked, options, sequence, answers):  # type: ignore[no-untyped-def]
+    """Branch and bound, the nearer child first: a box of positions and normals bounds the cost of all in it."""
+    boxes, corners, normals = tree
+    queries, directions, limits, start = asked
+    weight2, minimum_cosine = options
+    found, barycentric, squared = answers
+    n_triangles, first_leaf = len(corners), (len(boxes) - 1) // 2
+    nodes, bounds = np.empty(_STACK_SIZE, dtype=np.int64), np.empty(_STACK_SIZE)
+    last = np.int64(-1)
+    for i in sequence:
+        x, y, z = queries[i, 0], queries[i, 1], queries[i, 2]
+        nx, ny, nz = directions[i, 0], directions[i, 1], directions[i, 2]
+        best = limits[i]
+        best_v, best_w, best_squared = 0.0, 0.0, np.inf
+        best_t = np.int64(-1)
+        t = start[i] if start[i] >= 0 else last
+        if t >= 0:
+            cosine = nx * normals[t, 0] + ny * normals[t, 1] + nz * normals[t, 2]
+            if cosine >= minimum_cosine:
+                v, w, d2 = _closest_in_triangle(corners, t, x, y, z)
+                cost = d2 + weight2 * 2.0 * (1.0 - cosine)
+                if cost < best:
+                    best = cost
+                    best_t, best_v, best_w, best_squared = t, v, w, d2
+        # From the leaf of that triangle upwards: most of the tree is ruled out by the boxes beside the way to the root.
+        climb = first_leaf + max(t, 0) // _LEAF_SIZE
+        nodes[0], bounds[0] = climb, 0.0
+        size = 1
+        while size > 0 or climb > 0:
+            if size == 0:
+                node = climb + 1 if climb % 2 == 1 else climb - 1
+                climb = (climb - 1) // 2
+                bound = _box_cost(boxes, node, x, y, z, nx, ny, nz, weight2)
+            else:
+                size -= 1
+                node, bound = nodes[size], bounds[size]
+            if bound >= best:
+                continue
+            while node < first_leaf:
+                node, other = 2 * node + 1, 2 * node + 2
+                bound = _box_cost(boxes, node, x, y, z, nx, ny, nz, weight2)
+                farther = _box_cost(boxes, other, x, y, z, nx, ny, nz, weight2)
+                if farther <= bound:
+                    node, other, bound, farther = other, node, farther, bound
+                if farther < best:
+                    nodes[size], bounds[size] = other, farther
+                    size += 1
+                if bound >= best:
+                    break
+            if bound >= best:
+                continue
+            begin = (node - first_leaf) * _LEAF_SIZE
+            for j in range(begin, min(begin + _LEAF_SIZE, n_triangles)):
+                t = np.int64(j)
+                cosine = nx * normals[t, 0] + ny * normals[t, 1] + nz * normals[t, 2]
+                penalty = weight2 * 2.0 * (1.0 - cosine)
+                if cosine < minimum_cosine or penalty >= best:
+                    continue
+                v, w, d2 = _closest_in_triangle(corners, t, x, y, z)
+                if d2 + penalty < best:
+                    best = d2 + penalty
+                    best_t, best_v, best_w, best_squared = t, v, w, d2
+        last = best_t if best_t >= 0 else last
+        found[i], squared[i] = best_t, best_squared
+        if best_t >= 0:
+            barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = 1.0 - best_v - best_w, best_v, best_w

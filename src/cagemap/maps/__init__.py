@@ -1,0 +1,1 @@
+"""Point maps between surfaces: the methods that find them, and what judges them."""

@@ -1,0 +1,1 @@
+"""The elastic fit: the target is deformed onto the source."""

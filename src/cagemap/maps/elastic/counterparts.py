@@ -1,0 +1,65 @@
+"""What has no counterpart on the other surface does not pull: cavities, the skin between toes, fingers in a mitten.
+
+Closest points pair such parts with something: the inside of a mouth is pulled to the chin until it turns inside out,
+and the sides of toes to the edges of a foot without toes, which drags the whole foot along. Two signs tell them apart.
+A part of the target that no source point is closest to receives none of the source's area; and from a point of the
+source without a counterpart, the way to the target and back ends elsewhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from cagemap.maps.elastic.graph import ElasticGraph
+from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.factorization import Factorization, factor
+
+# Length over which received area is smoothed, of sqrt(area): less than a finger's width.
+SMOOTHING_LENGTH = 0.005
+# Received area, of a vertex's own, up to which it does not pull, and from which it pulls fully.
+NONE, FULL = 0.25, 0.5
+# Lengths of round trips at which the weight is a quarter. Where the source lies outside the target, the target may not
+# have reached it yet: sqrt(alpha), the length below which the energy outweighs the data, times this is forgiven.
+INSIDE_TRIP = 0.006
+OUTSIDE_TRIPS = 6.0
+
+
+@dataclass(frozen=True)
+class ReceivedArea:
+    """How much of the source's area every target vertex receives, of its own area, smoothed.
+
+    Solves ``(M + l^2 L) r = m`` with the vertices' areas M and the received areas m: r = 1 where they agree.
+    """
+
+    factors: Factorization
+
+    @classmethod
+    def build(cls, graph: ElasticGraph, laplacian: sparse.csr_array) -> ReceivedArea:
+        """Factor the (n, n) matrix once for all iterations."""
+        return cls(factor(sparse.csc_array(sparse.diags_array(graph.areas) + SMOOTHING_LENGTH**2 * laplacian)))
+
+    def weights(self, received: FloatArray) -> FloatArray:
+        """(n,) from 0 (nothing lies there) to 1, for received areas (n,)."""
+        return np.clip((self.factors.solve(received) - NONE) / (FULL - NONE), 0.0, 1.0)
+
+
+def round_trip_weights(trips: FloatArray, heights: FloatArray, alpha: float) -> FloatArray:
+    """(m,) weights from 1 down to 0 of source points, by how far from home a round trip to the target ends.
+
+    ``1 / (1 + d^2 / s^2)^2`` (Geman and McClure 1985) with a smaller s for points inside the target: it cannot grow
+    into them.
+
+    Parameters
+    ----------
+    trips : (m, 3) float64
+        From a source point to the source's point nearest to the point's own nearest point on the target.
+    heights : (m,) float64
+        Of the source point over the target, along its normal; negative inside.
+    alpha : float
+        Stiffness of the energy.
+    """
+    scale = np.where(heights > 0, OUTSIDE_TRIPS * np.sqrt(alpha), INSIDE_TRIP)
+    return np.asarray(1.0 / (1.0 + np.einsum("md,md->m", trips, trips) / scale**2) ** 2)

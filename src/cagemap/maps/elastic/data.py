@@ -1,0 +1,218 @@
+"""The data term of the elastic fit: closest points both ways, as planes that the deformed target should lie on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+
+from cagemap.geometry.closest import (
+    TriangleTree,
+    build_tree,
+    closest_points,
+    normalized,
+    vertex_normals,
+)
+from cagemap.maps.elastic.counterparts import round_trip_weights
+from cagemap.maps.elastic.graph import ElasticGraph, transformed_normals
+from cagemap.maps.spectral.zoomout import spread
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.operators.laplacian import vertex_areas
+
+# Vertices of the source that pull at the target, per vertex of the target's mesh: more of them change nothing.
+PULLERS = 2.0
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """The source as the fit sees it: a surface to lie on.
+
+    Attributes
+    ----------
+    positions : (n2, 3) float64, at unit area
+    triangles : (t2, 3) int64
+    normals : (n2, 3) float64
+    areas : (n2,) float64
+        Shares of the surface's area, sum 1.
+    tree : TriangleTree
+    """
+
+    positions: FloatArray
+    triangles: IndexArray
+    normals: FloatArray
+    areas: FloatArray
+    tree: TriangleTree
+
+    @classmethod
+    def build(cls, positions: FloatArray, faces: IndexArray) -> Sheet:
+        """Prepare a surface for closest points; ``faces`` are triangles."""
+        areas = vertex_areas(positions, faces)
+        return cls(
+            positions, faces, vertex_normals(positions, faces), areas / areas.sum(), build_tree(positions, faces)
+        )
+
+
+@dataclass(frozen=True)
+class Pullers:
+    """Points of the source that pull at the target.
+
+    Attributes
+    ----------
+    points, planes : (m, 3) float64
+        Positions and unit normals.
+    areas : (m,) float64
+        Sum 1.
+    outer : (m, 9) float64
+        Normal times normal.
+    """
+
+    points: FloatArray
+    planes: FloatArray
+    areas: FloatArray
+    outer: FloatArray
+
+    @classmethod
+    def choose(cls, source: Sheet, count: int) -> Pullers:
+        """Some vertices of a source, spread over its numbering."""
+        chosen = spread(len(source.positions), count)
+        planes, areas = source.normals[chosen], source.areas[chosen]
+        outer = (planes[:, :, None] * planes[:, None, :]).reshape(-1, 9)
+        return cls(source.positions[chosen], planes, areas / areas.sum(), outer)
+
+
+@dataclass(frozen=True)
+class Pull:
+    """Quadratic data term ``sum_i (x_i - y_i)^T B_i (x_i - y_i)`` up to a constant, and where it was found.
+
+    Attributes
+    ----------
+    blocks : (n, 3, 3) float64
+        B_i.
+    right : (n, 3) float64
+        B_i y_i.
+    weights : (n,) float64
+        Area that every vertex stands for in the term.
+    triangles : (m,) int64
+        Triangle of every closest point, a guess for the next search.
+    feet : (m, 3) float64
+        The closest points.
+    """
+
+    blocks: FloatArray
+    right: FloatArray
+    weights: FloatArray
+    triangles: IndexArray
+    feet: FloatArray
+
+    def scaled(self, factors: FloatArray) -> Pull:
+        """Every vertex's term times a factor (n,)."""
+        return replace(
+            self,
+            blocks=factors[:, None, None] * self.blocks,
+            right=factors[:, None] * self.right,
+            weights=factors * self.weights,
+        )
+
+
+def pull_to_source(
+    graph: ElasticGraph,
+    source: Sheet,
+    positions: FloatArray,
+    normals: FloatArray,
+    guess: IndexArray | None,
+    normal_weight: float,
+) -> Pull:
+    """Point-to-plane term of the deformed vertices: each should lie in the source's tangent plane at its foot.
+
+    Parameters
+    ----------
+    graph : ElasticGraph
+    source : Sheet
+    positions, normals : (n, 3) float64
+        Of the deformed target.
+    guess : (n,) int64, optional
+        Source triangles of an earlier search.
+    normal_weight : float
+        Of the search, see `closest_points`.
+    """
+    found, barycentric, _ = closest_points(source.tree, positions, normals, normal_weight=normal_weight, guess=guess)
+    corners = source.triangles[found]
+    foot = curved_points(source.positions[corners], source.normals[corners], barycentric)
+    plane = normalized(np.einsum("nk,nkd->nd", barycentric, source.normals[corners]))
+    weights = graph.areas * np.clip(np.einsum("nd,nd->n", plane, normals), 0.0, 1.0)
+    blocks = weights[:, None, None] * plane[:, :, None] * plane[:, None, :]
+    return Pull(blocks, np.einsum("nab,nb->na", blocks, foot), weights, found, foot)
+
+
+def pull_by_source(
+    target_triangles: IndexArray,
+    pullers: Pullers,
+    positions: FloatArray,
+    normals: FloatArray,
+    guess: IndexArray | None,
+    normal_weight: float,
+    feet: FloatArray,
+    alpha: float,
+) -> Pull:
+    """Point-to-plane term of source vertices: each should lie on the deformed target.
+
+    The residual r = n . (q - sum_k b_k x_k) of a source vertex q is asked of each corner of the triangle that holds
+    its closest point, n . x_k -> n . x_k + r with weight b_k: an upper bound of the true term (Jensen), equal at the
+    current positions, that keeps the blocks apart.
+
+    Parameters
+    ----------
+    target_triangles : (t1, 3) int64
+    pullers : Pullers
+    positions, normals : (n, 3) float64
+        Of the deformed target.
+    guess : (m,) int64, optional
+        Target triangles of an earlier search.
+    normal_weight : float
+    feet : (n, 3) float64
+        Where the target's vertices lie nearest on the source.
+    alpha : float
+        Stiffness of the energy, see `round_trip_weights`.
+    """
+    points, planes = pullers.points, pullers.planes
+    tree = build_tree(positions, target_triangles)
+    held_by, barycentric, _ = closest_points(tree, points, planes, normal_weight=normal_weight, guess=guess)
+    corners = target_triangles[held_by]
+    foot = curved_points(positions[corners], normals[corners], barycentric)
+    residual = np.einsum("nd,nd->n", planes, points - foot)
+    facing = tree.normals_of(held_by)
+    shares = pullers.areas * np.clip(np.einsum("nd,nd->n", facing, planes), 0.0, 1.0)
+    shares *= round_trip_weights(np.einsum("mk,mkd->md", barycentric, feet[corners]) - points, residual, alpha)
+    # Column j gives what source vertex j asks to the three corners around its foot.
+    gather = sparse.csc_array(
+        ((shares[:, None] * barycentric).ravel(), corners.ravel(), 3 * np.arange(len(points) + 1)),
+        shape=(len(positions), len(points)),
+    )
+    gathered = gather @ np.hstack([pullers.outer, residual[:, None] * planes, np.ones((len(points), 1))])
+    blocks = gathered[:, :9].reshape(-1, 3, 3)
+    right = np.einsum("nab,nb->na", blocks, positions) + gathered[:, 9:12]
+    return Pull(blocks, right, gathered[:, 12], held_by, foot)
+
+
+def curved_points(corners: FloatArray, normals: FloatArray, barycentric: FloatArray) -> FloatArray:
+    """(m, 3) points of the curved surface above those of its triangles, exact for quadratic surfaces.
+
+    A triangle lies h^2 / 8 R inside a surface of radius R. Vertices that are fitted to triangles, and triangles that
+    are fitted to vertices, would shrink and swell by that; the energy then slides the map sideways. Half the mean of
+    the projections onto the corners' tangent planes (Boubekeur and Alexa 2008) takes it away.
+
+    Parameters
+    ----------
+    corners, normals : (m, 3, 3) float64
+        Positions and unit normals of the triangles' corners.
+    barycentric : (m, 3) float64
+    """
+    flat = np.einsum("mk,mkd->md", barycentric, corners)
+    heights = np.einsum("mkd,mkd->mk", corners - flat[:, None], normals)
+    return np.asarray(flat + 0.5 * np.einsum("mk,mkd->md", barycentric * heights, normals))
+
+
+def deformed_normals(graph: ElasticGraph, maps: FloatArray) -> FloatArray:
+    """(n, 3) unit normals of a deformed graph, from its maps (n, 3, 3)."""
+    return normalized(transformed_normals(maps, graph.normals))

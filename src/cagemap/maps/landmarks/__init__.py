@@ -1,0 +1,1 @@
+"""Which landmarks contradict the others."""

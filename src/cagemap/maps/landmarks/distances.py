@@ -1,0 +1,201 @@
+"""Landmark pairs whose distances to the other landmarks do not fit, found before any map exists.
+
+Bodies change size from limb to limb, but a landmark on the wrong limb is out of proportion to most of the others. On
+both surfaces geodesic distances between landmarks are measured on a coarse graph; every landmark is then placed on the
+source by its distances to the others alone (robust multilateration), and the pair whose given place fits much worse
+than that one is set aside, one after the other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import dijkstra
+
+from cagemap.maps.elastic.graph import ElasticGraph, cluster_graph
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+# Vertices of the graphs that distances are measured on; their spacing, 0.026 of sqrt(area), bounds what can be told.
+GRAPH_VERTICES = 1500
+# Added to both distances of a ratio: what strain and sampling may change of short ones, of sqrt(area).
+SHORT = 0.1
+# |log ratio| that counts as simply wrong: a factor of two.
+LARGEST = 0.7
+# Misfit by which a given place must lose against the best one, absolutely and against the pairs' typical misfit.
+LEAST_GAIN = 0.12
+GAIN_OF_TYPICAL = 2.2
+# Gain of two exchanged pairs together. Correct ones lose by 0.05 or more where bodies are alike.
+LEAST_EXCHANGE_GAIN = 0.1
+# Shorter corrections are left to the check of the finished map (`cagemap.maps.landmarks.strain`).
+LEAST_DISTANCE = 0.25
+# Fewer pairs cannot outvote one of them.
+FEWEST_JUDGED = 6
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where the other landmarks put each one.
+
+    Attributes
+    ----------
+    misfit : (p,) float64
+        Of the given source vertex: weighted mean of the capped |log ratios| of distances.
+    least : (p,) float64
+        The smallest misfit that any source vertex has.
+    node : (p,) int64
+        That vertex, of the source graph.
+    distance : (p,) float64
+        From the given vertex to it along the surface.
+    """
+
+    misfit: FloatArray
+    least: FloatArray
+    node: IndexArray
+    distance: FloatArray
+
+
+@dataclass(frozen=True)
+class LandmarkDistances:
+    """Geodesic distances from p landmarks on one surface.
+
+    Attributes
+    ----------
+    to_nodes : (p, m) float64
+        To every vertex of the coarse graph; the landmarks are its first p vertices.
+    vertices : (m,) int64
+        Mesh vertices of those.
+    """
+
+    to_nodes: FloatArray
+    vertices: IndexArray
+
+    @classmethod
+    def measure(cls, graph: ElasticGraph, landmarks: IndexArray, count: int = GRAPH_VERTICES) -> LandmarkDistances:
+        """Shortest paths on a coarser graph that keeps the landmarks.
+
+        Parameters
+        ----------
+        graph : ElasticGraph
+            Of a mesh at unit area.
+        landmarks : (p,) int64
+        count : int
+            About how many vertices the coarser graph has.
+        """
+        coarse, vertices = cluster_graph(graph, min(count, graph.n), landmarks)
+        lengths = np.linalg.norm(coarse.edges, axis=1)
+        edges = sparse.csr_array((lengths, (coarse.heads, coarse.tails)), shape=(coarse.n, coarse.n))
+        return cls(np.asarray(dijkstra(edges, indices=np.arange(len(landmarks)))), vertices)
+
+    @property
+    def between(self) -> FloatArray:
+        """(p, p) distances between the landmarks."""
+        return self.to_nodes[:, : len(self.to_nodes)]
+
+
+def place_by_distances(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray) -> Placement:
+    """Place every trusted landmark on the source by its distances to the other trusted ones.
+
+    The misfit of vertex v for landmark i is ``sum_j w_ij min(|log (d1_ij + c) / (d2_vj + c) - s|, LARGEST)``, weights
+    w_ij proportional to ``1 / (d1_ij + c)`` with sum 1, s the median log ratio of all pairs. Near landmarks count most,
+    and a cap keeps a second wrong pair from deciding. Pairs that are not trusted get a misfit of 0.
+    """
+    p = len(target.to_nodes)
+    near = target.between + SHORT
+    wanted, found = np.log(near), np.log(source.to_nodes + SHORT)
+    shift = float(np.median((wanted - found[:, :p])[_pairs(trusted)]))
+    misfit, least, distance, node = np.zeros(p), np.zeros(p), np.zeros(p), np.arange(p)
+    for i in trusted:
+        others = trusted[trusted != i]
+        weights = 1.0 / near[i, others]
+        ratios = np.abs(wanted[i, others, None] - shift - found[others])
+        misfits = (weights / weights.sum()) @ np.minimum(ratios, LARGEST)
+        node[i] = np.argmin(misfits)
+        misfit[i], least[i], distance[i] = misfits[i], misfits[node[i]], source.to_nodes[i, node[i]]
+    return Placement(misfit, least, node, distance)
+
+
+def typical_misfit(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray) -> float:
+    """Median |log ratio| of the distances of all trusted pairs, the common scale taken out."""
+    p = len(target.to_nodes)
+    ratios = (np.log(target.between + SHORT) - np.log(source.to_nodes[:, :p] + SHORT))[_pairs(trusted)]
+    return float(np.median(np.abs(ratios - np.median(ratios))))
+
+
+def misplaced_pairs(target: LandmarkDistances, source: LandmarkDistances) -> IndexArray:
+    """Pairs out of proportion to the others: two that were exchanged, then single ones, worst first.
+
+    What is found is set aside and the others are judged again. At least `FEWEST_JUDGED` - 1 pairs stay; with fewer than
+    `FEWEST_JUDGED` none is judged.
+    """
+    trusted = np.arange(len(target.to_nodes))
+    wrong: list[int] = []
+    while len(trusted) > FEWEST_JUDGED and (exchanged := exchanged_pairs(target, source, trusted)) is not None:
+        wrong.extend(exchanged)
+        trusted = np.setdiff1d(trusted, exchanged)
+    while len(trusted) >= FEWEST_JUDGED:
+        placed = place_by_distances(target, source, trusted)
+        gain = np.where(placed.distance >= LEAST_DISTANCE, placed.misfit - placed.least, 0.0)
+        worst = int(np.argmax(gain))
+        others = trusted[trusted != worst]
+        if gain[worst] < max(LEAST_GAIN, GAIN_OF_TYPICAL * typical_misfit(target, source, others)):
+            break
+        wrong.append(worst)
+        trusted = others
+    return np.array(wrong, dtype=np.int64)
+
+
+def exchanged_pairs(
+    target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray
+) -> tuple[int, int] | None:
+    """The two trusted pairs that fit best with their source vertices exchanged, if they fit much better so.
+
+    The gain for pairs i and j is the misfit of both (see `place_by_distances`, neither asked about the other) minus the
+    misfit of both exchanged. Close mirror images, whose misfit alone says little, are told by it.
+    """
+    square = np.ix_(trusted, trusted)
+    near = target.between[square] + SHORT
+    wanted, found = np.log(near), np.log(source.between[square] + SHORT)
+    different = ~np.eye(len(trusted), dtype=bool)
+    shift = float(np.median((wanted - found)[different]))
+    weights = np.where(different, 1.0 / near, 0.0)
+    ratios = np.abs(wanted[:, None] - shift - found[None])
+    terms = weights[:, None] * np.minimum(ratios, LARGEST)  # of landmark i at the vertex of j, by the landmark asked
+    total = terms.sum(axis=2)
+    rest = weights.sum(axis=1)[:, None] - weights
+    own = (total.diagonal()[:, None] - np.einsum("iij->ij", terms)) / rest
+    other = (total - np.einsum("ijj->ij", terms)) / rest
+    gain = np.where(different, own + own.T - other - other.T, -np.inf)
+    first, second = np.unravel_index(np.argmax(gain), gain.shape)
+    if gain[first, second] < max(LEAST_EXCHANGE_GAIN, typical_misfit(target, source, trusted)):
+        return None
+    return int(trusted[first]), int(trusted[second])
+
+
+def orientation_agreement(target: tuple[FloatArray, FloatArray], source: tuple[FloatArray, FloatArray]) -> float:
+    """Whether landmarks surround each other in the same sense on both surfaces: 1 the same, -1 mirrored.
+
+    Every triple (i; j, k) votes with the product of ``n_i . (e_ij x e_ik)`` on both surfaces, e the unit vectors to j
+    and k, so that three landmarks in a line with the surface's normal say nothing.
+
+    Parameters
+    ----------
+    target, source : pair of (p, 3) arrays
+        Positions and unit normals of the landmarks.
+    """
+
+    def turns(positions: FloatArray, normals: FloatArray) -> FloatArray:
+        offsets = positions[None] - positions[:, None]
+        units = offsets / np.maximum(np.linalg.norm(offsets, axis=2, keepdims=True), 1e-12)
+        return np.einsum("id,ijkd->ijk", normals, np.cross(units[:, :, None], units[:, None]))
+
+    votes = turns(*target) * turns(*source)
+    return float(votes.sum() / max(np.abs(votes).sum(), 1e-12))
+
+
+def _pairs(trusted: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """Rows and columns of all ordered pairs of different trusted landmarks."""
+    rows, columns = np.meshgrid(trusted, trusted, indexing="ij")
+    different = rows != columns
+    return rows[different], columns[different]

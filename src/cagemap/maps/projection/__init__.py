@@ -1,0 +1,1 @@
+"""From fitted positions to points of the source: projected, unfolded, laid out."""

@@ -1,0 +1,214 @@
+"""Remove the folds of a map: flipped triangles are relaxed together with their neighbourhood and projected again.
+
+Inside a patch around the flips the image points move to the means of their neighbours while the rest of the map holds
+the patch's boundary: a discrete harmonic map, which is one-to-one where the patch's image is close to flat and convex
+(Tutte 1963).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from cagemap.geometry.closest import CACHED, TriangleTree, closest_points, normalized
+from cagemap.maps.quality import flipped_triangles, map_positions
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import in_threads, parts
+
+ROUNDS = 8
+SWEEPS = 10
+# Share of the flipped triangles that a round must mend for another one to be worth it.
+LEAST_GAIN = 0.02
+
+
+@dataclass(frozen=True)
+class Sides:
+    """The surfaces that a map goes between.
+
+    Attributes
+    ----------
+    target, target_triangles : (n1, 3), (t1, 3)
+        At unit area.
+    source, source_triangles : (n2, 3), (t2, 3)
+        At unit area.
+    tree : TriangleTree
+        Of the source.
+    """
+
+    target: FloatArray
+    target_triangles: IndexArray
+    source: FloatArray
+    source_triangles: IndexArray
+    tree: TriangleTree
+
+
+@dataclass(frozen=True)
+class Images:
+    """Where vertices of the target go.
+
+    Attributes
+    ----------
+    triangle, barycentric : (n,), (n, 3)
+        Of the source.
+    positions : (n, 3) float64
+    """
+
+    triangle: IndexArray
+    barycentric: FloatArray
+    positions: FloatArray
+
+    @classmethod
+    def of(cls, triangle: IndexArray, barycentric: FloatArray, sides: Sides) -> Images:
+        """With the positions of these points of the source."""
+        return cls(triangle, barycentric, map_positions(sides.source, sides.source_triangles, triangle, barycentric))
+
+    def flipped(self, triangles: IndexArray, tree: TriangleTree) -> NDArray[np.bool_]:
+        """(t,) which of some triangles (t, 3) of the target lie upside down."""
+        return flipped_triangles(self.positions, triangles, tree.normals_of(self.triangle))
+
+    def at(self, vertices: IndexArray) -> Images:
+        """Of some vertices alone."""
+        return Images(self.triangle[vertices], self.barycentric[vertices], self.positions[vertices])
+
+    def with_new(self, vertices: IndexArray, new: Images) -> Images:
+        """Other images for some vertices."""
+        changed = self.triangle.copy(), self.barycentric.copy(), self.positions.copy()
+        for values, others in zip(changed, (new.triangle, new.barycentric, new.positions), strict=True):
+            values[vertices] = others
+        return Images(*changed)
+
+
+def unfold(
+    images: Images,
+    sides: Sides,
+    held: IndexArray,
+    *,
+    normal_weight: float,
+    rounds: int = ROUNDS,
+) -> tuple[Images, NDArray[np.bool_]]:
+    """Reduce the flipped triangles of a map; vertices far from a flip and held ones keep their image.
+
+    A connected patch keeps its new image only if fewer of its triangles are flipped than before; the patches grow by a
+    ring a round, until a round mends little.
+
+    Parameters
+    ----------
+    images : Images
+        The map.
+    sides : Sides
+    held : (p,) int64
+        Target vertices that may not move (landmarks).
+    normal_weight : float
+        Of the projection, see `closest_points`.
+
+    Returns
+    -------
+    images : Images
+    flipped : (t1,) bool
+        Target triangles that still are.
+    """
+    triangles = sides.target_triangles
+    flipped = images.flipped(triangles, sides.tree)
+    if not flipped.any():
+        return images, flipped
+    # Nothing outside the last round's patch is looked at: go on with the triangles around it, renumbered.
+    inner = around(triangles, flipped, rounds, len(images.triangle))
+    region = touched_triangles(triangles, inner)
+    vertices, near = np.unique(triangles[region], return_inverse=True)
+    near = near.reshape(-1, 3)
+    # Folds may spread while they are relaxed; what lies at the border has triangles beyond it.
+    movable = inner[vertices] & ~np.isin(vertices, held)
+    local, folded = images.at(vertices), flipped[region]
+    for ring in range(1, rounds + 1):
+        before = folded.sum()
+        inside = around(near, folded, ring, len(vertices)) & movable
+        local = _relaxed(local, near, inside, folded, sides, normal_weight)
+        folded = local.flipped(near, sides.tree)
+        if folded.sum() > (1.0 - LEAST_GAIN) * before or not folded.any():
+            break
+    flipped[region] = folded
+    return images.with_new(vertices, local), flipped
+
+
+def _relaxed(
+    images: Images, near: IndexArray, inside: np.ndarray, flipped: np.ndarray, sides: Sides, normal_weight: float
+) -> Images:
+    """Images of the vertices inside after some sweeps of averaging, where that leaves fewer triangles flipped."""
+    vertices = np.flatnonzero(inside)
+    touched = touched_triangles(near, inside)
+    means = neighbour_means(near[touched], inside)
+    moved, directions = images.positions.copy(), sides.tree.normals_of(images.triangle)
+    for _ in range(SWEEPS):
+        moved[vertices] = means @ moved
+        directions[vertices] = normalized(means @ directions)
+    found, weights, _ = closest_points(
+        sides.tree,
+        moved[vertices],
+        directions[vertices],
+        normal_weight=normal_weight,
+        guess=images.triangle[vertices],
+    )
+    new = images.with_new(vertices, Images.of(found, weights, sides))
+    still = new.flipped(near[touched], sides.tree)
+    kept = np.flatnonzero(_improved(near[touched], inside, flipped[touched], still))
+    return images.with_new(kept, new.at(kept))
+
+
+def around(triangles: IndexArray, flipped: np.ndarray, rings: int, n: int) -> NDArray[np.bool_]:
+    """(n,) which vertices are those of flipped triangles and of some rings around them."""
+    inside = np.zeros(n, dtype=bool)
+    inside[triangles[flipped].ravel()] = True
+    for _ in range(rings):
+        inside[triangles[touched_triangles(triangles, inside)].ravel()] = True
+    return inside
+
+
+def touched_triangles(triangles: IndexArray, inside: np.ndarray) -> np.ndarray:
+    """(t,) triangles with a corner inside."""
+    touched = np.empty(len(triangles), dtype=np.bool_)
+
+    def fill(part: slice) -> None:
+        first, second, third = (inside.take(corner) for corner in triangles[part].T)
+        touched[part] = first | second | third
+
+    in_threads(fill, parts(len(triangles), CACHED))
+    return touched
+
+
+def _improved(near: IndexArray, inside: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """(n,) vertices of those connected patches in which fewer of the touched triangles are flipped than before."""
+    patch = patches(near, inside)
+    # The inside corners of a triangle are neighbours, so that any of them names its patch.
+    corner = np.argmax(inside[near], axis=1)
+    patch_of = patch[near[np.arange(len(near)), corner]]
+    gain = np.bincount(patch_of, before.astype(float) - after, minlength=len(inside))
+    return np.asarray(inside & (gain[patch] > 0))
+
+
+def patches(triangles: IndexArray, inside: np.ndarray) -> IndexArray:
+    """(n,) connected patch of every vertex, below n; vertices outside are patches of their own."""
+    n = len(inside)
+    near = triangles[touched_triangles(triangles, inside)]
+    pairs = near[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    pairs = pairs[inside[pairs].all(axis=1)]
+    graph = sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    return csgraph.connected_components(graph.tocsr(), directed=False)[1].astype(np.int64)
+
+
+def convex_rows(rows: IndexArray, columns: IndexArray, weights: FloatArray, inside: np.ndarray) -> sparse.csr_array:
+    """(v, n) convex combinations for the v vertices inside: weights, summed where they meet, in rows of sum 1."""
+    kept = inside[rows]
+    number = np.cumsum(inside) - 1
+    shape = (int(inside.sum()), len(inside))
+    matrix = sparse.csr_array((weights[kept], (number[rows[kept]], columns[kept])), shape=shape)
+    return sparse.csr_array(sparse.diags_array(1.0 / np.asarray(matrix.sum(axis=1)).ravel()) @ matrix)
+
+
+def neighbour_means(triangles: IndexArray, inside: np.ndarray) -> sparse.csr_array:
+    """(v, n) matrix that averages the neighbours of every inside vertex."""
+    rows, columns = triangles[:, [0, 1, 2, 0, 1, 2]].ravel(), triangles[:, [1, 2, 0, 2, 0, 1]].ravel()
+    return convex_rows(rows, columns, np.ones(len(rows)), inside)

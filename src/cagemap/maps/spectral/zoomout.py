@@ -1,0 +1,126 @@
+"""Spectral upsampling: point map and functional map in turn while the number of basis functions grows.
+
+The alternation of the paper's section 5.4 on one level, with the growth of [ZoomOut: Melzi et al. 2019]. Extra
+coordinates that both surfaces share (such as harmonic landmark coordinates) may stand beside the spectral ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from cagemap.maps.spectral.search import Embedding, nearest_rows
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+# Samples of either surface while k grows: some twenty rows for each of the 300 unknowns of a column of C.
+FIT_SAMPLES = 6000
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Vertices of one surface as the alternation sees them.
+
+    Attributes
+    ----------
+    rows : (b, k) array
+        Basis rows Phi~(x, :).
+    areas : (b,) array
+        Weights in the inner product.
+    coordinates : (b, c) array
+        Extra coordinates shared by both surfaces, already weighted; c may be 0. They count in proportion to sqrt(k),
+        so that their share of a distance does not fade as spectral coordinates are added.
+    """
+
+    rows: FloatArray
+    areas: FloatArray
+    coordinates: FloatArray
+
+
+def growth(start: int, stop: int, factor: float = 1.25) -> list[int]:
+    """Numbers of basis functions from start to stop, growing by a factor (at least 1 a step)."""
+    sizes = [min(start, stop)]
+    while sizes[-1] < stop:
+        sizes.append(min(stop, max(sizes[-1] + 1, round(factor * sizes[-1]))))
+    return sizes
+
+
+def fit_functional_map(target: Samples, source_rows: FloatArray, k1: int) -> FloatArray:
+    """C12 = Phi~1^+ P12 Phi~2 in the least-squares sense over the target's samples (paper, section 2.1.2).
+
+    Parameters
+    ----------
+    target : Samples
+    source_rows : (b, k2) array
+        Row i is Phi~2 at the match of target sample i, (P12 Phi~2)(x_i).
+    k1 : int
+        Leading target basis functions to use.
+
+    Returns
+    -------
+    (k1, k2) array
+    """
+    rows = target.rows[:, :k1]
+    weighted = rows * target.areas[:, None]
+    gram = weighted.T @ rows
+    gram[np.diag_indices(k1)] += 1e-9 * np.trace(gram) / k1
+    return np.asarray(linalg.solve(gram, weighted.T @ source_rows, assume_a="pos"))
+
+
+def spread(n: int, count: int) -> IndexArray:
+    """Choose samples at equal steps of the numbering; all of them if there are no more than `count`.
+
+    Vertices of a refined mesh are stored in a spatially coherent order within each of their kinds, so equal steps are
+    dense where the mesh is, at hands and faces; their areas then weigh them. (Steps of equal area, weighted by area
+    again, lose the hands.)
+    """
+    return np.unique(np.linspace(0, n - 1, min(n, count)).astype(np.int64))
+
+
+def embed_target(samples: Samples, k: int) -> Embedding:
+    """Target embedding: Phi~1(x, :) beside the extra coordinates."""
+    return np.hstack([samples.rows[:, :k], np.sqrt(k) * samples.coordinates]).astype(np.float32)
+
+
+def embed_source(samples: Samples, functional_map: FloatArray) -> Embedding:
+    """Source embedding: Phi~2(y, :) C12^T beside the extra coordinates."""
+    k1, k2 = functional_map.shape
+    spectral = samples.rows[:, :k2] @ functional_map.T
+    return np.hstack([spectral, np.sqrt(k1) * samples.coordinates]).astype(np.float32)
+
+
+def upsample(target: Samples, source: Samples, match: IndexArray, sizes: list[int]) -> tuple[FloatArray, IndexArray]:
+    """Alternate C = Phi~1^+ P12 Phi~2 and nearest neighbours while k grows.
+
+    Parameters
+    ----------
+    target, source : Samples
+    match : (b1,) array
+        Source sample of every target sample to start from.
+    sizes : list of int
+        Numbers of basis functions, see `growth`.
+
+    Returns
+    -------
+    functional_map : (k, k) array, for the last k
+    match : (b1,) array
+    """
+    whole, every = target, source
+    target = _subset(target, spread(len(target.areas), FIT_SAMPLES))
+    source = _subset(source, spread(len(source.areas), FIT_SAMPLES))
+    rows = every.rows[match[spread(len(whole.areas), FIT_SAMPLES)]]
+    functional_map = np.eye(1)
+    for k in sizes:
+        k1, k2 = min(k, target.rows.shape[1]), min(k, source.rows.shape[1])
+        functional_map = fit_functional_map(target, rows[:, :k2], k1)
+        nearest = nearest_rows(embed_target(target, k1), embed_source(source, functional_map))
+        rows = source.rows[nearest]
+    k1, k2 = functional_map.shape
+    functional_map = fit_functional_map(target, rows[:, :k2], k1)
+    match = nearest_rows(embed_target(whole, k1), embed_source(every, functional_map))
+    return functional_map, match
+
+
+def _subset(samples: Samples, chosen: IndexArray) -> Samples:
+    return Samples(samples.rows[chosen], samples.areas[chosen], samples.coordinates[chosen])

@@ -1,0 +1,1 @@
+"""Threads, sparse factorisations and products: what every room above computes with."""

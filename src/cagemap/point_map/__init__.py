@@ -1,1 +1,0 @@
-"""Point maps: search in the spectral embedding, elastic fit, quality."""
