@@ -1,0 +1,29 @@
+"""What version of the code computed something, so that stored work is never mistaken for that of other code."""
+
+from __future__ import annotations
+
+import hashlib
+from importlib import resources
+from importlib.resources.abc import Traversable
+
+from cagemap import __version__
+
+
+def code_version() -> str:
+    """Version of the package and 16 hexadecimal digits that change with any of its Python files."""
+    digest = hashlib.sha256()
+    for name, content in _sources(resources.files("cagemap"), ""):
+        digest.update(f"{name}:{len(content)};".encode())
+        digest.update(content)
+    return f"{__version__}+{digest.hexdigest()[:16]}"
+
+
+def _sources(folder: Traversable, prefix: str) -> list[tuple[str, bytes]]:
+    """Name and content of the Python files below a folder, in the order of their names."""
+    found: list[tuple[str, bytes]] = []
+    for entry in sorted(folder.iterdir(), key=lambda item: item.name):
+        if entry.is_dir():
+            found += _sources(entry, f"{prefix}{entry.name}/")
+        elif entry.name.endswith(".py"):
+            found.append((prefix + entry.name, entry.read_bytes()))
+    return found

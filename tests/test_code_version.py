@@ -1,0 +1,25 @@
+"""The version of the code that keys stored work."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+
+import pytest
+
+from cagemap.files.code_version import code_version
+
+
+def test_it_changes_with_any_python_file_and_with_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    room = tmp_path / "cagemap" / "room"
+    room.mkdir(parents=True)
+    (room / "a.py").write_text("x = 1\n")
+    monkeypatch.setattr(resources, "files", lambda _: tmp_path / "cagemap")
+    before = code_version()
+    (room / "style.css").write_text("p {}")
+    assert code_version() == before
+    (room / "a.py").write_text("x = 2\n")
+    changed = code_version()
+    assert changed != before
+    (room / "a.py").rename(room / "b.py")
+    assert code_version() not in (before, changed)
