@@ -226,7 +226,10 @@ def match(
 def transfer(
     result: ResultFolder,
     output: Annotated[
-        Path, typer.Option("-o", "--output", help="Image to write; with --attribute a .npy, .npz or .csv.")
+        Path,
+        typer.Option(
+            "-o", "--output", help="Image to write; with --attribute a .npy, .npz or .csv, with --source-uvs a mesh."
+        ),
     ],
     texture: Annotated[
         Path | None, typer.Option("--texture", help="Source texture: colour, roughness, any image.", show_default=False)
@@ -238,12 +241,16 @@ def transfer(
         Path | None,
         typer.Option(
             "--attribute",
-            help="Values at the source's control vertices or faces: .npy, .npz or .csv.",
+            help="Values at the source's control vertices, faces or face corners: .npy, .npz or .csv.",
             show_default=False,
         ),
     ] = None,
     material_colors: Annotated[
         bool, typer.Option("--material-colors", help="Bake the source's material colours.")
+    ] = False,
+    source_uvs: Annotated[
+        bool,
+        typer.Option("--source-uvs", help="Give the target the source's UVs; -o names the mesh, and seams are listed."),
     ] = False,
     size: Annotated[
         int | None,
@@ -275,7 +282,7 @@ def transfer(
         bool, typer.Option("--unwrap", help="Give a target without UVs a layout, and write the mesh beside the image.")
     ] = False,
 ) -> None:
-    """Carry something from source to target: one of --texture, --displacement, --attribute, --material-colors.
+    """Carry something from source to target: --texture, --displacement, --attribute, --material-colors, --source-uvs.
 
     Images are baked into the target's own UV layout, texel by texel, across the source's seams.
     """
@@ -289,6 +296,7 @@ def transfer(
         displacement=displacement,
         attribute=attribute,
         material_colors=material_colors,
+        source_uvs=source_uvs,
         size=size,
         bits=bits,
         unwrap=unwrap,

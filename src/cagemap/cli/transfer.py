@@ -22,10 +22,14 @@ from cagemap.transfer import (
     bake_displacement,
     bake_face_colors,
     bake_texture,
+    carry_uvs,
+    combine,
+    control_weights,
+    corner_nodes,
+    corner_weights,
     face_colors,
     prepare_transfer,
     pull_back_faces,
-    pull_back_vertices,
     target_tiles,
     unwrap,
 )
@@ -44,6 +48,7 @@ class TransferRequest:
     displacement: Path | None = None
     attribute: Path | None = None
     material_colors: bool = False
+    source_uvs: bool = False
     size: int | None = None
     bits: int | None = None
     unwrap: bool = False
@@ -65,6 +70,7 @@ def _carrier(request: TransferRequest) -> Callable[[TransferRequest, Result, Sta
         "--displacement": (request.displacement is not None, _carry_displacement),
         "--attribute": (request.attribute is not None, _carry_attribute),
         "--material-colors": (request.material_colors, _carry_material_colors),
+        "--source-uvs": (request.source_uvs, _carry_uvs),
     }
     chosen = [option for option, (given, _) in options.items() if given]
     if len(chosen) != 1:
@@ -143,34 +149,56 @@ def _carry_material_colors(request: TransferRequest, result: Result, stages: Sta
 
 
 def _carry_attribute(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
-    """Values at control vertices, control faces or refined vertices; they arrive at the same kind of place."""
+    """Values at control vertices, control faces, face corners or refined vertices; each arrives at its own kind."""
     assert request.attribute is not None
     values = read_attributes(request.attribute)
-    control, refined = result.source.control, result.source.refinement()
+    sides = result.target.refinement(), result.source.refinement()
+    target, source = (side.control for side in sides)
     transfer = _prepare(result, stages)
     stages("pull back")
+    at_vertices = control_weights(transfer, *sides)
     carried, warnings = {}, []
     for name, array in values.items():
-        if len(array) == control.n_vertices:
-            fine = refined.prolong(array.astype(np.float64), 0, result.source.level)
-            carried[name] = pull_back_vertices(transfer, fine)[: result.target.control.n_vertices]
-            if control.n_faces == control.n_vertices:
+        if len(array) == source.n_vertices:
+            carried[name] = combine(at_vertices, array)
+            if source.n_faces == source.n_vertices:
                 warnings.append(f"{name}: as many rows as control vertices and as control faces; taken for vertices")
-        elif len(array) == control.n_faces:
-            carried[name] = pull_back_faces(transfer, array, n_target_faces=result.target.control.n_faces)
+        elif len(array) == source.n_faces:
+            carried[name] = pull_back_faces(transfer, array, n_target_faces=target.n_faces)
+        elif len(array) == len(source.face_indices):
+            nodes, node_values = corner_nodes(source, array)
+            carried[name] = combine(corner_weights(transfer, *sides, nodes, len(node_values)).weights, node_values)
         elif len(array) == len(result.source.vertices):
-            carried[name] = pull_back_vertices(transfer, array.astype(np.float64))
+            carried[name] = combine(transfer.point_map.matrix(transfer.source.triangles, len(array)), array)
         else:
             raise ParameterError(
                 f"{request.attribute}: {name} has {len(array)} rows; expected one for each of the source's "
-                f"{control.n_vertices} control vertices, {control.n_faces} control faces, or "
-                f"{len(result.source.vertices)} vertices of level {result.source.level}."
+                f"{source.n_vertices} control vertices, {source.n_faces} control faces, {len(source.face_indices)} "
+                f"face corners, or {len(result.source.vertices)} vertices of level {result.source.level}."
             )
     write_attributes(request.output, carried)
     entry = {"kind": "attribute", "file": request.attribute.resolve(), "output": request.output.resolve()}
     note_transfer(request.result, entry)
     shapes = ", ".join(f"{name} {array.shape}" for name, array in carried.items())
     return f"wrote {request.output}: {shapes}", warnings
+
+
+def _carry_uvs(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+    """The target's mesh with the source's texture coordinates, so that the source's own image fits it."""
+    sides = result.target.refinement(), result.source.refinement()
+    transfer = _prepare(result, stages)
+    stages("texture coordinates")
+    carried = carry_uvs(transfer, *sides)
+    write_mesh(request.output, result.target.control.with_uvs(carried.uvs, carried.uv_indices))
+    note_transfer(request.result, {"kind": "uvs", "output": request.output.resolve()})
+    count = len(carried.crossed)
+    warnings = []
+    if count:
+        warnings.append(
+            f"seams of the source cross {count} of {result.target.control.n_faces} faces (numbers from 0), where no "
+            f"texture coordinates fit: {', '.join(map(str, carried.crossed))}"
+        )
+    return f"wrote {request.output}: {len(carried.uvs)} texture coordinates of the source", warnings
 
 
 def _read_image(request: TransferRequest, path: Path) -> tuple[Image | dict[int, Image], Image, np.dtype[Any]]:

@@ -2,16 +2,32 @@
 
 from cagemap.transfer.attributes import bake_face_colors, face_colors, pull_back_faces, pull_back_vertices
 from cagemap.transfer.bake import BakeOptions, Transfer, bake_texture, prepare_transfer, target_tiles
+from cagemap.transfer.control_values import (
+    CarriedUvs,
+    CornerValues,
+    carry_uvs,
+    combine,
+    control_weights,
+    corner_nodes,
+    corner_weights,
+)
 from cagemap.transfer.displacement import Displacement, bake_displacement, scale_ratio
 from cagemap.transfer.unwrap import unwrap
 
 __all__ = [
     "BakeOptions",
+    "CarriedUvs",
+    "CornerValues",
     "Displacement",
     "Transfer",
     "bake_displacement",
     "bake_face_colors",
     "bake_texture",
+    "carry_uvs",
+    "combine",
+    "control_weights",
+    "corner_nodes",
+    "corner_weights",
     "face_colors",
     "prepare_transfer",
     "pull_back_faces",

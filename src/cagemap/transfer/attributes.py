@@ -80,7 +80,7 @@ def pull_back_faces(transfer: Transfer, values: NDArray[Any], *, n_target_faces:
     areas = triangle_areas(target.positions, target.triangles)
     n_faces = n_target_faces or int(faces.max()) + 1
     if values.dtype.kind in "iub":
-        return _majority(faces, hits, areas, n_faces)
+        return largest_share(faces, hits, areas, n_faces)
     columns = hits.reshape(len(hits), -1)
     totals = np.bincount(faces, areas, minlength=n_faces)
     sums = [np.bincount(faces, areas * columns[:, k], minlength=n_faces) for k in range(columns.shape[1])]
@@ -88,14 +88,14 @@ def pull_back_faces(transfer: Transfer, values: NDArray[Any], *, n_target_faces:
     return means.reshape(n_faces, *values.shape[1:])
 
 
-def _majority(faces: IndexArray, labels: NDArray[Any], areas: FloatArray, n_faces: int) -> NDArray[Any]:
-    """(n_faces,) label with the largest area in every face; the smaller label where two are equal."""
+def largest_share(owners: IndexArray, labels: NDArray[Any], shares: FloatArray, count: int) -> NDArray[Any]:
+    """(count,) label with the largest share at every owner; the smaller label where two are equal."""
     distinct, number = np.unique(labels, return_inverse=True)
-    keys, inverse = np.unique(faces * len(distinct) + number, return_inverse=True)
-    weight = np.bincount(inverse, areas)
+    keys, inverse = np.unique(owners * len(distinct) + number, return_inverse=True)
+    weight = np.bincount(inverse, shares)
     order = np.lexsort((keys, -weight, keys // len(distinct)))
     owners, first = np.unique(keys[order] // len(distinct), return_index=True)
-    result = np.full(n_faces, distinct[0], dtype=labels.dtype)
+    result = np.full(count, distinct[0], dtype=labels.dtype)
     result[owners] = distinct[keys[order][first] % len(distinct)]
     return result
 

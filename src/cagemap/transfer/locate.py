@@ -166,8 +166,35 @@ def locate_centers(surface: MappedSurface) -> IndexArray:
     centers = triangle_centres(surface.mapped, surface.target_triangles)
     found = np.empty(len(centers), dtype=np.int64)
     starts = surface.start_triangles[surface.target_triangles[:, 0]]
-    _walk_all(surface.frames, surface.neighbors, starts, centers, found)
+    _walk_all(surface.frames, surface.neighbors, starts, centers, found, np.empty((0, 2)))
     return found
+
+
+def walk_from(
+    frames: FloatArray, neighbors: NDArray[np.int32], starts: IndexArray, points: FloatArray
+) -> tuple[IndexArray, FloatArray]:
+    """Walk from triangles to points close to the surface, across the edges that ``neighbors`` opens.
+
+    Parameters
+    ----------
+    frames, neighbors
+        As in `MappedSurface`.
+    starts : (k,) int64
+        Triangle where each walk begins.
+    points : (k, 3) float64
+
+    Returns
+    -------
+    triangle : (k,) int64
+    barycentric : (k, 3) float64
+        Not negative, rows sum to 1; the border of the last triangle where the way ends before the point.
+    """
+    found, inside = np.empty(len(points), dtype=np.int64), np.empty((len(points), 2))
+    _walk_all(frames, neighbors, np.ascontiguousarray(starts), np.ascontiguousarray(points), found, inside)
+    barycentric = np.column_stack([1.0 - inside.sum(axis=1), inside])
+    # A corner stays one, whatever the rounding.
+    barycentric[np.abs(barycentric) < -_INSIDE] = 0.0
+    return found, barycentric / barycentric.sum(axis=1, keepdims=True)
 
 
 def plan_samples(surface: MappedSurface, layout_corners: FloatArray, source_texels: FloatArray) -> NDArray[np.int32]:
@@ -254,10 +281,13 @@ def _walk(frames, neighbors, start, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _walk_all(frames, neighbors, starts, points, found):  # type: ignore[no-untyped-def]
-    """Walk for every one of some points; triangles only."""
+def _walk_all(frames, neighbors, starts, points, found, inside):  # type: ignore[no-untyped-def]
+    """Walk for every one of some points; barycentric coordinates of corners 1 and 2 where ``inside`` has rows."""
     for i in range(len(points)):
-        found[i] = _walk(frames, neighbors, starts[i], points[i, 0], points[i, 1], points[i, 2])[0]
+        t, b1, b2 = _walk(frames, neighbors, starts[i], points[i, 0], points[i, 1], points[i, 2])
+        found[i] = t
+        if i < len(inside):
+            inside[i, 0], inside[i, 1] = b1, b2
 
 
 @numba.njit(cache=True, nogil=True)

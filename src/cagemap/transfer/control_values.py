@@ -1,0 +1,187 @@
+"""Values painted on the source's control mesh, carried to the target's: at vertices, at face corners, as UV sets.
+
+Every value of the target is a convex combination of the source's own values. Under the identity map each comes back as
+it was; labels are put to the vote.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from cagemap.errors import ParameterError
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.refinement import Refinement
+from cagemap.transfer.attributes import largest_share
+from cagemap.transfer.bake import Transfer
+from cagemap.transfer.interpolation import LinearValues, corner_triangles, interpolate_linearly
+from cagemap.transfer.locate import locate_centers, walk_from
+from cagemap.transfer.surface import triangle_neighbors
+
+# Texture coordinates of one vertex that differ by less are one.
+_SAME_UV = 1e-7
+# Points that lie on two sides of a seam have no node in common, neighbours on one side nearly all of their weight.
+_APART = 0.5
+
+
+def control_weights(transfer: Transfer, target: Refinement, source: Refinement) -> sparse.csr_array:
+    """(n1, n2) weights of the source's control vertices at every control vertex of the target.
+
+    Source values are interpolated linearly over control faces at the image of the vertex, so rows are not negative and
+    sum to 1, and have at most as many entries as a source face has corners around it.
+    """
+    control = source.control
+    linear = interpolate_linearly(control, control.face_indices, control.n_vertices, source.n_levels, source.scheme)
+    rows = target.control.n_vertices
+    return linear.at(transfer.point_map.triangle[:rows], transfer.point_map.barycentric[:rows])
+
+
+def combine(weights: sparse.csr_array, values: NDArray[Any]) -> NDArray[Any]:
+    """Values combined with weights; integers and truth values are labels, of which the heaviest wins.
+
+    Parameters
+    ----------
+    weights : (n1, n2) csr_array
+        Rows not negative, with at least one entry.
+    values : (n2,) or (n2, q) array
+        A row of several integers is one label.
+
+    Returns
+    -------
+    (n1,) or (n1, q) array
+        Of the same kind. Where two labels weigh the same, the smaller one.
+
+    Raises
+    ------
+    ParameterError
+        If there is not one row a column of the weights.
+    """
+    values = np.asarray(values)
+    if len(values) != weights.shape[1]:
+        raise ParameterError(f"expected {weights.shape[1]} rows of values, got {len(values)}")
+    if values.dtype.kind not in "iub":
+        return np.asarray(weights @ values.astype(np.float64))
+    distinct, number = np.unique(values, axis=0, return_inverse=True)
+    owners = np.repeat(np.arange(weights.shape[0]), np.diff(weights.indptr))
+    winners = largest_share(owners, number.ravel()[weights.indices], weights.data, weights.shape[0])
+    return distinct[winners]
+
+
+def corner_nodes(control: ControlMesh, values: NDArray[Any]) -> tuple[IndexArray, NDArray[Any]]:
+    """Node of every face corner (c,), and the nodes' values (p, ...): corners of one vertex with one value share it.
+
+    Parameters
+    ----------
+    control : ControlMesh
+    values : (c,) or (c, q) array
+        At the face corners, face by face.
+    """
+    keys = np.column_stack([control.face_indices, values.reshape(len(values), -1)])
+    _, first, nodes = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    return nodes.ravel(), values[first]
+
+
+@dataclass(frozen=True)
+class CornerValues:
+    """Values of the source's face corners at the target's.
+
+    Attributes
+    ----------
+    weights : (c1, p2) csr_array
+        Weights of the source's nodes at every face corner of the target.
+    crossed : (m1,) bool
+        Target faces over which a seam of the source runs: no values in them are right on both of its sides.
+    """
+
+    weights: sparse.csr_array
+    crossed: NDArray[np.bool_]
+
+
+def corner_weights(
+    transfer: Transfer, target: Refinement, source: Refinement, nodes: IndexArray, count: int
+) -> CornerValues:
+    """Find the source nodes that every face corner of the target takes its value from.
+
+    A corner's value is that of its own side of a seam: from the centre of the refined triangle in its tip one walks to
+    the image of its vertex, and never across a seam.
+
+    Parameters
+    ----------
+    transfer : Transfer
+    target, source : Refinement
+        Up to the levels of the transfer.
+    nodes : (c2,) int64
+        Node of every corner of the source's control faces; faces that do not share nodes along an edge have a seam
+        there.
+    count : int
+        Number of nodes.
+    """
+    control = target.control
+    linear = interpolate_linearly(source.control, nodes, count, source.n_levels, source.scheme)
+    sides = triangle_neighbors(linear.corners)
+    tips = corner_triangles(len(control.face_indices), target.n_levels, target.scheme)
+    centres = locate_centers(transfer.mapped)
+    points = transfer.mapped.mapped[control.face_indices]
+    triangle, barycentric = walk_from(transfer.mapped.frames, sides, centres[tips], points)
+    return CornerValues(linear.at(triangle, barycentric), _crossed_faces(transfer, control, linear, sides, centres))
+
+
+def _crossed_faces(
+    transfer: Transfer, control: ControlMesh, linear: LinearValues, sides: NDArray[np.int32], centres: IndexArray
+) -> NDArray[np.bool_]:
+    """(m1,) faces with two neighbouring refined triangles between which no way leads but across a seam."""
+    target = transfer.target
+    face = target.face_parents[target.triangle_faces]
+    neighbors = triangle_neighbors(target.triangles)
+    near, corner = np.nonzero(neighbors > np.arange(len(face))[:, None])
+    far = neighbors[near, corner]
+    inside = (face[near] == face[far]) & (centres[near] != centres[far])
+    near, far = near[inside], far[inside]
+    points = transfer.mapped.mapped[target.triangles[far]].mean(axis=1)
+    triangle, barycentric = walk_from(transfer.mapped.frames, sides, centres[near], points)
+    own = walk_from(transfer.mapped.frames, sides, centres[far], points)
+    apart = 0.5 * abs(linear.at(triangle, barycentric) - linear.at(*own)).sum(axis=1)
+    crossed = np.zeros(control.n_faces, dtype=np.bool_)
+    crossed[face[near[apart > _APART]]] = True
+    return crossed
+
+
+@dataclass(frozen=True)
+class CarriedUvs:
+    """The source's texture coordinates on the target's faces.
+
+    Attributes
+    ----------
+    uvs : (p, 2) float64
+    uv_indices : (c1,) int64
+        Corners of one vertex with equal texture coordinates share them.
+    crossed : (k,) int64
+        Target faces over which a seam of the source runs.
+    """
+
+    uvs: FloatArray
+    uv_indices: IndexArray
+    crossed: IndexArray
+
+
+def carry_uvs(transfer: Transfer, target: Refinement, source: Refinement) -> CarriedUvs:
+    """Give the target's corners the source's texture coordinates, so that the source's own image fits the target.
+
+    Raises
+    ------
+    ParameterError
+        If the source has no texture coordinates.
+    """
+    control = source.control
+    if control.uvs is None or control.uv_indices is None:
+        raise ParameterError(f"{control.name}: expected a source with texture coordinates to carry, it has none")
+    carried = corner_weights(transfer, target, source, control.uv_indices, len(control.uvs))
+    uvs = carried.weights @ control.uvs
+    keys = np.column_stack([target.control.face_indices, np.rint(uvs / _SAME_UV)])
+    _, first, indices = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    return CarriedUvs(uvs[first], indices.ravel(), np.flatnonzero(carried.crossed))

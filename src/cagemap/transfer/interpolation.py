@@ -1,0 +1,102 @@
+"""Values at control vertices or face corners, interpolated linearly over the control faces.
+
+Subdivision smooths what it refines: a weight of 1 at one control vertex is 0.45 at that vertex of the surface. Values
+that someone painted on a cage are to arrive as they are, so here they are refined without smoothing: vertices keep
+their value, edges take the middle, faces the mean. Each refined value is a convex combination of control values.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.refinement import CatmullClark, Scheme, triangles
+from cagemap.refinement.refinement import split_table
+from cagemap.refinement.topology import CornerTable, control_table, quad_children, triangle_children
+
+
+@dataclass(frozen=True)
+class LinearValues:
+    """Functions that are linear on the triangles of a refined level, given by values at the control mesh.
+
+    Attributes
+    ----------
+    matrix : (p, p0) csr_array
+        Values at the nodes of the level from those at the control mesh's; rows are not negative and sum to 1.
+    corners : (t, 3) int64
+        Node of every corner of the level's triangles.
+    """
+
+    matrix: sparse.csr_array
+    corners: IndexArray
+
+    def at(self, triangle: IndexArray, barycentric: FloatArray) -> sparse.csr_array:
+        """(k, p0) weights of the control mesh's values at points of the surface."""
+        k = len(triangle)
+        rows = sparse.csr_array(
+            (barycentric.ravel(), self.corners[triangle].ravel(), np.arange(0, 3 * k + 1, 3)),
+            shape=(k, self.matrix.shape[0]),
+        )
+        weights = sparse.csr_array(rows @ self.matrix)
+        weights.eliminate_zeros()
+        weights.sort_indices()
+        return weights
+
+
+def interpolate_linearly(
+    control: ControlMesh, nodes: IndexArray, count: int, level: int, scheme: Scheme
+) -> LinearValues:
+    """Prepare the linear interpolation of values on a control mesh.
+
+    Parameters
+    ----------
+    control : ControlMesh
+    nodes : (c,) int64
+        Node of every face corner: its vertex, its UV, or the corner itself. Corners that share a node share its value.
+    count : int
+        Number of nodes.
+    level : int
+        Level of the triangles, at least 1.
+    scheme : CatmullClark or Loop
+    """
+    with_faces = isinstance(scheme, CatmullClark)
+    table = control_table(control, nodes, count)
+    matrix = _linear_step(table, with_faces)
+    for _ in range(level - 1):
+        table = split_table(table, scheme)
+        matrix = sparse.csr_array(_linear_step(table, with_faces) @ matrix)
+    children = quad_children(table) if with_faces else triangle_children(table)
+    return LinearValues(matrix, triangles(children.astype(np.int64)))
+
+
+def corner_triangles(n_corners: int, level: int, scheme: Scheme) -> IndexArray:
+    """(c,) triangle of a level that lies in the tip of every face corner; its first vertex is the corner's."""
+    # A child keeps its parent's corner as its own first one (refinement.topology).
+    corners = np.arange(n_corners)
+    if isinstance(scheme, CatmullClark):
+        return 2 * 4 ** (level - 1) * corners
+    return 4 ** (level - 1) * (4 * (corners // 3) + corners % 3)
+
+
+def _linear_step(table: CornerTable, with_faces: bool) -> sparse.csr_array:
+    """(n + e [+ m], n) one step: vertices stay, edges get the middle, faces the mean of their corners."""
+    n, e = table.n_vertices, table.n_edges
+    one_each = np.flatnonzero(table.forward)
+    edges = np.repeat(table.edges[one_each], 2)
+    ends = np.stack([table.vertices[one_each], table.vertices[table.following[one_each]]], axis=1).ravel()
+    rows: list[NDArray[Any]] = [np.arange(n), n + edges]
+    columns: list[NDArray[Any]] = [np.arange(n), ends]
+    values: list[FloatArray] = [np.ones(n), np.full(len(edges), 0.5)]
+    if with_faces:
+        rows.append(n + e + table.faces)
+        columns.append(table.vertices)
+        values.append(1.0 / np.bincount(table.faces)[table.faces])
+    shape = (n + e + (table.n_faces if with_faces else 0), n)
+    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+    return sparse.csr_array(sparse.coo_array(entries, shape=shape))
