@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 import re
 import subprocess
 import sys
@@ -424,3 +425,13 @@ def test_faults_of_ours_are_said_to_be(run: Run, monkeypatch: pytest.MonkeyPatch
     outcome = run("check", "x.obj")
     assert outcome.code == 70
     assert "fault of cagemap" in outcome.err
+
+
+def test_threads_are_one_setting_for_the_process(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for variable in ("CAGEMAP_THREADS", "OPENIMAGEIO_THREADS"):
+        monkeypatch.setenv(variable, "7")
+    mesh = tmp_path / "mesh.obj"
+    write_mesh(mesh, icosahedron())
+    assert run("--threads", "2", "check", mesh).code == 0
+    assert os.environ["CAGEMAP_THREADS"] == os.environ["OPENIMAGEIO_THREADS"] == "2"
+    assert run("--threads", "0", "check", mesh).code == 2

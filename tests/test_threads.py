@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
@@ -9,7 +12,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from cagemap.basis import BasisConfig
 from cagemap.errors import ParameterError
 from cagemap.mesh import shapes
-from cagemap.numerics.threads import in_threads, one_blas_thread
+from cagemap.numerics.threads import ThreadPool, core_count, in_threads, one_blas_thread, thread_limit
 from cagemap.pipeline import prepare_pair, prepare_surface
 
 CONFIG = BasisConfig(count=12)
@@ -27,6 +30,75 @@ def test_blas_is_limited_inside_and_as_before_outside():
         with one_blas_thread():
             assert set(blas_threads().values()) == {1}
         assert blas_threads() == before
+
+
+def test_blas_is_as_before_however_the_stays_of_two_threads_overlap():
+    np.linalg.eigh(np.eye(3))
+    with threadpool_limits(limits=2, user_api="blas"):
+        first_left, second_in = threading.Event(), threading.Event()
+
+        def second():
+            with one_blas_thread():
+                second_in.set()
+                assert first_left.wait(timeout=60)
+                return set(blas_threads().values())
+
+        with ThreadPoolExecutor(1) as pool:
+            with one_blas_thread():  # enters first, leaves first
+                inside = pool.submit(second)
+                assert second_in.wait(timeout=60)
+            first_left.set()
+            assert inside.result() == {1}
+        assert set(blas_threads().values()) == {2}
+
+
+def test_blas_is_as_before_after_many_threads_and_errors():
+    with threadpool_limits(limits=2, user_api="blas"):
+
+        def stay(i):
+            with one_blas_thread():
+                if i % 3 == 0:
+                    raise ParameterError("stop")
+                return np.linalg.eigvalsh(np.eye(20))[0]
+
+        with ThreadPoolExecutor(8) as pool:
+            stays = [pool.submit(stay, i) for i in range(60)]
+        assert sum(stay.exception() is not None for stay in stays) == 20
+        assert set(blas_threads().values()) == {2}
+
+
+def test_a_thread_limit_holds_inside_and_in_the_threads_started_there():
+    before = core_count()
+    with thread_limit(3):
+        assert core_count() == 3
+        assert in_threads(lambda _: core_count(), range(3)) == [3, 3, 3]
+        with thread_limit(1):
+            assert in_threads(lambda _: threading.get_ident(), range(4)) == [threading.get_ident()] * 4
+            with ThreadPool(2) as pool:
+                assert pool.submit(threading.get_ident).result() == threading.get_ident()
+                with pytest.raises(ParameterError, match="item 2"):
+                    pool.submit(fail_at_two, 2).result()
+        assert core_count() == 3
+        with ThreadPoolExecutor(1) as foreign:  # a user's own thread has its own setting
+            assert foreign.submit(core_count).result() == before
+    assert core_count() == before
+
+
+def test_an_environment_variable_limits_threads(monkeypatch):
+    monkeypatch.setenv("CAGEMAP_THREADS", "5")
+    assert core_count() == 5
+    with thread_limit(2):
+        assert core_count() == 2
+    for wrong in ("0", "many", "1.5"):
+        monkeypatch.setenv("CAGEMAP_THREADS", wrong)
+        with pytest.raises(ParameterError, match="CAGEMAP_THREADS"):
+            core_count()
+
+
+@pytest.mark.parametrize("wrong", [0, -1, 1.5, "two"])
+def test_a_thread_limit_is_a_positive_number(wrong):
+    with pytest.raises(ParameterError, match="threads: expected"), thread_limit(wrong):
+        pass
 
 
 def test_results_come_in_order_and_the_first_error_is_raised():

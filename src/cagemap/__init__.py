@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from cagemap.mesh import ControlMesh as ControlMesh
     from cagemap.mesh.checks import check_mesh as check_mesh
     from cagemap.mesh.landmarks import Landmarks as Landmarks
+    from cagemap.numerics.threads import thread_limit as thread_limit
     from cagemap.operators import Operators as Operators
     from cagemap.operators import build_operators as build_operators
     from cagemap.pipeline import MatchConfig as MatchConfig
@@ -47,6 +48,7 @@ _ROOMS = {
     "mesh": ("ControlMesh",),
     "mesh.checks": ("check_mesh",),
     "mesh.landmarks": ("Landmarks",),
+    "numerics.threads": ("thread_limit",),
     "operators": ("Operators", "build_operators"),
     "pipeline": ("MatchConfig", "MatchResult", "choose_level", "match", "prepare_surface", "update_match"),
     "maps.point_map": ("PointMap",),
@@ -77,6 +79,7 @@ __all__ = [
     "read_mesh",
     "read_result",
     "refine",
+    "thread_limit",
     "write_mesh",
     "write_result",
 ]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -23,7 +22,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.threads import in_threads, one_blas_thread
+from cagemap.numerics.threads import ThreadPool, in_threads, one_blas_thread
 from cagemap.operators import build_operators
 from cagemap.refinement import Scheme, level_triangles, refine
 
@@ -306,7 +305,7 @@ def update_match(
 
 def _read_off_and_judged(pair: Pair, point_map: PointMap, landmarks: Landmarks) -> tuple[FloatArray, QualityFigures]:
     """Functional map and quality figures of a point map, at the same time."""
-    with ThreadPoolExecutor(1) as aside:
+    with ThreadPool(1) as aside:
         functional_map = aside.submit(functional_map_of, pair, point_map)
         quality = judge(pair.target, pair.source, point_map, landmarks)
         return functional_map.result(), quality

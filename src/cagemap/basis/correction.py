@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,7 +17,7 @@ from cagemap.errors import SolverError
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Analysis, Factorization, analyze, factor
 from cagemap.numerics.products import multiply
-from cagemap.numerics.threads import parts
+from cagemap.numerics.threads import ThreadPool, parts
 
 # Steps of the smoother in a correction: of what it can reach they leave under a hundredth.
 STEPS = 8
@@ -211,7 +210,7 @@ def improved(
         a few rounds, or the inertia counts other eigenvalues.
     """
     stiffness, mass = correction.stiffness, correction.mass
-    with ThreadPoolExecutor(1) as aside:
+    with ThreadPool(1) as aside:
         analysis = aside.submit(correction.analyzed if known is None else Analysis)
         block, errors = correction.corrected(vectors, values, fixed)
         try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +11,7 @@ from cagemap.basis.guess import working_type
 from cagemap.basis.smoothing import Block
 from cagemap.errors import SolverError
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import ThreadPool
 
 # Steps that tell which pairs are clearly good; their gains were 0.7 to 1.2 of the true errors.
 _ROUGH_STEPS = 2
@@ -86,7 +86,7 @@ def split_isolated(
     scale = np.maximum(values, 1e-3 * values[-1])
     dtype = working_type(tolerance)
     vectors = vectors.astype(dtype, copy=False)
-    with ThreadPoolExecutor(1) as aside:
+    with ThreadPool(1) as aside:
         analysis = aside.submit(correction.analyzed) if tolerance <= _SECOND_ORDER else None
         errors = _ROUGH_SAFETY * correction.gains(vectors, values, _ROUGH_STEPS) / scale
         unclear = np.flatnonzero(errors > tolerance)

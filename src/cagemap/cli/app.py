@@ -77,8 +77,18 @@ def _root(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and stop.")
     ] = False,
+    threads: Annotated[
+        int | None,
+        typer.Option(
+            "--threads",
+            min=1,
+            help="Spread work over at most this many threads; all cores by default. CAGEMAP_THREADS says the same.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
-    pass
+    if threads is not None:
+        os.environ["CAGEMAP_THREADS"] = os.environ["OPENIMAGEIO_THREADS"] = str(threads)
 
 
 @app.command()

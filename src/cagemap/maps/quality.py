@@ -7,7 +7,6 @@ A map is given as arrays: ``triangle (n1,)`` and ``barycentric (n1, 3)``, the so
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,7 +24,7 @@ from cagemap.geometry.closest import (
     triangle_normals,
 )
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.threads import in_threads, parts
+from cagemap.numerics.threads import ThreadPool, in_threads, parts
 
 LANDMARK_TOLERANCE = 5e-4  # of sqrt(area): a landmark farther off than this is named
 FLIPPED_TOLERANCE = 5e-3  # of the target's area
@@ -252,7 +251,7 @@ def measure_quality(
         flipped = flipped_triangles(image, these, image_normals)
         return 0.5 * row_lengths(triangle_normals(target, these)), flipped, *sigma
 
-    with ThreadPoolExecutor(1) as pool:
+    with ThreadPool(1) as pool:
         asked = target_triangles if coarse_triangles is None else coarse_triangles
         covered = pool.submit(covered_share, image[: asked.max() + 1], asked, source, source_triangles)
         found = in_threads(on_triangles, parts(len(target_triangles), CACHED))

@@ -16,6 +16,7 @@ from scipy import sparse
 from scipy.sparse import linalg as sparse_linalg
 
 from cagemap.errors import ParameterError, SolverError
+from cagemap.numerics.threads import core_count
 
 rslab: Any
 try:
@@ -28,6 +29,8 @@ SparseMatrix = sparse.csr_array | sparse.csc_array
 
 # SuperLU's minimum degree ordering gives the least fill on small meshes and takes minutes on large ones.
 _SUPERLU_MINIMUM_DEGREE_ROWS = 30_000
+# Most threads that rslab gives one matrix by default.
+_RSLAB_THREADS = 4
 
 
 @dataclass(frozen=True)
@@ -155,7 +158,7 @@ def factor_general(matrix: SparseMatrix, *, library: str = "auto") -> Factorizat
     entries.sort_indices()
     try:
         # Minimum degree as in `_ordered`.
-        factors = rslab.analyze(entries, "lu", ordering="amd").factor(entries.data)
+        factors = rslab.analyze(entries, "lu", ordering="amd", threads=_rslab_threads()).factor(entries.data)
     except (RuntimeError, ValueError) as error:
         raise SolverError(_singular_message(matrix, error)) from error
     return Factorization(matrix.shape, None, "rslab", factors.solve_many)
@@ -181,7 +184,12 @@ def _lower_triangle(matrix: SparseMatrix) -> sparse.csc_array:
 
 def _ordered(lower: sparse.csc_array) -> Any:
     # Approximate minimum degree: on meshes it beats nested dissection once analysis time is counted.
-    return rslab.analyze(lower, "ldlt", ordering="amd")
+    return rslab.analyze(lower, "ldlt", ordering="amd", threads=_rslab_threads())
+
+
+def _rslab_threads() -> tuple[str, int]:
+    """What rslab chooses for a matrix, within its own cap and ours; factors do not depend on it."""
+    return "auto", min(_RSLAB_THREADS, core_count())
 
 
 def _factor_rslab(matrix: SparseMatrix, like: Factorization | Analysis | None, dtype: Precision) -> Factorization:

@@ -2,37 +2,162 @@
 
 OpenBLAS splits every product among all cores and lets its threads spin while they wait for each other. On tall, narrow
 blocks that gains little, and as soon as anything else runs on the machine it costs four times the processor time.
+
+How many threads there are is set in one place: `thread_limit` for what runs inside it, the environment variable
+CAGEMAP_THREADS for a process, and otherwise the cores that the process may use.
 """
 
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import TypeVar
+from contextvars import ContextVar, copy_context
+from typing import Any, ParamSpec, TypeVar
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import OpenBLASController, threadpool_limits
+
+from cagemap.errors import ParameterError
 
 Item = TypeVar("Item")
 Value = TypeVar("Value")
+Arguments = ParamSpec("Arguments")
+
+THREADS_VARIABLE = "CAGEMAP_THREADS"
+
+_thread_limit: ContextVar[int | None] = ContextVar("cagemap_thread_limit", default=None)
+
+
+class _BlasLimit:
+    """The process's BLAS libraries, held at one thread from the first that asks until the last one has left.
+
+    The setting belongs to the process: were every caller to restore what it found, then of two whose stays overlap
+    the one that ends last would restore the other's limit, and it would stay for ever.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._users = 0
+        self._limits: threadpool_limits | None = None
+
+    def enter(self) -> None:
+        with self._lock:
+            if self._users == 0:
+                _any_thread_may_set()
+                self._limits = threadpool_limits(limits=1, user_api="blas")
+                _any_thread_may_set()
+            self._users += 1
+
+    def leave(self) -> None:
+        with self._lock:
+            self._users -= 1
+            if self._users == 0 and self._limits is not None:
+                _any_thread_may_set()
+                self._limits.restore_original_limits()
+                self._limits = None
+                _any_thread_may_set()
+
+
+def _any_thread_may_set() -> None:
+    """Let this thread, and any after it, set the number of OpenBLAS threads.
+
+    From 3.7 on threadpoolctl heeds the thread that has set it first and silently ignores all others while it lives.
+    """
+    release = getattr(OpenBLASController, "clear_controlling_thread", None)
+    if release is not None:
+        release(force=True)
+
+
+_blas_limit = _BlasLimit()
 
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Keep BLAS and LAPACK to the calling thread while the block runs.
+    """Keep BLAS and LAPACK to the calling thread while the block runs; any number of threads may be inside at once.
 
-    The setting belongs to the process: where several threads work, enter it before they start.
+    The setting belongs to the process: where several threads work, enter it before they start. What was set before is
+    restored when the last one leaves.
     """
-    with threadpool_limits(limits=1, user_api="blas"):
+    _blas_limit.enter()
+    try:
         yield
+    finally:
+        _blas_limit.leave()
+
+
+@contextmanager
+def thread_limit(count: int) -> Iterator[None]:
+    """Spread work over at most this many threads inside the block, and in the threads that cagemap starts there.
+
+    Other threads of the caller keep their own setting. Work within work may be spread once more, so that only 1 is a
+    limit of the whole.
+
+    Parameters
+    ----------
+    count : int
+        At least 1.
+
+    Raises
+    ------
+    ParameterError
+        If the count is not a positive integer.
+    """
+    token = _thread_limit.set(_checked_count(count, "threads"))
+    try:
+        yield
+    finally:
+        _thread_limit.reset(token)
 
 
 def core_count() -> int:
-    """Cores that this process may use."""
+    """Threads to spread work over: `thread_limit`, else CAGEMAP_THREADS, else the cores that this process may use.
+
+    Raises
+    ------
+    ParameterError
+        If the environment variable is no positive integer.
+    """
+    limit = _thread_limit.get()
+    if limit is not None:
+        return limit
+    variable = os.environ.get(THREADS_VARIABLE, "").strip()
+    if variable:
+        return _checked_count(variable, THREADS_VARIABLE)
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def _checked_count(count: int | str, name: str) -> int:
+    try:
+        number = int(count)
+    except (TypeError, ValueError):
+        number = 0
+    if number < 1 or (not isinstance(count, str) and number != count):
+        raise ParameterError(
+            f"{name}: expected a number of threads from 1, got {count!r}; leave it out to use all cores"
+        )
+    return number
+
+
+class ThreadPool(ThreadPoolExecutor):
+    """A thread pool whose work sees its caller's `thread_limit`; under a limit of 1 the caller does it at once."""
+
+    def submit(
+        self, work: Callable[Arguments, Value], /, *args: Arguments.args, **kwargs: Arguments.kwargs
+    ) -> Future[Value]:
+        """Schedule work(*args, **kwargs)."""
+        if core_count() > 1:
+            context = copy_context()
+            return super().submit(lambda: context.run(work, *args, **kwargs))
+        future: Future[Any] = Future()
+        try:
+            future.set_result(work(*args, **kwargs))
+        except Exception as error:  # raised where the result is asked for, as from a thread
+            future.set_exception(error)
+        return future
 
 
 def in_threads(work: Callable[[Item], Value], items: Sequence[Item], threads: int | None = None) -> list[Value]:
@@ -40,7 +165,7 @@ def in_threads(work: Callable[[Item], Value], items: Sequence[Item], threads: in
     threads = min(len(items), threads or core_count())
     if threads <= 1:
         return [work(item) for item in items]
-    with ThreadPoolExecutor(threads) as pool:
+    with ThreadPool(threads) as pool:
         return list(pool.map(work, items))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from cagemap.files.result import Result
 from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.threads import ThreadPool
 from cagemap.pictures import (
     BACK,
     ENOUGH,
@@ -190,7 +190,7 @@ _Job = tuple[View, Skin | None, Skin, bool]
 
 def _figures(stage: _Stage, jobs: list[_Job], size: tuple[int, int], progress: Progress | None) -> Iterator[Figure]:
     # NumPy and Embree release the interpreter in their loops, so two threads draw nearly twice as fast.
-    with ThreadPoolExecutor(2) as pool:
+    with ThreadPool(2) as pool:
         for number, figure in enumerate(pool.map(lambda job: _figure(stage, job, size), jobs), start=1):
             if progress is not None:
                 progress(f"picture {number} of {len(jobs)}")

@@ -9,18 +9,17 @@ gives the value at the source points. This module runs them over bands of the im
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import ThreadPool, core_count
 from cagemap.refinement import Level
 from cagemap.transfer.dilation import LARGEST_SIDE, dilate
 from cagemap.transfer.locate import MappedSurface, Samples, locate_samples, map_surface, plan_samples
@@ -70,7 +69,7 @@ class BakeOptions:
     wrap : "repeat" or "clamp"
         What lies outside a plain source texture.
     threads : int, optional
-        By default as many as Numba may use.
+        By default as many as `cagemap.thread_limit` allows.
     """
 
     tile: int = 0
@@ -214,7 +213,7 @@ def bake(
     """
     image = np.zeros((canvas.height, canvas.width, channels), dtype=dtype)
     covered = np.zeros((canvas.height, canvas.width), dtype=np.bool_)
-    threads = options.threads or numba.get_num_threads()
+    threads = options.threads or core_count()
     rows = canvas.layout.band_rows // canvas.supersample
 
     def bake_band(band: int) -> None:
@@ -230,7 +229,7 @@ def bake(
         image[part].reshape(-1, channels)[texels] = to_dtype(values, image.dtype)
         covered[part].reshape(-1)[texels] = True
 
-    with ThreadPoolExecutor(threads) as pool:
+    with ThreadPool(threads) as pool:
         for _ in pool.map(bake_band, range(len(canvas.layout.band_triangles))):
             pass
     dilate(image, covered, distance=options.dilation, threads=threads)

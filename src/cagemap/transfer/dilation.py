@@ -8,12 +8,13 @@ Hesselink, *A general algorithm for computing distance transforms in linear time
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from cagemap.numerics.threads import ThreadPool
 
 _STRIP = 512
 _NOWHERE = np.int16(-1)
@@ -42,12 +43,12 @@ def dilate(image: NDArray[Any], covered: NDArray[np.bool_], *, distance: int | N
     def fill(begin: int, end: int) -> None:
         _fill_rows(texels, nearest_row, reach, begin, end, *np.empty((2, width), dtype=np.int64))
 
-    with ThreadPoolExecutor(threads) as pool:
+    with ThreadPool(threads) as pool:
         _each(pool, lambda begin, end: _nearest_rows(covered, nearest_row, begin, end), width)
         _each(pool, fill, height)
 
 
-def _each(pool: ThreadPoolExecutor, work: Callable[[int, int], None], size: int) -> None:
+def _each(pool: ThreadPool, work: Callable[[int, int], None], size: int) -> None:
     starts = range(0, size, _STRIP)
     for future in [pool.submit(work, start, min(start + _STRIP, size)) for start in starts]:
         future.result()

@@ -9,7 +9,6 @@ moves whole limbs, then on the mesh of a level.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +20,7 @@ from cagemap.maps.elastic.data import PULLERS, Pullers, Sheet, deformed_normals,
 from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph, bounded_maps, cluster_graph, extrapolate
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import factor
+from cagemap.numerics.threads import ThreadPool
 
 LANDMARK_ITERATIONS = 20
 COST_STIFFNESS = 1e-3  # alpha at which coarse fits from different starts are compared
@@ -302,7 +302,7 @@ def run_stage(
     normal_weight = config.normal_weight if triangles is None else config.fine_normal_weight
     positions, before = start, start
     guess, guess_back = None, None
-    with ThreadPoolExecutor(1) as aside:
+    with ThreadPool(1) as aside:
         for iteration, alpha in enumerate(stage.ramped(), start=1):
             if triangles is None:
                 differentials = aside.submit(rest.differentials, positions)

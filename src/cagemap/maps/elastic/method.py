@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +17,7 @@ from cagemap.maps.spectral.hierarchical import HierarchyConfig, Pair, Progress, 
 from cagemap.maps.spectral.landmark_coordinates import landmark_coordinates
 from cagemap.maps.spectral.zoomout import FIT_SAMPLES, Samples, fit_functional_map, spread
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.threads import in_threads
+from cagemap.numerics.threads import ThreadPool, in_threads
 from cagemap.refinement import level_triangles
 
 # Source vertices that a start is sought among: twice as many as there are vertices to start.
@@ -136,7 +135,7 @@ def _fitted(
     places, elastic = on_source[pair.source_landmarks], config.elastic
     progress("functional map")
     shapes = fit_shapes(pair, levels[0], elastic)
-    with ThreadPoolExecutor(1) as aside:  # what does not need the functional map, in the order in which it is asked for
+    with ThreadPool(1) as aside:  # what does not need the functional map, in the order in which it is asked for
         coarse = aside.submit(RestShape.build, shapes.coarse, None, elastic.coarse.smoothing)
         blind = aside.submit(lambda: coarse_fit(coarse.result(), shapes.sheet, None, places, elastic))
         fine = aside.submit(RestShape.build, shapes.graph, shapes.triangles, elastic.fine.smoothing)
