@@ -76,7 +76,9 @@ def test_every_command_option_is_documented_and_exists(document: Path) -> None:
 
     options = {"--help", "--version"}
     names = set()
-    for name, command in get_command(app).commands.items():  # type: ignore[attr-defined]
+    root = get_command(app)
+    options |= {option for parameter in root.params for option in parameter.opts}
+    for name, command in root.commands.items():  # type: ignore[attr-defined]
         names.add(name)
         for parameter in command.params:
             options |= {*parameter.opts, *parameter.secondary_opts}
