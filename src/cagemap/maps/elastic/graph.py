@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from cagemap.geometry.closest import normalized, vertex_normals
@@ -28,6 +29,10 @@ from cagemap.operators.laplacian import stiffness, vertex_areas
 LEAST_WEIGHT = 1e-2
 # How far apart, in units of a cluster's size, opposite normals are.
 NORMAL_SPREAD = 1.0
+# Pieces of cells with less than this share of the mean piece's area are joined to a neighbour, in some rounds: two tiny
+# ones may join each other first.
+TINY = 0.3
+JOINING_ROUNDS = 4
 # Ratio of a map's two stretches in the tangent plane below which it flattens the surface.
 FLAT = 0.2
 # Such a map gets all three singular values up to this share of its largest.
@@ -275,7 +280,7 @@ def extrapolate(
 
 
 def _cells(graph: ElasticGraph, count: int) -> IndexArray:
-    """(n,) cell of a grid over position and normal, of a width that gives about ``count`` cells."""
+    """(n,) connected cell of a grid over position and normal, of a width that gives about ``count`` cells."""
     width = np.sqrt(1.0 / count)
     cell = np.zeros(graph.n, dtype=np.int64)
     for _ in range(8):
@@ -283,11 +288,50 @@ def _cells(graph: ElasticGraph, count: int) -> IndexArray:
         keys = np.floor(features - features.min(axis=0)).astype(np.int64)
         counts = keys.max(axis=0) + 1
         _, cell = np.unique(np.ravel_multi_index(tuple(keys.T), tuple(counts)), return_inverse=True)
+        cell = connected_cells(graph, cell.ravel())
         found = int(cell.max()) + 1
         if 0.85 * count <= found <= 1.2 * count or (found == graph.n and count >= graph.n):
             break
         width *= np.sqrt(found / count)
-    return np.asarray(cell.ravel(), dtype=np.int64)
+    return cell
+
+
+def connected_cells(graph: ElasticGraph, cell: IndexArray) -> IndexArray:
+    """(n,) cells split into their connected pieces, tiny pieces joined to a neighbour.
+
+    Parts of a body that touch, a hand on a thigh, share cells of a grid though nothing joins them: such a cell would
+    hold them together, and shorten the ways between them. A piece with less than `TINY` of the mean area goes to the
+    neighbour that it shares most edge weight with: what a cell's border cuts off would else be a stiff dot.
+
+    Parameters
+    ----------
+    graph : ElasticGraph
+    cell : (n,) int64
+    """
+    inside = cell[graph.heads] == cell[graph.tails]
+    piece = _components(graph.heads[inside], graph.tails[inside], graph.n)
+    for _ in range(JOINING_ROUNDS):
+        k = int(piece.max()) + 1
+        areas = np.bincount(piece, graph.areas, minlength=k)
+        across = (piece[graph.heads] != piece[graph.tails]) & (areas < TINY * areas.mean())[piece[graph.heads]]
+        if not across.any():
+            break
+        heads, tails = graph.heads[across], graph.tails[across]
+        # Edge weights times squared lengths count the area along the common border, normals the sides of a thin part.
+        agree = 1.0 + np.einsum("ed,ed->e", graph.normals[heads], graph.normals[tails])
+        border = graph.weights[across] * ((graph.positions[heads] - graph.positions[tails]) ** 2).sum(axis=1) * agree
+        shared = sparse.coo_array((border, (piece[heads], piece[tails])), shape=(k, k)).tocsr().tocoo()
+        order = np.lexsort((shared.data, shared.row))
+        last = np.flatnonzero(np.diff(shared.row[order], append=k))
+        small, joined = (shared.coords[side][order][last].astype(np.int64) for side in (0, 1))
+        piece = _components(small, joined, k)[piece]
+    return piece
+
+
+def _components(heads: IndexArray, tails: IndexArray, n: int) -> IndexArray:
+    """(n,) number of the connected component of every vertex."""
+    edges = sparse.coo_array((np.ones(len(heads)), (heads, tails)), shape=(n, n))
+    return np.asarray(connected_components(edges, directed=False)[1], dtype=np.int64)
 
 
 def _sum_by(groups: IndexArray, values: FloatArray, count: int) -> FloatArray:
