@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import shutil
 import stat
 from pathlib import Path
 
@@ -12,10 +11,21 @@ import pytest
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_folder, atomic_path
+from cagemap.files.marks import mark
+
+NAMES = ("map.npz", "manifest.json")
 
 
 def fail_after(_written: int, error: BaseException | type[BaseException]) -> None:
     raise error
+
+
+def appear(folder: Path, written: Path) -> None:
+    """Finish what is being written just after somebody else has put their work there."""
+    for name in NAMES:
+        (written / name).touch()
+    folder.mkdir()
+    (folder / "precious.blend").touch()
 
 
 def test_file_appears_whole_under_its_name_only(tmp_path: Path) -> None:
@@ -36,7 +46,7 @@ def test_file_appears_whole_under_its_name_only(tmp_path: Path) -> None:
 def test_failure_leaves_the_older_file(tmp_path: Path, error: type[BaseException]) -> None:
     final = tmp_path / "a.txt"
     final.write_text("old")
-    with pytest.raises(error), atomic_path(final) as temporary:
+    with pytest.raises(error), atomic_path(final, force=True) as temporary:
         fail_after(temporary.write_text("new"), error)
     assert final.read_text() == "old"
     assert list(tmp_path.iterdir()) == [final]
@@ -61,18 +71,17 @@ def test_places_that_cannot_be_written_are_named(tmp_path: Path) -> None:
         fail_after(0, full)
     with pytest.raises(FileNotFoundError), atomic_path(tmp_path / "a.txt"):  # of another file, the caller's business
         fail_after(0, FileNotFoundError(errno.ENOENT, "No such file", "input.png"))
-    with pytest.raises(FormatError, match="does not exist"), atomic_folder(tmp_path / "none" / "r", "manifest.json"):
+    with pytest.raises(FormatError, match="does not exist"), atomic_folder(tmp_path / "none" / "r", NAMES):
         pass
 
 
 def test_folder_appears_whole(tmp_path: Path) -> None:
     final = tmp_path / "result"
-    with atomic_folder(final, "manifest.json") as temporary:
-        (temporary / "sub").mkdir()
-        (temporary / "sub" / "map.npz").write_text("x")
+    with atomic_folder(final, NAMES) as temporary:
+        (temporary / "map.npz").write_text("x")
         (temporary / "manifest.json").write_text("{}")
         assert not final.exists()
-    assert sorted(path.name for path in final.rglob("*")) == ["manifest.json", "map.npz", "sub"]
+    assert sorted(path.name for path in final.rglob("*")) == ["manifest.json", "map.npz"]
     assert list(tmp_path.iterdir()) == [final]
     assert os.access(final, os.R_OK | os.X_OK)
 
@@ -81,10 +90,13 @@ def test_earlier_result_and_empty_folder_are_replaced(tmp_path: Path) -> None:
     final = tmp_path / "result"
     final.mkdir()
     for text in ("first", "second"):
-        with atomic_folder(final, "manifest.json") as temporary:
-            (temporary / "manifest.json").write_text(text)
-            (temporary / text).touch()
-    assert sorted(path.name for path in final.iterdir()) == ["manifest.json", "second"]
+        with atomic_folder(final, NAMES) as temporary:
+            for name in NAMES:
+                (temporary / name).write_text(f"{text} {mark()}")
+        (final / f"notes of the {text}.txt").write_text("mine")
+    assert (final / "map.npz").read_text().startswith("second")
+    notes = ["notes of the first.txt", "notes of the second.txt"]
+    assert sorted(path.name for path in final.iterdir()) == ["manifest.json", "map.npz", *notes]
     assert list(tmp_path.iterdir()) == [final]
 
 
@@ -92,14 +104,17 @@ def test_other_folders_and_files_are_never_overwritten(tmp_path: Path) -> None:
     work = tmp_path / "work"
     work.mkdir()
     (work / "precious.blend").touch()
-    with pytest.raises(FormatError, match=r"no manifest\.json.*not overwritten"), atomic_folder(work, "manifest.json"):
+    with (
+        pytest.raises(FormatError, match=r"no map\.npz and manifest\.json.*nothing is written"),
+        atomic_folder(work, NAMES),
+    ):
         pass
-    with pytest.raises(FormatError, match="got a file"), atomic_folder(work / "precious.blend", "manifest.json"):
+    with pytest.raises(FormatError, match="got a file"), atomic_folder(work / "precious.blend", NAMES):
         pass
     # What appears while the result is computed is as precious.
     late = tmp_path / "late"
-    with pytest.raises(FormatError, match="not overwritten"), atomic_folder(late, "manifest.json"):
-        shutil.copytree(work, late)
+    with pytest.raises(FormatError, match="nothing is written"), atomic_folder(late, NAMES) as temporary:
+        appear(late, temporary)
     assert (work / "precious.blend").exists()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["late", "work"]
 
@@ -108,7 +123,7 @@ def test_failure_leaves_the_older_folder(tmp_path: Path) -> None:
     final = tmp_path / "result"
     final.mkdir()
     (final / "manifest.json").write_text("old")
-    with pytest.raises(RuntimeError), atomic_folder(final, "manifest.json") as temporary:
+    with pytest.raises(RuntimeError), atomic_folder(final, NAMES, force=True) as temporary:
         fail_after((temporary / "manifest.json").write_text("new"), RuntimeError())
     assert (final / "manifest.json").read_text() == "old"
     assert list(tmp_path.iterdir()) == [final]

@@ -259,7 +259,7 @@ def test_a_target_without_uvs_needs_unwrap(run: Run, result_folder: Path, monkey
     assert "--unwrap" in refused.err
     outcome = run("transfer", "R", "--texture", "t.png", "--size", 32, "--unwrap", "-o", "b.png")
     assert outcome.code == 0, outcome.err
-    laid_out = read_mesh(place / "b.obj")
+    laid_out = read_mesh(place / "b_unwrapped.obj")
     assert laid_out.uvs is not None
     shown: dict[str, object] = {}
     monkeypatch.setattr(

@@ -191,8 +191,8 @@ def test_bad_files_are_refused_with_the_place(tmp_path: Path, case: str) -> None
 @given(data=st.data())
 def test_damaged_files_never_end_in_another_error(tmp_path: Path, data: st.DataObject) -> None:
     mesh = cube().with_uvs(np.zeros((1, 2)), np.zeros(24, dtype=np.int64))
-    write_ply(tmp_path / "mesh.ply", mesh, text=data.draw(st.booleans()))
-    content = bytearray((tmp_path / "mesh.ply").read_bytes())
+    write_ply(tmp_path / "whole.ply", mesh, text=data.draw(st.booleans()))
+    content = bytearray((tmp_path / "whole.ply").read_bytes())
     for _ in range(data.draw(st.integers(0, 3))):
         place = data.draw(st.integers(0, len(content) - 1))
         content[place] = data.draw(st.sampled_from(b" \n-.0179e\xff\x7f\x00") | st.integers(0, 255))

@@ -171,11 +171,11 @@ def test_nothing_is_stored_when_preparing_fails(tmp_path):
 def test_a_broken_write_leaves_the_old_file(stored, surface, monkeypatch):
     before = stored.read_bytes()
 
-    def half(stream, **arrays):
-        stream.write(b"PK half")
+    def half(path, arrays):
+        path.write_bytes(b"PK half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(np, "savez", half)
+    monkeypatch.setattr("cagemap.files.surface_store.write_npz", half)
     with pytest.raises(FormatError, match="No space left"):
         save_surface(stored, surface)
     assert stored.read_bytes() == before

@@ -34,7 +34,7 @@ def main(folder: Path) -> None:
         draw(result.target, folder / "deer.png", FRONT),
         draw(result.target, folder / "deer.png", replace(FRONT, azimuth=115.0)),
     ]
-    write_image(Path(__file__).with_name("demo.png"), np.concatenate(pictures, axis=1))
+    write_image(Path(__file__).with_name("demo.png"), np.concatenate(pictures, axis=1), force=True)
 
 
 if __name__ == "__main__":

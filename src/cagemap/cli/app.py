@@ -29,6 +29,9 @@ app = typer.Typer(
 )
 
 MeshFile = Annotated[Path, typer.Argument(help="Control mesh, .obj or .ply.", show_default=False)]
+Force = Annotated[
+    bool, typer.Option("--force", help="Overwrite files that cagemap did not write, or that were changed since.")
+]
 ResultFolder = Annotated[Path, typer.Argument(help="Folder that `cagemap match` wrote.", show_default=False)]
 
 
@@ -96,6 +99,7 @@ def demo(
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write everything to.")] = Path(
         "cagemap-demo"
     ),
+    force: Force = False,
 ) -> None:
     """Run the built-in pair end to end and write DIR/report.html.
 
@@ -106,7 +110,7 @@ def demo(
     from cagemap.cli.progress import Stages
 
     with Stages() as stages:
-        report, by_hand = run_demo(output, stages)
+        report, by_hand = run_demo(output, stages, force=force)
     typer.echo(f"The same by hand:\n{by_hand}\nOpen {report} in a browser.")
 
 
@@ -136,6 +140,7 @@ def refine(
         int, typer.Option("--level", "-l", min=0, help="Subdivision steps; each has about 4 times the faces.")
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Mesh to write, .obj or .ply.")],
+    force: Force = False,
 ) -> None:
     """Subdivide a control mesh: Loop for triangle meshes, Catmull-Clark for all others.
 
@@ -143,7 +148,7 @@ def refine(
     """
     from cagemap.cli.mesh_commands import refine_file
 
-    typer.echo(refine_file(mesh, level, output))
+    typer.echo(refine_file(mesh, level, output, force=force))
 
 
 @app.command()
@@ -200,6 +205,7 @@ def match(
             "--cache", help="Folder that keeps prepared surfaces, so that each is prepared once.", show_default=False
         ),
     ] = None,
+    force: Force = False,
 ) -> None:
     """Find for every point of the target its place on the source.
 
@@ -225,6 +231,7 @@ def match(
         exchange_landmarks=exchange_landmarks,
         trust_landmarks=trust_landmarks,
         cache=cache,
+        force=force,
     )
     with Stages() as stages:
         summary, warnings = run_match(request, stages)
@@ -289,8 +296,12 @@ def transfer(
         ),
     ] = None,
     unwrap: Annotated[
-        bool, typer.Option("--unwrap", help="Give a target without UVs a layout, and write the mesh beside the image.")
+        bool,
+        typer.Option(
+            "--unwrap", help="Give a target without UVs a layout, and write a mesh that has it beside the image."
+        ),
     ] = False,
+    force: Force = False,
 ) -> None:
     """Carry something from source to target: --texture, --displacement, --attribute, --material-colors, --source-uvs.
 
@@ -312,6 +323,7 @@ def transfer(
         unwrap=unwrap,
         midlevel=midlevel,
         scale=scale,
+        force=force,
     )
     with Stages() as stages:
         summary, warnings = run_transfer(request, stages)
@@ -329,6 +341,7 @@ def report(
             "--texture", help="Source texture to show.  [default: that of the last transfer]", show_default=False
         ),
     ] = None,
+    force: Force = False,
 ) -> None:
     """Write one HTML page: both surfaces in the same views, the map as colours, quality in plain words.
 
@@ -338,7 +351,7 @@ def report(
     from cagemap.cli.report import run_report
 
     with Stages() as stages:
-        run_report(result, output, texture, stages)
+        run_report(result, output, texture, stages, force=force)
     typer.echo(f"Open {output} in a browser.")
 
 

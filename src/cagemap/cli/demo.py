@@ -10,32 +10,34 @@ from cagemap.cli.report import run_report
 from cagemap.cli.transfer import TransferRequest, run_transfer
 from cagemap.errors import FormatError
 from cagemap.example import example_pair
+from cagemap.files.atomic import check_outputs
 from cagemap.files.images import write_image
 from cagemap.files.landmarks import write_landmarks
-from cagemap.files.meshes import write_mesh
+from cagemap.files.meshes import mesh_files, write_mesh
 
 TEXTURE_SIZE = 2048
 VERTICES = 100_000
 
 
-def run_demo(folder: Path, stages: Stages) -> tuple[Path, str]:
+def run_demo(folder: Path, stages: Stages, *, force: bool = False) -> tuple[Path, str]:
     """Write the pair's files, match them, bake, report; returns the report's path and the commands that do the same."""
     if folder.exists() and not folder.is_dir():
         raise FormatError(f"{folder}: expected a folder to write to, got a file. Give another name.")
-    folder.mkdir(parents=True, exist_ok=True)
     stages("model and paint the pair")
     pair = example_pair(TEXTURE_SIZE)
     target, source = (folder / f"{Path(mesh.name).stem}.obj" for mesh in (pair.target, pair.source))
     landmarks, texture = folder / "landmarks.json", folder / f"{source.stem}.png"
-    write_mesh(target, pair.target)
-    write_mesh(source, pair.source)
-    write_landmarks(landmarks, pair.landmarks)
-    write_image(texture, pair.texture)
-
     result, baked, report = folder / "RESULT", folder / f"{target.stem}.png", folder / "report.html"
-    run_match(MatchRequest(target, source, landmarks, result, vertices=VERTICES), stages)
-    run_transfer(TransferRequest(result, baked, texture=texture), stages)
-    run_report(result, report, None, stages)
+    folder.mkdir(parents=True, exist_ok=True)
+    models = [*mesh_files(target, pair.target), *mesh_files(source, pair.source)]
+    check_outputs([*models, landmarks, texture, baked, report], [], force=force)
+    write_mesh(target, pair.target, force=force)
+    write_mesh(source, pair.source, force=force)
+    write_landmarks(landmarks, pair.landmarks, force=force)
+    write_image(texture, pair.texture, force=force)
+    run_match(MatchRequest(target, source, landmarks, result, vertices=VERTICES, force=force), stages)
+    run_transfer(TransferRequest(result, baked, texture=texture, force=force), stages)
+    run_report(result, report, None, stages, force=force)
     by_hand = "\n".join(
         [
             f"  cagemap match --target {target} --source {source} --landmarks {landmarks} "

@@ -13,9 +13,21 @@ from cagemap.basis import BasisConfig
 from cagemap.cli.mesh_commands import require_size
 from cagemap.cli.progress import Stages
 from cagemap.errors import ParameterError
+from cagemap.files.atomic import require_no_input
 from cagemap.files.landmarks import read_landmarks
 from cagemap.files.meshes import read_mesh
-from cagemap.files.result import Result, file_hash, landmark_messages, peak_memory, result_of, write_result
+from cagemap.files.result import (
+    ARRAYS,
+    MANIFEST,
+    Result,
+    check_result_folder,
+    file_hash,
+    landmark_messages,
+    peak_memory,
+    result_of,
+    stated_path,
+    write_result,
+)
 from cagemap.files.surface_store import prepared
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
@@ -43,6 +55,7 @@ class MatchRequest:
     exchange_landmarks: bool = False
     trust_landmarks: bool = False
     cache: Path | None = None
+    force: bool = False
 
 
 @dataclass(frozen=True)
@@ -62,9 +75,14 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     basis, config = basis_config(request), match_config(request)
     started = time.perf_counter()
     stages("read")
-    inputs = read_inputs(request)
     files = {"target": request.target, "source": request.source, "landmarks": request.landmarks}
-    hashes = {name: {"file": path.name, "sha256": file_hash(path)} for name, path in files.items()}
+    check_result_folder(request.output, force=request.force)
+    require_no_input([request.output / name for name in (ARRAYS, MANIFEST)], files.values())
+    inputs = read_inputs(request)
+    hashes = {
+        name: {"file": path.name, "path": stated_path(path, request.output), "sha256": file_hash(path)}
+        for name, path in files.items()
+    }
     parameters = {
         "level": request.level,
         "vertices": request.vertices or (None if request.level else DEFAULT_VERTICES),
@@ -87,7 +105,7 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
         entries={"parameters": parameters, "inputs": hashes},
     )
     stages("write")
-    write_result(request.output, result)
+    write_result(request.output, result, force=request.force)
     return summary(result, request.output, time.perf_counter() - started), warnings(result)
 
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.errors import CagemapError, ParameterError
-from cagemap.files.meshes import check_mesh_path, read_mesh, write_mesh
+from cagemap.files.atomic import check_outputs
+from cagemap.files.meshes import check_mesh_path, mesh_files, read_mesh, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import check_mesh, require_valid
 from cagemap.refinement import Refinement
@@ -33,14 +34,16 @@ def check_files(paths: Sequence[Path]) -> tuple[str, bool]:
     return "\n\n".join(parts), sound
 
 
-def refine_file(path: Path, level: int, output: Path) -> str:
+def refine_file(path: Path, level: int, output: Path, *, force: bool = False) -> str:
     """Refine a mesh file into another; returns the table of levels."""
     check_mesh_path(output)
+    check_outputs([output], [path], force=force)
     control = read_mesh(path)
+    check_outputs(mesh_files(output, control), [path], force=force)
     require_valid(control)
     require_size(control, level)
     refinement = refine_mesh(control, level)
-    write_mesh(output, finest_as_mesh(refinement))
+    write_mesh(output, finest_as_mesh(refinement), force=force)
     return f"{refinement}\nwrote {output}"
 
 

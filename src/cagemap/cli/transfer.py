@@ -11,11 +11,24 @@ import numpy as np
 
 from cagemap.cli.progress import Stages
 from cagemap.errors import ParameterError
-from cagemap.files.attributes import read_attributes, write_attributes
-from cagemap.files.images import Image, check_writable, pixel_type, read_texture, texture_pixels, udim_path, write_image
+from cagemap.files.atomic import check_outputs, require_no_input, require_replaceable, require_writable_folder
+from cagemap.files.attributes import check_attribute_path, read_attributes, write_attributes
+from cagemap.files.images import (
+    UDIM_MARK,
+    Image,
+    check_writable,
+    pixel_type,
+    read_texture,
+    texture_files,
+    texture_pixels,
+    udim_path,
+    write_image,
+)
 from cagemap.files.meshes import write_mesh
-from cagemap.files.result import Result, note_transfer, read_result
+from cagemap.files.obj_layout import write_obj_layout
+from cagemap.files.result import ARRAYS, MANIFEST, Result, input_file, note_transfer, read_result, stated_path
 from cagemap.maps.point_map import PointMap
+from cagemap.mesh import ControlMesh
 from cagemap.transfer import (
     BakeOptions,
     Transfer,
@@ -54,13 +67,26 @@ class TransferRequest:
     unwrap: bool = False
     midlevel: float | None = None
     scale: float = 1.0
+    force: bool = False
 
 
 def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
     """Carry one thing from source to target and write it; returns a summary and warnings."""
     carry = _carrier(request)
+    require_no_input([request.output], _inputs(request))
+    require_writable_folder(request.output)
     stages("read result")
     return carry(request, read_result(request.result), stages)
+
+
+def _inputs(request: TransferRequest) -> list[Path]:
+    """Files that are read, as far as the command line names them."""
+    given = [path for path in (request.texture, request.displacement, request.attribute) if path is not None]
+    return [
+        request.result / MANIFEST,
+        request.result / ARRAYS,
+        *(file for path in given for file in texture_files(path)),
+    ]
 
 
 def _carrier(request: TransferRequest) -> Callable[[TransferRequest, Result, Stages], Outcome]:
@@ -101,8 +127,10 @@ def _carry_texture(request: TransferRequest, result: Result, stages: Stages) -> 
         pixels = bake_texture(
             prepared.transfer, texture_pixels(texture), size=size, dtype=dtype, options=BakeOptions(tile=tile)
         )
-        write_image(udim_path(request.output, tile), replace(first, pixels=pixels))
-    return _finish(request, prepared, {"kind": "texture", "image": request.texture.resolve(), "size": size})
+        write_image(udim_path(request.output, tile), replace(first, pixels=pixels), force=request.force)
+    return _finish(
+        request, prepared, {"kind": "texture", "image": stated_path(request.texture, request.result), "size": size}
+    )
 
 
 def _carry_displacement(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
@@ -122,10 +150,10 @@ def _carry_displacement(request: TransferRequest, result: Result, stages: Stages
             dtype=dtype,
             options=BakeOptions(tile=tile),
         )
-        write_image(udim_path(request.output, tile), baked.pixels)
+        write_image(udim_path(request.output, tile), baked.pixels, force=request.force)
     entry = {
         "kind": "displacement",
-        "image": request.displacement.resolve(),
+        "image": stated_path(request.displacement, request.result),
         "size": size,
         "midlevel": baked.midlevel,
         "scale": baked.scale,
@@ -144,13 +172,15 @@ def _carry_material_colors(request: TransferRequest, result: Result, stages: Sta
     stages("bake")
     for tile in prepared.tiles:
         pixels = bake_face_colors(prepared.transfer, colors, size=size, dtype=dtype, options=BakeOptions(tile=tile))
-        write_image(udim_path(request.output, tile), pixels)
+        write_image(udim_path(request.output, tile), pixels, force=request.force)
     return _finish(request, prepared, {"kind": "material-colors", "size": size})
 
 
 def _carry_attribute(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
     """Values at control vertices, control faces, face corners or refined vertices; each arrives at its own kind."""
     assert request.attribute is not None
+    check_attribute_path(request.output)
+    require_replaceable(request.output, force=request.force)
     values = read_attributes(request.attribute)
     sides = result.target.refinement(), result.source.refinement()
     target, source = (side.control for side in sides)
@@ -176,8 +206,9 @@ def _carry_attribute(request: TransferRequest, result: Result, stages: Stages) -
                 f"{source.n_vertices} control vertices, {source.n_faces} control faces, {len(source.face_indices)} "
                 f"face corners, or {len(result.source.vertices)} vertices of level {result.source.level}."
             )
-    write_attributes(request.output, carried)
-    entry = {"kind": "attribute", "file": request.attribute.resolve(), "output": request.output.resolve()}
+    write_attributes(request.output, carried, force=request.force)
+    files = {"file": request.attribute, "output": request.output}
+    entry = {"kind": "attribute"} | {name: stated_path(path, request.result) for name, path in files.items()}
     note_transfer(request.result, entry)
     shapes = ", ".join(f"{name} {array.shape}" for name, array in carried.items())
     return f"wrote {request.output}: {shapes}", warnings
@@ -222,9 +253,8 @@ def _prepare_bake(request: TransferRequest, result: Result, stages: Stages) -> _
     if request.unwrap:
         stages("unwrap")
         control = unwrap(result.target.control)
-        mesh = request.output.with_suffix(".obj")
+        mesh = unwrapped_name(request.output)
         result = replace(result, target=replace(result.target, control=control))
-        write_mesh(mesh, control)
     elif result.target.control.uvs is None:
         raise ParameterError(
             f"{result.target.control.name}: expected texture coordinates to bake into, the mesh has none. Add --unwrap "
@@ -232,18 +262,42 @@ def _prepare_bake(request: TransferRequest, result: Result, stages: Stages) -> _
         )
     transfer = _prepare(result, stages)
     centres = transfer.target.corner_uvs().mean(axis=1)
+    tiles = [0]
     if centres.min() >= 0:
-        return _Bake(transfer, target_tiles(result.target.refinement().finest), mesh, warnings)
-    outside = float(np.mean(((centres < 0) | (centres > 1)).any(axis=1)))
-    warnings.append(
-        f"{100 * outside:.1f} % of the target's layout lies outside the unit square and is not baked: move it"
-    )
-    return _Bake(transfer, [0], mesh, warnings)
+        tiles = target_tiles(result.target.refinement().finest)
+    else:
+        outside = float(np.mean(((centres < 0) | (centres > 1)).any(axis=1)))
+        warnings.append(
+            f"{100 * outside:.1f} % of the target's layout lies outside the unit square and is not baked: move it"
+        )
+    images = [udim_path(request.output, tile) for tile in tiles]
+    check_outputs([*images, *([mesh] if mesh else [])], _inputs(request), force=request.force)
+    if mesh is not None:
+        warnings += _write_unwrapped(request, result.target.control, result.manifest)
+    return _Bake(transfer, tiles, mesh, warnings)
 
 
 def _finish(request: TransferRequest, prepared: _Bake, entry: dict[str, Any]) -> Outcome:
     outputs = [udim_path(request.output, tile) for tile in prepared.tiles]
-    mesh = None if prepared.mesh is None else prepared.mesh.resolve()
-    note_transfer(request.result, {**entry, "output": outputs[0].resolve(), "tiles": prepared.tiles, "mesh": mesh})
+    mesh = None if prepared.mesh is None else stated_path(prepared.mesh, request.result)
+    stated = stated_path(outputs[0], request.result)
+    note_transfer(request.result, {**entry, "output": stated, "tiles": prepared.tiles, "mesh": mesh})
     written = [*outputs, *([prepared.mesh] if prepared.mesh else [])]
     return f"wrote {', '.join(map(str, written))}; {entry['size']} x {entry['size']} texels", prepared.warnings
+
+
+def unwrapped_name(image: Path) -> Path:
+    """The name of a mesh that gets a layout for an image: its own, since the image's may be that of the user's mesh."""
+    return image.with_name(f"{image.stem.replace(UDIM_MARK, '').rstrip('._')}_unwrapped.obj")
+
+
+def _write_unwrapped(request: TransferRequest, control: ControlMesh, manifest: dict[str, Any]) -> list[str]:
+    """Write the target with its new layout: its file with other UVs where that is there; returns warnings."""
+    mesh = unwrapped_name(request.output)
+    original = input_file(request.result, manifest, "target")
+    if original is not None and original.suffix.lower() == ".obj":
+        write_obj_layout(mesh, original, control, force=request.force)
+        return []
+    write_mesh(mesh, control, force=request.force)
+    why = "was not found, or has changed since the match" if original is None else "is no OBJ"
+    return [f"{control.name} {why}: {mesh} holds faces, UVs and materials, but no groups, names or normals of it"]

@@ -1,41 +1,60 @@
-"""Writing so that a reader never sees half a file: write beside, flush to disk, move into place."""
+"""Writing so that a reader never sees half a file, and that nothing is lost that cagemap did not write.
+
+Every file goes through `atomic_path`: written beside, flushed to disk, moved into place. It replaces only files that
+carry cagemap's own mark (`cagemap.files.marks`), and follows symbolic links.
+"""
 
 from __future__ import annotations
 
 import errno
 import os
 import shutil
+import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from cagemap.errors import FormatError
+from cagemap.files.marks import is_own, seal
 
 # A full disk and the like; any other error of a block is its own, perhaps about another file.
 _STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
 
+Owned = Callable[[Path], bool]
+
 
 @contextmanager
-def atomic_path(final: str | Path) -> Iterator[Path]:
+def atomic_path(final: str | Path, *, force: bool = False, owned: Owned = is_own) -> Iterator[Path]:
     """Give a temporary name in the folder of ``final``; move it there when the block ends without an error.
 
     The suffix is kept, since image libraries choose their format by it. After an error, or an interrupt, the
-    temporary file is removed and an older ``final`` is untouched.
+    temporary file is removed and an older ``final`` is untouched. Where ``final`` is a symbolic link, the file that it
+    points to is written and the link stays.
+
+    Parameters
+    ----------
+    final : path
+    force : bool
+        Replace a file that cagemap did not write.
+    owned : callable
+        Whether an existing file may be replaced without ``force``.
 
     Raises
     ------
     FormatError
-        If the folder does not exist, cannot be written to, or ``final`` is a folder.
+        See `require_replaceable`; also if the disk is full.
     """
-    target = Path(final)
-    _require_parent(target)
-    if os.path.isdir(target):
-        raise FormatError(f"{target}: expected the name of a file to write, got a folder. Give a file name inside it.")
+    require_replaceable(final, force=force, owned=owned)
+    target = _real(final)
     temporary = _reserve(target)
     try:
         yield temporary
+        seal(temporary)
         _flush(temporary)
+        require_replaceable(final, force=force, owned=owned)  # what appeared meanwhile is as precious
+        if target.exists():
+            shutil.copymode(target, temporary)
         os.replace(temporary, target)
     except OSError as error:
         if error.errno in _STORAGE:
@@ -46,27 +65,29 @@ def atomic_path(final: str | Path) -> Iterator[Path]:
 
 
 @contextmanager
-def atomic_folder(final: str | Path, marker: str) -> Iterator[Path]:
-    """Give a temporary folder beside ``final``; move it there when the block ends without an error.
+def atomic_folder(
+    final: str | Path, names: Sequence[str], *, force: bool = False, owned: Owned = is_own
+) -> Iterator[Path]:
+    """Give a temporary folder; when the block ends without an error, its files are in ``final``.
 
-    An existing ``final`` is replaced only if it is empty or holds the file ``marker``, which says that an earlier run
-    wrote it; anything else might be somebody's work.
+    A folder that is not there appears whole. In one that is there files are replaced one by one, in the order of
+    ``names``, and all others are left alone.
 
     Parameters
     ----------
     final : path
-        The folder to write.
-    marker : str
-        Name of the file that every result folder holds, such as ``manifest.json``.
+    names : sequence of str
+        The files that the block writes; the last one says that the others are there.
+    force, owned
+        See `atomic_path`.
 
     Raises
     ------
     FormatError
-        If ``final`` is a file or a folder that holds something else, or the folder above cannot be written to.
+        See `require_result_folder`.
     """
-    target = Path(final)
-    _require_parent(target)
-    _require_replaceable(target, marker)
+    require_own_folder(final, names, force=force, owned=owned)
+    target = _real(final)
     try:
         temporary = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent))
     except OSError as error:
@@ -74,11 +95,15 @@ def atomic_folder(final: str | Path, marker: str) -> Iterator[Path]:
     try:
         temporary.chmod(0o777 & ~_umask())
         yield temporary
-        for path in temporary.rglob("*"):
-            if path.is_file():
-                _flush(path)
-        _require_replaceable(target, marker)
-        _swap(temporary, target)
+        for name in names:
+            seal(temporary / name)
+            _flush(temporary / name)
+        require_own_folder(final, names, force=force, owned=owned)
+        if target.is_dir():
+            for name in names:
+                os.replace(temporary / name, _real(target / name))
+        else:
+            os.replace(temporary, target)
     except OSError as error:
         if error.errno in _STORAGE:
             raise _unwritable(target, error) from error
@@ -87,38 +112,112 @@ def atomic_folder(final: str | Path, marker: str) -> Iterator[Path]:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _swap(temporary: Path, target: Path) -> None:
-    """Move a finished folder into place; the old one steps aside first and comes back if the move fails."""
-    if not target.exists():
-        os.replace(temporary, target)
-        return
-    aside = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".old", dir=target.parent))
-    old = aside / target.name
-    os.replace(target, old)
-    try:
-        os.replace(temporary, target)
-    except OSError:
-        os.replace(old, target)
-        raise
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
+def require_replaceable(path: str | Path, *, force: bool = False, owned: Owned = is_own) -> None:
+    """Refuse a file name that cannot be written to without harm.
 
-
-def _require_parent(target: Path) -> None:
-    if not os.path.isdir(target.parent):
-        raise FormatError(f"{target}: the folder {target.parent} does not exist. Create it, or give another output.")
-
-
-def _require_replaceable(target: Path, marker: str) -> None:
+    Raises
+    ------
+    FormatError
+        If the folder is missing or cannot be written to; if the name is a folder, a device or a file that is read-only;
+        if the file was not written by cagemap, unless ``force`` is given.
+    """
+    file = Path(path)
+    target = _real(file)
+    require_writable_folder(file)
     if not os.path.lexists(target):
         return
-    if not os.path.isdir(target):
-        raise FormatError(f"{target}: expected a folder to write the result to, got a file. Give another name.")
-    if any(target.iterdir()) and not (target / marker).is_file():
+    if target.is_dir():
+        raise FormatError(f"{file}: expected the name of a file to write, got a folder. Give a file name inside it.")
+    status = target.stat()
+    if not stat.S_ISREG(status.st_mode):
+        raise FormatError(f"{file}: expected the name of a file to write, got a device or a pipe. Give a file name.")
+    if not status.st_mode & stat.S_IWUSR:
+        raise FormatError(f"{file}: is read-only and not overwritten. Give another name, or make it writable.")
+    if not force and status.st_size and not owned(target):
         raise FormatError(
-            f"{target}: the folder holds files but no {marker}, so it is not a result of an earlier run and is not "
-            "overwritten. Give another name, or remove the folder yourself."
+            f"{file}: exists, and was not written by cagemap or was changed since, so it is not overwritten. Give "
+            "another name, or allow it with force (--force)."
         )
+
+
+def require_own_folder(path: str | Path, names: Iterable[str], *, force: bool = False, owned: Owned = is_own) -> None:
+    """Refuse a folder that holds anything but what an earlier run wrote, and perhaps other files beside that.
+
+    Raises
+    ------
+    FormatError
+        If it is a file, holds files but not all of ``names``, one of them is not our own, or it cannot be written to.
+    """
+    folder = Path(path)
+    target = _real(folder)
+    if not os.path.lexists(target):
+        require_writable_folder(folder)
+        return
+    if not target.is_dir():
+        raise FormatError(f"{folder}: expected a folder to write the result to, got a file. Give another name.")
+    require_writable_folder(folder / "file")
+    present = [name for name in names if os.path.lexists(target / name)]
+    for name in present:
+        require_replaceable(folder / name, force=force, owned=owned)
+    if not force and not present and any(target.iterdir()):
+        raise FormatError(
+            f"{folder}: the folder holds files but no {' and '.join(names)}, so it is not a result of an earlier run "
+            "and nothing is written to it. Give another name, or allow it with force (--force)."
+        )
+
+
+def require_writable_folder(path: str | Path) -> None:
+    """Refuse the name of a file or folder whose own folder is missing or cannot be written to.
+
+    Raises
+    ------
+    FormatError
+    """
+    above = Path(path).parent
+    folder = _real(path).parent
+    if not folder.is_dir():
+        raise FormatError(f"{path}: the folder {above} does not exist. Create it, or give another output.")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise FormatError(f"{path}: cannot write to the folder {above}. Give one that you may write to.")
+
+
+def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], *, force: bool = False) -> None:
+    """Refuse outputs that cannot be written, before any work is done for them.
+
+    Raises
+    ------
+    FormatError
+        See `require_no_input` and `require_replaceable`.
+    """
+    files = list(outputs)
+    require_no_input(files, inputs)
+    for file in files:
+        require_replaceable(file, force=force)
+
+
+def require_no_input(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
+    """Refuse an output that is one of the inputs, under whatever name.
+
+    Raises
+    ------
+    FormatError
+    """
+    read = list(inputs)
+    for output in outputs:
+        for other in read:
+            if _same_file(output, other):
+                raise FormatError(f"{output}: is an input too ({other}), and would be lost. Give another name.")
+
+
+def _same_file(a: Path, b: Path) -> bool:
+    if os.path.exists(a) and os.path.exists(b):
+        return os.path.samefile(a, b)
+    return _real(a) == _real(b)
+
+
+def _real(path: str | Path) -> Path:
+    """The file or folder itself where ``path`` is a symbolic link to it."""
+    return Path(os.path.realpath(path))
 
 
 def _reserve(target: Path) -> Path:

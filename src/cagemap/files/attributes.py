@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
+from cagemap.files.npz import read_npz, write_npz
 
 SUFFIXES = (".npy", ".npz", ".csv")
 
@@ -38,7 +39,7 @@ def read_attributes(path: str | Path) -> Attributes:
     file = Path(path)
     if not file.is_file():
         raise FormatError(f"{file}: expected a file of attributes, found no such file. Check the name.")
-    _check_suffix(file)
+    check_attribute_path(file)
     try:
         arrays = _read_csv(file) if file.suffix.lower() == ".csv" else _read_numpy(file)
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
@@ -48,43 +49,45 @@ def read_attributes(path: str | Path) -> Attributes:
     return {name: _check(file, name, array) for name, array in arrays.items()}
 
 
-def write_attributes(path: str | Path, attributes: Mapping[str, NDArray[Any]]) -> None:
+def write_attributes(path: str | Path, attributes: Mapping[str, NDArray[Any]], *, force: bool = False) -> None:
     """Write named arrays; ``.npy`` takes one array only, ``.csv`` names columns ``name`` or ``name_0``, ``name_1``, ...
+
+    Only ``.npz`` has a place for cagemap's mark: an existing ``.npy`` or ``.csv`` is replaced with ``force`` alone.
 
     Raises
     ------
     FormatError
-        If the suffix is unknown, several arrays are to go into an ``.npy``, or rows differ in a ``.csv``.
+        If the suffix is unknown, several arrays are to go into an ``.npy``, or rows differ in a ``.csv``; if the file
+        cannot be written (see `cagemap.files.atomic.require_replaceable`).
     """
     file = Path(path)
-    _check_suffix(file)
+    check_attribute_path(file)
     suffix = file.suffix.lower()
     if suffix == ".npy" and len(attributes) != 1:
         raise FormatError(f"{file}: an .npy holds one array, got {sorted(attributes)}. Write an .npz.")
     if suffix == ".csv" and len({len(array) for array in attributes.values()}) != 1:
         rows = {name: len(array) for name, array in attributes.items()}
         raise FormatError(f"{file}: columns of a .csv have equally many rows, got {rows}. Write an .npz.")
-    with atomic_path(file) as temporary:
+    with atomic_path(file, force=force) as temporary:
         if suffix == ".npy":
             np.save(temporary, next(iter(attributes.values())))
         elif suffix == ".npz":
-            with temporary.open("wb") as stream:
-                np.savez_compressed(stream, allow_pickle=False, **dict(attributes))
+            write_npz(temporary, attributes, compressed=True)
         else:
             _write_csv(temporary, attributes)
 
 
-def _check_suffix(file: Path) -> None:
+def check_attribute_path(file: Path) -> None:
+    """Refuse a file name that `write_attributes` would refuse, before any work is done for it."""
     if file.suffix.lower() not in SUFFIXES:
         raise FormatError(f"{file}: expected a name ending in {', '.join(SUFFIXES)}, got {file.suffix or 'no suffix'}")
 
 
 def _read_numpy(file: Path) -> Attributes:
+    if file.suffix.lower() == ".npz":
+        return read_npz(file, "Write it again.")
     loaded = np.load(file, allow_pickle=False)
-    if isinstance(loaded, np.ndarray):
-        return {file.stem: loaded}
-    with loaded:
-        return {name: loaded[name] for name in loaded.files}
+    return {file.stem: loaded} if isinstance(loaded, np.ndarray) else {}
 
 
 def _read_csv(file: Path) -> Attributes:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
+from cagemap.files.marks import mark
 
 Pixels = NDArray[Any]
 
@@ -102,8 +103,10 @@ def read_image(path: str | Path) -> Image:
     return Image(array, tuple(spec.channelnames), str(spec.getattribute("oiio:ColorSpace") or ""))
 
 
-def write_image(path: str | Path, image: Image | Pixels) -> None:
+def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False) -> None:
     """Write an image, whole or not at all; the suffix chooses the format.
+
+    An image that cagemap did not write is replaced with ``force`` only.
 
     Raises
     ------
@@ -121,9 +124,11 @@ def write_image(path: str | Path, image: Image | Pixels) -> None:
     spec.attribute("png:compressionLevel", 4)  # a quarter of the time of 9, a few per cent larger
     if given.color_space:
         spec.attribute("oiio:ColorSpace", given.color_space)
+    if file.suffix.lower() != ".png":  # there the mark gets a chunk of its own when the file is whole
+        spec.attribute("Software", mark())
     if file.suffix.lower() in (".jpg", ".jpeg"):
         spec.attribute("CompressionQuality", 95)
-    with atomic_path(file) as temporary:
+    with atomic_path(file, force=force) as temporary:
         output = oiio.ImageOutput.create(str(temporary))
         if output is None:
             raise FormatError(f"{file}: cannot write this format: {_reason(oiio.geterror())}")
@@ -169,17 +174,24 @@ def read_texture(path: str | Path) -> Image | dict[int, Image]:
     FormatError
         If there is no tile, or an image cannot be read.
     """
-    name = Path(path).name
-    if UDIM_MARK not in name:
+    if UDIM_MARK not in Path(path).name:
         return read_image(path)
-    before, after = name.split(UDIM_MARK, 1)
-    pattern = re.compile(re.escape(before) + r"(1\d{3})" + re.escape(after) + r"\Z")
-    folder = Path(path).parent
-    names = sorted(entry.name for entry in folder.iterdir()) if folder.is_dir() else []
-    found = {int(match[1]): folder / entry for entry in names if (match := pattern.match(entry))}
+    found = _tiles(Path(path))
     if not found:
         raise FormatError(f"{path}: expected tiles such as {udim_path(path, 1001)}, found none. Check the name.")
     return {number: read_image(tile) for number, tile in found.items()}
+
+
+def texture_files(path: str | Path) -> list[Path]:
+    """Files that `read_texture` reads."""
+    return list(_tiles(Path(path)).values()) if UDIM_MARK in Path(path).name else [Path(path)]
+
+
+def _tiles(path: Path) -> dict[int, Path]:
+    before, after = path.name.split(UDIM_MARK, 1)
+    pattern = re.compile(re.escape(before) + r"(1\d{3})" + re.escape(after) + r"\Z")
+    names = sorted(entry.name for entry in path.parent.iterdir()) if path.parent.is_dir() else []
+    return {int(match[1]): path.parent / entry for entry in names if (match := pattern.match(entry))}
 
 
 def udim_path(path: str | Path, tile: int) -> Path:

@@ -10,6 +10,7 @@ import numpy as np
 
 from cagemap.errors import DirectionError, FormatError
 from cagemap.files.atomic import atomic_path
+from cagemap.files.marks import mark
 from cagemap.files.text import read_text
 from cagemap.mesh.landmarks import Landmarks
 
@@ -54,13 +55,13 @@ def read_landmarks(path: str | Path, target: str | Path, source: str | Path) -> 
     return landmarks, _compare_names(file, landmarks, str(target), str(source))
 
 
-def write_landmarks(path: str | Path, landmarks: Landmarks) -> None:
+def write_landmarks(path: str | Path, landmarks: Landmarks, *, force: bool = False) -> None:
     """Write a landmark file.
 
     Raises
     ------
     FormatError
-        If the file cannot be written.
+        If the file cannot be written, or cagemap did not write the one that is there and ``force`` is not given.
     """
     pairs = [
         json.dumps({"name": name, "source": source, "target": target}, ensure_ascii=False)
@@ -69,8 +70,11 @@ def write_landmarks(path: str | Path, landmarks: Landmarks) -> None:
         )
     ]
     names = f'"source": {json.dumps(landmarks.source_name)}, "target": {json.dumps(landmarks.target_name)}'
-    with atomic_path(path) as temporary:
-        temporary.write_text(f'{{{names},\n "pairs": [\n  ' + ",\n  ".join(pairs) + "\n ]}\n", encoding="utf-8")
+    with atomic_path(path, force=force) as temporary:
+        temporary.write_text(
+            f'{{"written_by": "{mark()}",\n {names},\n "pairs": [\n  ' + ",\n  ".join(pairs) + "\n ]}\n",
+            encoding="utf-8",
+        )
 
 
 def _parse(path: Path, text: str) -> dict[str, Any]:

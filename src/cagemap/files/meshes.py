@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cagemap.errors import FormatError
-from cagemap.files.obj import read_obj, write_obj
+from cagemap.files.obj import obj_files, read_obj, write_obj
 from cagemap.files.ply import read_ply, write_ply
 from cagemap.mesh import ControlMesh
 
@@ -24,15 +24,22 @@ def read_mesh(path: str | Path) -> ControlMesh:
     return _READERS[_extension(path)](path)
 
 
-def write_mesh(path: str | Path, mesh: ControlMesh) -> None:
+def write_mesh(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> None:
     """Write a mesh to an ``.obj`` or ``.ply`` file.
 
     Raises
     ------
     FormatError
-        If the extension is another one, or the file cannot be written.
+        If the extension is another one, the file cannot be written, or cagemap did not write the one that is there
+        and ``force`` is not given.
     """
-    _WRITERS[_extension(path)](path, mesh)
+    _WRITERS[_extension(path)](path, mesh, force=force)
+
+
+def mesh_files(path: str | Path, mesh: ControlMesh) -> list[Path]:
+    """Files that `write_mesh` writes for a mesh."""
+    file = Path(path)
+    return obj_files(file, mesh) if _extension(file) == ".obj" else [file]
 
 
 def check_mesh_path(path: str | Path) -> None:

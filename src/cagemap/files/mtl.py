@@ -9,6 +9,7 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
+from cagemap.files.marks import mark
 from cagemap.files.text import at_line, read_text
 from cagemap.numerics.arrays import FloatArray
 
@@ -50,14 +51,14 @@ def _parse_color(path: Path, number: int, line: str, fields: list[str]) -> Color
     return values[0], values[1], values[2]
 
 
-def write_materials(path: Path, names: Sequence[str], colors: FloatArray | None) -> None:
+def write_materials(path: Path, names: Sequence[str], colors: FloatArray | None, *, force: bool = False) -> None:
     """Write a ``.mtl`` file; a material of unknown colour gets no ``Kd``."""
-    lines = []
+    lines = [f"# {mark()}\n"]
     for i, name in enumerate(names):
         is_known = colors is not None and np.isfinite(colors[i]).all()
         if name or is_known:
             lines.append(f"newmtl {name}\n")
         if colors is not None and is_known:
             lines.append("Kd {!r} {!r} {!r}\n".format(*colors[i].tolist()))
-    with atomic_path(path) as temporary:
+    with atomic_path(path, force=force) as temporary:
         temporary.write_bytes("".join(lines).encode("utf-8"))

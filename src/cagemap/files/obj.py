@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
-from cagemap.files.atomic import atomic_path
+from cagemap.files.atomic import atomic_path, require_replaceable
+from cagemap.files.marks import mark
 from cagemap.files.mtl import read_material_colors, write_materials
 from cagemap.files.text import at_line, check_writable_name, read_text
 from cagemap.mesh import ControlMesh
@@ -269,7 +270,7 @@ def _material_files(folder: Path, stated: str) -> list[Path]:
     return []
 
 
-def write_obj(path: str | Path, mesh: ControlMesh) -> None:
+def write_obj(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> None:
     """Write a mesh as OBJ, and a ``.mtl`` of the same stem beside it where the mesh has materials.
 
     Numbers are written with as many digits as it takes to read the same float64 back.
@@ -277,21 +278,30 @@ def write_obj(path: str | Path, mesh: ControlMesh) -> None:
     Raises
     ------
     FormatError
-        If the file cannot be written, or a material name has a line break.
+        If a file cannot be written, or cagemap did not write the one that is there and ``force`` is not given; if a
+        material name has a line break.
     """
     file = Path(path)
     for name in mesh.material_names:
         check_writable_name(name)
+    for written in obj_files(file, mesh):
+        require_replaceable(written, force=force)
     library = file.with_suffix(".mtl")
-    parts = [f"mtllib {library.name}\n"] if mesh.face_materials is not None else []
+    parts = [f"# {mark()}\n"]
+    parts += [f"mtllib {library.name}\n"] if mesh.face_materials is not None else []
     parts.append(_format_lines("v %r %r %r\n", mesh.positions))
     if mesh.uvs is not None:
         parts.append(_format_lines("vt %r %r\n", mesh.uvs))
     parts.extend(_format_faces(mesh))
     if mesh.face_materials is not None:
-        write_materials(library, mesh.material_names, mesh.material_colors)
-    with atomic_path(file) as temporary:
+        write_materials(library, mesh.material_names, mesh.material_colors, force=force)
+    with atomic_path(file, force=force) as temporary:
         temporary.write_bytes("".join(parts).encode("utf-8"))
+
+
+def obj_files(path: Path, mesh: ControlMesh) -> list[Path]:
+    """Files that `write_obj` writes for a mesh."""
+    return [path] if mesh.face_materials is None else [path.with_suffix(".mtl"), path]
 
 
 def _format_lines(pattern: str, table: FloatArray) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
+from cagemap.files.marks import mark
 from cagemap.files.ply_records import Column, read_columns
 from cagemap.files.text import read_bytes
 from cagemap.mesh import ControlMesh
@@ -109,7 +110,7 @@ def _uvs(
     return None, None
 
 
-def write_ply(path: str | Path, mesh: ControlMesh, *, text: bool = False) -> None:
+def write_ply(path: str | Path, mesh: ControlMesh, *, text: bool = False, force: bool = False) -> None:
     """Write a mesh as PLY (binary little-endian, or text), with float64 positions and per-corner ``texcoord``.
 
     Materials have no place in this format and are left out.
@@ -117,10 +118,10 @@ def write_ply(path: str | Path, mesh: ControlMesh, *, text: bool = False) -> Non
     Raises
     ------
     FormatError
-        If the file cannot be written.
+        If the file cannot be written, or cagemap did not write the one that is there and ``force`` is not given.
     """
     body = _text_body(mesh) if text else mesh.positions.astype("<f8").tobytes() + _binary_faces(mesh)
-    with atomic_path(path) as temporary:
+    with atomic_path(path, force=force) as temporary:
         temporary.write_bytes(_header(mesh, text).encode("ascii") + body)
 
 
@@ -134,6 +135,7 @@ def _header(mesh: ControlMesh, text: bool) -> str:
     lines = [
         "ply",
         f"format {'ascii' if text else 'binary_little_endian'} 1.0",
+        f"comment {mark()}",
         f"element vertex {mesh.n_vertices}",
         *(f"property double {axis}" for axis in "xyz"),
         f"element face {mesh.n_faces}",

@@ -8,10 +8,9 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 import platform
 import sys
-import zipfile
-import zlib
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -21,7 +20,8 @@ import numpy as np
 
 from cagemap import __version__
 from cagemap.errors import FormatError
-from cagemap.files.atomic import atomic_folder, atomic_path
+from cagemap.files.atomic import atomic_folder, atomic_path, require_own_folder
+from cagemap.files.marks import is_own, mark, seal, stated_checksum
 from cagemap.files.mesh_arrays import (
     CONTROL_ARRAYS,
     control_from_arrays,
@@ -29,6 +29,7 @@ from cagemap.files.mesh_arrays import (
     scheme_from_entry,
     scheme_to_entry,
 )
+from cagemap.files.npz import read_npz, write_npz
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Refinement, Scheme, refine, triangles
@@ -42,6 +43,7 @@ MANIFEST = "manifest.json"
 ARRAYS = "map.npz"
 
 _SIDE_ARRAYS = ("vertices", "faces", "eigenvalues", "landmarks")
+_REMEDY = "Run `cagemap match` again."
 _LIBRARIES = ("numpy", "scipy", "numba", "rslab", "OpenImageIO", "embreex", "xatlas")
 
 
@@ -168,6 +170,28 @@ def landmark_messages(manifest: dict[str, Any]) -> list[str]:
     return [str(suspect["message"]) for suspect in check.get("suspects", [])] + list(map(str, check.get("notes", [])))
 
 
+def stated_path(path: str | Path, folder: str | Path) -> str:
+    """How a manifest names a file: relative to the RESULT folder, so that both can be moved together.
+
+    A file on another drive, which no relative path reaches, is named by its file name alone.
+    """
+    file, root = os.path.realpath(path), os.path.realpath(folder)
+    try:
+        return Path(os.path.relpath(file, root)).as_posix()
+    except ValueError:
+        return Path(file).name
+
+
+def input_file(folder: str | Path, manifest: dict[str, Any], side: str) -> Path | None:
+    """The mesh file that a result was made from, if it is still where it was and has not changed."""
+    entry = (manifest.get("inputs") or {}).get(side) or {}
+    path, digest = entry.get("path"), entry.get("sha256")
+    if not isinstance(path, str) or not isinstance(digest, str):
+        return None
+    file = Path(folder) / path
+    return file if file.is_file() and file_hash(file) == digest else None
+
+
 def file_hash(path: str | Path) -> str:
     """SHA-256 of a file's content, in hexadecimal."""
     with Path(path).open("rb") as stream:
@@ -194,14 +218,18 @@ def peak_memory() -> int | None:
     return int(usage) * (1 if sys.platform == "darwin" else 1024)
 
 
-def write_result(folder: str | Path, result: Result | MatchResult) -> None:
+def write_result(folder: str | Path, result: Result | MatchResult, *, force: bool = False) -> None:
     """Write a RESULT folder; an older result there is replaced, and only when the new one is complete.
+
+    Other files in the folder stay as they are.
 
     Parameters
     ----------
     folder : path
     result : Result or MatchResult
         What `cagemap.match` gives is stored by way of `result_of`, which also takes further entries of the manifest.
+    force : bool
+        Write into a folder, and over files of the same names, that cagemap did not write.
 
     Raises
     ------
@@ -221,11 +249,27 @@ def write_result(folder: str | Path, result: Result | MatchResult) -> None:
     for prefix, side in (("target", result.target), ("source", result.source)):
         arrays |= {f"{prefix}_{name}": getattr(side, name) for name in _SIDE_ARRAYS}
         arrays |= control_to_arrays(side.control, f"{prefix}_control_")
-    text = _to_json(_manifest(result))
-    with atomic_folder(folder, MANIFEST) as temporary:
-        np.savez(temporary / ARRAYS, allow_pickle=False, **arrays)
+    with atomic_folder(folder, (ARRAYS, MANIFEST), force=force, owned=_is_own) as temporary:
+        write_npz(temporary / ARRAYS, arrays)
+        seal(temporary / ARRAYS)
+        manifest = _manifest(result) | {"files": {ARRAYS: stated_checksum(temporary / ARRAYS)}}
         # The manifest comes last: a folder with one is complete, whoever copies it.
-        (temporary / MANIFEST).write_text(text, encoding="utf-8")
+        (temporary / MANIFEST).write_text(_to_json(manifest), encoding="utf-8")
+
+
+def check_result_folder(folder: str | Path, *, force: bool = False) -> None:
+    """Refuse a folder that `write_result` would refuse, before any work is done for it."""
+    require_own_folder(folder, (ARRAYS, MANIFEST), force=force, owned=_is_own)
+
+
+def _is_own(path: Path) -> bool:
+    """Whether cagemap wrote a file of a RESULT folder; versions before 0.2 left no mark but their manifest's format."""
+    if stated_checksum(path) is not None:
+        return is_own(path)
+    try:
+        return _read_manifest(path.parent).get("written_by") is None
+    except FormatError:
+        return False
 
 
 def note_transfer(folder: str | Path, entry: dict[str, Any]) -> None:
@@ -245,7 +289,8 @@ def note_transfer(folder: str | Path, entry: dict[str, Any]) -> None:
     manifest = _read_manifest(root)
     kept = [other for other in manifest.get("transfers", []) if other.get("output") != entry.get("output")]
     manifest["transfers"] = [*kept, _plain(entry)]
-    with atomic_path(root / MANIFEST) as temporary:
+    manifest["written_by"] = mark()
+    with atomic_path(root / MANIFEST, force=True) as temporary:
         temporary.write_text(_to_json(manifest), encoding="utf-8")
 
 
@@ -259,7 +304,8 @@ def read_result(folder: str | Path) -> Result:
     """
     root = Path(folder)
     manifest = _read_manifest(root)
-    arrays = _read_arrays(root / ARRAYS)
+    files = manifest.get("files")
+    arrays = _read_arrays(root / ARRAYS, files.get(ARRAYS) if isinstance(files, dict) else None)
     try:
         sides = [_side(prefix, manifest, arrays) for prefix in ("target", "source")]
         result = Result(
@@ -297,13 +343,14 @@ def _manifest(result: Result) -> dict[str, Any]:
         for prefix, side in (("target", result.target), ("source", result.source))
     }
     fixed = {
+        "written_by": mark(),
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "versions": {"cagemap": __version__, "python": platform.python_version(), **_library_versions()},
         **sides,
         "landmark_names": list(result.landmark_names),
     }
-    return fixed | {name: value for name, value in result.manifest.items() if name not in fixed}
+    return fixed | {name: value for name, value in result.manifest.items() if name not in {*fixed, "files"}}
 
 
 def _library_versions() -> dict[str, str]:
@@ -356,14 +403,13 @@ def _read_manifest(root: Path) -> dict[str, Any]:
     return manifest
 
 
-def _read_arrays(path: Path) -> dict[str, Any]:
+def _read_arrays(path: Path, checksum: object) -> dict[str, Any]:
     if not path.is_file():
-        raise FormatError(f"{path}: is missing, so the result is incomplete. Run `cagemap match` again.")
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            return {name: stored[name] for name in stored.files}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise FormatError(f"{path}: is damaged ({error}). Run `cagemap match` again.") from error
+        raise FormatError(f"{path}: is missing, so the result is incomplete. {_REMEDY}")
+    arrays = read_npz(path, _REMEDY)
+    if checksum is not None and stated_checksum(path) not in (None, checksum):
+        raise FormatError(f"{path}: belongs to another {MANIFEST} than the one beside it. {_REMEDY}")
+    return arrays
 
 
 def _side(prefix: str, manifest: dict[str, Any], arrays: dict[str, Any]) -> Side:

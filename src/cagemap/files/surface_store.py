@@ -26,6 +26,7 @@ from cagemap.basis import BasisConfig, HierarchicalBasis, Surface
 from cagemap.errors import CagemapError, FormatError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.mesh_arrays import control_from_arrays, control_to_arrays, scheme_from_entry, scheme_to_entry
+from cagemap.files.npz import write_npz
 from cagemap.files.result import mesh_hash
 from cagemap.mesh import ControlMesh
 from cagemap.operators import Operators
@@ -72,7 +73,7 @@ def surface_key(control: ControlMesh, level: int, scheme: Scheme | None = None, 
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
-def save_surface(path: str | Path, surface: Surface) -> None:
+def save_surface(path: str | Path, surface: Surface, *, force: bool = False) -> None:
     """Write a prepared surface to one file, whole or not at all.
 
     Raises
@@ -98,8 +99,8 @@ def save_surface(path: str | Path, surface: Surface) -> None:
         arrays |= _operator_arrays(level, mass, stiffness, diagonal=level == operators.finest)
     arrays |= {f"band_{level}": band for level, band in enumerate(basis.bands)}
     arrays |= {name: getattr(basis, name) for name in _BASIS_ARRAYS}
-    with atomic_path(path) as temporary, temporary.open("wb") as stream:
-        np.savez(stream, allow_pickle=False, **arrays)
+    with atomic_path(path, force=force) as temporary:
+        write_npz(temporary, arrays)
 
 
 def load_surface(path: str | Path) -> Surface:
@@ -158,7 +159,7 @@ def prepared(
             progress(f"prepare {control.name} again, its stored file is damaged")
     surface = prepare(control, level, config, scheme=scheme, progress=progress)
     progress(f"store prepared {control.name}")
-    save_surface(place, surface)
+    save_surface(place, surface, force=True)  # its name says what it is, whatever state it is in
     return surface
 
 

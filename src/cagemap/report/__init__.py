@@ -20,6 +20,7 @@ def write_report(
     baked: Pixels | None = None,
     size: tuple[int, int] = (WIDTH, HEIGHT),
     progress: Progress | None = None,
+    force: bool = False,
 ) -> None:
     """Draw and write the report of a result.
 
@@ -38,8 +39,8 @@ def write_report(
     Raises
     ------
     FormatError
-        If the file cannot be written.
+        If the file cannot be written, or cagemap did not write the one that is there and ``force`` is not given.
     """
     page = build_page(result, draw_gallery(result, texture=texture, baked=baked, size=size, progress=progress))
-    with atomic_path(path) as temporary:
+    with atomic_path(path, force=force) as temporary:
         temporary.write_text(page, encoding="utf-8")

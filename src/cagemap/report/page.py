@@ -13,6 +13,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from cagemap.errors import FormatError
+from cagemap.files.marks import mark
 from cagemap.files.result import Result, landmark_messages
 from cagemap.pictures import Image, distinct_colors
 from cagemap.report.figures import Figure, Gallery
@@ -61,6 +62,7 @@ def build_page(result: Result, gallery: Gallery) -> str:
     ]
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta name="generator" content="{mark()}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(title)} · cagemap</title>\n<style>\n{style}</style>\n</head>\n<body>\n<main>\n"
         + "\n".join(section for section in sections if section)

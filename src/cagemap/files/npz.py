@@ -1,0 +1,60 @@
+"""Archives of named arrays (``.npz``): any names, no pickles, nothing believed that the archive itself contradicts."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import FormatError
+from cagemap.files.marks import mark
+
+Arrays = dict[str, NDArray[Any]]
+
+
+def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]], *, compressed: bool = False) -> None:
+    """Write arrays to a temporary file of `cagemap.files.atomic`, with cagemap's mark as the archive's comment.
+
+    `numpy.savez` would do the same, but for arrays named ``file`` or ``allow_pickle``.
+
+    Raises
+    ------
+    ValueError
+        If an array holds objects.
+    """
+    method = zipfile.ZIP_DEFLATED if compressed else zipfile.ZIP_STORED
+    with zipfile.ZipFile(path, "w", method) as archive:
+        archive.comment = mark().encode()
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as stream:
+                np.lib.format.write_array(stream, np.asanyarray(array), allow_pickle=False)
+
+
+def read_npz(path: Path, remedy: str) -> Arrays:
+    """Read all arrays of an archive.
+
+    Raises
+    ------
+    FormatError
+        If the file is no archive of arrays, or damaged; says ``remedy``.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return {name.removesuffix(".npy"): _array(archive, name) for name in archive.namelist()}
+    except zipfile.BadZipFile as error:
+        raise FormatError(f"{path}: is damaged, or no archive of arrays ({error}). {remedy}") from error
+    except (ValueError, OSError, EOFError, zlib.error, NotImplementedError, RuntimeError, SyntaxError) as error:
+        raise FormatError(f"{path}: is damaged ({error}). {remedy}") from error
+    except (MemoryError, OverflowError, TypeError, AttributeError, IndexError, KeyError) as error:
+        raise FormatError(f"{path}: is damaged ({type(error).__name__} in an array's header). {remedy}") from error
+
+
+def _array(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
+    content = archive.read(name)
+    return np.lib.format.read_array(io.BytesIO(content), allow_pickle=False)

@@ -1,0 +1,83 @@
+"""An OBJ file with another UV layout: every line stays as it is but those that hold texture coordinates."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from cagemap.errors import FormatError
+from cagemap.files.atomic import atomic_path
+from cagemap.files.marks import mark
+from cagemap.files.obj import read_obj
+from cagemap.files.text import read_text
+from cagemap.mesh import ControlMesh
+
+_UV_LINE = re.compile(r"(?m)^[ \t]*vt\b[^\n]*\n?")
+_FACE = re.compile(r"(?m)^[ \t]*fo?[ \t](?:\\[ \t]*\n|[^\n])*")
+_LIBRARY = re.compile(r"(?m)^([ \t]*mtllib[ \t]+)([^\n]*?)[ \t]*$")
+_OLD_MARK = re.compile(r"(?m)^# written by cagemap [^\n]*\n")
+
+
+def write_obj_layout(path: str | Path, original: str | Path, laid_out: ControlMesh, *, force: bool = False) -> None:
+    """Write a copy of an OBJ file with the texture coordinates of ``laid_out``.
+
+    Groups, objects, normals, names, materials, comments and the number of every vertex and face stay. Material
+    libraries are named relative to the new file.
+
+    Parameters
+    ----------
+    path : path
+        The file to write.
+    original : path
+        The file that ``laid_out`` was read from.
+    laid_out : ControlMesh
+        With texture coordinates.
+    force : bool
+        Replace a file that cagemap did not write.
+
+    Raises
+    ------
+    FormatError
+        If the mesh has no texture coordinates, the file has other faces than the mesh, or cannot be written.
+    """
+    file, kept = Path(path), Path(original)
+    if laid_out.uvs is None or laid_out.uv_indices is None:
+        raise FormatError(f"{laid_out.name}: expected texture coordinates to write to {file}, the mesh has none.")
+    known = read_obj(kept)
+    if known.face_indices.tolist() != laid_out.face_indices.tolist() or len(known.face_offsets) != len(
+        laid_out.face_offsets
+    ):
+        raise FormatError(f"{kept}: expected the faces of {laid_out.name}, found others. Match the meshes again.")
+    text = _OLD_MARK.sub("", _UV_LINE.sub("", read_text(kept, "an OBJ file")))
+    first = _FACE.search(text)
+    assert first is not None  # the mesh has faces
+    uvs = ("vt %r %r\n" * len(laid_out.uvs)) % tuple(laid_out.uvs.ravel().tolist())
+    numbers = iter((laid_out.uv_indices + 1).tolist())
+    head = _LIBRARY.sub(lambda found: found[1] + _moved(found[2], kept.parent, file.parent), text[: first.start()])
+    faces = _FACE.sub(lambda found: _renumbered(found[0], numbers), text[first.start() :])
+    with atomic_path(file, force=force) as temporary:
+        temporary.write_bytes(f"# {mark()}\n{head}{uvs}{faces}".encode())
+
+
+def _renumbered(line: str, numbers: Iterator[int]) -> str:
+    """A face statement whose corners ``v/vt/vn`` get new texture vertices."""
+    body, hash_mark, comment = re.sub(r"\\[ \t]*\n", " ", line).partition("#")
+    keyword, *corners = body.split()
+    words = []
+    for corner in corners:
+        vertex, *others = corner.split("/")
+        normal = f"/{others[1]}" if len(others) > 1 and others[1] else ""
+        words.append(f"{vertex}/{next(numbers)}{normal}")
+    return " ".join([keyword, *words]) + (f" {hash_mark}{comment}" if hash_mark else "")
+
+
+def _moved(stated: str, before: Path, after: Path) -> str:
+    """The name of a material library as seen from another folder; a name of nothing stays."""
+    if not (before / stated.replace("\\", "/")).is_file():
+        return stated
+    try:
+        return Path(os.path.relpath(before / stated.replace("\\", "/"), after)).as_posix()
+    except ValueError:  # another drive
+        return stated
