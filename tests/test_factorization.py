@@ -71,6 +71,32 @@ def test_general_matrix(matrices, library):
     assert (factors.library, factors.negative_eigenvalues) == (library, None)
 
 
+@pytest.mark.parametrize(
+    "entries",
+    [
+        pytest.param([[0.0, 1.0], [1.0, 0.0]], id="no diagonal pivot"),
+        pytest.param([[1e-20, 1.0], [1.0, 1e-20]], id="entries grow"),
+    ],
+)
+def test_superlu_tells_no_inertia_that_it_does_not_know(entries):
+    matrix = sparse.csr_array(sparse.block_diag([np.array(entries), 2.0 * np.eye(3)]))
+    assert factor(matrix, library="superlu").negative_eigenvalues is None
+
+
+def test_superlu_tells_no_inertia_in_single_precision(matrices):
+    stiffness, mass = matrices
+    assert factor(stiffness + mass, library="superlu", dtype=np.float32).negative_eigenvalues is None
+
+
+def test_that_rslab_is_missing_is_said_once(matrices, monkeypatch, caplog):
+    monkeypatch.setattr(factorization, "rslab", None)
+    factorization._say_that_rslab_is_missing.cache_clear()
+    for _ in range(2):
+        assert factor(matrices[0] + matrices[1]).library == "superlu"
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+    assert "rslab is not installed" in caplog.text
+
+
 def test_refusals(matrices):
     stiffness, mass = matrices
     with pytest.raises(ParameterError, match="square"):

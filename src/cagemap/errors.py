@@ -32,3 +32,7 @@ class FormatError(CagemapError, ValueError):
 
 class SolverError(CagemapError, RuntimeError):
     """A linear or eigenvalue solve that did not reach its accuracy."""
+
+
+class MissingLibraryError(CagemapError, ImportError):
+    """A library that this step needs and that is not installed, as where it has no wheel for the platform."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from functools import partial
 
@@ -17,6 +18,8 @@ from cagemap.numerics.factorization import Factorization, factor
 from cagemap.numerics.threads import in_threads
 from cagemap.operators import Operators
 
+_log = logging.getLogger(__name__)
+
 # Up to this size a dense solve is faster than an iteration.
 DENSE_ROWS = 800
 # Largest size that is solved densely when a large share of the spectrum is asked for.
@@ -25,6 +28,8 @@ _LARGEST_DENSE_ROWS = 5_000
 _RANK = 1e-13
 # Convergence from which on a Krylov space in single precision is exact enough: it disturbs eigenvalues by under 1e-5.
 SINGLE_STORAGE = 1e-5
+# Places that are tried where a factorisation does not tell its inertia.
+_PLACES = 3
 # Pairs computed beyond those asked for, among which a gap is sought to count the eigenvalues below it.
 _EXTRA_PAIRS = 8
 
@@ -246,6 +251,7 @@ def _shift_inside(
     spacing = 4.0 * np.pi / float(mass.sum())
     middle = 0.6 * high if low == 0 else 0.5 * (low + high)
     shift = middle * spacing if estimate is None else estimate
+    untold = 0
     for _ in range(8):
         try:
             shifted = factor(shifted_matrix(stiffness, mass, shift))
@@ -254,7 +260,11 @@ def _shift_inside(
             continue
         below = shifted.negative_eigenvalues
         if below is None:
-            return factor(shifted_matrix(stiffness, mass, -spacing)), -spacing
+            untold += 1
+            if untold == _PLACES:
+                return factor(shifted_matrix(stiffness, mass, -spacing)), -spacing
+            shift *= 1.0 + 1e-3
+            continue
         if abs(below - middle) <= 0.2 * (high - low):
             return shifted, shift
         shift *= middle / max(below, 1)
@@ -271,15 +281,28 @@ def missed_pairs(
     like: Factorization | None,
     end: int,
 ) -> int:
-    """How many eigenvalues below a gap near index ``end`` a list lacks (Sylvester's law of inertia); 0 if unknown."""
+    """How many eigenvalues below a gap near index ``end`` a list lacks (Sylvester's law of inertia).
+
+    0 where the factorisation tells at no place in the gap, and a warning.
+    """
     if end == 0:
         return 0
     position = end - first_index
     low, high = max(0, position - _EXTRA_PAIRS), min(len(values), position + _EXTRA_PAIRS)
     gap = low + int(np.argmax(np.diff(values[low:high])))
-    threshold = 0.5 * (values[gap] + values[gap + 1])
-    counted = factor(shifted_matrix(stiffness, mass, threshold), like=like).negative_eigenvalues
-    return 0 if counted is None else counted - (first_index + gap + 1)
+    for share in (0.5, 0.3, 0.7)[:_PLACES]:
+        threshold = values[gap] + share * (values[gap + 1] - values[gap])
+        counted = factor(shifted_matrix(stiffness, mass, threshold), like=like).negative_eigenvalues
+        if counted is not None:
+            return counted - (first_index + gap + 1)
+    _log.warning(
+        "eigenpairs up to %d of a level with %d vertices could not be proven complete: the factorisation tells no "
+        "inertia near %g",
+        end,
+        stiffness.shape[0],
+        threshold,
+    )
+    return 0
 
 
 def shifted_matrix(stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float) -> sparse.csr_array:

@@ -1,13 +1,16 @@
 """Sparse factorisations behind one small interface, so that the library can be replaced.
 
-rslab (LDL^T, exact inertia) where it is installed, SciPy's SuperLU elsewhere. Everything else in cagemap that solves a
-large sparse system calls `factor` or `factor_general` and `Factorization.solve` and nothing more.
+rslab (LDL^T, exact inertia) where it is installed, SciPy's SuperLU elsewhere: held to diagonal pivots it is an LDL^T
+too, and its diagonal tells the inertia. Everything else in cagemap that solves a large sparse system calls `factor` or
+`factor_general` and `Factorization.solve` and nothing more.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -24,11 +27,15 @@ try:
 except ImportError:  # no wheel for this platform
     rslab = None
 
+_log = logging.getLogger(__name__)
+
 Precision = type[np.float64 | np.float32]
 SparseMatrix = sparse.csr_array | sparse.csc_array
 
 # SuperLU's minimum degree ordering gives the least fill on small meshes and takes minutes on large ones.
 _SUPERLU_MINIMUM_DEGREE_ROWS = 30_000
+# Backward error of a solve above which diagonal pivots have let entries grow, and their signs prove nothing.
+_STABLE = 1e-10
 # Most threads that rslab gives one matrix by default.
 _RSLAB_THREADS = 4
 
@@ -48,7 +55,8 @@ class Factorization:
     ----------
     shape : (int, int)
     negative_eigenvalues : int or None
-        Number of negative eigenvalues of A (Sylvester's law of inertia); None where the library cannot tell.
+        Number of negative eigenvalues of A (Sylvester's law of inertia); None where the library cannot tell: where
+        SuperLU left the diagonal, lost digits or works in single precision.
     library : str
         "rslab" or "superlu".
     dtype : numpy dtype
@@ -170,10 +178,21 @@ def _chosen(library: str, matrix: SparseMatrix) -> str:
     if rows != columns:
         raise ParameterError(f"expected a square matrix, got shape {matrix.shape}")
     if library == "auto":
-        return "superlu" if rslab is None else "rslab"
+        if rslab is not None:
+            return "rslab"
+        _say_that_rslab_is_missing()
+        return "superlu"
     if library not in ("rslab", "superlu") or (library == "rslab" and rslab is None):
         raise ParameterError(f'expected library "auto", "superlu" or an installed "rslab", got {library!r}')
     return library
+
+
+@cache  # once for each process
+def _say_that_rslab_is_missing() -> None:
+    _log.warning(
+        "rslab is not installed: SciPy's SuperLU factors matrices instead, more slowly the larger the surface; "
+        "`pip install rslab` where it has a wheel for this platform"
+    )
 
 
 def _lower_triangle(matrix: SparseMatrix) -> sparse.csc_array:
@@ -215,9 +234,17 @@ def _factor_superlu(matrix: SparseMatrix, dtype: Precision) -> Factorization:
     except RuntimeError as error:
         raise SolverError(_singular_message(matrix, error)) from error
     # With diagonal pivots only, P A P^T = L D L^T with D the diagonal of U, and Sylvester's law counts its signs.
-    diagonal_pivots = np.array_equal(factors.perm_r, factors.perm_c)
-    negative = int(np.count_nonzero(factors.U.diagonal() < 0)) if diagonal_pivots else None
+    told = np.array_equal(factors.perm_r, factors.perm_c) and _backward_error(matrix, factors.solve, dtype) < _STABLE
+    negative = int(np.count_nonzero(factors.U.diagonal() < 0)) if told else None
     return Factorization(matrix.shape, negative, "superlu", factors.solve, dtype=dtype)
+
+
+def _backward_error(matrix: SparseMatrix, solve: Callable[[NDArray[Any]], NDArray[Any]], dtype: Precision) -> float:
+    """||A x - b|| / (||A|| ||x|| + ||b||) of a solve: the relative change of A that its factors are exact for."""
+    right_side = np.cos(np.arange(matrix.shape[0]))  # any vector that is no eigenvector
+    solution = np.asarray(solve(right_side.astype(dtype)), dtype=np.float64)
+    size = sparse_linalg.norm(matrix, np.inf) * np.abs(solution).max() + np.abs(right_side).max()
+    return float(np.abs(matrix @ solution - right_side).max() / size)
 
 
 def _singular_message(matrix: SparseMatrix, error: Exception) -> str:

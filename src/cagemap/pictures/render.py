@@ -11,14 +11,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
 from cagemap.errors import ParameterError
 from cagemap.geometry.closest import vertex_normals
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.libraries import library
 from cagemap.pictures.camera import Camera
 from cagemap.pictures.colors import to_display, to_linear
 
@@ -85,9 +84,9 @@ class Model:
     @cached_property
     def scene(self) -> Any:
         """Embree's tree, over positions moved and scaled to a unit box (Embree computes in single precision)."""
-        scene = EmbreeScene()
+        scene = library("embreex.rtcore_scene", "pictures").EmbreeScene()
         unit = ((self.positions - self.centre) / self.scale).astype(np.float32)
-        TriangleMesh(scene, unit, self.triangles.astype(np.int32))
+        library("embreex.mesh_construction", "pictures").TriangleMesh(scene, unit, self.triangles.astype(np.int32))
         return scene
 
     @cached_property

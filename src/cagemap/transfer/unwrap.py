@@ -11,13 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import xatlas
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.libraries import library
 from cagemap.refinement import refine, triangulate_control
 from cagemap.transfer.packing import pack_islands
 
@@ -87,6 +87,7 @@ def _smooth_positions(control: ControlMesh) -> FloatArray:
 
 def _charts(positions: FloatArray, triangles: IndexArray) -> _Charts:
     """Cut a triangle mesh into flat charts, in the mesh's own length unit, none mirrored."""
+    xatlas = library("xatlas", "UV layouts (--unwrap)")
     atlas = xatlas.Atlas()
     atlas.add_mesh(positions.astype(np.float32), triangles.astype(np.uint32))
     charting, packing = xatlas.ChartOptions(), xatlas.PackOptions()

@@ -1,0 +1,74 @@
+"""Libraries that may be missing: rslab has a stand-in, and what embreex and xatlas are needed for says so."""
+
+from __future__ import annotations
+
+import builtins
+import sys
+
+import numpy as np
+import pytest
+
+from cagemap.errors import MissingLibraryError
+from cagemap.example import example_pair
+from cagemap.mesh import cube
+from cagemap.numerics import factorization
+from cagemap.numerics.libraries import library
+from cagemap.pictures.render import Model
+from cagemap.pipeline import MatchResult, choose_level, match, prepare_pair
+from cagemap.refinement import level_triangles
+from cagemap.transfer.unwrap import unwrap
+
+
+def matched() -> MatchResult:
+    example = example_pair()
+    levels = choose_level(example.target, 1500), choose_level(example.source, 1500)
+    return match(*prepare_pair(example.target, example.source, levels), example.landmarks)
+
+
+def images(result: MatchResult) -> np.ndarray:
+    """(n, 3) places on the source, its area being 1."""
+    refinement, point_map = result.source.refinement, result.point_map
+    corners = level_triangles(refinement, refinement.n_levels)[point_map.triangle]
+    places = np.einsum("ij,ijk->ik", point_map.barycentric, refinement.finest.positions[corners])
+    return np.asarray(places * result.source.operators.scale)
+
+
+def test_a_whole_match_without_rslab_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    with_rslab = matched()
+    monkeypatch.setattr(factorization, "rslab", None)
+    without = matched()
+    assert without.target.basis.schedule == with_rslab.target.basis.schedule
+    np.testing.assert_allclose(
+        without.target.basis.eigenvalues, with_rslab.target.basis.eigenvalues, rtol=1e-6, atol=1e-6
+    )
+    # Rounding decides about single folds and closest points; a hundredth of the spacing is far below any error.
+    apart = np.linalg.norm(images(without) - images(with_rslab), axis=1)
+    assert apart.mean() < 2e-4
+    assert apart.max() < 2e-2
+
+
+@pytest.fixture
+def without_embreex_and_xatlas(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in sys.modules if name.split(".")[0] in ("embreex", "xatlas")]:
+        monkeypatch.delitem(sys.modules, name)
+    honest = builtins.__import__
+
+    def importing(name, *rest):  # type: ignore[no-untyped-def]
+        if name.split(".")[0] in ("embreex", "xatlas"):
+            raise ImportError(f"No module named {name!r}")
+        return honest(name, *rest)
+
+    monkeypatch.setattr(builtins, "__import__", importing)
+    monkeypatch.setattr("cagemap.numerics.libraries.import_module", lambda name: importing(name))
+
+
+def test_pictures_and_layouts_name_the_library_they_miss(without_embreex_and_xatlas: None) -> None:
+    mesh = cube()
+    with pytest.raises(MissingLibraryError, match="pictures: expected the library embreex"):
+        _ = Model(mesh.positions, np.array([[0, 1, 2]])).scene
+    with pytest.raises(MissingLibraryError, match=r"--unwrap.*expected the library xatlas"):
+        unwrap(mesh)
+
+
+def test_a_library_that_is_there_is_given() -> None:
+    assert library("math", "sums").pi > 3
