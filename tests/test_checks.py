@@ -180,6 +180,58 @@ def test_edges_of_three_faces_are_named() -> None:
     assert elements(fin, "non-manifold edges") == ((min(a, b), max(a, b)),)
 
 
+def test_a_face_too_many_is_named_and_its_edges_are_not_to_be_split() -> None:
+    """A wall inside a tube of two cubes, and a fin that stands out of it."""
+    tube = [[x, y, z] for x in (0, 1, 2) for y in (0, 1) for z in (0, 1)]
+    sides = [[4 * x + k for k in (0, 1, 3, 2)] for x in range(3)]
+    around = [
+        [4 * x + a, 4 * x + b, 4 * x + 4 + b, 4 * x + 4 + a]
+        for x in (0, 1)
+        for a, b in ((1, 0), (3, 1), (2, 3), (0, 2))
+    ]
+    faces = [sides[0], sides[2][::-1], *around]
+    assert check_mesh(ControlMesh.from_faces(tube, faces)).is_valid
+    for wall in (sides[1], sides[1][::-1]):
+        (problem,) = [p for p in check_mesh(ControlMesh.from_faces(tube, [*faces, wall])).problems if "edges" in p.kind]
+        assert problem.remedy == "Delete face(s) 10, which hang on such edges alone."
+    fin = ControlMesh.from_faces([*tube, [1, 5, 0]], [[4, 6, 12], *faces])
+    report = check_mesh(fin)
+    assert "Delete face(s) 0," in report.problems[0].remedy
+    assert "-  (2 boundary edges)" in str(report)
+
+
+def test_a_tiny_edge_of_many_faces_is_to_be_merged() -> None:
+    """Two cubes that share an edge: split it where it is long, merge its ends where it is almost a point."""
+    for height, words in ((1.0, "split the edge"), (1e-4, "Merge the two vertices of edge(s) (0, 1)")):
+        boxes = []
+        for sign in (1, -1):
+            corners = [[0, 0, 0], [0, 0, height], [sign, 0, 0], [sign, 0, 1], [0, sign, 0], [0, sign, 1]]
+            numbers = np.array([0, 1, *range(2 + 4 * len(boxes), 6 + 4 * len(boxes))])
+            walls = [[0, 1, 3, 2], [0, 4, 5, 1], [2, 3, 5, 4], [0, 2, 4], [1, 5, 3]]
+            boxes.append((corners, [numbers[wall].tolist() for wall in walls]))
+        points = boxes[0][0] + boxes[1][0][2:]
+        (problem, *_) = [
+            p
+            for p in check_mesh(ControlMesh.from_faces(points, boxes[0][1] + boxes[1][1])).problems
+            if "edges" in p.kind
+        ]
+        assert words in problem.remedy, problem.remedy
+
+
+def test_slits_are_noted_and_openings_are_not() -> None:
+    mesh = grid(4, 4)
+    assert check_mesh(mesh).notes == ()
+    hole = keep_faces(mesh, np.setdiff1d(np.arange(16), [5]))
+    assert check_mesh(hole).notes == ()
+    corners = hole.face_indices.copy()
+    positions = hole.positions.copy()
+    a, b, c, d = faces_of(mesh)[5]
+    positions[[c, d]] = positions[[b, a]] + 1e-9
+    (note,) = check_mesh(replace(hole, positions=positions, face_indices=corners)).notes
+    assert "slit of 4 edges" in note
+    assert "note: the boundary has a slit" in str(check_mesh(replace(hole, positions=positions)))
+
+
 def test_vertices_where_two_pieces_touch_are_named() -> None:
     two = ControlMesh.from_faces(
         [*tetrahedron().positions, [2, 2, 2], [3, 1, 1], [1, 3, 1]],

@@ -9,6 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cagemap.basis import BasisConfig
 from cagemap.cli.mesh_commands import require_size
 from cagemap.cli.progress import Stages
@@ -187,12 +189,27 @@ def summary(result: Result, folder: Path, seconds: float) -> str:
     lines = [
         f"{result.source.control.name} -> {result.target.control.name}: {len(result.target.vertices):,} target and "
         f"{len(result.source.vertices):,} source vertices in {seconds:.1f} s",
-        f"  landmarks missed by {100 * quality['landmark_error_mean']:.2f} % of the model's size "
-        f"(worst {100 * quality['landmark_error_worst']:.2f} %), {100 * quality['flipped_area']:.2f} % folded, "
-        f"{100 * quality['coverage']:.1f} % of the source covered",
+        f"  {landmark_summary(result)}",
+        f"  {100 * quality['flipped_area']:.2f} % folded, {100 * quality['coverage']:.1f} % of the source covered",
         f"wrote {folder}; next: cagemap transfer {folder} --texture IMG -o OUT.png, or cagemap report {folder}",
     ]
     return "\n".join(lines)
+
+
+def landmark_summary(result: Result) -> str:
+    """How well landmarks are met; how many were left out, and by how much they are missed."""
+    suspects = (result.manifest.get("landmark_check") or {}).get("suspects", [])
+    left_out = sorted({int(suspect["pair"]) for suspect in suspects})
+    errors = 100 * np.delete(result.landmark_errors, left_out)
+    parts = []
+    if len(errors):
+        used = f"{len(errors)} landmarks" if len(errors) > 1 else "1 landmark"
+        worst = f" (worst {errors.max():.2f} %)" if len(errors) > 1 else ""
+        parts.append(f"{used} missed by {errors.mean():.2f} % of the model's size{worst}")
+    if left_out:
+        missed = ", ".join(f"{100 * result.landmark_errors[pair]:.0f} %" for pair in left_out)
+        parts.append(f"{len(left_out)} left out, which the map misses by {missed}")
+    return "; ".join(parts) or "no landmarks"
 
 
 def warnings(result: Result) -> list[str]:

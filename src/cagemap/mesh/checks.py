@@ -12,6 +12,7 @@ import numpy as np
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh.control_mesh import ControlMesh
+from cagemap.mesh.edge_checks import edge_manifold_problem, slit_notes
 from cagemap.mesh.geometry_checks import extent_problem, inside_out_problem, zero_area_problem
 from cagemap.mesh.mesh_report import MeshReport, Problem, first_few
 from cagemap.mesh.structure_checks import structure_problems
@@ -47,7 +48,7 @@ def check_mesh(mesh: ControlMesh) -> MeshReport:
     problems = [_degenerate_problem(degenerate), _duplicates_problem(duplicates), _isolated_problem(mesh)]
     if not len(degenerate):
         problems += [
-            _edge_manifold_problem(parts.edges),
+            edge_manifold_problem(parts.mesh, parts.edges, kept),
             _vertex_manifold_problem(parts),
             _orientation_problem(parts, kept),
         ]
@@ -140,7 +141,9 @@ def _counts(parts: _Parts, blank: MeshReport) -> MeshReport:
         n_edges=len(edges.vertices),
         euler_characteristic=euler,
         genus=handles if is_surface else None,
+        boundary_edges=len(edges.boundary_corners()),
         boundary_loops=None if loops is None else tuple(tuple(loop.tolist()) for loop in loops),
+        notes=slit_notes(mesh, loops),
         component_sizes=tuple(components.tolist()),
         valence_range=(int(edges_at.min()), int(edges_at.max())),
         uv_islands=None if islands is None else int(islands.max()) + 1,
@@ -187,20 +190,6 @@ def _isolated_problem(mesh: ControlMesh) -> Problem | None:
         f"expected every vertex to belong to a face, got {len(unused)} without, vertices",
         tuple(unused.tolist()),
         "Delete the loose vertices (this renumbers the others: landmarks must be made for the new file).",
-    )
-
-
-def _edge_manifold_problem(edges: EdgeTable) -> Problem | None:
-    bad = np.flatnonzero(edges.face_counts > 2)
-    if not len(bad):
-        return None
-    pairs = tuple((a, b) for a, b in edges.vertices[bad].tolist())
-    return Problem(
-        "non-manifold edges",
-        f"expected one or two faces at every edge, got {len(bad)} edge(s) with up to {edges.face_counts.max()}, "
-        "between vertices",
-        pairs,
-        "Delete the inner faces there, or split the edge so that each sheet has its own.",
     )
 
 

@@ -57,6 +57,8 @@ class MeshReport:
         Vertices - edges + faces.
     genus : int or None
         Number of handles, boundary loops counted as closed; summed over components.
+    boundary_edges : int or None
+        Edges of one face.
     boundary_loops : tuple of tuples of int, or None
         Vertices along every loop, 0-based.
     component_sizes : tuple of int
@@ -66,6 +68,8 @@ class MeshReport:
     uv_islands : int or None
         None without texture coordinates.
     problems : tuple of Problem
+    notes : tuple of str
+        What is allowed but looks like an accident.
     """
 
     name: str
@@ -75,11 +79,13 @@ class MeshReport:
     face_sizes: tuple[tuple[int, int], ...] = ()
     euler_characteristic: int | None = None
     genus: int | None = None
+    boundary_edges: int | None = None
     boundary_loops: tuple[tuple[int, ...], ...] | None = None
     component_sizes: tuple[int, ...] = ()
     valence_range: tuple[int, int] | None = None
     uv_islands: int | None = None
     problems: tuple[Problem, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def is_valid(self) -> bool:
@@ -104,6 +110,7 @@ class MeshReport:
         ]
         lines = [self.name, *(f"  {label:<22}{value}" for label, value in rows)]
         lines += [f"  {i}. {problem}" for i, problem in enumerate(self.problems, start=1)]
+        lines += [f"  note: {note}" for note in self.notes]
         return "\n".join(lines)
 
     def _faces_by_size(self) -> str:
@@ -120,7 +127,7 @@ class MeshReport:
 
     def _loops(self) -> str:
         if self.boundary_loops is None:
-            return "-"
+            return "-" if self.boundary_edges is None else f"-  ({_counted(self.boundary_edges, 'boundary edge')})"
         lengths = sorted((len(loop) for loop in self.boundary_loops), reverse=True)
         return f"{len(lengths)}  (of {first_few(lengths)} edges)" if lengths else "0  (closed)"
 
