@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from cagemap.geometry.closest import build_tree, closest_points, normalized, triangle_normals
+from cagemap.geometry.closest import build_tree, closest_points
+from cagemap.geometry.triangles import normalized, triangle_normals
 from cagemap.maps.elastic import counterparts as agreement
 from cagemap.maps.elastic.counterparts import ReceivedArea, round_trip_weights
 from cagemap.maps.elastic.data import Sheet

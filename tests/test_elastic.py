@@ -9,7 +9,8 @@ from scipy.spatial import cKDTree
 
 from cagemap.basis import BasisConfig, Surface, hierarchical_basis
 from cagemap.errors import InvalidLandmarksError, ParameterError
-from cagemap.geometry.closest import build_tree, closest_points, normalized, triangle_normals, vertex_normals
+from cagemap.geometry.closest import build_tree, closest_points
+from cagemap.geometry.triangles import normalized, triangle_normals, vertex_normals
 from cagemap.maps.elastic.counterparts import round_trip_weights
 from cagemap.maps.elastic.data import Pullers, Sheet, curved_points, pull_by_source
 from cagemap.maps.elastic.fit import ElasticConfig, FitShapes, RestShape, Stage, coarse_fit, fit, run_stage

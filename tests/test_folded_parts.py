@@ -9,6 +9,7 @@ from scipy.spatial import Delaunay
 
 from cagemap.errors import SolverError
 from cagemap.geometry.closest import build_tree, closest_points
+from cagemap.geometry.triangles import triangle_areas
 from cagemap.maps.projection.lay_out import (
     LEAST_SHARE,
     MOST_FOLDED,
@@ -21,7 +22,6 @@ from cagemap.maps.projection.lay_out import (
     moved_to,
 )
 from cagemap.maps.projection.unfold import Images, Sides
-from cagemap.operators import triangle_areas
 
 SIDE = 81
 

@@ -195,8 +195,7 @@ def test_a_wrong_pair_is_named_and_not_followed(pair, followed, misled):
     assert suspect.distance > 0.5
     assert found.trusted.names == tuple(np.delete(np.array(wrong.names, dtype=object), number))
     assert found.quality.landmark_errors.max() < 1e-12
-    triangles = source.refinement.finest.faces[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
-    images = [result.point_map.pull_back(triangles, places) for result in (followed, found)]
+    images = [result.point_map.pull_back(places) for result in (followed, found)]
     assert np.linalg.norm(images[0] - images[1], axis=1).mean() < 0.03
 
 

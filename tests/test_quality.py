@@ -9,15 +9,8 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull, cKDTree
 
 from cagemap.errors import ParameterError
-from cagemap.geometry.closest import (
-    build_tree,
-    closest_points,
-    closest_points_slowly,
-    normalized,
-    ring_sums,
-    triangle_normals,
-    vertex_normals,
-)
+from cagemap.geometry.closest import build_tree, closest_points, closest_points_slowly
+from cagemap.geometry.triangles import normalized, ring_sums, triangle_normals, vertex_normals
 from cagemap.maps.quality import (
     covered_share,
     dirichlet_energy,

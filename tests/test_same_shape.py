@@ -50,7 +50,7 @@ def gap_and_error(target: Surface, source: Surface, vertices: np.ndarray) -> tup
     other = source.operators.scale * source.refinement.finest.positions
     triangles = level_triangles(source.refinement, source.finest)
     gap = closest_points(build_tree(other, triangles), own)[2]
-    error = np.linalg.norm(found.point_map.pull_back(triangles, other) - own, axis=1)
+    error = np.linalg.norm(found.point_map.pull_back(other) - own, axis=1)
     areas = target.operators.finest_areas
     return float(areas @ gap / areas.sum()), float(areas @ error / areas.sum())
 

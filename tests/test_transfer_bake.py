@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from cagemap.errors import ParameterError
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.geometry.triangles import triangle_areas, triangle_neighbors
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import torus
 from cagemap.refinement import Level, refine
@@ -20,7 +22,6 @@ from cagemap.transfer import (
 from cagemap.transfer import bake as bake_module
 from cagemap.transfer.locate import Samples
 from cagemap.transfer.reference import look_up_slowly
-from cagemap.transfer.surface import triangle_areas, triangle_neighbors
 from transfer_scenes import crossed_cube, face_texture, identity_map, plane, plane_map
 
 BARE = BakeOptions(dilation=0)
@@ -34,7 +35,8 @@ def noise(height: int, width: int, channels: int, dtype: str, seed: int = 4711) 
 def torn_map(level: Level) -> PointMap:
     """Every vertex to a random place of the same surface."""
     rng, n = np.random.default_rng(97), level.n_vertices
-    return PointMap(rng.integers(0, 2 * level.n_faces, n), rng.dirichlet((1, 1, 1), n))
+    surface = TriangleSurface.from_faces(level.positions, level.faces)
+    return PointMap.from_arrays(surface, surface, rng.integers(0, 2 * level.n_faces, n), rng.dirichlet((1, 1, 1), n))
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "uint16", "float16", "float32"])

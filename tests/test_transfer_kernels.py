@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.geometry.triangles import triangle_areas, triangle_neighbors
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import torus
 from cagemap.refinement import refine
 from cagemap.transfer import reference
 from cagemap.transfer.dilation import dilate
 from cagemap.transfer.locate import Samples, locate_samples, map_surface, plan_samples, target_barycentric
-from cagemap.transfer.surface import TexturedSurface, triangle_areas, triangle_neighbors
+from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.texels import lay_out, rasterize_band
 from cagemap.transfer.texture import lay_texture, look_up
 from cagemap.transfer.unwrap import unwrap
@@ -24,10 +26,8 @@ def ring() -> TexturedSurface:
 
 def identity(surface: TexturedSurface) -> PointMap:
     """Every vertex to itself, as a corner of the last triangle that has it."""
-    n = len(surface.positions)
-    triangle = np.zeros(n, dtype=np.int64)
-    triangle[surface.triangles.ravel()] = np.repeat(np.arange(len(surface.triangles)), 3)
-    return PointMap(triangle, (surface.triangles[triangle] == np.arange(n)[:, None]).astype(float))
+    triangles = TriangleSurface.from_faces(surface.positions, surface.triangles)
+    return PointMap.from_vertices(triangles, triangles, np.arange(triangles.n))
 
 
 def test_neighbors_lie_across_their_edges(ring: TexturedSurface) -> None:
@@ -83,11 +83,14 @@ def test_walk_comes_to_the_closest_point(ring: TexturedSurface) -> None:
     texels = np.flatnonzero(cells.ravel() >= 0)[::5]
     # A map that is not the identity: vertices move by about two edges' lengths along the surface.
     rng = np.random.default_rng(1618)
-    triangle = identity(ring).triangle
+    still = identity(ring)
+    triangle = still.triangle
     for _ in range(2):
         triangle = triangle_neighbors(ring.triangles)[triangle, 1]
     weights = rng.dirichlet((1, 1, 1), len(triangle))
-    surface = map_surface(ring, ring, PointMap(triangle.astype(np.int64), weights))
+    surface = map_surface(
+        ring, ring, PointMap.from_arrays(still.target, still.source, triangle.astype(np.int64), weights)
+    )
     ones = np.ones((len(ring.triangles), 2), dtype=np.int32)
     own = cells.ravel()[texels]
     samples = locate_samples(surface, layout.corners, texels, size, 0, own, ones)

@@ -9,10 +9,10 @@ import pytest
 
 from cagemap.errors import InvalidMeshError
 from cagemap.files.obj import read_obj
+from cagemap.geometry.triangles import triangle_areas, triangle_neighbors
 from cagemap.mesh import ControlMesh, bipyramid, creature, cube, disk, icosahedron, pyramid, torus
 from cagemap.refinement import refine, triangles
 from cagemap.transfer.packing import pack_islands
-from cagemap.transfer.surface import triangle_areas, triangle_neighbors
 from cagemap.transfer.texels import lay_out, rasterize_band
 from cagemap.transfer.unwrap import _is_convex, _outline, unwrap
 

@@ -6,9 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh, cube
-from cagemap.refinement import Level, triangles
+from cagemap.refinement import Level
 
 
 def plane(columns: int, rows: int, uv: Callable[[np.ndarray], np.ndarray] = lambda points: points) -> Level:
@@ -24,10 +25,8 @@ def plane(columns: int, rows: int, uv: Callable[[np.ndarray], np.ndarray] = lamb
 def identity_map(level: Level) -> PointMap:
     """Every vertex to itself, as a corner of the last triangle that has it."""
     assert level.faces is not None
-    corners, n = triangles(level.faces), len(level.positions)
-    triangle = np.zeros(n, dtype=np.int64)
-    triangle[corners.ravel()] = np.repeat(np.arange(len(corners)), 3)
-    return PointMap(triangle, (corners[triangle] == np.arange(n)[:, None]).astype(float))
+    surface = TriangleSurface.from_faces(level.positions, level.faces)
+    return PointMap.from_vertices(surface, surface, np.arange(surface.n))
 
 
 def plane_map(target: Level, columns: int, rows: int, warp: Callable[[np.ndarray], np.ndarray]) -> PointMap:
@@ -38,7 +37,10 @@ def plane_map(target: Level, columns: int, rows: int, warp: Callable[[np.ndarray
     upper = fy > fx  # quad corners 0, 1, 2, 3 are (0, 0), (1, 0), (1, 1), (0, 1)
     low = np.column_stack([1 - fx, fx - fy, fy])
     high = np.column_stack([1 - fy, fx, fy - fx])
-    return PointMap(2 * (cell[:, 0] + columns * cell[:, 1]) + upper, np.where(upper[:, None], high, low))
+    source = plane(columns, rows)
+    surfaces = (TriangleSurface.from_faces(level.positions, level.faces) for level in (target, source))
+    triangle = 2 * (cell[:, 0] + columns * cell[:, 1]) + upper
+    return PointMap.from_arrays(*surfaces, triangle, np.where(upper[:, None], high, low))
 
 
 def crossed_cube() -> ControlMesh:

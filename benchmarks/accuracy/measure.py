@@ -12,6 +12,7 @@ import numpy as np
 
 from benchmarks.accuracy.data import HumanPair, animal_pair
 from cagemap.basis import Surface
+from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import map_positions
 from cagemap.maps.truth import compare_with_truth, round_trip, true_map
@@ -180,10 +181,8 @@ def _map(method: str, target: Side, source: Side, landmarks: Landmarks, pyfm: st
         )  # fmt: skip
         subprocess.run([str(pyfm), str(WORKER), given, answer, str(seconds)], check=True)
         vertex = np.load(answer)["match"].astype(np.int64)
-    holder = np.zeros(len(source.positions), dtype=np.int64)
-    holder[source.triangles.ravel()] = np.repeat(np.arange(len(source.triangles)), 3)
-    triangle = holder[vertex]
-    return PointMap(triangle, (source.triangles[triangle] == vertex[:, None]).astype(np.float64))
+    surfaces = (TriangleSurface.from_faces(side.positions, side.triangles) for side in (target, source))
+    return PointMap.from_vertices(*surfaces, vertex)
 
 
 def _line(row: dict) -> str:

@@ -143,14 +143,16 @@ def landmark_added(pair: str, level: int, count: int, cache: str) -> Figures:
 def bake(result: str, sizes: list[int]) -> Figures:
     """A texture through a stored map, in memory; first the map that is the identity must give the texture back."""
     from cagemap.files.result import read_result
+    from cagemap.geometry.surface import TriangleSurface
     from cagemap.maps.point_map import PointMap
     from cagemap.transfer import bake_texture, prepare_transfer
 
     figures: Figures = {}
     stored = read_result(result)
     source, target = stored.source.refinement().finest, stored.target.refinement().finest
-    figures["identity error"] = _identity_error(source, stored.source_triangles)
-    point_map = PointMap(stored.triangle, stored.barycentric)
+    figures["identity error"] = _identity_error(source)
+    surfaces = (TriangleSurface.from_faces(side.positions, side.faces) for side in (target, source))
+    point_map = PointMap.from_arrays(*surfaces, stored.triangle, stored.barycentric)
     with timed(figures, "prepare"):
         transfer = prepare_transfer(target, source, point_map)
     for size in sizes:
@@ -286,21 +288,16 @@ def _smooth_texture(size: int) -> Any:
     return np.rint(255 * image).astype(np.uint8)
 
 
-def _identity_error(level: Any, source_triangles: Any, size: int = 1024) -> float:
+def _identity_error(level: Any, size: int = 1024) -> float:
     """Largest difference, of 255, between a texture and itself baked through the identity, inside the islands."""
+    from cagemap.geometry.surface import TriangleSurface
     from cagemap.maps.point_map import PointMap
     from cagemap.transfer import bake_texture, prepare_transfer
 
-    n = len(level.positions)
-    triangle, barycentric = np.zeros(n, dtype=np.int64), np.zeros((n, 3))
-    for corner in range(3):
-        triangle[source_triangles[:, corner]] = np.arange(len(source_triangles))
-    rows, columns = np.nonzero(source_triangles[triangle] == np.arange(n)[:, None])
-    barycentric[rows, columns] = 1.0
+    surface = TriangleSurface.from_faces(level.positions, level.faces)
+    identity = PointMap.from_vertices(surface, surface, np.arange(surface.n))
     texture = _smooth_texture(size)
-    baked = bake_texture(
-        prepare_transfer(level, level, PointMap(triangle, barycentric)), texture, size=size, dtype=texture.dtype
-    )
+    baked = bake_texture(prepare_transfer(level, level, identity), texture, size=size, dtype=texture.dtype)
     inside = _covered(level, size)
     difference = np.abs(baked.astype(int) - texture.astype(int)).max(axis=2)[inside]
     share = float(np.mean(difference > 2))

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.example.modelling import CHANNELS, Creature
-from cagemap.geometry.closest import vertex_normals
+from cagemap.geometry.triangles import triangle_areas, triangle_neighbors, vertex_normals
 from cagemap.numerics.arrays import FloatArray
 from cagemap.refinement import refine
-from cagemap.transfer.surface import TexturedSurface, triangle_areas, triangle_neighbors
+from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.texels import lay_out, rasterize_band
 
 Float32Array = NDArray[np.float32]

@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.geometry.triangles import CACHED, normalized, row_lengths, triangle_centres, triangle_normals
+from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 from cagemap.numerics.threads import core_count, in_threads, parts
-
-CACHED = 16_384  # triangles or points whose figures stay within a core's cache from one array operation to the next
 
 _LEAF_SIZE = 8
 _STACK_SIZE = 64
@@ -57,61 +56,6 @@ class TriangleTree:
         return self.normals.take(self.places.take(triangles), axis=0)
 
 
-def triangle_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
-    """(t, 3) normals of length twice the area, by the right-hand rule."""
-    normals = np.empty((len(triangles), 3))
-    _fill_normals(np.ascontiguousarray(positions, dtype=np.float64), triangles, normals)
-    return normals
-
-
-def triangle_centres(positions: FloatArray, triangles: IndexArray) -> FloatArray:
-    """(t, 3) means of the triangles' corners."""
-    centres = positions.take(triangles[:, 0], axis=0)
-    for k in (1, 2):
-        centres += positions.take(triangles[:, k], axis=0)
-    return np.asarray(centres / 3.0)
-
-
-def vertex_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
-    """(n, 3) unit vertex normals, area-weighted means of the adjacent triangles' normals."""
-    return normalized(corner_sums(triangles, triangle_normals(positions, triangles), len(positions)))
-
-
-def corner_sums(triangles: IndexArray, values: FloatArray, count: int) -> FloatArray:
-    """(count, d) sums of rows (t, d) over the triangles around each of the first vertices."""
-    sums = np.zeros((count, values.shape[1]))
-    _add_to_corners(triangles, values, sums)
-    return sums
-
-
-def ring_sums(positions: FloatArray, triangles: IndexArray, count: int) -> FloatArray:
-    """(count, 6) sums over the triangles around each of the first vertices.
-
-    Columns: the normals of length twice the area, the areas, the means of the edges' lengths, and ones.
-    """
-    sums = np.zeros((count, 6))
-    for part in parts(len(triangles), CACHED):
-        near = triangles[part]
-        near = near[(near < count).any(axis=1)]
-        normals = triangle_normals(positions, near)
-        corners = [positions.take(near[:, k], axis=0) for k in range(3)]
-        edges = sum(row_lengths(corners[k] - corners[k - 1]) for k in range(3)) / 3
-        figures = np.column_stack([normals, 0.5 * row_lengths(normals), edges, np.ones(len(near))])
-        _add_to_corners(near, figures, sums)
-    return sums
-
-
-def row_lengths(vectors: FloatArray) -> FloatArray:
-    """Lengths along the last axis; unlike ``np.linalg.norm`` fast for short rows."""
-    return np.asarray(np.sqrt(np.einsum("...d,...d->...", vectors, vectors)))
-
-
-def normalized(vectors: FloatArray) -> FloatArray:
-    """Rows scaled to unit length; zero rows stay zero."""
-    lengths = row_lengths(vectors)[..., None]
-    return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
-
-
 def build_tree(positions: FloatArray, triangles: IndexArray) -> TriangleTree:
     """Order the triangles of a surface for :func:`closest_points`.
 
@@ -138,7 +82,7 @@ def build_tree(positions: FloatArray, triangles: IndexArray) -> TriangleTree:
     boxes = np.empty((2 * n_leaves - 1, 12))
     first_leaf = n_leaves - 1
     corners = np.empty((len(order), 3, 3))
-    _fill_leaves(positions, triangles.take(order, axis=0), normals, corners, boxes[first_leaf:])
+    _fill_leaves(read_only(positions), triangles.take(order, axis=0), normals, corners, boxes[first_leaf:])
     while first_leaf > 0:
         parents = boxes[(first_leaf - 1) // 2 : first_leaf]
         left, right = boxes[first_leaf : 2 * first_leaf + 1 : 2], boxes[first_leaf + 1 : 2 * first_leaf + 1 : 2]
@@ -191,8 +135,9 @@ def closest_points(
     distance : (m,) float64
         Euclidean ``|q - p|``, infinite where no triangle is found.
     """
-    queries = np.ascontiguousarray(points, dtype=np.float64)
-    directions = np.zeros_like(queries) if normals is None else np.ascontiguousarray(normals, dtype=np.float64)
+    queries = read_only(np.ascontiguousarray(points, dtype=np.float64))
+    given = np.zeros(queries.shape) if normals is None else np.ascontiguousarray(normals, dtype=np.float64)
+    directions = read_only(given)
     if normals is None and (normal_weight > 0 or minimum_cosine > -1):
         raise ParameterError("expected normals of the queries, got none: normal_weight and minimum_cosine need them")
     start = np.full(len(queries), -1, dtype=np.int64)
@@ -298,30 +243,6 @@ def _spread_bits(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
     ):
         spread = (spread | (spread << np.uint64(shift))) & np.uint64(mask)
     return spread
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fill_normals(positions, triangles, normals):  # type: ignore[no-untyped-def]
-    """Cross products of the edges leaving every triangle's first corner."""
-    for t in range(len(triangles)):
-        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        ax, ay, az = positions[a, 0], positions[a, 1], positions[a, 2]
-        ux, uy, uz = positions[b, 0] - ax, positions[b, 1] - ay, positions[b, 2] - az
-        vx, vy, vz = positions[c, 0] - ax, positions[c, 1] - ay, positions[c, 2] - az
-        normals[t, 0] = uy * vz - uz * vy
-        normals[t, 1] = uz * vx - ux * vz
-        normals[t, 2] = ux * vy - uy * vx
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _add_to_corners(triangles, values, sums):  # type: ignore[no-untyped-def]
-    """Add every triangle's row to the rows of its corners, of those that have one."""
-    for t in range(len(triangles)):
-        for k in range(3):
-            corner = triangles[t, k]
-            if corner < len(sums):
-                for i in range(values.shape[1]):
-                    sums[corner, i] += values[t, i]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

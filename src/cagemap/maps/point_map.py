@@ -4,34 +4,77 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 from scipy import sparse
 
 from cagemap.errors import ParameterError
+from cagemap.geometry.points import SurfacePoints
+from cagemap.geometry.surface import TriangleSurface
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class PointMap:
-    """For every target vertex a point of the source: a triangle and barycentric coordinates in it.
+    """For every target vertex a point of the source.
 
     Attributes
     ----------
-    triangle : (n1,) int64
-        Source triangle, in the numbering of `cagemap.refinement.triangles`.
-    barycentric : (n1, 3) float64
-        Weights of the triangle's corners, not negative, rows sum to 1.
+    target : TriangleSurface
+    images : SurfacePoints
+        Points of the source, one for each vertex of the target.
+
+    Raises
+    ------
+    ParameterError
+        If there is not one image for each vertex.
     """
 
-    triangle: IndexArray
-    barycentric: FloatArray
+    target: TriangleSurface
+    images: SurfacePoints
 
-    def pull_back(self, source_triangles: IndexArray, values: FloatArray) -> FloatArray:
+    def __post_init__(self) -> None:
+        if len(self.images) != self.target.n:
+            raise ParameterError(
+                f"expected a map of {self.target.n} target vertices, got {len(self.images)} points: target and source "
+                "may be exchanged, or the map belongs to another level"
+            )
+
+    @classmethod
+    def from_arrays(
+        cls, target: TriangleSurface, source: TriangleSurface, triangle: IndexArray, barycentric: FloatArray
+    ) -> PointMap:
+        """A map given as a source triangle (n1,) and barycentric coordinates (n1, 3) for each target vertex."""
+        return cls(target, SurfacePoints(source, triangle, barycentric))
+
+    @classmethod
+    def from_vertices(cls, target: TriangleSurface, source: TriangleSurface, vertices: IndexArray) -> PointMap:
+        """A map given as a source vertex (n1,) for each target vertex."""
+        return cls(target, SurfacePoints.from_vertices(source, vertices))
+
+    @classmethod
+    def from_matrix(cls, target: TriangleSurface, source: TriangleSurface, matrix: sparse.csr_array) -> PointMap:
+        """A map given as P12 (n1, n2), each row the weights of the corners of one source triangle."""
+        return cls(target, SurfacePoints.from_matrix(source, matrix))
+
+    @property
+    def source(self) -> TriangleSurface:
+        """The surface that the images lie on."""
+        return self.images.surface
+
+    @property
+    def triangle(self) -> IndexArray:
+        """(n1,) source triangle of every target vertex."""
+        return self.images.triangle
+
+    @property
+    def barycentric(self) -> FloatArray:
+        """(n1, 3) weights of the triangle's corners, not negative, rows sum to 1."""
+        return self.images.barycentric
+
+    def pull_back(self, values: FloatArray) -> FloatArray:
         """Pull a function back from source to target, (P12 g2)(v) = g2(T12(v)).
 
         Parameters
         ----------
-        source_triangles : (t2, 3) array
         values : (n2,) or (n2, q) array
             One value, or a row of values, for every source vertex.
 
@@ -42,22 +85,13 @@ class PointMap:
         Raises
         ------
         ParameterError
-            If the values do not cover the triangles' vertices.
+            If the values are not those of the source's vertices.
         """
-        if len(values) <= source_triangles.max():
-            raise ParameterError(
-                f"expected a value for each source vertex (at least {source_triangles.max() + 1}), got {len(values)}; "
-                "values are pulled back from source to target: are they those of the target?"
-            )
-        corners = source_triangles[self.triangle]
-        result = self.barycentric[:, 0, *(None,) * (values.ndim - 1)] * values[corners[:, 0]]
-        for i in (1, 2):
-            result += self.barycentric[:, i, *(None,) * (values.ndim - 1)] * values[corners[:, i]]
-        return np.asarray(result)
+        return self.images.interpolate(values)
 
-    def matrix(self, source_triangles: IndexArray, n_source: int) -> sparse.csr_array:
+    def matrix(self) -> sparse.csr_array:
         """P12, the (n1, n2) matrix that pulls functions back; rows sum to 1."""
-        n = len(self.triangle)
-        indptr = np.arange(0, 3 * n + 1, 3)
-        indices = source_triangles[self.triangle].ravel()
-        return sparse.csr_array((self.barycentric.ravel(), indices, indptr), shape=(n, n_source))
+        return self.images.matrix()
+
+    def __repr__(self) -> str:
+        return f"PointMap({self.target.n} vertices -> {self.source})"

@@ -13,16 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
-from cagemap.geometry.closest import (
-    CACHED,
-    build_tree,
-    closest_points,
-    corner_sums,
-    normalized,
-    ring_sums,
-    row_lengths,
-    triangle_normals,
-)
+from cagemap.geometry.closest import build_tree, closest_points
+from cagemap.geometry.triangles import CACHED, corner_sums, normalized, ring_sums, row_lengths, triangle_normals
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool, in_threads, parts
 

@@ -7,14 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.geometry.closest import (
-    TriangleTree,
-    build_tree,
-    closest_points,
-    normalized,
-    triangle_normals,
-    vertex_normals,
-)
+from cagemap.geometry.closest import TriangleTree, build_tree, closest_points
+from cagemap.geometry.triangles import normalized, triangle_normals, vertex_normals
 from cagemap.maps.quality import (
     check_map,
     covered_share,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from cagemap.geometry.triangles import fan_triangles as fans
+from cagemap.geometry.triangles import triangle_areas
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
@@ -18,18 +20,13 @@ def fan_triangles(mesh: ControlMesh) -> tuple[IndexArray, IndexArray]:
     faces : (t,) int64
         Face of every triangle. A face of fewer than three corners has none.
     """
-    counts = np.maximum(mesh.face_sizes - 2, 0)
-    faces = np.repeat(np.arange(mesh.n_faces), counts)
-    step = np.arange(len(faces)) - np.repeat(np.cumsum(counts) - counts, counts) + 1
-    first = mesh.face_offsets[faces]
-    return mesh.face_indices[np.column_stack([first, first + step, first + step + 1])], faces
+    return fans(mesh.face_offsets, mesh.face_indices)
 
 
 def face_areas(mesh: ControlMesh) -> FloatArray:
     """(m,) area of every face as the sum over its fan; in squared file units. A folded face counts both sides."""
     triangles, faces = fan_triangles(mesh)
-    a, b, c = (mesh.positions[triangles[:, i]] for i in range(3))
-    areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    areas = triangle_areas(mesh.positions, triangles)
     return np.bincount(faces, areas, minlength=mesh.n_faces).astype(np.float64)
 
 

@@ -1,11 +1,6 @@
 """Mass and stiffness of a surface, and their restriction to every level (SEC)."""
 
-from cagemap.operators.laplacian import (
-    stiffness,
-    triangle_areas,
-    triangle_cotangents,
-    vertex_areas,
-)
+from cagemap.operators.laplacian import stiffness, triangle_cotangents, vertex_areas
 from cagemap.operators.sec import Operators, build_operators, lumped_areas, restrict
 
 __all__ = [
@@ -14,7 +9,6 @@ __all__ = [
     "lumped_areas",
     "restrict",
     "stiffness",
-    "triangle_areas",
     "triangle_cotangents",
     "vertex_areas",
 ]

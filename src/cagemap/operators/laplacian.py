@@ -10,7 +10,8 @@ import numpy as np
 from numba import njit
 from scipy import sparse
 
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.geometry.triangles import triangle_areas
+from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 
 # A triangle whose doubled area is below this fraction of its longest squared edge is treated as if it had that area:
 # its cotangents stay finite, and its energy only shrinks, so W stays positive semi-definite.
@@ -42,12 +43,6 @@ def triangle_cotangents(positions: FloatArray, triangles: IndexArray) -> FloatAr
     for i in range(3):
         cotangents[:, i] = -np.einsum("ij,ij->i", edges[(i + 1) % 3], edges[(i + 2) % 3]) / doubled_area
     return cotangents
-
-
-def triangle_areas(positions: FloatArray, triangles: IndexArray) -> FloatArray:
-    """(t,) areas of triangles; unit length squared."""
-    a, b, c = (positions[triangles[:, i]] for i in range(3))
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
 def stiffness(positions: FloatArray, faces: IndexArray) -> sparse.csr_array:
@@ -97,7 +92,7 @@ def areas_and_stiffness(positions: FloatArray, faces: IndexArray) -> tuple[Float
     room = n + (corners - 1) * len(incident.indices)
     rows = np.zeros(n + 1, dtype=np.int32), np.empty(room, dtype=np.int32), np.empty(room)
     around = incident.indptr, incident.indices
-    end = _gather_rows(np.ascontiguousarray(faces), weights, _pair_columns(corners), around, rows)
+    end = _gather_rows(read_only(np.ascontiguousarray(faces)), weights, _pair_columns(corners), around, rows)
     indptr, indices, data = rows[0], rows[1][:end].copy(), rows[2][:end].copy()
     return areas, sparse.csr_array((data, indices, indptr), shape=(n, n))
 
@@ -120,7 +115,7 @@ def face_terms(positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, Fl
     quads = faces.shape[1] == 4
     weights, areas = np.zeros((len(faces), 6 if quads else 3)), np.zeros(len(positions))
     table, share = (QUAD_TABLE, 0.5) if quads else (TRIANGLE_TABLE, 1.0)
-    contiguous = np.ascontiguousarray(positions, dtype=np.float64), np.ascontiguousarray(faces)
+    contiguous = read_only(np.ascontiguousarray(positions, dtype=np.float64)), read_only(np.ascontiguousarray(faces))
     _face_terms(*contiguous, table, share, weights, areas)
     return weights, areas
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
 from cagemap.errors import ParameterError
-from cagemap.geometry.closest import vertex_normals
+from cagemap.geometry.triangles import vertex_normals
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.libraries import library
 from cagemap.pictures.camera import Camera

@@ -8,6 +8,8 @@ import numpy as np
 from scipy.sparse import csr_array, eye_array
 
 from cagemap.errors import InvalidMeshError, ParameterError
+from cagemap.geometry.triangles import fan_triangles
+from cagemap.geometry.triangles import triangles as triangles
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement.face_varying import refine_uvs
@@ -307,33 +309,9 @@ def _check_size(table: CornerTable, levels: int) -> None:
         )
 
 
-def triangles(faces: IndexArray) -> IndexArray:
-    """Triangles of refined faces, by the one rule: quad q is (0, 1, 2), number 2q, and (0, 2, 3), number 2q + 1.
-
-    Parameters
-    ----------
-    faces : (m, 4) or (m, 3) int64
-        Vertex (or UV) numbers.
-
-    Returns
-    -------
-    (2 m, 3) or (m, 3) int64
-    """
-    if faces.shape[1] == 3:
-        return faces
-    return faces[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
-
-
 def triangulate_control(mesh: ControlMesh) -> IndexArray:
-    """Fans of the control faces, (t, 3): face (v0, v1, ..., vk) gives (v0, v1, v2), (v0, v2, v3), ... in face order.
-
-    Agrees with `triangles` on quads. Triangle numbers per face: ``np.repeat(np.arange(m), mesh.face_sizes - 2)``.
-    """
-    counts = mesh.face_sizes - 2
-    first = np.repeat(mesh.face_offsets[:-1], counts)
-    step = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
-    corners = np.column_stack([first, first + step + 1, first + step + 2])
-    return mesh.face_indices[corners]
+    """Fans of the control faces, (t, 3), in face order; agrees with `triangles` on quads."""
+    return fan_triangles(mesh.face_offsets, mesh.face_indices)[0]
 
 
 def level_triangles(refinement: Refinement, level: int) -> IndexArray:

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cagemap.errors import ParameterError
+from cagemap.geometry.triangles import triangle_areas
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.transfer.bake import BakeOptions, Transfer, bake, make_canvas, unit
 from cagemap.transfer.locate import Samples, locate_centers
-from cagemap.transfer.surface import triangle_areas
 from cagemap.transfer.texture import Pixels
 
 # Samples along a texel's side where materials meet: 16 levels between two colours.
@@ -46,7 +46,7 @@ def pull_back_vertices(transfer: Transfer, values: FloatArray) -> FloatArray:
     rows = len(transfer.source.positions)
     if len(values) != rows:
         raise ParameterError(f"expected {rows} rows, one for every vertex of the source's level, got {len(values)}")
-    return transfer.point_map.pull_back(transfer.source.triangles, np.asarray(values, dtype=np.float64))
+    return transfer.point_map.pull_back(np.asarray(values, dtype=np.float64))
 
 
 def pull_back_faces(transfer: Transfer, values: NDArray[Any], *, n_target_faces: int | None = None) -> NDArray[Any]:

@@ -17,13 +17,14 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cagemap.errors import ParameterError
+from cagemap.geometry.triangles import triangle_areas, triangle_neighbors
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool, core_count
 from cagemap.refinement import Level
 from cagemap.transfer.dilation import LARGEST_SIDE, dilate
 from cagemap.transfer.locate import MappedSurface, Samples, locate_samples, map_surface, plan_samples
-from cagemap.transfer.surface import TexturedSurface, triangle_areas, triangle_neighbors
+from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.texels import GUTTER_RADIUS, Layout, lay_out, rasterize_band
 from cagemap.transfer.texture import Pixels, Wrap, lay_texture, look_up, udim_of, udim_origin
 
@@ -94,12 +95,12 @@ def prepare_transfer(target: Level, source: Level, point_map: PointMap) -> Trans
         If the map does not fit the two levels.
     """
     target_surface, source_surface = TexturedSurface.from_level(target), TexturedSurface.from_level(source)
-    rows, largest = len(point_map.triangle), int(point_map.triangle.max(initial=0))
-    if rows != len(target.positions) or largest >= len(source_surface.triangles):
+    expected, sides = (target_surface, source_surface), (point_map.target, point_map.source)
+    sizes = [[(len(side.positions), len(side.triangles)) for side in both] for both in (expected, sides)]
+    if sizes[0] != sizes[1]:
         raise ParameterError(
-            f"expected a map from the target's {len(target.positions)} vertices into the source's "
-            f"{len(source_surface.triangles)} triangles, got {rows} points in triangles up to {largest}; "
-            "are target and source exchanged, or of other levels?"
+            f"expected a map between surfaces of {sizes[0]} vertices and triangles, those of the two levels, got "
+            f"{sizes[1]}; are target and source exchanged, or of other levels?"
         )
     mapped = map_surface(target_surface, source_surface, point_map)
     return Transfer(target_surface, source_surface, point_map, mapped)

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from cagemap.errors import ParameterError
+from cagemap.geometry.triangles import triangle_areas
 from cagemap.numerics.arrays import FloatArray
 from cagemap.transfer.bake import BakeOptions, Transfer, bake, make_canvas, unit
 from cagemap.transfer.locate import Samples, plan_samples, target_barycentric
-from cagemap.transfer.surface import triangle_areas
 from cagemap.transfer.texture import Pixels, lay_texture, look_up
 
 # Channels of a grey image that was saved in colour differ by no more than rounding, as a part of the whole range.

@@ -13,11 +13,11 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.geometry.closest import triangle_centres
+from cagemap.geometry.triangles import triangle_centres, triangle_neighbors
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads, parts
-from cagemap.transfer.surface import TexturedSurface, triangle_neighbors
+from cagemap.transfer.surface import TexturedSurface
 
 _INSIDE = -1e-9
 # Steps of a walk. Corners of one target triangle land a few source triangles apart; a map that tears is cut off here.
@@ -56,7 +56,7 @@ class MappedSurface:
 
 def map_surface(target: TexturedSurface, source: TexturedSurface, point_map: PointMap) -> MappedSurface:
     """Evaluate the point map at every target vertex."""
-    mapped = point_map.pull_back(source.triangles, source.positions)
+    mapped = point_map.pull_back(source.positions)
     return MappedSurface(
         np.ascontiguousarray(target.triangles),
         np.ascontiguousarray(point_map.triangle, dtype=np.int64),

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -75,49 +73,3 @@ class TexturedSurface:
         """(t, 3, 2) texture coordinates of every triangle corner."""
         uvs, corners = self.layout()
         return uvs[corners]
-
-
-def triangle_areas(positions: FloatArray, corners: IndexArray) -> FloatArray:
-    """(t,) areas of triangles with the given (t, 3) vertices; positions may be (n, 2) or (n, 3)."""
-    a, b, c = (positions[corners[:, k]] for k in range(3))
-    if positions.shape[1] == 2:
-        return 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-
-
-def triangle_neighbors(corners: IndexArray) -> NDArray[np.int32]:
-    """(t, 3) triangle across the edge *opposite* to every corner, -1 on the boundary.
-
-    Edges are matched by their unordered pair of vertices; where more than two triangles share one, they are paired
-    in order, which is what a UV layout with faces laid over each other needs.
-    """
-    neighbors = np.full(corners.shape, -1, dtype=np.int32)
-    head = np.full(int(corners.max(initial=-1)) + 1, -1, dtype=np.int32)
-    rest = np.full(corners.size, -1, dtype=np.int32)
-    _pair_edges(np.ascontiguousarray(corners), neighbors, head, rest)
-    return neighbors
-
-
-# Kernels of this room fill arrays that they are given: to allocate inside would double the time they take to compile.
-@numba.njit(cache=True, nogil=True)
-def _pair_edges(corners, neighbors, head, rest):  # type: ignore[no-untyped-def]
-    """Match edges through a linked list of still unmatched ones at each edge's lower vertex."""
-    for t in range(len(corners)):
-        for k in range(3):
-            a, b = corners[t, (k + 1) % 3], corners[t, (k + 2) % 3]
-            low, high = (a, b) if a < b else (b, a)
-            previous, edge = np.int32(-1), head[low]
-            while edge >= 0:
-                other, j = edge // 3, edge % 3
-                if corners[other, (j + 1) % 3] == high or corners[other, (j + 2) % 3] == high:
-                    break
-                previous, edge = edge, rest[edge]
-            if edge < 0:
-                rest[3 * t + k] = head[low]
-                head[low] = 3 * t + k
-                continue
-            neighbors[t, k], neighbors[edge // 3, edge % 3] = edge // 3, t
-            if previous < 0:
-                head[low] = rest[edge]
-            else:
-                rest[previous] = rest[edge]

@@ -7,13 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from cagemap.geometry.closest import (
-    TriangleTree,
-    build_tree,
-    closest_points,
-    normalized,
-    vertex_normals,
-)
+from cagemap.geometry.closest import TriangleTree, build_tree, closest_points
+from cagemap.geometry.triangles import normalized, vertex_normals
 from cagemap.maps.elastic.counterparts import round_trip_weights
 from cagemap.maps.elastic.graph import ElasticGraph, transformed_normals
 from cagemap.maps.spectral.zoomout import spread

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cagemap.errors import ParameterError
-from cagemap.geometry.closest import closest_points, normalized, triangle_normals, vertex_normals
+from cagemap.geometry.closest import closest_points
+from cagemap.geometry.triangles import normalized, triangle_normals, vertex_normals
 from cagemap.maps.elastic.counterparts import ReceivedArea
 from cagemap.maps.elastic.data import PULLERS, Pullers, Sheet, deformed_normals, pull_by_source, pull_to_source
 from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph, bounded_maps, cluster_graph, extrapolate

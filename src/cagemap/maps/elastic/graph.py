@@ -19,7 +19,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from cagemap.geometry.closest import normalized, vertex_normals
+from cagemap.geometry.triangles import normalized, vertex_normals
 from cagemap.maps.elastic.system import BlockSystem
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cagemap.geometry.closest import vertex_normals
+from cagemap.geometry.triangles import vertex_normals
 from cagemap.maps.elastic.fit import ElasticConfig
 from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph, cluster_graph, extrapolate
 from cagemap.numerics.arrays import FloatArray, IndexArray

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.basis import Surface
-from cagemap.geometry.closest import normalized, triangle_normals
+from cagemap.geometry.triangles import normalized, triangle_normals
 from cagemap.maps.elastic.graph import ElasticGraph
 from cagemap.maps.elastic.method import RefinedConfig, refined_map
 from cagemap.maps.landmarks.distances import (

@@ -20,7 +20,8 @@ from scipy.sparse import csgraph
 from scipy.spatial import Delaunay
 
 from cagemap.errors import SolverError
-from cagemap.geometry.closest import build_tree, closest_points, row_lengths
+from cagemap.geometry.closest import build_tree, closest_points
+from cagemap.geometry.triangles import row_lengths, triangle_areas
 from cagemap.maps.projection.unfold import (
     Images,
     Sides,
@@ -32,7 +33,6 @@ from cagemap.maps.projection.unfold import (
 )
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import factor_general
-from cagemap.operators import triangle_areas
 
 # Least share of the target's area that is folded in a part for it to be laid out.
 LEAST_SHARE = 1e-3

@@ -6,7 +6,8 @@ import numpy as np
 from scipy import sparse
 
 from cagemap.basis import Surface
-from cagemap.geometry.closest import TriangleTree, closest_points, vertex_normals
+from cagemap.geometry.closest import TriangleTree, closest_points
+from cagemap.geometry.triangles import vertex_normals
 from cagemap.maps.elastic.data import Sheet
 from cagemap.maps.elastic.fit import ElasticConfig, FitShapes
 from cagemap.maps.elastic.graph import ElasticGraph, mesh_graph
@@ -42,8 +43,8 @@ def level_graph(surface: Surface, level: int) -> tuple[ElasticGraph, IndexArray]
 
 def finest_surface(surface: Surface) -> tuple[FloatArray, IndexArray]:
     """Finest vertices at unit area, and triangles."""
-    positions = surface.operators.scale * surface.refinement.finest.positions
-    return positions, level_triangles(surface.refinement, surface.finest)
+    finest = surface.triangles(surface.finest)
+    return finest.positions, finest.triangles
 
 
 def refined_positions(refinement: Refinement, level: int, points: FloatArray) -> FloatArray:
@@ -114,7 +115,8 @@ def project(positions: FloatArray, pair: Pair, tree: TriangleTree, config: Elast
     images = Images.of(triangle, barycentric, sides)
     images, flipped = unfold(images, sides, landmarks[0], normal_weight=weights[0])
     images = lay_out_parts(images, flipped, sides, landmarks[0])
-    return PointMap(images.triangle, images.barycentric)
+    surfaces = pair.target.triangles(pair.target.finest), pair.source.triangles(pair.source.finest)
+    return PointMap.from_arrays(*surfaces, images.triangle, images.barycentric)
 
 
 def facing_points(

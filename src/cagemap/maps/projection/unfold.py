@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from cagemap.geometry.closest import CACHED, TriangleTree, closest_points, normalized
+from cagemap.geometry.closest import TriangleTree, closest_points
+from cagemap.geometry.triangles import CACHED, normalized
 from cagemap.maps.quality import flipped_triangles, map_positions
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads, parts

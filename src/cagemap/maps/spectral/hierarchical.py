@@ -44,7 +44,6 @@ from cagemap.maps.spectral.zoomout import (
     upsample,
 )
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.refinement import level_triangles
 
 Progress = Callable[[str], None]
 LevelPair = tuple[int, int]
@@ -321,8 +320,9 @@ def refit(pair: Pair, levels: LevelPair, match: IndexArray) -> FloatArray:
 def recover_points(pair: Pair, matched: LevelMap) -> PointMap:
     """Vertex-to-point map of a pair of levels from its vertex matches."""
     rows = _both_rows(pair, matched.functional_map, matched.levels)
-    source_triangles = level_triangles(pair.source.refinement, matched.levels[1])
-    return recover_in_blocks(*rows, blocks(pair.target, matched.levels[0]), source_triangles, matched.match)
+    target, source = pair.target.triangles(matched.levels[0]), pair.source.triangles(matched.levels[1])
+    found = recover_in_blocks(*rows, blocks(pair.target, matched.levels[0]), source.triangles, matched.match)
+    return PointMap.from_arrays(target, source, *found)
 
 
 def _both_rows(pair: Pair, functional_map: FloatArray, levels: LevelPair) -> tuple[SpectralRows, SpectralRows]:

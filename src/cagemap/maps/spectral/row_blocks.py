@@ -13,7 +13,6 @@ import numpy as np
 from scipy import sparse
 
 from cagemap.basis import Surface, evaluate
-from cagemap.maps.point_map import PointMap
 from cagemap.maps.spectral.search import Embedding, nearest_candidates
 from cagemap.maps.spectral.vertex_to_point import vertex_to_point, vertex_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -95,8 +94,8 @@ def recover_in_blocks(
     order: Iterator[IndexArray],
     source_triangles: IndexArray,
     match: IndexArray,
-) -> PointMap:
-    """`vertex_to_point` for a whole level, block by block."""
+) -> tuple[IndexArray, FloatArray]:
+    """`vertex_to_point` for a whole level, block by block: triangles (n1,) and barycentric coordinates (n1, 3)."""
     triangle = np.empty(len(match), dtype=np.int64)
     barycentric = np.empty((len(match), 3))
     starts, around = vertex_triangles(source_triangles, int(source_triangles.max()) + 1)
@@ -111,5 +110,5 @@ def recover_in_blocks(
         faces = local[source_triangles[near]]
         fans = vertex_triangles(faces, len(corners))
         found = vertex_to_point(target.at(block), source.at(corners), faces, fans, local[match[block]])
-        triangle[block], barycentric[block] = near[found.triangle], found.barycentric
-    return PointMap(triangle, barycentric)
+        triangle[block], barycentric[block] = near[found[0]], found[1]
+    return triangle, barycentric

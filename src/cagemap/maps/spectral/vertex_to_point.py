@@ -6,7 +6,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cagemap.maps.point_map import PointMap
 from cagemap.maps.spectral.search import ROWS, Embedding
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads, parts
@@ -33,7 +32,7 @@ def vertex_to_point(
     source_triangles: IndexArray,
     around: tuple[IndexArray, IndexArray],
     match: IndexArray,
-) -> PointMap:
+) -> tuple[IndexArray, FloatArray]:
     """Nearest point of the embedded triangles around every vertex's match.
 
     Parameters
@@ -48,7 +47,7 @@ def vertex_to_point(
 
     Returns
     -------
-    PointMap
+    triangle, barycentric : (n1,), (n1, 3) arrays
     """
     triangle, barycentric = np.empty(len(match), dtype=np.int64), np.empty((len(match), 3))
 
@@ -62,7 +61,7 @@ def vertex_to_point(
         )
 
     in_threads(project, parts(len(match), ROWS))
-    return PointMap(triangle, barycentric)
+    return triangle, barycentric
 
 
 def closest_on_triangle(gram: FloatArray, offset: FloatArray) -> FloatArray:
@@ -166,7 +165,7 @@ def reference_vertex_to_point(
     source_triangles: IndexArray,
     around: tuple[IndexArray, IndexArray],
     match: IndexArray,
-) -> PointMap:
+) -> tuple[IndexArray, FloatArray]:
     """Slow twin of `vertex_to_point`, which defines it."""
     starts, triangle_list = around
     triangle = np.empty(len(match), dtype=np.int64)
@@ -180,4 +179,4 @@ def reference_vertex_to_point(
             distance = float(np.sum((weights @ corners - target_rows[x]) ** 2))
             if distance < best:
                 best, triangle[x], barycentric[x] = distance, i, weights
-    return PointMap(triangle, barycentric)
+    return triangle, barycentric

@@ -1,0 +1,231 @@
+"""Points on a triangulated surface: a triangle and barycentric coordinates each, and the surface they lie on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+
+from cagemap.errors import ParameterError
+from cagemap.geometry.closest import closest_points
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.geometry.triangles import CACHED
+from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
+from cagemap.numerics.threads import in_threads, parts
+
+# By how much barycentric coordinates may miss a sum of 1, or be negative: rounding of single precision files.
+TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SurfacePoints:
+    """Points of one surface.
+
+    Attributes
+    ----------
+    surface : TriangleSurface
+    triangle : (m,) int64
+        Triangle of the surface that holds each point.
+    barycentric : (m, 3) float64
+        Weights of its corners, not negative, rows sum to 1.
+
+    Raises
+    ------
+    ParameterError
+        If the arrays are not points of this surface.
+    """
+
+    surface: TriangleSurface
+    triangle: IndexArray
+    barycentric: FloatArray
+
+    def __post_init__(self) -> None:
+        triangle = np.ascontiguousarray(self.triangle, dtype=np.int64)
+        barycentric = np.ascontiguousarray(self.barycentric, dtype=np.float64)
+        if triangle.ndim != 1 or barycentric.shape != (len(triangle), 3):
+            raise ParameterError(
+                f"expected points as triangle (m,) and barycentric (m, 3), got {triangle.shape} and {barycentric.shape}"
+            )
+        count = len(self.surface.triangles)
+        if len(triangle) and not 0 <= triangle.min() <= triangle.max() < count:
+            outside = np.flatnonzero((triangle < 0) | (triangle >= count))[:5]
+            raise ParameterError(
+                f"expected triangles 0 to {count - 1} of the surface, got {triangle[outside]} at points {outside}: "
+                "target and source may be exchanged, or the points belong to another level"
+            )
+        # Written so that a NaN fails it too.
+        if len(triangle) and not (
+            barycentric.min() >= -TOLERANCE and np.abs(barycentric.sum(axis=1) - 1.0).max() <= TOLERANCE
+        ):
+            raise ParameterError(
+                "expected barycentric coordinates that are finite, not negative and sum to 1 in every row, got rows "
+                f"from {barycentric.min()} to {barycentric.max()}"
+            )
+        object.__setattr__(self, "triangle", read_only(triangle))
+        object.__setattr__(self, "barycentric", read_only(barycentric))
+
+    @classmethod
+    def from_vertices(cls, surface: TriangleSurface, vertices: IndexArray) -> SurfacePoints:
+        """Vertices of a surface, each as a corner of one of its triangles.
+
+        Raises
+        ------
+        ParameterError
+            If there is no such vertex or no triangle has it.
+        """
+        vertices = np.asarray(vertices, dtype=np.int64)
+        bad = vertices[(vertices < 0) | (vertices >= surface.n)]
+        if not len(bad):
+            triangle = surface.vertex_triangles[vertices]
+            bad = vertices[triangle < 0]
+        if len(bad):
+            raise ParameterError(f"expected vertices 0 to {surface.n - 1} that have a triangle, got {bad[:5]}")
+        return cls(surface, triangle, (surface.triangles[triangle] == vertices[:, None]).astype(np.float64))
+
+    @classmethod
+    def from_matrix(cls, surface: TriangleSurface, matrix: sparse.csr_array) -> SurfacePoints:
+        """Points given as rows (m, n) of weights of one, two or three vertices of a triangle.
+
+        Raises
+        ------
+        ParameterError
+            If a row is not a point of a triangle.
+        """
+        rows = sparse.csr_array(matrix)
+        counts = np.diff(rows.indptr)
+        if rows.shape[1] != surface.n or not np.all((counts >= 1) & (counts <= 3)):
+            raise ParameterError(
+                f"expected rows of 1 to 3 weights of {surface.n} vertices, got a matrix {rows.shape} with rows of "
+                f"{counts.min(initial=0)} to {counts.max(initial=0)}"
+            )
+        # Entry i of a triangle is one of its corners in column i: a triangle holds a point if it has all its vertices.
+        around = sparse.csr_array(
+            (
+                np.ones(surface.triangles.size),
+                (surface.triangles.ravel(), np.arange(surface.triangles.size) // 3),
+            ),
+            shape=(surface.n, len(surface.triangles)),
+        )
+        ones = sparse.csr_array((np.ones(rows.nnz), rows.indices, rows.indptr), shape=rows.shape)
+        shared = sparse.csr_array(ones @ around)
+        full = shared.data == np.repeat(counts, np.diff(shared.indptr))
+        triangle = np.full(rows.shape[0], -1, dtype=np.int64)
+        triangle[np.repeat(np.arange(rows.shape[0]), np.diff(shared.indptr))[full]] = shared.indices[full]
+        if np.any(triangle < 0):
+            bad = np.flatnonzero(triangle < 0)[:5]
+            raise ParameterError(f"expected every row to have vertices of one triangle, not so in rows {bad}")
+        barycentric = np.zeros((len(triangle), 3))
+        at = np.repeat(np.arange(len(triangle)), counts)
+        for corner in range(3):
+            here = surface.triangles[triangle[at], corner] == rows.indices
+            barycentric[at[here], corner] = rows.data[here]
+        return cls(surface, triangle, barycentric)
+
+    @classmethod
+    def nearest(
+        cls,
+        surface: TriangleSurface,
+        points: FloatArray,
+        normals: FloatArray | None = None,
+        *,
+        normal_weight: float = 0.0,
+        guess: IndexArray | None = None,
+    ) -> SurfacePoints:
+        """The surface's nearest points to points in space, in position and normal.
+
+        Parameters
+        ----------
+        surface : TriangleSurface
+        points : (m, 3) float64
+            At the surface's unit area.
+        normals : (m, 3) float64, optional
+        normal_weight : float
+            See `cagemap.geometry.closest.closest_points`.
+        guess : (m,) int64, optional
+            Triangles that are probably near.
+        """
+        triangle, barycentric, _ = closest_points(
+            surface.tree, points, normals, normal_weight=normal_weight, guess=guess
+        )
+        return cls(surface, triangle, barycentric)
+
+    def __len__(self) -> int:
+        return len(self.triangle)
+
+    @property
+    def corners(self) -> IndexArray:
+        """(m, 3) vertices of the triangles that hold the points."""
+        return self.surface.triangles.take(self.triangle, axis=0)
+
+    @cached_property
+    def positions(self) -> FloatArray:
+        """(m, 3) places in space, at unit area."""
+        return read_only(self.interpolate(self.surface.positions))
+
+    @property
+    def normals(self) -> FloatArray:
+        """(m, 3) unit normals of the triangles that hold the points."""
+        return self.surface.normals.take(self.triangle, axis=0)
+
+    def interpolate(self, values: FloatArray) -> FloatArray:
+        """Values at the points of a function that is linear on every triangle.
+
+        Parameters
+        ----------
+        values : (n,) or (n, q) array
+            One value, or a row of values, for every vertex of the surface.
+
+        Returns
+        -------
+        (m,) or (m, q) array
+
+        Raises
+        ------
+        ParameterError
+            If there is not one row for each vertex.
+        """
+        if len(values) != self.surface.n:
+            raise ParameterError(
+                f"expected a value for each of the {self.surface.n} vertices of the surface that the points lie on, "
+                f"got {len(values)}: do they belong to the other surface, or to another level?"
+            )
+        found = np.empty((len(self), *values.shape[1:]))
+
+        def fill(part: slice) -> None:
+            corners = self.surface.triangles.take(self.triangle[part], axis=0)
+            weights = self.barycentric[part].reshape(-1, 3, *(1,) * (values.ndim - 1))
+            found[part] = weights[:, 0] * values.take(corners[:, 0], axis=0)
+            for k in (1, 2):
+                found[part] += weights[:, k] * values.take(corners[:, k], axis=0)
+
+        in_threads(fill, parts(len(self), CACHED))
+        return found
+
+    def matrix(self) -> sparse.csr_array:
+        """(m, n) matrix that takes values at the vertices to values at the points; rows sum to 1."""
+        starts = np.arange(0, 3 * len(self) + 1, 3)
+        weights = self.barycentric.flatten()
+        return sparse.csr_array((weights, self.corners.ravel(), starts), shape=(len(self), self.surface.n))
+
+    def at(self, rows: IndexArray | slice) -> SurfacePoints:
+        """Some of the points."""
+        return SurfacePoints(self.surface, self.triangle[rows], self.barycentric[rows])
+
+    def replaced(self, rows: IndexArray, others: SurfacePoints) -> SurfacePoints:
+        """The same points with others of the same surface in some rows.
+
+        Raises
+        ------
+        ParameterError
+            If the others lie on another surface.
+        """
+        if others.surface is not self.surface:
+            raise ParameterError(f"expected points of {self.surface}, got points of another surface, {others.surface}")
+        triangle, barycentric = self.triangle.copy(), self.barycentric.copy()
+        triangle[rows], barycentric[rows] = others.triangle, others.barycentric
+        return SurfacePoints(self.surface, triangle, barycentric)
+
+    def __repr__(self) -> str:
+        return f"SurfacePoints({len(self)} of {self.surface})"

@@ -1,0 +1,118 @@
+"""A triangulated surface at unit area: one value, with all that its triangles alone decide."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import ParameterError
+from cagemap.geometry.closest import TriangleTree, build_tree
+from cagemap.geometry.triangles import (
+    normalized,
+    surface_area,
+    triangle_areas,
+    triangle_neighbors,
+    triangle_normals,
+    triangles,
+    vertex_normals,
+)
+from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TriangleSurface:
+    """Triangles between points in space, at unit area.
+
+    The arrays cannot be written to. What follows from them (`areas`, `normals`, `tree`, ...) is worked out when it is
+    first asked for and kept: it is part of the value.
+
+    Attributes
+    ----------
+    positions : (n, 3) float64
+        In units of sqrt(area) of the whole surface. A coarse level keeps the unit of the finest one.
+    triangles : (t, 3) int64
+        Vertices of every triangle, counter-clockwise seen from outside.
+    scale : float
+        Factor from the file's own lengths to those of ``positions``.
+    """
+
+    positions: FloatArray
+    triangles: IndexArray
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        positions = np.ascontiguousarray(self.positions, dtype=np.float64)
+        triangles = np.ascontiguousarray(self.triangles, dtype=np.int64)
+        if positions.ndim != 2 or positions.shape[1] != 3 or triangles.ndim != 2 or triangles.shape[1] != 3:
+            raise ParameterError(
+                f"expected positions (n, 3) and triangles (t, 3), got {positions.shape} and {triangles.shape}"
+            )
+        if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(positions):
+            raise ParameterError(
+                f"expected triangles of vertices 0 to {len(positions) - 1}, got {triangles.min()} to {triangles.max()}"
+            )
+        object.__setattr__(self, "positions", read_only(positions))
+        object.__setattr__(self, "triangles", read_only(triangles))
+
+    @classmethod
+    def from_faces(cls, positions: FloatArray, faces: IndexArray) -> TriangleSurface:
+        """A surface of triangles or quads in any unit, scaled to unit area (`surface_area`) and split by the one rule.
+
+        Parameters
+        ----------
+        positions : (n, 3) float64
+        faces : (m, 4) or (m, 3) int64
+
+        Raises
+        ------
+        ParameterError
+            If the surface has no area or a position is not finite.
+        """
+        area = surface_area(positions, faces)
+        if not 0.0 < area < np.inf:
+            raise ParameterError(f"expected a surface of finite, positive area, got {area}: check its positions")
+        scale = 1.0 / float(np.sqrt(area))
+        return cls(scale * positions, triangles(faces), scale)
+
+    @property
+    def n(self) -> int:
+        """Number of vertices."""
+        return len(self.positions)
+
+    @cached_property
+    def areas(self) -> FloatArray:
+        """(t,) areas of the triangles."""
+        return read_only(triangle_areas(self.positions, self.triangles))
+
+    @cached_property
+    def normals(self) -> FloatArray:
+        """(t, 3) unit normals of the triangles, zero where degenerate."""
+        return read_only(normalized(triangle_normals(self.positions, self.triangles)))
+
+    @cached_property
+    def vertex_normals(self) -> FloatArray:
+        """(n, 3) unit normals of the vertices, area-weighted means of their triangles'."""
+        return read_only(vertex_normals(self.positions, self.triangles))
+
+    @cached_property
+    def neighbors(self) -> NDArray[np.int32]:
+        """(t, 3) triangle across the edge opposite to every corner, -1 on the boundary."""
+        return read_only(triangle_neighbors(self.triangles))
+
+    @cached_property
+    def vertex_triangles(self) -> IndexArray:
+        """(n,) a triangle of every vertex, the last that has it as a corner; -1 where there is none."""
+        triangle = np.full(self.n, -1, dtype=np.int64)
+        triangle[self.triangles.ravel()] = np.arange(self.triangles.size) // 3
+        return read_only(triangle)
+
+    @cached_property
+    def tree(self) -> TriangleTree:
+        """The triangles ordered for closest-point search."""
+        return build_tree(self.positions, self.triangles)
+
+    def __repr__(self) -> str:
+        return f"TriangleSurface({self.n} vertices, {len(self.triangles)} triangles)"
