@@ -200,7 +200,7 @@ def _carry_attribute(request: TransferRequest, result: Result, stages: Stages) -
             nodes, node_values = corner_nodes(source, array)
             carried[name] = combine(corner_weights(transfer, *sides, nodes, len(node_values)).weights, node_values)
         elif len(array) == len(result.source.vertices):
-            carried[name] = combine(transfer.point_map.matrix(transfer.source.triangles, len(array)), array)
+            carried[name] = combine(transfer.point_map.matrix(), array)
         else:
             raise ParameterError(
                 f"{request.attribute}: {name} has {len(array)} rows; expected one for each of the source's "

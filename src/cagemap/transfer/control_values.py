@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from cagemap.errors import ParameterError
+from cagemap.geometry.triangles import triangle_neighbors
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Refinement
@@ -21,7 +22,6 @@ from cagemap.transfer.attributes import largest_share
 from cagemap.transfer.bake import Transfer
 from cagemap.transfer.interpolation import LinearValues, corner_triangles, interpolate_linearly
 from cagemap.transfer.locate import locate_centers, walk_from
-from cagemap.transfer.surface import triangle_neighbors
 
 # Texture coordinates of one vertex that differ by less are one.
 _SAME_UV = 1e-7
