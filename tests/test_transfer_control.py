@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from scipy import sparse
 
 from cagemap.errors import ParameterError
-from cagemap.geometry.closest import build_tree, closest_points
+from cagemap.geometry.points import SurfacePoints
+from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh, cube, icosahedron
 from cagemap.refinement import Refinement, refine, triangles
@@ -97,7 +98,8 @@ def test_any_map_gives_convex_weights_and_labels_that_exist(seed: int) -> None:
     rng = np.random.default_rng(seed)
     both = refine(mixed(), 2), refine(cube(), 2)
     n, t = both[0].finest.n_vertices, 2 * both[1].finest.n_faces
-    point_map = PointMap(rng.integers(0, t, n), rng.dirichlet(np.ones(3), n))
+    surfaces = (TriangleSurface.from_faces(side.finest.positions, side.finest.faces) for side in both)
+    point_map = PointMap.from_arrays(*surfaces, rng.integers(0, t, n), rng.dirichlet(np.ones(3), n))
     transfer = prepare_transfer(both[0].finest, both[1].finest, point_map)
     weights = control_weights(transfer, *both)
     assert weights.shape == (9, 8)
@@ -143,7 +145,7 @@ def test_a_seam_within_a_face_is_listed() -> None:
     both = refine(target, 3), refine(source, 3)
     # Refined positions are smoothed, so the map is given on the parameters.
     parameters = [linear_points(side, 3) for side in (target, source)]
-    transfer = prepare_transfer(both[0].finest, both[1].finest, closest_map(parameters, both[1]))
+    transfer = prepare_transfer(both[0].finest, both[1].finest, closest_map(parameters, both))
     carried = carry_uvs(transfer, *both)
     assert carried.crossed.tolist() == [1]
     got = carried.uvs[carried.uv_indices].reshape(3, 4, 2)
@@ -156,13 +158,13 @@ def linear_points(control: ControlMesh, level: int) -> np.ndarray:
     return linear.matrix @ control.positions
 
 
-def closest_map(parameters: list[np.ndarray], source: Refinement):
-    triangle, barycentric, _ = closest_points(build_tree(parameters[1], triangles(source.finest.faces)), parameters[0])
-    return PointMap(triangle, barycentric)
+def closest_map(parameters: list[np.ndarray], both: tuple[Refinement, Refinement]) -> PointMap:
+    target, source = (TriangleSurface(p, triangles(s.finest.faces)) for p, s in zip(parameters, both, strict=True))
+    return PointMap(target, SurfacePoints.nearest(source, target.positions))
 
 
 def test_a_plane_keeps_linear_values() -> None:
     target, source = plane(3, 3), plane(9, 9)
     transfer = prepare_transfer(target, source, plane_map(target, 9, 9, lambda p: 0.1 + 0.8 * p))
-    rows = transfer.point_map.matrix(transfer.source.triangles, len(source.positions))
+    rows = transfer.point_map.matrix()
     np.testing.assert_allclose(combine(rows, source.positions[:, 0]), 0.1 + 0.8 * target.positions[:, 0], atol=1e-12)
