@@ -1,7 +1,8 @@
-"""Agreement with OpenSubdiv 3.5.0 on its smooth, boundary and corner cases (creases: their own issue)."""
+"""Agreement with OpenSubdiv 3.5.0 on all recorded cases: positions, matrices, limits, and UVs of all six modes."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +16,12 @@ from cagemap.refinement import CatmullClark, Loop, Refinement, limit_matrix, lim
 CASES = Path(__file__).resolve().parents[2] / "shared" / "data" / "opensubdiv" / "cases"
 # Both sides compute in float64 from the same weights; coordinates are below 10, and three levels are a dozen sums.
 TOLERANCE = 1e-12
+# OpenSubdiv keeps sharpness in float32: 1.3 is 1.2999999523 there.
+CREASED_TOLERANCE = 1e-7
 
 
-def _is_smooth(path: Path) -> bool:
-    with np.load(path) as case:
-        return not len(case["crease_edges"]) and not len(case["corner_vertices"])
-
-
-NAMES = [path.stem for path in sorted(CASES.glob("*.npz")) if _is_smooth(path)]
+NAMES = [path.stem for path in sorted(CASES.glob("*.npz"))]
+UV_MODES = ("none", "corners_only", "corners_plus1", "corners_plus2", "boundaries", "all")
 
 
 class Case:
@@ -35,13 +34,21 @@ class Case:
         control = ControlMesh(self.arrays["V"], offsets, self.arrays["face_indices"].astype(np.int64), name=name)
         if "uv" in self.arrays:
             control = control.with_uvs(self.arrays["uv"], self.arrays["uv_indices"].astype(np.int64))
+        if len(self.arrays["crease_edges"]):
+            control = control.with_creases(self.arrays["crease_edges"], self.arrays["crease_sharpness"])
+        if len(self.arrays["corner_vertices"]):
+            control = control.with_corners(self.arrays["corner_vertices"], self.arrays["corner_sharpness"])
+        smooth = control.crease_edges is None and control.corner_vertices is None
+        self.tolerance = TOLERANCE if smooth else CREASED_TOLERANCE
         scheme = {"catmark": CatmullClark, "loop": Loop}[str(self.arrays["scheme"])]
-        self.refinement: Refinement = refine(control, 3, scheme(str(self.arrays["boundary"])))
+        self.control = control
+        self.scheme = scheme(str(self.arrays["boundary"]), creasing=str(self.arrays["creasing"]))
+        self.refinement: Refinement = refine(control, 3, self.scheme)
 
     def order(self, level: int) -> np.ndarray:
         """Reference vertex of each of our vertices."""
         distance, order = cKDTree(self.arrays[f"L{level}_V"]).query(self.refinement.levels[level].positions)
-        assert distance.max() < TOLERANCE
+        assert distance.max() < self.tolerance
         assert len(np.unique(order)) == len(order) == len(self.arrays[f"L{level}_V"])
         return order
 
@@ -94,36 +101,38 @@ def test_face_parents(case: Case) -> None:
 def test_subdivision_matrices(case: Case) -> None:
     for level in (1, 2):
         difference = case.refinement.product(level, 0) - case.matrix(f"S{level}")[case.order(level)]
-        assert abs(difference).max() < TOLERANCE
+        assert abs(difference).max() < case.tolerance
 
 
 def test_limit_positions(case: Case) -> None:
     for level in (1, 2):
         expected = case.arrays[f"L{level}_limit"][case.order(level)]
-        np.testing.assert_allclose(limit_positions(case.refinement, level), expected, rtol=0, atol=TOLERANCE)
+        np.testing.assert_allclose(limit_positions(case.refinement, level), expected, rtol=0, atol=case.tolerance)
     weights = limit_matrix(case.refinement, 1) @ case.refinement.product(1, 0)
-    assert abs(weights - case.matrix("M1")[case.order(1)]).max() < TOLERANCE
+    assert abs(weights - case.matrix("M1")[case.order(1)]).max() < case.tolerance
 
 
 def test_limit_normals(case: Case) -> None:
     for level in (1, 2):
         ours, expected = limit_normals(case.refinement, level), case.arrays[f"L{level}_normal"][case.order(level)]
         single = ~np.isnan(expected).any(axis=1)
-        assert single.sum() > 0.9 * len(single) or len(single) < 30
+        assert single.sum() > 0.6 * len(single) or len(single) < 30
         # Normals divide by tangent lengths, hence a few more digits lost than in positions.
-        np.testing.assert_allclose(ours[single], expected[single], rtol=0, atol=1e-11)
+        np.testing.assert_allclose(ours[single], expected[single], rtol=0, atol=max(1e-11, 10 * case.tolerance))
         np.testing.assert_allclose(np.linalg.norm(ours, axis=1), 1, atol=1e-14)
 
 
-def test_linear_uvs(case: Case) -> None:
+@pytest.mark.parametrize("mode", UV_MODES)
+def test_uvs(case: Case, mode: str) -> None:
     if "uv" not in case.arrays:
         assert case.refinement.finest.uvs is None
         return
+    refinement = refine(case.control, 2, replace(case.scheme, uv_interpolation=mode))
     for level in (1, 2):
-        ours, theirs = case.refinement.levels[level], case.arrays
-        assert len(ours.uvs) == len(theirs[f"L{level}_uv_all"])  # seams stay seams, and nothing else is cut
+        ours, theirs = refinement.levels[level], case.arrays
+        assert len(ours.uvs) == len(theirs[f"L{level}_uv_{mode}"])  # seams stay seams, and nothing else is cut
         expected = {
-            (tuple(sorted(face)), vertex): theirs[f"L{level}_uv_all"][uv]
+            (tuple(sorted(face)), vertex): theirs[f"L{level}_uv_{mode}"][uv]
             for face, uvs in zip(
                 theirs[f"L{level}_faces"].tolist(), theirs[f"L{level}_uv_indices"].tolist(), strict=True
             )
@@ -131,4 +140,4 @@ def test_linear_uvs(case: Case) -> None:
         }
         faces = case.order(level)[ours.faces].tolist()
         reference = [[expected[tuple(sorted(face)), vertex] for vertex in face] for face in faces]
-        np.testing.assert_allclose(ours.uvs[ours.uv_indices], reference, rtol=0, atol=TOLERANCE)
+        np.testing.assert_allclose(ours.uvs[ours.uv_indices], reference, rtol=0, atol=case.tolerance)

@@ -27,8 +27,8 @@ from cagemap.mesh import (
     triangulated,
 )
 from cagemap.refinement import CatmullClark, Loop, Refinement, default_scheme, refine, triangles, triangulate_control
-from cagemap.refinement.matrices import polygon_matrix, quad_matrix
-from cagemap.refinement.refinement import topology_of
+from cagemap.refinement.matrices import boundary_corners, polygon_matrix, quad_matrix
+from cagemap.refinement.refinement import state_of
 from cagemap.refinement.topology import control_topology
 
 CLOSED = [cube(), tetrahedron(), icosahedron(), torus(5, 4), poles(3), poles(8), bipyramid(7), pyramid(), creature()]
@@ -86,7 +86,7 @@ def test_split_topology_is_the_one_of_the_refined_faces(mesh: ControlMesh) -> No
     refinement = refine(mesh, 2)
     for number in (1, 2):
         level = refinement.levels[number]
-        split, table = topology_of(refinement, number), topology_of(refinement, number).table
+        split, table = state_of(refinement, number).topology, state_of(refinement, number).topology.table
         again = control_topology(ControlMesh.from_faces(level.positions, level.faces))
         np.testing.assert_array_equal(table.vertices, again.table.vertices)
         np.testing.assert_array_equal(split.valences, again.valences)
@@ -147,7 +147,8 @@ def test_quad_masks_are_the_general_rule_written_out() -> None:
     for mesh in (cube(), creature(), poles(3), poles(8), torus(3, 3), grid(3, 2), disk(5)):
         for boundary in ("edge_and_corner", "edge_only"):
             topology, scheme = control_topology(mesh), CatmullClark(boundary)
-            general, written_out = polygon_matrix(topology, scheme), quad_matrix(topology, scheme)
+            corner = boundary_corners(topology, scheme)
+            general, written_out = (rule(topology, scheme, corner) for rule in (polygon_matrix, quad_matrix))
             assert abs(general - written_out).max() < 1e-15
             assert general.nnz == written_out.nnz
 
@@ -159,7 +160,8 @@ def test_interior_vertex_of_valence_2() -> None:
     refinement = refine(mesh, 2)
     np.testing.assert_allclose(refinement.matrices[0][[1]].toarray(), [[3 / 8, 1 / 8, 3 / 8, 1 / 16, 1 / 16]])
     assert all(matrix.has_canonical_format for matrix in refinement.matrices)  # the ring meets some vertices twice
-    again = polygon_matrix(topology_of(refinement, 1), CatmullClark())
+    topology = state_of(refinement, 1).topology
+    again = polygon_matrix(topology, CatmullClark(), boundary_corners(topology, CatmullClark()))
     assert abs(again - refinement.matrices[1]).max() < 1e-15
 
 
@@ -396,7 +398,7 @@ def test_parameters_are_checked(refinement: Refinement) -> None:
         refine(cube(), -1)
     with pytest.raises(InvalidMeshError, match="triangles only, got 1 other faces: 0"):
         refine(pyramid(), 1, Loop())
-    with pytest.raises(ParameterError, match="edge_and_corner, edge_only, got 'sharp'"):
+    with pytest.raises(ParameterError, match="edge_only, edge_and_corner, got 'sharp'"):
         CatmullClark("sharp")
     with pytest.raises(ParameterError, match="fewer levels"):
         refine(creature(), 20)

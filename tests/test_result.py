@@ -110,7 +110,13 @@ def test_manifest_is_plain_json_with_versions_and_figures(folder: Path) -> None:
     assert manifest["quality"] == {"coverage": 0.5, "worst": None}
     assert manifest["timings"] == {"map": 1.25}
     assert {"cagemap", "python", "numpy"} <= set(manifest["versions"])
-    assert manifest["target"]["scheme"] == {"name": "catmull-clark", "boundary": "edge_only"}
+    assert manifest["target"]["scheme"] == {
+        "name": "catmull-clark",
+        "boundary": "edge_only",
+        "uv_interpolation": "all",
+        "creasing": "uniform",
+        "triangles": "catmull_clark",
+    }
     assert manifest["source"]["vertices"] == 42
 
 

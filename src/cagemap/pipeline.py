@@ -24,7 +24,7 @@ from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool, in_threads, one_blas_thread
 from cagemap.operators import build_operators
-from cagemap.refinement import Scheme, level_triangles, refine
+from cagemap.refinement import Loop, Scheme, default_scheme, level_triangles, refine
 
 Progress = Callable[[str], None]
 
@@ -125,7 +125,7 @@ def choose_level(control: ControlMesh, vertices: int) -> int:
     corners, edges = len(control.face_indices), _edge_count(control)
     faces = control.n_faces
     n = control.n_vertices
-    loop = control.is_triangle_mesh
+    loop = isinstance(default_scheme(control), Loop)
     for level in range(1, MOST_LEVELS):
         n += edges + (0 if loop else faces)
         if n >= ENOUGH * vertices:

@@ -18,7 +18,7 @@ def detect_mirror_symmetry(control: ControlMesh, tolerance: float = MIRROR_TOLER
     """Find the mirror symmetry of a control mesh about a coordinate-free plane, if it has one.
 
     The plane passes through the centroid; its normal is tried along the coordinate axes and the principal axes. The
-    map must be an involution that sends faces to faces.
+    map must be an involution that sends faces to faces, and creases and corners to others as sharp.
 
     Returns
     -------
@@ -38,7 +38,7 @@ def detect_mirror_symmetry(control: ControlMesh, tolerance: float = MIRROR_TOLER
             continue
         if np.array_equal(image, np.arange(len(image))):
             continue  # a flat mesh mirrored onto itself says nothing
-        if _sends_faces_to_faces(control, image):
+        if _sends_faces_to_faces(control, image) and _sends_creases_to_creases(control, image):
             return image
     return None
 
@@ -55,6 +55,8 @@ def check_symmetry(symmetry: IndexArray, control: ControlMesh) -> None:
         raise ParameterError(f"symmetry: expected a permutation of the {n} control vertices of {control.name}")
     if not _sends_faces_to_faces(control, symmetry):
         raise ParameterError(f"symmetry: it does not send the faces of {control.name} to faces")
+    if not _sends_creases_to_creases(control, symmetry):
+        raise ParameterError(f"symmetry: it does not send the creases of {control.name} to creases as sharp")
 
 
 def propagate_symmetry(subdivision: sparse.csr_array, symmetry: IndexArray) -> IndexArray:
@@ -114,6 +116,26 @@ def _sends_faces_to_faces(control: ControlMesh, image: IndexArray) -> bool:
         if not np.array_equal(_ordered_rows(renamed[corners]), _ordered_rows(control.face_indices[corners])):
             return False
     return True
+
+
+def _sends_creases_to_creases(control: ControlMesh, image: IndexArray) -> bool:
+    """Whether edges and vertices are as sharp as their images."""
+    if control.crease_edges is not None and control.crease_sharpness is not None:
+        edges, sharpness = control.crease_edges, control.crease_sharpness
+        before, after = (_with_values(np.sort(pairs, axis=1), sharpness) for pairs in (edges, image[edges]))
+        if not np.array_equal(before, after):
+            return False
+    if control.corner_vertices is not None and control.corner_sharpness is not None:
+        corners, sharpness = control.corner_vertices[:, None], control.corner_sharpness
+        before, after = (_with_values(vertices, sharpness) for vertices in (corners, image[corners]))
+        return np.array_equal(before, after)
+    return True
+
+
+def _with_values(elements: IndexArray, values: FloatArray) -> FloatArray:
+    """Elements and their values side by side, those of value 0 left out, in lexicographic order."""
+    table = np.column_stack([elements, values])[values > 0]
+    return np.asarray(table[np.lexsort(table.T[::-1])])
 
 
 def _ordered_rows(rows: IndexArray) -> IndexArray:

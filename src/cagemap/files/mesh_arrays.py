@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from cagemap.mesh import ControlMesh
-from cagemap.refinement import CatmullClark, Loop, Scheme
+from cagemap.mesh.schemes import SCHEMES, Scheme
 
 CONTROL_ARRAYS = (
     "positions",
@@ -17,8 +17,12 @@ CONTROL_ARRAYS = (
     "uv_indices",
     "face_materials",
     "material_colors",
+    "crease_edges",
+    "crease_sharpness",
+    "corner_vertices",
+    "corner_sharpness",
+    "hole_faces",
 )
-_SCHEMES: dict[str, type[CatmullClark] | type[Loop]] = {"catmull-clark": CatmullClark, "loop": Loop}
 
 
 def control_to_arrays(control: ControlMesh, prefix: str) -> dict[str, Any]:
@@ -28,16 +32,16 @@ def control_to_arrays(control: ControlMesh, prefix: str) -> dict[str, Any]:
 
 
 def control_from_arrays(
-    arrays: Mapping[str, Any], prefix: str, material_names: Sequence[str], name: str
+    arrays: Mapping[str, Any], prefix: str, material_names: Sequence[str], name: str, scheme: Scheme | None = None
 ) -> ControlMesh:
-    """Undo `control_to_arrays`."""
+    """Undo `control_to_arrays`; the scheme is the one that the mesh was refined with."""
     stored: dict[str, Any] = {key: arrays.get(f"{prefix}{key}") for key in CONTROL_ARRAYS}
-    return ControlMesh(**stored, material_names=tuple(material_names), name=name)
+    return ControlMesh(**stored, material_names=tuple(material_names), name=name, scheme=scheme)
 
 
 def scheme_to_entry(scheme: Scheme) -> dict[str, Any]:
     """Name and settings of a scheme, for JSON."""
-    name = next(name for name, kind in _SCHEMES.items() if isinstance(scheme, kind))
+    name = next(name for name, kind in SCHEMES.items() if isinstance(scheme, kind))
     return {"name": name, **asdict(scheme)}
 
 
@@ -50,4 +54,4 @@ def scheme_from_entry(entry: Mapping[str, Any]) -> Scheme:
         If the entry lacks something or has too much.
     """
     settings = dict(entry)
-    return _SCHEMES[settings.pop("name")](**settings)
+    return SCHEMES[settings.pop("name")](**settings)

@@ -414,8 +414,8 @@ def _read_arrays(path: Path, checksum: object) -> dict[str, Any]:
 
 def _side(prefix: str, manifest: dict[str, Any], arrays: dict[str, Any]) -> Side:
     stored = manifest[prefix]
-    control = control_from_arrays(arrays, f"{prefix}_control_", stored["material_names"], stored["name"])
     scheme = scheme_from_entry(stored["scheme"])
+    control = control_from_arrays(arrays, f"{prefix}_control_", stored["material_names"], stored["name"], scheme)
     return Side(control, scheme, stored["level"], *(arrays[f"{prefix}_{name}"] for name in _SIDE_ARRAYS))
 
 

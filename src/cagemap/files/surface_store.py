@@ -168,7 +168,8 @@ def _load(path: Path, control: ControlMesh | None) -> Surface:
     arrays, header = _read(path)
     try:
         if control is None:
-            control = control_from_arrays(arrays, "control_", header["material_names"], header["name"])
+            scheme = scheme_from_entry(header["scheme"])
+            control = control_from_arrays(arrays, "control_", header["material_names"], header["name"], scheme)
         refinement = refine(control, header["level"], scheme_from_entry(header["scheme"]))
         operators = _operators(arrays, refinement, header["scale"])
         bands = tuple(arrays[f"band_{level}"] for level in range(header["bands"]))

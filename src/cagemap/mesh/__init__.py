@@ -1,6 +1,7 @@
 """Control meshes: the value, its checks, and small named shapes."""
 
 from cagemap.mesh.control_mesh import ControlMesh
+from cagemap.mesh.schemes import Bilinear, CatmullClark, Loop, Scheme, SubdivisionOptions
 from cagemap.mesh.shapes import (
     bipyramid,
     creature,
@@ -17,7 +18,12 @@ from cagemap.mesh.shapes import (
 )
 
 __all__ = [
+    "Bilinear",
+    "CatmullClark",
     "ControlMesh",
+    "Loop",
+    "Scheme",
+    "SubdivisionOptions",
     "bipyramid",
     "creature",
     "cube",

@@ -1,4 +1,4 @@
-"""The control mesh ("cage"): polygons of any size, with face-varying UVs and per-face materials."""
+"""The control mesh ("cage"): polygons of any size, face-varying UVs, materials, creases, and how to subdivide it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cagemap.mesh.schemes import Scheme
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 
@@ -33,6 +34,14 @@ class ControlMesh:
     material_names : tuple of str
     material_colors : (q, 3) float64 or None
         Linear RGB diffuse colour of every material, NaN where unknown.
+    crease_edges, crease_sharpness : (k, 2) int64 and (k,) float64, or None
+        Edges that are creases, by their two vertices; from sharpness 10 on they stay sharp for ever.
+    corner_vertices, corner_sharpness : (k,) int64 and (k,) float64, or None
+        Vertices that are corners.
+    hole_faces : (h,) int64 or None
+        Faces that shape the surface but are no part of it.
+    scheme : CatmullClark, Loop, Bilinear or None
+        How the file says that the mesh is to be subdivided; None where it says nothing.
     name : str
         What messages call the mesh; usually its file name.
     """
@@ -45,6 +54,12 @@ class ControlMesh:
     face_materials: IndexArray | None = None
     material_names: tuple[str, ...] = ()
     material_colors: FloatArray | None = None
+    crease_edges: IndexArray | None = None
+    crease_sharpness: FloatArray | None = None
+    corner_vertices: IndexArray | None = None
+    corner_sharpness: FloatArray | None = None
+    hole_faces: IndexArray | None = None
+    scheme: Scheme | None = None
     name: str = "mesh"
 
     @classmethod
@@ -99,6 +114,18 @@ class ControlMesh:
     def with_positions(self, positions: FloatArray) -> ControlMesh:
         """Return the same connectivity with other vertex positions."""
         return replace(self, positions=np.asarray(positions, dtype=np.float64))
+
+    def with_creases(self, edges: object, sharpness: object) -> ControlMesh:
+        """Return the same mesh with other creases: (k, 2) vertices of edges and (k,) or one sharpness."""
+        pairs = np.array(edges, dtype=np.int64).reshape(-1, 2)
+        values = np.array(np.broadcast_to(np.asarray(sharpness, dtype=np.float64), len(pairs)))
+        return replace(self, crease_edges=pairs, crease_sharpness=values)
+
+    def with_corners(self, vertices: object, sharpness: object) -> ControlMesh:
+        """Return the same mesh with other sharp corners: (k,) vertices and (k,) or one sharpness."""
+        corners = np.array(vertices, dtype=np.int64).ravel()
+        values = np.array(np.broadcast_to(np.asarray(sharpness, dtype=np.float64), len(corners)))
+        return replace(self, corner_vertices=corners, corner_sharpness=values)
 
     def with_uvs(self, uvs: FloatArray | None, uv_indices: IndexArray | None) -> ControlMesh:
         """Return the same mesh with other texture coordinates."""

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.mesh_report import Problem
+from cagemap.numerics.arrays import FloatArray
 
 _EXPORT = "Export the mesh again, or repair the arrays it was built from."
 
@@ -15,7 +16,7 @@ def structure_problems(mesh: ControlMesh) -> tuple[Problem, ...]:
     """List what keeps the arrays from describing a mesh; further checks make sense only where this is empty."""
     found = [_positions(mesh), _offsets(mesh)]
     if not any(found):
-        found += [_indices(mesh), _uvs(mesh), _materials(mesh)]
+        found += [_indices(mesh), _uvs(mesh), _materials(mesh), _creases(mesh), _corners(mesh), _holes(mesh)]
     return tuple(problem for problem in found if problem is not None)
 
 
@@ -95,6 +96,68 @@ def _materials(mesh: ControlMesh) -> Problem | None:
         return _problem(
             f"expected material numbers from 0 to {count - 1}, got others on {len(bad)} face(s), faces", bad
         )
+    return None
+
+
+def _creases(mesh: ControlMesh) -> Problem | None:
+    edges, sharpness = mesh.crease_edges, mesh.crease_sharpness
+    if edges is None and sharpness is None:
+        return None
+    if edges is None or sharpness is None or edges.ndim != 2 or edges.shape[1] != 2 or not _integers(edges):
+        return _problem("expected crease_edges of shape (k, 2) together with crease_sharpness, or neither")
+    if sharpness.shape != (len(edges),):
+        return _problem(f"expected one sharpness per crease ({len(edges)}), got {sharpness.shape}")
+    outside = ((edges < 0) | (edges >= mesh.n_vertices)).any(axis=1)
+    if outside.any():
+        return _problem(
+            f"expected creases between vertices 0 to {mesh.n_vertices - 1}, got {outside.sum()} with others, creases",
+            np.flatnonzero(outside),
+        )
+    ends = np.column_stack([mesh.face_indices, mesh.face_indices[mesh.next_corners]])
+    known = np.unique(np.sort(ends, axis=1) @ [mesh.n_vertices, 1])
+    loose = ~np.isin(np.sort(edges, axis=1) @ [mesh.n_vertices, 1], known)
+    if loose.any():
+        return Problem(
+            "creases beside the mesh",
+            f"expected creases on edges of the mesh, got {loose.sum()} where no edge is, between vertices",
+            tuple((a, b) for a, b in edges[loose].tolist()),
+            "Take these creases out, or export the mesh again.",
+        )
+    return _sharpness(sharpness, "creases")
+
+
+def _corners(mesh: ControlMesh) -> Problem | None:
+    vertices, sharpness = mesh.corner_vertices, mesh.corner_sharpness
+    if vertices is None and sharpness is None:
+        return None
+    if vertices is None or sharpness is None or vertices.ndim != 1 or not _integers(vertices):
+        return _problem("expected corner_vertices of shape (k,) together with corner_sharpness, or neither")
+    if sharpness.shape != vertices.shape:
+        return _problem(f"expected one sharpness per corner ({len(vertices)}), got {sharpness.shape}")
+    outside = (vertices < 0) | (vertices >= mesh.n_vertices)
+    if outside.any():
+        return _problem(
+            f"expected corners at vertices 0 to {mesh.n_vertices - 1}, got {outside.sum()} others", vertices[outside]
+        )
+    return _sharpness(sharpness, "corners")
+
+
+def _sharpness(sharpness: FloatArray, what: str) -> Problem | None:
+    bad = np.flatnonzero(~(sharpness >= 0))
+    if not len(bad):
+        return None
+    return _problem(f"expected sharpness of 0 or more, got {len(bad)} {what} with less or with NaN, {what}", bad)
+
+
+def _holes(mesh: ControlMesh) -> Problem | None:
+    holes = mesh.hole_faces
+    if holes is None:
+        return None
+    if holes.ndim != 1 or not _integers(holes):
+        return _problem("expected hole_faces of shape (h,) and an integer type")
+    outside = holes[(holes < 0) | (holes >= mesh.n_faces)]
+    if len(outside):
+        return _problem(f"expected holes at faces 0 to {mesh.n_faces - 1}, got {len(outside)} others", outside)
     return None
 
 

@@ -1,5 +1,6 @@
 """Subdivision: refined levels, the matrices between them, and limits."""
 
+from cagemap.mesh.schemes import Bilinear, CatmullClark, Loop, Scheme
 from cagemap.refinement.limit import limit_matrix, limit_normals, limit_positions
 from cagemap.refinement.refinement import (
     Level,
@@ -10,9 +11,9 @@ from cagemap.refinement.refinement import (
     triangles,
     triangulate_control,
 )
-from cagemap.refinement.schemes import CatmullClark, Loop, Scheme
 
 __all__ = [
+    "Bilinear",
     "CatmullClark",
     "Level",
     "Loop",

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, diags_array, vstack
+from scipy.sparse import csr_array, diags_array, eye_array, vstack
 
-from cagemap.numerics.arrays import FloatArray
-from cagemap.refinement.schemes import CREASE_VERTEX, CatmullClark, Loop, Scheme
+from cagemap.mesh.schemes import CREASE_VERTEX, Bilinear, CatmullClark, Loop, Scheme
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.refinement.sharpness import Sharpness, sharpened
 from cagemap.refinement.topology import BoolArray, IntArray, Topology
 
 
-def vertex_kinds(topology: Topology, scheme: Scheme) -> tuple[BoolArray, BoolArray]:
-    """Which vertices follow the crease rule of the boundary curve, and which are corners that stay in place."""
-    corner = topology.boundary & (topology.valences == 1)
-    if scheme.boundary == "edge_only":
-        corner = np.zeros_like(corner)
-    return topology.boundary & ~corner, corner
+def boundary_corners(topology: Topology, scheme: Scheme) -> BoolArray:
+    """(n,) boundary vertices that stay in place: those with a single face, if the boundary rule says so."""
+    if scheme.boundary != "edge_and_corner":
+        return np.zeros(topology.table.n_vertices, dtype=bool)
+    return topology.boundary & (topology.valences == 1)
 
 
 class RowFiller:
@@ -102,10 +102,10 @@ def _vertex_row_lengths(topology: Topology, smooth: BoolArray, corner: BoolArray
     return lengths
 
 
-def quad_matrix(topology: Topology, scheme: CatmullClark) -> csr_array:
+def quad_matrix(topology: Topology, scheme: CatmullClark, corner: BoolArray) -> csr_array:
     """One step of Catmull-Clark on a mesh of quads, from the masks written out for quads."""
     table = topology.table
-    crease, corner = vertex_kinds(topology, scheme)
+    crease = topology.boundary & ~corner
     smooth = ~topology.boundary
     interior = topology.edge_corners[:, 1] >= 0
     rows = RowFiller(
@@ -130,10 +130,10 @@ def quad_matrix(topology: Topology, scheme: CatmullClark) -> csr_array:
     return rows.matrix(table.n_vertices)
 
 
-def triangle_matrix(topology: Topology, scheme: Loop) -> csr_array:
+def triangle_matrix(topology: Topology, scheme: Loop, corner: BoolArray) -> csr_array:
     """One step of Loop."""
     table = topology.table
-    crease, corner = vertex_kinds(topology, scheme)
+    crease = topology.boundary & ~corner
     smooth = ~topology.boundary
     interior = topology.edge_corners[:, 1] >= 0
     rows = RowFiller(
@@ -146,13 +146,13 @@ def triangle_matrix(topology: Topology, scheme: Loop) -> csr_array:
     return rows.matrix(table.n_vertices)
 
 
-def polygon_matrix(topology: Topology, scheme: CatmullClark) -> csr_array:
+def polygon_matrix(topology: Topology, scheme: CatmullClark, corner: BoolArray) -> csr_array:
     """One step of Catmull-Clark on faces of any size, as the paper states it: through the new face points.
 
     Used for the control mesh, and by tests as the definition that `quad_matrix` must reproduce.
     """
     table = topology.table
-    crease, corner = vertex_kinds(topology, scheme)
+    crease = topology.boundary & ~corner
     smooth = ~topology.boundary
     shape = (table.n_corners, table.n_vertices)
     here = _selection(table.vertices, shape)
@@ -171,9 +171,9 @@ def polygon_matrix(topology: Topology, scheme: CatmullClark) -> csr_array:
     )
     interior = topology.edge_corners[:, 1] >= 0
     forward = topology.edge_corners[:, 0]
-    end_weight, face_weight = scheme.edge_weights()
+    face_weight = 0.5 * np.bincount(table.edges, scheme.face_edge_weights(sizes)[table.faces])
     edge_points = (
-        diags_array(np.where(interior, end_weight, 0.5)) @ (here[forward] + ends[forward])
+        diags_array(np.where(interior, 0.5 - face_weight, 0.5)) @ (here[forward] + ends[forward])
         + diags_array(np.where(interior, face_weight, 0.0)) @ (of_edge.T @ of_face) @ face_points
     )
     stacked = csr_array(vstack([vertex_points, edge_points, face_points], format="csr"))
@@ -194,10 +194,47 @@ def _sharp_vertex_points(topology: Topology, crease: BoolArray, corner: BoolArra
     return rows.matrix(n)
 
 
-def subdivision_matrix(topology: Topology, scheme: Scheme) -> csr_array:
-    """S of one step: (n_fine, n_coarse) CSR, rows sum to 1, int32 indices ascending in every row."""
+def bilinear_matrix(topology: Topology) -> csr_array:
+    """One step without smoothing: vertices stay, edge points are midpoints, face points means of the corners."""
+    table = topology.table
+    shape = (table.n_corners, table.n_vertices)
+    here, ends = (_selection(corners, shape) for corners in (table.vertices, table.vertices[table.following]))
+    forward = topology.edge_corners[:, 0]
+    of_face = _selection(table.faces, (table.n_corners, table.n_faces))
+    face_points = diags_array(1 / np.bincount(table.faces)) @ (of_face.T @ here)
+    vertex_points = eye_array(table.n_vertices, format="csr")
+    stacked = csr_array(vstack([vertex_points, 0.5 * (here[forward] + ends[forward]), face_points], format="csr"))
+    stacked.sort_indices()
+    return stacked
+
+
+def subdivision_matrix(
+    topology: Topology,
+    scheme: Scheme,
+    corner: BoolArray | None = None,
+    sharpness: Sharpness | None = None,
+    follows: IndexArray | None = None,
+) -> csr_array:
+    """S of one step: (n_fine, n_coarse) CSR, rows sum to 1, int32 indices ascending in every row.
+
+    Parameters
+    ----------
+    topology : Topology
+    scheme : CatmullClark, Loop or Bilinear
+    corner : (n,) bool, optional
+        Boundary vertices that stay in place. Default: `boundary_corners`.
+    sharpness : Sharpness, optional
+        Creases and corners beyond the boundary.
+    follows : (n,) int64, optional
+        See `vertex_rules`.
+    """
+    if isinstance(scheme, Bilinear):
+        return bilinear_matrix(topology)
+    corner = boundary_corners(topology, scheme) if corner is None else corner
     if isinstance(scheme, Loop):
-        return triangle_matrix(topology, scheme)
-    if topology.table.has_only(4):
-        return quad_matrix(topology, scheme)
-    return polygon_matrix(topology, scheme)
+        matrix = triangle_matrix(topology, scheme, corner)
+    elif topology.table.has_only(4):
+        matrix = quad_matrix(topology, scheme, corner)
+    else:
+        matrix = polygon_matrix(topology, scheme, corner)
+    return matrix if sharpness is None else sharpened(matrix, topology, sharpness, follows)

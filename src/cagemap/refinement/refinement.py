@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_array, eye_array
@@ -11,21 +11,23 @@ from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.geometry.triangles import fan_triangles
 from cagemap.geometry.triangles import triangles as triangles
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.schemes import CatmullClark, Loop, Scheme
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.refinement.face_varying import refine_uvs
-from cagemap.refinement.matrices import subdivision_matrix
-from cagemap.refinement.schemes import CatmullClark, Loop, Scheme
+from cagemap.refinement.face_varying import (
+    UvLayout,
+    control_layout,
+    is_linear,
+    next_layout,
+    refine_linearly,
+    refine_uvs,
+)
+from cagemap.refinement.state import MeshState, control_state, next_state, split_topology, state_matrix
 from cagemap.refinement.topology import (
+    BoolArray,
     CornerTable,
     IntArray,
-    Topology,
-    control_table,
     control_topology,
     quad_children,
-    split_quad_topology,
-    split_quads,
-    split_triangle_topology,
-    split_triangles,
     triangle_children,
 )
 
@@ -75,7 +77,7 @@ class Refinement:
     Attributes
     ----------
     control : ControlMesh
-    scheme : CatmullClark or Loop
+    scheme : CatmullClark, Loop or Bilinear
     matrices : tuple of (n_{l+1}, n_l) csr_array
         ``matrices[l]`` is S^l. Rows sum to 1 and stand in the order vertices, edges, faces (Loop: vertices, edges), so
         vertex i of a level is vertex i of every finer one.
@@ -102,6 +104,10 @@ class Refinement:
         """The coarsest level of at least so many vertices; the finest one if none has."""
         enough = (number for number, level in enumerate(self.levels) if level.n_vertices >= vertices)
         return next(enough, self.n_levels)
+
+    def holes(self, level: int) -> BoolArray:
+        """(m_level,) whether a face shapes the surface but is no part of it; see `control_holes`."""
+        return control_holes(self.control, self.scheme)[self.levels[level].face_parents]
 
     def product(self, fine: int, coarse: int) -> csr_array:
         """``S^{fine,coarse} = S^{fine-1} ... S^{coarse}``, (n_fine, n_coarse); the identity if the levels are equal."""
@@ -177,7 +183,9 @@ class Refinement:
 
 
 def default_scheme(control: ControlMesh) -> Scheme:
-    """Loop for triangle meshes, Catmull-Clark for all others, with USD's boundary rule."""
+    """What the mesh's file says; else Loop for triangle meshes and Catmull-Clark for all others."""
+    if control.scheme is not None:
+        return control.scheme
     return Loop() if control.is_triangle_mesh else CatmullClark()
 
 
@@ -190,7 +198,7 @@ def refine(control: ControlMesh, levels: int, scheme: Scheme | None = None) -> R
         Oriented manifold mesh; triangles only under Loop.
     levels : int
         Number of steps, 0 or more. Each multiplies the number of faces by about 4.
-    scheme : CatmullClark or Loop, optional
+    scheme : CatmullClark, Loop or Bilinear, optional
         Default: `default_scheme`.
 
     Returns
@@ -206,7 +214,9 @@ def refine(control: ControlMesh, levels: int, scheme: Scheme | None = None) -> R
 
     Notes
     -----
-    Time and memory are linear in the finest level's size. UVs are refined linearly inside their islands.
+    Time and memory are linear in the finest level's size. UVs follow
+    ``scheme.uv_interpolation``; from level 1 on they are numbered by pairs of a vertex and a UV, so that a UV that
+    several vertices share becomes as many.
 
     Examples
     --------
@@ -216,40 +226,45 @@ def refine(control: ControlMesh, levels: int, scheme: Scheme | None = None) -> R
     """
     scheme = default_scheme(control) if scheme is None else scheme
     _check(control, levels, scheme)
-    topology = control_topology(control)
-    _check_size(topology.table, levels)
-    uv_table = None
+    state = control_state(control, scheme)
+    _check_size(state.topology.table, levels)
+    layout, uvs = None, None
     if control.uvs is not None and control.uv_indices is not None:
-        uv_table = control_table(control, control.uv_indices, len(control.uvs))
+        layout, uvs = control_layout(control, state.topology, state.corner, state.sharpness, scheme)
     level = control_level(control)
     matrices, result = [], [level]
     for step in range(levels):
         if step:
-            topology = split_topology(topology, scheme)
-            uv_table = None if uv_table is None else split_table(uv_table, scheme)
-        matrix = subdivision_matrix(topology, scheme)
-        level = _next_level(level, topology.table, uv_table, matrix, scheme)
+            state = next_state(state, scheme)
+            if layout is not None:
+                layout = next_layout(layout, split_topology(layout.topology, scheme), scheme)
+        matrix = state_matrix(state, scheme)
+        level = _next_level(level, state.topology.table, matrix, scheme)
+        if layout is not None and uvs is not None:
+            uvs = _next_uvs(layout, uvs, state, scheme)
+            level = replace(level, uvs=uvs, uv_indices=_children(layout.topology.table, scheme).astype(np.int64))
         matrices.append(matrix)
         result.append(level)
     return Refinement(control, scheme, tuple(matrices), tuple(result))
 
 
-def split_table(table: CornerTable, scheme: Scheme) -> CornerTable:
-    """Corner table of the next level."""
-    return split_triangles(table) if isinstance(scheme, Loop) else split_quads(table)
-
-
-def split_topology(topology: Topology, scheme: Scheme) -> Topology:
-    """Topology of the next level."""
-    return split_triangle_topology(topology) if isinstance(scheme, Loop) else split_quad_topology(topology)
-
-
-def topology_of(refinement: Refinement, level: int) -> Topology:
-    """Topology of any level, written down again from the control mesh (cheap; nothing is kept between calls)."""
-    topology = control_topology(refinement.control)
+def state_of(refinement: Refinement, level: int) -> MeshState:
+    """State of any level, written down again from the control mesh (cheap; nothing is kept between calls)."""
+    state = control_state(refinement.control, refinement.scheme)
     for _ in range(level):
-        topology = split_topology(topology, refinement.scheme)
-    return topology
+        state = next_state(state, refinement.scheme)
+    return state
+
+
+def control_holes(control: ControlMesh, scheme: Scheme) -> BoolArray:
+    """(m,) control faces that are holes: those of the file, and under boundary ``none`` all that touch the boundary."""
+    holes = np.zeros(control.n_faces, dtype=bool)
+    if control.hole_faces is not None:
+        holes[control.hole_faces] = True
+    if scheme.boundary == "none":
+        boundary = control_topology(control).boundary
+        holes[control.corner_faces[boundary[control.face_indices]]] = True
+    return holes
 
 
 def control_level(control: ControlMesh) -> Level:
@@ -270,16 +285,16 @@ def _children(table: CornerTable, scheme: Scheme) -> IntArray:
     return triangle_children(table) if isinstance(scheme, Loop) else quad_children(table)
 
 
-def _next_level(
-    level: Level, table: CornerTable, uv_table: CornerTable | None, matrix: csr_array, scheme: Scheme
-) -> Level:
+def _next_level(level: Level, table: CornerTable, matrix: csr_array, scheme: Scheme) -> Level:
     faces = _children(table, scheme).astype(np.int64)
     parents = np.repeat(level.face_parents, 4) if isinstance(scheme, Loop) else level.face_parents[table.faces]
-    positions = matrix @ level.positions
-    if uv_table is None or level.uvs is None:
-        return Level(positions, faces, parents)
-    uvs = refine_uvs(uv_table, level.uvs, with_face_points=isinstance(scheme, CatmullClark))
-    return Level(positions, faces, parents, uvs, _children(uv_table, scheme).astype(np.int64))
+    return Level(matrix @ level.positions, faces, parents)
+
+
+def _next_uvs(layout: UvLayout, uvs: FloatArray, state: MeshState, scheme: Scheme) -> FloatArray:
+    if is_linear(scheme):
+        return refine_linearly(layout.topology.table, uvs, with_face_points=not isinstance(scheme, Loop))
+    return refine_uvs(layout, uvs, state.topology, state.corner, state.sharpness, scheme)
 
 
 def _check(control: ControlMesh, levels: int, scheme: Scheme) -> None:

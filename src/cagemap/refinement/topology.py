@@ -102,29 +102,61 @@ def _edge_corners(table: CornerTable) -> IntArray:
     return corners
 
 
-def control_table(mesh: ControlMesh, indices: IndexArray, n_vertices: int) -> CornerTable:
-    """Corner table of the control mesh's faces on the vertex (or UV) numbers ``indices``.
+def table_of(
+    vertices: IndexArray | IntArray,
+    n_vertices: int,
+    faces: IntArray,
+    following: IntArray,
+    previous: IntArray,
+) -> CornerTable:
+    """Corner table of faces on any vertex numbers.
 
     Edges are numbered ascending by (smaller, larger) vertex; their direction is that of their first corner.
     """
-    starts = mesh.face_offsets[:-1]
-    following = mesh.next_corners
-    previous = np.empty_like(following)
-    previous[following] = np.arange(len(following))
+    indices = vertices.astype(np.int64)
     ends = indices[following]
-    keys = np.minimum(indices, ends) * np.int64(n_vertices) + np.maximum(indices, ends)
+    keys = np.minimum(indices, ends) * n_vertices + np.maximum(indices, ends)
     unique, first, edges = np.unique(keys, return_index=True, return_inverse=True)
     return CornerTable(
         n_vertices=n_vertices,
         n_edges=len(unique),
-        n_faces=len(starts),
+        n_faces=int(faces[-1]) + 1,
         vertices=indices.astype(np.int32),
         edges=edges.astype(np.int32),
         forward=indices == indices[first][edges],
-        faces=mesh.corner_faces.astype(np.int32),
-        following=following.astype(np.int32),
-        previous=previous.astype(np.int32),
+        faces=faces,
+        following=following,
+        previous=previous,
     )
+
+
+def control_table(mesh: ControlMesh, indices: IndexArray, n_vertices: int) -> CornerTable:
+    """Corner table of the control mesh's faces on the vertex numbers ``indices``."""
+    following = mesh.next_corners
+    previous = np.empty_like(following)
+    previous[following] = np.arange(len(following))
+    faces = mesh.corner_faces.astype(np.int32)
+    return table_of(indices, n_vertices, faces, following.astype(np.int32), previous.astype(np.int32))
+
+
+def topology_of_table(table: CornerTable) -> Topology:
+    """Topology of faces known to be oriented and to share every edge at most two by two.
+
+    Separate fans of faces may touch in a boundary vertex; the corners of all but one then have rank -1.
+    """
+    edge_corners = _edge_corners(table)
+    boundary = np.zeros(table.n_vertices, dtype=bool)
+    curve = edge_corners[edge_corners[:, 1] < 0, 0]
+    boundary[table.vertices[curve]] = True
+    boundary[table.vertices[table.following[curve]]] = True
+    valences = np.bincount(table.vertices, minlength=table.n_vertices).astype(np.int32)
+    return Topology(table, _control_ranks(table, edge_corners), valences, edge_corners, boundary)
+
+
+def cut_table(table: CornerTable, labels: IndexArray) -> tuple[CornerTable, IndexArray]:
+    """The same faces with a vertex for every label of their corners, and the label of every new vertex."""
+    present, vertices = np.unique(labels, return_inverse=True)
+    return table_of(vertices, len(present), table.faces, table.following, table.previous), present
 
 
 def _refuse(mesh: ControlMesh, problem: str, where: Sequence[object]) -> InvalidMeshError:
@@ -167,17 +199,14 @@ def control_topology(mesh: ControlMesh) -> Topology:
         bad = offending(forward[table.edges] > 1)
         raise _refuse(mesh, "edges that both faces run along in the same direction", bad)
 
-    valences = np.bincount(table.vertices, minlength=mesh.n_vertices).astype(np.int32)
-    if np.any(valences == 0):
-        raise _refuse(mesh, "vertices without a face", np.flatnonzero(valences == 0).tolist())
-    edge_corners = _edge_corners(table)
-    boundary = np.zeros(mesh.n_vertices, dtype=bool)
-    boundary[table.vertices[edge_corners[edge_corners[:, 1] < 0, 0]]] = True
-    ranks = _control_ranks(table, edge_corners)
-    if np.any(ranks < 0):
-        bad = np.unique(table.vertices[ranks < 0]).tolist()
+    alone = np.flatnonzero(np.bincount(table.vertices, minlength=mesh.n_vertices) == 0)
+    if len(alone):
+        raise _refuse(mesh, "vertices without a face", alone.tolist())
+    topology = topology_of_table(table)
+    if np.any(topology.ranks < 0):
+        bad = np.unique(table.vertices[topology.ranks < 0]).tolist()
         raise _refuse(mesh, "vertices where separate fans of faces touch", bad)
-    return Topology(table, ranks, valences, edge_corners, boundary)
+    return topology
 
 
 def _control_ranks(table: CornerTable, edge_corners: IntArray) -> IntArray:

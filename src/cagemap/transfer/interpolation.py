@@ -16,8 +16,8 @@ from scipy import sparse
 
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.refinement import CatmullClark, Scheme, triangles
-from cagemap.refinement.refinement import split_table
+from cagemap.refinement import Loop, Scheme, triangles
+from cagemap.refinement.state import split_table
 from cagemap.refinement.topology import CornerTable, control_table, quad_children, triangle_children
 
 
@@ -63,9 +63,9 @@ def interpolate_linearly(
         Number of nodes.
     level : int
         Level of the triangles, at least 1.
-    scheme : CatmullClark or Loop
+    scheme : CatmullClark, Loop or Bilinear
     """
-    with_faces = isinstance(scheme, CatmullClark)
+    with_faces = not isinstance(scheme, Loop)
     table = control_table(control, nodes, count)
     matrix = _linear_step(table, with_faces)
     for _ in range(level - 1):
@@ -79,7 +79,7 @@ def corner_triangles(n_corners: int, level: int, scheme: Scheme) -> IndexArray:
     """(c,) triangle of a level that lies in the tip of every face corner; its first vertex is the corner's."""
     # A child keeps its parent's corner as its own first one (refinement.topology).
     corners = np.arange(n_corners)
-    if isinstance(scheme, CatmullClark):
+    if not isinstance(scheme, Loop):
         return 2 * 4 ** (level - 1) * corners
     return 4 ** (level - 1) * (4 * (corners // 3) + corners % 3)
 

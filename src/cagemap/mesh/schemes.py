@@ -1,6 +1,7 @@
-"""Subdivision masks: the numbers of each scheme, and nothing about meshes.
+"""Subdivision schemes: the options that change a surface, and the masks of each scheme.
 
-The rules are OpenSubdiv's, which is what USD, Blender, Maya and Houdini run.
+The rules are OpenSubdiv's, which is what USD, Blender, Maya and Houdini run; the options are those of its
+``Sdc::Options``.
 
 .. [CC78] E. Catmull, J. Clark. Recursively generated B-spline surfaces on arbitrary topological meshes. 1978.
 .. [Loop87] C. Loop. Smooth subdivision surfaces based on triangles. Master's thesis, University of Utah, 1987.
@@ -20,19 +21,62 @@ from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
 
 Integers: TypeAlias = NDArray[np.integer]
-Boundary = Literal["edge_and_corner", "edge_only"]
+Boundary = Literal["none", "edge_only", "edge_and_corner"]
+UvInterpolation = Literal["none", "corners_only", "corners_plus1", "corners_plus2", "boundaries", "all"]
+Creasing = Literal["uniform", "chaikin"]
+TriangleRule = Literal["catmull_clark", "smooth"]
 
-# Boundary curves are uniform cubic B-splines in both schemes: (own vertex, each of the two neighbours along the curve).
+# Sharpness from which on a crease or corner stays sharp for ever; Blender's crease c is 10 c^2.
+INFINITE_SHARPNESS = 10.0
+# Crease curves are uniform cubic B-splines in both schemes: (own vertex, each of the two neighbours along the curve).
 CREASE_VERTEX = (3 / 4, 1 / 8)
 CREASE_LIMIT = (2 / 3, 1 / 6)
+# What a triangle's new face point weighs in the edge points around it under the "smooth" rule.
+SMOOTH_TRIANGLE = 0.47
+
+_REMEDIES = {
+    "boundary": "USD's default is edge_and_corner, Blender's is edge_only",
+    "uv_interpolation": "USD's default is corners_plus1, Blender's is boundaries",
+    "creasing": "uniform is the default everywhere",
+    "triangles": "catmull_clark is the default everywhere",
+}
 
 
-def _check_boundary(boundary: str) -> None:
-    if boundary not in get_args(Boundary):
-        raise ParameterError(
-            f"boundary: expected one of {', '.join(get_args(Boundary))}, got {boundary!r}; "
-            "USD's default is edge_and_corner, Blender's is edge_only"
-        )
+@dataclass(frozen=True)
+class SubdivisionOptions:
+    """Everything beside the control mesh and its scheme that changes the surface.
+
+    Attributes
+    ----------
+    boundary : {"edge_and_corner", "edge_only", "none"}
+        Whether a boundary vertex with a single face stays where it is (``edge_and_corner``, USD's default)
+        or is smoothed along the boundary curve like the others (``edge_only``). Under ``none`` faces that touch the
+        boundary are holes: they shape the surface and are no part of it.
+    uv_interpolation : {"all", "boundaries", "corners_plus2", "corners_plus1", "corners_only", "none"}
+        Where UVs stay linear: everywhere, on all island borders, at island corners and less and less of what is like
+        them, nowhere. USD's default is ``corners_plus1``, Blender's ``boundaries``.
+    creasing : {"uniform", "chaikin"}
+        Whether sharpness falls by 1 in every step, or is evened out along the crease at the same time.
+    triangles : {"catmull_clark", "smooth"}
+        Weights of triangles in edge points under Catmull-Clark.
+    """
+
+    boundary: Boundary = "edge_and_corner"
+    uv_interpolation: UvInterpolation = "all"
+    creasing: Creasing = "uniform"
+    triangles: TriangleRule = "catmull_clark"
+
+    def __post_init__(self) -> None:
+        allowed = {
+            "boundary": get_args(Boundary),
+            "uv_interpolation": get_args(UvInterpolation),
+            "creasing": get_args(Creasing),
+            "triangles": get_args(TriangleRule),
+        }
+        for name, choices in allowed.items():
+            value = getattr(self, name)
+            if value not in choices:
+                raise ParameterError(f"{name}: expected one of {', '.join(choices)}, got {value!r}; {_REMEDIES[name]}")
 
 
 def _half_ring_sines(valence: int) -> FloatArray:
@@ -55,20 +99,8 @@ def _boundary_part(value: float, fed_centre: float, fed_end: float) -> tuple[flo
 
 
 @dataclass(frozen=True)
-class CatmullClark:
-    """Catmull-Clark subdivision of polygon meshes [CC78]_.
-
-    Attributes
-    ----------
-    boundary : {"edge_and_corner", "edge_only"}
-        Whether a boundary vertex with a single face stays where it is (``edge_and_corner``, USD's default)
-        or is smoothed along the boundary curve like the others (``edge_only``).
-    """
-
-    boundary: Boundary = "edge_and_corner"
-
-    def __post_init__(self) -> None:
-        _check_boundary(self.boundary)
+class CatmullClark(SubdivisionOptions):
+    """Catmull-Clark subdivision of polygon meshes [CC78]_."""
 
     @staticmethod
     def vertex_weights(valence: Integers) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -89,6 +121,11 @@ class CatmullClark:
     def edge_weights() -> tuple[float, float]:
         """Smooth edge rule: weights of each end and of each new face point."""
         return 1 / 4, 1 / 4
+
+    def face_edge_weights(self, sizes: Integers) -> FloatArray:
+        """What a face of each size would have its new face point weigh in an edge point; both sides are averaged."""
+        smooth = (np.asarray(sizes) == 3) & (self.triangles == "smooth")
+        return np.where(smooth, SMOOTH_TRIANGLE, self.edge_weights()[1])
 
     @staticmethod
     def quad_edge_weights() -> tuple[float, float]:
@@ -145,19 +182,8 @@ class CatmullClark:
 
 
 @dataclass(frozen=True)
-class Loop:
-    """Loop subdivision of triangle meshes [Loop87]_, with Loop's own cosine weight (OpenSubdiv's; not 3/(8n)).
-
-    Attributes
-    ----------
-    boundary : {"edge_and_corner", "edge_only"}
-        As for `CatmullClark`.
-    """
-
-    boundary: Boundary = "edge_and_corner"
-
-    def __post_init__(self) -> None:
-        _check_boundary(self.boundary)
+class Loop(SubdivisionOptions):
+    """Loop subdivision of triangle meshes [Loop87]_, with Loop's own cosine weight (OpenSubdiv's; not 3/(8n))."""
 
     @staticmethod
     def vertex_weights(valence: Integers) -> tuple[FloatArray, FloatArray]:
@@ -201,4 +227,18 @@ class Loop:
         return centre, neighbours, np.zeros(0)
 
 
-Scheme = CatmullClark | Loop
+@dataclass(frozen=True)
+class Bilinear(SubdivisionOptions):
+    """No smoothing: vertices stay, edges get midpoints, faces centroids; what USD calls ``bilinear`` and ``none``.
+
+    The options change nothing here but what is a hole.
+    """
+
+
+Scheme = CatmullClark | Loop | Bilinear
+
+SCHEMES: dict[str, type[CatmullClark] | type[Loop] | type[Bilinear]] = {
+    "catmull-clark": CatmullClark,
+    "loop": Loop,
+    "bilinear": Bilinear,
+}
