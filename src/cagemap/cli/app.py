@@ -355,6 +355,40 @@ def report(
     typer.echo(f"Open {output} in a browser.")
 
 
+@app.command()
+def run(
+    job: Annotated[Path, typer.Argument(help="Job file, .toml.", show_default=False)],
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            "--scheduler",
+            help="Address of a running Dask scheduler, such as tcp://host:8786.  [default: processes here]",
+            show_default=False,
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option("--workers", min=1, help="Processes here.  [default: one for each core]", show_default=False),
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Only say what would be done, and about how long it takes.")
+    ] = False,
+) -> None:
+    """Match and transfer many pairs, as a job file says: each surface is prepared once, what is done is kept.
+
+    Writes a folder with a RESULT for every pair, what the job asks for beside it, index.html and figures.csv.
+    Run it again after a failure or a change: only what is missing is done. Exit code 1 if anything failed.
+    """
+    from cagemap.cli.library import RunRequest, run_job
+    from cagemap.cli.progress import Stages
+
+    with Stages() as stages:
+        text, complete = run_job(RunRequest(job, scheduler, workers, dry_run), stages)
+    typer.echo(text)
+    if not complete:
+        raise typer.Exit(1)
+
+
 def _warn(messages: list[str]) -> None:
     for message in messages:
         typer.echo(f"cagemap: warning: {message}", err=True)

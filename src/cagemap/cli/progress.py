@@ -14,18 +14,23 @@ class Stages:
     Used as a context manager around a command. On a terminal it shows the running stage on standard error and leaves
     one line for every finished one; anywhere else it is silent.
 
+    Parameters
+    ----------
+    shown : bool, optional
+        Default: whether standard error is a terminal.
+
     Attributes
     ----------
     timings : dict of str to float
         Seconds of every finished stage, in order; a stage that comes again adds to its time.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, shown: bool | None = None) -> None:
         self.timings: dict[str, float] = {}
         self._name: str | None = None
         self._start = 0.0
         self._status: Any = None
-        if sys.stderr.isatty():
+        if sys.stderr.isatty() if shown is None else shown:
             from rich.console import Console
 
             self._console = Console(stderr=True)
@@ -37,6 +42,11 @@ class Stages:
         self._name, self._start = stage, time.perf_counter()
         if self._status is not None:
             self._status.update(f"{stage} ...")
+
+    def show(self, text: str) -> None:
+        """Say how far the running stage is."""
+        if self._status is not None:
+            self._status.update(text)
 
     def __enter__(self) -> Stages:
         if self._status is not None:

@@ -267,7 +267,7 @@ def _is_own(path: Path) -> bool:
     if stated_checksum(path) is not None:
         return is_own(path)
     try:
-        return _read_manifest(path.parent).get("written_by") is None
+        return read_manifest(path.parent).get("written_by") is None
     except FormatError:
         return False
 
@@ -286,7 +286,7 @@ def note_transfer(folder: str | Path, entry: dict[str, Any]) -> None:
         If the folder is not a result or cannot be written.
     """
     root = Path(folder)
-    manifest = _read_manifest(root)
+    manifest = read_manifest(root)
     kept = [other for other in manifest.get("transfers", []) if other.get("output") != entry.get("output")]
     manifest["transfers"] = [*kept, _plain(entry)]
     manifest["written_by"] = mark()
@@ -303,7 +303,7 @@ def read_result(folder: str | Path) -> Result:
         If it is missing, incomplete, damaged, or written by a newer version in another format.
     """
     root = Path(folder)
-    manifest = _read_manifest(root)
+    manifest = read_manifest(root)
     files = manifest.get("files")
     arrays = _read_arrays(root / ARRAYS, files.get(ARRAYS) if isinstance(files, dict) else None)
     try:
@@ -380,7 +380,14 @@ def _plain(value: Any) -> Any:
     return value if isinstance(value, str | int | float | bool | None) else str(value)
 
 
-def _read_manifest(root: Path) -> dict[str, Any]:
+def read_manifest(root: Path) -> dict[str, Any]:
+    """What ``manifest.json`` of a RESULT folder holds.
+
+    Raises
+    ------
+    FormatError
+        If the folder is no result of a version that this one reads.
+    """
     path = root / MANIFEST
     if not path.is_file():
         raise FormatError(

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from cagemap.files.atomic import atomic_path
 from cagemap.files.result import Result
-from cagemap.report.figures import HEIGHT, WIDTH, Figure, Gallery, Pixels, Progress, draw_gallery
+from cagemap.report.figures import HEIGHT, WIDTH, Figure, Gallery, Pixels, Progress, draw_gallery, draw_thumbnail
 from cagemap.report.page import build_page
 
-__all__ = ["Figure", "Gallery", "build_page", "draw_gallery", "write_report"]
+__all__ = ["Figure", "Gallery", "build_page", "draw_gallery", "draw_thumbnail", "write_report"]
 
 
 def write_report(

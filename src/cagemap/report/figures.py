@@ -126,6 +126,15 @@ def draw_gallery(
     return Gallery(appearance, figures[:3], figures[3:5], figures[5:])
 
 
+def draw_thumbnail(result: Result, size: tuple[int, int] = (220, 190)) -> Image:
+    """One small picture of a map: equal colours correspond; the source on the left, the target on the right."""
+    stage = _stage(result)
+    own = Skin(vertex_colors=position_colors(result.source.vertices, result.source.vertices))
+    pulled = Skin(vertex_colors=position_colors(result.image(), result.source.vertices))
+    figure = _figure(stage, (FRONT, own, pulled, False), size)
+    return figure.target if figure.source is None else np.hstack([figure.source, figure.target])
+
+
 def _stage(result: Result) -> _Stage:
     target, source = (TexturedSurface.from_level(side.refinement().finest) for side in (result.target, result.source))
     turn = turn_between(target.positions[result.target.landmarks], source.positions[result.source.landmarks])

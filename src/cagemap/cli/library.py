@@ -1,0 +1,232 @@
+"""`cagemap run`: a job file in, all its results, a page and a table out."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from cagemap.cli.match import DEFAULT_VERTICES, MatchRequest, basis_config, run_match
+from cagemap.cli.progress import Stages
+from cagemap.cli.report import run_report
+from cagemap.cli.transfer import TransferRequest, run_transfer
+from cagemap.errors import CagemapError
+from cagemap.files.code_version import code_version
+from cagemap.files.images import write_image
+from cagemap.files.meshes import read_mesh
+from cagemap.files.result import landmark_messages, read_manifest, read_result
+from cagemap.files.surface_store import prepared
+from cagemap.library import (
+    Consistency,
+    Job,
+    Outcome,
+    Plan,
+    Task,
+    measure_consistency,
+    missing_tasks,
+    open_crew,
+    pair_rows,
+    plan_job,
+    read_job,
+    run_plan,
+    spanning_tree,
+    write_library,
+)
+from cagemap.library.consistency import read_consistency, stored_map, write_consistency
+from cagemap.library.plan import STATE
+from cagemap.mesh.checks import require_valid
+from cagemap.numerics.threads import core_count
+from cagemap.pipeline import choose_level
+from cagemap.report import draw_thumbnail
+
+
+@dataclass(frozen=True)
+class ReportRequest:
+    """What `cagemap report` is asked for."""
+
+    result: Path
+    output: Path
+    texture: Path | None = None
+
+
+COMMANDS: dict[str, type] = {"match": MatchRequest, "transfer": TransferRequest, "report": ReportRequest}
+# Processor seconds of a task on one core, from measured growth (docs/library.md): constant, per 1000 control vertices,
+# per 1000 finest vertices.
+COSTS = {
+    "prepare": (0.6, 0.35, 0.012),
+    "match": (2.0, 0.10, 0.035),
+    "transfer": (3.0, 0.0, 0.01),
+    "report": (6.0, 0.0, 0.02),
+}
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """What the user asked for, as said on the command line."""
+
+    job: Path
+    scheduler: str | None = None
+    workers: int | None = None
+    dry_run: bool = False
+
+
+class Ticker:
+    """Tells the progress of the whole, and which kind of task is slowest so far."""
+
+    def __init__(self, stages: Stages) -> None:
+        self._stages = stages
+        self._slowest: Outcome | None = None
+
+    def __call__(self, outcome: Outcome, finished: int, total: int) -> None:
+        """Note an outcome and show where things stand."""
+        if outcome.state == "done" and (self._slowest is None or outcome.seconds > self._slowest.seconds):
+            self._slowest = outcome
+        slowest = "" if self._slowest is None else f"; slowest: {self._slowest.name}, {self._slowest.seconds:.1f} s"
+        self._stages.show(f"{finished} of {total} tasks{slowest}")
+
+
+def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
+    """Do what a job file says; returns a summary, and whether everything is there."""
+    stages("read job")
+    job = read_job(request.job, COMMANDS)
+    plan = plan_job(job, code_version(), spanning_tree)
+    if request.dry_run:
+        return dry_run(job, plan, request.workers or core_count()), True
+    started = time.perf_counter()
+    stages("run tasks")
+    with open_crew(request.scheduler, request.workers) as crew:
+        outcomes = run_plan(plan, run_task, crew, Ticker(stages))
+    stages("compare maps with each other")
+    verdict = collection_verdict(plan, outcomes)
+    stages("page")
+    notes = [*plan.left_out, *cycle_notes(verdict)]
+    page = write_library(plan.root, job.path.stem, pair_rows(plan, outcomes, verdict.errors), notes)[0]
+    seconds = time.perf_counter() - started
+    return summary(plan, outcomes, notes, page, seconds), all(outcome.usable for outcome in outcomes.values())
+
+
+def dry_run(job: Job, plan: Plan, workers: int) -> str:
+    """The tasks of a job, which are done, how large they are, and about how long the others will take."""
+    sizes = {name: _sizes(job, name, plan) for name in job.assets}
+    lines, total = [], 0.0
+    missing = missing_tasks(plan)
+    waiting = {task.name for task in missing}
+    for task in plan.tasks:
+        if task.name not in waiting:
+            lines.append(f"  {task.name}: done")
+            continue
+        names = task.pair or (task.request["asset"],)
+        seconds = _estimate(task.kind, [sizes[name] for name in names])
+        total += seconds
+        size = " + ".join(f"{sizes[name][1]:,}" for name in names)
+        lines.append(f"  {task.name}: {size} vertices, about {seconds:.0f} s")
+    left_out = [f"  {text}" for text in plan.left_out]
+    head = f"{len(plan.tasks)} tasks for {len(plan.pairs)} pairs, {len(missing)} to do"
+    tail = f"about {total / 60:.1f} core minutes, {total / workers / 60:.1f} minutes with {workers} workers"
+    return "\n".join([head, *lines, *left_out, tail])
+
+
+def collection_verdict(plan: Plan, outcomes: dict[str, Outcome]) -> Consistency:
+    """How the maps of a job agree with each other; kept beside them, and measured again when one of them changes."""
+    matches = [task for task in plan.tasks if task.kind == "match" and outcomes[task.name].usable]
+    keys = {task.name: task.key for task in matches}
+    place = plan.root / STATE / "consistency.json"
+    known = read_consistency(place, keys)
+    if known is not None:
+        return known
+    maps = {}
+    for task in matches:
+        assert task.pair is not None
+        maps[task.pair[1], task.pair[0]] = stored_map(read_result((plan.root / task.outputs[0]).parent))
+    verdict = measure_consistency(maps)
+    write_consistency(place, keys, verdict)
+    return verdict
+
+
+def cycle_notes(verdict: Consistency) -> list[str]:
+    """Sentences about pairs that break cycles."""
+    notes = []
+    for pair in verdict.doubtful:
+        target, source = pair
+        text = (
+            f"{source} -> {target} disagrees with the ways round it by {100 * verdict.errors[pair]:.1f} % of the size"
+        )
+        way = verdict.ways.get(pair)
+        notes.append(f"{text}; better by way of {', '.join(way[1:-1])}" if way else text)
+    return notes
+
+
+def summary(plan: Plan, outcomes: dict[str, Outcome], notes: list[str], page: Path, seconds: float) -> str:
+    """A few lines for the terminal: what was done, what failed and why."""
+    states = {
+        state: sum(o.state == state for o in outcomes.values()) for state in ("done", "kept", "failed", "skipped")
+    }
+    counted = ", ".join(f"{count} {state}" for state, count in states.items() if count)
+    failures = [f"  {o.name}: {o.state}: {o.message}" for o in outcomes.values() if not o.usable]
+    return "\n".join(
+        [
+            f"{len(plan.pairs)} pairs, tasks: {counted}, in {seconds:.1f} s",
+            *failures,
+            *(f"  {note}" for note in notes),
+            f"Open {page} in a browser.",
+        ]
+    )
+
+
+def _sizes(job: Job, name: str, plan: Plan) -> tuple[int, int]:
+    """Control vertices and finest vertices of an asset; zeros if its mesh cannot be read."""
+    task = next((t for t in plan.tasks if t.kind == "prepare" and t.request["asset"] == name), None)
+    try:
+        control = read_mesh(job.assets[name].file)
+        options = {} if task is None else task.request["options"]
+        wanted = options.get("vertices", DEFAULT_VERTICES)
+        level = options.get("level") or choose_level(control, wanted)
+        return control.n_vertices, len(control.face_indices) * 4 ** (level - 1)
+    except CagemapError:
+        return 0, 0
+
+
+def _estimate(kind: str, sizes: list[tuple[int, int]]) -> float:
+    """Seconds of a task on one core."""
+    fixed, by_control, by_finest = COSTS.get(kind, COSTS["transfer"])
+    return fixed + sum(by_control * control + by_finest * finest for control, finest in sizes) / 1000
+
+
+def run_task(task: Task) -> dict[str, Any]:
+    """Do one task of a plan, here or on a worker; returns what it has to say about its result."""
+    stages = Stages(shown=False)
+    if task.kind == "prepare":
+        return _prepare(task)
+    if task.kind == "picture":
+        write_image(task.request["output"], draw_thumbnail(read_result(task.request["result"])))
+        return {}
+    request: Any = TypeAdapter(COMMANDS[task.kind]).validate_python(task.request)
+    if task.kind == "match":
+        run_match(request, stages)
+        manifest = read_manifest(request.output)
+        warnings = [*landmark_messages(manifest), *manifest["quality"]["warnings"]]
+        return {name: manifest[name] for name in ("quality", "timings", "notes")} | {"warnings": warnings}
+    if task.kind == "transfer":
+        _, warnings = run_transfer(request, stages)
+        return {"warnings": warnings}
+    run_report(request.result, request.output, request.texture, stages)
+    return {}
+
+
+def _prepare(task: Task) -> dict[str, Any]:
+    """Prepare one surface and keep it in the store; the same as a match would do for that side."""
+    given = {name: value for name, value in task.request["options"].items() if name in _names(MatchRequest)}
+    nothing = Path()
+    request = MatchRequest(target=nothing, source=nothing, landmarks=nothing, output=nothing, **given)
+    control = replace(read_mesh(task.request["file"]), name=Path(task.request["file"]).name)
+    require_valid(control)
+    level = request.level or choose_level(control, request.vertices or DEFAULT_VERTICES)
+    surface = prepared(task.request["cache"], control, level, basis_config(request))
+    return {"vertices": surface.refinement.finest.n_vertices, "level": level}
+
+
+def _names(request: type) -> set[str]:
+    return {field.name for field in fields(request)}

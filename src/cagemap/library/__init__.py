@@ -1,0 +1,28 @@
+"""Many pairs: a job file says what is wanted, its tasks run side by side, and what is done is never done again."""
+
+from cagemap.library.consistency import Consistency, measure_consistency
+from cagemap.library.job import Asset, Job, OutputRule, PairRule, read_job
+from cagemap.library.page import pair_rows, write_library
+from cagemap.library.plan import Plan, Task, plan_job
+from cagemap.library.run import Outcome, missing_tasks, open_crew, run_plan
+from cagemap.library.tree import spanning_tree
+
+__all__ = [
+    "Asset",
+    "Consistency",
+    "Job",
+    "Outcome",
+    "OutputRule",
+    "PairRule",
+    "Plan",
+    "Task",
+    "measure_consistency",
+    "missing_tasks",
+    "open_crew",
+    "pair_rows",
+    "plan_job",
+    "read_job",
+    "run_plan",
+    "spanning_tree",
+    "write_library",
+]

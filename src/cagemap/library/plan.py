@@ -1,0 +1,229 @@
+"""The tasks of a job: what each needs, where it writes, and a key of all that its result depends on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cagemap.errors import FormatError
+from cagemap.files.result import ARRAYS, file_hash
+from cagemap.library.job import Asset, Job, OutputRule, fill, listed
+
+# Folder inside the output folder for what a rerun needs: prepared surfaces, notes of finished tasks, locks.
+STATE = ".cagemap"
+RESULT = "RESULT"
+PICTURE = "picture.jpg"
+_DEFAULT_OUTPUT = {"report": "report.html", "wrap": "{target}.obj"}
+Pair = tuple[str, str]
+Tree = Callable[[list[Asset]], list[Pair]]
+
+
+@dataclass(frozen=True)
+class Task:
+    """One piece of work that is done as a whole or not at all.
+
+    Attributes
+    ----------
+    kind : str
+        "prepare", "match", or the command of an output.
+    name : str
+        Unique in its plan, and stable from run to run.
+    key : str
+        Hash of the content of all inputs, the options and the version of the code.
+    needs : tuple of str
+        Names of the tasks that must be done before.
+    request : dict
+        Arguments of the command, paths as text.
+    outputs : tuple of str
+        Files that it writes, relative to the job's output folder; it may name more of them afterwards.
+    pair : (str, str) or None
+        Source and target.
+    """
+
+    kind: str
+    name: str
+    key: str
+    needs: tuple[str, ...]
+    request: dict[str, Any] = field(repr=False)
+    outputs: tuple[str, ...] = ()
+    pair: Pair | None = None
+
+    @property
+    def slug(self) -> str:
+        """A name for the task's own files."""
+        plain = "".join(c if c.isalnum() or c in "-_." else "-" for c in self.name)
+        return f"{plain[:80]}-{hashlib.sha256(self.name.encode()).hexdigest()[:8]}"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All tasks of a job, each after those that it needs.
+
+    Attributes
+    ----------
+    root : Path
+        The job's output folder.
+    tasks : tuple of Task
+    pairs : tuple of (str, str)
+        Source and target of every pair.
+    left_out : tuple of str
+        Outputs that some pairs do not get, and why.
+    """
+
+    root: Path
+    tasks: tuple[Task, ...]
+    pairs: tuple[Pair, ...]
+    left_out: tuple[str, ...] = ()
+
+
+def plan_job(job: Job, version: str, tree: Tree) -> Plan:
+    """Write down the tasks of a job.
+
+    Parameters
+    ----------
+    job : Job
+    version : str
+        Of the code: results of another one are not reused.
+    tree : callable
+        Source and target of the pairs along the spanning tree of some assets.
+
+    Raises
+    ------
+    FormatError
+        If two rules ask for the same pair with other options, or two outputs of a pair for the same file.
+    """
+    hashes = _Hashes()
+    tasks: dict[str, Task] = {}
+    left_out: list[str] = []
+    pairs: dict[Pair, dict[str, Any]] = {}
+    for rule in job.pairs:
+        for pair in _pairs(rule.source, rule.target, rule.tree, job, tree):
+            options = {**rule.options, **({} if rule.landmarks is None else {"landmarks": str(rule.landmarks)})}
+            if pairs.setdefault(pair, options) != options:
+                raise FormatError(
+                    f"{job.path}: {pair[0]} -> {pair[1]} is asked for twice with different options. Keep one of them."
+                )
+    for pair, options in pairs.items():
+        source, target = (job.assets[name] for name in pair)
+        prepared = [_prepare(asset, options, job, version, hashes) for asset in (target, source)]
+        tasks |= {task.name: task for task in prepared}
+        match = _match(source, target, options, job, version, hashes, prepared)
+        tasks[match.name] = match
+        picture = _picture(match, version)
+        tasks[picture.name] = picture
+        taken: dict[str, str] = {}
+        for wanted in job.outputs:
+            made = _output(wanted, source, target, match, job, version, hashes)
+            if isinstance(made, str):
+                left_out.append(made)
+                continue
+            if made.name in tasks or made.outputs[0] in taken:
+                raise FormatError(
+                    f"{job.path}: two outputs of {pair[0]} -> {pair[1]} write {made.outputs[0]}. Rename one."
+                )
+            taken[made.outputs[0]] = made.name
+            tasks[made.name] = made
+    return Plan(job.output, tuple(tasks.values()), tuple(pairs), tuple(left_out))
+
+
+def _pairs(
+    source: str | list[str] | None, target: str | list[str] | None, among: str | list[str] | None, job: Job, tree: Tree
+) -> Iterator[Pair]:
+    """Source and target of every pair of a rule; nothing is matched with itself."""
+    names = list(job.assets)
+    if among is not None:
+        yield from tree([job.assets[name] for name in listed(among, names)])
+        return
+    for one in listed(source, names):
+        for other in listed(target, names):
+            if one != other:
+                yield one, other
+
+
+class _Hashes:
+    """Hashes of files, each read once; a file that is not there counts as its path."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, str] = {}
+
+    def of(self, path: str | Path) -> str:
+        text = str(path)
+        if text not in self._known:
+            self._known[text] = file_hash(text) if Path(text).is_file() else text
+        return self._known[text]
+
+    def of_request(self, request: dict[str, Any]) -> dict[str, Any]:
+        """A request with every file that exists replaced by the hash of its content."""
+        return {
+            name: self.of(value) if isinstance(value, str) and Path(value).is_absolute() else value
+            for name, value in request.items()
+        }
+
+
+def _key(version: str, kind: str, *parts: Any) -> str:
+    return hashlib.sha256(json.dumps([version, kind, *parts], sort_keys=True, default=str).encode()).hexdigest()
+
+
+def _prepare(asset: Asset, options: dict[str, Any], job: Job, version: str, hashes: _Hashes) -> Task:
+    choices = {name: value for name, value in options.items() if name != "landmarks"}
+    request = {
+        "asset": asset.name,
+        "file": str(asset.file),
+        "part": asset.part,
+        "scheme": asset.scheme,
+        "options": choices,
+    }
+    key = _key(version, "prepare", hashes.of(asset.file), asset.part, asset.scheme, choices)
+    return Task("prepare", f"prepare {asset.name} {key[:8]}", key, (), {**request, "cache": str(_cache(job))})
+
+
+def _match(
+    source: Asset, target: Asset, options: dict[str, Any], job: Job, version: str, hashes: _Hashes, needs: list[Task]
+) -> Task:
+    folder = f"{source.name}__{target.name}/{RESULT}"
+    inputs: dict[str, Any] = {"target": str(target.file), "source": str(source.file), **options}
+    for side, asset in (("target", target), ("source", source)):
+        inputs |= {f"{side}_{what}": getattr(asset, what) for what in ("part", "scheme") if getattr(asset, what)}
+    if "landmarks" not in options and source.landmarks is not None and target.landmarks is not None:
+        inputs |= {"target_landmarks": str(target.landmarks), "source_landmarks": str(source.landmarks)}
+    key = _key(version, "match", hashes.of_request(inputs), [task.key for task in needs])
+    request = {**inputs, "output": str(job.output / folder), "cache": str(_cache(job))}
+    pair, before = (source.name, target.name), tuple(task.name for task in needs)
+    return Task("match", f"match {pair[0]} -> {pair[1]}", key, before, request, (f"{folder}/{ARRAYS}",), pair)
+
+
+def _picture(match: Task, version: str) -> Task:
+    """The small picture of a pair on the page of all."""
+    assert match.pair is not None
+    source, target = match.pair
+    request = {"result": match.request["output"], "output": str(Path(match.request["output"]).parent / PICTURE)}
+    key = _key(version, "picture", match.key)
+    written = f"{source}__{target}/{PICTURE}"
+    return Task("picture", f"picture {source} -> {target}", key, (match.name,), request, (written,), match.pair)
+
+
+def _output(
+    rule: OutputRule, source: Asset, target: Asset, match: Task, job: Job, version: str, hashes: _Hashes
+) -> Task | str:
+    """The task of an output; or why the pair does not get it."""
+    pair = f"{source.name} -> {target.name}"
+    options: dict[str, Any] = {}
+    name = rule.output or _DEFAULT_OUTPUT.get(rule.command) or f"{{target}}_{rule.command}.png"
+    for option, value in {**(rule.model_extra or {}), "output": name}.items():
+        filled = fill(value, source, target) if isinstance(value, str) else value
+        if filled is None:
+            return f"{pair}: no {rule.command}, {value} is not among the asset's files"
+        options[option] = filled
+    written = f"{source.name}__{target.name}/{options.pop('output')}"
+    key = _key(version, rule.command, hashes.of_request(options), match.key)
+    request = {**options, "result": match.request["output"], "output": str(job.output / written)}
+    title = f"{rule.command} {pair}: {Path(written).name}"
+    return Task(rule.command, title, key, (match.name,), request, (written,), match.pair)
+
+
+def _cache(job: Job) -> Path:
+    return job.output / STATE / "surfaces"

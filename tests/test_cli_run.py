@@ -1,0 +1,106 @@
+"""`cagemap run` on real files: the same maps as single commands, and nothing twice."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cagemap.cli.app import app
+from cagemap.example import example_pair
+from cagemap.files.images import write_image
+from cagemap.files.landmarks import write_landmarks
+from cagemap.files.meshes import write_mesh
+from cagemap.files.result import read_result
+
+JOB = """output = "night"
+
+[options]
+vertices = 1500
+
+[[assets]]
+name = "pony"
+file = "pony.obj"
+files = { color = "pony.png" }
+
+[[assets]]
+name = "deer"
+file = "deer.obj"
+
+[[assets]]
+name = "broken"
+file = "broken.obj"
+files = { color = "pony.png" }
+
+[[pairs]]
+source = "pony"
+target = "deer"
+landmarks = "landmarks.json"
+
+[[pairs]]
+source = "broken"
+target = "deer"
+landmarks = "landmarks.json"
+
+[[outputs]]
+command = "transfer"
+texture = "{source.color}"
+size = 64
+output = "{target}.png"
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    pair = example_pair(64)
+    write_mesh(tmp_path / "deer.obj", pair.target)
+    write_mesh(tmp_path / "pony.obj", pair.source)
+    write_image(tmp_path / "pony.png", pair.texture)
+    write_landmarks(tmp_path / "landmarks.json", pair.landmarks)
+    (tmp_path / "broken.obj").write_text("v 0 0 0\nf 1 2 3\n")
+    (tmp_path / "job.toml").write_text(JOB)
+    return tmp_path
+
+
+def test_a_dry_run_says_what_would_be_done_and_does_nothing(folder: Path) -> None:
+    before = sorted(folder.iterdir())
+    said = CliRunner().invoke(app, ["run", str(folder / "job.toml"), "--dry-run"])
+    assert said.exit_code == 0, said.output
+    assert "2 pairs" in said.output
+    assert "match pony -> deer" in said.output
+    assert "core minutes" in said.output
+    assert sorted(folder.iterdir()) == before
+
+
+@pytest.mark.slow
+def test_a_job_gives_what_single_commands_give_and_names_what_failed(folder: Path) -> None:
+    runner = CliRunner()
+    job = ["run", str(folder / "job.toml"), "--workers", "2"]
+    first = runner.invoke(app, job)
+    assert first.exit_code == 1
+    assert "broken" in first.output
+    assert "match broken -> deer: skipped" in first.output
+    night = folder / "night"
+    assert (night / "pony__deer" / "deer.png").is_file()
+    assert not (night / "broken__deer" / "RESULT").exists()
+    assert "skipped" in (night / "index.html").read_text()
+
+    single = ["match", "-t", str(folder / "deer.obj"), "-s", str(folder / "pony.obj"), "--vertices", "1500"]
+    done = runner.invoke(app, [*single, "--landmarks", str(folder / "landmarks.json"), "-o", str(folder / "RESULT")])
+    assert done.exit_code == 0, done.output
+    one, many = read_result(folder / "RESULT"), read_result(night / "pony__deer" / "RESULT")
+    np.testing.assert_allclose(many.image(), one.image(), atol=1e-12 * np.ptp(one.image()))
+
+    written = {path: path.stat().st_mtime_ns for path in night.rglob("*") if ".lock" not in path.name}
+    again = runner.invoke(app, job)
+    assert again.exit_code == 1
+    after = {path: path.stat().st_mtime_ns for path in night.rglob("*") if ".lock" not in path.name}
+    assert {path for path in written if after.get(path) != written[path] and path.is_file()} == set()
+    (folder / "broken.obj").write_bytes((folder / "pony.obj").read_bytes())
+    mended = runner.invoke(app, job)
+    assert mended.exit_code == 0, mended.output
+    assert "failed" not in mended.output
+    assert os.path.isfile(night / "broken__deer" / "deer.png")

@@ -1,0 +1,81 @@
+"""A collection's own knowledge: spoiled pairs are found by the ways round them."""
+
+from __future__ import annotations
+
+from itertools import permutations
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.library.consistency import (
+    Consistency,
+    disagreement,
+    measure_consistency,
+    read_consistency,
+    write_consistency,
+)
+from cagemap.maps.point_map import PointMap
+from cagemap.mesh import torus
+from cagemap.refinement import refine
+
+NAMES = "abcdef"
+
+
+def map_of(images: np.ndarray) -> PointMap:
+    """A map of one torus onto itself that sends vertex i to vertex images[i]."""
+    level = refine(torus(), 2).finest
+    surface = TriangleSurface.from_faces(level.positions, level.faces)
+    return PointMap.from_vertices(surface, surface, images)
+
+
+def collection(spoiled: tuple[tuple[str, str], ...] = ()) -> dict[tuple[str, str], PointMap]:
+    positions = refine(torus(), 2).finest.positions
+    mirrored = np.argmin(((positions * [-1, 1, 1])[:, None] - positions[None]) ** 2 @ np.ones(3), axis=1)
+    same = map_of(np.arange(len(positions)))
+    return {pair: map_of(mirrored) if pair in spoiled else same for pair in permutations(NAMES, 2)}
+
+
+def test_maps_that_agree_have_no_error() -> None:
+    verdict = measure_consistency(collection())
+    assert verdict.triples == 6 * 5 * 4
+    assert max(verdict.errors.values()) < 1e-12
+    assert verdict.doubtful == ()
+
+
+def test_a_pair_with_left_and_right_exchanged_is_named_and_has_a_way_round() -> None:
+    verdict = measure_consistency(collection((("c", "e"),)))
+    assert verdict.doubtful == (("c", "e"),)
+    way = verdict.ways["c", "e"]
+    assert (way[0], way[-1], len(way)) == ("c", "e", 3)
+    others = [error for pair, error in verdict.errors.items() if pair != ("c", "e")]
+    assert max(others) < 0.1 * verdict.errors["c", "e"]
+
+
+def test_several_spoiled_pairs_are_all_named() -> None:
+    spoiled = ("a", "b"), ("d", "c"), ("f", "a")
+    assert set(measure_consistency(collection(spoiled)).doubtful) == set(spoiled)
+
+
+def test_disagreement_is_the_distance_between_both_ways() -> None:
+    maps = collection((("a", "b"),))
+    direct = maps["a", "b"]
+    expected = np.linalg.norm(direct.images.positions - maps["b", "a"].images.positions, axis=1).mean()
+    assert disagreement(direct, maps["a", "c"], maps["c", "b"]) == pytest.approx(expected)
+
+
+def test_pairs_that_are_in_no_triple_say_nothing() -> None:
+    maps = collection()
+    verdict = measure_consistency({pair: maps[pair] for pair in [("a", "b"), ("c", "d")]})
+    assert verdict == Consistency({}, 0, (), {})
+
+
+def test_a_verdict_is_kept_for_its_own_matches_only(tmp_path: Path) -> None:
+    verdict = measure_consistency(collection((("c", "e"),)))
+    path = tmp_path / "state" / "consistency.json"
+    write_consistency(path, {"match": "key"}, verdict)
+    assert read_consistency(path, {"match": "key"}) == verdict
+    assert read_consistency(path, {"match": "other"}) is None
+    path.write_text("[3")
+    assert read_consistency(path, {"match": "key"}) is None

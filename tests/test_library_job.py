@@ -1,0 +1,196 @@
+"""Job files: every mistake at once, with its line; and the plan that a right one leads to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from cagemap.errors import FormatError
+from cagemap.files.meshes import write_mesh
+from cagemap.library import Job, Plan, plan_job, read_job, spanning_tree
+from cagemap.library.job import line_of
+from cagemap.library.tree import shape_distribution
+from cagemap.mesh import cube, icosahedron, torus
+
+
+@dataclass(frozen=True)
+class Match:
+    target: Path
+    source: Path
+    landmarks: Path | None = None
+    vertices: int | None = None
+    method: str = "elastic"
+
+
+@dataclass(frozen=True)
+class Transfer:
+    result: Path
+    output: Path
+    texture: Path | None = None
+    size: int | None = None
+
+
+COMMANDS: dict[str, type] = {"match": Match, "transfer": Transfer, "report": Transfer, "wrap": Transfer}
+HEAD = """output = "out"
+[options]
+vertices = 500
+"""
+ASSETS = "".join(f'[[assets]]\nname = "{name}"\nfile = "{name}.obj"\n' for name in ("a", "b", "c"))
+PAIRS = '[[pairs]]\nsource = "all"\ntarget = ["a", "b"]\n'
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name, mesh in (("a", cube()), ("b", torus()), ("c", icosahedron())):
+        write_mesh(tmp_path / f"{name}.obj", mesh)
+    (tmp_path / "a.png").write_bytes(b"not read here")
+    return tmp_path
+
+
+def job_of(folder: Path, text: str) -> Job:
+    (folder / "job.toml").write_text(text)
+    return read_job(folder / "job.toml", COMMANDS)
+
+
+def plan_of(folder: Path, text: str, version: str = "1") -> Plan:
+    return plan_job(job_of(folder, text), version, spanning_tree)
+
+
+def test_all_problems_are_named_at_once_with_their_lines(folder: Path) -> None:
+    text = """output = "out"
+[options]
+vertexes = 500
+vertices = "many"
+[[assets]]
+name = "a"
+file = "a.obj"
+[[assets]]
+name = "a"
+file = "missing.obj"
+[[pairs]]
+source = "a"
+target = "zebra"
+[[outputs]]
+command = "transfer"
+texture = "{source.color}"
+[[outputs]]
+command = "report"
+output = "../elsewhere.html"
+"""
+    with pytest.raises(FormatError) as caught:
+        job_of(folder, text)
+    said = str(caught.value)
+    for line, words in [
+        (3, "options.vertexes: there is no such entry"),
+        (4, "options.vertices"),
+        (9, "'a' is taken"),
+        (10, "missing.obj does not exist"),
+        (13, "no asset is called 'zebra'"),
+        (16, "no asset has a file 'color'"),
+        (19, "inside the pair's folder"),
+    ]:
+        assert any(entry.startswith(f"  line {line}:") and words in entry for entry in said.splitlines()), (line, said)
+    assert "7 problems" in said
+    assert not (folder / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("output = 3\n" + ASSETS + PAIRS, "line 1: output"),
+        ("output = 'out'\nassets = []\n" + PAIRS, "assets"),
+        (HEAD + ASSETS + "[[pairs]]\nsource = 'a'\n", "expected both source and target"),
+        (HEAD + ASSETS + "[[pairs]]\nsource = 'a'\ntarget = 'b'\ntree = 'all'\n", "source and target, or tree"),
+        (HEAD + ASSETS.replace('"a"', '"../a"') + PAIRS, "name"),
+        ("output = ", "TOML"),
+    ],
+)
+def test_files_of_another_form_are_refused(folder: Path, text: str, words: str) -> None:
+    with pytest.raises(FormatError, match=words):
+        job_of(folder, text)
+
+
+def test_a_missing_job_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match="expected a job file, found none"):
+        read_job(tmp_path / "job.toml", COMMANDS)
+
+
+def test_lines_are_found_in_nested_tables() -> None:
+    text = "a = 1\n[b.c]\nd = 2\n[[e]]\nf = 3\n[[e]]\n[e.g]\nh = 4\n"
+    assert [
+        line_of(text, place) for place in [("a",), ("b", "c", "d"), ("e", 0, "f"), ("e", 1), ("e", 1, "g", "h")]
+    ] == [
+        1,
+        3,
+        5,
+        6,
+        8,
+    ]
+    assert line_of(text, ("e", 0, "f", "deeper")) == 5
+
+
+def test_every_surface_is_prepared_once_and_every_pair_matched_after(folder: Path) -> None:
+    plan = plan_of(folder, HEAD + ASSETS + PAIRS)
+    assert set(plan.pairs) == {("b", "a"), ("c", "a"), ("a", "b"), ("c", "b")}
+    kinds = [task.kind for task in plan.tasks]
+    assert (kinds.count("prepare"), kinds.count("match")) == (3, 4)
+    seen: set[str] = set()
+    for task in plan.tasks:
+        assert set(task.needs) <= seen
+        seen.add(task.name)
+    assert len(seen) == len(plan.tasks)
+    assert all(task.request["vertices"] == 500 for task in plan.tasks if task.kind == "match")
+
+
+def test_outputs_go_to_the_pairs_that_have_what_they_ask_for(folder: Path) -> None:
+    assets = ASSETS.replace('file = "a.obj"', 'file = "a.obj"\nfiles = { color = "a.png" }')
+    output = '[[outputs]]\ncommand = "transfer"\ntexture = "{source.color}"\noutput = "{target}.png"\n'
+    plan = plan_of(folder, HEAD + assets + PAIRS + output)
+    baked = [task for task in plan.tasks if task.kind == "transfer"]
+    assert [task.outputs for task in baked] == [("a__b/b.png",)]
+    assert baked[0].request["texture"] == str(folder / "a.png")
+    assert len(plan.left_out) == 3
+    with pytest.raises(FormatError, match="two outputs of"):
+        plan_of(folder, HEAD + assets + PAIRS + 2 * output)
+
+
+def test_keys_follow_content_options_and_code_and_nothing_else(folder: Path) -> None:
+    output = '[[outputs]]\ncommand = "report"\n'
+    text = HEAD + ASSETS + PAIRS + output
+
+    def keys(text: str, version: str = "1") -> dict[tuple[str, ...], str]:
+        tasks = plan_of(folder, text, version).tasks
+        return {(task.kind, *(task.pair or (task.request["asset"],))): task.key for task in tasks}
+
+    before = keys(text)
+    assert keys(text) == before
+    assert not set(keys(text, "2").values()) & set(before.values())
+    assert not set(keys(text.replace("500", "600")).values()) & set(before.values())
+    content = (folder / "c.obj").read_text()
+    (folder / "c.obj").write_text("# another byte\n" + content)
+    after = keys(text)
+    assert {name for name in before if before[name] != after[name]} == {name for name in before if "c" in name}
+
+
+def test_the_same_pair_with_two_choices_is_refused(folder: Path) -> None:
+    twice = PAIRS + "[[pairs]]\nsource = 'a'\ntarget = 'b'\noptions = { method = 'hfm' }\n"
+    with pytest.raises(FormatError, match="asked for twice"):
+        plan_of(folder, HEAD + ASSETS + twice)
+
+
+def test_a_tree_joins_all_along_shapes_that_are_alike(folder: Path) -> None:
+    write_mesh(folder / "d.obj", cube())
+    text = HEAD + ASSETS + '[[assets]]\nname = "d"\nfile = "d.obj"\n[[pairs]]\ntree = "all"\n'
+    pairs = set(plan_of(folder, text).pairs)
+    assert len(pairs) == 6
+    assert {("a", "d"), ("d", "a")} <= pairs
+    assert {(b, a) for a, b in pairs} == pairs
+
+
+def test_shapes_are_compared_whatever_their_place_and_size() -> None:
+    mesh = torus()
+    moved = type(mesh)(**{**mesh.__dict__, "positions": 7.0 * mesh.positions[:, [2, 0, 1]] + 3.0})
+    assert abs(shape_distribution(mesh) - shape_distribution(moved)).max() < 1e-9
+    assert abs(shape_distribution(mesh) - shape_distribution(cube())).mean() > 0.02
