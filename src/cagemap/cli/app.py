@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from cagemap import __version__
+from cagemap.cli.subdivision import BoundaryName, CreasingName, SchemeName, UvName
 from cagemap.errors import CagemapError
 
 app = typer.Typer(
@@ -33,6 +34,35 @@ Force = Annotated[
     bool, typer.Option("--force", help="Overwrite files that cagemap did not write, or that were changed since.")
 ]
 ResultFolder = Annotated[Path, typer.Argument(help="Folder that `cagemap match` wrote.", show_default=False)]
+
+SchemeOption = Annotated[
+    SchemeName | None,
+    typer.Option(
+        "--scheme",
+        help="Subdivision scheme; none takes the mesh as it is.  [default: as the file says, else loop for triangles]",
+        show_default=False,
+    ),
+]
+BoundaryOption = Annotated[
+    BoundaryName | None,
+    typer.Option(
+        "--boundary",
+        help="Whether boundary vertices with a single face stay.  [default: as the file says, else edge-and-corner]",
+        show_default=False,
+    ),
+]
+UvOption = Annotated[
+    UvName | None,
+    typer.Option(
+        "--uv-interpolation", help="Where UVs stay linear.  [default: as the file says, else all]", show_default=False
+    ),
+]
+CreasingOption = Annotated[
+    CreasingName | None,
+    typer.Option(
+        "--creasing", help="How creases soften.  [default: as the file says, else uniform]", show_default=False
+    ),
+]
 
 
 class Method(StrEnum):
@@ -140,15 +170,22 @@ def refine(
         int, typer.Option("--level", "-l", min=0, help="Subdivision steps; each has about 4 times the faces.")
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Mesh to write, .obj or .ply.")],
+    scheme: SchemeOption = None,
+    boundary: BoundaryOption = None,
+    uv_interpolation: UvOption = None,
+    creasing: CreasingOption = None,
     force: Force = False,
 ) -> None:
-    """Subdivide a control mesh: Loop for triangle meshes, Catmull-Clark for all others.
+    """Subdivide a control mesh: Loop for triangle meshes, Catmull-Clark for all others, unless its file says otherwise.
 
-    Vertex i of the mesh stays vertex i. UVs and materials come along.
+    Creases and corners shape it, holes are left out. Vertex i of the mesh stays vertex i (but for holes). UVs,
+    materials, objects and groups come along.
     """
     from cagemap.cli.mesh_commands import refine_file
+    from cagemap.cli.subdivision import SubdivisionRequest
 
-    typer.echo(refine_file(mesh, level, output, force=force))
+    subdivision = SubdivisionRequest(scheme, boundary, uv_interpolation, creasing)
+    typer.echo(refine_file(mesh, level, output, subdivision=subdivision, force=force))
 
 
 @app.command()
@@ -199,6 +236,10 @@ def match(
         bool,
         typer.Option("--trust-landmarks", help="Meet every landmark; otherwise pairs that look wrong are left out."),
     ] = False,
+    scheme: SchemeOption = None,
+    boundary: BoundaryOption = None,
+    uv_interpolation: UvOption = None,
+    creasing: CreasingOption = None,
     cache: Annotated[
         Path | None,
         typer.Option(
@@ -230,6 +271,10 @@ def match(
         symmetry=symmetry,
         exchange_landmarks=exchange_landmarks,
         trust_landmarks=trust_landmarks,
+        scheme=scheme,
+        boundary=boundary,
+        uv_interpolation=uv_interpolation,
+        creasing=creasing,
         cache=cache,
         force=force,
     )

@@ -14,6 +14,7 @@ import numpy as np
 from cagemap.basis import BasisConfig
 from cagemap.cli.mesh_commands import require_size
 from cagemap.cli.progress import Stages
+from cagemap.cli.subdivision import SubdivisionRequest
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import require_no_input
 from cagemap.files.landmarks import read_landmarks
@@ -56,6 +57,10 @@ class MatchRequest:
     symmetry: bool = True
     exchange_landmarks: bool = False
     trust_landmarks: bool = False
+    scheme: str | None = None
+    boundary: str | None = None
+    uv_interpolation: str | None = None
+    creasing: str | None = None
     cache: Path | None = None
     force: bool = False
 
@@ -95,6 +100,10 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
         "symmetry": request.symmetry,
         "exchange_landmarks": request.exchange_landmarks,
         "trust_landmarks": request.trust_landmarks,
+        "scheme": request.scheme,
+        "boundary": request.boundary,
+        "uv_interpolation": request.uv_interpolation,
+        "creasing": request.creasing,
     }
     result = match_meshes(
         inputs,
@@ -139,7 +148,10 @@ def parse_schedule(text: str) -> tuple[int, ...]:
 
 def read_inputs(request: MatchRequest) -> Inputs:
     """Read both meshes and the landmarks, and check all of them before anything expensive begins."""
-    target, source = (replace(read_mesh(path), name=path.name) for path in (request.target, request.source))
+    subdivision = SubdivisionRequest(request.scheme, request.boundary, request.uv_interpolation, request.creasing)
+    target, source = (
+        subdivision.applied(replace(read_mesh(path), name=path.name)) for path in (request.target, request.source)
+    )
     if request.exchange_landmarks:
         exchanged, notes = read_landmarks(request.landmarks, request.source, request.target)
         landmarks = exchanged.reversed()

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from cagemap.cli.subdivision import SubdivisionRequest
 from cagemap.errors import CagemapError, ParameterError
 from cagemap.files.atomic import check_outputs
 from cagemap.files.meshes import check_mesh_path, mesh_files, read_mesh, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import check_mesh, require_valid
-from cagemap.refinement import Refinement
+from cagemap.refinement import finest_mesh
 from cagemap.refinement import refine as refine_mesh
 
 MOST_VERTICES = 20_000_000
@@ -34,16 +34,18 @@ def check_files(paths: Sequence[Path]) -> tuple[str, bool]:
     return "\n\n".join(parts), sound
 
 
-def refine_file(path: Path, level: int, output: Path, *, force: bool = False) -> str:
+def refine_file(
+    path: Path, level: int, output: Path, *, subdivision: SubdivisionRequest = SubdivisionRequest(), force: bool = False
+) -> str:
     """Refine a mesh file into another; returns the table of levels."""
     check_mesh_path(output)
     check_outputs([output], [path], force=force)
-    control = read_mesh(path)
+    control = subdivision.applied(read_mesh(path))
     check_outputs(mesh_files(output, control), [path], force=force)
     require_valid(control)
     require_size(control, level)
     refinement = refine_mesh(control, level)
-    write_mesh(output, finest_as_mesh(refinement), force=force)
+    write_mesh(output, finest_mesh(refinement), force=force)
     return f"{refinement}\nwrote {output}"
 
 
@@ -63,20 +65,3 @@ def require_size(control: ControlMesh, level: int) -> None:
             f"--level {level}: {control.name} would have about {expected:.2g} vertices, expected at most "
             f"{MOST_VERTICES:,}. Use --level {fits} or less."
         )
-
-
-def finest_as_mesh(refinement: Refinement) -> ControlMesh:
-    """Finest level as a mesh of its own, with UVs and materials."""
-    finest, control = refinement.finest, refinement.control
-    if finest.faces is None or refinement.n_levels == 0:
-        return control
-    sides = finest.faces.shape[1]
-    return replace(
-        control,
-        positions=finest.positions,
-        face_offsets=np.arange(0, finest.faces.size + 1, sides),
-        face_indices=finest.faces.ravel(),
-        uvs=finest.uvs,
-        uv_indices=None if finest.uv_indices is None else finest.uv_indices.ravel(),
-        face_materials=None if control.face_materials is None else control.face_materials[finest.face_parents],
-    )

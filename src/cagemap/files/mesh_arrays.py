@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.schemes import SCHEMES, Scheme
 
@@ -17,17 +19,23 @@ CONTROL_ARRAYS = (
     "uv_indices",
     "face_materials",
     "material_colors",
+    "vertex_colors",
+    "face_objects",
+    "face_groups",
     "crease_edges",
     "crease_sharpness",
     "corner_vertices",
     "corner_sharpness",
     "hole_faces",
 )
+# Names beside those of materials; each an array of text.
+_NAMES = ("object_names", "group_names")
 
 
 def control_to_arrays(control: ControlMesh, prefix: str) -> dict[str, Any]:
     """Arrays of a control mesh, those that it has."""
     arrays = {f"{prefix}{name}": getattr(control, name) for name in CONTROL_ARRAYS}
+    arrays |= {f"{prefix}{name}": np.array(getattr(control, name)) for name in _NAMES if getattr(control, name)}
     return {name: array for name, array in arrays.items() if array is not None}
 
 
@@ -36,6 +44,7 @@ def control_from_arrays(
 ) -> ControlMesh:
     """Undo `control_to_arrays`; the scheme is the one that the mesh was refined with."""
     stored: dict[str, Any] = {key: arrays.get(f"{prefix}{key}") for key in CONTROL_ARRAYS}
+    stored |= {key: tuple(str(text) for text in arrays.get(f"{prefix}{key}", ())) for key in _NAMES}
     return ControlMesh(**stored, material_names=tuple(material_names), name=name, scheme=scheme)
 
 

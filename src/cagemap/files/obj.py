@@ -14,13 +14,15 @@ from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path, require_replaceable
 from cagemap.files.marks import mark
 from cagemap.files.mtl import read_material_colors, write_materials
+from cagemap.files.obj_tags import Tags, parse_tags
+from cagemap.files.obj_text import obj_statements
 from cagemap.files.text import at_line, check_writable_name, read_text
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
-_KEYWORDS = {"v": 1, "vt": 2, "f": 3, "fo": 3, "usemtl": 4, "mtllib": 5}
-_POSITION, _UV, _FACE, _USE_MATERIAL, _MATERIAL_FILE = 1, 2, 3, 4, 5
+_KEYWORDS = {"v": 1, "vt": 2, "f": 3, "fo": 3, "usemtl": 4, "mtllib": 5, "o": 6, "g": 7, "t": 8}
+_POSITION, _UV, _FACE, _USE_MATERIAL, _MATERIAL_FILE, _OBJECT, _GROUP, _TAG = range(1, 9)
 
 # Bytes of a face line: what separates corners, what separates the numbers of one corner, and what makes a number.
 _BLANK, _SLASH, _NUMBER = 1, 2, 3
@@ -52,7 +54,9 @@ def read_obj(path: str | Path) -> ControlMesh:
 
     Vertices and faces keep the numbering of the ``v`` and ``f`` lines. Polygons stay polygons, texture coordinates
     keep their own indices, ``usemtl`` becomes a per-face material with the ``Kd`` colour of its ``.mtl`` (NaN where
-    that is missing). Normals, points, lines, groups and smoothing are ignored; several objects become one mesh.
+    that is missing), ``o`` and ``g`` a per-face object and group, six numbers on a ``v`` line a position and a colour,
+    and ``t`` lines creases, corners, holes and options (`cagemap.files.obj_tags`). Normals, points, lines and smoothing
+    groups are ignored; several objects become one mesh.
 
     Raises
     ------
@@ -74,7 +78,10 @@ def read_obj(path: str | Path) -> ControlMesh:
     corners = _read_corners(statements, face_rows)
     face_indices = _resolve(statements, corners, corners.vertices, _POSITION, "vertex")
     uvs, uv_indices = _read_uvs(statements, corners)
-    names, face_materials = _read_materials(statements, face_rows)
+    names, face_materials = _read_names(statements, face_rows, _USE_MATERIAL)
+    objects, face_objects = _read_names(statements, face_rows, _OBJECT)
+    groups, face_groups = _read_names(statements, face_rows, _GROUP)
+    tags = _read_tags(statements, len(positions), len(face_rows))
     return ControlMesh(
         positions=positions,
         face_offsets=np.concatenate([[0], np.cumsum(corners.sizes)]).astype(np.int64),
@@ -84,6 +91,17 @@ def read_obj(path: str | Path) -> ControlMesh:
         face_materials=face_materials,
         material_names=names,
         material_colors=_read_colors(statements, names) if names else None,
+        vertex_colors=_read_vertex_colors(statements),
+        face_objects=face_objects,
+        object_names=objects,
+        face_groups=face_groups,
+        group_names=groups,
+        crease_edges=tags.crease_edges,
+        crease_sharpness=tags.crease_sharpness,
+        corner_vertices=tags.corner_vertices,
+        corner_sharpness=tags.corner_sharpness,
+        hole_faces=tags.hole_faces,
+        scheme=tags.scheme(triangles_only=bool(np.all(corners.sizes == 3))),
         name=file.name,
     )
 
@@ -237,9 +255,9 @@ def _read_uvs(statements: _Statements, corners: _Corners) -> tuple[FloatArray | 
     return uvs, _resolve(statements, corners, corners.uvs, _UV, "texture vertex")
 
 
-def _read_materials(statements: _Statements, face_rows: IndexArray) -> tuple[tuple[str, ...], IndexArray | None]:
-    """Material of every face: the last ``usemtl`` above it; faces above the first one get a material named ''."""
-    rows = statements.rows(_USE_MATERIAL)
+def _read_names(statements: _Statements, face_rows: IndexArray, kind: int) -> tuple[tuple[str, ...], IndexArray | None]:
+    """Material, object or group of every face: the last name above it; faces above the first one get the name ''."""
+    rows = statements.rows(kind)
     if len(rows) == 0:
         return (), None
     stated = ["", *(statements.lines[row].partition(" ")[2].strip() for row in rows)]
@@ -248,6 +266,39 @@ def _read_materials(statements: _Statements, face_rows: IndexArray) -> tuple[tup
     names = tuple(dict.fromkeys(stated[i] for i in order[0][np.argsort(order[1])]))
     number = {name: i for i, name in enumerate(names)}
     return names, np.array([number.get(name, -1) for name in stated], dtype=np.int64)[used]
+
+
+def _read_vertex_colors(statements: _Statements) -> FloatArray | None:
+    """(n, 3) the three numbers after a position, where a line has six; None if no line has."""
+    lines = [statements.lines[row].partition("#")[0].split() for row in statements.rows(_POSITION)]
+    if not any(len(fields) == 7 for fields in lines):
+        return None
+    unknown = (np.nan, np.nan, np.nan)
+    try:
+        table = [tuple(map(float, fields[4:7])) if len(fields) == 7 else unknown for fields in lines]
+    except ValueError:
+        rows = statements.rows(_POSITION)
+        bad = next(i for i, fields in enumerate(lines) if len(fields) == 7 and not _are_numbers(fields[4:]))
+        raise statements.fail(
+            int(rows[bad]), "'v', three coordinates and three colour values", "Export the mesh again."
+        ) from None
+    return np.array(table, dtype=np.float64)
+
+
+def _are_numbers(fields: Sequence[str]) -> bool:
+    try:
+        return len([float(field) for field in fields]) == len(fields)
+    except ValueError:
+        return False
+
+
+def _read_tags(statements: _Statements, n_vertices: int, n_faces: int) -> Tags:
+    rows = statements.rows(_TAG)
+
+    def fail(row: int, expected: str) -> FormatError:
+        return statements.fail(int(rows[row]), expected, "See the formats page of the documentation.")
+
+    return parse_tags([statements.lines[row] for row in rows], fail, n_vertices, n_faces)
 
 
 def _read_colors(statements: _Statements, names: Sequence[str]) -> FloatArray:
@@ -282,17 +333,14 @@ def write_obj(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> No
         material name has a line break.
     """
     file = Path(path)
-    for name in mesh.material_names:
+    for name in (*mesh.material_names, *mesh.object_names, *mesh.group_names):
         check_writable_name(name)
     for written in obj_files(file, mesh):
         require_replaceable(written, force=force)
     library = file.with_suffix(".mtl")
     parts = [f"# {mark()}\n"]
     parts += [f"mtllib {library.name}\n"] if mesh.face_materials is not None else []
-    parts.append(_format_lines("v %r %r %r\n", mesh.positions))
-    if mesh.uvs is not None:
-        parts.append(_format_lines("vt %r %r\n", mesh.uvs))
-    parts.extend(_format_faces(mesh))
+    parts += obj_statements(mesh)
     if mesh.face_materials is not None:
         write_materials(library, mesh.material_names, mesh.material_colors, force=force)
     with atomic_path(file, force=force) as temporary:
@@ -302,34 +350,3 @@ def write_obj(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> No
 def obj_files(path: Path, mesh: ControlMesh) -> list[Path]:
     """Files that `write_obj` writes for a mesh."""
     return [path] if mesh.face_materials is None else [path.with_suffix(".mtl"), path]
-
-
-def _format_lines(pattern: str, table: FloatArray) -> str:
-    return (pattern * len(table)) % tuple(np.asarray(table, dtype=np.float64).ravel().tolist())
-
-
-def _format_faces(mesh: ControlMesh) -> list[str]:
-    """Format the faces in order, with a ``usemtl`` wherever the material changes."""
-    indices = mesh.face_indices[:, None] + 1
-    corner = " %d"
-    if mesh.uv_indices is not None:
-        indices = np.column_stack([indices, mesh.uv_indices + 1])
-        corner = " %d/%d"
-    if mesh.face_materials is None or mesh.n_faces == 0:
-        runs = np.array([0, mesh.n_faces])
-    else:
-        changes = np.flatnonzero(np.diff(mesh.face_materials)) + 1
-        runs = np.concatenate([[0], changes, [mesh.n_faces]])
-    patterns = {size: "f" + corner * size + "\n" for size in np.unique(mesh.face_sizes).tolist()}
-    sizes = mesh.face_sizes.tolist()
-    parts = []
-    for first, last in zip(runs[:-1].tolist(), runs[1:].tolist(), strict=True):
-        if mesh.face_materials is not None and mesh.n_faces:
-            name = mesh.material_names[mesh.face_materials[first]]
-            # Faces above the first 'usemtl' are those without a name.
-            if first or name or len(mesh.material_names) == 1:
-                parts.append(f"usemtl {name}\n")
-        pattern = "".join([patterns[size] for size in sizes[first:last]])
-        numbers = indices[mesh.face_offsets[first] : mesh.face_offsets[last]]
-        parts.append(pattern % tuple(numbers.ravel().tolist()))
-    return parts

@@ -28,7 +28,7 @@ from cagemap.mesh.topology import (
     uv_islands,
     valences,
 )
-from cagemap.numerics.arrays import IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
 
 
 def check_mesh(mesh: ControlMesh) -> MeshReport:
@@ -100,13 +100,36 @@ def keep_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
     sizes = mesh.face_sizes[faces]
     offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
     corners = np.repeat(mesh.face_offsets[faces] - offsets[:-1], sizes) + np.arange(offsets[-1])
+    indices = mesh.face_indices[corners]
+    creases, sharpness = _creases_left(mesh, indices, offsets)
+
+    def of_faces(values: IndexArray | None) -> IndexArray | None:
+        return None if values is None else values[faces]
+
     return replace(
         mesh,
         face_offsets=offsets,
-        face_indices=mesh.face_indices[corners],
+        face_indices=indices,
         uv_indices=None if mesh.uv_indices is None else mesh.uv_indices[corners],
-        face_materials=None if mesh.face_materials is None else mesh.face_materials[faces],
+        face_materials=of_faces(mesh.face_materials),
+        face_objects=of_faces(mesh.face_objects),
+        face_groups=of_faces(mesh.face_groups),
+        hole_faces=None if mesh.hole_faces is None else np.flatnonzero(np.isin(faces, mesh.hole_faces)),
+        crease_edges=creases,
+        crease_sharpness=sharpness,
     )
+
+
+def _creases_left(
+    mesh: ControlMesh, indices: IndexArray, offsets: IndexArray
+) -> tuple[IndexArray | None, FloatArray | None]:
+    """Creases that are edges of the faces kept."""
+    if mesh.crease_edges is None or mesh.crease_sharpness is None:
+        return None, None
+    following = ControlMesh(mesh.positions, offsets, indices).next_corners
+    ends = np.sort(np.column_stack([indices, indices[following]]), axis=1) @ [mesh.n_vertices, 1]
+    there = np.isin(np.sort(mesh.crease_edges, axis=1) @ [mesh.n_vertices, 1], ends)
+    return mesh.crease_edges[there], mesh.crease_sharpness[there]
 
 
 def duplicate_faces(mesh: ControlMesh) -> IndexArray:

@@ -34,6 +34,12 @@ class ControlMesh:
     material_names : tuple of str
     material_colors : (q, 3) float64 or None
         Linear RGB diffuse colour of every material, NaN where unknown.
+    vertex_colors : (n, 3) float64 or None
+        As the file has them, NaN where it has none.
+    face_objects, face_groups : (m,) int64 or None
+        Index into ``object_names`` and ``group_names`` for every face.
+    object_names, group_names : tuple of str
+        A face above the first name of a file has the name ''.
     crease_edges, crease_sharpness : (k, 2) int64 and (k,) float64, or None
         Edges that are creases, by their two vertices; from sharpness 10 on they stay sharp for ever.
     corner_vertices, corner_sharpness : (k,) int64 and (k,) float64, or None
@@ -54,6 +60,11 @@ class ControlMesh:
     face_materials: IndexArray | None = None
     material_names: tuple[str, ...] = ()
     material_colors: FloatArray | None = None
+    vertex_colors: FloatArray | None = None
+    face_objects: IndexArray | None = None
+    object_names: tuple[str, ...] = ()
+    face_groups: IndexArray | None = None
+    group_names: tuple[str, ...] = ()
     crease_edges: IndexArray | None = None
     crease_sharpness: FloatArray | None = None
     corner_vertices: IndexArray | None = None

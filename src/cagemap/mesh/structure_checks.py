@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.mesh_report import Problem
-from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
 
 _EXPORT = "Export the mesh again, or repair the arrays it was built from."
 
@@ -84,18 +84,28 @@ def _uvs(mesh: ControlMesh) -> Problem | None:
 
 
 def _materials(mesh: ControlMesh) -> Problem | None:
-    materials, colors, count = mesh.face_materials, mesh.material_colors, len(mesh.material_names)
+    colors, count = mesh.material_colors, len(mesh.material_names)
     if colors is not None and colors.shape != (count, 3):
         return _problem(f"expected material_colors of shape ({count}, 3), got {colors.shape}")
-    if materials is None:
+    if mesh.vertex_colors is not None and mesh.vertex_colors.shape != (mesh.n_vertices, 3):
+        return _problem(f"expected vertex_colors of shape ({mesh.n_vertices}, 3), got {mesh.vertex_colors.shape}")
+    named = (
+        ("material", mesh.face_materials, mesh.material_names),
+        ("object", mesh.face_objects, mesh.object_names),
+        ("group", mesh.face_groups, mesh.group_names),
+    )
+    found = (_partition(what, numbers, len(names), mesh.n_faces) for what, numbers, names in named)
+    return next((problem for problem in found if problem is not None), None)
+
+
+def _partition(what: str, numbers: IndexArray | None, count: int, n_faces: int) -> Problem | None:
+    if numbers is None:
         return None
-    if materials.shape != (mesh.n_faces,) or not _integers(materials):
-        return _problem(f"expected one integer material per face ({mesh.n_faces}), got {materials.shape}")
-    bad = np.flatnonzero((materials < 0) | (materials >= count))
+    if numbers.shape != (n_faces,) or not _integers(numbers):
+        return _problem(f"expected one integer {what} per face ({n_faces}), got {numbers.shape}")
+    bad = np.flatnonzero((numbers < 0) | (numbers >= count))
     if len(bad):
-        return _problem(
-            f"expected material numbers from 0 to {count - 1}, got others on {len(bad)} face(s), faces", bad
-        )
+        return _problem(f"expected {what} numbers from 0 to {count - 1}, got others on {len(bad)} face(s), faces", bad)
     return None
 
 

@@ -1,6 +1,7 @@
 """Subdivision: refined levels, the matrices between them, and limits."""
 
 from cagemap.mesh.schemes import Bilinear, CatmullClark, Loop, Scheme
+from cagemap.refinement.finest import finest_mesh
 from cagemap.refinement.limit import limit_matrix, limit_normals, limit_positions
 from cagemap.refinement.refinement import (
     Level,
@@ -10,6 +11,7 @@ from cagemap.refinement.refinement import (
     refine,
     triangles,
     triangulate_control,
+    with_options,
 )
 
 __all__ = [
@@ -20,6 +22,7 @@ __all__ = [
     "Refinement",
     "Scheme",
     "default_scheme",
+    "finest_mesh",
     "level_triangles",
     "limit_matrix",
     "limit_normals",
@@ -27,4 +30,5 @@ __all__ = [
     "refine",
     "triangles",
     "triangulate_control",
+    "with_options",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_array, eye_array
@@ -11,7 +11,7 @@ from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.geometry.triangles import fan_triangles
 from cagemap.geometry.triangles import triangles as triangles
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.schemes import CatmullClark, Loop, Scheme
+from cagemap.mesh.schemes import SCHEMES, Bilinear, CatmullClark, Loop, Scheme
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement.face_varying import (
     UvLayout,
@@ -187,6 +187,38 @@ def default_scheme(control: ControlMesh) -> Scheme:
     if control.scheme is not None:
         return control.scheme
     return Loop() if control.is_triangle_mesh else CatmullClark()
+
+
+def with_options(
+    control: ControlMesh,
+    scheme: str | None = None,
+    boundary: str | None = None,
+    uv_interpolation: str | None = None,
+    creasing: str | None = None,
+) -> ControlMesh:
+    """Return the same mesh, to be subdivided otherwise than its file says; None leaves what it says.
+
+    Parameters
+    ----------
+    scheme : {"catmull-clark", "loop", "bilinear", "none"}, optional
+        "none" is the mesh as it is, which is what bilinear subdivision leaves it.
+    boundary, uv_interpolation, creasing : str, optional
+        See `SubdivisionOptions`.
+
+    Raises
+    ------
+    ParameterError
+        If a value is not one of those allowed.
+    """
+    before = default_scheme(control)
+    kind = type(before)
+    if scheme is not None:
+        if scheme not in (*SCHEMES, "none"):
+            raise ParameterError(f"scheme: expected one of {', '.join(SCHEMES)}, none, got {scheme!r}")
+        kind = SCHEMES.get(scheme, Bilinear)
+    asked = {"boundary": boundary, "uv_interpolation": uv_interpolation, "creasing": creasing}
+    options = asdict(before) | {name: value for name, value in asked.items() if value is not None}
+    return replace(control, scheme=kind(**options))
 
 
 def refine(control: ControlMesh, levels: int, scheme: Scheme | None = None) -> Refinement:

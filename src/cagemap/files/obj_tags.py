@@ -1,0 +1,161 @@
+"""Subdivision tags in OBJ files, as in OpenSubdiv's shape files: ``t name ints/floats/strings values...``, 0-based.
+
+=================================== ==========================================================
+``t crease 2/1/0 v0 v1 s``          edge of sharpness s
+``t corner 1/1/0 v s``              vertex of sharpness s
+``t hole n/0/0 f...``               faces that are holes
+``t interpolateboundary 1/0/0 n``   0 ``none``, 1 ``edge_and_corner``, 2 ``edge_only``
+``t facevaryinginterpolateboundary  0 ``none``, 1 ``corners_only``, 2 ``corners_plus1``,
+1/0/0 n``                           3 ``corners_plus2``, 4 ``boundaries``, 5 ``all``
+``t creasemethod 0/0/1 word``       ``normal`` or ``chaikin``
+``t smoothtriangles 0/0/1 word``    ``normal`` or ``smooth``
+``t scheme 0/0/1 word``             ours: ``catmull-clark``, ``loop`` or ``bilinear``
+=================================== ==========================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from cagemap.errors import FormatError
+from cagemap.mesh.schemes import SCHEMES, CatmullClark, Loop, Scheme
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+_CHOICES: dict[str, tuple[str, tuple[str, ...]]] = {
+    "interpolateboundary": ("boundary", ("none", "edge_and_corner", "edge_only")),
+    "facevaryinginterpolateboundary": (
+        "uv_interpolation",
+        ("none", "corners_only", "corners_plus1", "corners_plus2", "boundaries", "all"),
+    ),
+}
+_WORDS: dict[str, tuple[str, dict[str, str]]] = {
+    "creasemethod": ("creasing", {"normal": "uniform", "chaikin": "chaikin"}),
+    "smoothtriangles": ("triangles", {"normal": "catmull_clark", "smooth": "smooth"}),
+    "scheme": ("scheme", {name: name for name in SCHEMES}),
+}
+_COUNTS = {"crease": (2, 1, 0), "corner": (1, 1, 0)}
+
+
+@dataclass(frozen=True)
+class Tags:
+    """What the tags of a file say; None where they say nothing."""
+
+    crease_edges: IndexArray | None = None
+    crease_sharpness: FloatArray | None = None
+    corner_vertices: IndexArray | None = None
+    corner_sharpness: FloatArray | None = None
+    hole_faces: IndexArray | None = None
+    options: dict[str, str] | None = None
+
+    def scheme(self, *, triangles_only: bool) -> Scheme | None:
+        """Scheme with the options named by tags, the others at their defaults; None if there is no such tag."""
+        if not self.options:
+            return None
+        options: dict[str, str] = dict(self.options)
+        name = options.pop("scheme", None)
+        kind = (Loop if triangles_only else CatmullClark) if name is None else SCHEMES[name]
+        return kind(**options)  # type: ignore[arg-type]
+
+
+def parse_tags(lines: Sequence[str], fail: Callable[[int, str], FormatError], n_vertices: int, n_faces: int) -> Tags:
+    """Read all tag lines of a file; tags of other names are left alone.
+
+    Parameters
+    ----------
+    lines : sequence of str
+    fail : callable
+        Makes the error for line number i of ``lines``, given what was expected.
+
+    Raises
+    ------
+    FormatError
+        If a line is malformed, a number is out of range, or a word is none of those allowed.
+    """
+    sharp: dict[str, list[tuple[list[int], float]]] = {"crease": [], "corner": []}
+    holes: list[int] = []
+    options: dict[str, str] = {}
+    for row, line in enumerate(lines):
+        name, ints, floats, words = _parse_line(line, lambda expected, row=row: fail(row, expected))  # type: ignore[misc]
+        if name in sharp:
+            wanted = _COUNTS[name]
+            if (len(ints), len(floats), len(words)) != wanted or not 0 <= floats[0] < np.inf:
+                raise fail(row, f"'t {name} {'/'.join(map(str, wanted))}', 0-based vertices and a sharpness")
+            _check_range(ints, n_vertices, "vertices", lambda expected, row=row: fail(row, expected))  # type: ignore[misc]
+            sharp[name].append((ints, floats[0]))
+        elif name == "hole":
+            _check_range(ints, n_faces, "faces", lambda expected, row=row: fail(row, expected))  # type: ignore[misc]
+            holes += ints
+        elif name in _CHOICES:
+            option, choices = _CHOICES[name]
+            if len(ints) != 1 or not 0 <= ints[0] < len(choices):
+                raise fail(row, f"'t {name} 1/0/0' and a number from 0 to {len(choices) - 1}")
+            options[option] = choices[ints[0]]
+        elif name in _WORDS:
+            option, meanings = _WORDS[name]
+            if len(words) != 1 or words[0] not in meanings:
+                raise fail(row, f"'t {name} 0/0/1' and one of {', '.join(meanings)}")
+            options[option] = meanings[words[0]]
+    edges = np.array([ints for ints, _ in sharp["crease"]], dtype=np.int64).reshape(-1, 2)
+    corners = np.array([ints[0] for ints, _ in sharp["corner"]], dtype=np.int64)
+    return Tags(
+        crease_edges=edges if len(edges) else None,
+        crease_sharpness=np.array([s for _, s in sharp["crease"]]) if len(edges) else None,
+        corner_vertices=corners if len(corners) else None,
+        corner_sharpness=np.array([s for _, s in sharp["corner"]]) if len(corners) else None,
+        hole_faces=np.unique(np.array(holes, dtype=np.int64)) if holes else None,
+        options=options,
+    )
+
+
+def _parse_line(line: str, fail: Callable[[str], FormatError]) -> tuple[str, list[int], list[float], list[str]]:
+    parts = line.partition("#")[0].split()
+    expected = "'t', a name, three counts such as 2/1/0, and as many values"
+    if len(parts) < 3:
+        raise fail(expected)
+    try:
+        n_ints, n_floats, n_words = (int(count) for count in parts[2].split("/"))
+        values = parts[3:]
+        if min(n_ints, n_floats, n_words) < 0 or len(values) != n_ints + n_floats + n_words:
+            raise fail(expected)
+        ints = [int(value) for value in values[:n_ints]]
+        floats = [float(value) for value in values[n_ints : n_ints + n_floats]]
+    except ValueError as error:
+        if isinstance(error, FormatError):
+            raise
+        raise fail(expected) from None
+    return parts[1], ints, floats, values[n_ints + n_floats :]
+
+
+def _check_range(numbers: Sequence[int], count: int, what: str, fail: Callable[[str], FormatError]) -> None:
+    if any(not 0 <= number < count for number in numbers):
+        raise fail(f"{what} from 0 to {count - 1} (tags are 0-based)")
+
+
+def format_tags(tags: Tags, scheme: Scheme | None) -> str:
+    """Write the tags of a mesh, one a line; options only where they are not the defaults."""
+    lines = []
+    if scheme is not None:
+        default = CatmullClark()
+        stated = {field.name: getattr(scheme, field.name) for field in fields(scheme)}
+        stated = {name: value for name, value in stated.items() if value != getattr(default, name)}
+        lines += [
+            f"t {tag} 1/0/0 {choices.index(stated[option])}"
+            for tag, (option, choices) in _CHOICES.items()
+            if option in stated
+        ]
+        stated["scheme"] = next(name for name, kind in SCHEMES.items() if isinstance(scheme, kind))
+        for tag, (option, meanings) in _WORDS.items():
+            words = [word for word, meaning in meanings.items() if meaning == stated.get(option)]
+            lines += [f"t {tag} 0/0/1 {word}" for word in words]
+    if tags.crease_edges is not None and tags.crease_sharpness is not None:
+        pairs = zip(tags.crease_edges.tolist(), tags.crease_sharpness.tolist(), strict=True)
+        lines += [f"t crease 2/1/0 {a} {b} {sharpness!r}" for (a, b), sharpness in pairs]
+    if tags.corner_vertices is not None and tags.corner_sharpness is not None:
+        corners = zip(tags.corner_vertices.tolist(), tags.corner_sharpness.tolist(), strict=True)
+        lines += [f"t corner 1/1/0 {vertex} {sharpness!r}" for vertex, sharpness in corners]
+    if tags.hole_faces is not None and len(tags.hole_faces):
+        lines.append(f"t hole {len(tags.hole_faces)}/0/0 " + " ".join(map(str, tags.hole_faces.tolist())))
+    return "".join(line + "\n" for line in lines)
