@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,14 +11,11 @@ from hypothesis import strategies as st
 
 from cagemap.basis import (
     BasisConfig,
-    evaluate,
     exact_basis,
-    gram_matrix,
+    extended_basis,
     hierarchical_basis,
-    project,
-    row_blocks,
-    rows,
 )
+from cagemap.basis.construction import ILL_CONDITIONED
 from cagemap.basis.error_estimate import predict_next_level
 from cagemap.basis.overlap import clusters, new_directions
 from cagemap.basis.smoothing import smoother
@@ -55,7 +54,7 @@ def creature():
 def cosines(refinement, operators, basis, exact):
     """Cosines of the principal angles between the hierarchical basis and exact eigenvectors, at the finest level."""
     finest = operators.finest
-    phi = evaluate(basis, refinement, finest)
+    phi = basis.at(finest)
     weights = np.sqrt(operators.finest_areas)[:, None]
     ours, _ = np.linalg.qr(weights * phi)
     return np.linalg.svd(ours.T @ (weights * exact.vectors), compute_uv=False)
@@ -98,8 +97,8 @@ def test_fixed_schedule_has_its_counts_and_completes_cut_clusters(schedule):
         exact = exact_basis(operators, level, basis.size(level) + 4)
         ends = np.flatnonzero(np.diff(clusters(exact.values)))  # last member of every cluster
         whole = int(ends[ends < basis.size(level)].max()) + 1
-        phi = evaluate(basis, refinement, level)
-        gram = gram_matrix(basis, operators, refinement, level)
+        phi = basis.at(level)
+        gram = basis.gram_at(level)
         overlap = phi.T @ (operators.mass[level] @ exact.vectors[:, :whole])
         shares = np.einsum("ij,ij->j", overlap, np.linalg.solve(gram, overlap))
         assert shares.min() > 0.9
@@ -161,32 +160,32 @@ def test_rows_and_blocks_are_parts_of_the_dense_basis(creature):
     refinement, operators, basis = creature
     rng = np.random.default_rng(43)
     for level in range(operators.finest + 1):
-        phi = evaluate(basis, refinement, level)
+        phi = basis.at(level)
         assert phi.shape == (refinement.levels[level].n_vertices, basis.size(level))
         vertices = rng.integers(0, len(phi), 40)
-        np.testing.assert_allclose(rows(basis, refinement, level, vertices), phi[vertices], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(basis.rows(level, vertices), phi[vertices], rtol=0, atol=1e-12)
         joined = np.full_like(phi, np.nan)
-        for part, values in row_blocks(basis, refinement, level, block=333):
+        for part, values in basis.row_blocks(level, block=333):
             joined[part] = values
         np.testing.assert_allclose(joined, phi, rtol=0, atol=1e-12)
         # Eq. 8: the low columns are the refined basis of the level below.
         if level > 0:
-            below = refinement.matrices[level - 1] @ evaluate(basis, refinement, level - 1)
+            below = refinement.matrices[level - 1] @ basis.at(level - 1)
             np.testing.assert_allclose(phi[:, : below.shape[1]], below, rtol=0, atol=1e-12)
 
 
 def test_single_precision(creature):
-    refinement, operators, basis = creature
-    exact = evaluate(basis, refinement, operators.finest)
+    _, operators, basis = creature
+    exact = basis.at(operators.finest)
     # Single precision has 6e-8; refinement averages.
     tolerance = 1e-5 * np.abs(exact).max()
-    single = evaluate(basis, refinement, operators.finest, dtype=np.float32)
+    single = basis.at(operators.finest, dtype=np.float32)
     assert single.dtype == np.float32
     np.testing.assert_allclose(single, exact, rtol=0, atol=tolerance)
-    some = rows(basis, refinement, operators.finest, np.arange(9), dtype=np.float32)
+    some = basis.rows(operators.finest, np.arange(9), dtype=np.float32)
     assert some.dtype == np.float32
     np.testing.assert_allclose(some, exact[:9], rtol=0, atol=tolerance)
-    for part, values in row_blocks(basis, refinement, operators.finest, dtype=np.float32):
+    for part, values in basis.row_blocks(operators.finest, dtype=np.float32):
         assert values.dtype == np.float32
         np.testing.assert_allclose(values, exact[part], rtol=0, atol=tolerance)
 
@@ -198,15 +197,15 @@ def test_projection_gives_back_coefficients_and_is_orthogonal(creature, seed, le
     refinement, operators, basis = creature
     rng = np.random.default_rng(seed)
     coefficients = rng.standard_normal((basis.size(level), 3))
-    functions = evaluate(basis, refinement, level) @ coefficients
-    found = project(basis, operators, refinement, functions, level)
+    functions = basis.at(level) @ coefficients
+    found = basis.project(functions, level)
     assert found.shape == (basis.count, 3)
     np.testing.assert_allclose(found[: len(coefficients)], coefficients, rtol=0, atol=1e-9)
     np.testing.assert_allclose(found[len(coefficients) :], 0.0, rtol=0, atol=1e-9)
     # What is left of any function is orthogonal to the basis, here tested densely at the finest level.
     f = rng.standard_normal(refinement.levels[level].n_vertices)
-    single = project(basis, operators, refinement, f, level)
-    phi, finest = evaluate(basis, refinement, operators.finest), operators.finest
+    single = basis.project(f, level)
+    phi, finest = basis.at(operators.finest), operators.finest
     rest = refinement.prolong(f, level, finest) - phi @ single
     assert np.abs(phi.T @ (operators.finest_areas * rest)).max() < 1e-9
 
@@ -214,8 +213,8 @@ def test_projection_gives_back_coefficients_and_is_orthogonal(creature, seed, le
 def test_projection_on_the_leading_functions(creature):
     refinement, operators, basis = creature
     f = np.random.default_rng(47).standard_normal(refinement.levels[0].n_vertices)
-    phi = evaluate(basis, refinement, 0)
-    found = project(basis, operators, refinement, f, 0, count=20)
+    phi = basis.at(0)
+    found = basis.project(f, 0, count=20)
     np.testing.assert_allclose(found, phi.T @ (operators.mass[0] @ f), rtol=0, atol=1e-10)
 
 
@@ -257,15 +256,15 @@ def test_refused_parameters(creature, options, message):
 
 
 def test_refused_questions(creature):
-    refinement, operators, basis = creature
+    _, _, basis = creature
     with pytest.raises(ParameterError, match="level from 0 to 3"):
-        evaluate(basis, refinement, 4)
+        basis.at(4)
     with pytest.raises(ParameterError, match="vertices from 0 to 153"):
-        rows(basis, refinement, 0, np.array([154]))
+        basis.rows(0, np.array([154]))
     with pytest.raises(ParameterError, match="154 rows"):
-        project(basis, operators, refinement, np.ones(7), 0)
+        basis.project(np.ones(7), 0)
     with pytest.raises(ParameterError, match="1 to 45"):
-        project(basis, operators, refinement, np.ones(154), 0, count=46)
+        basis.project(np.ones(154), 0, count=46)
 
 
 @pytest.mark.slow
@@ -285,3 +284,59 @@ def test_tolerance_is_kept_on_every_real_mesh(shared_data):
         errors = np.abs(np.sort(basis.eigenvalues) - exact)[1:] / exact[1:]
         assert errors.max() < 0.01, f"{path.name}: {basis}"
         assert np.linalg.cond(basis.gram) < 5.0, f"{path.name}: {basis}"
+
+
+@pytest.mark.parametrize("cut", [6, 25, 40])
+def test_an_extended_basis_keeps_what_it_has_and_meets_the_tolerance(cut):
+    refinement = refine(shapes.creature(), 3)
+    operators = build_operators(refinement)
+    first, more = BasisConfig(count=cut), BasisConfig(count=60)
+    basis = hierarchical_basis(refinement, operators, first)
+    extended = extended_basis(basis, more)
+    assert extended.count == 60
+    assert extended.schedule[: basis.last_level] == basis.schedule[:-1]
+    np.testing.assert_array_equal(extended.eigenvalues[:cut], basis.eigenvalues)
+    np.testing.assert_array_equal(extended.gram[:cut, :cut], basis.gram)
+    exact = exact_basis(operators, operators.finest, 60).values
+    errors = np.sort(extended.eigenvalues)[1:] / exact[1:] - 1.0
+    assert -1e-6 < errors.min()
+    assert errors.max() < more.tolerance
+    assert extended.condition < 2.0
+    phi = extended.at(operators.finest)
+    mass = operators.mass[operators.finest]
+    np.testing.assert_allclose(phi.T @ (mass @ phi), extended.gram, rtol=0, atol=EXACT)
+    # As good as a basis made at once: what either spans of the other.
+    at_once = hierarchical_basis(refinement, operators, more)
+    inside = extended.project(at_once.at(operators.finest)[:, :50], operators.finest)
+    lost = at_once.at(operators.finest)[:, :50] - phi @ inside
+    assert np.einsum("ij,ij->j", lost, mass @ lost).max() < 0.1
+
+
+def test_nothing_to_extend_and_what_cannot_be(creature):
+    _, _, basis = creature
+    assert extended_basis(basis, BasisConfig(count=10)) is basis
+    with pytest.raises(ParameterError, match="schedule: expected count"):
+        extended_basis(basis, BasisConfig(schedule=(20, 15, 30)))
+    with pytest.raises(ParameterError, match="count: expected at most"):
+        extended_basis(basis, BasisConfig(count=10**6))
+
+
+def test_a_basis_belongs_to_its_levels(creature):
+    _, _, basis = creature
+    other = refine(shapes.icosahedron(), 3)
+    with pytest.raises(ParameterError, match="the refinement and the operators"):
+        replace(basis, refinement=other)
+    with pytest.raises(ParameterError, match="the refinement and the operators"):
+        replace(basis, operators=build_operators(other))
+
+
+def test_functions_that_nearly_repeat_each_other_are_warned_of(caplog):
+    """A coarse level asked for nearly all that it has gives functions that finer ones repeat."""
+    refinement = refine(shapes.creature(), 2)
+    operators = build_operators(refinement)
+    basis = hierarchical_basis(refinement, operators, BasisConfig(schedule=(20, 10)))
+    assert basis.condition == pytest.approx(np.linalg.cond(basis.gram))
+    assert not caplog.records
+    basis = hierarchical_basis(refinement, operators, BasisConfig(schedule=(150, 30, 20)))
+    assert basis.condition > ILL_CONDITIONED
+    assert "condition" in caplog.text

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from cagemap.basis import BasisConfig, evaluate, exact_basis, gram_matrix, hierarchical_basis
+from cagemap.basis import BasisConfig, exact_basis, hierarchical_basis
 from cagemap.mesh import shapes
 from cagemap.operators import build_operators
 from cagemap.refinement import refine
@@ -87,7 +87,7 @@ def test_lemma_3_basis_is_approximately_blockwise_orthonormal():
     refinement = refine(pebble(), 2)
     operators = build_operators(refinement)
     basis = hierarchical_basis(refinement, operators, BasisConfig(schedule=(COUNT, 6, 5), accuracy=1e-10))
-    phis = [evaluate(basis, refinement, level) for level in range(3)]
+    phis = [basis.at(level) for level in range(3)]
     grams = [phi.T @ (operators.mass[level] @ phi) for level, phi in enumerate(phis)]
     np.testing.assert_allclose(grams[0], np.eye(COUNT), rtol=0, atol=EXACT)  # eq. 10
     for level in (1, 2):
@@ -115,8 +115,6 @@ def test_lemma_5_gram_matrix_needs_coarse_products_only(surface):
     refinement, operators = surface
     basis = hierarchical_basis(refinement, operators, BasisConfig(count=20, tolerance=0.05))
     for level in range(refinement.n_levels + 1):
-        phi = evaluate(basis, refinement, level)
+        phi = basis.at(level)
         assert phi.shape[1] == basis.size(level)
-        np.testing.assert_allclose(
-            phi.T @ (operators.mass[level] @ phi), gram_matrix(basis, operators, refinement, level), rtol=0, atol=EXACT
-        )
+        np.testing.assert_allclose(phi.T @ (operators.mass[level] @ phi), basis.gram_at(level), rtol=0, atol=EXACT)

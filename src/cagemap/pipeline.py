@@ -29,8 +29,7 @@ from cagemap.refinement import Loop, Scheme, default_scheme, level_triangles, re
 Progress = Callable[[str], None]
 
 METHODS = ("elastic", "hfm")
-# What a map needs: at eigenvalues to 1 % maps are the same, and preparing takes twice as long (docs/accuracy.md).
-MAP_BASIS = BasisConfig(tolerance=0.05)
+MAP_BASIS = BasisConfig()
 # A level counts as having the vertices asked for from this share on; the next one has four times as many.
 ENOUGH = 0.75
 MOST_LEVELS = 12

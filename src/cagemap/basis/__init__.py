@@ -1,6 +1,6 @@
 """The spectral basis: eigenpairs of every level, joined into one hierarchical basis (paper, section 4)."""
 
-from cagemap.basis.construction import hierarchical_basis
+from cagemap.basis.construction import extended_basis, hierarchical_basis
 from cagemap.basis.eigen import (
     EigenPairs,
     band_pairs,
@@ -9,14 +9,7 @@ from cagemap.basis.eigen import (
     residual_norms,
 )
 from cagemap.basis.guess import pairs_from_guess
-from cagemap.basis.hierarchical_basis import (
-    HierarchicalBasis,
-    evaluate,
-    gram_matrix,
-    project,
-    row_blocks,
-    rows,
-)
+from cagemap.basis.hierarchical_basis import HierarchicalBasis
 from cagemap.basis.schedule import BasisConfig
 from cagemap.basis.surface import Surface
 
@@ -26,14 +19,10 @@ __all__ = [
     "HierarchicalBasis",
     "Surface",
     "band_pairs",
-    "evaluate",
     "exact_basis",
-    "gram_matrix",
+    "extended_basis",
     "hierarchical_basis",
     "lowest_pairs",
     "pairs_from_guess",
-    "project",
     "residual_norms",
-    "row_blocks",
-    "rows",
 ]

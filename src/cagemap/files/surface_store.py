@@ -173,7 +173,7 @@ def _load(path: Path, control: ControlMesh | None) -> Surface:
         refinement = refine(control, header["level"], scheme_from_entry(header["scheme"]))
         operators = _operators(arrays, refinement, header["scale"])
         bands = tuple(arrays[f"band_{level}"] for level in range(header["bands"]))
-        basis = HierarchicalBasis(bands, *(arrays[name] for name in _BASIS_ARRAYS))
+        basis = HierarchicalBasis(refinement, operators, bands, *(arrays[name] for name in _BASIS_ARRAYS))
     except FormatError:
         raise
     except (CagemapError, KeyError, TypeError, ValueError) as error:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cagemap.basis import Surface, rows
+from cagemap.basis import Surface
 from cagemap.geometry.closest import TriangleTree, build_tree
 from cagemap.maps.elastic.fit import ElasticConfig, RestShape, coarse_fit, fit
 from cagemap.maps.elastic.update import respond
@@ -118,7 +118,7 @@ def functional_map_of(pair: Pair, point_map: PointMap) -> FloatArray:
         level_triangles(source.refinement, source.finest)[point_map.triangle[chosen]], return_inverse=True
     )
     at_vertices, at_corners = in_threads(
-        lambda side: rows(side[0].basis, side[0].refinement, side[0].finest, side[1]),
+        lambda side: side[0].basis.rows(side[0].finest, side[1]),
         [(target, chosen), (source, corners)],
     )
     weights = point_map.barycentric[chosen]
@@ -151,4 +151,4 @@ def _samples(surface: Surface, level: int, landmarks: IndexArray, vertices: Inde
     """Some vertices of a level, with their landmark coordinates."""
     operators = surface.operators
     coordinates = landmark_coordinates(operators.stiffness[level], operators.mass[level], landmarks)
-    return Samples(rows(surface.basis, surface.refinement, level, vertices), areas, coordinates[vertices])
+    return Samples(surface.basis.rows(level, vertices), areas, coordinates[vertices])

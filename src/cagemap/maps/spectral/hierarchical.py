@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from cagemap.basis import Surface, evaluate, gram_matrix
+from cagemap.basis import Surface
 from cagemap.descriptors import (
     heat_filters,
     heat_times,
@@ -266,8 +266,8 @@ def spectral_data(pair: Pair, levels: LevelPair, config: HierarchyConfig) -> tup
         spectrum = _eigenvalues(surface, level)
         filters = np.hstack([heat_filters(spectrum, times), wave_filters(spectrum, energies, width)])
         sampled = _sample_level(surface, level)
-        rows = evaluate(surface.basis, surface.refinement, sampled)
-        gram = gram_matrix(surface.basis, surface.operators, surface.refinement, sampled)
+        rows = surface.basis.at(sampled)
+        gram = surface.basis.gram_at(sampled)
         mass = surface.operators.mass[sampled]
         at_landmarks = landmark_descriptors(rows[landmarks], filters)  # vertex i of level 0 is vertex i of every level
         projected = np.linalg.solve(gram, rows.T @ (mass @ signatures(rows, filters)))
@@ -368,5 +368,5 @@ def _sample_level(surface: Surface, level: int) -> int:
 
 def _samples(surface: Surface, level: int) -> Samples:
     """All vertices of a level with the row sums of its mass matrix as areas."""
-    rows = evaluate(surface.basis, surface.refinement, level)
+    rows = surface.basis.at(level)
     return Samples(rows, surface.operators.areas(level), np.zeros((len(rows), 0)))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from cagemap.basis import Surface, evaluate
+from cagemap.basis import Surface
 from cagemap.maps.spectral.search import Embedding, nearest_candidates
 from cagemap.maps.spectral.vertex_to_point import vertex_to_point, vertex_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -48,7 +48,7 @@ def spectral_rows(surface: Surface, level: int, functions: int, mixing: FloatArr
     """Embedding rows of a level: Phi~(x, :) of the leading functions, times `mixing` (such as C12^T) if given."""
     last_band = max(i for i, count in enumerate(surface.basis.schedule) if count > 0)
     base = min(level, last_band)
-    values = evaluate(surface.basis, surface.refinement, base)[:, :functions]
+    values = surface.basis.at(base)[:, :functions]
     values = np.ascontiguousarray(values if mixing is None else values @ mixing)
     return SpectralRows(surface.refinement.product(level, base) if level > base else None, values)
 
