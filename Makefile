@@ -2,10 +2,14 @@
 PYTHON ?= python3
 BIN = .venv/bin
 
-.PHONY: demo setup test test-all check docs bench clean
+.PHONY: demo studio setup test test-all check docs bench clean
 
 demo: .venv/runtime  ## set up, run the built-in example, name its report
 	$(BIN)/cagemap demo -o demo
+
+studio: .venv/runtime  ## the built-in pair in the browser
+	$(BIN)/python -m pip install --quiet -e ".[studio]"
+	$(BIN)/cagemap studio
 
 test: .venv/develop  ## set up, run the tests (slow ones left out)
 	$(BIN)/python -m pytest
@@ -37,5 +41,5 @@ clean:
 
 .venv/develop: pyproject.toml
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet -e ".[test,lint,docs]"
+	$(BIN)/python -m pip install --quiet -e ".[studio,test,lint,docs]"
 	touch $@ .venv/runtime

@@ -434,6 +434,55 @@ def run(
         raise typer.Exit(1)
 
 
+@app.command()
+def studio(
+    target: Annotated[
+        Path | None, typer.Option("--target", "-t", help="Control mesh that receives.", show_default=False)
+    ] = None,
+    source: Annotated[
+        Path | None, typer.Option("--source", "-s", help="Control mesh that gives.", show_default=False)
+    ] = None,
+    landmarks: Annotated[
+        Path | None, typer.Option("--landmarks", help="Landmark file to open and save.", show_default=False)
+    ] = None,
+    texture: Annotated[
+        Path | None, typer.Option("--texture", help="Image over the source's UVs.", show_default=False)
+    ] = None,
+    result: Annotated[
+        Path | None, typer.Option("--result", help="RESULT folder of the finish.", show_default=False)
+    ] = None,
+    folder: Annotated[
+        list[Path] | None,
+        typer.Option("--folder", help="Folder whose files the page may open and write; repeat it for more."),
+    ] = None,
+    host: Annotated[str, typer.Option("--host", help="Address to serve; others than loopback need the token.")] = (
+        "127.0.0.1"
+    ),
+    port: Annotated[int, typer.Option("--port", min=0, max=65535, help="The next free one is taken.")] = 8765,
+    vertices: Annotated[int, typer.Option("--vertices", min=1, help="About this many a model, in the page.")] = 25_000,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
+) -> None:
+    """Open both models in the browser: see the map, click landmarks where it is wrong, bake.
+
+    Without models the built-in pair opens. The page reads and writes only in the folders of the files given here.
+    """
+    from cagemap.cli.studio import StudioRequest, run_studio
+
+    request = StudioRequest(
+        target=target,
+        source=source,
+        landmarks=landmarks,
+        texture=texture,
+        result=result,
+        folder=tuple(folder or ()),
+        host=host,
+        port=port,
+        vertices=vertices,
+        no_browser=no_browser,
+    )
+    run_studio(request, typer.echo)
+
+
 def _warn(messages: list[str]) -> None:
     for message in messages:
         typer.echo(f"cagemap: warning: {message}", err=True)

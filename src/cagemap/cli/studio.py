@@ -1,0 +1,61 @@
+"""`cagemap studio`: options of the command line to a running page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from cagemap.errors import ParameterError
+from cagemap.studio.opening import BUILT_IN_FOLDER, built_in_files, chosen_files
+
+
+@dataclass(frozen=True)
+class StudioRequest:
+    """What the user asked for, as said on the command line."""
+
+    target: Path | None = None
+    source: Path | None = None
+    landmarks: Path | None = None
+    texture: Path | None = None
+    result: Path | None = None
+    folder: tuple[Path, ...] = ()
+    host: str = "127.0.0.1"
+    port: int = 8765
+    vertices: int = 25_000
+    no_browser: bool = False
+
+
+def run_studio(request: StudioRequest, tell: Callable[[str], None]) -> None:
+    """Serve the studio until interrupted.
+
+    Raises
+    ------
+    ParameterError
+        If viser is not installed, a file is missing, or the address cannot be served.
+    """
+    try:
+        from cagemap.studio.page.app import StudioRequest as PageRequest
+        from cagemap.studio.page.app import run_studio as run_page
+    except ModuleNotFoundError as error:
+        raise ParameterError(
+            f"the studio needs {error.name}, which is not installed. Run pip install 'cagemap[studio]'."
+        ) from None
+    named = (request.target, request.source, request.landmarks, request.texture)
+    for path in request.folder:
+        if not path.is_dir():
+            raise ParameterError(f"--folder {path}: expected a folder, found none. Check the name.")
+    files = chosen_files(*named, request.result)
+    if files is None:
+        folders = request.folder or (BUILT_IN_FOLDER,)
+        if not request.folder:
+            tell(f"No models named: the built-in pair opens; its files and yours are in {BUILT_IN_FOLDER}.")
+        files = built_in_files(folders[0]) if not request.folder else None
+    else:
+        for model in (files.target, files.source):
+            if not model.is_file():
+                raise ParameterError(f"{model}: expected a mesh file, found none. Check the name.")
+        chosen = (files.landmarks, files.target, files.source, files.texture, files.result)
+        folders = (*request.folder, *(path.parent for path in chosen if path is not None))
+    page = PageRequest(files, folders, request.host, request.port, request.vertices, not request.no_browser)
+    run_page(page, tell)

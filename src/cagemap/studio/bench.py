@@ -1,0 +1,277 @@
+"""What the studio computes: models, maps and their skins. Runs in the worker's process; every task gives a value."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from cagemap.basis import Surface
+from cagemap.descriptors import detect_mirror_symmetry
+from cagemap.errors import CagemapError, InvalidLandmarksError
+from cagemap.files.images import Image, Pixels, read_texture, write_image
+from cagemap.files.meshes import read_mesh
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.checks import require_valid
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.numerics.arrays import IndexArray
+from cagemap.pipeline import MatchResult, choose_level, match, prepare_pair, update_match
+from cagemap.refinement import refine
+from cagemap.studio.landmark_files import vertices_of
+from cagemap.studio.landmarks import Landmark
+from cagemap.studio.shape import Shape, shape_of
+from cagemap.studio.skins import Images, Look, source_skin, target_skin
+from cagemap.studio.state import View
+from cagemap.transfer import face_colors
+
+Progress = Callable[[str], None]
+
+# Largest side of the texture in the page; the bake uses the whole image.
+TEXTURE_SIZE = 1024
+
+
+@dataclass(frozen=True)
+class OpenModels:
+    """Read both models and show them."""
+
+    target: Path
+    source: Path
+    texture: Path | None
+    vertices: int
+    view: View
+
+
+@dataclass(frozen=True)
+class FindMap:
+    """Map target to source; from the map before where there is one and ``fresh`` is not asked for."""
+
+    landmarks: tuple[Landmark, ...]
+    view: View
+    fresh: bool = False
+
+
+@dataclass(frozen=True)
+class Dress:
+    """Show the models in another way."""
+
+    view: View
+
+
+Task = OpenModels | FindMap | Dress
+
+
+@dataclass(frozen=True)
+class Model:
+    """One control mesh, opened.
+
+    Attributes
+    ----------
+    control : ControlMesh
+    level : int
+        Of the preview.
+    shape : Shape
+    look : Look
+        The source's includes the texture.
+    mirror : (n_control,) int64 or None
+        The control vertex across the mirror plane.
+    """
+
+    control: ControlMesh
+    level: int
+    shape: Shape
+    look: Look
+    mirror: IndexArray | None
+
+
+@dataclass(frozen=True)
+class Models:
+    """Both."""
+
+    target: Model
+    source: Model
+
+
+@dataclass(frozen=True)
+class Opened:
+    """Answer to `OpenModels`."""
+
+    target: Shape
+    source: Shape
+    mirrors: tuple[IndexArray | None, IndexArray | None]
+    skins: tuple[bytes, bytes]
+    has_texture: bool
+
+
+@dataclass(frozen=True)
+class Found:
+    """Answer to `FindMap`.
+
+    Attributes
+    ----------
+    images : Images
+    skin : bytes
+        The target under it.
+    strain : dict of str to float
+    contradictions : dict of str to str
+    notes : tuple of str
+    seconds : float
+    """
+
+    images: Images
+    skin: bytes
+    strain: dict[str, float]
+    contradictions: dict[str, str]
+    notes: tuple[str, ...]
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Dressed:
+    """Answer to `Dress`."""
+
+    skins: tuple[bytes, bytes]
+
+
+Answer = Opened | Found | Dressed
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What is open and prepared; each task gives the next one."""
+
+    models: Models | None = None
+    surfaces: tuple[Surface, Surface] | None = None
+    result: MatchResult | None = None
+
+
+def perform(bench: Bench, task: Task, progress: Progress) -> tuple[Bench, Answer]:
+    """Do one task.
+
+    Raises
+    ------
+    CagemapError
+        Whatever is wrong with files or landmarks.
+    """
+    match task:
+        case OpenModels():
+            models, opened = open_models(task, progress)
+            return Bench(models), opened
+        case FindMap():
+            return find_map(bench, task, progress)
+        case Dress():
+            return bench, Dressed(_skins(bench, task.view))
+
+
+def open_models(task: OpenModels, progress: Progress) -> tuple[Models, Opened]:
+    """Read, check and refine both models."""
+    progress("reading the models")
+    target, source = (_model(path, task.vertices) for path in (task.target, task.source))
+    if task.texture is not None:
+        progress("reading the texture")
+        pixels, encoded = read_look(task.texture)
+        source = replace(source, look=replace(source.look, texture=pixels, encoded=encoded))
+    models = Models(target, source)
+    skins = _skins(Bench(models), task.view)
+    mirrors = (target.mirror, source.mirror)
+    return models, Opened(target.shape, source.shape, mirrors, skins, task.texture is not None)
+
+
+def find_map(bench: Bench, task: FindMap, progress: Progress) -> tuple[Bench, Found]:
+    """Map the models with the landmarks there are."""
+    models = _opened(bench)
+    started = time.perf_counter()
+    surfaces = bench.surfaces
+    if surfaces is None:
+        levels = (models.target.level, models.source.level)
+        surfaces = prepare_pair(models.target.control, models.source.control, levels, progress=progress)
+    landmarks = control_landmarks(models, task.landmarks)
+    if bench.result is None or task.fresh:
+        result = match(*surfaces, landmarks, progress=progress)
+    else:
+        result = update_match(bench.result, landmarks, progress=progress)
+    after = replace(bench, surfaces=surfaces, result=result)
+    images = _images(result)
+    skin = _target_skin(models, images, task.view)
+    found = Found(
+        images=images,
+        skin=skin,
+        strain=_strain(result),
+        contradictions={suspect.name: str(suspect) for suspect in result.suspects},
+        notes=tuple(result.landmark_check.notes) + tuple(result.quality.warnings),
+        seconds=time.perf_counter() - started,
+    )
+    return after, found
+
+
+def control_landmarks(models: Models, items: tuple[Landmark, ...]) -> Landmarks:
+    """Landmarks of the package: the control vertices whose points are nearest.
+
+    Raises
+    ------
+    InvalidLandmarksError
+        If two landmarks come to lie on one control vertex.
+    """
+    return Landmarks(
+        tuple(item.name for item in items),
+        vertices_of(tuple(item.target for item in items if item.target), models.target.shape),
+        vertices_of(tuple(item.source for item in items if item.source), models.source.shape),
+        models.target.control.name,
+        models.source.control.name,
+    )
+
+
+def read_look(path: Path) -> tuple[Pixels, bytes]:
+    """A texture in 8 bits, no larger than the page needs, and its JPEG file; the first tile of several."""
+    texture = read_texture(path)
+    pixels = (texture if isinstance(texture, Image) else next(iter(texture.values()))).pixels
+    step = max(1, -(-max(pixels.shape[:2]) // TEXTURE_SIZE))
+    pixels = pixels[::step, ::step]
+    if pixels.dtype != np.uint8:
+        top = np.iinfo(pixels.dtype).max if pixels.dtype.kind == "u" else 1.0
+        pixels = np.rint(255 * np.clip(pixels.astype(np.float64) / top, 0, 1)).astype(np.uint8)
+    pixels = np.repeat(pixels[..., :1], 3, axis=2) if pixels.shape[2] < 3 else np.ascontiguousarray(pixels[..., :3])
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "texture.jpg"
+        write_image(file, pixels)
+        return pixels, file.read_bytes()
+
+
+def _model(path: Path, vertices: int) -> Model:
+    control = replace(read_mesh(path), name=path.name)
+    require_valid(control)
+    level = choose_level(control, vertices)
+    try:
+        colors = face_colors(control)
+    except CagemapError:  # a mesh without materials is clay
+        colors = None
+    return Model(control, level, shape_of(refine(control, level)), Look(colors=colors), detect_mirror_symmetry(control))
+
+
+def _opened(bench: Bench) -> Models:
+    if bench.models is None:
+        raise InvalidLandmarksError("expected two models, none are open; open them first")
+    return bench.models
+
+
+def _images(result: MatchResult) -> Images:
+    return Images(result.point_map.triangle, result.point_map.barycentric, result.quality.trust)
+
+
+def _strain(result: MatchResult) -> dict[str, float]:
+    strain = dict(zip(result.trusted.names, map(float, result.quality.landmark_errors), strict=True))
+    return strain | {suspect.name: suspect.distance for suspect in result.suspects}
+
+
+def _skins(bench: Bench, view: View) -> tuple[bytes, bytes]:
+    models = _opened(bench)
+    images = None if bench.result is None else _images(bench.result)
+    return _target_skin(models, images, view), source_skin(models.source.shape, models.source.look, view.mode)
+
+
+def _target_skin(models: Models, images: Images | None, view: View) -> bytes:
+    target, source = models.target, models.source
+    return target_skin(target.shape, target.look, view.mode, source.shape, source.look, images, doubts=view.doubts)

@@ -1,0 +1,129 @@
+"""`cagemap studio`: everything put together, until interrupted."""
+
+from __future__ import annotations
+
+import threading
+import webbrowser
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import viser
+
+from cagemap.studio.page.cameras import Cameras
+from cagemap.studio.page.door import LOOPBACK, Door, new_token
+from cagemap.studio.page.panels import SetupPanel, WorkPanel
+from cagemap.studio.page.view import DISTANCE, ModelView
+from cagemap.studio.scene import Scene
+from cagemap.studio.session import Session
+from cagemap.studio.state import Files, Studio
+from cagemap.studio.workspace import Workspace
+
+FIRST_VIEW = (0.9, 0.7, DISTANCE)
+
+
+@dataclass(frozen=True)
+class StudioRequest:
+    """What was asked for on the command line.
+
+    Attributes
+    ----------
+    files : Files or None
+        Opened at the start.
+    folders : tuple of Path
+        The page reads and writes nothing outside them.
+    host : str
+    port : int
+    vertices : int
+        Of each previewed surface, about.
+    open_browser : bool
+    """
+
+    files: Files | None
+    folders: tuple[Path, ...]
+    host: str = "127.0.0.1"
+    port: int = 8765
+    vertices: int = 25_000
+    open_browser: bool = True
+
+
+class StudioApp:
+    """A running studio.
+
+    Attributes
+    ----------
+    session : Session
+    address : str
+        What to open in a browser.
+    """
+
+    def __init__(self, request: StudioRequest) -> None:
+        self.session = Session(Workspace.of(*request.folders), request.vertices)
+        self._servers = {side: viser.ViserServer("127.0.0.1", 0, verbose=False) for side in ("target", "source")}
+        for server in self._servers.values():
+            server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)
+        target, source = self._servers["target"], self._servers["source"]
+        cameras = Cameras(self.session, (target, source))
+        self._views = (ModelView(target, "target", self.session), ModelView(source, "source", self.session))
+        self._setup = SetupPanel(target, self.session, lambda: cameras.frame(FIRST_VIEW))
+        self._work = WorkPanel(source, self.session)
+        self._changed, self._closed = threading.Event(), False
+        self.session.subscribe(lambda *_: self._changed.set())
+        threading.Thread(target=self._follow, name="studio page", daemon=True).start()
+        token = None if request.host in LOOPBACK else new_token()
+        ports = {side: server.get_port() for side, server in self._servers.items()}
+        self._door = Door(ports, request.host, request.port, token)
+        self.address = self._door.address
+        if request.files is not None:
+            self.session.open(request.files)
+
+    def close(self) -> None:
+        """Stop everything."""
+        self._closed = True
+        self._changed.set()
+        self.session.close()
+        self._door.close()
+        for server in self._servers.values():
+            server.stop()
+
+    def _follow(self) -> None:
+        """Bring the page up to date whenever something changed; changes in between are skipped."""
+        while True:
+            self._changed.wait()
+            self._changed.clear()
+            if self._closed:
+                return
+            state, scene = self.session.state, self.session.scene
+            for view in self._views:
+                view.refresh(state, scene)
+            self._setup.refresh(state, parts_text(state, scene))
+            self._work.refresh(state)
+
+
+def parts_text(state: Studio, scene: Scene | None) -> str:
+    """Names of both models' parts."""
+    if scene is None:
+        return ""
+    lines = [
+        f"**{shape.name}**, {len(shape.positions):,} vertices" + (f": {', '.join(shape.parts)}" if shape.parts else "")
+        for shape in (scene.target, scene.source)
+    ]
+    return "\n\n".join(lines)
+
+
+def run_studio(request: StudioRequest, tell: Callable[[str], None]) -> None:
+    """Serve until interrupted.
+
+    Raises
+    ------
+    ParameterError
+        If the address cannot be served.
+    """
+    app = StudioApp(request)
+    try:
+        tell(f"The studio is at {app.address} (Ctrl-C ends it).")
+        if request.open_browser:
+            webbrowser.open(app.address)
+        threading.Event().wait()
+    finally:
+        app.close()

@@ -1,0 +1,173 @@
+"""One address for the whole page: serves the frame around both views and passes their connections on to viser.
+
+viser has neither tokens nor a check of who asks, so both are here: a connection must come from a page of this very
+address (another site open in the same browser is refused) and, where other machines may connect, show the token.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import http
+import secrets
+import threading
+from http.cookies import SimpleCookie
+from importlib import resources
+from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
+
+import viser
+import websockets.asyncio.client
+import websockets.asyncio.server
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+from websockets.typing import Subprotocol
+
+from cagemap.errors import ParameterError
+from cagemap.studio.landmarks import SIDES
+
+COOKIE = "cagemap_studio"
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+# Ports tried after the first one that is taken.
+_PORTS = 20
+
+
+def new_token() -> str:
+    """A word that nobody guesses."""
+    return secrets.token_urlsafe(24)
+
+
+def admits(request: Request, token: str | None) -> bool:
+    """Whether a request may come in: from a page of the same address, with the token where there is one."""
+    origin, host = request.headers.get("Origin"), request.headers.get("Host", "")
+    if origin is not None and urlsplit(origin).netloc != host:
+        return False
+    if token is None:
+        # A name that merely resolves to this machine is a page of someone else.
+        return (urlsplit(f"//{host}").hostname or "") in LOOPBACK
+    given = parse_qs(urlsplit(request.path).query).get("token", [""])[0]
+    cookie = SimpleCookie(request.headers.get("Cookie", "")).get(COOKIE)
+    return any(hmac.compare_digest(word.encode(), token.encode()) for word in (given, cookie.value if cookie else ""))
+
+
+class Door:
+    """Serves until `close`.
+
+    Parameters
+    ----------
+    ports : dict of str to int
+        Where viser serves each side, on loopback.
+    host : str
+    port : int
+        The first one tried.
+    token : str or None
+        None only on loopback.
+    """
+
+    def __init__(self, ports: dict[str, int], host: str, port: int, token: str | None) -> None:
+        self._ports, self._host, self._token = ports, host, token
+        self._files = _pages()
+        self._loop = asyncio.new_event_loop()
+        self._ready = threading.Event()
+        self._stop = asyncio.Event()
+        self.port = 0
+        self._error: OSError | None = None
+        self._thread = threading.Thread(target=self._serve, args=(port,), name="studio door", daemon=True)
+        self._thread.start()
+        self._ready.wait()
+        if self._error is not None:
+            raise ParameterError(f"--host {host}: cannot serve there ({self._error}). Name an address of this machine.")
+
+    @property
+    def address(self) -> str:
+        """What to open in a browser."""
+        shown = f"[{self._host}]" if ":" in self._host else self._host
+        return f"http://{shown}:{self.port}/" + (f"?token={self._token}" if self._token else "")
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._loop.call_soon_threadsafe(self._stop.set)
+        self._thread.join(5)
+
+    def _serve(self, first: int) -> None:
+        self._loop.run_until_complete(self._listen(first))
+        self._loop.close()
+
+    async def _listen(self, first: int) -> None:
+        for port in [*range(first, first + _PORTS), 0]:
+            try:
+                server = await websockets.asyncio.server.serve(
+                    self._pass_on,
+                    self._host,
+                    port,
+                    process_request=self._answer,
+                    select_subprotocol=lambda _, offered: offered[0] if offered else None,
+                    compression=None,
+                    max_size=None,
+                )
+            except OSError as error:
+                self._error = error
+                continue
+            self._error, self.port = None, server.sockets[0].getsockname()[1]
+            self._ready.set()
+            await self._stop.wait()
+            server.close()
+            return
+        self._ready.set()
+
+    def _answer(self, _: websockets.asyncio.server.ServerConnection, request: Request) -> Response | None:
+        """Serve a page; None lets a web socket through."""
+        if not admits(request, self._token):
+            return _response(http.HTTPStatus.FORBIDDEN, b"open the address that `cagemap studio` printed")
+        path = urlsplit(request.path).path
+        if request.headers.get("Upgrade", "").lower() == "websocket":
+            known = path.strip("/") in self._ports
+            return None if known else _response(http.HTTPStatus.NOT_FOUND, b"not found")
+        if path not in self._files:
+            return _response(http.HTTPStatus.NOT_FOUND, b"not found")
+        cookie = f"{COOKIE}={self._token}; Path=/; HttpOnly; SameSite=Strict" if self._token else None
+        return _response(http.HTTPStatus.OK, self._files[path], cookie)
+
+    async def _pass_on(self, page: websockets.asyncio.server.ServerConnection) -> None:
+        """Both directions of one connection, until either ends."""
+        assert page.request is not None
+        port = self._ports[urlsplit(page.request.path).path.strip("/")]
+        offered = None if page.subprotocol is None else [Subprotocol(page.subprotocol)]
+        async with websockets.asyncio.client.connect(
+            f"ws://127.0.0.1:{port}/", subprotocols=offered, compression=None, max_size=None
+        ) as inside:
+            both = [asyncio.create_task(_pump(page, inside)), asyncio.create_task(_pump(inside, page))]
+            await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
+            for task in both:
+                task.cancel()
+
+
+_Socket = websockets.asyncio.server.ServerConnection | websockets.asyncio.client.ClientConnection
+
+
+async def _pump(here: _Socket, there: _Socket) -> None:
+    async for message in here:
+        await there.send(message)
+
+
+def _pages() -> dict[str, bytes]:
+    """Everything that is served as a file: the frame, and viser's own page for each side."""
+    frame = resources.files("cagemap.studio.page").joinpath("frame.html").read_bytes()
+    client = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_bytes()
+    return {"/": frame} | {f"/{side}/": client for side in SIDES}
+
+
+def _response(status: http.HTTPStatus, body: bytes, cookie: str | None = None) -> Response:
+    headers = Headers(
+        {
+            "Content-Type": "text/html; charset=utf-8",
+            "Content-Length": str(len(body)),
+            "Connection": "close",
+            "Cache-Control": "no-store",
+            "Referrer-Policy": "no-referrer",
+            "X-Frame-Options": "SAMEORIGIN",
+        }
+    )
+    if cookie is not None:
+        headers["Set-Cookie"] = cookie
+    return Response(status.value, status.phrase, headers, body)

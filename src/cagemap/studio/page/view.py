@@ -1,0 +1,207 @@
+"""One model in its frame: skin, cage, landmarks, clicks, and the camera that both frames may share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import viser
+
+from cagemap.numerics.arrays import FloatArray
+from cagemap.studio.landmarks import Place, Side
+from cagemap.studio.page.colors import Color, landmark_color
+from cagemap.studio.scene import Scene
+from cagemap.studio.session import Session
+from cagemap.studio.shape import Shape
+from cagemap.studio.state import Studio
+
+# Of a model's radius.
+MARKER = 0.016
+SELECTED_MARKER = 0.026
+LABEL_HEIGHT = 0.05
+DISTANCE = 2.6
+CAGE_COLOR = (90, 170, 255)
+CONTRADICTED: Color = (255, 30, 30)
+# A click whose ray passes a marker this closely, in its radii, selects it.
+_GRIP = 1.6
+# Rays start this far before a marker: what lies behind the model's surface cannot be clicked.
+_BEHIND = 0.06
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A landmark's end, as it is drawn."""
+
+    number: int
+    label: str
+    position: tuple[float, float, float]
+    color: Color
+    radius: float
+    solid: bool
+
+
+def markers_of(state: Studio, shape: Shape, side: Side, proposed: tuple[int, Side, Place] | None) -> dict[int, Marker]:
+    """Markers of one model: every landmark that has a place there, and what the map proposes for the open one."""
+    made = {}
+    for item in state.history.present.items:
+        place, solid = item.on(side), True
+        if place is None and proposed is not None and proposed[:2] == (item.number, side):
+            place, solid = proposed[2], False
+        if place is None:
+            continue
+        wrong = item.name in state.map.contradictions
+        x, y, z = shape.to_view(np.array(place.position)).tolist()
+        made[item.number] = Marker(
+            item.number,
+            f"{item.number} !" if wrong else str(item.number) + ("" if solid else " ?"),
+            (x, y, z),
+            CONTRADICTED if wrong else landmark_color(item.number),
+            SELECTED_MARKER if item.number == state.selected else MARKER,
+            solid,
+        )
+    return made
+
+
+class ModelView:
+    """One of the two frames.
+
+    Parameters
+    ----------
+    server : viser.ViserServer
+    side : str
+    session : Session
+    """
+
+    def __init__(self, server: viser.ViserServer, side: Side, session: Session) -> None:
+        self.server, self.side, self._session = server, side, session
+        self._skin: bytes | None = None
+        self._skin_node: Any = None
+        self._count = 0
+        self._shape: Shape | None = None
+        self._cage: Any = None
+        self._probe: Any = None
+        self._markers: dict[int, tuple[Marker, Any, Any]] = {}
+        server.scene.set_up_direction("+y")
+        server.scene.world_axes.visible = False
+        server.initial_camera.position = (0.9, 0.7, DISTANCE)
+        server.initial_camera.look_at = (0.0, 0.0, 0.0)
+        server.initial_camera.near = 0.005
+        server.scene.on_click()(self._clicked)
+
+    def refresh(self, state: Studio, scene: Scene | None) -> None:
+        """Show the state as it is now."""
+        if scene is None:
+            return
+        shape = scene.shape(self.side)
+        with self.server.atomic():
+            if self._shape is not shape:
+                self._shape = shape
+                self._show_cage(shape)
+            self._show_skin(scene.skins[0 if self.side == "target" else 1])
+            self._cage.visible = state.view.cages
+            self._show_markers(markers_of(state, shape, self.side, self._session.proposal()))
+
+    def show_probe(self, position: FloatArray | None) -> None:
+        """Point at a place (in file units) that the other frame asked about."""
+        if position is None or self._shape is None:
+            if self._probe is not None:
+                self._probe.remove()
+                self._probe = None
+            return
+        point = self._shape.to_view(position)
+        self._probe = self.server.scene.add_icosphere(
+            "/probe", radius=0.02, color=(255, 255, 255), position=point, cast_shadow=False, receive_shadow=False
+        )
+
+    def _show_skin(self, skin: bytes) -> None:
+        if skin is self._skin:
+            return
+        self._count += 1
+        old, self._skin = self._skin_node, skin
+        self._skin_node = self.server.scene.add_glb(
+            f"/skin/{self._count}", skin, cast_shadow=False, receive_shadow=False
+        )
+        if old is not None:
+            old.remove()
+
+    def _show_cage(self, shape: Shape) -> None:
+        points = shape.to_view(shape.edges).astype(np.float32)
+        self._cage = self.server.scene.add_line_segments(
+            "/cage", points, colors=CAGE_COLOR, thickness=1.0, visible=False
+        )
+
+    def _show_markers(self, wanted: dict[int, Marker]) -> None:
+        for number in [number for number in self._markers if number not in wanted]:
+            for node in self._markers.pop(number)[1:]:
+                node.remove()
+        for number, marker in wanted.items():
+            old = self._markers.get(number)
+            if old is not None and old[0] == marker:
+                continue
+            self._markers[number] = (marker, *self._draw(marker))
+
+    def _draw(self, marker: Marker) -> tuple[Any, Any]:
+        ball = self.server.scene.add_icosphere(
+            f"/landmarks/{marker.number}",
+            radius=marker.radius,
+            color=marker.color,
+            opacity=None if marker.solid else 0.5,
+            position=marker.position,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        label = self.server.scene.add_label(
+            f"/labels/{marker.number}",
+            marker.label,
+            position=marker.position,
+            font_size_mode="scene",
+            font_scene_height=LABEL_HEIGHT,
+            depth_test=True,
+            anchor="bottom-left",
+        )
+        if marker.solid:
+            ball.on_drag("left")(self._dragger(marker.number))
+        return ball, label
+
+    def _clicked(self, event: viser.SceneClickEvent) -> None:
+        origin, direction = np.array(event.ray_origin), np.array(event.ray_direction)
+        number = self._marker_under(origin, direction)
+        if number is not None:
+            self._session.select(number)
+        else:
+            self._session.click(self.side, origin, direction)
+
+    def _marker_under(self, origin: FloatArray, direction: FloatArray) -> int | None:
+        """Landmark whose marker a ray meets, in front of the model."""
+        if self._shape is None:
+            return None
+        place = self._session.place_under(self.side, origin, direction)
+        far = np.inf
+        if place is not None:
+            far = float(np.linalg.norm(self._shape.to_view(np.array(place.position)) - origin)) + _BEHIND
+        best: tuple[float, int] | None = None
+        for number, (marker, *_) in self._markers.items():
+            offset = np.array(marker.position) - origin
+            along = float(offset @ direction)
+            away = float(np.linalg.norm(offset - along * direction))
+            if marker.solid and 0 < along < far and away < _GRIP * marker.radius and (best is None or away < best[0]):
+                best = away, number
+        return None if best is None else best[1]
+
+    def _dragger(self, number: int) -> Callable[[viser.SceneNodeDragEvent[Any]], None]:
+        def dragged(event: viser.SceneNodeDragEvent[Any]) -> None:
+            origin = np.array(event.client.camera.position)
+            direction = np.array(event.end_position) - origin
+            place = self._session.place_under(self.side, origin, direction / np.linalg.norm(direction))
+            if place is None or self._shape is None:
+                return
+            if event.phase == "end":
+                self._session.move(number, self.side, place)
+            elif number in self._markers:
+                position = self._shape.to_view(np.array(place.position))
+                for node in self._markers[number][1:]:
+                    node.position = position
+
+        return dragged

@@ -1,0 +1,416 @@
+"""The one state that all pages show, and everything that may be done to it."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import logging
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from cagemap.errors import CagemapError, ParameterError
+from cagemap.files.atomic import atomic_path
+from cagemap.numerics.arrays import FloatArray
+from cagemap.studio import landmarks as edit
+from cagemap.studio.bench import Dress, Dressed, FindMap, Found, Opened, OpenModels
+from cagemap.studio.finish import Command, FinishOptions, Runner, commands
+from cagemap.studio.landmark_files import load_landmarks, save_landmarks
+from cagemap.studio.landmarks import History, LandmarkList, Place, Side
+from cagemap.studio.scene import Scene, carried_place, mirrored
+from cagemap.studio.shape import pick, place_of
+from cagemap.studio.state import Files, Job, MapState, Output, Studio, View, with_message
+from cagemap.studio.worker import Failure, Worker
+from cagemap.studio.workspace import Workspace, autosave_path, read_autosave, write_autosave
+
+log = logging.getLogger(__name__)
+
+Listener = Callable[[Studio, Scene | None], None]
+# Two pairs leave a rotation about their axis undecided.
+FEWEST_LANDMARKS = 3
+
+
+class Session:
+    """Holds the state; every method may be called from any thread, and none of them waits for a computation.
+
+    Parameters
+    ----------
+    workspace : Workspace
+    vertices : int
+        Of each previewed surface, about.
+    """
+
+    def __init__(self, workspace: Workspace, vertices: int) -> None:
+        self.workspace = workspace
+        self._vertices = vertices
+        self._lock = threading.RLock()
+        self._wake = threading.Condition(self._lock)
+        self._state = Studio()
+        self._scene: Scene | None = None
+        self._listeners: list[Listener] = []
+        self._opening: OpenModels | None = None
+        self._finding: bool | None = None  # None: nothing to find; True: from the start
+        self._dressing = False
+        self._closed = False
+        self._runner = Runner()
+        self._worker = Worker(self._on_stage)
+        self._worker.start()
+        threading.Thread(target=self._compute, name="studio preview", daemon=True).start()
+
+    # What pages read
+
+    @property
+    def state(self) -> Studio:
+        """The state now."""
+        return self._state
+
+    @property
+    def scene(self) -> Scene | None:
+        """Models and map now."""
+        return self._scene
+
+    def subscribe(self, listener: Listener) -> None:
+        """Have a function told of every change, after it."""
+        with self._lock:
+            self._listeners.append(listener)
+            listener(self._state, self._scene)
+
+    # Files
+
+    def open(self, files: Files) -> None:
+        """Open two models; landmarks come from the autosave where there is one, else from their file."""
+        with self._guarded():
+            for path in (files.target, files.source, files.texture, files.landmarks, files.result):
+                if path is not None:
+                    self.workspace.require(path)
+            with self._lock:
+                self._scene = None
+                self._change(files=files, history=History(), selected=None, map=MapState(), outputs=(), saved=True)
+                self._opening = OpenModels(files.target, files.source, files.texture, self._vertices, self._state.view)
+                self._finding = None
+                self._wake.notify()
+
+    def save(self, path: Path | None = None) -> None:
+        """Write the landmarks that both models have."""
+        with self._guarded(), self._lock:
+            files, scene = self._open()
+            target = files.landmarks if path is None else self.workspace.require(path)
+            save_landmarks(target, self._state.history.present.complete, scene, files)
+            self._change(files=replace(files, landmarks=target), saved=True)
+            autosave_path(files.landmarks).unlink(missing_ok=True)
+            self._say("note", f"saved {self.workspace.show(target)}")
+
+    def load(self, path: Path) -> None:
+        """Replace the landmarks by those of a file; undo brings the old ones back."""
+        with self._guarded(), self._lock:
+            files, scene = self._open()
+            file = self.workspace.require(path)
+            landmarks, notes = load_landmarks(file, scene, files)
+            self._edit(landmarks)
+            for note in notes:
+                self._say("note", note)
+
+    def save_as(self, name: str) -> None:
+        """Write the landmarks to a file of that name, or where they were opened."""
+        self.save(Path(name) if name.strip() else None)
+
+    def add_file(self, name: str, content: bytes) -> bool:
+        """Put a file into the first folder, under a name that is free."""
+        with self._guarded():
+            file = self.workspace.require(Path(name).name)
+            free = next(path for path in _names_like(file) if not path.exists())
+            with atomic_path(free) as temporary:
+                temporary.write_bytes(content)
+            self._say("note", f"added {free.name}")
+            return True
+        return False
+
+    def report(self, error: CagemapError) -> None:
+        """Show an error."""
+        self._say("error", f"{type(error).__name__}: {error}")
+
+    # Landmarks
+
+    def click(self, side: Side, origin: FloatArray, direction: FloatArray) -> None:
+        """Place a landmark where a ray meets a model."""
+        with self._guarded(), self._lock:
+            place = self.place_under(side, origin, direction)
+            if place is not None:
+                self._edit(edit.place(self._state.history.present, side, place), select=True)
+
+    def place_under(self, side: Side, origin: FloatArray, direction: FloatArray) -> Place | None:
+        """Place on a model that a ray of the view meets first."""
+        scene = self._scene
+        hit = None if scene is None else pick(scene.shape(side), origin, direction)
+        return None if scene is None or hit is None else place_of(scene.shape(side), hit)
+
+    def proposal(self) -> tuple[int, Side, Place] | None:
+        """Number, missing side and place that the map proposes for the landmark that waits for its other place."""
+        waiting, scene = self._state.history.present.open, self._scene
+        if waiting is None or scene is None:
+            return None
+        missing: Side = "source" if waiting.source is None else "target"
+        given = waiting.on(edit.other(missing))
+        place = None if given is None else carried_place(scene, edit.other(missing), given)
+        return None if place is None else (waiting.number, missing, place)
+
+    def accept(self) -> None:
+        """Complete the open landmark where the map proposes."""
+        with self._guarded(), self._lock:
+            proposed = self.proposal()
+            if proposed is None:
+                raise ParameterError("expected a landmark that waits for its other place, and a map; click a model")
+            self._edit(edit.move(self._state.history.present, *proposed))
+
+    def move(self, number: int, side: Side, place: Place) -> None:
+        """Move one end of a landmark."""
+        self._edit(edit.move(self._state.history.present, number, side, place))
+
+    def remove(self, number: int) -> None:
+        """Leave a landmark out."""
+        self._edit(edit.remove(self._state.history.present, number))
+
+    def rename(self, number: int, name: str) -> None:
+        """Give a landmark another name."""
+        self._edit(edit.rename(self._state.history.present, number, name))
+
+    def mirror(self, number: int) -> None:
+        """Add the counterpart of a landmark across both models' mirror planes."""
+        with self._guarded(), self._lock:
+            _, scene = self._open()
+            before = self._state.history.present
+            after = edit.mirror(before, number, lambda side, place: mirrored(scene, side, place))
+            if after == before:
+                raise ParameterError(
+                    "mirror: expected a complete landmark beside the mirror plane of two symmetric models; "
+                    "this one lies on it, or a model has none. Place the counterpart by hand."
+                )
+            self._edit(after)
+
+    def undo(self) -> None:
+        """One step back."""
+        with self._lock:
+            self._set_history(self._state.history.undo())
+
+    def redo(self) -> None:
+        """One step forward again."""
+        with self._lock:
+            self._set_history(self._state.history.redo())
+
+    def select(self, number: int | None) -> None:
+        """Select a landmark."""
+        self._change(selected=number)
+
+    # View and map
+
+    def show(self, view: View) -> None:
+        """Show the models in another way."""
+        with self._lock:
+            before = self._state.view
+            self._change(view=view)
+            if (view.mode, view.doubts) != (before.mode, before.doubts) and self._scene is not None:
+                self._dressing = True
+                self._wake.notify()
+
+    def match_again(self) -> None:
+        """Compute the map from the start, with the landmarks there are."""
+        self._find(fresh=True)
+
+    def cancel_preview(self) -> None:
+        """Stop the preview's computation."""
+        with self._lock:
+            if self._state.preview_job is not None:
+                self._worker.stop()
+
+    # Finish
+
+    def plan(self, options: FinishOptions) -> tuple[Command, ...]:
+        """The commands that a finish would run."""
+        files, _ = self._open()
+        for path in (options.displacement, options.attribute):
+            if path is not None:
+                self.workspace.require(path)
+        return commands(files, options, landmarks=bool(self._state.history.present.complete))
+
+    def finish(self, options: FinishOptions) -> None:
+        """Map at full resolution, bake and report; saves the landmarks first."""
+        with self._guarded(), self._lock:
+            if self._state.finish_job is not None:
+                raise ParameterError("expected no finish to be running; cancel it or wait for its end")
+            todo = self.plan(options)
+            if self._state.history.present.complete:
+                self.save()
+            self._change(finish_job=Job("finish", "starting", 0.0, can_cancel=True), outputs=())
+        threading.Thread(target=self._finish, args=(todo,), name="studio finish", daemon=True).start()
+
+    def cancel_finish(self) -> None:
+        """End the finish; what was written whole stays."""
+        self._runner.cancel()
+
+    def close(self) -> None:
+        """End every computation; the autosave holds what was not saved."""
+        with self._lock:
+            self._closed = True
+            self._wake.notify()
+        self._runner.cancel()
+        self._worker.stop()
+
+    # Inside
+
+    def _finish(self, todo: tuple[Command, ...]) -> None:
+        def on_stage(number: int, stage: str) -> None:
+            self._change(finish_job=Job("finish", stage, number / len(todo), can_cancel=True))
+
+        def on_output(output: Output) -> None:
+            with self._lock:
+                self._change(outputs=(*self._state.outputs, output))
+
+        words = self._runner.run(todo, on_stage, on_output)
+        self._change(finish_job=None)
+        if words is not None:
+            self._say("error", words)
+        else:
+            self._say("note", "finished")
+
+    def _compute(self) -> None:
+        """Loop of the preview's thread: the newest wish of each kind, opening first."""
+        while True:
+            with self._lock:
+                while not (self._closed or self._opening or self._finding is not None or self._dressing):
+                    self._wake.wait()
+                if self._closed:
+                    return
+                task: OpenModels | FindMap | Dress
+                if self._opening is not None:
+                    task, self._opening = self._opening, None
+                elif self._finding is not None:
+                    complete = self._state.history.present.complete
+                    task, self._finding = FindMap(complete, self._state.view, fresh=self._finding), None
+                    self._dressing = False
+                else:
+                    task, self._dressing = Dress(self._state.view), False
+                title = {OpenModels: "opening the models", FindMap: "finding the map"}.get(type(task), "drawing")
+                self._change(preview_job=Job(title, can_cancel=True))
+            answer = self._worker.run(task)
+            with self._lock:
+                self._change(preview_job=None)
+                with self._guarded():
+                    self._receive(task, answer)
+
+    def _receive(self, task: OpenModels | FindMap | Dress, answer: object) -> None:
+        """Take in what the worker gave."""
+        match answer:
+            case Failure():
+                if not self._closed:
+                    self._say("error", f"{answer.kind}: {answer.message}")
+                if answer.kind == "Stopped" and self._scene is not None and not self._closed:
+                    self._reopen()
+            case Opened():
+                self._scene = Scene(answer.target, answer.source, answer.mirrors, answer.skins)
+                self._change()
+                self._first_landmarks()
+            case Found() if self._scene is not None:
+                self._scene = replace(self._scene, images=answer.images, skins=(answer.skin, self._scene.skins[1]))
+                found = replace(
+                    self._state.map,
+                    revision=self._state.map.revision + 1,
+                    strain=answer.strain,
+                    contradictions=answer.contradictions,
+                    notes=answer.notes,
+                    seconds=answer.seconds,
+                )
+                self._change(map=found)
+            case Dressed() if self._scene is not None:
+                self._scene = replace(self._scene, skins=answer.skins)
+                self._change()
+            case _:
+                log.warning("unexpected answer %r to %r", type(answer), type(task))
+
+    def _reopen(self) -> None:
+        """Give a new process of the worker what the old one knew."""
+        files, _ = self._open()
+        # The landmarks stay: only the first opening reads them.
+        self._opening = OpenModels(files.target, files.source, files.texture, self._vertices, self._state.view)
+        self._wake.notify()
+
+    def _first_landmarks(self) -> None:
+        """Landmarks of newly opened models: what a killed studio left unsaved, else what the file holds."""
+        files, scene = self._open()
+        if len(self._state.history.present):
+            self._find(fresh=True)
+            return
+        kept = autosave_path(files.landmarks)
+        if kept.is_file():
+            self._change(history=History(read_autosave(kept)), saved=False)
+            self._say("note", f"recovered unsaved landmarks of {files.landmarks.name}")
+        elif files.landmarks.is_file():
+            landmarks, notes = load_landmarks(files.landmarks, scene, files)
+            self._change(history=History(landmarks), saved=True)
+            for note in notes:
+                self._say("note", note)
+        self._find(fresh=True)
+
+    def _edit(self, landmarks: LandmarkList, *, select: bool = False) -> None:
+        with self._lock:
+            self._set_history(self._state.history.then(landmarks))
+            if select and landmarks.items:
+                self._change(selected=(landmarks.open or landmarks.items[-1]).number)
+
+    def _set_history(self, history: History) -> None:
+        before = self._state.history.present
+        if history == self._state.history:
+            return
+        self._change(history=history, saved=False)
+        if history.present.get(self._state.selected) is None:
+            self._change(selected=None)
+        if self._state.files is not None:
+            with self._guarded():
+                write_autosave(autosave_path(self._state.files.landmarks), history.present)
+        if history.present.complete != before.complete:
+            self._find(fresh=False)
+
+    def _find(self, *, fresh: bool) -> None:
+        """Ask for a map; an update is enough where there is one."""
+        with self._lock:
+            enough = len(self._state.history.present.complete) >= FEWEST_LANDMARKS
+            if self._scene is not None and enough:
+                self._finding = fresh or bool(self._finding)
+                self._wake.notify()
+
+    def _open(self) -> tuple[Files, Scene]:
+        if self._state.files is None or self._scene is None:
+            raise ParameterError("expected two open models, there are none yet. Choose a target and a source.")
+        return self._state.files, self._scene
+
+    def _on_stage(self, stage: str) -> None:
+        job = self._state.preview_job
+        if job is not None:
+            self._change(preview_job=replace(job, stage=stage))
+
+    def _say(self, kind: str, text: str) -> None:
+        with self._lock:
+            self._change(messages=with_message(self._state.messages, "error" if kind == "error" else "note", text))
+
+    def _change(self, **fields: object) -> None:
+        with self._lock:
+            self._state = replace(self._state, **fields)  # type: ignore[arg-type]
+            for listener in self._listeners:
+                listener(self._state, self._scene)
+
+    @contextlib.contextmanager
+    def _guarded(self) -> Iterator[None]:
+        """Turn errors into messages of the page."""
+        try:
+            yield
+        except CagemapError as error:
+            self.report(error)
+        except OSError as error:
+            self._say("error", f"{error.filename or 'file'}: {error.strerror or error}")
+
+
+def _names_like(file: Path) -> Iterator[Path]:
+    """The name, then the name with numbers behind it."""
+    yield file
+    for number in itertools.count(2):
+        yield file.with_stem(f"{file.stem} ({number})")

@@ -1,0 +1,194 @@
+"""What covers a model in the view: the source's look on the source, and through the map on the target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.files.images import Pixels
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.pictures.colors import position_colors, to_linear
+from cagemap.studio.glb import Primitive, glb
+from cagemap.studio.shape import Shape
+from cagemap.studio.state import Mode
+
+CLAY = np.array([0.42, 0.41, 0.40])
+DOUBT = np.array([0.85, 0.02, 0.02])
+DOUBT_OPACITY = 0.45
+# Trust below which a place is marked.
+DOUBTFUL = 0.5
+# Doubtful triangles float this far above the model, of its radius.
+_LIFT = 0.004
+CHECKER_CELLS = 24
+# Largest difference between a corner's texture coordinates and those predicted from the next one, relative to the
+# predicted step: beyond it a seam lies between.
+_SEAM = 0.6
+
+
+@dataclass(frozen=True)
+class Look:
+    """Materials of the source.
+
+    Attributes
+    ----------
+    texture : (h, w, c) array or None
+        As displayed, 8 bits.
+    encoded : bytes or None
+        The same as a JPEG file.
+    colors : (faces, 3) float64 or None
+        Linear material colours of the control faces.
+    """
+
+    texture: Pixels | None = None
+    encoded: bytes | None = None
+    colors: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class Images:
+    """Where a map takes the vertices of a target shape on the source shape.
+
+    Attributes
+    ----------
+    triangle : (n,) int64
+    barycentric : (n, 3) float64
+    trust : (n,) float64
+    """
+
+    triangle: IndexArray
+    barycentric: FloatArray
+    trust: FloatArray
+
+    def on(self, triangles: IndexArray, values: FloatArray) -> FloatArray:
+        """Evaluate values at the corners of source triangles where the map takes every vertex."""
+        return np.asarray(np.einsum("nc,ncd->nd", self.barycentric, values[triangles[self.triangle]]))
+
+
+def source_skin(shape: Shape, look: Look, mode: Mode) -> bytes:
+    """The source in its own look, or painted with a pattern; a binary glTF file in view coordinates."""
+    if mode == "texture" and look.encoded is not None and shape.uvs is not None and shape.uv_triangles is not None:
+        return glb([_split_at_seams(shape, shape.uvs, shape.uv_triangles)], look.encoded)
+    return glb([_painted(shape, _vertex_pattern(shape, mode)) if mode in ("colours", "checker") else _own(shape, look)])
+
+
+def target_skin(
+    shape: Shape, own: Look, mode: Mode, source: Shape, look: Look, images: Images | None, *, doubts: bool
+) -> bytes:
+    """The target as it is, or with the source's look through the map; a binary glTF file in view coordinates."""
+    if images is None or mode == "plain":
+        return glb([_own(shape, own)])
+    doubtful = [_doubtful(shape, images)] if doubts else []
+    if mode == "texture" and look.encoded is not None and source.uvs is not None and source.uv_triangles is not None:
+        uvs = images.on(source.uv_triangles, source.uvs)
+        crossing = crossing_triangles(shape, source, images, uvs)
+        inner, seam = (_part(shape, shape.triangles[chosen]) for chosen in (~crossing, crossing))
+        textured = Primitive(*inner[:3], uvs=uvs[inner[3]])
+        colored = Primitive(*seam[:3], colors=texture_colors(look, uvs[seam[3]]))
+        return glb([textured, colored, *doubtful], look.encoded)
+    if mode == "texture":
+        if look.colors is None:
+            return glb([_own(shape, own), *doubtful])
+        corners = shape.triangles
+        faces = source.faces[images.triangle[corners]]  # (t, 3)
+        votes = np.where(faces[:, 1] == faces[:, 2], faces[:, 1], faces[:, 0])
+        return glb([_flat(shape, look.colors[votes]), *doubtful])
+    return glb([_painted(shape, images.on(source.triangles, _vertex_pattern(source, mode))), *doubtful])
+
+
+def crossing_triangles(shape: Shape, source: Shape, images: Images, uvs: FloatArray) -> NDArray[np.bool_]:
+    """(t,) target triangles with a seam of the source's layout between the images of their corners.
+
+    The layout is affine on every source triangle; going on from one corner by it must lead near the next corner's
+    texture coordinates.
+    """
+    assert source.uvs is not None
+    assert source.uv_triangles is not None
+    places = images.on(source.triangles, source.positions)
+    corners = shape.triangles
+    crossing = np.zeros(len(corners), dtype=bool)
+    jacobians = _layout_jacobians(source)
+    for k in range(3):
+        here, there = corners[:, k], corners[:, (k + 1) % 3]
+        step = places[there] - places[here]
+        predicted = np.einsum("tij,tj->ti", jacobians[images.triangle[here]], step)
+        missed = np.linalg.norm(uvs[there] - uvs[here] - predicted, axis=1)
+        crossing |= missed > _SEAM * np.linalg.norm(predicted, axis=1) + 0.01
+    return crossing
+
+
+def texture_colors(look: Look, uvs: FloatArray) -> FloatArray:
+    """(n, 3) linear colours of the texture at texture coordinates, nearest texel."""
+    assert look.texture is not None
+    height, width = look.texture.shape[:2]
+    column = np.floor(uvs[:, 0] % 1.0 * width).astype(np.int64).clip(0, width - 1)
+    row = np.floor((1.0 - uvs[:, 1]) % 1.0 * height).astype(np.int64).clip(0, height - 1)
+    return to_linear(look.texture[row, column, :3] / 255.0)
+
+
+def _layout_jacobians(source: Shape) -> FloatArray:
+    """(t, 2, 3) differential of the texture coordinates on every triangle."""
+    assert source.uvs is not None
+    assert source.uv_triangles is not None
+    corners, layout = source.positions[source.triangles], source.uvs[source.uv_triangles]
+    edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)  # (t, 3, 2)
+    steps = np.stack([layout[:, 1] - layout[:, 0], layout[:, 2] - layout[:, 0]], axis=2)  # (t, 2, 2)
+    gram = np.einsum("tij,tik->tjk", edges, edges)
+    determinant = gram[:, 0, 0] * gram[:, 1, 1] - gram[:, 0, 1] ** 2
+    inverse = np.empty_like(gram)
+    inverse[:, 0, 0], inverse[:, 1, 1] = gram[:, 1, 1], gram[:, 0, 0]
+    inverse[:, 0, 1] = inverse[:, 1, 0] = -gram[:, 0, 1]
+    inverse /= np.maximum(determinant, np.finfo(np.float64).tiny)[:, None, None]
+    return np.asarray(np.einsum("tij,tjk,tlk->til", steps, inverse, edges))
+
+
+def _vertex_pattern(shape: Shape, mode: Mode) -> FloatArray:
+    """(n, 3) linear colours of a pattern that positions on the shape decide."""
+    cells = CHECKER_CELLS if mode == "checker" else 0
+    colors = position_colors(shape.positions, shape.positions, cells=0)
+    if cells:
+        steps = np.floor(shape.to_view(shape.positions) * (cells / 2)).astype(np.int64).sum(axis=1)
+        colors = np.where((steps % 2 == 0)[:, None], 0.25 + 0.7 * colors, 0.25 * colors)
+    return to_linear(colors)
+
+
+def _own(shape: Shape, look: Look) -> Primitive:
+    if look.colors is not None:
+        return _flat(shape, look.colors[shape.faces])
+    return _painted(shape, np.broadcast_to(CLAY, shape.positions.shape))
+
+
+def _painted(shape: Shape, colors: FloatArray) -> Primitive:
+    return Primitive(shape.to_view(shape.positions), shape.normals, shape.triangles, colors=colors)
+
+
+def _flat(shape: Shape, colors: FloatArray) -> Primitive:
+    """One colour a triangle."""
+    corners = shape.triangles.ravel()
+    points, normals = shape.to_view(shape.positions)[corners], shape.normals[corners]
+    return Primitive(points, normals, np.arange(len(corners)).reshape(-1, 3), colors=np.repeat(colors, 3, axis=0))
+
+
+def _split_at_seams(shape: Shape, uvs: FloatArray, uv_triangles: IndexArray) -> Primitive:
+    """One vertex for every pair of vertex and texture coordinates that occurs."""
+    keys = shape.triangles.ravel() * len(uvs) + uv_triangles.ravel()
+    pairs, corners = np.unique(keys, return_inverse=True)
+    vertices, texture = np.divmod(pairs, len(uvs))
+    points = shape.to_view(shape.positions)[vertices]
+    return Primitive(points, shape.normals[vertices], corners.reshape(-1, 3), uvs=uvs[texture])
+
+
+def _doubtful(shape: Shape, images: Images) -> Primitive:
+    """Triangles where the map is in doubt, a little above the model."""
+    chosen = (images.trust[shape.triangles] < DOUBTFUL).sum(axis=1) >= 2
+    points, normals, triangles, _ = _part(shape, shape.triangles[chosen])
+    colors = np.broadcast_to(DOUBT, points.shape)
+    return Primitive(points + _LIFT * normals, normals, triangles, colors=colors, opacity=DOUBT_OPACITY)
+
+
+def _part(shape: Shape, triangles: IndexArray) -> tuple[FloatArray, FloatArray, IndexArray, IndexArray]:
+    """Positions, normals and renumbered triangles of some triangles, and the vertices that they use."""
+    vertices, corners = np.unique(triangles, return_inverse=True)
+    points = shape.to_view(shape.positions[vertices])
+    return points, shape.normals[vertices], corners.reshape(-1, 3), vertices

@@ -1,0 +1,177 @@
+"""What the studio knows, as one frozen value that every page shows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from cagemap.studio.landmarks import History
+
+Mode = Literal["texture", "colours", "checker", "plain"]
+MODES: tuple[Mode, ...] = ("texture", "colours", "checker", "plain")
+# Messages that stay in the page; older ones go.
+MOST_MESSAGES = 5
+
+
+@dataclass(frozen=True)
+class Files:
+    """What is open.
+
+    Attributes
+    ----------
+    target, source : Path
+        Control meshes.
+    texture : Path or None
+        Image over the source's UVs.
+    landmarks : Path
+        Where landmarks are saved.
+    result : Path
+        RESULT folder of the finish.
+    """
+
+    target: Path
+    source: Path
+    texture: Path | None
+    landmarks: Path
+    result: Path
+
+
+@dataclass(frozen=True)
+class View:
+    """How the models are shown.
+
+    Attributes
+    ----------
+    mode : str
+        "texture": the source's image, on the target through the map; "colours" and "checker": a pattern of the source,
+        there and through the map; "plain": each model as it is.
+    cages : bool
+        Control meshes as lines.
+    doubts : bool
+        Doubtful places of the map in red.
+    linked : bool
+        Turning one model turns the other.
+    """
+
+    mode: Mode = "texture"
+    cages: bool = False
+    doubts: bool = True
+    linked: bool = True
+
+
+@dataclass(frozen=True)
+class MapState:
+    """The map as far as it is known.
+
+    Attributes
+    ----------
+    revision : int
+        Counts maps; 0 while there is none.
+    answers : tuple of str
+        The landmark-free answers, best first; empty where landmarks decided.
+    chosen : int
+        Which answer the map started from.
+    confidence : str
+        What the search says about the first answer.
+    strain : dict of str to float
+        Per landmark name: how far the map would move it if let go, of the model's size.
+    contradictions : dict of str to str
+        Landmark pairs that contradict the others, and why.
+    notes : tuple of str
+        Warnings of the map.
+    seconds : float
+        What the last map took.
+    """
+
+    revision: int = 0
+    answers: tuple[str, ...] = ()
+    chosen: int = 0
+    confidence: str = ""
+    strain: dict[str, float] = field(default_factory=dict)
+    contradictions: dict[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class Job:
+    """Something that runs.
+
+    Attributes
+    ----------
+    title : str
+        What it is, for people.
+    stage : str
+        What it does now.
+    fraction : float or None
+        Done, from 0 to 1, where known.
+    can_cancel : bool
+    """
+
+    title: str
+    stage: str = ""
+    fraction: float | None = None
+    can_cancel: bool = False
+
+
+@dataclass(frozen=True)
+class Message:
+    """A line for the user.
+
+    Attributes
+    ----------
+    kind : str
+        "error" or "note".
+    text : str
+    """
+
+    kind: Literal["error", "note"]
+    text: str
+
+
+@dataclass(frozen=True)
+class Output:
+    """A file that the finish wrote, or its RESULT folder."""
+
+    path: Path
+    what: str
+
+
+@dataclass(frozen=True)
+class Studio:
+    """All of it.
+
+    Attributes
+    ----------
+    files : Files or None
+        None until two models are chosen.
+    history : History
+    selected : int or None
+        Number of the selected landmark.
+    view : View
+    map : MapState
+    jobs : tuple of Job
+        By slot: the preview's computation first, then the finish.
+    messages : tuple of Message
+    outputs : tuple of Output
+    saved : bool
+        Whether the landmark file holds the landmarks as they are.
+    """
+
+    files: Files | None = None
+    history: History = field(default_factory=History)
+    selected: int | None = None
+    view: View = View()
+    map: MapState = MapState()
+    preview_job: Job | None = None
+    finish_job: Job | None = None
+    messages: tuple[Message, ...] = ()
+    outputs: tuple[Output, ...] = ()
+    saved: bool = True
+
+
+def with_message(messages: tuple[Message, ...], kind: Literal["error", "note"], text: str) -> tuple[Message, ...]:
+    """Return the messages with one more; one that is there already moves to the end."""
+    new = Message(kind, text)
+    return (*(old for old in messages if old != new), new)[-MOST_MESSAGES:]

@@ -1,0 +1,132 @@
+"""A process of its own for everything that takes longer than a click, so that the page always answers."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Any
+
+from cagemap.errors import CagemapError
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A computation that ended with an error.
+
+    Attributes
+    ----------
+    kind : str
+        The error's class.
+    message : str
+        What it says.
+    """
+
+    kind: str
+    message: str
+
+
+@dataclass(frozen=True)
+class _Stage:
+    name: str
+
+
+@dataclass(frozen=True)
+class _Done:
+    answer: Any
+
+
+class Worker:
+    """Runs one task after the other in a process that can be killed.
+
+    Parameters
+    ----------
+    on_stage : callable
+        Told what a task does now.
+    """
+
+    def __init__(self, on_stage: Callable[[str], None]) -> None:
+        self._on_stage = on_stage
+        self._lock = threading.Lock()
+        self._process: multiprocessing.process.BaseProcess | None = None
+        self._connection: Connection | None = None
+
+    def start(self) -> None:
+        """Start the process ahead of its first task."""
+        with self._lock:
+            self._connected()
+
+    def run(self, task: Any) -> Any:
+        """Do a task; blocks, so call it from a thread of its own.
+
+        Returns
+        -------
+        answer or Failure
+            `Failure` also where the process died or was stopped.
+        """
+        with self._lock:
+            try:
+                connection = self._connected()
+                connection.send(task)
+                while True:
+                    reply = connection.recv()
+                    if isinstance(reply, _Stage):
+                        self._on_stage(reply.name)
+                    else:
+                        return reply.answer if isinstance(reply, _Done) else reply
+            except (EOFError, OSError):
+                return self._buried()
+
+    def stop(self) -> None:
+        """Kill the process, with what it is doing; the next task starts another one."""
+        process = self._process
+        if process is not None and process.is_alive():
+            process.kill()
+
+    def _connected(self) -> Connection:
+        if self._connection is None or self._process is None or not self._process.is_alive():
+            context = multiprocessing.get_context("spawn")
+            here, there = context.Pipe()
+            self._process = context.Process(target=_serve, args=(there,), daemon=True, name="cagemap studio bench")
+            self._process.start()
+            there.close()
+            self._connection = here
+        return self._connection
+
+    def _buried(self) -> Failure:
+        process, self._connection, self._process = self._process, None, None
+        code = None
+        if process is not None:
+            process.join(5)
+            code = process.exitcode
+        if code is not None and code < 0:
+            return Failure("Stopped", f"the computation was ended by signal {-code}; there may be too little memory")
+        return Failure("Stopped", f"the computation's process ended (exit code {code})")
+
+
+def _serve(connection: Connection) -> None:
+    """Loop of the process: a task in, stages and an answer out."""
+    from cagemap.studio.bench import Bench, perform
+
+    bench = Bench()
+
+    def tell(stage: str) -> None:
+        connection.send(_Stage(stage))
+
+    with contextlib.suppress(EOFError, KeyboardInterrupt, BrokenPipeError):
+        while True:
+            task = connection.recv()
+            try:
+                bench, answer = perform(bench, task, tell)
+                connection.send(_Done(answer))
+            except CagemapError as error:
+                connection.send(Failure(type(error).__name__, str(error)))
+            except MemoryError:
+                connection.send(Failure("MemoryError", "not enough memory for surfaces of this size; ask for fewer"))
+            except (EOFError, BrokenPipeError, KeyboardInterrupt):
+                raise
+            except Exception as error:  # a fault of ours must not end the studio
+                connection.send(Failure(f"internal error, {type(error).__name__}", str(error)))

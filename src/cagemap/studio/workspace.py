@@ -1,0 +1,123 @@
+"""Which files the page may touch, and the autosave beside the landmark file."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cagemap.errors import FormatError, ParameterError
+from cagemap.files.atomic import atomic_path
+from cagemap.files.marks import mark
+from cagemap.files.text import read_text
+from cagemap.studio.landmarks import Landmark, LandmarkList, Place
+
+MESHES = (".obj", ".ply")
+IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
+LANDMARKS = (".json",)
+_AUTOSAVE = "cagemap-studio-autosave"
+# A listing longer than this helps nobody.
+_LONGEST_LISTING = 500
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """The folders that were chosen when the studio was started; nothing outside them is read or written.
+
+    Attributes
+    ----------
+    folders : tuple of Path
+        Resolved; the first is where new files go.
+    """
+
+    folders: tuple[Path, ...]
+
+    @classmethod
+    def of(cls, *folders: Path) -> Workspace:
+        """Workspace of some folders, each once."""
+        return cls(tuple(dict.fromkeys(folder.resolve() for folder in folders)))
+
+    def require(self, path: str | Path) -> Path:
+        """Resolve a path, relative ones against the first folder.
+
+        Raises
+        ------
+        ParameterError
+            If it lies outside the folders, also by way of links.
+        """
+        resolved = (self.folders[0] / path).resolve()
+        if not any(resolved.is_relative_to(folder) for folder in self.folders):
+            listed = ", ".join(map(str, self.folders))
+            raise ParameterError(
+                f"{path}: expected a file in {listed}, got one outside. Start the studio with --folder to add a folder."
+            )
+        return resolved
+
+    def listing(self, suffixes: tuple[str, ...]) -> tuple[str, ...]:
+        """Names of the files with these suffixes, two folders deep, as `require` takes them."""
+        found: list[str] = []
+        for number, folder in enumerate(self.folders):
+            files = [path for pattern in ("*", "*/*") for path in folder.glob(pattern)]
+            for path in sorted(files):
+                hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
+                if path.suffix.lower() in suffixes and not hidden and path.is_file():
+                    found.append(str(path.relative_to(folder)) if number == 0 else str(path))
+        return tuple(found[:_LONGEST_LISTING])
+
+    def show(self, path: Path) -> str:
+        """Name of a path as `listing` gives it."""
+        first = self.folders[0]
+        return str(path.relative_to(first)) if path.is_relative_to(first) else str(path)
+
+
+def autosave_path(landmarks: Path) -> Path:
+    """Where unsaved landmarks are kept."""
+    return landmarks.with_name(f".{landmarks.name}.autosave")
+
+
+def write_autosave(path: Path, landmarks: LandmarkList) -> None:
+    """Keep all landmarks, also the one that waits for its other place."""
+    items = [
+        {"number": item.number, "name": item.name, "target": _entry(item.target), "source": _entry(item.source)}
+        for item in landmarks.items
+    ]
+    with atomic_path(path) as temporary:
+        temporary.write_text(
+            json.dumps({"format": _AUTOSAVE, "mark": mark(), "items": items}, indent=1), encoding="utf-8"
+        )
+
+
+def read_autosave(path: Path) -> LandmarkList:
+    """Read kept landmarks.
+
+    Raises
+    ------
+    FormatError
+        If the file is not one of ours or is damaged.
+    """
+    try:
+        data = json.loads(read_text(path, "an autosave of the studio"))
+        if data["format"] != _AUTOSAVE:
+            raise KeyError("format")
+        items = tuple(
+            Landmark(int(entry["number"]), str(entry["name"]), _place(entry["target"]), _place(entry["source"]))
+            for entry in data["items"]
+        )
+    except (ValueError, KeyError, TypeError) as error:
+        raise FormatError(
+            f"{path}: expected an autosave of the studio, found something else ({error!r}). Move it away."
+        ) from None
+    return LandmarkList(items)
+
+
+def _entry(place: Place | None) -> dict[str, Any] | None:
+    return None if place is None else {"position": place.position, "vertex": place.vertex}
+
+
+def _place(entry: Any) -> Place | None:
+    if entry is None:
+        return None
+    x, y, z = map(float, entry["position"])
+    vertex = entry["vertex"]
+    return Place((x, y, z), None if vertex is None else int(vertex))

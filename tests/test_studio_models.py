@@ -1,0 +1,179 @@
+"""What the studio shows: clicks on the smooth surface, skins through a map, seams, and the answers of its bench."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from cagemap.files.images import write_image
+from cagemap.files.meshes import write_mesh
+from cagemap.mesh.shapes import cube
+from cagemap.refinement import refine
+from cagemap.studio.bench import Bench, Dress, FindMap, Found, OpenModels, perform
+from cagemap.studio.glb import Primitive, glb
+from cagemap.studio.landmarks import Landmark, Place
+from cagemap.studio.scene import Scene, carried_place, mirrored
+from cagemap.studio.shape import pick, place_of, shape_of, vertex_place
+from cagemap.studio.skins import Images, crossing_triangles
+from cagemap.studio.state import View
+from cagemap.studio.worker import Failure, Worker
+
+
+def read_back(data: bytes) -> list[trimesh.Trimesh]:
+    return list(trimesh.load(io.BytesIO(data), file_type="glb").geometry.values())
+
+
+def test_glb_is_read_by_others_as_it_was_written() -> None:
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    normals = np.tile([0.0, 0.0, 1.0], (4, 1))
+    colors = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0.5]])
+    data = glb(
+        [
+            Primitive(points, normals, np.array([[0, 1, 2], [0, 2, 3]]), colors=colors),
+            Primitive(points, normals, np.zeros((0, 3), dtype=np.int64)),
+        ]
+    )
+    (mesh,) = read_back(data)
+    np.testing.assert_allclose(mesh.vertices, points)
+    np.testing.assert_array_equal(mesh.faces, [[0, 1, 2], [0, 2, 3]])
+    np.testing.assert_array_equal(mesh.visual.vertex_attributes["color"][:, :3], np.rint(255 * colors))
+
+
+def test_a_click_lands_where_the_ray_meets_the_smooth_surface() -> None:
+    shape = shape_of(refine(cube(), 4))
+    for direction in ([0.0, 0.0, -1.0], [0.3, -0.2, -1.0], [1.0, 1.0, -1.0]):
+        ray = np.array(direction) / np.linalg.norm(direction)
+        hit = pick(shape, -3 * ray, ray)
+        assert hit is not None
+        # On the ray, on the near side, and on the triangle that is named.
+        view = shape.to_view(hit.position)
+        np.testing.assert_allclose(np.cross(view, ray), 0, atol=1e-12)
+        assert view @ ray < 0
+        np.testing.assert_allclose(hit.barycentric @ shape.positions[shape.triangles[hit.triangle]], hit.position)
+    assert pick(shape, np.array([5.0, 5.0, 5.0]), np.array([1.0, 0.0, 0.0])) is None
+
+
+def test_a_click_beside_a_control_vertex_means_it() -> None:
+    shape = shape_of(refine(cube(), 4))
+    corner = shape.to_view(shape.positions[3])
+    ray = -corner / np.linalg.norm(corner)
+    hit = pick(shape, corner - 3 * ray, ray)
+    assert hit is not None
+    assert place_of(shape, hit) == vertex_place(shape, 3)
+
+
+def identity(n: int, triangles: np.ndarray) -> Images:
+    """Every vertex of a shape to itself."""
+    first = np.zeros(n, dtype=np.int64)
+    first[triangles.ravel()] = np.repeat(np.arange(len(triangles)), 3)
+    return Images(first, (triangles[first] == np.arange(n)[:, None]).astype(float), np.ones(n))
+
+
+def unwrapped_cube():
+    """A cube whose six faces are islands of their own."""
+    mesh = cube()
+    corners = np.array([[0.02, 0.02], [0.31, 0.02], [0.31, 0.48], [0.02, 0.48]])
+    steps = np.array([[x / 3, y / 2] for y in range(2) for x in range(3)])
+    uvs = (corners[None] + steps[:, None]).reshape(-1, 2)
+    return mesh.with_uvs(uvs, np.arange(24))
+
+
+def test_seams_are_found_where_texture_coordinates_jump() -> None:
+    shape = shape_of(refine(unwrapped_cube(), 3))
+    images = identity(len(shape.positions), shape.triangles)
+    assert shape.uvs is not None
+    uvs = images.on(shape.uv_triangles, shape.uvs)
+    crossing = crossing_triangles(shape, shape, images, uvs)
+    # Under the identity a triangle crosses a seam if it has a vertex on one and lies on another face than its image.
+    island = shape.faces
+    own = island[images.triangle[shape.triangles]]
+    np.testing.assert_array_equal(crossing, (own != own[:, :1]).any(axis=1))
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory) -> tuple[Bench, OpenModels]:
+    folder = tmp_path_factory.mktemp("models")
+    mesh = unwrapped_cube()
+    write_mesh(folder / "a.obj", mesh.with_positions(mesh.positions * [1.0, 1.2, 1.4]))
+    write_mesh(folder / "b.obj", mesh.with_positions(mesh.positions * [1.0, 1.2, 1.4] + [5.0, 0.0, 0.0]))
+    write_image(folder / "t.png", np.full((8, 8, 3), [255, 0, 0], dtype=np.uint8))
+    task = OpenModels(folder / "a.obj", folder / "b.obj", folder / "t.png", 300, View())
+    bench, _ = perform(Bench(), task, lambda _: None)
+    return bench, task
+
+
+def landmarks(bench: Bench, *vertices: int) -> tuple[Landmark, ...]:
+    assert bench.models is not None
+    shapes = bench.models.target.shape, bench.models.source.shape
+    return tuple(Landmark(v + 1, f"v{v}", *(vertex_place(shape, v) for shape in shapes)) for v in vertices)
+
+
+def test_the_bench_maps_and_follows_landmarks(opened: tuple[Bench, OpenModels]) -> None:
+    bench, _ = opened
+    bench, first = perform(bench, FindMap(landmarks(bench, *range(8)), View()), lambda _: None)
+    assert isinstance(first, Found)
+    bench, second = perform(bench, FindMap(landmarks(bench, *range(7)), View()), lambda _: None)
+    assert isinstance(second, Found)
+    assert set(second.strain) == {f"v{v}" for v in range(7)}
+    _, dressed = perform(bench, Dress(View("checker")), lambda _: None)
+    assert dressed.skins[0] != second.skin
+    # The models are translates of each other: the map carries a point to the same point, five units to the right.
+    models = bench.models
+    assert models is not None
+    scene = Scene(
+        models.target.shape,
+        models.source.shape,
+        (models.target.mirror, models.source.mirror),
+        dressed.skins,
+        second.images,
+    )
+    there = carried_place(scene, "target", vertex_place(scene.target, 0))
+    assert there is not None
+    # Within two edges of the preview's level.
+    np.testing.assert_allclose(np.array(there.position) - [5, 0, 0], scene.target.positions[0], atol=0.3)
+    back = carried_place(scene, "source", there)
+    assert back is not None
+    np.testing.assert_allclose(back.position, scene.target.positions[0], atol=0.3)
+
+
+def test_mirror_images_lie_across_the_plane(opened: tuple[Bench, OpenModels]) -> None:
+    bench, _ = opened
+    models = bench.models
+    assert models is not None
+    shape = models.target.shape
+    scene = Scene(shape, models.source.shape, (models.target.mirror, models.source.mirror), (b"", b""))
+    corner = vertex_place(shape, 0)
+    across = mirrored(scene, "target", corner)
+    assert across is not None
+    assert across.vertex != 0
+    assert mirrored(scene, "target", across) == corner
+    assert mirrored(Scene(shape, shape, (None, None), (b"", b"")), "target", corner) is None
+
+
+def test_a_failing_task_is_a_named_failure_and_the_worker_lives_on(opened: tuple[Bench, OpenModels]) -> None:
+    _, task = opened
+    stages: list[str] = []
+    worker = Worker(stages.append)
+    missing = worker.run(OpenModels(Path("/nowhere/a.obj"), task.source, None, 300, View()))
+    assert isinstance(missing, Failure)
+    assert missing.kind == "FormatError"
+    assert "a.obj" in missing.message
+    answer = worker.run(task)
+    assert not isinstance(answer, Failure)
+    assert stages
+    worker.stop()
+    assert isinstance(worker.run(task), (Failure, type(answer)))
+    # Whatever happened to the process that was killed, the next task has one.
+    assert not isinstance(worker.run(task), Failure)
+    worker.stop()
+
+
+def test_three_places_are_too_few_to_name_a_vertex_twice(opened: tuple[Bench, OpenModels]) -> None:
+    bench, _ = opened
+    same = tuple(Landmark(k, f"{k}", Place((0.0, 0.0, 0.0)), Place((5.0, 0.0, 0.0))) for k in (1, 2, 3))
+    with pytest.raises(ValueError, match="one pair only"):
+        perform(bench, FindMap(same, View()), lambda _: None)

@@ -1,0 +1,199 @@
+"""The studio's landmark list, its history, its files and its door, without a browser."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from websockets.datastructures import Headers
+from websockets.http11 import Request
+
+from cagemap.errors import FormatError, ParameterError
+from cagemap.studio import landmarks as edit
+from cagemap.studio.finish import FinishOptions, Runner, commands, stage_of
+from cagemap.studio.landmarks import History, LandmarkList, Place
+from cagemap.studio.opening import chosen_files, default_files
+from cagemap.studio.page.door import COOKIE, admits
+from cagemap.studio.state import with_message
+from cagemap.studio.workspace import Workspace, autosave_path, read_autosave, write_autosave
+
+
+def place(x: float) -> Place:
+    return Place((x, 0.0, 0.0))
+
+
+def pair(landmarks: LandmarkList, x: float) -> LandmarkList:
+    return edit.place(edit.place(landmarks, "target", place(x)), "source", place(-x))
+
+
+def test_two_clicks_make_a_landmark_and_a_third_begins_the_next() -> None:
+    one = pair(LandmarkList(), 1.0)
+    assert [(item.number, item.target, item.source) for item in one.items] == [(1, place(1.0), place(-1.0))]
+    two = edit.place(one, "source", place(5.0))
+    assert two.open is not None
+    assert (two.open.number, two.open.source, two.open.target) == (2, place(5.0), None)
+
+
+def test_a_second_click_on_the_same_model_corrects_the_first() -> None:
+    landmarks = edit.place(edit.place(LandmarkList(), "target", place(1.0)), "target", place(2.0))
+    assert len(landmarks) == 1
+    assert landmarks.open is not None
+    assert landmarks.open.target == place(2.0)
+
+
+def test_numbers_stay_when_others_go() -> None:
+    landmarks = pair(pair(pair(LandmarkList(), 1.0), 2.0), 3.0)
+    left = edit.remove(landmarks, 2)
+    assert [item.number for item in left.items] == [1, 3]
+    assert pair(left, 4.0).items[-1].number == 4
+
+
+def test_names_stay_unique() -> None:
+    landmarks = edit.rename(pair(pair(LandmarkList(), 1.0), 2.0), 1, "nose")
+    landmarks = edit.rename(landmarks, 2, "nose")
+    assert [item.name for item in landmarks.items] == ["nose", "nose (2)"]
+    assert edit.rename(landmarks, 1, "  ") == landmarks
+
+
+@pytest.mark.parametrize(
+    ("name", "across"),
+    [("ear_tip_L", "ear_tip_R"), ("ear.R", "ear.L"), ("left_hand", "right_hand"), ("hip", "hip_mirrored")],
+)
+def test_a_mirrored_name_is_the_other_sides(name: str, across: str) -> None:
+    assert edit.mirrored_name(name) == across
+
+
+def test_mirror_adds_the_counterpart_or_nothing() -> None:
+    landmarks = edit.rename(pair(LandmarkList(), 1.0), 1, "ear_L")
+    both = edit.mirror(landmarks, 1, lambda _, where: place(10 + where.position[0]))
+    assert [item.name for item in both.items] == ["ear_L", "ear_R"]
+    assert (both.items[1].target, both.items[1].source) == (place(11.0), place(9.0))
+    assert edit.mirror(landmarks, 1, lambda side, where: None if side == "source" else where) == landmarks
+
+
+steps = st.lists(st.sampled_from(["place", "remove", "rename", "undo", "redo"]), max_size=30)
+
+
+@given(steps)
+def test_undo_and_redo_walk_the_same_way_back_and_forth(todo: list[str]) -> None:
+    history, x = History(), 0.0
+    for step in todo:
+        x += 1.0
+        present = history.present
+        if step == "place":
+            history = history.then(edit.place(present, "target" if len(present) % 2 else "source", place(x)))
+        elif step == "remove" and len(present):
+            history = history.then(edit.remove(present, present.items[0].number))
+        elif step == "rename" and len(present):
+            history = history.then(edit.rename(present, present.items[-1].number, f"name {x}"))
+        elif step == "undo":
+            history = history.undo()
+        elif step == "redo":
+            history = history.redo()
+    forward = [history.present]
+    while history.past:
+        history = history.undo()
+        forward.append(history.present)
+    assert history.present == LandmarkList()
+    for expected in reversed(forward[:-1]):
+        history = history.redo()
+        assert history.present == expected
+
+
+def test_a_new_step_forgets_what_was_undone() -> None:
+    history = History().then(pair(LandmarkList(), 1.0)).undo().then(pair(LandmarkList(), 2.0))
+    assert not history.future
+    assert history.then(history.present) is history
+
+
+def test_the_page_reaches_nothing_outside_its_folders(tmp_path: Path) -> None:
+    inside, outside = tmp_path / "in", tmp_path / "out"
+    inside.mkdir(), outside.mkdir()
+    (outside / "secret.obj").write_text("v 0 0 0\n")
+    (inside / "link.obj").symlink_to(outside / "secret.obj")
+    (inside / "cow.obj").write_text("v 0 0 0\n")
+    workspace = Workspace.of(inside)
+    assert workspace.require("cow.obj") == (inside / "cow.obj").resolve()
+    assert workspace.listing((".obj",))[0] == "cow.obj"
+    for path in ("../out/secret.obj", str(outside / "secret.obj"), "link.obj", "/etc/passwd"):
+        with pytest.raises(ParameterError, match="outside"):
+            workspace.require(path)
+
+
+def test_an_autosave_keeps_everything_and_is_checked(tmp_path: Path) -> None:
+    landmarks = edit.place(pair(LandmarkList(), 1.0), "target", Place((0.1, 0.2, 0.3), 7))
+    file = autosave_path(tmp_path / "a.json")
+    write_autosave(file, landmarks)
+    assert read_autosave(file) == landmarks
+    write_autosave(file, LandmarkList())
+    assert read_autosave(file) == LandmarkList()
+    for damaged in ("{", "[]", json.dumps({"format": "other"}), file.read_text()[:-20]):
+        file.write_text(damaged)
+        with pytest.raises(FormatError, match="autosave"):
+            read_autosave(file)
+
+
+def request(path: str = "/", **headers: str) -> Request:
+    return Request(
+        path, Headers({"Host": "127.0.0.1:8765"} | {name.replace("_", "-"): v for name, v in headers.items()})
+    )
+
+
+def test_the_door_refuses_pages_of_other_sites() -> None:
+    assert admits(request(), None)
+    assert admits(request(Origin="http://127.0.0.1:8765"), None)
+    assert not admits(request(Origin="http://elsewhere.example"), None)
+    assert not admits(request(Origin="http://127.0.0.1:9999"), None)
+    # A name of someone else's that resolves to this machine.
+    assert not admits(Request("/", Headers({"Host": "rebound.example:8765"})), None)
+
+
+def test_the_door_asks_for_the_token() -> None:
+    token = "right"
+    assert admits(request("/?token=right"), token)
+    assert admits(request(Cookie=f"{COOKIE}=right"), token)
+    for refused in (request(), request("/?token="), request("/?token=wrong"), request(Cookie=f"{COOKIE}=wrong")):
+        assert not admits(refused, token)
+
+
+def test_a_finish_is_the_commands_that_one_would_type(tmp_path: Path) -> None:
+    files = default_files(tmp_path, tmp_path / "cow.obj", tmp_path / "spot.obj", tmp_path / "spot.png")
+    todo = commands(files, FinishOptions(vertices=5000, size=256, unwrap=True), landmarks=True)
+    assert [command.title for command in todo] == ["match", "texture", "report"]
+    assert "--landmarks" in todo[0].arguments
+    assert "--landmarks" not in commands(files, FinishOptions(), landmarks=False)[0].arguments
+    assert str(todo[1]).startswith(
+        f"cagemap transfer {files.result} --texture {tmp_path / 'spot.png'} --size 256 --unwrap"
+    )
+
+
+def test_a_failing_command_gives_its_own_words(tmp_path: Path) -> None:
+    files = default_files(tmp_path, tmp_path / "cow.obj", tmp_path / "spot.obj", None)
+    words = Runner().run(commands(files, FinishOptions(), landmarks=True), lambda *_: None, lambda _: None)
+    assert words is not None
+    assert words.startswith("match:")
+    assert "error" in words
+
+
+def test_stages_are_read_from_verbose_commands() -> None:
+    assert stage_of("cagemap: stage: functional map\n") == "functional map"
+    assert stage_of("wrote stage: nothing") is None
+
+
+def test_files_are_named_as_a_pair_or_not_at_all(tmp_path: Path) -> None:
+    assert chosen_files(None, None, None, None, None) is None
+    with pytest.raises(ParameterError, match="one of them"):
+        chosen_files(tmp_path / "a.obj", None, None, None, None)
+    with pytest.raises(ParameterError, match="beside"):
+        chosen_files(None, None, tmp_path / "a.json", None, None)
+
+
+def test_messages_do_not_pile_up() -> None:
+    messages = with_message((), "note", "again")
+    for number in range(20):
+        messages = with_message(with_message(messages, "note", f"{number}"), "note", "again")
+    assert len(messages) == 5
+    assert sum(message.text == "again" for message in messages) == 1
