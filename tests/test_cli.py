@@ -124,6 +124,7 @@ def test_refined_uvs_and_materials_come_along(run: Run, tmp_path: Path) -> None:
     [
         (["refine", "none.obj", "--level", "1", "-o", "x.obj"], "none.obj"),
         (["refine", "box.obj", "--level", "20", "-o", "x.obj"], "Use --level 10 or less"),
+        (["refine", "box.obj", "--level", "1000", "-o", "x.obj"], "Use --level 10 or less"),
         (["refine", "box.obj", "--level", "1", "-o", "x.stl"], r".obj or .ply"),
         (["refine", "box.obj", "--level", "1", "-o", "nowhere/x.obj"], "nowhere"),
         (["refine", "box.obj", "--level", "-1", "-o", "x.obj"], "--level"),
@@ -268,6 +269,22 @@ def test_a_target_without_uvs_needs_unwrap(run: Run, result_folder: Path, monkey
     assert run("report", "R").code == 0
     assert shown["baked"] is not None
     assert shown["r"].target.control.uvs is not None  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("option", ["--scale", "--midlevel"])
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
+def test_heights_have_finite_scales(run: Run, result_folder: Path, option: str, value: str) -> None:
+    write_image(result_folder.parent / "h.exr", np.zeros((4, 4, 1), np.float32))
+    refused = run("transfer", "R", "--displacement", "h.exr", option, value, "-o", "d.exr")
+    assert refused.code == 2
+    assert f"{option}: expected a finite number" in refused.err
+
+
+def test_pipes_are_no_meshes_and_do_not_hang(run: Run, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.obj")
+    refused = run("check", "pipe.obj")
+    assert refused.code == 1
+    assert "a device or a pipe" in refused.out
 
 
 def test_one_thing_at_a_time(run: Run, result_folder: Path) -> None:

@@ -207,9 +207,12 @@ def test_attribute_tables_keep_names_columns_and_integers(tmp_path: Path) -> Non
         ("a.csv", b"x\n1\nnan\n", r"rows \[1\]"),
         ("a.csv", b"x,y\n", "found none"),
         ("a.csv", b"", "found none"),
-        ("a.npy", b"no array", "could not read"),
-        ("a.npz", b"no archive", "could not read"),
+        ("a.npy", b"no array", "no array of numbers"),
+        ("a.npz", b"no archive", "no archive of arrays"),
         ("a.txt", b"1", "ending in"),
+        ("a.csv", b"x,x\n1,2\n", "different names"),
+        ("a.csv", b"x\n" + b"1" * 200_000 + b"\n", "could not read|finite"),
+        ("a.csv", b"x\n" + b"9" * 400 + b"\n", "finite"),
         ("a.csv", b"\xff\xfe\x00", "could not read"),
     ],
 )
@@ -230,3 +233,8 @@ def test_attributes_that_do_not_fit_their_file_are_refused(tmp_path: Path) -> No
     np.save(tmp_path / "words.npy", np.array(["a", "b"]))
     with pytest.raises(FormatError, match="expected numbers"):
         read_attributes(tmp_path / "words.npy")
+    np.save(tmp_path / "vast.npy", np.array([2**63], np.uint64))
+    with pytest.raises(FormatError, match="below 2\\^63"):
+        read_attributes(tmp_path / "vast.npy")
+    (tmp_path / "long.csv").write_text("x\n12345678901234567890\n1\n")
+    np.testing.assert_array_equal(read_attributes(tmp_path / "long.csv")["x"], [1.2345678901234567e19, 1.0])

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import islice
 
 import numpy as np
 
@@ -24,7 +25,8 @@ from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool, in_threads, one_blas_thread
 from cagemap.operators import build_operators
-from cagemap.refinement import Loop, Scheme, default_scheme, level_triangles, refine
+from cagemap.refinement import Scheme, level_triangles, refine
+from cagemap.refinement.counts import vertex_counts
 
 Progress = Callable[[str], None]
 
@@ -111,8 +113,15 @@ def silent(stage: str) -> None:
     """Report no progress."""
 
 
-def choose_level(control: ControlMesh, vertices: int) -> int:
+def choose_level(control: ControlMesh, vertices: int, scheme: Scheme | None = None) -> int:
     """Coarsest level of at least 1 with about this many vertices or more (three quarters count as enough).
+
+    Parameters
+    ----------
+    control : ControlMesh
+    vertices : int
+    scheme : Scheme, optional
+        Default: as in `prepare_surface`.
 
     Raises
     ------
@@ -121,17 +130,8 @@ def choose_level(control: ControlMesh, vertices: int) -> int:
     """
     if not 1 <= vertices <= 20_000_000:
         raise ParameterError(f"vertices: expected a number from 1 to 20 000 000, got {vertices}")
-    corners, edges = len(control.face_indices), _edge_count(control)
-    faces = control.n_faces
-    n = control.n_vertices
-    loop = isinstance(default_scheme(control), Loop)
-    for level in range(1, MOST_LEVELS):
-        n += edges + (0 if loop else faces)
-        if n >= ENOUGH * vertices:
-            return level
-        edges, faces = (2 * edges + corners, 4 * faces) if loop else (2 * edges + corners, corners)
-        corners = (3 if loop else 4) * faces
-    return MOST_LEVELS
+    counts = islice(vertex_counts(control, scheme), 1, MOST_LEVELS)
+    return next((level for level, n in enumerate(counts, 1) if n >= ENOUGH * vertices), MOST_LEVELS)
 
 
 def prepare_surface(
@@ -334,12 +334,6 @@ def _symmetries(target: ControlMesh, source: ControlMesh) -> tuple[IndexArray | 
     check_symmetry(found[0], target)
     check_symmetry(found[1], source)
     return found
-
-
-def _edge_count(control: ControlMesh) -> int:
-    ends = np.column_stack([control.face_indices, control.face_indices[control.next_corners]])
-    ends.sort(axis=1)
-    return len(np.unique(ends[:, 0] * control.n_vertices + ends[:, 1]))
 
 
 @contextmanager

@@ -319,6 +319,7 @@ def transfer(
         typer.Option(
             "--size",
             min=1,
+            max=65_536,
             help="Width and height in texels.  [default: the source image's, or 2048]",
             show_default=False,
         ),

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import takewhile
 from pathlib import Path
-
-import numpy as np
 
 from cagemap.cli.subdivision import SubdivisionRequest
 from cagemap.errors import CagemapError, ParameterError
@@ -13,8 +12,9 @@ from cagemap.files.atomic import check_outputs
 from cagemap.files.meshes import check_mesh_path, mesh_files, read_mesh, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import check_mesh, require_valid
-from cagemap.refinement import finest_mesh
+from cagemap.refinement import Scheme, finest_mesh
 from cagemap.refinement import refine as refine_mesh
+from cagemap.refinement.counts import vertex_counts
 
 MOST_VERTICES = 20_000_000
 
@@ -49,7 +49,7 @@ def refine_file(
     return f"{refinement}\nwrote {output}"
 
 
-def require_size(control: ControlMesh, level: int) -> None:
+def require_size(control: ControlMesh, level: int, scheme: Scheme | None = None) -> None:
     """Refuse levels that no machine holds, before memory runs out.
 
     Raises
@@ -57,11 +57,9 @@ def require_size(control: ControlMesh, level: int) -> None:
     ParameterError
         If the finest level would have more than 20 million vertices.
     """
-    # Every face corner of level 0 becomes 4^(level - 1) quads, and a quad mesh has about as many vertices as quads.
-    expected = len(control.face_indices) * 4.0 ** (level - 1) if level else control.n_vertices
-    if expected > MOST_VERTICES:
-        fits = max(0, int(np.floor(np.log(MOST_VERTICES / len(control.face_indices)) / np.log(4.0))) + 1)
+    fits = sum(1 for _ in takewhile(lambda count: count <= MOST_VERTICES, vertex_counts(control, scheme))) - 1
+    if level > fits:
         raise ParameterError(
-            f"--level {level}: {control.name} would have about {expected:.2g} vertices, expected at most "
-            f"{MOST_VERTICES:,}. Use --level {fits} or less."
+            f"--level {level}: {control.name} would have too many vertices, expected at most {MOST_VERTICES:,}. "
+            f"Use --level {fits} or less."
         )

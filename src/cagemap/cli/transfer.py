@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -74,6 +75,9 @@ class TransferRequest:
 def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
     """Carry one thing from source to target and write it; returns a summary and warnings."""
     carry = _carrier(request)
+    for option, value in (("--scale", request.scale), ("--midlevel", request.midlevel)):
+        if value is not None and not math.isfinite(value):
+            raise ParameterError(f"{option}: expected a finite number, got {value}.")
     require_no_input([request.output], _inputs(request))
     require_writable_folder(request.output)
     stages("read result")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
-from cagemap.files.npz import read_npz, write_npz
+from cagemap.files.npz import read_npy, read_npz, write_npz
 
 SUFFIXES = (".npy", ".npz", ".csv")
 
@@ -42,7 +41,9 @@ def read_attributes(path: str | Path) -> Attributes:
     check_attribute_path(file)
     try:
         arrays = _read_csv(file) if file.suffix.lower() == ".csv" else _read_numpy(file)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except FormatError:
+        raise
+    except (OSError, ValueError, csv.Error) as error:
         raise FormatError(f"{file}: could not read it as {file.suffix}: {error}. Write it again.") from error
     if not arrays:
         raise FormatError(f"{file}: expected at least one array, found none. Write it again with its values.")
@@ -86,8 +87,7 @@ def check_attribute_path(file: Path) -> None:
 def _read_numpy(file: Path) -> Attributes:
     if file.suffix.lower() == ".npz":
         return read_npz(file, "Write it again.")
-    loaded = np.load(file, allow_pickle=False)
-    return {file.stem: loaded} if isinstance(loaded, np.ndarray) else {}
+    return {file.stem: read_npy(file.read_bytes(), file, "Write it again.")}
 
 
 def _read_csv(file: Path) -> Attributes:
@@ -96,6 +96,8 @@ def _read_csv(file: Path) -> Attributes:
     if not rows:
         return {}
     names = None if _is_number(rows[0][0]) else [cell.strip() for cell in rows[0]]
+    if names is not None and len(set(names)) != len(names):
+        raise FormatError(f"{file}: expected columns of different names, got {', '.join(names)[:80]}. Rename them.")
     body = rows if names is None else rows[1:]
     for number, row in enumerate(body, 1 if names is None else 2):
         if len(row) != len(rows[0]) or not all(_is_number(cell) for cell in row):
@@ -110,7 +112,7 @@ def _column(cells: tuple[str, ...]) -> NDArray[Any]:
     """Integers if all cells are written as such."""
     try:
         return np.array([int(cell) for cell in cells], dtype=np.int64)
-    except ValueError:
+    except (ValueError, OverflowError):  # more digits than int64 holds: the nearest float
         return np.array([float(cell) for cell in cells])
 
 
@@ -140,6 +142,8 @@ def _check(file: Path, name: str, array: NDArray[Any]) -> NDArray[Any]:
             f"{file}: expected numbers of shape (n,) or (n, q) in '{name}', found {array.dtype} of shape {array.shape}"
         )
     if array.dtype.kind in "iu":
+        if array.dtype == np.uint64 and array.max() > np.iinfo(np.int64).max:
+            raise FormatError(f"{file}: expected whole numbers below 2^63 in '{name}', found {array.max()}.")
         return array.astype(np.int64)
     values = array.astype(np.float64)
     bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))

@@ -73,6 +73,13 @@ def read_image(path: str | Path) -> Image:
     file = Path(path)
     if not file.is_file():
         raise FormatError(f"{file}: expected an image, found no such file. Check the name.")
+    try:
+        return _read(file)
+    except UnicodeDecodeError as error:  # words in the file that OpenImageIO cannot hand on
+        raise FormatError(f"{file}: the image is damaged: {error}. Export it again.") from error
+
+
+def _read(file: Path) -> Image:
     hints = oiio.ImageSpec()
     hints.attribute("oiio:UnassociatedAlpha", 1)
     opened = oiio.ImageInput.open(str(file), hints)

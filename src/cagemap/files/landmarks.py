@@ -95,7 +95,7 @@ def _mesh_name(path: Path, data: dict[str, Any], side: str) -> str:
     name = data.get(side, "")
     if not isinstance(name, str):
         raise FormatError(f"{path}: expected the file name of the {side} mesh, got {name!r}. The form is {_FORM}.")
-    return name
+    return name.encode("utf-8", "replace").decode()
 
 
 def _pair(path: Path, number: int, item: Any) -> tuple[str, int, int]:
@@ -117,7 +117,7 @@ def _pair(path: Path, number: int, item: Any) -> tuple[str, int, int]:
                 f"got {_shown(vertex)}. Numbers are 0-based control vertices."
             )
         vertices.append(vertex)
-    return name, vertices[0], vertices[1]
+    return name.encode("utf-8", "replace").decode(), vertices[0], vertices[1]  # JSON may hold half a character
 
 
 def _shown(value: object) -> str:

@@ -4,30 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from cagemap.errors import FormatError, InvalidMeshError
+from cagemap.files.forms import Form, check_arrays, check_offsets
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.checks import require_valid
 from cagemap.mesh.schemes import SCHEMES, Scheme
 
-CONTROL_ARRAYS = (
-    "positions",
-    "face_offsets",
-    "face_indices",
-    "uvs",
-    "uv_indices",
-    "face_materials",
-    "material_colors",
-    "vertex_colors",
-    "face_objects",
-    "face_groups",
-    "crease_edges",
-    "crease_sharpness",
-    "corner_vertices",
-    "corner_sharpness",
-    "hole_faces",
-)
+# Sizes: c vertices, f faces, q face corners, t texture vertices, m materials.
+CONTROL_FORMS = {
+    "positions": Form(("c", 3)),
+    "face_offsets": Form(("f+1",), below="q+1"),
+    "face_indices": Form(("q",), below="c"),
+    "uvs": Form(("t", 2), optional=True),
+    "uv_indices": Form(("q",), below="t", optional=True),
+    "face_materials": Form(("f",), below="m", optional=True),
+    "material_colors": Form(("m", 3), optional=True, nan=True),
+    "vertex_colors": Form(("c", 3), optional=True, nan=True),
+    "face_objects": Form(("f",), below="objects", optional=True),
+    "face_groups": Form(("f",), below="groups", optional=True),
+    "crease_edges": Form(("creases", 2), below="c", optional=True),
+    "crease_sharpness": Form(("creases",), optional=True),
+    "corner_vertices": Form(("corners",), below="c", optional=True),
+    "corner_sharpness": Form(("corners",), optional=True),
+    "hole_faces": Form(("holes",), below="f", optional=True),
+}
+CONTROL_ARRAYS = tuple(CONTROL_FORMS)
+_TOGETHER = (("uvs", "uv_indices"), ("crease_edges", "crease_sharpness"), ("corner_vertices", "corner_sharpness"))
 # Names beside those of materials; each an array of text.
 _NAMES = ("object_names", "group_names")
 
@@ -40,12 +48,49 @@ def control_to_arrays(control: ControlMesh, prefix: str) -> dict[str, Any]:
 
 
 def control_from_arrays(
-    arrays: Mapping[str, Any], prefix: str, material_names: Sequence[str], name: str, scheme: Scheme | None = None
+    path: Path,
+    arrays: Mapping[str, Any],
+    prefix: str,
+    material_names: Sequence[str],
+    name: str,
+    remedy: str,
+    scheme: Scheme | None = None,
 ) -> ControlMesh:
-    """Undo `control_to_arrays`; the scheme is the one that the mesh was refined with."""
-    stored: dict[str, Any] = {key: arrays.get(f"{prefix}{key}") for key in CONTROL_ARRAYS}
-    stored |= {key: tuple(str(text) for text in arrays.get(f"{prefix}{key}", ())) for key in _NAMES}
-    return ControlMesh(**stored, material_names=tuple(material_names), name=name, scheme=scheme)
+    """Undo `control_to_arrays`; the scheme is the one that the mesh was refined with.
+
+    Raises
+    ------
+    FormatError
+        If arrays are missing, of another form, or make no mesh that the method can take; says ``remedy``.
+    """
+    stored = {key: arrays[f"{prefix}{key}"] for key in CONTROL_ARRAYS if f"{prefix}{key}" in arrays}
+    texts: dict[str, Any] = {
+        key: _texts(path, f"{prefix}{key}", arrays.get(f"{prefix}{key}"), remedy) for key in _NAMES
+    }
+    sizes = {"m": len(material_names), "objects": len(texts["object_names"]), "groups": len(texts["group_names"])}
+    values: dict[str, Any] = check_arrays(path, stored, CONTROL_FORMS, sizes, remedy)
+    check_offsets(path, f"{prefix}face_offsets", values["face_offsets"], sizes["q"], remedy)
+    for one, other in (
+        ("uvs", "uv_indices"),
+        ("crease_edges", "crease_sharpness"),
+        ("corner_vertices", "corner_sharpness"),
+    ):
+        if (one in values) != (other in values):
+            raise FormatError(f"{path}: {prefix}{one} and {prefix}{other} belong together, one is missing. {remedy}")
+    control = ControlMesh(**values, **texts, material_names=tuple(material_names), name=name, scheme=scheme)
+    try:
+        require_valid(control)
+    except InvalidMeshError as error:
+        raise FormatError(f"{path}: its control mesh is damaged ({error}). {remedy}") from error
+    return control
+
+
+def _texts(path: Path, name: str, array: NDArray[Any] | None, remedy: str) -> tuple[str, ...]:
+    if array is None:
+        return ()
+    if array.ndim != 1 or array.dtype.kind != "U":
+        raise FormatError(f"{path}: {name} holds {array.dtype} of shape {array.shape}, expected names. {remedy}")
+    return tuple(map(str, array.tolist()))
 
 
 def scheme_to_entry(scheme: Scheme) -> dict[str, Any]:
@@ -54,13 +99,16 @@ def scheme_to_entry(scheme: Scheme) -> dict[str, Any]:
     return {"name": name, **asdict(scheme)}
 
 
-def scheme_from_entry(entry: Mapping[str, Any]) -> Scheme:
+def scheme_from_entry(path: Path, entry: Mapping[str, Any], remedy: str) -> Scheme:
     """Undo `scheme_to_entry`.
 
     Raises
     ------
-    KeyError, TypeError
-        If the entry lacks something or has too much.
+    FormatError
+        If the entry lacks something, has too much or another value than the scheme knows; says ``remedy``.
     """
     settings = dict(entry)
-    return SCHEMES[settings.pop("name")](**settings)
+    try:
+        return SCHEMES[settings.pop("name")](**settings)
+    except (KeyError, TypeError, ValueError) as error:
+        raise FormatError(f"{path}: names no scheme of subdivision that is known ({error}). {remedy}") from error

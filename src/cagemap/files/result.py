@@ -11,8 +11,8 @@ import math
 import os
 import platform
 import sys
-from dataclasses import dataclass, field
 from importlib import metadata
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,7 @@ import numpy as np
 from cagemap import __version__
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_folder, atomic_path, require_own_folder
+from cagemap.files.forms import Form, check_arrays
 from cagemap.files.marks import is_own, mark, seal, stated_checksum
 from cagemap.files.mesh_arrays import (
     CONTROL_ARRAYS,
@@ -30,144 +31,54 @@ from cagemap.files.mesh_arrays import (
     scheme_to_entry,
 )
 from cagemap.files.npz import read_npz, write_npz
+from cagemap.files.result_values import Result, Side, landmark_messages, result_of
+from cagemap.files.schema import ResultRecord, SideRecord, checked_record, parse_json
+from cagemap.files.text import read_text
 from cagemap.mesh import ControlMesh
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.refinement import Refinement, Scheme, refine, triangles
+from cagemap.refinement import Scheme, triangles
+from cagemap.refinement.counts import vertex_counts
 
 if TYPE_CHECKING:  # reading a result needs no solvers
     from cagemap.pipeline import MatchResult
+
+__all__ = [
+    "ARRAYS",
+    "MANIFEST",
+    "Result",
+    "Side",
+    "check_result_folder",
+    "file_hash",
+    "input_file",
+    "landmark_messages",
+    "mesh_hash",
+    "note_transfer",
+    "peak_memory",
+    "read_manifest",
+    "read_result",
+    "result_of",
+    "stated_path",
+    "write_result",
+]
 
 FORMAT = "cagemap-result"
 FORMAT_VERSION = 1
 MANIFEST = "manifest.json"
 ARRAYS = "map.npz"
 
+_FORMS = {
+    "source_triangles": Form(("t2", 3), below="n2"),
+    "triangle": Form(("n1",), below="t2"),
+    "barycentric": Form(("n1", 3)),
+    "functional_map": Form(("k1", "k2")),
+    "trust": Form(("n1",)),
+    "landmark_errors": Form(("p",)),
+}
+# What barycentric coordinates may lie beside [0, 1] and a sum of 1.
+_ROUNDING = 1e-6
+
 _SIDE_ARRAYS = ("vertices", "faces", "eigenvalues", "landmarks")
 _REMEDY = "Run `cagemap match` again."
 _LIBRARIES = ("numpy", "scipy", "numba", "rslab", "OpenImageIO", "embreex", "xatlas")
-
-
-@dataclass(frozen=True)
-class Side:
-    """One of the two surfaces of a result.
-
-    Attributes
-    ----------
-    control : ControlMesh
-        In the file's own units, like ``vertices``.
-    scheme : CatmullClark or Loop
-    level : int
-        Level of ``vertices`` and ``faces``; vertex i of a level is vertex i of every finer one.
-    vertices : (n, 3) float64
-    faces : (m, 4) or (m, 3) int64
-    eigenvalues : (k,) float64
-        Of the unit-area surface.
-    landmarks : (p,) int64
-        Control vertices, in the order of the other side's.
-    """
-
-    control: ControlMesh
-    scheme: Scheme
-    level: int
-    vertices: FloatArray
-    faces: IndexArray
-    eigenvalues: FloatArray
-    landmarks: IndexArray
-
-    def refinement(self) -> Refinement:
-        """Every level again, with UVs; cheap, and the same numbers as in the match."""
-        return refine(self.control, self.level, self.scheme)
-
-
-@dataclass(frozen=True)
-class Result:
-    """A dense map between two refined surfaces, as it is stored.
-
-    Attributes
-    ----------
-    target, source : Side
-        The surface that receives, and the one that gives.
-    source_triangles : (t2, 3) int64
-        Source vertices of every triangle that ``triangle`` counts.
-    triangle : (n1,) int64
-        Target vertex i maps to the point ``barycentric[i]`` of source triangle ``triangle[i]``.
-    barycentric : (n1, 3) float64
-    functional_map : (k1, k2) float64
-        C12: source coefficients to target coefficients.
-    trust : (n1,) float64
-        1 where the map is locally unfolded and stretches little, 0 at folds.
-    landmark_errors : (p,) float64
-        Of sqrt(source area); also of pairs that the map left out, which the manifest's ``landmark_check`` names.
-    landmark_names : tuple of str
-    manifest : dict
-        What ``manifest.json`` holds: versions, parameters, input hashes, timings in seconds, quality figures.
-    """
-
-    target: Side
-    source: Side
-    source_triangles: IndexArray
-    triangle: IndexArray
-    barycentric: FloatArray
-    functional_map: FloatArray
-    trust: FloatArray
-    landmark_errors: FloatArray
-    landmark_names: tuple[str, ...] = ()
-    manifest: dict[str, Any] = field(default_factory=dict)
-
-    def image(self) -> FloatArray:
-        """(n1, 3) where every target vertex maps to, in the source file's units."""
-        corners = self.source.vertices[self.source_triangles[self.triangle]]
-        return np.einsum("nc,ncd->nd", self.barycentric, corners)
-
-
-def result_of(match: MatchResult, manifest: dict[str, Any] | None = None) -> Result:
-    """What of a match is stored.
-
-    Parameters
-    ----------
-    manifest : dict, optional
-        More entries for the manifest, such as input hashes, parameters and further timings.
-    """
-    quality = match.quality
-    left_out = [suspect.pair for suspect in match.suspects]
-    errors = np.zeros(len(match.landmarks))
-    errors[np.setdiff1d(np.arange(len(errors)), left_out)] = quality.landmark_errors
-    errors[left_out] = [suspect.distance for suspect in match.suspects]
-    sides = [
-        Side(
-            control=surface.control,
-            scheme=surface.refinement.scheme,
-            level=surface.finest,
-            vertices=surface.refinement.finest.positions,
-            faces=np.asarray(surface.refinement.finest.faces),
-            eigenvalues=surface.basis.eigenvalues,
-            landmarks=landmarks,
-        )
-        for surface, landmarks in ((match.target, match.landmarks.target), (match.source, match.landmarks.source))
-    ]
-    return Result(
-        target=sides[0],
-        source=sides[1],
-        source_triangles=triangles(sides[1].faces),
-        triangle=match.point_map.triangle,
-        barycentric=match.point_map.barycentric,
-        functional_map=match.functional_map,
-        trust=quality.trust,
-        landmark_errors=errors,
-        landmark_names=match.landmarks.names,
-        manifest={
-            "quality": quality.summary(),
-            "landmark_check": match.landmark_check.summary(),
-            "timings": dict(match.timings),
-        }
-        | (manifest or {}),
-    )
-
-
-def landmark_messages(manifest: dict[str, Any]) -> list[str]:
-    """Sentences of a manifest about landmarks: pairs that were left out of the map, and other notes."""
-    check = manifest.get("landmark_check") or {}
-    return [str(suspect["message"]) for suspect in check.get("suspects", [])] + list(map(str, check.get("notes", [])))
 
 
 def stated_path(path: str | Path, folder: str | Path) -> str:
@@ -287,7 +198,8 @@ def note_transfer(folder: str | Path, entry: dict[str, Any]) -> None:
     """
     root = Path(folder)
     manifest = read_manifest(root)
-    kept = [other for other in manifest.get("transfers", []) if other.get("output") != entry.get("output")]
+    record = checked_record(ResultRecord, manifest, root / MANIFEST, _REMEDY)
+    kept = [other.model_dump(exclude_unset=True) for other in record.transfers if other.output != entry.get("output")]
     manifest["transfers"] = [*kept, _plain(entry)]
     manifest["written_by"] = mark()
     with atomic_path(root / MANIFEST, force=True) as temporary:
@@ -297,6 +209,8 @@ def note_transfer(folder: str | Path, entry: dict[str, Any]) -> None:
 def read_result(folder: str | Path) -> Result:
     """Read a RESULT folder.
 
+    Everything in it is checked: types, shapes, ranges, and that the parts belong together.
+
     Raises
     ------
     FormatError
@@ -304,28 +218,70 @@ def read_result(folder: str | Path) -> Result:
     """
     root = Path(folder)
     manifest = read_manifest(root)
-    files = manifest.get("files")
-    arrays = _read_arrays(root / ARRAYS, files.get(ARRAYS) if isinstance(files, dict) else None)
-    try:
-        sides = [_side(prefix, manifest, arrays) for prefix in ("target", "source")]
-        result = Result(
-            target=sides[0],
-            source=sides[1],
-            source_triangles=arrays["source_triangles"],
-            triangle=arrays["triangle"],
-            barycentric=arrays["barycentric"],
-            functional_map=arrays["functional_map"],
-            trust=arrays["trust"],
-            landmark_errors=arrays["landmark_errors"],
-            landmark_names=tuple(manifest["landmark_names"]),
-            manifest=manifest,
-        )
-    except (KeyError, TypeError, AttributeError) as error:
-        raise FormatError(
-            f"{root}: {MANIFEST} or {ARRAYS} lacks {error}; the result is incomplete. Run `cagemap match` again."
-        ) from error
-    _check_shapes(root, result)
+    record = checked_record(ResultRecord, manifest, root / MANIFEST, _REMEDY)
+    stored = _read_arrays(root / ARRAYS, record.files.get(ARRAYS))
+    sizes: dict[str, int] = {}
+    target, source = (
+        _read_side(root, prefix, entry, stored, sizes)
+        for prefix, entry in (("target", record.target), ("source", record.source))
+    )
+    sizes["t2"] = len(triangles(source.faces))
+    arrays = check_arrays(root / ARRAYS, stored, _FORMS, sizes, _REMEDY)
+    result = Result(target, source, **arrays, landmark_names=tuple(record.landmark_names), manifest=manifest)
+    _check_parts(root, result, record)
     return result
+
+
+def _read_side(root: Path, prefix: str, entry: SideRecord, stored: dict[str, Any], sizes: dict[str, int]) -> Side:
+    """One surface, with sizes of its own prefix added to those known."""
+    path = root / ARRAYS
+    scheme = scheme_from_entry(root / MANIFEST, entry.scheme, _REMEDY)
+    names = entry.material_names
+    control = control_from_arrays(path, stored, f"{prefix}_control_", names, entry.name, _REMEDY, scheme)
+    number = 1 if prefix == "target" else 2
+    sizes |= {f"c{number}": control.n_vertices, f"n{number}": _expected_vertices(control, scheme, entry.level)}
+    forms = {f"{prefix}_{name}": form for name, form in _side_forms(number).items()}
+    arrays = check_arrays(path, stored, forms, sizes, _REMEDY)
+    side = Side(control, scheme, entry.level, *(arrays[f"{prefix}_{name}"] for name in _SIDE_ARRAYS))
+    low, high = control.positions.min(axis=0), control.positions.max(axis=0)
+    slack = (high - low).max()  # refined vertices are averages of control vertices
+    if np.any(side.vertices < low - slack) or np.any(side.vertices > high + slack):
+        raise FormatError(f"{path}: {prefix}_vertices lie far from their control mesh. {_REMEDY}")
+    return side
+
+
+def _expected_vertices(control: ControlMesh, scheme: Scheme, level: int) -> int:
+    return next(islice(vertex_counts(control, scheme), level, None))
+
+
+def _side_forms(number: int) -> dict[str, Form]:
+    return {
+        "vertices": Form((f"n{number}", 3)),
+        "faces": Form((f"m{number}", "3|4"), below=f"n{number}"),
+        "eigenvalues": Form((f"k{number}",)),
+        "landmarks": Form(("p",), below=f"c{number}"),
+    }
+
+
+def _check_parts(root: Path, result: Result, record: ResultRecord) -> None:
+    """Refuse parts that are sound but do not belong together."""
+    faults = {
+        "source_triangles are not those of source_faces": not np.array_equal(
+            result.source_triangles, triangles(result.source.faces)
+        ),
+        "barycentric coordinates lie outside their triangles": bool(
+            np.any(result.barycentric < -_ROUNDING) or np.any(np.abs(result.barycentric.sum(axis=1) - 1) > _ROUNDING)
+        ),
+        "as many landmark_names as landmarks are expected": len(record.landmark_names)
+        not in (0, len(result.landmark_errors)),
+        "landmark_check names pairs that are not there": any(
+            suspect.pair >= len(result.landmark_errors)
+            for suspect in (record.landmark_check.suspects if record.landmark_check else [])
+        ),
+    }
+    for fault, found in faults.items():
+        if found:
+            raise FormatError(f"{root}: {fault}; the files do not belong together. {_REMEDY}")
 
 
 def _manifest(result: Result) -> dict[str, Any]:
@@ -377,7 +333,9 @@ def _plain(value: Any) -> Any:
         return _plain(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
-    return value if isinstance(value, str | int | float | bool | None) else str(value)
+    if isinstance(value, str):  # file names that are no UTF-8 hold lone surrogates
+        return value.encode("utf-8", "backslashreplace").decode()
+    return value if isinstance(value, int | float | bool | None) else _plain(str(value))
 
 
 def read_manifest(root: Path) -> dict[str, Any]:
@@ -394,15 +352,13 @@ def read_manifest(root: Path) -> dict[str, Any]:
             f"{root}: expected a result folder of `cagemap match`, found no {MANIFEST} in it. "
             "Give the folder that was passed to `cagemap match -o`."
         )
-    try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, OSError) as error:
-        raise FormatError(f"{path}: cannot be read ({error}). Run `cagemap match` again.") from error
+    manifest = parse_json(read_text(path, "the manifest of a result"), path, _REMEDY)
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
         raise FormatError(f'{path}: expected "format": "{FORMAT}", so this is not a result of `cagemap match`.')
     version = manifest.get("format_version")
-    if not isinstance(version, int) or not 1 <= version <= FORMAT_VERSION:
-        written = (manifest.get("versions") or {}).get("cagemap", "another version")
+    if not isinstance(version, int) or isinstance(version, bool) or not 1 <= version <= FORMAT_VERSION:
+        versions = manifest.get("versions")
+        written = versions.get("cagemap", "another version") if isinstance(versions, dict) else "another version"
         raise FormatError(
             f"{path}: format version {version}, this cagemap {__version__} reads up to {FORMAT_VERSION}. "
             f"Use cagemap {written} or newer, or run `cagemap match` again."
@@ -410,37 +366,10 @@ def read_manifest(root: Path) -> dict[str, Any]:
     return manifest
 
 
-def _read_arrays(path: Path, checksum: object) -> dict[str, Any]:
+def _read_arrays(path: Path, checksum: str | None) -> dict[str, Any]:
     if not path.is_file():
         raise FormatError(f"{path}: is missing, so the result is incomplete. {_REMEDY}")
     arrays = read_npz(path, _REMEDY)
     if checksum is not None and stated_checksum(path) not in (None, checksum):
         raise FormatError(f"{path}: belongs to another {MANIFEST} than the one beside it. {_REMEDY}")
     return arrays
-
-
-def _side(prefix: str, manifest: dict[str, Any], arrays: dict[str, Any]) -> Side:
-    stored = manifest[prefix]
-    scheme = scheme_from_entry(stored["scheme"])
-    control = control_from_arrays(arrays, f"{prefix}_control_", stored["material_names"], stored["name"], scheme)
-    return Side(control, scheme, stored["level"], *(arrays[f"{prefix}_{name}"] for name in _SIDE_ARRAYS))
-
-
-def _check_shapes(root: Path, result: Result) -> None:
-    n1, t2 = len(result.target.vertices), len(result.source_triangles)
-    expected = {
-        "triangle": (n1,),
-        "barycentric": (n1, 3),
-        "trust": (n1,),
-        "functional_map": (len(result.target.eigenvalues), len(result.source.eigenvalues)),
-    }
-    for name, shape in expected.items():
-        if getattr(result, name).shape != shape:
-            raise FormatError(
-                f"{root / ARRAYS}: {name} has shape {getattr(result, name).shape}, expected {shape}; "
-                "the files do not belong together. Run `cagemap match` again."
-            )
-    if n1 and not 0 <= result.triangle.min() <= result.triangle.max() < t2:
-        raise FormatError(
-            f"{root / ARRAYS}: triangle counts past the {t2} source triangles. Run `cagemap match` again."
-        )

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import os
-import zipfile
-import zlib
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -25,13 +24,17 @@ from cagemap import __version__
 from cagemap.basis import BasisConfig, HierarchicalBasis, Surface
 from cagemap.errors import CagemapError, FormatError
 from cagemap.files.atomic import atomic_path
+from cagemap.files.forms import Form, check_arrays, check_offsets
+from cagemap.files.marks import is_own
 from cagemap.files.mesh_arrays import control_from_arrays, control_to_arrays, scheme_from_entry, scheme_to_entry
-from cagemap.files.npz import write_npz
+from cagemap.files.npz import read_npz, write_npz
 from cagemap.files.result import mesh_hash
+from cagemap.files.schema import SurfaceRecord, checked_record, parse_json
 from cagemap.mesh import ControlMesh
 from cagemap.operators import Operators
 from cagemap.pipeline import MAP_BASIS, prepare_surface
 from cagemap.refinement import Refinement, Scheme, default_scheme, refine
+from cagemap.refinement.counts import vertex_counts
 
 FORMAT = "cagemap-surface"
 FORMAT_VERSION = 1
@@ -39,6 +42,8 @@ SUFFIX = ".surface.npz"
 
 _BASIS_ARRAYS = ("eigenvalues", "residuals", "indices", "gram", "errors")
 _REMEDY = "Delete the file and prepare the surface again."
+
+logger = logging.getLogger(__name__)
 
 Prepare = Callable[..., Surface]
 
@@ -154,9 +159,13 @@ def prepared(
     if place.is_file():
         progress(f"read prepared {control.name}")
         try:
-            return _load(place, control)
-        except FormatError:
-            progress(f"prepare {control.name} again, its stored file is damaged")
+            if is_own(place):
+                return _load(place, control)
+            problem = "it was changed since it was written"
+        except FormatError as error:
+            problem = str(error)
+        logger.warning("%s is prepared again, its stored surface cannot be used: %s", control.name, problem)
+        progress(f"prepare {control.name} again, its stored file is damaged")
     surface = prepare(control, level, config, scheme=scheme, progress=progress)
     progress(f"store prepared {control.name}")
     save_surface(place, surface, force=True)  # its name says what it is, whatever state it is in
@@ -165,40 +174,71 @@ def prepared(
 
 def _load(path: Path, control: ControlMesh | None) -> Surface:
     """Read a surface; a control mesh known to be equal to the stored one takes its place, name and all."""
-    arrays, header = _read(path)
+    if not path.is_file():
+        raise FormatError(f"{path}: expected a prepared surface, found no such file. Prepare and save it first.")
+    arrays = read_npz(path, _REMEDY)
+    header = _header(path, arrays)
+    scheme = scheme_from_entry(path, header.scheme, _REMEDY)
+    if control is None:
+        names = header.material_names
+        control = control_from_arrays(path, arrays, "control_", names, header.name, _REMEDY, scheme)
+    if header.bands > header.level + 1:
+        raise FormatError(f"{path}: has bands of more levels than there are. {_REMEDY}")
+    sizes = dict(zip(_level_sizes(header.level), vertex_counts(control, scheme), strict=False))
+    sizes["n_finest"] = sizes[f"n{header.level}"]
+    checked = check_arrays(path, arrays, _forms(header), sizes, _REMEDY)
+    for level in range(header.level + 1):
+        check_offsets(path, f"indptr_{level}", checked[f"indptr_{level}"], sizes[f"z{level}"], _REMEDY)
     try:
-        if control is None:
-            scheme = scheme_from_entry(header["scheme"])
-            control = control_from_arrays(arrays, "control_", header["material_names"], header["name"], scheme)
-        refinement = refine(control, header["level"], scheme_from_entry(header["scheme"]))
-        operators = _operators(arrays, refinement, header["scale"])
-        bands = tuple(arrays[f"band_{level}"] for level in range(header["bands"]))
-        basis = HierarchicalBasis(refinement, operators, bands, *(arrays[name] for name in _BASIS_ARRAYS))
-    except FormatError:
-        raise
-    except (CagemapError, KeyError, TypeError, ValueError) as error:
-        raise FormatError(f"{path}: is not complete or not consistent ({error}). {_REMEDY}") from error
-    _check(path, refinement, operators, basis)
+        refinement = refine(control, header.level, scheme)
+        operators = _operators(checked, refinement, header.scale)
+        bands = tuple(checked[f"band_{level}"] for level in range(header.bands))
+        basis = HierarchicalBasis(refinement, operators, bands, *(checked[name] for name in _BASIS_ARRAYS))
+    except (CagemapError, ValueError) as error:
+        raise FormatError(f"{path}: its arrays do not belong to one surface ({error}). {_REMEDY}") from error
+    if sum(basis.schedule) != basis.count:
+        raise FormatError(f"{path}: its arrays do not belong to one surface. {_REMEDY}")
     return Surface(refinement, operators, basis)
 
 
-def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    if not path.is_file():
-        raise FormatError(f"{path}: expected a prepared surface, found no such file. Prepare and save it first.")
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
-        header = json.loads(arrays.pop("header").tobytes())
-    except (ValueError, KeyError, OSError, EOFError, AttributeError, zipfile.BadZipFile, zlib.error) as error:
-        raise FormatError(f"{path}: cannot be read as a prepared surface ({error}). {_REMEDY}") from error
-    if not isinstance(header, dict) or header.get("format") != FORMAT:
+def _header(path: Path, arrays: dict[str, Any]) -> SurfaceRecord:
+    stored = arrays.get("header")
+    if stored is None or stored.dtype != np.uint8:
         raise FormatError(f"{path}: expected a surface stored by cagemap, got something else. Give another file.")
-    if header.get("format_version") != FORMAT_VERSION:
+    entries = parse_json(stored.tobytes().decode("utf-8", "replace"), path, _REMEDY)
+    if not isinstance(entries, dict) or entries.get("format") != FORMAT:
+        raise FormatError(f"{path}: expected a surface stored by cagemap, got something else. Give another file.")
+    if entries.get("format_version") != FORMAT_VERSION:
         raise FormatError(
-            f"{path}: format version {header.get('format_version')}, written by cagemap {header.get('cagemap')}; "
+            f"{path}: format version {entries.get('format_version')}, written by cagemap {entries.get('cagemap')}; "
             f"this cagemap {__version__} reads version {FORMAT_VERSION}. {_REMEDY}"
         )
-    return arrays, header
+    return checked_record(SurfaceRecord, entries, path, _REMEDY)
+
+
+def _level_sizes(finest: int) -> list[str]:
+    """Names of the numbers of vertices of all levels."""
+    return [f"n{level}" for level in range(finest + 1)]
+
+
+def _forms(header: SurfaceRecord) -> dict[str, Form]:
+    """What the arrays beside the control mesh must be: z nonzeros a level, k functions in all."""
+    forms = {}
+    for level, n in enumerate(_level_sizes(header.level)):
+        z = f"z{level}"
+        forms[f"indices_{level}"] = Form((z,), below=n)
+        forms[f"indptr_{level}"] = Form((f"{n}+1",), below=f"{z}+1")
+        forms[f"stiffness_{level}"] = Form((z,))
+        forms[f"mass_{level}"] = Form((n,) if level == header.level else (z,))
+    for level in range(header.bands):
+        forms[f"band_{level}"] = Form((f"n{level}", f"k{level}"))
+    return forms | {
+        "eigenvalues": Form(("k",)),
+        "residuals": Form(("k",), nan=True),
+        "indices": Form(("k",), below="n_finest"),
+        "gram": Form(("k", "k")),
+        "errors": Form(("k",), nan=True),
+    }
 
 
 def _operator_arrays(
@@ -232,21 +272,6 @@ def _operators(arrays: dict[str, Any], refinement: Refinement, scale: float) -> 
         else:
             masses.append(sparse.csr_array((mass, *pattern), shape=(n, n)))
     return Operators(tuple(masses), tuple(stiffnesses), float(scale))
-
-
-def _check(path: Path, refinement: Refinement, operators: Operators, basis: HierarchicalBasis) -> None:
-    sizes = [level.n_vertices for level in refinement.levels]
-    k = basis.count
-    fits = (
-        [mass.shape[0] for mass in operators.mass] == sizes
-        and 0 < len(basis.bands) <= len(sizes)
-        and all(len(band) == n for band, n in zip(basis.bands, sizes, strict=False))
-        and sum(basis.schedule) == k
-        and basis.gram.shape == (k, k)
-        and all(getattr(basis, name).shape == (k,) for name in _BASIS_ARRAYS if name != "gram")
-    )
-    if not fits:
-        raise FormatError(f"{path}: its arrays do not belong to one surface. {_REMEDY}")
 
 
 def _usable_folder(folder: Path) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import stat
 from pathlib import Path
 
 from cagemap.errors import FormatError
@@ -10,11 +11,15 @@ from cagemap.errors import FormatError
 def read_bytes(path: Path, what: str) -> bytes:
     """Read a whole file; a missing, unreadable or empty one is a FormatError that says which."""
     try:
+        if not stat.S_ISREG(path.stat().st_mode) and not path.is_dir():
+            raise FormatError(f"{path}: expected {what}, got a device or a pipe. Save it to a file first.")
         content = path.read_bytes()
     except FileNotFoundError:
         raise FormatError(f"{path}: expected {what}, there is no such file. Check the name and the folder.") from None
     except IsADirectoryError:
         raise FormatError(f"{path}: expected {what}, got a folder. Name a file inside it.") from None
+    except FormatError:  # is a ValueError too
+        raise
     except (OSError, ValueError) as error:
         raise FormatError(f"{path}: cannot be read ({error}). Check its permissions.") from None
     if not content.strip():

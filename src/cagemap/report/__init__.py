@@ -43,4 +43,4 @@ def write_report(
     """
     page = build_page(result, draw_gallery(result, texture=texture, baked=baked, size=size, progress=progress))
     with atomic_path(path, force=force) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+        temporary.write_text(page, encoding="utf-8", errors="xmlcharrefreplace")

@@ -1,0 +1,117 @@
+"""What arrays in files must be: kind, shape and range, stated as a table and checked once, at the door.
+
+Shapes name their sizes, and one name means one size throughout a file. Past this door no index is out of range and no
+number is NaN that was not allowed to be, which compiled kernels rely on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import FormatError
+
+# Beyond this, squares and volumes overflow.
+_LARGEST = 1e100
+
+
+@dataclass(frozen=True)
+class Form:
+    """What one array must be.
+
+    Attributes
+    ----------
+    shape : tuple of str or int
+        A name stands for a size that is the same in all arrays of a file; "3|4" for either.
+    below : str
+        Name of the size that entries are indices into; empty for floats.
+    optional : bool
+        The array may be missing.
+    nan : bool
+        Unknown values are NaN and infinite ones are allowed.
+    """
+
+    shape: tuple[str | int, ...]
+    below: str = ""
+    optional: bool = False
+    nan: bool = False
+
+
+def check_arrays(
+    path: Path, arrays: Mapping[str, NDArray[Any]], forms: Mapping[str, Form], sizes: dict[str, int], remedy: str
+) -> dict[str, NDArray[Any]]:
+    """Arrays that are what their forms say, as int64 or float64 and read-only; others are left out.
+
+    Parameters
+    ----------
+    path : path
+        The file, for messages.
+    arrays : mapping of str to array
+    forms : mapping of str to Form
+    sizes : dict of str to int
+        Sizes known beforehand; those found are added.
+    remedy : str
+        Last sentence of every message.
+
+    Raises
+    ------
+    FormatError
+        Names the first array that is not what it should be.
+    """
+    missing = [name for name, form in forms.items() if name not in arrays and not form.optional]
+    if missing:
+        raise FormatError(f"{path}: lacks {', '.join(map(repr, missing))}. {remedy}")
+    present = {name: form for name, form in forms.items() if name in arrays}
+    for name, form in present.items():
+        _check_shape(path, name, arrays[name], form, sizes, remedy)
+    return {name: _checked(path, name, arrays[name], form, sizes, remedy) for name, form in present.items()}
+
+
+def check_offsets(path: Path, name: str, offsets: NDArray[Any], count: int, remedy: str) -> None:
+    """Refuse starts of runs that do not begin with 0, do not ascend, or do not end with ``count``."""
+    if not len(offsets) or offsets[0] != 0 or offsets[-1] != count or np.any(np.diff(offsets) < 0):
+        raise FormatError(f"{path}: '{name}' does not count from 0 to {count} in ascending order. {remedy}")
+
+
+def _check_shape(path: Path, name: str, array: NDArray[Any], form: Form, sizes: dict[str, int], remedy: str) -> None:
+    fits = array.ndim == len(form.shape)
+    for size, wanted in zip(array.shape, form.shape, strict=False):
+        if isinstance(wanted, int):
+            fits &= size == wanted
+        elif "|" in wanted:
+            fits &= str(size) in wanted.split("|")
+        else:
+            base, _, more = wanted.partition("+")
+            fits &= sizes.setdefault(base, size - int(more or 0)) + int(more or 0) == size
+    if not fits:
+        expected = ", ".join(
+            str(sizes.get(size, size)) if isinstance(size, str) and "+" not in size else str(size)
+            for size in form.shape
+        )
+        raise FormatError(f"{path}: {name} has shape {array.shape}, expected ({expected}). {remedy}")
+
+
+def _checked(
+    path: Path, name: str, array: NDArray[Any], form: Form, sizes: dict[str, int], remedy: str
+) -> NDArray[Any]:
+    if form.below:
+        base, _, more = form.below.partition("+")
+        limit = sizes.get(base, 0) + int(more or 0)  # none where the array that it counts in is missing
+        if array.dtype.kind not in "iu":
+            raise FormatError(f"{path}: {name} holds {array.dtype}, expected whole numbers. {remedy}")
+        if array.size and not (0 <= int(array.min()) and int(array.max()) < limit):
+            raise FormatError(f"{path}: {name} counts past 0 to {limit - 1}. {remedy}")
+        checked: NDArray[Any] = np.ascontiguousarray(array, dtype=np.int64)
+    else:
+        if array.dtype.kind not in "fiu":
+            raise FormatError(f"{path}: {name} holds {array.dtype}, expected numbers. {remedy}")
+        checked = np.ascontiguousarray(array, dtype=np.float64)
+        if not form.nan and array.size and not max(-float(checked.min()), float(checked.max())) <= _LARGEST:
+            raise FormatError(f"{path}: {name} holds NaN, infinite or absurdly large numbers. {remedy}")
+    checked.flags.writeable = False
+    return checked

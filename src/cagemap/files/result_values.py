@@ -1,0 +1,138 @@
+"""What a RESULT folder holds, as values: two surfaces, the map between them, and what is known about it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.refinement import Refinement, Scheme, refine, triangles
+
+if TYPE_CHECKING:  # reading a result needs no solvers
+    from cagemap.pipeline import MatchResult
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of the two surfaces of a result.
+
+    Attributes
+    ----------
+    control : ControlMesh
+        In the file's own units, like ``vertices``.
+    scheme : CatmullClark or Loop
+    level : int
+        Level of ``vertices`` and ``faces``; vertex i of a level is vertex i of every finer one.
+    vertices : (n, 3) float64
+    faces : (m, 4) or (m, 3) int64
+    eigenvalues : (k,) float64
+        Of the unit-area surface.
+    landmarks : (p,) int64
+        Control vertices, in the order of the other side's.
+    """
+
+    control: ControlMesh
+    scheme: Scheme
+    level: int
+    vertices: FloatArray
+    faces: IndexArray
+    eigenvalues: FloatArray
+    landmarks: IndexArray
+
+    def refinement(self) -> Refinement:
+        """Every level again, with UVs; cheap, and the same numbers as in the match."""
+        return refine(self.control, self.level, self.scheme)
+
+
+@dataclass(frozen=True)
+class Result:
+    """A dense map between two refined surfaces, as it is stored.
+
+    Attributes
+    ----------
+    target, source : Side
+        The surface that receives, and the one that gives.
+    source_triangles : (t2, 3) int64
+        Source vertices of every triangle that ``triangle`` counts.
+    triangle : (n1,) int64
+        Target vertex i maps to the point ``barycentric[i]`` of source triangle ``triangle[i]``.
+    barycentric : (n1, 3) float64
+    functional_map : (k1, k2) float64
+        C12: source coefficients to target coefficients.
+    trust : (n1,) float64
+        1 where the map is locally unfolded and stretches little, 0 at folds.
+    landmark_errors : (p,) float64
+        Of sqrt(source area); also of pairs that the map left out, which the manifest's ``landmark_check`` names.
+    landmark_names : tuple of str
+    manifest : dict
+        What ``manifest.json`` holds: versions, parameters, input hashes, timings in seconds, quality figures.
+    """
+
+    target: Side
+    source: Side
+    source_triangles: IndexArray
+    triangle: IndexArray
+    barycentric: FloatArray
+    functional_map: FloatArray
+    trust: FloatArray
+    landmark_errors: FloatArray
+    landmark_names: tuple[str, ...] = ()
+    manifest: dict[str, Any] = field(default_factory=dict)
+
+    def image(self) -> FloatArray:
+        """(n1, 3) where every target vertex maps to, in the source file's units."""
+        corners = self.source.vertices[self.source_triangles[self.triangle]]
+        return np.einsum("nc,ncd->nd", self.barycentric, corners)
+
+
+def result_of(match: MatchResult, manifest: dict[str, Any] | None = None) -> Result:
+    """What of a match is stored.
+
+    Parameters
+    ----------
+    manifest : dict, optional
+        More entries for the manifest, such as input hashes, parameters and further timings.
+    """
+    quality = match.quality
+    left_out = [suspect.pair for suspect in match.suspects]
+    errors = np.zeros(len(match.landmarks))
+    errors[np.setdiff1d(np.arange(len(errors)), left_out)] = quality.landmark_errors
+    errors[left_out] = [suspect.distance for suspect in match.suspects]
+    sides = [
+        Side(
+            control=surface.control,
+            scheme=surface.refinement.scheme,
+            level=surface.finest,
+            vertices=surface.refinement.finest.positions,
+            faces=np.asarray(surface.refinement.finest.faces),
+            eigenvalues=surface.basis.eigenvalues,
+            landmarks=landmarks,
+        )
+        for surface, landmarks in ((match.target, match.landmarks.target), (match.source, match.landmarks.source))
+    ]
+    return Result(
+        target=sides[0],
+        source=sides[1],
+        source_triangles=triangles(sides[1].faces),
+        triangle=match.point_map.triangle,
+        barycentric=match.point_map.barycentric,
+        functional_map=match.functional_map,
+        trust=quality.trust,
+        landmark_errors=errors,
+        landmark_names=match.landmarks.names,
+        manifest={
+            "quality": quality.summary(),
+            "landmark_check": match.landmark_check.summary(),
+            "timings": dict(match.timings),
+        }
+        | (manifest or {}),
+    )
+
+
+def landmark_messages(manifest: dict[str, Any]) -> list[str]:
+    """Sentences of a manifest about landmarks: pairs that were left out of the map, and other notes."""
+    check = manifest.get("landmark_check") or {}
+    return [str(suspect["message"]) for suspect in check.get("suspects", [])] + list(map(str, check.get("notes", [])))

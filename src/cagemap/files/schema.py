@@ -1,0 +1,135 @@
+"""The words in cagemap's own files as typed records, so that nothing of another type gets past the door."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from cagemap.errors import FormatError
+
+MOST_LEVELS = 12
+Name = Annotated[str, Field(pattern=r"^[^\x00]*$")]
+Level = Annotated[int, Field(ge=0, le=MOST_LEVELS)]
+
+
+class Record(BaseModel):
+    """No conversions between types, no NaN; what it does not know is kept for newer versions."""
+
+    model_config = ConfigDict(strict=True, extra="allow", allow_inf_nan=False, frozen=True)
+
+
+class SideRecord(Record):
+    """One surface of a result."""
+
+    name: Name
+    scheme: dict[str, Any]
+    level: Level
+    material_names: list[str]
+
+
+class SuspectRecord(Record):
+    """A landmark pair that was left out."""
+
+    name: str
+    pair: Annotated[int, Field(ge=0)]
+    message: str
+
+
+class LandmarkCheckRecord(Record):
+    """What was found about landmarks."""
+
+    suspects: list[SuspectRecord] = []
+    notes: list[str] = []
+
+
+class InputRecord(Record):
+    """A file that a result was made from."""
+
+    file: Name
+    path: Name | None = None
+    sha256: str
+
+
+class TransferRecord(Record):
+    """Something that was transferred; paths are relative to the RESULT folder."""
+
+    kind: str
+    output: Name
+    image: Name | None = None
+    mesh: Name | None = None
+    tiles: list[int] = [0]
+
+
+class QualityRecord(Record):
+    """Figures of a map; those that a page shows are looked up by name."""
+
+    warnings: list[str] = []
+
+
+class ResultRecord(Record):
+    """A RESULT folder's ``manifest.json``."""
+
+    target: SideRecord
+    source: SideRecord
+    landmark_names: list[str]
+    quality: QualityRecord | None = None
+    landmark_check: LandmarkCheckRecord | None = None
+    notes: list[str] = []
+    timings: dict[str, float | None] = {}
+    inputs: dict[str, InputRecord] = {}
+    transfers: list[TransferRecord] = []
+    parameters: dict[str, Any] = {}
+    versions: dict[str, str] = {}
+    files: dict[str, str | None] = {}
+    peak_memory_bytes: int | None = None
+    written_by: str | None = None
+
+
+class SurfaceRecord(Record):
+    """The header of a prepared surface."""
+
+    name: Name
+    material_names: list[str]
+    scheme: dict[str, Any]
+    level: Annotated[int, Field(ge=1, le=MOST_LEVELS)]
+    scale: Annotated[float, Field(gt=0, lt=1e100)]
+    bands: Annotated[int, Field(ge=1, le=MOST_LEVELS + 1)]
+
+
+RecordType = TypeVar("RecordType", bound=Record)
+
+
+def checked_record(kind: type[RecordType], entries: Any, path: Path, remedy: str) -> RecordType:
+    """Entries of a file as a typed record.
+
+    Raises
+    ------
+    FormatError
+        Names the first entry that is missing or of another type; says ``remedy``.
+    """
+    try:
+        return kind.model_validate(entries)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = ".".join(map(str, first["loc"])) or "the whole file"
+        lacks = "lacks" if first["type"] == "missing" else "has something else in"
+        raise FormatError(f"{path}: {lacks} '{place}' ({first['msg']}). {remedy}") from error
+    except RecursionError as error:
+        raise FormatError(f"{path}: is nested too deeply. {remedy}") from error
+
+
+def parse_json(text: str, path: Path, remedy: str) -> Any:
+    """A JSON text's value.
+
+    Raises
+    ------
+    FormatError
+        If it is none; says ``remedy``.
+    """
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"{path}: cannot be read ({error}). {remedy}") from error

@@ -1,0 +1,40 @@
+"""How many elements the levels of a refinement have, without refining."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.schemes import Loop, Scheme
+from cagemap.mesh.topology import edge_table
+from cagemap.refinement.refinement import default_scheme
+
+
+def vertex_counts(control: ControlMesh, scheme: Scheme | None = None) -> Iterator[int]:
+    """Number of vertices of level 0, 1, 2, ... without end.
+
+    Every step adds a vertex on each edge and, but for Loop, in each face, and splits each edge in two; inside a face it
+    adds an edge per corner.
+
+    Parameters
+    ----------
+    control : ControlMesh
+    scheme : CatmullClark or Loop, optional
+        Default: `default_scheme`.
+
+    Examples
+    --------
+    >>> from itertools import islice
+    >>> from cagemap.mesh import cube
+    >>> list(islice(vertex_counts(cube()), 4))
+    [8, 26, 98, 386]
+    """
+    loop = isinstance(default_scheme(control) if scheme is None else scheme, Loop)
+    vertices, faces, corners = control.n_vertices, control.n_faces, len(control.face_indices)
+    edges = len(edge_table(control).vertices)
+    while True:
+        yield vertices
+        vertices += edges + (0 if loop else faces)
+        edges = 2 * edges + corners
+        faces = 4 * faces if loop else corners
+        corners = (3 if loop else 4) * faces

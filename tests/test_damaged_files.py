@@ -1,0 +1,265 @@
+"""Damaged files of every kind end in a named error or are read: never in another exception, a crash or a warning."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cagemap.basis import BasisConfig
+from cagemap.cli.progress import Stages
+from cagemap.cli.transfer import TransferRequest, run_transfer
+from cagemap.errors import CagemapError
+from cagemap.example import example_pair
+from cagemap.files.attributes import read_attributes, write_attributes
+from cagemap.files.images import read_image, write_image
+from cagemap.files.landmarks import read_landmarks, write_landmarks
+from cagemap.files.meshes import read_mesh, write_mesh
+from cagemap.files.ply import write_ply
+from cagemap.files.result import ARRAYS, MANIFEST, read_result, write_result
+from cagemap.files.surface_store import load_surface, prepared, save_surface
+from cagemap.mesh import shapes
+from cagemap.pipeline import prepare_surface
+from cagemap.report import build_page
+from cagemap.report.figures import Gallery
+
+from example_result import identity_result, textured_cube
+
+Generator = np.random.Generator
+SEED = 2019
+# What an entry of a JSON file may be instead.
+OTHERS: list[Any] = [None, True, -1, 0, 7, 2**70, 1e300, float("nan"), "", "x" * 300, "\ud800", "a\0b", "../.."]
+OTHERS += [[], [[]], {}, {"a": 1}, [1, "b"]]
+WORDS = [
+    b"nan",
+    b"1e400",
+    b"-1",
+    b"99999999999999999999",
+    b"/",
+    b"\0",
+    b"\xff",
+    b"f 1 2",
+    b"\n",
+    b"\xed\xa0",
+    b"{",
+    b"",
+]
+
+
+def outcome(call: Callable[[], object]) -> bool:
+    """Whether a call went through; the command line answers these errors in words, and no others."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            call()
+        except (CagemapError, OSError, MemoryError):
+            return False
+    return True
+
+
+def mutated_bytes(content: bytes, rng: Generator) -> bytes:
+    data = bytearray(content)
+    for _ in range(rng.integers(1, 4)):
+        kind, at = rng.integers(5), int(rng.integers(0, max(len(data), 1)))
+        if kind == 0 and data:
+            data[at % len(data)] = rng.integers(256)
+        elif kind == 1:
+            del data[at : at + int(rng.integers(1, 40))]
+        elif kind == 2:
+            data[at:at] = WORDS[rng.integers(len(WORDS))]
+        elif kind == 3:
+            word = WORDS[rng.integers(len(WORDS))]
+            data[at : at + len(word)] = word
+        else:
+            data[at:at] = data[at // 2 : at // 2 + 60]
+    return bytes(data if rng.random() < 0.8 else data[: rng.integers(0, len(data) + 1)])
+
+
+def mutated_entries(entries: Any, rng: Generator) -> Any:
+    """JSON with one value, anywhere inside, replaced or removed."""
+    copied = json.loads(json.dumps(entries))
+    node = copied
+    while True:
+        keys = list(node) if isinstance(node, dict) else list(range(len(node)))
+        key = keys[rng.integers(len(keys))]
+        if isinstance(node[key], dict | list) and node[key] and rng.random() < 0.7:
+            node = node[key]
+            continue
+        if rng.random() < 0.3:
+            del node[key]
+        else:
+            node[key] = OTHERS[rng.integers(len(OTHERS))]
+        return copied
+
+
+def mutated_arrays(arrays: dict[str, Any], rng: Generator) -> dict[str, Any]:
+    """Arrays with one removed, reshaped, of another type, or with a few impossible numbers."""
+    copied = dict(arrays)
+    name = list(copied)[rng.integers(len(copied))]
+    array = np.array(copied[name])
+    kind = rng.integers(8)
+    if kind == 0:
+        del copied[name]
+        return copied
+    if kind == 1:
+        array = array.astype([np.float32, np.int8, np.uint64, np.complex64, bool, "U3"][rng.integers(6)])
+    elif kind == 2:
+        array = [array[:-1], array[:0], array.ravel(), array[None], array.T, array.ravel()[:1].reshape(())][
+            rng.integers(6)
+        ]
+    elif kind == 3 and array.size:
+        array = np.resize(array.ravel(), (len(np.atleast_1d(array)) + 1, *array.shape[1:]))
+    elif kind == 4:
+        array = rng.permutation(array)
+    elif array.size:
+        flat = array.reshape(-1)
+        wrong = [np.nan, np.inf, 1e300, -1e-3] if array.dtype.kind == "f" else [-1, 2**62, len(flat), 0]
+        if array.dtype.itemsize < 8 and array.dtype.kind != "f":
+            wrong = [0, 1]
+        flat[rng.integers(len(flat), size=rng.integers(1, 4))] = wrong[rng.integers(len(wrong))]
+    copied[name] = array
+    return copied
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One sound file of every kind."""
+    place = tmp_path_factory.mktemp("sound")
+    rng = np.random.default_rng(3)
+    write_result(place / "R", identity_result())
+    for name, dtype in (("t.png", np.uint8), ("t.jpg", np.uint8), ("t.tif", np.uint16), ("t.exr", np.float16)):
+        write_image(place / name, (100 * rng.random((9, 12, 3))).astype(dtype))
+    write_mesh(place / "box.obj", textured_cube("box.obj"))
+    write_ply(place / "text.ply", textured_cube("box.obj"), text=True)
+    write_ply(place / "binary.ply", textured_cube("box.obj"))
+    write_landmarks(place / "l.json", example_pair(4).landmarks)
+    for suffix in (".npz", ".csv", ".npy"):
+        write_attributes(place / f"v{suffix}", {"a": rng.random(20)})
+    write_attributes(place / "n.csv", {"whole": np.arange(20), "b": rng.random((20, 2))})
+    save_surface(place / "s.npz", prepare_surface(shapes.cube(), 2, BasisConfig(count=6)))
+    return place
+
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "box.obj": read_mesh,
+    "box.mtl": lambda path: read_mesh(path.with_name("box.obj")),
+    "text.ply": read_mesh,
+    "binary.ply": read_mesh,
+    "l.json": lambda path: read_landmarks(path, "deer.obj", "pony.obj"),
+    "v.npz": read_attributes,
+    "v.npy": read_attributes,
+    "v.csv": read_attributes,
+    "n.csv": read_attributes,
+    "t.png": read_image,
+    "t.jpg": read_image,
+    "t.tif": read_image,
+    "t.exr": read_image,
+    "s.npz": load_surface,
+    f"R/{MANIFEST}": lambda path: use_result(path.parent),
+    f"R/{ARRAYS}": lambda path: use_result(path.parent),
+}
+
+
+def use_result(folder: Path) -> None:
+    """All that is done with a result: a page about it, and a texture through it."""
+    result = read_result(folder)
+    build_page(result, Gallery("map", (), (), ()))
+    request = TransferRequest(folder, folder / "baked.png", texture=folder.parent / "t.png", size=8, force=True)
+    run_transfer(request, Stages())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", READERS)
+def test_changed_bytes(scene: Path, tmp_path: Path, name: str) -> None:
+    """60 cases of every kind of file."""
+    rng = np.random.default_rng([SEED, *name.encode()])
+    place = shutil.copytree(scene, tmp_path / "work")
+    content = (scene / name).read_bytes()
+    assert outcome(lambda: READERS[name](place / name))
+    refused = 0
+    for _ in range(60):
+        (place / name).write_bytes(mutated_bytes(content, rng))
+        refused += not outcome(lambda: READERS[name](place / name))
+    assert refused > 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [f"R/{MANIFEST}", "l.json"])
+def test_changed_entries(scene: Path, tmp_path: Path, name: str) -> None:
+    rng = np.random.default_rng([SEED, 11])
+    place = shutil.copytree(scene, tmp_path / "work")
+    entries = json.loads((scene / name).read_text())
+    for _ in range(200):
+        (place / name).write_text(json.dumps(mutated_entries(entries, rng)))
+        outcome(lambda: READERS[name](place / name))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [f"R/{ARRAYS}", "s.npz"])
+def test_changed_arrays(scene: Path, tmp_path: Path, name: str) -> None:
+    """Checksums of the archive are right, and its arrays are not."""
+    rng = np.random.default_rng([SEED, 12])
+    place = shutil.copytree(scene, tmp_path / "work")
+    with np.load(scene / name) as stored:
+        arrays = dict(stored)
+    refused = 0
+    for _ in range(250):
+        np.savez(place / name, **mutated_arrays(arrays, rng))
+        if name == "s.npz" and rng.random() < 0.3:
+            header = mutated_entries(json.loads(arrays["header"].tobytes()), rng)
+            np.savez(place / name, **arrays | {"header": np.frombuffer(json.dumps(header).encode(), np.uint8)})
+        refused += not outcome(lambda: READERS[name](place / name))
+    assert refused > 100
+
+
+def test_a_damaged_prepared_surface_is_made_again_with_a_word(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    control, config = shapes.cube(), BasisConfig(count=6)
+    first = prepared(tmp_path, control, 2, config)
+    (file,) = tmp_path.iterdir()
+    with np.load(file) as stored:
+        arrays = dict(stored)
+    np.savez(file, **arrays | {"indices_1": np.full(len(arrays["indices_1"]), np.nan)})
+    again = prepared(tmp_path, control, 2, config)
+    np.testing.assert_array_equal(again.basis.eigenvalues, first.basis.eigenvalues)
+    assert "is prepared again" in caplog.text
+    caplog.clear()
+    prepared(tmp_path, control, 2, config)
+    assert caplog.text == ""
+
+
+def change(folder: Path, **arrays: Any) -> None:
+    with np.load(folder / ARRAYS) as stored:
+        known = dict(stored)
+    np.savez(folder / ARRAYS, **{name: array for name, array in (known | arrays).items() if array is not None})
+
+
+def with_one(array: Any, value: float) -> Any:
+    changed = np.array(array)
+    changed.reshape(-1)[5] = value
+    return changed
+
+
+def test_what_crashed_natively_is_refused_by_name(tmp_path: Path) -> None:
+    result = identity_result()
+    positions = result.source.control.positions
+    cases: list[tuple[dict[str, Any], str]] = [
+        ({"barycentric": with_one(result.barycentric, np.nan)}, "barycentric holds NaN"),
+        ({"barycentric": with_one(result.barycentric, 3.0)}, "outside their triangles"),
+        ({"source_control_positions": with_one(positions, 1e300)}, "positions holds NaN, infinite or absurdly"),
+        ({"source_vertices": with_one(result.source.vertices, 1e90)}, "far from their control mesh"),
+        ({"target_control_positions": None}, "lacks 'positions'"),
+        ({"target_control_face_offsets": np.array([0, 4, 3, 12, 16, 20, 24])}, "ascending"),
+        ({"triangle": with_one(result.triangle, 10**9).astype(np.int64)}, "counts past"),
+        ({"source_triangles": result.source_triangles[::-1]}, "not those of source_faces"),
+    ]
+    for arrays, words in cases:
+        write_result(tmp_path / "R", result, force=True)
+        change(tmp_path / "R", **arrays)
+        with pytest.raises(CagemapError, match=words):
+            read_result(tmp_path / "R")
