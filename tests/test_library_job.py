@@ -194,3 +194,12 @@ def test_shapes_are_compared_whatever_their_place_and_size() -> None:
     moved = type(mesh)(**{**mesh.__dict__, "positions": 7.0 * mesh.positions[:, [2, 0, 1]] + 3.0})
     assert abs(shape_distribution(mesh) - shape_distribution(moved)).max() < 1e-9
     assert abs(shape_distribution(mesh) - shape_distribution(cube())).mean() > 0.02
+
+
+def test_relative_files_start_from_the_job_file(folder: Path) -> None:
+    (folder / "textures").mkdir()
+    (folder / "textures" / "c.png").write_bytes(b"not read here")
+    output = '[[outputs]]\ncommand = "transfer"\ntexture = "textures/{source}.png"\noutput = "{target}.png"\n'
+    plan = plan_of(folder, HEAD + ASSETS + PAIRS + output)
+    textures = {task.request["texture"] for task in plan.tasks if task.kind == "transfer"}
+    assert str(folder / "textures" / "c.png") in textures

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.basis import BasisConfig
+from cagemap.cli.job_file import note_match
 from cagemap.cli.mesh_commands import require_size
 from cagemap.cli.progress import Stages
 from cagemap.cli.subdivision import SubdivisionRequest
@@ -117,6 +118,7 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     )
     stages("write")
     write_result(request.output, result, force=request.force)
+    note_match(request)
     return summary(result, request.output, time.perf_counter() - started), warnings(result)
 
 

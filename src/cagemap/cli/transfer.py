@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from cagemap.cli.job_file import note_output
 from cagemap.cli.progress import Stages
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs, require_no_input, require_replaceable, require_writable_folder
@@ -81,7 +82,9 @@ def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
     require_no_input([request.output], _inputs(request))
     require_writable_folder(request.output)
     stages("read result")
-    return carry(request, read_result(request.result), stages)
+    outcome = carry(request, read_result(request.result), stages)
+    note_output("transfer", request)
+    return outcome
 
 
 def _inputs(request: TransferRequest) -> list[Path]:

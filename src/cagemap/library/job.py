@@ -30,7 +30,7 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
@@ -111,6 +111,8 @@ class Job:
     pairs : tuple of PairRule
         Their options include those of the whole job.
     outputs : tuple of OutputRule
+    paths : dict of str to frozenset of str
+        The options of every command that are files; relative ones start from the job file's folder.
     """
 
     path: Path
@@ -118,6 +120,7 @@ class Job:
     assets: dict[str, Asset]
     pairs: tuple[PairRule, ...]
     outputs: tuple[OutputRule, ...]
+    paths: dict[str, frozenset[str]]
 
 
 def read_job(path: str | Path, commands: Mapping[str, type]) -> Job:
@@ -152,7 +155,15 @@ def read_job(path: str | Path, commands: Mapping[str, type]) -> Job:
         listed = "\n".join(f"  line {line}: {message}" for line, message in lines[:_SHOWN])
         more = f"\n  and {len(lines) - _SHOWN} more" if len(lines) > _SHOWN else ""
         raise FormatError(f"{file}: {len(lines)} problem{'s' * (len(lines) > 1)}; nothing was started.\n{listed}{more}")
-    return _resolved(file, parsed)
+    return _resolved(file, parsed, {name: path_options(request) for name, request in commands.items()})
+
+
+def path_options(request: type) -> frozenset[str]:
+    """Names of a command's options that are files or folders."""
+    hints = get_type_hints(request)
+    return frozenset(
+        field.name for field in fields(request) if Path in (hints[field.name], *get_args(hints[field.name]))
+    )
 
 
 def options_schema(request: type) -> type[BaseModel]:
@@ -287,7 +298,7 @@ def listed(names: str | list[str] | None, everything: list[str]) -> list[str]:
     return everything if names == ALL else [names] if isinstance(names, str) else names
 
 
-def _resolved(path: Path, job: _File) -> Job:
+def _resolved(path: Path, job: _File, paths: dict[str, frozenset[str]]) -> Job:
     """Paths made absolute against the job file's folder; the whole job's options put under those of each pair."""
     folder = path.resolve().parent
 
@@ -304,8 +315,12 @@ def _resolved(path: Path, job: _File) -> Job:
         )
         for asset in job.assets
     }
+
+    def options(pair: PairRule) -> dict[str, Any]:
+        merged = {**job.options, **pair.options}
+        return {name: str(folder / value) if name in paths["match"] else value for name, value in merged.items()}
+
     pairs = tuple(
-        pair.model_copy(update={"landmarks": absolute(pair.landmarks), "options": {**job.options, **pair.options}})
-        for pair in job.pairs
+        pair.model_copy(update={"landmarks": absolute(pair.landmarks), "options": options(pair)}) for pair in job.pairs
     )
-    return Job(path.resolve(), folder / job.output, assets, pairs, tuple(job.outputs))
+    return Job(path.resolve(), folder / job.output, assets, pairs, tuple(job.outputs), paths)

@@ -212,12 +212,13 @@ def _output(
     """The task of an output; or why the pair does not get it."""
     pair = f"{source.name} -> {target.name}"
     options: dict[str, Any] = {}
+    files = job.paths[rule.command] - {"output"}
     name = rule.output or _DEFAULT_OUTPUT.get(rule.command) or f"{{target}}_{rule.command}.png"
     for option, value in {**(rule.model_extra or {}), "output": name}.items():
         filled = fill(value, source, target) if isinstance(value, str) else value
         if filled is None:
             return f"{pair}: no {rule.command}, {value} is not among the asset's files"
-        options[option] = filled
+        options[option] = str(job.path.parent / filled) if option in files else filled
     written = f"{source.name}__{target.name}/{options.pop('output')}"
     key = _key(version, rule.command, hashes.of_request(options), match.key)
     request = {**options, "result": match.request["output"], "output": str(job.output / written)}

@@ -1,0 +1,76 @@
+"""The job file that repeats what was done, written into the RESULT folder: ``cagemap run RESULT/job.toml``."""
+
+from __future__ import annotations
+
+import logging
+import re
+import tomllib
+from dataclasses import MISSING, Field, fields
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from cagemap.files.atomic import atomic_path
+from cagemap.files.marks import is_own, mark
+from cagemap.files.result import stated_path
+
+JOB = "job.toml"
+# Fields of requests that are no options of a job: where things are, and what may be overwritten.
+_PLACES = ("target", "source", "result", "output", "cache", "force")
+_log = logging.getLogger(__name__)
+
+
+def note_match(request: Any) -> None:
+    """Write the job file of a match into its RESULT folder; one that somebody edited stays."""
+    folder: Path = request.output
+    if (folder / JOB).exists() and not is_own(folder / JOB):
+        _log.info("%s: was edited, so this match is not noted in it", folder / JOB)
+        return
+    paths = {"source": request.source, "target": request.target}
+    names = {side: _asset_name(path) for side, path in paths.items()}
+    if names["source"] == names["target"]:
+        names = {side: f"{name}-{side}" for side, name in names.items()}
+    assets = [{"name": names[side], "file": stated_path(path, folder)} for side, path in paths.items()]
+    options, pair = stated_options(request, folder), dict(names)
+    if "landmarks" in options:
+        pair["landmarks"] = options.pop("landmarks")
+    _write(folder / JOB, {"output": "again", "options": options, "assets": assets, "pairs": [pair]})
+
+
+def note_output(command: str, request: Any) -> None:
+    """Add an output to the job file of its RESULT folder; the same output replaces. A file that was edited stays."""
+    folder: Path = request.result
+    place = folder / JOB
+    if not place.is_file() or not is_own(place):
+        _log.info("%s: is not there or was edited, so this %s is not noted in it", place, command)
+        return
+    data = tomllib.loads(place.read_text(encoding="utf-8"))
+    entry = {"command": command, "output": request.output.name, **stated_options(request, folder)}
+    kept = [other for other in data.get("outputs", []) if other.get("output") != entry["output"]]
+    _write(place, {**data, "outputs": [*kept, entry]})
+
+
+def stated_options(request: Any, folder: Path) -> dict[str, Any]:
+    """Options of a request that are not the defaults, as TOML has them; paths relative to the RESULT folder."""
+    options = {}
+    for field in fields(request):
+        value = getattr(request, field.name)
+        if field.name in _PLACES or value is None or value == _default(field):
+            continue
+        options[field.name] = stated_path(value, folder) if isinstance(value, Path) else value
+    return options
+
+
+def _asset_name(path: Path) -> str:
+    """A mesh file's name as an asset may be called."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", path.stem).strip("-._")[:60] or "model"
+
+
+def _default(field: Field[Any]) -> Any:
+    return field.default_factory() if field.default_factory is not MISSING else field.default
+
+
+def _write(path: Path, data: dict[str, Any]) -> None:
+    with atomic_path(path) as temporary:
+        temporary.write_text(f"# {mark()}\n# Repeat: cagemap run {path.name}\n{tomli_w.dumps(data)}", encoding="utf-8")

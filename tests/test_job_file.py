@@ -1,0 +1,83 @@
+"""What a command did can be done again by the job file that it leaves in the RESULT folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cagemap.cli.app import app
+from cagemap.cli.job_file import JOB, note_match, note_output
+from cagemap.cli.library import COMMANDS
+from cagemap.cli.match import MatchRequest
+from cagemap.cli.transfer import TransferRequest
+from cagemap.example import example_pair
+from cagemap.files.images import read_image, write_image
+from cagemap.files.landmarks import write_landmarks
+from cagemap.files.meshes import write_mesh
+from cagemap.files.result import read_result
+from cagemap.library import plan_job, read_job, spanning_tree
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    pair = example_pair(64)
+    write_mesh(tmp_path / "deer.obj", pair.target)
+    write_mesh(tmp_path / "pony.obj", pair.source)
+    write_landmarks(tmp_path / "landmarks.json", pair.landmarks)
+    write_image(tmp_path / "pony.png", pair.texture)
+    (tmp_path / "RESULT").mkdir()
+    return tmp_path
+
+
+def requests(folder: Path) -> tuple[MatchRequest, TransferRequest]:
+    result = folder / "RESULT"
+    match = MatchRequest(
+        folder / "deer.obj", folder / "pony.obj", folder / "landmarks.json", result, vertices=700, k=40
+    )
+    return match, TransferRequest(result, folder / "deer.png", texture=folder / "pony.png", size=32)
+
+
+def test_the_job_file_asks_for_just_what_was_asked_for(folder: Path) -> None:
+    match, transfer = requests(folder)
+    note_match(match)
+    for _ in range(2):  # the same output replaces
+        note_output("transfer", transfer)
+    job = read_job(folder / "RESULT" / JOB, COMMANDS)
+    tasks = plan_job(job, "1", spanning_tree).tasks
+    asked = {task.kind: task.request for task in tasks}
+    assert [task.kind for task in tasks] == ["prepare", "prepare", "match", "picture", "transfer"]
+    assert {name: asked["match"][name] for name in ("vertices", "k")} == {"vertices": 700, "k": 40}
+    for name, path in (("target", match.target), ("source", match.source), ("landmarks", match.landmarks)):
+        assert Path(asked["match"][name]).resolve() == Path(str(path)).resolve()
+    assert Path(asked["transfer"]["texture"]).resolve() == (folder / "pony.png").resolve()
+    assert asked["transfer"]["size"] == 32
+
+
+def test_an_edited_job_file_is_left_alone(folder: Path) -> None:
+    match, transfer = requests(folder)
+    note_match(match)
+    place = folder / "RESULT" / JOB
+    edited = place.read_text() + "# mine\n"
+    place.write_text(edited)
+    note_output("transfer", transfer)
+    assert place.read_text() == edited
+
+
+@pytest.mark.slow
+def test_running_it_gives_the_same_map_and_image(folder: Path) -> None:
+    runner = CliRunner()
+    (folder / "RESULT").rmdir()
+    match = ["match", "-t", f"{folder}/deer.obj", "-s", f"{folder}/pony.obj", "--landmarks", f"{folder}/landmarks.json"]
+    transfer = ["transfer", f"{folder}/RESULT", "--texture", f"{folder}/pony.png", "-o", f"{folder}/deer.png"]
+    for command in ([*match, "--vertices", "1500", "-o", f"{folder}/RESULT"], transfer):
+        done = runner.invoke(app, command)
+        assert done.exit_code == 0, done.output
+    done = runner.invoke(app, ["run", f"{folder}/RESULT/{JOB}", "--workers", "1"])
+    assert done.exit_code == 0, done.output
+    again = folder / "RESULT" / "again" / "pony__deer"
+    np.testing.assert_array_equal(read_image(again / "deer.png").pixels, read_image(folder / "deer.png").pixels)
+    one, two = read_result(folder / "RESULT"), read_result(again / "RESULT")
+    np.testing.assert_allclose(two.image(), one.image(), atol=1e-12 * np.ptp(one.image()))
