@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cagemap.descriptors import (
+    choose_filters,
     heat_filters,
     heat_times,
     landmark_descriptors,
@@ -56,14 +57,23 @@ def test_heat_filters_scale_with_area(spectrum):
 
 
 @pytest.mark.parametrize("count", [3, 8, 20, 100])
-def test_wave_filters_are_averages_over_energies(spectrum, count):
+def test_wave_filters_are_bands_of_energy(spectrum, count):
     energies, width = wave_energies(spectrum, count)
     filters = wave_filters(spectrum, energies, width)
     assert np.all(np.diff(energies) > 0.0)
     assert np.log(spectrum[1]) < energies[0]
     assert energies[-1] < np.log(spectrum[-1])
-    np.testing.assert_allclose(filters.sum(axis=0), 1.0)
+    nearest = np.argmin(abs(np.log(spectrum[1:])[:, None] - energies), axis=0)
+    np.testing.assert_array_equal(np.argmax(filters[1:], axis=0), nearest)
     np.testing.assert_array_equal(filters[0], 0.0)  # the constant has no energy
+
+
+def test_filters_of_a_coarser_level_are_the_leading_rows(spectrum):
+    """Chosen once, so that the low block of F^{l+1} is F^l (eq. 15)."""
+    filters = choose_filters(spectrum, 1.1 * spectrum, 4, 5)
+    np.testing.assert_array_equal(filters.at(spectrum)[:12], filters.at(spectrum[:12]))
+    with pytest.raises(ParameterError, match="at least one filter"):
+        choose_filters(spectrum, spectrum, 0, 0)
 
 
 def test_signatures_do_not_see_signs_or_rotations_of_an_eigenspace(spectrum):

@@ -25,6 +25,7 @@ from cagemap.maps.elastic.graph import (
     mesh_graph,
 )
 from cagemap.maps.elastic.update import landmark_response
+from cagemap.maps.pair import Pair
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection import unfold as folds
 from cagemap.maps.projection.project import (
@@ -37,7 +38,6 @@ from cagemap.maps.projection.project import (
 )
 from cagemap.maps.projection.unfold import Images, Sides, unfold
 from cagemap.maps.quality import flipped_share, flipped_triangles, map_positions, measure_quality
-from cagemap.maps.spectral.hierarchical import Pair
 from cagemap.maps.spectral.landmark_coordinates import interpolants, landmark_coordinates
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.shapes import creature

@@ -21,8 +21,10 @@ from cagemap import (
 )
 from cagemap.errors import InvalidLandmarksError, InvalidMeshError, ParameterError
 from cagemap.example import example_pair
+from cagemap.maps.pair import Pair
 from cagemap.maps.quality import map_positions
-from cagemap.maps.spectral.hierarchical import HierarchyConfig, Pair, ladder, search_levels
+from cagemap.maps.spectral.hierarchical import HierarchyConfig, search_levels
+from cagemap.maps.spectral.levels import ladder
 from cagemap.maps.truth import compare_with_truth, true_map
 from cagemap.mesh import shapes
 from cagemap.refinement import level_triangles
@@ -138,7 +140,7 @@ def test_wrong_input_is_refused_before_anything_expensive(pony):
         prepare_surface(ControlMesh.from_faces(pony.positions, [[0, 1, 2]] * 3), 2)
     with pytest.raises(ParameterError, match="level: expected 1 to"):
         prepare_surface(pony, 0)
-    with pytest.raises(ParameterError, match="method: expected one of elastic, hfm, got 'magic'"):
+    with pytest.raises(ParameterError, match="method: expected one of elastic, hfm, paper, got 'magic'"):
         MatchConfig(method="magic")
     surface = prepare_surface(shapes.creature(), 1, BasisConfig(count=10))
     outside = Landmarks(("a", "b", "c"), np.array([0, 1, 9999]), np.array([0, 1, 2]), "t.obj", "s.obj")

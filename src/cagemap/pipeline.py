@@ -5,24 +5,27 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 
 import numpy as np
 
 from cagemap.basis import BasisConfig, Surface, hierarchical_basis
-from cagemap.descriptors import check_symmetry, detect_mirror_symmetry
 from cagemap.errors import ParameterError
 from cagemap.maps.elastic.fit import ElasticConfig
 from cagemap.maps.elastic.method import RefinedConfig, functional_map_of, refined_map, updated_map
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect, checked_map
+from cagemap.maps.pair import Pair, SymmetryPair
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import COVERAGE_SAMPLES, QualityFigures, measure_quality
-from cagemap.maps.spectral.hierarchical import HierarchyConfig, Pair, hierarchical_map
+from cagemap.maps.spectral.constraints import paired_mirrors
+from cagemap.maps.spectral.hierarchical import HierarchyConfig, hierarchical_map
+from cagemap.maps.spectral.levels import LevelMap
+from cagemap.maps.spectral.paper import PaperConfig, paper_map
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import ThreadPool, in_threads, one_blas_thread
 from cagemap.operators import build_operators
 from cagemap.refinement import Scheme, level_triangles, refine
@@ -30,7 +33,7 @@ from cagemap.refinement.counts import vertex_counts
 
 Progress = Callable[[str], None]
 
-METHODS = ("elastic", "hfm")
+METHODS = ("elastic", "hfm", "paper")
 MAP_BASIS = BasisConfig()
 # A level counts as having the vertices asked for from this share on; the next one has four times as many.
 ENOUGH = 0.75
@@ -45,21 +48,29 @@ class MatchConfig:
     ----------
     method : str
         "elastic": the spectral map with landmark coordinates, finished by an elastic fit; landmarks are met exactly.
-        "hfm": the paper's hierarchical functional map with spectral upsampling.
+        "hfm": a hierarchical functional map whose bands are found by eqs. 14-16 and by the map so far.
+        "paper": the paper's own hierarchical functional map, which starts at level 0; wants a fixed schedule.
     hierarchy : HierarchyConfig
-        Descriptors, weights and search.
+        Descriptors, weights and search of "elastic" and "hfm".
+    paper : PaperConfig
+        Those of "paper".
     elastic : ElasticConfig
         The elastic fit.
     use_symmetry : bool
-        Detect each control mesh's mirror symmetry and, where both have one, let the map commute with it (paper, 5.2).
+        Find mirror planes that both control meshes have and let the map commute with them (paper, 5.2), unless
+        symmetries are given.
+    symmetries : tuple of ((n_0 target,), (n_0 source,)) arrays
+        Self-maps of the control meshes that correspond, see `cagemap.maps.pair.Pair`.
     check_landmarks : bool
         Leave out landmark pairs that look wrong ("elastic" only); otherwise all are met exactly.
     """
 
     method: str = "elastic"
     hierarchy: HierarchyConfig = HierarchyConfig()
+    paper: PaperConfig = PaperConfig()
     elastic: ElasticConfig = ElasticConfig()
     use_symmetry: bool = True
+    symmetries: tuple[SymmetryPair, ...] = ()
     check_landmarks: bool = True
 
     def __post_init__(self) -> None:
@@ -87,6 +98,8 @@ class MatchResult:
         Seconds of every stage.
     landmark_check : LandmarkCheck
         Pairs that look wrong and were left out, and notes.
+    level_maps : tuple of LevelMap
+        Functional map and vertex matches of every level, of the methods that go from level to level.
     """
 
     target: Surface
@@ -97,6 +110,7 @@ class MatchResult:
     quality: QualityFigures
     timings: dict[str, float] = field(repr=False)
     landmark_check: LandmarkCheck = field(default_factory=LandmarkCheck)
+    level_maps: tuple[LevelMap, ...] = field(default=(), repr=False)
 
     @property
     def suspects(self) -> tuple[LandmarkSuspect, ...]:
@@ -236,14 +250,20 @@ def match(
     """
     check_landmarks(landmarks, target.control, source.control)
     timings: dict[str, float] = {}
+    pair = Pair(target, source, landmarks.target, landmarks.source, config.symmetries)
     with _timed(timings, "symmetry"):
-        symmetries = _symmetries(target.control, source.control) if config.use_symmetry else (None, None)
-    pair = Pair(target, source, landmarks.target, landmarks.source, *symmetries)
+        if config.use_symmetry and not config.symmetries:
+            pair = replace(pair, symmetries=paired_mirrors(pair))
     check = LandmarkCheck()
+    level_maps: tuple[LevelMap, ...] = ()
     with one_blas_thread():
-        if config.method == "hfm":
+        if config.method != "elastic":
             with _timed(timings, "map"):
-                functional_map, point_map = hierarchical_map(pair, config.hierarchy, progress)
+                if config.method == "paper":
+                    level_maps, point_map = paper_map(pair, config.paper, progress)
+                else:
+                    level_maps, point_map = hierarchical_map(pair, config.hierarchy, progress)
+            functional_map = level_maps[-1].functional_map
             progress("quality")
             with _timed(timings, "quality"):
                 quality = judge(target, source, point_map, landmarks)
@@ -257,7 +277,7 @@ def match(
             progress("functional map of the fit, quality")
             with _timed(timings, "quality"):
                 functional_map, quality = _read_off_and_judged(pair, point_map, check.trusted(landmarks))
-    return MatchResult(target, source, landmarks, functional_map, point_map, quality, timings, check)
+    return MatchResult(target, source, landmarks, functional_map, point_map, quality, timings, check, level_maps)
 
 
 def update_match(
@@ -324,16 +344,6 @@ def judge(target: Surface, source: Surface, point_map: PointMap, landmarks: Land
         landmarks.names,
         coarse_triangles=level_triangles(target.refinement, dense),
     )
-
-
-def _symmetries(target: ControlMesh, source: ControlMesh) -> tuple[IndexArray | None, IndexArray | None]:
-    """Mirror symmetries of both control meshes, or none at all unless both have one."""
-    found = detect_mirror_symmetry(target), detect_mirror_symmetry(source)
-    if found[0] is None or found[1] is None:
-        return None, None
-    check_symmetry(found[0], target)
-    check_symmetry(found[1], source)
-    return found
 
 
 @contextmanager

@@ -70,6 +70,7 @@ class Method(StrEnum):
 
     ELASTIC = "elastic"
     HFM = "hfm"
+    PAPER = "paper"
 
 
 def main() -> None:
@@ -223,7 +224,8 @@ def match(
         typer.Option(
             "--method",
             help="elastic: spectral map finished by an elastic fit, landmarks met exactly. "
-            "hfm: the paper's hierarchical functional map.",
+            "hfm: hierarchical functional map, each band found by the paper's eqs. 14-16 and by the map so far. "
+            "paper: the paper's own method, from level 0 on; give it a --schedule.",
         ),
     ] = Method.ELASTIC,
     symmetry: Annotated[

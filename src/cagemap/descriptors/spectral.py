@@ -6,6 +6,8 @@ coefficients; a signature is the diagonal of Phi~ rho_t(Lambda~) Phi~^T, a funct
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from cagemap.errors import ParameterError
@@ -15,6 +17,56 @@ from cagemap.numerics.arrays import FloatArray
 HEAT_RANGE = 4.0 * np.log(10.0)
 # [ASC11]: width of a wave kernel filter, in steps between neighbouring energies.
 WAVE_WIDTH = 7.0
+
+
+@dataclass(frozen=True)
+class Filters:
+    """Parameters of the filters rho_t, chosen once for both surfaces and all levels.
+
+    Attributes
+    ----------
+    times : (h,) array
+        Of the heat kernels.
+    energies : (w,) array
+        Of the wave kernels, log eigenvalues.
+    width : float
+        Of the wave kernels, in log eigenvalue.
+    """
+
+    times: FloatArray
+    energies: FloatArray
+    width: float
+
+    def at(self, eigenvalues: FloatArray) -> FloatArray:
+        """rho_t of every eigenvalue, (k, h + w); row by row, so that a leading part of the spectrum has the same."""
+        return np.hstack(
+            [heat_filters(eigenvalues, self.times), wave_filters(eigenvalues, self.energies, self.width)],
+        )
+
+
+def choose_filters(target_eigenvalues: FloatArray, source_eigenvalues: FloatArray, heat: int, wave: int) -> Filters:
+    """Filters for two surfaces of unit area, from the geometric mean of their whole spectra.
+
+    Parameters
+    ----------
+    target_eigenvalues, source_eigenvalues : (k1,), (k2,) arrays
+        In any order.
+    heat, wave : int
+        Filters of each kind.
+
+    Raises
+    ------
+    ParameterError
+        If there are too few eigenvalues, or no filters.
+    """
+    if min(heat, wave) < 0 or heat + wave == 0:
+        raise ParameterError(f"expected at least one filter, got {heat} heat and {wave} wave kernels")
+    spectra = [np.sort(eigenvalues) for eigenvalues in (target_eigenvalues, source_eigenvalues)]
+    count = min(len(spectrum) for spectrum in spectra)
+    shared = np.exp(np.mean([np.log(np.maximum(spectrum[:count], 1e-12)) for spectrum in spectra], axis=0))
+    times = heat_times(shared, heat) if heat else np.zeros(0)
+    energies, width = wave_energies(shared, wave) if wave else (np.zeros(0), 1.0)
+    return Filters(times, energies, width)
 
 
 def heat_times(eigenvalues: FloatArray, count: int) -> FloatArray:
@@ -56,14 +108,14 @@ def wave_energies(eigenvalues: FloatArray, count: int) -> tuple[FloatArray, floa
 
 
 def wave_filters(eigenvalues: FloatArray, energies: FloatArray, width: float) -> FloatArray:
-    """Wave kernel filters exp(-(e - log lambda)^2 / (2 width^2)), each column summing to 1; (k, q).
+    """Wave kernel filters exp(-(e - log lambda)^2 / (2 width^2)); (k, q).
 
     The constant function has no energy and gets weight 0.
     """
     logs = np.log(np.maximum(eigenvalues, np.finfo(float).tiny))
     filters = np.exp(-((energies[None, :] - logs[:, None]) ** 2) / (2.0 * width**2))
     filters[eigenvalues <= _zero(eigenvalues)] = 0.0
-    return filters / np.maximum(filters.sum(axis=0), np.finfo(float).tiny)
+    return filters
 
 
 def landmark_descriptors(rows: FloatArray, filters: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Self-symmetries: found on the control mesh, propagated to every level, projected on the basis (paper, 5.2)."""
+"""Self-symmetries of a surface: given, propagated to every level, projected on the basis (paper, 5.2)."""
 
 from __future__ import annotations
 
@@ -6,111 +6,51 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from cagemap.basis import HierarchicalBasis
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.refinement import Refinement
 
-# Two control vertices are mirror images of each other within this fraction of the bounding box diagonal.
-MIRROR_TOLERANCE = 1e-3
-
-
-def detect_mirror_symmetry(control: ControlMesh, tolerance: float = MIRROR_TOLERANCE) -> IndexArray | None:
-    """Find the mirror symmetry of a control mesh about a coordinate-free plane, if it has one.
-
-    The plane passes through the centroid; its normal is tried along the coordinate axes and the principal axes. The
-    map must be an involution that sends faces to faces, and creases and corners to others as sharp.
-
-    Returns
-    -------
-    (n,) array or None
-        Vertex i's mirror image, or None if no plane maps the mesh to itself.
-    """
-    positions = control.positions - control.positions.mean(axis=0)
-    diagonal = float(np.linalg.norm(np.ptp(positions, axis=0)))
-    _, principal = np.linalg.eigh(positions.T @ positions)
-    tree = cKDTree(positions)
-    for normal in (*np.eye(3), *principal.T):
-        mirrored = positions - 2.0 * np.outer(positions @ normal, normal)
-        # Farther than the bound nothing is looked for, and the index is n.
-        _, found = tree.query(mirrored, distance_upper_bound=np.nextafter(tolerance * diagonal, np.inf))
-        image = np.atleast_1d(found).astype(np.int64)
-        if image.max() == len(image) or not np.array_equal(image[image], np.arange(len(image))):
-            continue
-        if np.array_equal(image, np.arange(len(image))):
-            continue  # a flat mesh mirrored onto itself says nothing
-        if _sends_faces_to_faces(control, image) and _sends_creases_to_creases(control, image):
-            return image
-    return None
+# Rows of S^l that generic functions tell apart by less than this are the same row.
+SAME_ROW = 1e-9
+UNKNOWN = -1
+# Basis functions that are mirrored at once: at a million vertices 256 MB.
+COLUMNS = 32
 
 
 def check_symmetry(symmetry: IndexArray, control: ControlMesh) -> None:
-    """Refuse a symmetry map that is not a permutation of the control vertices sending faces to faces.
+    """Refuse what is no self-map of the control vertices.
+
+    Parameters
+    ----------
+    symmetry : (n,) array
+        Vertex i's image; -1 where it is not known. A permutation that sends faces to faces is propagated exactly,
+        anything else by nearest neighbours.
 
     Raises
     ------
     ParameterError
     """
     n = control.n_vertices
-    if symmetry.shape != (n,) or not np.array_equal(np.sort(symmetry), np.arange(n)):
-        raise ParameterError(f"symmetry: expected a permutation of the {n} control vertices of {control.name}")
-    if not _sends_faces_to_faces(control, symmetry):
-        raise ParameterError(f"symmetry: it does not send the faces of {control.name} to faces")
-    if not _sends_creases_to_creases(control, symmetry):
-        raise ParameterError(f"symmetry: it does not send the creases of {control.name} to creases as sharp")
+    array = np.asarray(symmetry)
+    if array.shape != (n,) or not np.issubdtype(array.dtype, np.integer):
+        raise ParameterError(
+            f"symmetry: expected the image of each of the {n} control vertices of {control.name}, whole numbers, "
+            f"got {array.dtype} of shape {array.shape}"
+        )
+    if array.min() < UNKNOWN or array.max() >= n or array.max() == UNKNOWN:
+        raise ParameterError(
+            f"symmetry: expected vertices 0 to {n - 1} of {control.name}, or -1 where the image is not known, "
+            f"got {array.min()} to {array.max()}"
+        )
 
 
-def propagate_symmetry(subdivision: sparse.csr_array, symmetry: IndexArray) -> IndexArray:
-    """Symmetry of the next level: the row of S^l that has a vertex's mirrored weights is its mirror image.
-
-    The paper searches nearest neighbours between X^{l+1} and S^l S^l_sym X^l; comparing rows of S^l with those whose
-    columns are permuted is the same search without geometry, so it also serves intrinsic symmetries and coinciding
-    vertices.
-
-    Parameters
-    ----------
-    subdivision : (n_{l+1}, n_l) CSR array
-        S^l.
-    symmetry : (n_l,) array
-
-    Returns
-    -------
-    (n_{l+1},) array
-    """
-    rng = np.random.default_rng(20190707)
-    probes = rng.standard_normal((subdivision.shape[1], 3))  # generic functions tell all rows of S^l apart
-    rows = subdivision @ probes
-    mirrored = subdivision @ probes[symmetry]
-    distances, image = (np.atleast_1d(found) for found in cKDTree(rows).query(mirrored))
-    if distances.max() > 1e-9:
-        raise ParameterError("symmetry: the refined mesh is not symmetric; is the given map one of the control mesh?")
-    return np.asarray(image, dtype=np.int64)
-
-
-def symmetry_operator(
-    basis_rows: FloatArray, mirrored_rows: FloatArray, areas: FloatArray, gram: FloatArray
-) -> FloatArray:
-    """Projected self-symmetry O~ = Phi~^+ S Phi~, cut to its three main diagonals (paper, section 5.2).
-
-    Parameters
-    ----------
-    basis_rows, mirrored_rows : (n, k) arrays
-        Phi~ and S Phi~: the same vertices and their mirror images.
-    areas : (n,) array
-        Weights of the vertices in the inner product.
-    gram : (k, k) array
-        Phi~^T M Phi~ with these weights.
-
-    Returns
-    -------
-    (k, k) array, tridiagonal
-    """
-    operator = np.linalg.solve(gram, basis_rows.T @ (areas[:, None] * mirrored_rows))
-    return np.triu(np.tril(operator, 1), -1)
-
-
-def _sends_faces_to_faces(control: ControlMesh, image: IndexArray) -> bool:
-    """Whether the faces are the same sets of vertices after renaming the vertices by a permutation."""
-    renamed = image[control.face_indices]
+def sends_faces_to_faces(control: ControlMesh, symmetry: IndexArray) -> bool:
+    """Whether a self-map is a permutation under which the faces are the same sets of vertices."""
+    if not np.array_equal(np.sort(symmetry), np.arange(control.n_vertices)):
+        return False
+    renamed = symmetry[control.face_indices]
     for size in np.unique(control.face_sizes):
         corners = control.face_offsets[:-1][control.face_sizes == size, None] + np.arange(size)
         if not np.array_equal(_ordered_rows(renamed[corners]), _ordered_rows(control.face_indices[corners])):
@@ -118,7 +58,77 @@ def _sends_faces_to_faces(control: ControlMesh, image: IndexArray) -> bool:
     return True
 
 
-def _sends_creases_to_creases(control: ControlMesh, image: IndexArray) -> bool:
+def symmetry_at(refinement: Refinement, symmetry: IndexArray, level: int) -> IndexArray:
+    """Self-map of a level from that of the control mesh, level by level; (n_level,), -1 where it is not known."""
+    for i in range(level):
+        coarse, fine = refinement.levels[i].positions, refinement.levels[i + 1].positions
+        symmetry = propagate_symmetry(refinement.matrices[i], symmetry, coarse, fine)
+    return symmetry
+
+
+def propagate_symmetry(
+    subdivision: sparse.csr_array, symmetry: IndexArray, coarse_positions: FloatArray, fine_positions: FloatArray
+) -> IndexArray:
+    """Self-map of the next level: nearest neighbours between X^{l+1} and S^l S_sym X^l (paper, 5.2).
+
+    Where a row of S^l with permuted columns is again a row of S^l, that row is the answer: the same search without
+    geometry, which cannot take one of two coinciding vertices for the other. Elsewhere the positions decide.
+
+    Parameters
+    ----------
+    subdivision : (n_{l+1}, n_l) CSR array
+        S^l.
+    symmetry : (n_l,) array
+        -1 where not known.
+    coarse_positions, fine_positions : (n_l, 3), (n_{l+1}, 3) arrays
+        X^l and X^{l+1}.
+
+    Returns
+    -------
+    (n_{l+1},) array
+        -1 for vertices that depend on one whose image is not known.
+    """
+    rng = np.random.default_rng(20190707)
+    probes = rng.standard_normal((subdivision.shape[1], 3))  # generic functions tell all rows of S^l apart
+    distances, nearest = cKDTree(subdivision @ probes).query(subdivision @ probes[symmetry])
+    image = np.array(nearest, dtype=np.int64)
+    rest = np.flatnonzero(np.asarray(distances) > SAME_ROW)
+    if len(rest):
+        mirrored = subdivision[rest] @ coarse_positions[symmetry]
+        image[rest] = cKDTree(fine_positions).query(mirrored)[1]
+    if symmetry.min() == UNKNOWN:
+        unknown = abs(subdivision) @ (symmetry == UNKNOWN).astype(np.float64)
+        image[unknown > 0.0] = UNKNOWN
+    return image
+
+
+def symmetry_operator(basis: HierarchicalBasis, symmetry: IndexArray) -> FloatArray:
+    """Projected self-symmetry O~ = Phi~^+ S Phi~, cut to its three main diagonals (paper, section 5.2).
+
+    The pseudo-inverse is that of the inner product M: only so has an exact symmetry +-1 on its diagonal.
+
+    Parameters
+    ----------
+    basis : HierarchicalBasis
+    symmetry : (n,) array
+        S at the basis' last level. S g is 0 where the image is not known, so both surfaces should know it on the same
+        parts.
+
+    Returns
+    -------
+    (k, k) array, tridiagonal
+        Its leading blocks are the operators of the coarser levels.
+    """
+    level, columns = basis.last_level, []
+    for i, band in enumerate(basis.bands):
+        for start in range(0, band.shape[1], COLUMNS):
+            values = basis.refinement.prolong(band[:, start : start + COLUMNS], i, level)
+            mirrored = np.where(symmetry[:, None] == UNKNOWN, 0.0, values[symmetry])
+            columns.append(basis.project(mirrored, level))
+    return np.triu(np.tril(np.hstack(columns), 1), -1)
+
+
+def sends_creases_to_creases(control: ControlMesh, image: IndexArray) -> bool:
     """Whether edges and vertices are as sharp as their images."""
     if control.crease_edges is not None and control.crease_sharpness is not None:
         edges, sharpness = control.crease_edges, control.crease_sharpness

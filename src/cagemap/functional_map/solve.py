@@ -1,60 +1,40 @@
-"""Functional maps as linear least squares: eq. 13 at level 0 and its blocks, eqs. 14-16, above.
-
-Every block is the same problem, min ||C F2 - F1||^2 + sum_O alpha ||C O2 - O1 C||^2, with other data.
-"""
+"""The least squares problem of eqs. 13 and 16: all of C, or what lies beside a block that is known."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
 from scipy import linalg
+from scipy.sparse.linalg import LinearOperator, cg
 
 from cagemap.errors import ParameterError
+from cagemap.functional_map.constraints import SPACING, Constraints, MapWeights
 from cagemap.numerics.arrays import FloatArray
 
-
-@dataclass(frozen=True)
-class Commutator:
-    """One commutativity constraint C O2 = O1 C with tridiagonal operators.
-
-    Attributes
-    ----------
-    target : (k1, k1) array
-        O1, at most tridiagonal.
-    source : (k2, k2) array
-        O2.
-    weight : float
-        alpha(O), relative to the data: 1 weighs the mean squared entry as much as one descriptor coefficient.
-    """
-
-    target: FloatArray
-    source: FloatArray
-    weight: float
+# Residual of the iteration that couples rows, relative to the right side.
+CONVERGED = 1e-12
+MOST_ITERATIONS = 2000
 
 
 def solve_functional_map(
-    source_descriptors: FloatArray,
-    target_descriptors: FloatArray,
-    target_eigenvalues: FloatArray,
-    source_eigenvalues: FloatArray,
-    laplacian_weight: float,
-    commutators: tuple[Commutator, ...] = (),
+    constraints: Constraints,
+    weights: MapWeights,
+    *,
+    known: FloatArray | None = None,
+    match: FloatArray | None = None,
 ) -> FloatArray:
-    """Solve eq. 13: argmin ||C F2 - F1||^2 + sum_O alpha(O) ||C O2 - O1 C||^2.
+    """Minimise ||C F2 - F1||^2 + sum_O alpha(O) ||C O2 - O1 C||^2 + decay ||C||^2 (eq. 13).
 
     Parameters
     ----------
-    source_descriptors : (k2, q) array
-        F2.
-    target_descriptors : (k1, q) array
-        F1.
-    target_eigenvalues, source_eigenvalues : (k1,), (k2,) arrays
-        The Laplacian operators O_i = Lambda~_i (paper, section 5.2), diagonal.
-    laplacian_weight : float
-        alpha(Lambda~), relative to the data term (see `laplacian_penalties`).
-    commutators : tuple of Commutator
-        Further operators, tridiagonal ones such as self-symmetries.
+    constraints : Constraints
+    weights : MapWeights
+    known : (a, b) array, optional
+        Leading block C_l that stays as it is (eq. 14); the three blocks beside it are found together. Operators without
+        entries between low and high functions let them fall apart into eq. 16 and its companion.
+    match : (k1, k2) array, optional
+        Functional map of a point map, Phi1^+ P12 Phi2: C then decays towards it instead of 0.
 
     Returns
     -------
@@ -64,97 +44,117 @@ def solve_functional_map(
     Raises
     ------
     ParameterError
-        If the descriptor matrices disagree in their number of columns.
+        If the known block or the match has a shape that does not fit.
     """
-    if source_descriptors.shape[1] != target_descriptors.shape[1]:
-        raise ParameterError(
-            "expected as many target as source descriptors, got "
-            f"{target_descriptors.shape[1]} and {source_descriptors.shape[1]}"
-        )
-    gram = source_descriptors @ source_descriptors.T  # (k2, k2)
-    cross = target_descriptors @ source_descriptors.T  # (k1, k2)
-    penalties = laplacian_penalties(target_eigenvalues, source_eigenvalues, laplacian_weight, gram)
-    if not commutators:
-        return _solve_rows(gram, cross, penalties)
-    return _solve_coupled_rows(gram, cross, penalties, commutators)
+    target, source = constraints.target, constraints.source
+    k1, k2 = constraints.shape
+    low1, low2 = (0, 0) if known is None else known.shape
+    if low1 > k1 or low2 > k2 or (match is not None and match.shape != (k1, k2)):
+        raise ParameterError(f"expected a known block within, and a match of, {(k1, k2)} functions")
+    gram = source.descriptors @ source.descriptors.T
+    right = target.descriptors @ source.descriptors.T
+    diagonal = laplacian_penalties(target.eigenvalues, source.eigenvalues, weights.laplacian)
+    # Systems stay definite where neither a descriptor nor an operator says anything.
+    diagonal += 1e-10 * np.trace(gram) / k2 + np.finfo(float).tiny
+    if match is None:
+        diagonal += weights.decay
+    else:
+        right = right + weights.match * match
+        diagonal += weights.match
+    pairs = [] if weights.operators == 0.0 else list(zip(target.operators, source.operators, strict=True))
+
+    def normal_equations(c: FloatArray) -> FloatArray:
+        result = c @ gram + diagonal * c
+        for o1, o2 in pairs:
+            commutator = c @ o2 - o1 @ c
+            result += weights.operators * (commutator @ o2.T - o1.T @ commutator)
+        return np.asarray(result)
+
+    start = np.zeros((k1, k2))
+    if known is not None:
+        start[:low1, :low2] = known
+        right = right - normal_equations(start)
+    # Rows low1.. are wholly unknown; of those above, the columns from low2 on.
+    blocks = [(slice(low1), slice(low2, k2)), (slice(low1, k1), slice(k2))]
+    if not pairs:
+        for rows, columns in blocks:
+            start[rows, columns] = _solve_rows(gram[columns, columns], diagonal[rows, columns], right[rows, columns])
+        return start
+    return start + _solve_coupled(normal_equations, blocks, right, _row_systems(gram, diagonal, pairs, weights))
 
 
-def laplacian_penalties(
-    target_eigenvalues: FloatArray, source_eigenvalues: FloatArray, weight: float, gram: FloatArray
-) -> FloatArray:
-    """Weights of C_ij^2 that stand for alpha ||C Lambda2 - Lambda1 C||^2.
-
-    The entries (lambda2_j - lambda1_i)^2 are divided by their mean and scaled by the mean squared descriptor
-    coefficient, so that `weight` means the same for every k and every shape.
-
-    Returns
-    -------
-    (k1, k2) array
-    """
-    differences = (source_eigenvalues[None, :] - target_eigenvalues[:, None]) ** 2
-    mean = float(differences.mean())
-    scale = float(np.trace(gram)) / len(gram)
-    return weight * scale * differences / (mean if mean > 0.0 else 1.0)
+def laplacian_penalties(target_eigenvalues: FloatArray, source_eigenvalues: FloatArray, weight: float) -> FloatArray:
+    """Weights of C_ij^2 that stand for alpha ||C Lambda2 - Lambda1 C||^2; (k1, k2)."""
+    differences = (source_eigenvalues[None, :] - target_eigenvalues[:, None]) / SPACING
+    return np.asarray(weight * differences**2)
 
 
-def _solve_rows(gram: FloatArray, cross: FloatArray, penalties: FloatArray) -> FloatArray:
-    """Diagonal operators only: each row of C is its own k2 x k2 positive definite system."""
-    solution = np.empty_like(cross)
-    ridge = _ridge(gram)
-    for i in range(len(cross)):
-        system = gram + np.diag(penalties[i] + ridge)
-        solution[i] = linalg.solve(system, cross[i], assume_a="pos", overwrite_a=True, check_finite=False)
+def _solve_rows(gram: FloatArray, diagonal: FloatArray, right: FloatArray) -> FloatArray:
+    """Diagonal operators only: each row of C is a positive definite system of its own."""
+    solution = np.empty_like(right)
+    for i in range(len(right) if right.shape[1] else 0):
+        system = gram + np.diag(diagonal[i])
+        solution[i] = linalg.solve(system, right[i], assume_a="pos", overwrite_a=True, check_finite=False)
     return solution
 
 
-def _solve_coupled_rows(
-    gram: FloatArray, cross: FloatArray, penalties: FloatArray, commutators: tuple[Commutator, ...]
+def _row_systems(
+    gram: FloatArray, diagonal: FloatArray, pairs: list[tuple[FloatArray, FloatArray]], weights: MapWeights
+) -> Callable[[slice, slice], FloatArray]:
+    """Inverses of what couples a row of C with itself: the preconditioner."""
+
+    def inverses(rows: slice, columns: slice) -> FloatArray:
+        systems = np.array([gram + np.diag(row) for row in diagonal[rows]]).reshape(-1, *gram.shape)
+        for o1, o2 in pairs:
+            own, norms = np.diag(o1)[rows], np.sum(o1 * o1, axis=0)[rows]
+            systems += weights.operators * (o2 @ o2.T - own[:, None, None] * (o2 + o2.T))
+            systems += weights.operators * norms[:, None, None] * np.eye(len(gram))
+        return np.asarray(np.linalg.inv(systems[:, columns, columns]))
+
+    return inverses
+
+
+def _solve_coupled(
+    normal_equations: Callable[[FloatArray], FloatArray],
+    blocks: list[tuple[slice, slice]],
+    right: FloatArray,
+    row_inverses: Callable[[slice, slice], FloatArray],
 ) -> FloatArray:
-    """Tridiagonal operators couple row i of C with rows i - 2 to i + 2: block Cholesky over pairs of rows."""
-    k1, k2 = cross.shape
-    ridge = _ridge(gram)
-    scale = float(np.trace(gram)) / k2
-    identity = np.eye(k2)
-    terms = [
-        (weight * scale, o1, o1.T @ o1, o2, o2 @ o2.T)
-        for o1, o2, weight in ((c.target, c.source, c.weight) for c in commutators)
-    ]
+    """Operators with entries beside the diagonal couple rows: conjugate gradients over the unknown blocks."""
+    shapes = [right[block].shape for block in blocks]
+    splits = np.cumsum([rows * columns for rows, columns in shapes])
+    inverses = [row_inverses(*block) for block in blocks]
 
-    def block(i: int, j: int) -> FloatArray:
-        """Coefficient of c_j in the normal equation of row c_i (as column vectors)."""
-        total = np.zeros((k2, k2))
-        if i == j:
-            total += gram + np.diag(penalties[i] + ridge)
-        for alpha, o1, o1_gram, o2, o2_gram in terms:
-            if i == j:
-                total += alpha * o2_gram
-            total += alpha * (o1_gram[i, j] * identity - o1[j, i] * o2.T - o1[i, j] * o2)
-        return total
+    def apart(x: FloatArray) -> list[FloatArray]:
+        return [part.reshape(shape) for part, shape in zip(np.split(x, splits[:-1]), shapes, strict=True)]
 
-    def paired(p: int, q: int) -> FloatArray:
-        rows = range(2 * p, min(2 * p + 2, k1))
-        columns = range(2 * q, min(2 * q + 2, k1))
-        return np.block([[block(i, j) for j in columns] for i in rows])
+    def together(parts: list[FloatArray]) -> FloatArray:
+        return np.concatenate([part.ravel() for part in parts])
 
-    pairs = (k1 + 1) // 2
-    right = [cross[2 * p : 2 * p + 2].ravel() for p in range(pairs)]
-    factors: list[tuple[FloatArray, bool]] = []
-    lower: list[FloatArray] = []
-    for p in range(pairs):  # block forward elimination of a block tridiagonal system
-        diagonal = paired(p, p)
-        if p > 0:
-            off = paired(p, p - 1)
-            lower.append(off)
-            diagonal -= off @ linalg.cho_solve(factors[-1], off.T)
-            right[p] = right[p] - off @ linalg.cho_solve(factors[-1], right[p - 1])
-        factors.append(linalg.cho_factor(0.5 * (diagonal + diagonal.T)))
-    solution = [np.zeros(0)] * pairs
-    for p in range(pairs - 1, -1, -1):
-        value = right[p] if p == pairs - 1 else right[p] - lower[p].T @ solution[p + 1]
-        solution[p] = linalg.cho_solve(factors[p], value)
-    return np.concatenate(solution).reshape(k1, k2)
+    def whole(x: FloatArray) -> FloatArray:
+        c = np.zeros_like(right)
+        for block, part in zip(blocks, apart(x), strict=True):
+            c[block] = part
+        return c
 
+    def apply(x: FloatArray) -> FloatArray:
+        image = normal_equations(whole(x))
+        return together([image[block] for block in blocks])
 
-def _ridge(gram: FloatArray) -> float:
-    """Keep systems definite where neither a descriptor nor an operator says anything."""
-    return 1e-10 * float(np.trace(gram)) / len(gram) + np.finfo(float).tiny
+    def precondition(x: FloatArray) -> FloatArray:
+        return together([np.einsum("ijk,ik->ij", inv, part) for inv, part in zip(inverses, apart(x), strict=True)])
+
+    size = int(splits[-1])
+    solution, failed = cg(
+        LinearOperator((size, size), matvec=apply, dtype=np.float64),
+        together([right[block] for block in blocks]),
+        rtol=CONVERGED,
+        maxiter=MOST_ITERATIONS,
+        M=LinearOperator((size, size), matvec=precondition, dtype=np.float64),
+    )
+    if failed:
+        raise ParameterError(
+            "the functional map of these operators was not found: are they scaled to norms of about 1, and their "
+            "weight comparable to that of the descriptors?"
+        )
+    return whole(solution)

@@ -11,7 +11,7 @@ from cagemap.geometry.closest import TriangleTree, build_tree, closest_points
 from cagemap.geometry.triangles import normalized, vertex_normals
 from cagemap.maps.elastic.counterparts import round_trip_weights
 from cagemap.maps.elastic.graph import ElasticGraph, transformed_normals
-from cagemap.maps.spectral.zoomout import spread
+from cagemap.maps.spectral.samples import spread
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.operators.laplacian import vertex_areas
 

@@ -10,12 +10,14 @@ from cagemap.basis import Surface
 from cagemap.geometry.closest import TriangleTree, build_tree
 from cagemap.maps.elastic.fit import ElasticConfig, RestShape, coarse_fit, fit
 from cagemap.maps.elastic.update import respond
+from cagemap.maps.pair import Pair, Progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import finest_surface, fit_shapes, level_graph, project, refined_positions
 from cagemap.maps.quality import map_positions
-from cagemap.maps.spectral.hierarchical import HierarchyConfig, Pair, Progress, descriptor_map, grown_map, search_levels
+from cagemap.maps.spectral.constraints import gather_constraints
+from cagemap.maps.spectral.hierarchical import HierarchyConfig, grown_map, search_levels
 from cagemap.maps.spectral.landmark_coordinates import landmark_coordinates
-from cagemap.maps.spectral.zoomout import FIT_SAMPLES, Samples, fit_functional_map, spread
+from cagemap.maps.spectral.samples import FIT_SAMPLES, Samples, fit_functional_map, spread
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool, in_threads
 from cagemap.refinement import level_triangles
@@ -98,7 +100,7 @@ def start_map(
     (q,) int64
         Source vertices of their level.
     """
-    functional_map = descriptor_map(pair, levels, config)
+    constraints = gather_constraints(pair, config.descriptors)
     candidates = spread(len(pair.source.refinement.levels[levels[1]].positions), START_SAMPLES)
     candidates = np.union1d(candidates, pair.source_landmarks)
     sides = [
@@ -106,7 +108,7 @@ def start_map(
         (pair.source, levels[1], pair.source_landmarks, candidates, np.ones(len(candidates))),
     ]
     target, source = in_threads(lambda side: _samples(*side), sides)
-    _, match = grown_map(functional_map, target, source, config, START_GROWTH)
+    _, match = grown_map(constraints, target, source, config, START_GROWTH)
     return candidates[match]
 
 

@@ -25,10 +25,11 @@ from cagemap.maps.landmarks.distances import (
     typical_misfit,
 )
 from cagemap.maps.landmarks.strain import ReducedEnergy, reduced_energy, strained_pair
+from cagemap.maps.pair import Pair, Progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import finest_surface, level_graph
 from cagemap.maps.quality import map_positions
-from cagemap.maps.spectral.hierarchical import Pair, Progress, search_levels
+from cagemap.maps.spectral.hierarchical import search_levels
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads

@@ -11,10 +11,10 @@ from cagemap.geometry.triangles import vertex_normals
 from cagemap.maps.elastic.data import Sheet
 from cagemap.maps.elastic.fit import ElasticConfig, FitShapes
 from cagemap.maps.elastic.graph import ElasticGraph, mesh_graph
+from cagemap.maps.pair import Pair
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.lay_out import lay_out_parts
 from cagemap.maps.projection.unfold import Images, Sides, unfold
-from cagemap.maps.spectral.hierarchical import Pair
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Refinement, level_triangles
 

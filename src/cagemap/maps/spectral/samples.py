@@ -1,7 +1,7 @@
-"""Spectral upsampling: point map and functional map in turn while the number of basis functions grows.
+"""Samples of a surface, their embeddings, and the functional map of a match (paper, 2.1.2 and 5.4).
 
-The alternation of the paper's section 5.4 on one level, with the growth of [ZoomOut: Melzi et al. 2019]. Extra
-coordinates that both surfaces share (such as harmonic landmark coordinates) may stand beside the spectral ones.
+Numbers of functions grow as in [ZoomOut: Melzi et al. 2019]. Extra coordinates that both surfaces share (such as
+harmonic landmark coordinates) may stand beside the spectral ones.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from cagemap.maps.spectral.search import Embedding, nearest_rows
+from cagemap.maps.spectral.search import Embedding
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 # Samples of either surface while k grows: some twenty rows for each of the 300 unknowns of a column of C.
@@ -90,37 +90,6 @@ def embed_source(samples: Samples, functional_map: FloatArray) -> Embedding:
     return np.hstack([spectral, np.sqrt(k1) * samples.coordinates]).astype(np.float32)
 
 
-def upsample(target: Samples, source: Samples, match: IndexArray, sizes: list[int]) -> tuple[FloatArray, IndexArray]:
-    """Alternate C = Phi~1^+ P12 Phi~2 and nearest neighbours while k grows.
-
-    Parameters
-    ----------
-    target, source : Samples
-    match : (b1,) array
-        Source sample of every target sample to start from.
-    sizes : list of int
-        Numbers of basis functions, see `growth`.
-
-    Returns
-    -------
-    functional_map : (k, k) array, for the last k
-    match : (b1,) array
-    """
-    whole, every = target, source
-    target = _subset(target, spread(len(target.areas), FIT_SAMPLES))
-    source = _subset(source, spread(len(source.areas), FIT_SAMPLES))
-    rows = every.rows[match[spread(len(whole.areas), FIT_SAMPLES)]]
-    functional_map = np.eye(1)
-    for k in sizes:
-        k1, k2 = min(k, target.rows.shape[1]), min(k, source.rows.shape[1])
-        functional_map = fit_functional_map(target, rows[:, :k2], k1)
-        nearest = nearest_rows(embed_target(target, k1), embed_source(source, functional_map))
-        rows = source.rows[nearest]
-    k1, k2 = functional_map.shape
-    functional_map = fit_functional_map(target, rows[:, :k2], k1)
-    match = nearest_rows(embed_target(whole, k1), embed_source(every, functional_map))
-    return functional_map, match
-
-
-def _subset(samples: Samples, chosen: IndexArray) -> Samples:
+def subset(samples: Samples, chosen: IndexArray) -> Samples:
+    """Some of the samples."""
     return Samples(samples.rows[chosen], samples.areas[chosen], samples.coordinates[chosen])

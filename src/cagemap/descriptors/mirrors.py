@@ -1,0 +1,106 @@
+"""Mirror planes of control meshes, found from their positions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from cagemap.descriptors.symmetry import sends_creases_to_creases, sends_faces_to_faces
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+# In fractions of the bounding box diagonal: what most vertices' mirror images may be off by, and what all may.
+MOST_WITHIN, ALL_WITHIN = 1e-3, 2e-2
+MOST = 0.95
+# Vertices that the search for a plane looks at, and how often it moves the plane.
+SAMPLES, STEPS = 2000, 10
+# Planes whose normals are closer than this (cosine) are one.
+SAME_PLANE = 0.99
+
+
+@dataclass(frozen=True)
+class Mirror:
+    """A mirror plane that a control mesh has, exactly or nearly.
+
+    Attributes
+    ----------
+    image : (n,) array
+        The vertex nearest to every vertex's mirror image.
+    normal : (3,) array
+        Unit vector; the plane is ``normal @ x == offset``.
+    offset : float
+    exact : bool
+        Whether the image is a permutation that sends faces to faces and creases to creases as sharp.
+    """
+
+    image: IndexArray
+    normal: FloatArray
+    offset: float
+    exact: bool
+
+    def reflect(self, points: FloatArray) -> FloatArray:
+        """Mirror images of points, (q, 3)."""
+        return points - 2.0 * np.outer(points @ self.normal - self.offset, self.normal)
+
+
+def mirror_symmetries(control: ControlMesh, tolerance: float = MOST_WITHIN) -> tuple[Mirror, ...]:
+    """Find the mirror planes of a control mesh, exact ones first.
+
+    A plane starts through the centroid, across a coordinate axis or a principal one, and moves to where the vertices'
+    mirror images lie on vertices. It counts if 95 % of them do, within the tolerance, and none is far off; faces need
+    not mirror, for cages are often triangulated without regard to it.
+
+    Parameters
+    ----------
+    control : ControlMesh
+    tolerance : float
+        Of the bounding box diagonal.
+    """
+    positions = control.positions
+    diagonal = float(np.linalg.norm(np.ptp(positions, axis=0)))
+    centre = positions.mean(axis=0)
+    _, principal = np.linalg.eigh((positions - centre).T @ (positions - centre))
+    tree = cKDTree(positions)
+    sample = positions[:: max(1, len(positions) // SAMPLES)]
+    found: list[Mirror] = []
+    for start in (*np.eye(3), *principal.T):
+        normal, offset = _settled_plane(sample, tree, start, float(start @ centre), diagonal)
+        if any(abs(mirror.normal @ normal) > SAME_PLANE for mirror in found):
+            continue
+        distances, nearest = _query(tree, Mirror(np.zeros(0, np.int64), normal, offset, False).reflect(positions))
+        image, own = nearest, np.arange(len(positions))
+        near = np.mean(distances <= tolerance * diagonal) >= MOST and distances.max() <= ALL_WITHIN * diagonal
+        # A flat mesh mirrored onto itself says nothing.
+        if near and np.mean(image[image] == own) >= MOST and not np.array_equal(image, own):
+            exact = sends_faces_to_faces(control, image) and sends_creases_to_creases(control, image)
+            found.append(Mirror(image, normal, offset, exact))
+    return tuple(sorted(found, key=lambda mirror: not mirror.exact))
+
+
+def _settled_plane(
+    sample: FloatArray, tree: cKDTree, normal: FloatArray, offset: float, diagonal: float
+) -> tuple[FloatArray, float]:
+    """Move a plane to the best one for the pairs that it makes itself, until they no longer change."""
+    for _ in range(STEPS):
+        mirrored = sample - 2.0 * np.outer(sample @ normal - offset, normal)
+        distances, nearest = _query(tree, mirrored)
+        if np.median(distances) > 0.1 * diagonal:
+            break
+        partner = tree.data[nearest]
+        good = distances <= 3.0 * np.median(distances) + 1e-6 * diagonal
+        across = (sample - partner)[good]
+        _, axes = np.linalg.eigh(across.T @ across)
+        moved = axes[:, -1] * np.sign(axes[:, -1] @ normal)
+        place = float(np.median(0.5 * (sample + partner)[good] @ moved))
+        settled = abs(place - offset) < 1e-9 * diagonal and moved @ normal > 1.0 - 1e-14
+        normal, offset = moved, place
+        if settled:
+            break
+    return normal, offset
+
+
+def _query(tree: cKDTree, points: FloatArray) -> tuple[FloatArray, IndexArray]:
+    distances, nearest = tree.query(points)
+    return np.asarray(distances), np.asarray(nearest, dtype=np.int64)

@@ -1,0 +1,134 @@
+"""Descriptors and operators of a pair, gathered once for all levels (paper, sections 5.1 and 5.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cagemap.basis import Surface
+from cagemap.descriptors import (
+    Filters,
+    Mirror,
+    check_symmetry,
+    choose_filters,
+    landmark_descriptors,
+    mirror_symmetries,
+    normalise_columns,
+    signatures,
+    symmetry_at,
+    symmetry_operator,
+)
+from cagemap.errors import ParameterError
+from cagemap.functional_map import Constraints, SpectralData
+from cagemap.maps.pair import Pair, SymmetryPair
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import in_threads
+
+# Share of landmarks that two planes must take to the same landmarks.
+AGREEMENT = 0.5
+
+
+@dataclass(frozen=True)
+class DescriptorConfig:
+    """Which descriptors are asked for; the defaults are the measured ones.
+
+    Attributes
+    ----------
+    heat, wave : int
+        Filters of each kind, for landmarks and signatures alike.
+    signature_weight : float
+        Norm of a signature beside a landmark kernel's of 1; 0 leaves signatures out.
+    """
+
+    heat: int = 10
+    wave: int = 20
+    signature_weight: float = 3.0
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        if not (np.isfinite(self.signature_weight) and self.signature_weight >= 0.0):
+            raise ParameterError(f"signature_weight: expected at least 0, got {self.signature_weight}")
+
+
+def gather_constraints(pair: Pair, config: DescriptorConfig = DescriptorConfig()) -> Constraints:
+    """F~ and O~ of both surfaces on their whole bases.
+
+    Filters are chosen and columns scaled here, once: the descriptors F~^l of a coarser level are the leading rows, and
+    one weight of an operator means the same on all levels (eqs. 13-16).
+
+    Parameters
+    ----------
+    pair : Pair
+    config : DescriptorConfig
+    """
+    filters = choose_filters(pair.target.basis.eigenvalues, pair.source.basis.eigenvalues, config.heat, config.wave)
+    sides = [
+        (pair.target, pair.target_landmarks, tuple(target for target, _ in pair.symmetries)),
+        (pair.source, pair.source_landmarks, tuple(source for _, source in pair.symmetries)),
+    ]
+    made = in_threads(lambda side: _spectral_data(*side, filters, config.signature_weight), sides)
+    return Constraints(*made)
+
+
+def eigenvalues(surface: Surface, level: int) -> FloatArray:
+    """Lambda~ of a level."""
+    return surface.basis.eigenvalues[: surface.basis.size(level)]
+
+
+def signature_functions(surface: Surface, filters: Filters, level: int) -> FloatArray:
+    """Signatures diag(Phi~ rho_t(Lambda~) Phi~^T) at the vertices of a level (Definition 3); (n_level, q)."""
+    at_eigenvalues = filters.at(eigenvalues(surface, level))
+    values = np.empty((surface.refinement.levels[level].n_vertices, at_eigenvalues.shape[1]))
+    for part, block in surface.basis.row_blocks(level):
+        values[part] = signatures(block, at_eigenvalues)
+    return values
+
+
+def paired_mirrors(pair: Pair) -> tuple[SymmetryPair, ...]:
+    """Mirror planes that both control meshes have and that the landmarks agree with.
+
+    A plane takes landmark i near landmark j on either side, or it is another plane. Where each side has one plane only
+    and no landmarks tell, these two belong together.
+    """
+    sides = [(pair.target.control, pair.target_landmarks), (pair.source.control, pair.source_landmarks)]
+    partners = []
+    for control, landmarks in sides:
+        places = control.positions[landmarks]
+        partners.append([(mirror, _partners(mirror, places)) for mirror in mirror_symmetries(control)])
+    found: list[SymmetryPair] = []
+    taken: set[int] = set()
+    for target, at_target in partners[0]:
+        agreement = [np.mean(at_target == at_source) if len(at_target) else 1.0 for _, at_source in partners[1]]
+        order = [int(i) for i in np.argsort(agreement)[::-1] if int(i) not in taken]
+        if order and agreement[order[0]] >= AGREEMENT:
+            taken.add(order[0])
+            found.append((target.image, partners[1][order[0]][0].image))
+    return tuple(found)
+
+
+def _partners(mirror: Mirror, places: FloatArray) -> IndexArray:
+    """Which landmark every landmark's mirror image is nearest to; (p,)."""
+    squared = np.sum((mirror.reflect(places)[:, None] - places[None, :]) ** 2, axis=2)
+    return np.asarray(np.argmin(squared, axis=1)) if len(places) else np.zeros(0, dtype=np.int64)
+
+
+def _spectral_data(
+    surface: Surface,
+    landmarks: IndexArray,
+    symmetries: tuple[IndexArray, ...],
+    filters: Filters,
+    signature_weight: float,
+) -> SpectralData:
+    basis = surface.basis
+    at_eigenvalues, level = filters.at(basis.eigenvalues), basis.last_level
+    # Vertex i of the control mesh is vertex i of every level.
+    columns = [normalise_columns(landmark_descriptors(basis.rows(level, landmarks), at_eigenvalues))]
+    if signature_weight > 0.0:
+        projected = basis.project(signature_functions(surface, filters, level), level)
+        columns.append(signature_weight * normalise_columns(projected))
+    projections = []
+    for symmetry in symmetries:
+        check_symmetry(symmetry, surface.control)
+        projections.append(symmetry_operator(basis, symmetry_at(surface.refinement, symmetry, level)))
+    return SpectralData(basis.eigenvalues, np.hstack(columns), tuple(projections))

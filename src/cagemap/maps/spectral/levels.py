@@ -1,0 +1,135 @@
+"""From level to level: which levels meet, the search of Fig. 9, refits of C, vertex to point (paper, section 5.4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from cagemap.basis import Surface
+from cagemap.maps.pair import LevelPair, Pair
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.spectral.row_blocks import SpectralRows, blocks, recover_in_blocks, search_candidates, spectral_rows
+from cagemap.maps.spectral.samples import Samples, fit_functional_map, spread
+from cagemap.maps.spectral.search import nearest_rows, strongest_parents
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+# Levels up to this size serve the refits of C; of larger ones as many vertices do.
+SAMPLE_VERTICES = 30_000
+# Two levels are walked down together while neither has this many times the other's vertices.
+COMPARABLE = 2.5
+
+
+@dataclass(frozen=True)
+class LevelMap:
+    """Functional map and vertex matches between one level of the target and one of the source.
+
+    Attributes
+    ----------
+    levels : (int, int)
+        Level of the target, level of the source.
+    functional_map : (k1, k2) array
+        C12 on the basis functions of these levels.
+    match : (n1,) array
+        Source vertex of every target vertex.
+    """
+
+    levels: LevelPair
+    functional_map: FloatArray
+    match: IndexArray
+
+
+def ladder(pair: Pair, start: LevelPair) -> list[LevelPair]:
+    """Pairs of levels from just above `start` to the finest ones, each side at most one level a step.
+
+    Both sides go together while their sizes are comparable; otherwise the coarser one catches up first.
+    """
+    steps = []
+    l1, l2 = start
+    while (l1, l2) != (pair.target.finest, pair.source.finest):
+        n1, n2 = _size(pair.target, l1), _size(pair.source, l2)
+        target_may, source_may = l1 < pair.target.finest, l2 < pair.source.finest
+        move_target = target_may and (not source_may or n1 < COMPARABLE * n2)
+        move_source = source_may and (not target_may or n2 < COMPARABLE * n1)
+        l1, l2 = l1 + move_target, l2 + move_source
+        steps.append((l1, l2))
+    return steps
+
+
+def basis_sizes(pair: Pair, levels: LevelPair) -> tuple[int, int]:
+    """(k~1, k~2), the basis functions that a pair of levels has."""
+    return pair.target.basis.size(levels[0]), pair.source.basis.size(levels[1])
+
+
+def search_full(pair: Pair, functional_map: FloatArray, levels: LevelPair) -> IndexArray:
+    """Nearest source vertex of every target vertex of a level, among all (paper, 5.4)."""
+    target, source = _both_rows(pair, functional_map, levels)
+    every = [
+        np.arange(_size(surface, level)) for surface, level in zip((pair.target, pair.source), levels, strict=True)
+    ]
+    return nearest_rows(target.at(every[0]), source.at(every[1]))
+
+
+def search_level(pair: Pair, functional_map: FloatArray, levels: LevelPair, coarse: LevelMap) -> IndexArray:
+    """Nearest candidates of all target vertices of a level (paper, Fig. 9)."""
+    parents = _parents(pair.target, coarse.levels[0], levels[0])
+    children = _children(pair.source, coarse.levels[1], levels[1])
+    rows = _both_rows(pair, functional_map, levels)
+    return search_candidates(*rows, blocks(pair.target, levels[0]), parents, children, coarse.match)
+
+
+def refit(pair: Pair, levels: LevelPair, match: IndexArray, matched: int | None = None) -> FloatArray:
+    """C12 = Phi~1^+ P12 Phi~2 of a match with all functions of two levels, on a sample of its vertices (paper, 2.1.2).
+
+    Parameters
+    ----------
+    pair : Pair
+    levels : (int, int)
+        Whose basis functions.
+    match : (n,) array
+        Source vertex of every target vertex of the level ``matched``.
+    matched : int, optional
+        Default: the target's level. Vertex i of a level is vertex i of the next, so a coarse match says something about
+        the functions of a finer one too.
+    """
+    matched = levels[0] if matched is None else matched
+    chosen = spread(len(match), SAMPLE_VERTICES)
+    k1, k2 = basis_sizes(pair, levels)
+    rows = spectral_rows(pair.target, levels[0], k1).at(chosen).astype(np.float64)
+    values = spectral_rows(pair.source, levels[1], k2).at(match[chosen]).astype(np.float64)
+    areas = pair.target.operators.areas(matched)[chosen]
+    return fit_functional_map(Samples(rows, areas, np.zeros((len(rows), 0))), values, k1)
+
+
+def recover_points(pair: Pair, matched: LevelMap) -> PointMap:
+    """Vertex-to-point map of a pair of levels from its vertex matches."""
+    rows = _both_rows(pair, matched.functional_map, matched.levels)
+    target, source = pair.target.triangles(matched.levels[0]), pair.source.triangles(matched.levels[1])
+    found = recover_in_blocks(*rows, blocks(pair.target, matched.levels[0]), source.triangles, matched.match)
+    return PointMap.from_arrays(target, source, *found)
+
+
+def _both_rows(pair: Pair, functional_map: FloatArray, levels: LevelPair) -> tuple[SpectralRows, SpectralRows]:
+    """Embeddings of a pair of levels: Phi~1 and Phi~2 C12^T."""
+    k1, k2 = functional_map.shape
+    target = spectral_rows(pair.target, levels[0], k1)
+    return target, spectral_rows(pair.source, levels[1], k2, functional_map.T)
+
+
+def _parents(surface: Surface, coarse: int, fine: int) -> sparse.csr_array:
+    """Coarse vertices whose matches give a target vertex its candidates; itself where the level stays."""
+    if fine == coarse:
+        return sparse.csr_array(sparse.eye_array(_size(surface, fine)))
+    return strongest_parents(surface.refinement.matrices[coarse])
+
+
+def _children(surface: Surface, coarse: int, fine: int) -> sparse.csc_array:
+    """Source vertices that a coarse source vertex offers: its column of S_2^l; its neighbours where the level stays."""
+    if fine == coarse:
+        return sparse.csc_array(surface.operators.stiffness[fine])
+    return sparse.csc_array(surface.refinement.matrices[coarse])
+
+
+def _size(surface: Surface, level: int) -> int:
+    return len(surface.refinement.levels[level].positions)

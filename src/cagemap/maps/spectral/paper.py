@@ -1,0 +1,104 @@
+"""The paper's own method, level by level (section 5): nothing from later papers is in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cagemap.errors import ParameterError
+from cagemap.functional_map import Constraints, MapWeights, coarse_functional_map, extend_functional_map
+from cagemap.maps.pair import Pair, Progress
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.spectral.constraints import DescriptorConfig, gather_constraints
+from cagemap.maps.spectral.levels import (
+    LevelMap,
+    basis_sizes,
+    ladder,
+    recover_points,
+    refit,
+    search_full,
+    search_level,
+)
+from cagemap.numerics.arrays import FloatArray
+
+FEWEST_FUNCTIONS = 3
+
+
+@dataclass(frozen=True)
+class PaperConfig:
+    """Parameters of the paper's method; the text names them and leaves their values to its missing section 6.
+
+    Attributes
+    ----------
+    descriptors : DescriptorConfig
+    weights : MapWeights
+        alpha(O), the same on all levels; its ``match`` is not used.
+    rounds : int
+        Alternations of P and orthonormal C on every level (2.1.4); 0 takes C as eqs. 13-16 give it.
+    """
+
+    descriptors: DescriptorConfig = DescriptorConfig()
+    weights: MapWeights = MapWeights()
+    rounds: int = 1
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        if self.rounds < 0:
+            raise ParameterError(f"rounds: expected 0 or more alternations, got {self.rounds}")
+
+
+def paper_map(
+    pair: Pair, config: PaperConfig = PaperConfig(), progress: Progress = lambda stage: None
+) -> tuple[tuple[LevelMap, ...], PointMap]:
+    """Maps of all levels, and the point map of the finest ones.
+
+    Raises
+    ------
+    ParameterError
+        If level 0 has too few basis functions.
+    """
+    progress("functional map, level 0")
+    constraints = gather_constraints(pair, config.descriptors)
+    maps = [first_level(pair, constraints, config)]
+    for levels in ladder(pair, (0, 0)):
+        progress(f"functional map, levels {levels[0]} and {levels[1]}")
+        maps.append(next_level(pair, constraints, maps[-1], levels, config))
+    progress("vertex to point")
+    return tuple(maps), recover_points(pair, maps[-1])
+
+
+def first_level(pair: Pair, constraints: Constraints, config: PaperConfig) -> LevelMap:
+    """Level 0: eq. 13, and the full search (5.3.1, 5.4)."""
+    sizes = basis_sizes(pair, (0, 0))
+    if min(sizes) < FEWEST_FUNCTIONS:
+        raise ParameterError(
+            f"expected at least {FEWEST_FUNCTIONS} basis functions on level 0 of both surfaces, got {sizes}: give a "
+            "schedule such as 100,50,50"
+        )
+    functional_map = coarse_functional_map(constraints.leading(*sizes), config.weights)
+    match = search_full(pair, functional_map, (0, 0))
+    for _ in range(config.rounds):
+        functional_map = orthonormal(refit(pair, (0, 0), match))
+        match = search_full(pair, functional_map, (0, 0))
+    return LevelMap((0, 0), functional_map, match)
+
+
+def next_level(
+    pair: Pair, constraints: Constraints, coarse: LevelMap, levels: tuple[int, int], config: PaperConfig
+) -> LevelMap:
+    """Level l + 1: eqs. 14-16, and the search among the children of the parents' matches (5.3.2, Fig. 9)."""
+    functional_map, sizes = coarse.functional_map, basis_sizes(pair, levels)
+    if sizes != functional_map.shape:
+        functional_map = extend_functional_map(functional_map, constraints.leading(*sizes), config.weights)
+    match = search_level(pair, functional_map, levels, coarse)
+    for _ in range(config.rounds):
+        functional_map = orthonormal(refit(pair, levels, match))
+        match = search_level(pair, functional_map, levels, coarse)
+    return LevelMap(levels, functional_map, match)
+
+
+def orthonormal(functional_map: FloatArray) -> FloatArray:
+    """The matrix with orthonormal rows or columns that is nearest to C (2.1.4), from its singular vectors."""
+    left, _, right = np.linalg.svd(functional_map, full_matrices=False)
+    return np.asarray(left @ right)
