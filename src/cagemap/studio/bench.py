@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.basis import Surface
-from cagemap.descriptors import detect_mirror_symmetry
+from cagemap.descriptors import mirror_symmetries
 from cagemap.errors import CagemapError, InvalidLandmarksError
 from cagemap.files.images import Image, Pixels, read_texture, write_image
 from cagemap.files.meshes import read_mesh
@@ -248,7 +248,8 @@ def _model(path: Path, vertices: int) -> Model:
         colors = face_colors(control)
     except CagemapError:  # a mesh without materials is clay
         colors = None
-    return Model(control, level, shape_of(refine(control, level)), Look(colors=colors), detect_mirror_symmetry(control))
+    mirror = next((plane.image for plane in mirror_symmetries(control)), None)
+    return Model(control, level, shape_of(refine(control, level)), Look(colors=colors), mirror)
 
 
 def _opened(bench: Bench) -> Models:
