@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cagemap.geometry.surface import TriangleSurface
+from cagemap.library import Plan, Task
 from cagemap.library.consistency import (
     Consistency,
     disagreement,
@@ -16,6 +17,7 @@ from cagemap.library.consistency import (
     read_consistency,
     write_consistency,
 )
+from cagemap.library.ways import composed_map, has_ways_round, with_ways
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import torus
 from cagemap.refinement import refine
@@ -79,3 +81,36 @@ def test_a_verdict_is_kept_for_its_own_matches_only(tmp_path: Path) -> None:
     assert read_consistency(path, {"match": "other"}) is None
     path.write_text("[3")
     assert read_consistency(path, {"match": "key"}) is None
+
+
+def test_a_way_round_is_the_composition_of_its_maps() -> None:
+    good = collection()["a", "b"]
+    n = good.target.n
+    shifted = PointMap.from_vertices(good.target, good.source, np.roll(np.arange(n), 1))
+    twice = PointMap.from_vertices(good.target, good.source, np.roll(np.arange(n), 2))
+    found = composed_map([PointMap(good.target, shifted.images), PointMap(good.source, shifted.images)])
+    assert np.abs(found.images.positions - twice.images.positions).max() < 1e-12
+
+
+def test_outputs_of_a_doubtful_pair_are_made_from_the_way_round(tmp_path: Path) -> None:
+    def task(kind: str, pair: tuple[str, str]) -> Task:
+        folder = f"{pair[0]}__{pair[1]}"
+        request = {"output": str(tmp_path / folder / "RESULT"), "result": str(tmp_path / folder / "RESULT")}
+        needs = () if kind == "match" else (f"match {pair}",)
+        return Task(kind, f"{kind} {pair}", f"key {kind} {pair}", needs, request, (f"{folder}/out",), pair)
+
+    pairs = (("c", "a"), ("b", "a"), ("c", "b"))  # source, target
+    plan = Plan(tmp_path, tuple(task(kind, pair) for pair in pairs for kind in ("match", "transfer")), pairs)
+    assert has_ways_round(plan)
+    changed = with_ways(plan, {("a", "c"): ("a", "b", "c")}, "1")
+    compose = next(task for task in changed.tasks if task.kind == "compose")
+    assert compose.pair == ("c", "a")
+    assert compose.needs == ("match ('b', 'a')", "match ('c', 'b')")
+    assert [Path(folder).parent.name for folder in compose.request["way"]] == ["b__a", "c__b"]
+    bakes = {task.pair: task for task in changed.tasks if task.kind == "transfer"}
+    assert bakes["c", "a"].request["result"] == compose.request["output"]
+    assert bakes["c", "a"].needs == (compose.name,)
+    assert bakes["b", "a"] == next(task for task in plan.tasks if task.kind == "transfer" and task.pair == ("b", "a"))
+    order = {task.name: number for number, task in enumerate(changed.tasks)}
+    assert all(order[need] < order[task.name] for task in changed.tasks for need in task.needs if need in order)
+    assert not has_ways_round(Plan(tmp_path, (), pairs[:2]))

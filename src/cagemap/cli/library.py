@@ -17,7 +17,7 @@ from cagemap.errors import CagemapError
 from cagemap.files.code_version import code_version
 from cagemap.files.images import write_image
 from cagemap.files.meshes import read_mesh
-from cagemap.files.result import landmark_messages, read_manifest, read_result
+from cagemap.files.result import landmark_messages, read_manifest, read_result, write_result
 from cagemap.files.surface_store import prepared
 from cagemap.library import (
     Consistency,
@@ -37,6 +37,7 @@ from cagemap.library import (
 )
 from cagemap.library.consistency import read_consistency, stored_map, write_consistency
 from cagemap.library.plan import STATE
+from cagemap.library.ways import composed_result, has_ways_round, matches_only, with_ways
 from cagemap.mesh.checks import require_valid
 from cagemap.numerics.threads import core_count
 from cagemap.pipeline import choose_level
@@ -92,15 +93,21 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
     """Do what a job file says; returns a summary, and whether everything is there."""
     stages("read job")
     job = read_job(request.job, COMMANDS)
-    plan = plan_job(job, code_version(), spanning_tree)
+    version = code_version()
+    plan = plan_job(job, version, spanning_tree)
     if request.dry_run:
         return dry_run(job, plan, request.workers or core_count()), True
     started = time.perf_counter()
     stages("run tasks")
     with open_crew(request.scheduler, request.workers) as crew:
+        verdict = Consistency({}, 0, (), {})
+        if has_ways_round(plan):
+            matched = run_plan(matches_only(plan), run_task, crew, Ticker(stages))
+            stages("compare maps with each other")
+            verdict = collection_verdict(plan, matched)
+            plan = with_ways(plan, verdict.ways, version)
+            stages("run tasks")
         outcomes = run_plan(plan, run_task, crew, Ticker(stages))
-    stages("compare maps with each other")
-    verdict = collection_verdict(plan, outcomes)
     stages("page")
     notes = [*plan.left_out, *cycle_notes(verdict)]
     page = write_library(plan.root, job.path.stem, pair_rows(plan, outcomes, verdict.errors), notes)[0]
@@ -155,7 +162,7 @@ def cycle_notes(verdict: Consistency) -> list[str]:
             f"{source} -> {target} disagrees with the ways round it by {100 * verdict.errors[pair]:.1f} % of the size"
         )
         way = verdict.ways.get(pair)
-        notes.append(f"{text}; better by way of {', '.join(way[1:-1])}" if way else text)
+        notes.append(f"{text}; replaced by the way through {', '.join(way[1:-1])}" if way else text)
     return notes
 
 
@@ -203,6 +210,11 @@ def run_task(task: Task) -> dict[str, Any]:
     if task.kind == "picture":
         write_image(task.request["output"], draw_thumbnail(read_result(task.request["result"])))
         return {}
+    if task.kind == "compose":
+        way = [read_result(folder) for folder in task.request["way"]]
+        result = composed_result(way, task.request["names"])
+        write_result(task.request["output"], result)
+        return {"quality": result.manifest["quality"], "notes": result.manifest["notes"]}
     request: Any = TypeAdapter(COMMANDS[task.kind]).validate_python(task.request)
     if task.kind == "match":
         run_match(request, stages)

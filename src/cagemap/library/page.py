@@ -74,7 +74,9 @@ def pair_rows(
     rows = []
     for pair in plan.pairs:
         own = [(task, outcomes.get(task.name)) for task in plan.tasks if task.pair == pair]
-        match = next((outcome for task, outcome in own if task.kind == "match"), None)
+        # A way round replaces the direct map.
+        maps = [outcome for kind in ("compose", "match") for task, outcome in own if task.kind == kind]
+        match = next((outcome for outcome in maps if outcome is not None), None)
         figures = match.figures if match is not None else {}
         failures = [f"{o.name}: {o.message}" for _, o in own if o is not None and not o.usable]
         warnings = [str(text) for text in figures.get("warnings", [])]

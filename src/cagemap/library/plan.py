@@ -164,7 +164,8 @@ class _Hashes:
         }
 
 
-def _key(version: str, kind: str, *parts: Any) -> str:
+def task_key(version: str, kind: str, *parts: Any) -> str:
+    """Hash of the version of the code and of all that a task depends on."""
     return hashlib.sha256(json.dumps([version, kind, *parts], sort_keys=True, default=str).encode()).hexdigest()
 
 
@@ -177,7 +178,7 @@ def _prepare(asset: Asset, options: dict[str, Any], job: Job, version: str, hash
         "scheme": asset.scheme,
         "options": choices,
     }
-    key = _key(version, "prepare", hashes.of(asset.file), asset.part, asset.scheme, choices)
+    key = task_key(version, "prepare", hashes.of(asset.file), asset.part, asset.scheme, choices)
     return Task("prepare", f"prepare {asset.name} {key[:8]}", key, (), {**request, "cache": str(_cache(job))})
 
 
@@ -190,7 +191,7 @@ def _match(
         inputs |= {f"{side}_{what}": getattr(asset, what) for what in ("part", "scheme") if getattr(asset, what)}
     if "landmarks" not in options and source.landmarks is not None and target.landmarks is not None:
         inputs |= {"target_landmarks": str(target.landmarks), "source_landmarks": str(source.landmarks)}
-    key = _key(version, "match", hashes.of_request(inputs), [task.key for task in needs])
+    key = task_key(version, "match", hashes.of_request(inputs), [task.key for task in needs])
     request = {**inputs, "output": str(job.output / folder), "cache": str(_cache(job))}
     pair, before = (source.name, target.name), tuple(task.name for task in needs)
     return Task("match", f"match {pair[0]} -> {pair[1]}", key, before, request, (f"{folder}/{ARRAYS}",), pair)
@@ -201,7 +202,7 @@ def _picture(match: Task, version: str) -> Task:
     assert match.pair is not None
     source, target = match.pair
     request = {"result": match.request["output"], "output": str(Path(match.request["output"]).parent / PICTURE)}
-    key = _key(version, "picture", match.key)
+    key = task_key(version, "picture", match.key)
     written = f"{source}__{target}/{PICTURE}"
     return Task("picture", f"picture {source} -> {target}", key, (match.name,), request, (written,), match.pair)
 
@@ -220,7 +221,7 @@ def _output(
             return f"{pair}: no {rule.command}, {value} is not among the asset's files"
         options[option] = str(job.path.parent / filled) if option in files else filled
     written = f"{source.name}__{target.name}/{options.pop('output')}"
-    key = _key(version, rule.command, hashes.of_request(options), match.key)
+    key = task_key(version, rule.command, hashes.of_request(options), match.key)
     request = {**options, "result": match.request["output"], "output": str(job.output / written)}
     title = f"{rule.command} {pair}: {Path(written).name}"
     return Task(rule.command, title, key, (match.name,), request, (written,), match.pair)

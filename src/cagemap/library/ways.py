@@ -1,0 +1,139 @@
+"""A doubtful map replaced by the way round through better ones."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from cagemap.files.result import ARRAYS, Result
+from cagemap.geometry.points import SurfacePoints
+from cagemap.geometry.triangles import normalized
+from cagemap.library.consistency import Pair, stored_map
+from cagemap.library.plan import Plan, Task, task_key
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.quality import measure_quality
+
+AROUND = "RESULT-around"
+# Weight of normals beside positions at unit area in the search for the composed map's points: as in the elastic fit,
+# enough to tell the sides of thin parts apart.
+NORMAL_WEIGHT = 0.03
+
+
+def composed_map(way: Sequence[PointMap]) -> PointMap:
+    """The map from the first target to the last source, one map after the other.
+
+    Images between two vertices are mixed linearly and put back onto the last surface.
+
+    Parameters
+    ----------
+    way : sequence of PointMap
+        The source of each is the target of the next.
+
+    Raises
+    ------
+    ParameterError
+        If they do not follow each other.
+    """
+    positions, normals = way[-1].images.positions, way[-1].images.normals
+    for earlier in reversed(way[:-1]):
+        positions, normals = earlier.pull_back(positions), earlier.pull_back(normals)
+    images = SurfacePoints.nearest(way[-1].source, positions, normalized(normals), normal_weight=NORMAL_WEIGHT)
+    return PointMap(way[0].target, images)
+
+
+def composed_result(way: Sequence[Result], names: Sequence[str]) -> Result:
+    """Results along a way as one: point maps composed, functional maps multiplied, judged without landmarks.
+
+    Parameters
+    ----------
+    way : sequence of Result
+        The source of each is the target of the next.
+    names : sequence of str
+        What is passed, from target to source, for the manifest's note.
+    """
+    first, last = way[0], way[-1]
+    found = composed_map([stored_map(result) for result in way])
+    nothing = np.zeros(0, dtype=np.int64)
+    quality = measure_quality(
+        found.target.positions,
+        found.target.triangles,
+        found.source.positions,
+        found.source.triangles,
+        found.triangle,
+        found.barycentric,
+        np.zeros((0, 2), dtype=np.int64),
+    )
+    functional_map = way[0].functional_map
+    for result in way[1:]:
+        functional_map = functional_map @ result.functional_map
+    note = f"composed of the maps {' -> '.join(reversed(names))}, since the direct one disagrees with the ways round it"
+    return replace(
+        first,
+        target=replace(first.target, landmarks=nothing),
+        source=replace(last.source, landmarks=nothing),
+        source_triangles=last.source_triangles,
+        triangle=found.triangle,
+        barycentric=found.barycentric,
+        functional_map=functional_map,
+        trust=quality.trust,
+        landmark_errors=np.zeros(0),
+        landmark_names=(),
+        manifest={"quality": quality.summary(), "notes": [note], "way": list(names)},
+    )
+
+
+def with_ways(plan: Plan, ways: Mapping[Pair, Sequence[str]], version: str) -> Plan:
+    """The plan with a task for every way round, and outputs of those pairs taken from it.
+
+    Parameters
+    ----------
+    plan : Plan
+    ways : mapping of (target, source) to names
+        Assets along the way, from target to source.
+    version : str
+        Of the code.
+    """
+    matches = {task.pair: task for task in plan.tasks if task.kind == "match"}
+    tasks: list[Task] = []
+    composed: dict[tuple[str, str], Task] = {}
+    for (target, source), names in ways.items():
+        steps = [matches[there, here] for here, there in itertools.pairwise(names)]
+        folder = f"{source}__{target}/{AROUND}"
+        request = {
+            "way": [step.request["output"] for step in steps],
+            "names": list(names),
+            "output": str(plan.root / folder),
+        }
+        composed[source, target] = Task(
+            "compose",
+            f"compose {source} -> {target} by way of {', '.join(names[1:-1])}",
+            task_key(version, "compose", [step.key for step in steps]),
+            tuple(step.name for step in steps),
+            request,
+            (f"{folder}/{ARRAYS}",),
+            (source, target),
+        )
+    for task in plan.tasks:
+        around = None if task.pair is None or task.kind == "match" else composed.get(task.pair)
+        if around is not None:
+            request = {**task.request, "result": around.request["output"]}
+            key = task_key(version, task.kind, task.key, around.key)
+            task = replace(task, key=key, needs=(around.name,), request=request)
+        tasks.append(task)
+    ordered = [task for task in tasks if task.kind in ("prepare", "match")]
+    others = [task for task in tasks if task.kind not in ("prepare", "match")]
+    return replace(plan, tasks=(*ordered, *composed.values(), *others))
+
+
+def matches_only(plan: Plan) -> Plan:
+    """The part of a plan that consistency needs."""
+    return replace(plan, tasks=tuple(task for task in plan.tasks if task.kind in ("prepare", "match")))
+
+
+def has_ways_round(plan: Plan) -> bool:
+    """Whether any map of a plan could be compared with a way round it."""
+    pairs = set(plan.pairs)
+    return any((a, b) in pairs and (b, c) in pairs for a, c in pairs for b in {b for _, b in pairs} - {a, c})
