@@ -12,6 +12,7 @@ import typer
 
 from cagemap import __version__
 from cagemap.cli.subdivision import BoundaryName, CreasingName, SchemeName, UvName
+from cagemap.cli.wrap_command import wrap
 from cagemap.errors import CagemapError
 
 app = typer.Typer(
@@ -484,6 +485,9 @@ def studio(
         no_browser=no_browser,
     )
     run_studio(request, typer.echo)
+
+
+app.command()(wrap)
 
 
 def _warn(messages: list[str]) -> None:

@@ -29,8 +29,6 @@ from cagemap.files.images import (
 from cagemap.files.meshes import write_mesh
 from cagemap.files.obj_layout import write_obj_layout
 from cagemap.files.result import ARRAYS, MANIFEST, Result, input_file, note_transfer, read_result, stated_path
-from cagemap.geometry.surface import TriangleSurface
-from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.transfer import (
     BakeOptions,
@@ -250,13 +248,7 @@ def _read_image(request: TransferRequest, path: Path) -> tuple[Image | dict[int,
 
 def _prepare(result: Result, stages: Stages) -> Transfer:
     stages("prepare")
-    point_map = PointMap.from_arrays(
-        TriangleSurface.from_faces(result.target.vertices, result.target.faces),
-        TriangleSurface.from_faces(result.source.vertices, result.source.faces),
-        result.triangle,
-        result.barycentric,
-    )
-    return prepare_transfer(result.target.refinement().finest, result.source.refinement().finest, point_map)
+    return prepare_transfer(result.target.refinement().finest, result.source.refinement().finest, result.point_map())
 
 
 def _prepare_bake(request: TransferRequest, result: Result, stages: Stages) -> _Bake:

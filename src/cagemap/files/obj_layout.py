@@ -1,4 +1,4 @@
-"""An OBJ file with another UV layout: every line stays as it is but those that hold texture coordinates."""
+"""An OBJ file with another UV layout or other positions: every line stays as it is but those that hold them."""
 
 from __future__ import annotations
 
@@ -15,6 +15,10 @@ from cagemap.files.text import read_text
 from cagemap.mesh import ControlMesh
 
 _UV_LINE = re.compile(r"(?m)^[ \t]*vt\b[^\n]*\n?")
+# A position may be continued on the next line; what follows its three numbers is kept.
+_POSITION_LINE = re.compile(r"(?m)^[ \t]*v(?:(?:[ \t]|\\[ \t]*\n)+[^\s\\]+){3}([^\n]*)")
+_NORMAL_LINE = re.compile(r"(?m)^[ \t]*vn\b[^\n]*\n?")
+_WITH_NORMAL = re.compile(r"(-?\d+)/(-?\d*)/-?\d+")
 _FACE = re.compile(r"(?m)^[ \t]*fo?[ \t](?:\\[ \t]*\n|[^\n])*")
 _LIBRARY = re.compile(r"(?m)^([ \t]*mtllib[ \t]+)([^\n]*?)[ \t]*$")
 _OLD_MARK = re.compile(r"(?m)^# written by cagemap [^\n]*\n")
@@ -59,6 +63,44 @@ def write_obj_layout(path: str | Path, original: str | Path, laid_out: ControlMe
     faces = _FACE.sub(lambda found: _renumbered(found[0], numbers), text[first.start() :])
     with atomic_path(file, force=force) as temporary:
         temporary.write_bytes(f"# {mark()}\n{head}{uvs}{faces}".encode())
+
+
+def write_obj_positions(path: str | Path, original: str | Path, moved: ControlMesh, *, force: bool = False) -> None:
+    """Write a copy of an OBJ file with the positions of ``moved``.
+
+    Groups, objects, texture coordinates, materials, creases, comments and the number of every vertex and face stay.
+    Normals go: they were those of the old shape. What follows a position on its line (a colour) stays.
+
+    Parameters
+    ----------
+    path : path
+        The file to write.
+    original : path
+        The file that ``moved`` was read from.
+    moved : ControlMesh
+    force : bool
+        Replace a file that cagemap did not write.
+
+    Raises
+    ------
+    FormatError
+        If the file has other faces or vertices than the mesh, or cannot be written.
+    """
+    file, kept = Path(path), Path(original)
+    known = read_obj(kept)
+    if known.face_indices.tolist() != moved.face_indices.tolist() or len(known.positions) != len(moved.positions):
+        raise FormatError(f"{kept}: expected the vertices and faces of {moved.name}, found others. Match again.")
+    text = _OLD_MARK.sub("", read_text(kept, "an OBJ file"))
+    positions = iter(moved.positions.tolist())
+    text = _POSITION_LINE.sub(lambda found: f"v {' '.join(map(repr, next(positions)))}{found[1]}", text)
+    text = _FACE.sub(lambda found: _WITH_NORMAL.sub(_without_normal, found[0]), _NORMAL_LINE.sub("", text))
+    text = _LIBRARY.sub(lambda found: found[1] + _moved(found[2], kept.parent, file.parent), text)
+    with atomic_path(file, force=force) as temporary:
+        temporary.write_bytes(f"# {mark()}\n{text}".encode())
+
+
+def _without_normal(corner: re.Match[str]) -> str:
+    return f"{corner[1]}/{corner[2]}" if corner[2] else corner[1]
 
 
 def _renumbered(line: str, numbers: Iterator[int]) -> str:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Refinement, Scheme, refine, triangles
@@ -81,6 +83,11 @@ class Result:
     landmark_errors: FloatArray
     landmark_names: tuple[str, ...] = ()
     manifest: dict[str, Any] = field(default_factory=dict)
+
+    def point_map(self) -> PointMap:
+        """The map as a value that knows both surfaces."""
+        target, source = (TriangleSurface.from_faces(side.vertices, side.faces) for side in (self.target, self.source))
+        return PointMap.from_arrays(target, source, self.triangle, self.barycentric)
 
     def image(self) -> FloatArray:
         """(n1, 3) where every target vertex maps to, in the source file's units."""

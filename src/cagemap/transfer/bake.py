@@ -29,6 +29,7 @@ from cagemap.transfer.texels import GUTTER_RADIUS, Layout, lay_out, rasterize_ba
 from cagemap.transfer.texture import Pixels, Wrap, lay_texture, look_up, udim_of, udim_origin
 
 Shade = Callable[[Samples], FloatArray]
+ShadeCells = Callable[[NDArray[np.int32], IndexArray, int], FloatArray]
 
 # Texels that one thread works on at a time: about 100 bytes each.
 _BAND_TEXELS = 1 << 18
@@ -173,15 +174,26 @@ class Canvas:
 
 def make_canvas(transfer: Transfer, size: int | tuple[int, int], options: BakeOptions) -> Canvas:
     """Lay the target's UV triangles of one tile on the raster of an image."""
+    return lay_canvas(transfer.target, size, options)
+
+
+def lay_canvas(target: TexturedSurface, size: int | tuple[int, int], options: BakeOptions) -> Canvas:
+    """Lay a surface's UV triangles of one tile on the raster of an image.
+
+    Raises
+    ------
+    ParameterError
+        If it has no texture coordinates, or the size is out of range.
+    """
     height, width = (size, size) if isinstance(size, int) else size
     if not (0 < height <= LARGEST_SIDE and 0 < width <= LARGEST_SIDE):
         raise ParameterError(f"size: expected 1 to {LARGEST_SIDE} texels a side, got {height} x {width}")
-    corner_uvs = transfer.target.corner_uvs() - udim_origin(options.tile)
-    finer = options.supersample or _supersample(transfer.target, height, width)
+    corner_uvs = target.corner_uvs() - udim_origin(options.tile)
+    finer = options.supersample or _supersample(target, height, width)
     if not 1 <= finer <= 16:
         raise ParameterError(f"supersample: expected 1 to 16 samples along a texel's side, got {finer}")
     band_rows = max(1, _BAND_TEXELS // (width * finer * finer)) * finer
-    neighbors = triangle_neighbors(transfer.target.layout()[1])
+    neighbors = triangle_neighbors(target.layout()[1])
     layout = lay_out(
         corner_uvs, neighbors, height * finer, width * finer, band_rows=band_rows, gutter=GUTTER_RADIUS * finer
     )
@@ -212,6 +224,27 @@ def bake(
         Number type of the result; integers are rounded and clipped.
     options : BakeOptions
     """
+
+    def shade_cells(triangle: NDArray[np.int32], cells: IndexArray, top: int) -> FloatArray:
+        return _shade_cells(transfer, canvas, samples_per_axis, shade, triangle, cells, top)
+
+    return paint(canvas, shade_cells, channels, dtype, options)
+
+
+def paint(canvas: Canvas, shade_cells: ShadeCells, channels: int, dtype: DTypeLike, options: BakeOptions) -> Pixels:
+    """Fill an image: rasterise and shade band by band in threads, then fill the background.
+
+    Parameters
+    ----------
+    canvas : Canvas
+    shade_cells : callable
+        Target triangle (k,) of raster cells, the cells (k,) as ``(row - top) * width + column``, and ``top`` -> their
+        values (k, channels) in the range of ``dtype``.
+    channels : int
+    dtype
+        Number type of the result; integers are rounded and clipped.
+    options : BakeOptions
+    """
     image = np.zeros((canvas.height, canvas.width, channels), dtype=dtype)
     covered = np.zeros((canvas.height, canvas.width), dtype=np.bool_)
     threads = options.threads or core_count()
@@ -224,7 +257,7 @@ def bake(
         if len(texels) == 0:
             return
         top = band * canvas.layout.band_rows
-        values = _shade_cells(transfer, canvas, samples_per_axis, shade, cells.ravel()[texels], texels, top)
+        values = shade_cells(cells.ravel()[texels], texels, top)
         if canvas.supersample > 1:
             texels, values = _average_cells(texels, values, cells.shape, canvas.supersample)
         image[part].reshape(-1, channels)[texels] = to_dtype(values, image.dtype)

@@ -1,0 +1,260 @@
+"""`cagemap wrap`: the target's cage in the source's shape."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cagemap.cli.match import MatchRequest, run_match
+from cagemap.cli.progress import Stages
+from cagemap.descriptors import mirror_symmetries
+from cagemap.errors import ParameterError
+from cagemap.files.atomic import check_outputs
+from cagemap.files.attributes import read_attributes
+from cagemap.files.images import check_writable, pixel_type, write_image
+from cagemap.files.meshes import check_mesh_path, mesh_files, write_mesh
+from cagemap.files.obj_layout import write_obj_positions
+from cagemap.files.result import (
+    ARRAYS,
+    MANIFEST,
+    Result,
+    input_file,
+    mesh_hash,
+    note_transfer,
+    read_result,
+    stated_path,
+)
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import one_blas_thread
+from cagemap.transfer import target_tiles
+from cagemap.transfer.bake import BakeOptions
+from cagemap.transfer.vertex_bake import bake_vertex_values
+from cagemap.wrap import WrapConfig, Wrapped, level_mesh, offsets_to_source, wrap
+
+DEFAULT_SIZE = 2048
+Outcome = tuple[str, list[str]]
+
+
+@dataclass(frozen=True)
+class WrapRequest:
+    """What the user asked for, as said on the command line."""
+
+    results: tuple[Path, ...]
+    output: Path
+    target: Path | None = None
+    source: Path | None = None
+    landmarks: Path | None = None
+    fit_level: int = 0
+    amount: float = 1.0
+    fairness: float = WrapConfig.fairness
+    weights: Path | None = None
+    symmetric: bool = False
+    blend_shapes: bool = False
+    displacement: Path | None = None
+    vector_displacement: Path | None = None
+    size: int | None = None
+    force: bool = False
+
+
+def run_wrap(request: WrapRequest, stages: Stages) -> Outcome:
+    """Wrap the target of one or several results, and write the cages; returns a summary and warnings."""
+    _check_request(request)
+    given = (request.target, request.source, request.landmarks)
+    if not any(given):
+        return _run(request, stages)
+    if request.results or not all(given):
+        raise ParameterError("expected RESULT folders, or --target, --source and --landmarks together to match first")
+    with tempfile.TemporaryDirectory() as folder:
+        assert request.target is not None
+        assert request.source is not None
+        assert request.landmarks is not None
+        result = Path(folder) / "result"
+        _, warnings = run_match(MatchRequest(request.target, request.source, request.landmarks, result), stages)
+        summary, more = _run(replace(request, results=(result,)), stages)
+        return summary, warnings + more
+
+
+def _check_request(request: WrapRequest) -> None:
+    if not 0.0 <= request.amount <= 1.0:
+        raise ParameterError(f"--amount: expected 0 (the target) to 1 (the source's shape), got {request.amount}")
+    images = [path for path in (request.displacement, request.vector_displacement) if path is not None]
+    many = len(request.results) > 1
+    if many and not request.blend_shapes:
+        raise ParameterError("expected one RESULT, or --blend-shapes with a folder as --output for several")
+    if images and (many or request.amount != 1.0):
+        raise ParameterError("--displacement, --vector-displacement: expected one RESULT and the whole --amount")
+    inputs = [folder / name for folder in request.results for name in (MANIFEST, ARRAYS)]
+    inputs += [p for p in (request.target, request.source, request.landmarks, request.weights) if p is not None]
+    for image, channels in ((request.displacement, 1), (request.vector_displacement, 3)):
+        if image is not None:
+            check_writable(image, _image_type(image), channels)
+    if request.blend_shapes:
+        if request.output.exists() and not request.output.is_dir():
+            raise ParameterError(f"{request.output}: --blend-shapes writes a folder of OBJ files, got a file")
+        check_outputs(images, inputs, force=request.force)
+        return
+    check_mesh_path(request.output)
+    check_outputs([request.output, *images], inputs, force=request.force)
+
+
+def _image_type(path: Path) -> np.dtype[Any]:
+    return pixel_type(32 if path.suffix.lower() == ".exr" else 16, path.suffix)
+
+
+def _run(request: WrapRequest, stages: Stages) -> Outcome:
+    config = WrapConfig(level=request.fit_level, fairness=request.fairness)
+    stages("read result")
+    results = [read_result(folder) for folder in request.results]
+    if not results:
+        raise ParameterError("expected a RESULT folder of `cagemap match`, or --target, --source and --landmarks")
+    if len({mesh_hash(result.target.control) for result in results}) > 1:
+        raise ParameterError("--blend-shapes: expected results of one target, got several; the cages would differ")
+    if request.blend_shapes:
+        return _write_shapes(request, results, config, stages)
+    result, folder = results[0], request.results[0]
+    wrapped = _wrap(request, result, config, stages)
+    original = input_file(folder, result.manifest, "target")
+    stages("write")
+    warnings = _write(request, wrapped, result, original, request.output)
+    note_transfer(folder, _entry(request, wrapped, folder))
+    lines = [f"wrote {request.output}: {wrapped.mesh.n_vertices} vertices of level {wrapped.level}", _figures(wrapped)]
+    if request.displacement is not None or request.vector_displacement is not None:
+        stages("bake")
+        lines += _bake(request, result, wrapped)
+    return "\n".join(lines), warnings + _warnings(wrapped)
+
+
+def _wrap(request: WrapRequest, result: Result, config: WrapConfig, stages: Stages) -> Wrapped:
+    follow = None if request.weights is None else _follow(request.weights)
+    stages(f"wrap {result.source.control.name}")
+    target = result.target.refinement()
+    symmetry = _symmetry(result.target.control, request.fit_level) if request.symmetric else None
+    with one_blas_thread():
+        return wrap(target, result.point_map(), config, follow=follow, symmetry=symmetry)
+
+
+def _follow(path: Path) -> FloatArray:
+    values = read_attributes(path)
+    if len(values) != 1:
+        raise ParameterError(f"{path}: expected one column of weights from 0 to 1, got {', '.join(values)}")
+    return np.asarray(next(iter(values.values())), dtype=np.float64)
+
+
+def _symmetry(control: ControlMesh, level: int) -> IndexArray:
+    if level:
+        raise ParameterError("--symmetric: expected --fit-level 0, since symmetry is that of the control mesh")
+    found = next((mirror.image for mirror in mirror_symmetries(control) if mirror.exact), None)
+    if found is None:
+        raise ParameterError(f"{control.name}: expected a mirror symmetric mesh for --symmetric, found no symmetry")
+    return found
+
+
+def _write(request: WrapRequest, wrapped: Wrapped, result: Result, original: Path | None, output: Path) -> list[str]:
+    """Write the cage; all that the target's own file says but positions stays, where that file is still there."""
+    rest = level_mesh(result.target.refinement(), wrapped.level)
+    mesh = wrapped.mesh
+    if request.amount < 1.0:
+        mesh = mesh.with_positions((1 - request.amount) * rest.positions + request.amount * mesh.positions)
+    both_obj = output.suffix.lower() == ".obj" and original is not None and original.suffix.lower() == ".obj"
+    if wrapped.level == 0 and both_obj and original is not None:
+        write_obj_positions(output, original, mesh, force=request.force)
+        return []
+    check_outputs(mesh_files(output, mesh), [], force=request.force)
+    write_mesh(output, mesh, force=request.force)
+    if wrapped.level or output.suffix.lower() != ".obj":
+        return []
+    return [
+        f"{result.target.control.name}: the file is no longer where the match read it, or has changed; what cagemap "
+        "does not keep of it (such as group names) is not in the new mesh"
+    ]
+
+
+def _write_shapes(request: WrapRequest, results: list[Result], config: WrapConfig, stages: Stages) -> Outcome:
+    """A folder of OBJ files: the target at rest, and its cage in every source's shape."""
+    names = [Path(result.source.control.name).stem for result in results]
+    rest_name = Path(results[0].target.control.name).stem
+    if len({*names, rest_name}) <= len(names):
+        raise ParameterError(f"--blend-shapes: expected different names, got {', '.join([rest_name, *names])}")
+    request.output.mkdir(exist_ok=True)
+    files = [request.output / f"{name}.obj" for name in [rest_name, *names]]
+    check_outputs(files, [], force=request.force)
+    lines, warnings = [f"wrote {files[0]}: the target"], []
+    for file, name, result, folder in zip(files[1:], names, results, request.results, strict=True):
+        wrapped = _wrap(request, result, config, stages)
+        original = input_file(folder, result.manifest, "target")
+        if file == files[1]:
+            rest = replace(wrapped, mesh=level_mesh(result.target.refinement(), wrapped.level))
+            _write(replace(request, amount=1.0), rest, result, original, files[0])
+        warnings += _write(request, wrapped, result, original, file)
+        lines.append(f"wrote {file}\n{_figures(wrapped)}")
+        warnings += [f"{name}: {message}" for message in _warnings(wrapped)]
+    return "\n".join(lines), list(dict.fromkeys(warnings))
+
+
+def _bake(request: WrapRequest, result: Result, wrapped: Wrapped) -> list[str]:
+    """What the cage still misses of the source, as scalar or vector displacement."""
+    offsets = offsets_to_source(wrapped, result.target.refinement(), result.source.refinement())
+    size = request.size or DEFAULT_SIZE
+    lines = []
+    for path, values in ((request.displacement, offsets.heights), (request.vector_displacement, offsets.vectors)):
+        if path is None:
+            continue
+        dtype = _image_type(path)
+        # Integers hold 0 to 1: the range of the offsets around one half.
+        scale = 1.0 if dtype.kind == "f" else 2.0 * float(np.abs(values).max() or 1.0)
+        midlevel = 0.0 if dtype.kind == "f" else 0.5
+        tiles = target_tiles(offsets.level)
+        if tiles != [0]:
+            raise ParameterError(f"{path}: expected a layout in one unit square, got tiles {tiles}; not baked")
+        image = bake_vertex_values(
+            offsets.level, midlevel + values / scale, size=size, dtype=dtype, options=BakeOptions()
+        )
+        write_image(path, image, force=request.force)
+        kind = "height along the normal" if values.ndim == 1 else "offset in object space"
+        lines.append(f"wrote {path}: {kind} = (value - {midlevel:g}) * {scale:.6g} in the source's units")
+    return lines
+
+
+def _entry(request: WrapRequest, wrapped: Wrapped, folder: Path) -> dict[str, Any]:
+    residual = wrapped.residual
+    return {
+        "kind": "wrap",
+        "output": stated_path(request.output, folder),
+        "fit_level": wrapped.level,
+        "amount": request.amount,
+        "residual": {
+            "mean": residual.mean,
+            "p99": residual.p99,
+            "max": residual.largest,
+            "where": residual.where,
+            "without_counterpart": residual.left_out,
+        },
+        "folded_faces": wrapped.folded,
+    }
+
+
+def _figures(wrapped: Wrapped) -> str:
+    residual = wrapped.residual
+    place = ", ".join(f"{x:.3g}" for x in wrapped.surface[residual.where])
+    text = (
+        f"  distance to the source, % of sqrt(area): mean {100 * residual.mean:.4f}, 99 % within "
+        f"{100 * residual.p99:.3f}, largest {100 * residual.largest:.2f} at ({place})"
+    )
+    if residual.left_out > 0:
+        text += f"\n  {100 * residual.left_out:.1f} % of the target has no counterpart and follows its surroundings"
+    return text
+
+
+def _warnings(wrapped: Wrapped) -> list[str]:
+    if not len(wrapped.folded):
+        return []
+    shown = ", ".join(map(str, wrapped.folded[:10]))
+    return [
+        f"{len(wrapped.folded)} faces turn against the surface: {shown}{' ...' if len(wrapped.folded) > 10 else ''} "
+        "(numbers from 0). A larger --fairness keeps the net smoother."
+    ]

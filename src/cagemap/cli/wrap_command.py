@@ -1,0 +1,99 @@
+"""The words of `cagemap wrap`; the work is in `cagemap.cli.wrap`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def wrap(
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Mesh to write, .obj or .ply; a folder with --blend-shapes.")
+    ],
+    results: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[RESULT]...", help="Folder that `cagemap match` wrote.", show_default=False),
+    ] = None,
+    target: Annotated[
+        Path | None,
+        typer.Option("--target", "-t", help="Instead of RESULT, match first: the cage to wrap.", show_default=False),
+    ] = None,
+    source: Annotated[
+        Path | None, typer.Option("--source", "-s", help="The shape to wrap it onto.", show_default=False)
+    ] = None,
+    landmarks: Annotated[
+        Path | None, typer.Option("--landmarks", help="JSON file of corresponding vertices.", show_default=False)
+    ] = None,
+    fit_level: Annotated[
+        int, typer.Option("--fit-level", min=0, help="0 moves the control points, l the refined net of level l.")
+    ] = 0,
+    amount: Annotated[float, typer.Option("--amount", help="From 0, the target, to 1, the source's shape.")] = 1.0,
+    fairness: Annotated[
+        float, typer.Option("--fairness", help="Larger keeps the net smoother, smaller lies closer.")
+    ] = 1e-4,
+    weights: Annotated[
+        Path | None,
+        typer.Option(
+            "--weights",
+            help="How far each control vertex may follow, 0 to 1: .npy, .npz or .csv.",
+            show_default=False,
+        ),
+    ] = None,
+    symmetric: Annotated[bool, typer.Option("--symmetric", help="Keep a mirror symmetric cage symmetric.")] = False,
+    blend_shapes: Annotated[
+        bool, typer.Option("--blend-shapes", help="Write a folder: the cage at rest, and one mesh for every RESULT.")
+    ] = False,
+    displacement: Annotated[
+        Path | None,
+        typer.Option(
+            "--displacement", help="Image to write: what is still missing, along the normal.", show_default=False
+        ),
+    ] = None,
+    vector_displacement: Annotated[
+        Path | None,
+        typer.Option(
+            "--vector-displacement",
+            help="Image to write: what is still missing, as vectors in object space.",
+            show_default=False,
+        ),
+    ] = None,
+    size: Annotated[
+        int | None,
+        typer.Option("--size", min=1, help="Width and height of the images.  [default: 2048]", show_default=False),
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Overwrite files that cagemap did not write, or that were changed since.")
+    ] = False,
+) -> None:
+    """Give the target's cage the source's shape: your topology, that shape.
+
+    The refined surface comes to lie on the source. Vertices, faces, UVs, groups and materials stay those of the
+    target.
+    """
+    from cagemap.cli.progress import Stages
+    from cagemap.cli.wrap import WrapRequest, run_wrap
+
+    request = WrapRequest(
+        results=tuple(results or ()),
+        output=output,
+        target=target,
+        source=source,
+        landmarks=landmarks,
+        fit_level=fit_level,
+        amount=amount,
+        fairness=fairness,
+        weights=weights,
+        symmetric=symmetric,
+        blend_shapes=blend_shapes,
+        displacement=displacement,
+        vector_displacement=vector_displacement,
+        size=size,
+        force=force,
+    )
+    with Stages() as stages:
+        summary, warnings = run_wrap(request, stages)
+    for message in warnings:
+        typer.echo(f"cagemap: warning: {message}", err=True)
+    typer.echo(summary)

@@ -1,0 +1,111 @@
+"""The control net that is fitted: one level of the target as a mesh, its rest shape, and what may go wrong with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import ParameterError
+from cagemap.geometry.triangles import triangle_normals
+from cagemap.maps.elastic.graph import ElasticGraph, mesh_graph
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.refinement import Refinement, finest_mesh, level_triangles
+
+# Exponent of an edge's squared length in its weight, relative to the mean: 0 weighs edges alike, whatever the faces'
+# size, 1 weighs them as the squared distances that they compete with. Chosen on two pairs.
+_POWER = 0.5
+
+
+@dataclass(frozen=True)
+class ControlNet:
+    """One level of a surface, whose vertices are free to move.
+
+    Attributes
+    ----------
+    refinement : Refinement
+    level : int
+        Of the net; below the finest.
+    mesh : ControlMesh
+        The net, at rest.
+    graph : ElasticGraph
+        Its rest shape at unit area of the surface. Weights are cotangents times lengths of edges (times their mean), so
+        that the energy weighs against squared distances to a surface much the same for small faces as for large ones.
+    face_of_triangle : (t,) int64
+        Face of the net that every triangle of the finest level lies in.
+    """
+
+    refinement: Refinement
+    level: int
+    mesh: ControlMesh
+    graph: ElasticGraph
+    face_of_triangle: IndexArray
+
+    @property
+    def surface_triangles(self) -> IndexArray:
+        """(t, 3) triangles of the finest level."""
+        return level_triangles(self.refinement, self.refinement.n_levels)
+
+    def surface(self, positions: FloatArray) -> FloatArray:
+        """(n_f, 3) finest vertices of the surface over a net (n_l, 3)."""
+        return self.refinement.prolong(positions, self.level, self.refinement.n_levels)
+
+
+def level_mesh(refinement: Refinement, level: int) -> ControlMesh:
+    """A level as a mesh of its own, with UVs, materials and groups; level 0 is the control mesh itself.
+
+    Raises
+    ------
+    ParameterError
+        If the level is not 0 and the mesh has hole faces, which the level's mesh would lack.
+    """
+    if level and refinement.holes(level).any():
+        raise ParameterError(f"{refinement.control.name}: has hole faces, so that only level 0 can be a net")
+    return finest_mesh(replace(refinement, matrices=refinement.matrices[:level], levels=refinement.levels[: level + 1]))
+
+
+def control_net(refinement: Refinement, level: int, scale: float) -> ControlNet:
+    """Prepare a level of the target for fitting.
+
+    Parameters
+    ----------
+    refinement : Refinement
+    level : int
+    scale : float
+        What the target's lengths are multiplied by to get a surface of unit area.
+    """
+    mesh = level_mesh(refinement, level)
+    split = level_triangles(refinement, level)
+    faces = refinement.levels[level].faces
+    graph = mesh_graph(scale * mesh.positions, split if faces is None else faces, split)
+    lengths2 = np.einsum("ed,ed->e", graph.edges, graph.edges)
+    weights = graph.weights * (lengths2 / lengths2.mean()) ** _POWER * lengths2.mean()
+    finest = refinement.finest
+    steps = refinement.n_levels - level
+    face = finest.face_parents if level == 0 else np.arange(finest.n_faces) // 4**steps
+    per_face = len(level_triangles(refinement, refinement.n_levels)) // finest.n_faces
+    return ControlNet(refinement, level, mesh, replace(graph, weights=weights), np.repeat(face, per_face))
+
+
+def face_normals(mesh: ControlMesh, positions: FloatArray) -> FloatArray:
+    """(m, 3) normals of faces with any number of corners, of length twice their area."""
+    here, following = positions[mesh.face_indices], positions[mesh.face_indices[mesh.next_corners]]
+    return np.add.reduceat(np.cross(here, following), mesh.face_offsets[:-1], axis=0)
+
+
+def folded_faces(net: ControlNet, positions: FloatArray) -> NDArray[np.bool_]:
+    """(m,) faces of the net whose mean normal is turned against the refined surface that they control."""
+    fine = triangle_normals(net.surface(positions), net.surface_triangles)
+    sums = [np.bincount(net.face_of_triangle, fine[:, k], minlength=net.mesh.n_faces) for k in range(3)]
+    own = face_normals(net.mesh, positions)
+    return np.asarray(np.einsum("md,md->m", own, np.column_stack(sums)) <= 0)
+
+
+def face_aspects(mesh: ControlMesh, positions: FloatArray) -> FloatArray:
+    """(m,) longest edge of every face by its shortest."""
+    corner = positions[mesh.face_indices]
+    lengths = np.linalg.norm(corner[mesh.next_corners] - corner, axis=1)
+    begin = mesh.face_offsets[:-1]
+    return np.asarray(np.maximum.reduceat(lengths, begin) / np.maximum(np.minimum.reduceat(lengths, begin), 1e-300))

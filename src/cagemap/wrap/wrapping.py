@@ -1,0 +1,184 @@
+"""Wrap a target's cage onto a source along a map, and tell how well it lies there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import ParameterError
+from cagemap.geometry.closest import closest_points
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.maps.elastic.fit import similarity
+from cagemap.maps.point_map import PointMap
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.refinement import Refinement
+from cagemap.wrap.fit import WrapConfig, fit_data, fit_net
+from cagemap.wrap.follow import boundary_vertices, counterpart
+from cagemap.wrap.net import control_net, face_aspects, folded_faces
+
+# A vertex that follows less than this has no counterpart, and its distance to the source is no error.
+_FOLLOWS = 0.5
+
+
+@dataclass(frozen=True)
+class Residual:
+    """Distances of the refined surface to the source, over the vertices that follow; parts of sqrt(source area).
+
+    Attributes
+    ----------
+    mean, p99, largest : float
+        Over the finest vertices.
+    where : int
+        Finest vertex that is furthest.
+    left_out : float
+        Share of the target's area that has no counterpart.
+    """
+
+    mean: float
+    p99: float
+    largest: float
+    where: int
+    left_out: float
+
+
+@dataclass(frozen=True)
+class Wrapped:
+    """The target's net in the source's shape.
+
+    Attributes
+    ----------
+    mesh : ControlMesh
+        The net (level ``level`` of the target) with its fitted positions, in the source's units; all else is the
+        target's.
+    level : int
+    surface : (n_f, 3) float64
+        Finest vertices of the surface over it.
+    closest : PointMap
+        Closest points of the source to them.
+    distance : (n_f,) float64
+        How far these are, as parts of sqrt(source area).
+    follow : (n_f,) float64
+        How far each vertex was to follow, from 0 to 1.
+    residual : Residual
+    folded : (k,) int64
+        Faces of the net that turn against their refined surface, and did not at rest.
+    aspect : float
+        99th percentile of faces' longest by shortest edge, divided by that at rest.
+    """
+
+    mesh: ControlMesh
+    level: int
+    surface: FloatArray
+    closest: PointMap
+    distance: FloatArray
+    follow: FloatArray
+    residual: Residual
+    folded: IndexArray
+    aspect: float
+
+
+def wrap(
+    target: Refinement,
+    point_map: PointMap,
+    config: WrapConfig = WrapConfig(),
+    *,
+    follow: FloatArray | None = None,
+    symmetry: IndexArray | None = None,
+) -> Wrapped:
+    """Put the target's cage into the source's shape.
+
+    Parameters
+    ----------
+    target : Refinement
+        Up to the level that the map was computed on.
+    point_map : PointMap
+        Of the finest level.
+    config : WrapConfig
+    follow : (n_0,) or (n_f,) float64, optional
+        How far every control vertex, or finest vertex, may follow, from 0 to 1; what may not is carried along. Parts
+        without counterpart are found anyway.
+    symmetry : (n_l,) int64, optional
+        Mirror image of every point of the net, which is then kept symmetric.
+
+    Raises
+    ------
+    ParameterError
+        If the map does not fit the levels, the net is as fine as the surface, or ``follow`` has another length.
+    """
+    finest = target.n_levels
+    if config.level >= finest:
+        raise ParameterError(
+            f"fit level: expected a level below the map's own, 0 to {finest - 1}, got {config.level}; "
+            "match at a higher --level to fit a finer net"
+        )
+    if point_map.target.n != target.finest.n_vertices:
+        raise ParameterError(
+            f"expected a map of the target's {target.finest.n_vertices} vertices of level {finest}, got one of "
+            f"{point_map.target.n}: are target and source exchanged, or of other levels?"
+        )
+    weights = counterpart(point_map) * _follow(target, follow)
+    net = control_net(target, config.level, point_map.target.scale)
+    data = fit_data(net, point_map.images, weights, boundary_vertices(point_map.target))
+    positions = fit_net(net, data, config, partial(mirrored, symmetry) if symmetry is not None else _as_it_is)
+    source = point_map.source
+    surface = net.surface(positions)
+    triangle, barycentric, distance = closest_points(source.tree, surface, guess=point_map.triangle)
+    at_rest = net.graph.positions
+    folded = folded_faces(net, positions) & ~folded_faces(net, at_rest)
+    aspects = [np.percentile(face_aspects(net.mesh, x), 99) for x in (positions, at_rest)]
+    return Wrapped(
+        mesh=net.mesh.with_positions(positions / source.scale),
+        level=config.level,
+        surface=surface / source.scale,
+        closest=PointMap.from_arrays(point_map.target, source, triangle, barycentric),
+        distance=distance,
+        follow=weights,
+        residual=residual_of(distance, weights, point_map.target),
+        folded=np.flatnonzero(folded),
+        aspect=float(aspects[0] / aspects[1]),
+    )
+
+
+def residual_of(distance: FloatArray, follow: FloatArray, target: TriangleSurface) -> Residual:
+    """Figures of the distances (n_f,) over the vertices that follow."""
+    follows = follow >= _FOLLOWS
+    if not follows.any():
+        raise ParameterError("expected a part of the target that follows the source, got weights of 0 everywhere")
+    seen = np.where(follows, distance, 0.0)
+    left = target.areas @ (~follows)[target.triangles].mean(axis=1)
+    among = distance[follows]
+    return Residual(
+        float(among.mean()), float(np.percentile(among, 99)), float(among.max()), int(seen.argmax()), float(left)
+    )
+
+
+def mirrored(symmetry: IndexArray, positions: FloatArray) -> FloatArray:
+    """(n, 3) a net made mirror symmetric: the mean of it and its mirror image, about the plane that suits it best."""
+    # The best rigid motion of the image, with one axis turned over, is the reflection about that plane.
+    flip = np.array([-1.0, 1.0, 1.0])
+    image = positions[symmetry] * flip
+    rotation, _, _ = similarity(image, positions)
+    centred = image - image.mean(axis=0)
+    return 0.5 * (positions + centred @ rotation.T + positions.mean(axis=0))
+
+
+def _as_it_is(positions: FloatArray) -> FloatArray:
+    return positions
+
+
+def _follow(target: Refinement, follow: FloatArray | None) -> FloatArray | NDArray[np.float64]:
+    """(n_f,) how far the finest vertices may follow, from values at these or at control vertices."""
+    n, count = target.control.n_vertices, target.finest.n_vertices
+    if follow is None:
+        return np.ones(count)
+    values = np.asarray(follow, dtype=np.float64)
+    if values.shape not in ((n,), (count,)) or not np.all((values >= 0) & (values <= 1)):
+        raise ParameterError(
+            f"weight map: expected {n} numbers from 0 to 1, one a control vertex of the target (or {count}, one a "
+            f"vertex of its finest level), got shape {values.shape} from {values.min():g} to {values.max():g}"
+        )
+    return values if len(values) == count else np.clip(target.prolong(values, 0, target.n_levels), 0.0, 1.0)
