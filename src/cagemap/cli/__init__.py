@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
-from cagemap.cli.app import app, main
+from cagemap.cli.app import app
+from cagemap.cli.entry import main
 
 __all__ = ["app", "main"]

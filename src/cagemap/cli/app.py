@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -12,8 +11,8 @@ import typer
 
 from cagemap import __version__
 from cagemap.cli.subdivision import BoundaryName, CreasingName, SchemeName, UvName
+from cagemap.cli.words import say, set_verbosity, warn
 from cagemap.cli.wrap_command import wrap
-from cagemap.errors import CagemapError
 
 app = typer.Typer(
     name="cagemap",
@@ -74,36 +73,9 @@ class Method(StrEnum):
     PAPER = "paper"
 
 
-def main() -> None:
-    """Run the command line; problems become one message and an exit code, never a traceback."""
-    try:
-        app()
-    except CagemapError as error:
-        _fail(str(error), 2)
-    except MemoryError:
-        _fail("not enough memory for surfaces of this size. Use a lower --level or fewer --vertices.", 2)
-    except OSError as error:
-        _fail(
-            f"{error.filename or 'file'}: {error.strerror or error}. Check the path and the space left on the disk.", 2
-        )
-    except Exception as error:
-        if os.environ.get("CAGEMAP_DEBUG"):
-            raise
-        _fail(
-            f"internal error, {type(error).__name__}: {error}. This is a fault of cagemap, please report it; "
-            "CAGEMAP_DEBUG=1 shows where it happened.",
-            70,
-        )
-
-
-def _fail(message: str, code: int) -> None:
-    sys.stderr.write(f"cagemap: error: {message}\n")
-    raise SystemExit(code)
-
-
 def _version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"cagemap {__version__}")
+        say(f"cagemap {__version__}")
         raise typer.Exit
 
 
@@ -121,7 +93,12 @@ def _root(
             show_default=False,
         ),
     ] = None,
+    verbose: Annotated[
+        int, typer.Option("--verbose", "-v", count=True, help="Say every step, and what was fallen back to; -vv: more.")
+    ] = 0,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
 ) -> None:
+    set_verbosity(verbose, quiet)
     if threads is not None:
         os.environ["CAGEMAP_THREADS"] = os.environ["OPENIMAGEIO_THREADS"] = str(threads)
 
@@ -143,7 +120,7 @@ def demo(
 
     with Stages() as stages:
         report, by_hand = run_demo(output, stages, force=force)
-    typer.echo(f"The same by hand:\n{by_hand}\nOpen {report} in a browser.")
+    say(f"The same by hand:\n{by_hand}\nOpen {report} in a browser.")
 
 
 @app.command()
@@ -160,7 +137,7 @@ def check(
     from cagemap.cli.mesh_commands import check_files
 
     text, sound = check_files(meshes)
-    typer.echo(text)
+    say(text)
     if not sound:
         raise typer.Exit(1)
 
@@ -187,7 +164,7 @@ def refine(
     from cagemap.cli.subdivision import SubdivisionRequest
 
     subdivision = SubdivisionRequest(scheme, boundary, uv_interpolation, creasing)
-    typer.echo(refine_file(mesh, level, output, subdivision=subdivision, force=force))
+    say(refine_file(mesh, level, output, subdivision=subdivision, force=force))
 
 
 @app.command()
@@ -283,8 +260,8 @@ def match(
     )
     with Stages() as stages:
         summary, warnings = run_match(request, stages)
-    _warn(warnings)
-    typer.echo(summary)
+    warn(warnings)
+    say(summary)
 
 
 @app.command()
@@ -376,8 +353,8 @@ def transfer(
     )
     with Stages() as stages:
         summary, warnings = run_transfer(request, stages)
-    _warn(warnings)
-    typer.echo(summary)
+    warn(warnings)
+    say(summary)
 
 
 @app.command()
@@ -401,7 +378,7 @@ def report(
 
     with Stages() as stages:
         run_report(result, output, texture, stages, force=force)
-    typer.echo(f"Open {output} in a browser.")
+    say(f"Open {output} in a browser.")
 
 
 @app.command()
@@ -433,7 +410,7 @@ def run(
 
     with Stages() as stages:
         text, complete = run_job(RunRequest(job, scheduler, workers, dry_run), stages)
-    typer.echo(text)
+    say(text)
     if not complete:
         raise typer.Exit(1)
 
@@ -484,12 +461,7 @@ def studio(
         vertices=vertices,
         no_browser=no_browser,
     )
-    run_studio(request, typer.echo)
+    run_studio(request, say)
 
 
 app.command()(wrap)
-
-
-def _warn(messages: list[str]) -> None:
-    for message in messages:
-        typer.echo(f"cagemap: warning: {message}", err=True)

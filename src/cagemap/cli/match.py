@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -37,6 +38,8 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.pipeline import MAP_BASIS, MatchConfig, choose_level, match, prepare_pair, prepare_surface
+
+_log = logging.getLogger(__name__)
 
 DEFAULT_VERTICES = 200_000
 
@@ -181,6 +184,7 @@ def match_meshes(
     for control in (inputs.target, inputs.source):
         levels.append(choose_level(control, vertices or DEFAULT_VERTICES) if level is None else level)
         require_size(control, levels[-1])
+        _log.info("%s: level %d", control.name, levels[-1])
     prepare = prepare_surface if cache is None else partial(prepared, cache)
     target, source = prepare_pair(
         inputs.target, inputs.source, (levels[0], levels[1]), basis, prepare=prepare, progress=stages

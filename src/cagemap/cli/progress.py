@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 import time
 from types import TracebackType
 from typing import Any
+
+_log = logging.getLogger("cagemap.cli")
 
 
 class Stages:
@@ -17,7 +20,7 @@ class Stages:
     Parameters
     ----------
     shown : bool, optional
-        Default: whether standard error is a terminal.
+        Default: whether standard error is a terminal, and neither silence nor more words were asked for.
 
     Attributes
     ----------
@@ -30,7 +33,7 @@ class Stages:
         self._name: str | None = None
         self._start = 0.0
         self._status: Any = None
-        if sys.stderr.isatty() if shown is None else shown:
+        if sys.stderr.isatty() and _log.getEffectiveLevel() == logging.WARNING if shown is None else shown:
             from rich.console import Console
 
             self._console = Console(stderr=True)
@@ -40,6 +43,7 @@ class Stages:
         """End the running stage, begin the next."""
         self._finish()
         self._name, self._start = stage, time.perf_counter()
+        _log.info("stage: %s", stage)
         if self._status is not None:
             self._status.update(f"{stage} ...")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,8 @@ from cagemap.files.images import Image, Pixels, read_image, read_texture
 from cagemap.files.meshes import read_mesh
 from cagemap.files.result import ARRAYS, MANIFEST, Result, read_result
 from cagemap.report import write_report
+
+_log = logging.getLogger(__name__)
 
 
 def run_report(folder: Path, output: Path, texture: Path | None, stages: Stages, *, force: bool = False) -> None:
@@ -36,7 +39,8 @@ def run_report(folder: Path, output: Path, texture: Path | None, stages: Stages,
         if texture is not None and _same(folder / entry["image"], texture):
             try:
                 result, baked = _baked(folder, result, entry)
-            except FormatError:  # moved or deleted since: the texture is then shown vertex by vertex
+            except FormatError as error:
+                _log.info("the texture is shown vertex by vertex, what was baked is not there any more: %s", error)
                 continue
     stages("draw")
     write_report(output, result, texture=pixels, baked=baked, force=force)

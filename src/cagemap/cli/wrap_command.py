@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from cagemap.cli.words import say, warn
+
 
 def wrap(
     output: Annotated[
@@ -94,6 +96,5 @@ def wrap(
     )
     with Stages() as stages:
         summary, warnings = run_wrap(request, stages)
-    for message in warnings:
-        typer.echo(f"cagemap: warning: {message}", err=True)
-    typer.echo(summary)
+    warn(warnings)
+    say(summary)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+from functools import cache
 from importlib import resources
 from importlib.resources.abc import Traversable
 
 from cagemap import __version__
 
 
+@cache  # the code that runs is that of the start
 def code_version() -> str:
     """Version of the package and 16 hexadecimal digits that change with any of its Python files."""
     digest = hashlib.sha256()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from cagemap.errors import FormatError
 from cagemap.files.obj import obj_files, read_obj, write_obj
 from cagemap.files.ply import read_ply, write_ply
@@ -14,14 +16,18 @@ _WRITERS = {".obj": write_obj, ".ply": write_ply}
 
 
 def read_mesh(path: str | Path) -> ControlMesh:
-    """Read a control mesh from an ``.obj`` or ``.ply`` file, in its own numbering.
+    """Read a control mesh from an ``.obj`` or ``.ply`` file, in its own numbering; its arrays are read-only.
 
     Raises
     ------
     FormatError
         If the extension is another one, or the file cannot be read.
     """
-    return _READERS[_extension(path)](path)
+    mesh = _READERS[_extension(path)](path)
+    for value in vars(mesh).values():
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
+    return mesh
 
 
 def write_mesh(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> None:

@@ -24,6 +24,7 @@ from cagemap import __version__
 from cagemap.basis import BasisConfig, HierarchicalBasis, Surface
 from cagemap.errors import CagemapError, FormatError
 from cagemap.files.atomic import atomic_path
+from cagemap.files.code_version import code_version
 from cagemap.files.forms import Form, check_arrays, check_offsets
 from cagemap.files.marks import is_own
 from cagemap.files.mesh_arrays import control_from_arrays, control_to_arrays, scheme_from_entry, scheme_to_entry
@@ -64,11 +65,11 @@ def surface_key(control: ControlMesh, level: int, scheme: Scheme | None = None, 
 
     Notes
     -----
-    The versions of cagemap and of the format count too: another version may compute something else.
+    The package's code and the version of the format count too: other code may compute something else.
     """
     scheme = default_scheme(control) if scheme is None else scheme
     parts = {
-        "format": [FORMAT, FORMAT_VERSION, __version__],
+        "format": [FORMAT, FORMAT_VERSION, code_version()],
         "control": mesh_hash(control),
         "materials": list(control.material_names),
         "level": level,

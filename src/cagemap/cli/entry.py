@@ -1,0 +1,85 @@
+"""The door of the command line: every problem becomes one message and an exit code."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from types import FrameType
+from typing import Any, NoReturn
+
+from cagemap.cli.app import app
+from cagemap.cli.words import set_verbosity, tolerate_odd_names
+from cagemap.errors import CagemapError
+
+WRONG_INPUT, INTERNAL, SIGNALLED = 2, 70, 128
+
+
+class Stop:
+    """Turns Ctrl-C and a polite kill into an interrupt of the main thread, once; the next one ends the process.
+
+    Attributes
+    ----------
+    signal : int or None
+        The signal that came.
+    """
+
+    def __init__(self) -> None:
+        self.signal: int | None = None
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Stop:
+        if threading.current_thread() is threading.main_thread():
+            self._before = {number: signal.signal(number, self._stop) for number in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _stop(self, number: int, frame: FrameType | None) -> None:
+        self.signal = number
+        for known in self._before:
+            signal.signal(known, signal.SIG_DFL)
+        raise KeyboardInterrupt
+
+
+def main() -> None:
+    """Run the command line; problems become one message and an exit code, never a traceback."""
+    tolerate_odd_names()
+    set_verbosity(0, quiet=False)
+    with Stop() as stop:
+        try:
+            _run()
+        except (KeyboardInterrupt, SystemExit) as ended:
+            code = getattr(ended, "code", None)
+            if stop.signal is None or code == 0:
+                raise
+            _fail("stopped; outputs that were not finished are as they were before.", SIGNALLED + stop.signal)
+
+
+def _run() -> None:
+    try:
+        app()
+    except CagemapError as error:
+        _fail(str(error), WRONG_INPUT)
+    except MemoryError:
+        _fail("not enough memory for surfaces of this size. Use a lower --level or fewer --vertices.", WRONG_INPUT)
+    except OSError as error:
+        where = error.filename or "file"
+        reason = error.strerror or error
+        _fail(f"{where}: {reason}. Check the path and the space left on the disk.", WRONG_INPUT)
+    except Exception as error:
+        if os.environ.get("CAGEMAP_DEBUG"):
+            raise
+        _fail(
+            f"internal error, {type(error).__name__}: {error}. This is a fault of cagemap, please report it; "
+            "CAGEMAP_DEBUG=1 shows where it happened.",
+            INTERNAL,
+        )
+
+
+def _fail(message: str, code: int) -> NoReturn:
+    sys.stderr.write(f"cagemap: error: {message}\n")
+    raise SystemExit(code)

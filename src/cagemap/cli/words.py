@@ -1,0 +1,69 @@
+"""What commands say: results on standard output, warnings and steps on standard error, as much as was asked for."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+from collections.abc import Iterable
+
+_log = logging.getLogger("cagemap.cli")
+
+
+class _StandardError(logging.Handler):
+    """``cagemap: warning: ...`` for warnings, ``cagemap: ...`` for what is only said when asked for."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        level = "" if record.levelno < logging.WARNING else f"{record.levelname.lower()}: "
+        try:
+            sys.stderr.write(f"cagemap: {level}{self.format(record)}\n")
+            sys.stderr.flush()
+        except BrokenPipeError:
+            _forget(sys.stderr.fileno())
+
+
+def set_verbosity(verbose: int, quiet: bool) -> None:
+    """Choose what is said: errors only, warnings too (the default), steps and what they fell back to, or everything.
+
+    Parameters
+    ----------
+    verbose : int
+        How often ``-v`` was given.
+    quiet : bool
+    """
+    logger = logging.getLogger("cagemap")
+    if not any(isinstance(handler, _StandardError) for handler in logger.handlers):
+        logger.addHandler(_StandardError())
+    levels = (logging.WARNING, logging.INFO, logging.DEBUG)
+    logger.setLevel(logging.ERROR if quiet else levels[min(verbose, 2)])
+
+
+def say(text: str) -> None:
+    """Write a command's result, unless asked to be quiet; a reader who has gone is no error."""
+    if not _log.isEnabledFor(logging.WARNING):
+        return
+    try:
+        sys.stdout.write(f"{text}\n")
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _forget(sys.stdout.fileno())
+
+
+def warn(messages: Iterable[str]) -> None:
+    """Write warnings, one a line."""
+    for message in messages:
+        _log.warning("%s", message)
+
+
+def tolerate_odd_names() -> None:
+    """File names that are no text, and signs that a terminal lacks, are written as escapes."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _forget(descriptor: int) -> None:
+    """Send what is still written to a closed pipe nowhere, so that the interpreter ends without a complaint."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, descriptor)
+    os.close(nowhere)

@@ -1,0 +1,112 @@
+"""The command line as a guest of a shell: signals, pipes, words on demand; and caches that know the code."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cagemap.basis import BasisConfig
+from cagemap.cli import main
+from cagemap.cli.words import set_verbosity
+from cagemap.example import example_pair
+from cagemap.files.landmarks import write_landmarks
+from cagemap.files.meshes import read_mesh, write_mesh
+from cagemap.files.result import read_result, write_result
+from cagemap.files.surface_store import surface_key
+from cagemap.mesh import cube
+
+from example_result import identity_result
+
+COMMAND = [sys.executable, "-c", "from cagemap.cli import main; main()"]
+MATCH = ["match", "--target", "deer.obj", "--source", "pony.obj", "--landmarks", "landmarks.json", "-o", "R"]
+
+
+@pytest.fixture
+def pair_files(tmp_path: Path) -> Path:
+    pair = example_pair(8)
+    write_mesh(tmp_path / "deer.obj", pair.target)
+    write_mesh(tmp_path / "pony.obj", pair.source)
+    write_landmarks(tmp_path / "landmarks.json", pair.landmarks)
+    return tmp_path
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_cleanly(pair_files: Path, number: signal.Signals, code: int) -> None:
+    before = sorted(path.name for path in pair_files.iterdir())
+    words = [*COMMAND, "-v", *MATCH, "--vertices", "20000"]
+    with subprocess.Popen(words, cwd=pair_files, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if line.startswith("cagemap: stage: prepare"):
+                break
+        process.send_signal(number)
+        said = process.stderr.read()
+    assert process.returncode == code, said
+    assert "stopped" in said
+    assert "Traceback" not in said
+    assert sorted(path.name for path in pair_files.iterdir()) == before
+
+
+def test_a_reader_that_has_gone_is_no_error(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "box.obj", cube())
+    with subprocess.Popen(
+        [*COMMAND, "check", "box.obj"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == ""
+    assert process.returncode == 0
+
+
+def test_more_and_fewer_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_result("R", identity_result())
+    np.save("v.npy", np.arange(8.0))
+    said = {}
+    for flag in ("-v", "-q", ""):
+        words = ["transfer", "R", "--attribute", "v.npy", "-o", "out.npz"]
+        monkeypatch.setattr(sys, "argv", ["cagemap", *([flag] if flag else []), *words])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        assert ended.value.code == 0
+        said[flag] = capsys.readouterr()
+    assert "cagemap: stage: read result" in said["-v"].err
+    assert said["-q"] == ("", "")
+    assert said[""].err == ""
+    assert "wrote out.npz" in said[""].out
+    set_verbosity(0, quiet=False)
+    assert len(logging.getLogger("cagemap").handlers) == 1
+
+
+def test_names_that_are_no_text_are_written_as_escapes(tmp_path: Path) -> None:
+    name = os.fsdecode(b"b\xffx.obj")
+    write_mesh(tmp_path / name, cube())
+    checked = subprocess.run([*COMMAND, "check", name], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert checked.returncode == 0, checked.stderr
+    assert r"b\udcffx.obj" in checked.stdout
+
+
+def test_a_cache_knows_the_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = surface_key(cube(), 2, config=BasisConfig(count=6))
+    monkeypatch.setattr("cagemap.files.surface_store.code_version", lambda: "0.1.0+changed")
+    assert surface_key(cube(), 2, config=BasisConfig(count=6)) != before
+
+
+def test_arrays_of_read_values_are_read_only(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "box.obj", cube())
+    with pytest.raises(ValueError, match="read-only"):
+        read_mesh(tmp_path / "box.obj").positions[0] = 0.0
+    write_result(tmp_path / "R", identity_result())
+    result = read_result(tmp_path / "R")
+    for array in (result.barycentric, result.trust, result.target.vertices, result.source.control.positions):
+        assert not array.flags.writeable
