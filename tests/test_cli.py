@@ -128,7 +128,8 @@ def test_refined_uvs_and_materials_come_along(run: Run, tmp_path: Path) -> None:
         (["refine", "box.obj", "--level", "1", "-o", "x.stl"], r".obj or .ply"),
         (["refine", "box.obj", "--level", "1", "-o", "nowhere/x.obj"], "nowhere"),
         (["refine", "box.obj", "--level", "-1", "-o", "x.obj"], "--level"),
-        (["match", "--target", "box.obj", "--source", "box.obj", "-o", "R"], "--landmarks"),
+        (["match", "--target", "box.obj", "-o", "R"], "--source"),
+        (["match", *"--target box.obj --source box.obj --method hfm -o R".split()], "at least 3 pairs"),
         (
             ["match", *"--target box.obj --source box.obj --landmarks l.json -o R --level 2 --vertices 5".split()],
             "got both",
@@ -316,6 +317,19 @@ def pair_files(pair: ExamplePair, tmp_path: Path) -> Path:
     write_landmarks(tmp_path / "landmarks.json", pair.landmarks)
     write_image(tmp_path / "pony.png", pair.texture)
     return tmp_path
+
+
+@pytest.mark.slow
+def test_a_match_without_landmarks_says_how_sure_it_is(run: Run, pair_files: Path) -> None:
+    outcome = run("match", *MATCH[:4], "--level", 1, "-k", 20, "-o", "R")
+    assert outcome.code == 0, outcome.err
+    assert "no landmarks" in outcome.out
+    result = read_result(pair_files / "R")
+    said = result.manifest["confidence"]
+    assert said["verdict"] in ("sure", "look at it", "two answers")
+    assert said["message"] in outcome.err
+    assert len(result.runner_up_images) == len(said["readings"]) - 1
+    assert run("report", "R").code == 0
 
 
 def test_match_from_files_to_a_result(run: Run, pair_files: Path) -> None:

@@ -11,9 +11,11 @@ from itertools import islice
 import numpy as np
 
 from cagemap.basis import BasisConfig, Surface, hierarchical_basis
-from cagemap.errors import ParameterError
+from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.elastic.fit import ElasticConfig
 from cagemap.maps.elastic.method import RefinedConfig, functional_map_of, refined_map, updated_map
+from cagemap.maps.hypotheses.confidence import Confidence
+from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS, hypothesis_map
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect, checked_map
 from cagemap.maps.pair import Pair, SymmetryPair
 from cagemap.maps.point_map import PointMap
@@ -100,6 +102,8 @@ class MatchResult:
         Pairs that look wrong and were left out, and notes.
     level_maps : tuple of LevelMap
         Functional map and vertex matches of every level, of the methods that go from level to level.
+    confidence : Confidence or None
+        How sure the answer is, and the other answers, where fewer than three landmarks had to do.
     """
 
     target: Surface
@@ -111,6 +115,7 @@ class MatchResult:
     timings: dict[str, float] = field(repr=False)
     landmark_check: LandmarkCheck = field(default_factory=LandmarkCheck)
     level_maps: tuple[LevelMap, ...] = field(default=(), repr=False)
+    confidence: Confidence | None = None
 
     @property
     def suspects(self) -> tuple[LandmarkSuspect, ...]:
@@ -224,12 +229,15 @@ def prepare_pair(
 def match(
     target: Surface,
     source: Surface,
-    landmarks: Landmarks,
+    landmarks: Landmarks | None = None,
     config: MatchConfig = MatchConfig(),
     *,
     progress: Progress = silent,
 ) -> MatchResult:
     """Map a target surface to a source surface (paper, section 5).
+
+    With fewer than three landmarks all ways in which the target may lie on the source are tried, and the result says
+    how sure its answer is.
 
     Parameters
     ----------
@@ -237,7 +245,7 @@ def match(
         M1, the surface that receives.
     source : Surface
         M2, the surface that gives.
-    landmarks : Landmarks
+    landmarks : Landmarks, optional
         Control vertices that correspond.
     config : MatchConfig
     progress : callable
@@ -246,15 +254,22 @@ def match(
     Raises
     ------
     InvalidLandmarksError
-        If the landmarks do not fit the control meshes.
+        If the landmarks do not fit the control meshes, or "hfm" has fewer than three.
     """
+    landmarks = Landmarks.none() if landmarks is None else landmarks
     check_landmarks(landmarks, target.control, source.control)
+    few = len(landmarks) < FEWEST_LANDMARKS
+    if few and config.method == "hfm":
+        raise InvalidLandmarksError(
+            f"landmarks: expected at least {FEWEST_LANDMARKS} pairs for the method hfm, got {len(landmarks)}. Add "
+            "pairs, or use the method elastic, which needs none."
+        )
     timings: dict[str, float] = {}
     pair = Pair(target, source, landmarks.target, landmarks.source, config.symmetries)
     with _timed(timings, "symmetry"):
         if config.use_symmetry and not config.symmetries:
             pair = replace(pair, symmetries=paired_mirrors(pair))
-    check = LandmarkCheck()
+    check, confidence = LandmarkCheck(), None
     level_maps: tuple[LevelMap, ...] = ()
     with one_blas_thread():
         if config.method != "elastic":
@@ -270,14 +285,18 @@ def match(
         else:
             refined = RefinedConfig(config.hierarchy, config.elastic)
             with _timed(timings, "map"):
-                if config.check_landmarks:
+                if few:
+                    point_map, confidence = hypothesis_map(pair, refined, progress=progress)
+                elif config.check_landmarks:
                     point_map, check = checked_map(pair, landmarks.names, refined, progress)
                 else:
                     point_map = refined_map(pair, refined, progress)
             progress("functional map of the fit, quality")
             with _timed(timings, "quality"):
                 functional_map, quality = _read_off_and_judged(pair, point_map, check.trusted(landmarks))
-    return MatchResult(target, source, landmarks, functional_map, point_map, quality, timings, check, level_maps)
+    return MatchResult(
+        target, source, landmarks, functional_map, point_map, quality, timings, check, level_maps, confidence
+    )
 
 
 def update_match(

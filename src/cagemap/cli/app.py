@@ -171,8 +171,15 @@ def refine(
 def match(
     target: Annotated[Path, typer.Option("--target", "-t", help="Control mesh that receives, .obj or .ply.")],
     source: Annotated[Path, typer.Option("--source", "-s", help="Control mesh that gives, .obj or .ply.")],
-    landmarks: Annotated[Path, typer.Option("--landmarks", help="JSON file of corresponding control vertices.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="RESULT folder to write.")],
+    landmarks: Annotated[
+        Path | None,
+        typer.Option(
+            "--landmarks",
+            help="JSON file of corresponding control vertices; without one the shapes alone decide.",
+            show_default=False,
+        ),
+    ] = None,
     level: Annotated[
         int | None, typer.Option("--level", min=1, help="Subdivision level of both surfaces.", show_default=False)
     ] = None,
@@ -231,8 +238,9 @@ def match(
     """Find for every point of the target its place on the source.
 
     Writes a folder with manifest.json (what was done, how long it took, how good the map is) and map.npz (the map
-    itself). Six to thirty landmarks, spread over the whole surface, are a good number; tips of limbs, nose and tail
-    first.
+    itself). Without landmarks every way in which one shape may lie on the other is tried, and the answer says how sure
+    it is. Landmarks make it better: six to thirty, spread over the whole surface, are a good number; tips of limbs,
+    nose and tail first.
     """
     from cagemap.cli.match import MatchRequest, run_match
     from cagemap.cli.progress import Stages

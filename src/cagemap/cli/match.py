@@ -50,7 +50,7 @@ class MatchRequest:
 
     target: Path
     source: Path
-    landmarks: Path
+    landmarks: Path | None
     output: Path
     level: int | None = None
     vertices: int | None = None
@@ -86,7 +86,9 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     basis, config = basis_config(request), match_config(request)
     started = time.perf_counter()
     stages("read")
-    files = {"target": request.target, "source": request.source, "landmarks": request.landmarks}
+    files = {"target": request.target, "source": request.source}
+    if request.landmarks is not None:
+        files["landmarks"] = request.landmarks
     check_result_folder(request.output, force=request.force)
     require_no_input([request.output / name for name in (ARRAYS, MANIFEST)], files.values())
     inputs = read_inputs(request)
@@ -157,10 +159,12 @@ def read_inputs(request: MatchRequest) -> Inputs:
     target, source = (
         subdivision.applied(replace(read_mesh(path), name=path.name)) for path in (request.target, request.source)
     )
-    if request.exchange_landmarks:
+    landmarks: Landmarks = Landmarks.none()
+    notes: tuple[str, ...] = ()
+    if request.landmarks is not None and request.exchange_landmarks:
         exchanged, notes = read_landmarks(request.landmarks, request.source, request.target)
         landmarks = exchanged.reversed()
-    else:
+    elif request.landmarks is not None:
         landmarks, notes = read_landmarks(request.landmarks, request.target, request.source)
     require_valid(target)
     require_valid(source)

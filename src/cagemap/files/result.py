@@ -72,6 +72,7 @@ _FORMS = {
     "functional_map": Form(("k1", "k2")),
     "trust": Form(("n1",)),
     "landmark_errors": Form(("p",)),
+    "runner_up_images": Form(("r", "c1", 3), optional=True),
 }
 # What barycentric coordinates may lie beside [0, 1] and a sum of 1.
 _ROUNDING = 1e-6
@@ -157,6 +158,8 @@ def write_result(folder: str | Path, result: Result | MatchResult, *, force: boo
         "trust": result.trust,
         "landmark_errors": result.landmark_errors,
     }
+    if len(result.runner_up_images):
+        arrays["runner_up_images"] = result.runner_up_images
     for prefix, side in (("target", result.target), ("source", result.source)):
         arrays |= {f"{prefix}_{name}": getattr(side, name) for name in _SIDE_ARRAYS}
         arrays |= control_to_arrays(side.control, f"{prefix}_control_")

@@ -69,6 +69,9 @@ class Result:
     landmark_errors : (p,) float64
         Of sqrt(source area); also of pairs that the map left out, which the manifest's ``landmark_check`` names.
     landmark_names : tuple of str
+    runner_up_images : (r, n_0, 3) float64
+        Where the r other answers of a match without landmarks put the target's control vertices, about, in the source
+        file's units; the manifest's ``confidence`` names them.
     manifest : dict
         What ``manifest.json`` holds: versions, parameters, input hashes, timings in seconds, quality figures.
     """
@@ -82,6 +85,7 @@ class Result:
     trust: FloatArray
     landmark_errors: FloatArray
     landmark_names: tuple[str, ...] = ()
+    runner_up_images: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 3)))
     manifest: dict[str, Any] = field(default_factory=dict)
 
     def point_map(self) -> PointMap:
@@ -130,16 +134,28 @@ def result_of(match: MatchResult, manifest: dict[str, Any] | None = None) -> Res
         trust=quality.trust,
         landmark_errors=errors,
         landmark_names=match.landmarks.names,
+        runner_up_images=_runner_up_images(match),
         manifest={
             "quality": quality.summary(),
             "landmark_check": match.landmark_check.summary(),
+            "confidence": None if match.confidence is None else match.confidence.summary(),
             "timings": dict(match.timings),
         }
         | (manifest or {}),
     )
 
 
+def _runner_up_images(match: MatchResult) -> FloatArray:
+    """(r, n_0, 3) see `Result`."""
+    count = match.target.control.n_vertices
+    others = match.confidence.readings[1:] if match.confidence else ()
+    scale = match.source.operators.scale
+    return np.array([other.positions[:count] / scale for other in others]).reshape(len(others), count, 3)
+
+
 def landmark_messages(manifest: dict[str, Any]) -> list[str]:
-    """Sentences of a manifest about landmarks: pairs that were left out of the map, and other notes."""
-    check = manifest.get("landmark_check") or {}
-    return [str(suspect["message"]) for suspect in check.get("suspects", [])] + list(map(str, check.get("notes", [])))
+    """Sentences of a manifest about landmarks: how sure a map without them is, pairs left out, and other notes."""
+    check, confidence = manifest.get("landmark_check") or {}, manifest.get("confidence") or {}
+    sure = [str(confidence["message"])] if "message" in confidence else []
+    left_out = [str(suspect["message"]) for suspect in check.get("suspects", [])]
+    return sure + left_out + list(map(str, check.get("notes", [])))

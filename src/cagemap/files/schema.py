@@ -45,6 +45,15 @@ class LandmarkCheckRecord(Record):
     notes: list[str] = []
 
 
+class ConfidenceRecord(Record):
+    """How sure a map without landmarks is."""
+
+    verdict: str
+    message: str
+    gap: float | None = None
+    deciding: int | None = None
+
+
 class InputRecord(Record):
     """A file that a result was made from."""
 
@@ -77,6 +86,7 @@ class ResultRecord(Record):
     landmark_names: list[str]
     quality: QualityRecord | None = None
     landmark_check: LandmarkCheckRecord | None = None
+    confidence: ConfidenceRecord | None = None
     notes: list[str] = []
     timings: dict[str, float | None] = {}
     inputs: dict[str, InputRecord] = {}

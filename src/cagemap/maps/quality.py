@@ -62,8 +62,8 @@ class QualityFigures:
         """Return the figures as plain numbers and lists for a manifest (the per-vertex trust field left out)."""
         errors = self.landmark_errors
         return {
-            "landmark_error_mean": float(errors.mean()) if len(errors) else 0.0,
-            "landmark_error_worst": float(errors.max()) if len(errors) else 0.0,
+            "landmark_error_mean": float(errors.mean()) if len(errors) else None,
+            "landmark_error_worst": float(errors.max()) if len(errors) else None,
             "flipped_area": self.flipped_area,
             "coverage": self.coverage,
             "dirichlet": self.dirichlet,

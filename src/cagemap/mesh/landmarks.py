@@ -12,9 +12,6 @@ from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import IndexArray
 
-# Two pairs leave a rotation about their axis undecided, three decide it.
-FEWEST_PAIRS = 3
-
 
 @dataclass(frozen=True)
 class Landmarks:
@@ -35,6 +32,11 @@ class Landmarks:
     source: IndexArray
     target_name: str = ""
     source_name: str = ""
+
+    @classmethod
+    def none(cls) -> Landmarks:
+        """No pair at all."""
+        return cls((), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
 
     def __len__(self) -> int:
         return len(self.names)
@@ -62,8 +64,7 @@ def check_landmarks(landmarks: Landmarks, target: ControlMesh, source: ControlMe
     Raises
     ------
     InvalidLandmarksError
-        If there are fewer than three pairs, a name or a vertex is used twice, or a vertex number is out of range; all
-        such faults are listed by pair.
+        If a name or a vertex is used twice, or a vertex number is out of range; all such faults are listed by pair.
     """
     count = len(landmarks.names)
     if landmarks.target.shape != (count,) or landmarks.source.shape != (count,):
@@ -72,8 +73,6 @@ def check_landmarks(landmarks: Landmarks, target: ControlMesh, source: ControlMe
             f"{landmarks.target.shape} and {landmarks.source.shape}. Give one of each per pair."
         )
     faults = []
-    if count < FEWEST_PAIRS:
-        faults.append(f"expected at least {FEWEST_PAIRS} pairs, got {count}. Add pairs spread over the whole surface.")
     names = np.array(landmarks.names, dtype=object)
     repeated = _repeated(names)
     if len(repeated):

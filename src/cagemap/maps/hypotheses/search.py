@@ -1,0 +1,223 @@
+"""From many rough ways to lie on the source to the few that are fitted to the end, ranked by what they cost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
+
+import numpy as np
+
+from cagemap.geometry.closest import build_tree, closest_points
+from cagemap.maps.elastic.data import PULLERS, Pullers, deformed_normals
+from cagemap.maps.elastic.fit import (
+    CoarseFit,
+    ElasticConfig,
+    FitShapes,
+    RestShape,
+    Stage,
+    coarse_cost,
+    coarse_fit,
+    fit,
+)
+from cagemap.maps.elastic.graph import ElasticGraph, cluster_graph, extrapolate
+from cagemap.maps.hypotheses.confidence import Reading
+from cagemap.maps.hypotheses.starts import SourcePlaces, Start, rigid_starts, spectral_starts
+from cagemap.maps.pair import Pair
+from cagemap.maps.projection.project import SHEET_VERTICES, fit_shapes
+from cagemap.maps.spectral.samples import Samples, spread
+from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.threads import in_threads, thread_limit
+
+One = TypeVar("One")
+
+# Source vertices that rough fits are matched with.
+PLACES = 3000
+
+
+@dataclass(frozen=True)
+class HypothesesConfig:
+    """Parameters of the search; the defaults are the measured ones.
+
+    Attributes
+    ----------
+    rough_vertices : int
+        Size of the graph on which all starts are tried.
+    rough : Stage
+        Of those trials: from stiff, which turns and shifts as a whole, to soft.
+    alike : float
+        Mean distance of two starts, of sqrt(area), below which one of them is enough.
+    different : float
+        Mean distance of two fits, of sqrt(area), from which on they are two answers.
+    coarse, finished : int
+        How many different ones go on to the coarse stage of the fit, and from there to its end.
+    hopeless : float
+        A fit that costs this many times the best one is not finished.
+    """
+
+    rough_vertices: int = 400
+    rough: Stage = field(default_factory=lambda: Stage(14, (1.0, 2e-4), 1e-2, momentum=0.6))
+    alike: float = 0.03
+    different: float = 0.08
+    coarse: int = 4
+    finished: int = 3
+    hopeless: float = 2.5
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    name: str
+    fit: CoarseFit
+
+
+def found_readings(
+    pair: Pair,
+    levels: tuple[int, int],
+    elastic: ElasticConfig = ElasticConfig(),
+    config: HypothesesConfig = HypothesesConfig(),
+    progress: Callable[[str], None] = lambda stage: None,
+) -> tuple[Reading, ...]:
+    """Different ways in which the target lies on the source, fitted, cheapest first.
+
+    Landmarks of the pair, if there are any, are held by all of them.
+
+    Parameters
+    ----------
+    pair : Pair
+    levels : (int, int)
+        Levels of target and source that are searched; positions are those of the target's.
+    elastic : ElasticConfig
+    config : HypothesesConfig
+    progress : callable
+    """
+    progress("hypotheses")
+    shapes = fit_shapes(pair, levels[0], elastic)
+    places = shapes_places(pair, shapes)
+    rough = _rough_fits(pair, shapes, places, elastic, config)
+    progress("coarse fits")
+    candidates = _coarse_fits(pair, levels, shapes, rough, places, elastic, config)
+    progress("elastic fits")
+    mesh = RestShape.build(shapes.graph, shapes.triangles, elastic.fine.smoothing)
+    pullers = Pullers.choose(shapes.sheet, int(PULLERS * shapes.graph.n))
+
+    def finish(candidate: _Candidate) -> Reading:
+        ended = fit(shapes, mesh, [candidate.fit], pair.target_landmarks, places, elastic)
+        return Reading(candidate.name, reading_cost(shapes, mesh, pullers, ended, elastic), ended)
+
+    readings = sorted(in_threads(finish, candidates), key=lambda reading: reading.cost)
+    return tuple(_different(readings, lambda reading: reading.positions, shapes.graph.areas, config.different))
+
+
+def shapes_places(pair: Pair, shapes: FitShapes) -> FloatArray:
+    """(p, 3) where the landmarks belong on the source; landmarks at control vertices are vertices of the sheet."""
+    return np.asarray(shapes.sheet.positions[pair.source_landmarks])
+
+
+def reading_cost(
+    shapes: FitShapes, mesh: RestShape, pullers: Pullers, positions: FloatArray, config: ElasticConfig
+) -> float:
+    """What a fitted mesh costs: `coarse_cost`, and the mean squared distance of source points from the mesh.
+
+    The last tells a limb that lies beside its counterpart, or a body squeezed into a part of the other.
+    """
+    cost = coarse_cost(mesh.graph, shapes.sheet, positions, mesh.field.solve(positions), config)
+    tree = build_tree(positions, shapes.triangles)
+    _, _, distance = closest_points(tree, pullers.points, pullers.planes, normal_weight=config.normal_weight)
+    return cost + float(pullers.areas @ distance**2)
+
+
+def _rough_fits(
+    pair: Pair, shapes: FitShapes, places: FloatArray, elastic: ElasticConfig, config: HypothesesConfig
+) -> list[_Candidate]:
+    """The different ends of all rigid starts on a small graph, cheapest first, brought to the coarse graph."""
+    small, _ = cluster_graph(shapes.graph, min(config.rough_vertices, shapes.graph.n), pair.target_landmarks)
+    rest = RestShape.build(small, None, config.rough.smoothing)
+    staged = replace(elastic, coarse=config.rough)
+
+    def trial(start: Start) -> _Candidate:
+        with thread_limit(1):  # the starts are spread over the cores: a step of one is too short to be
+            return _Candidate(start.name, coarse_fit(rest, shapes.sheet, start.positions, places, staged))
+
+    starts = rigid_starts(small.positions, shapes.sheet.positions)
+    tried = in_threads(trial, _different(starts, lambda start: start.positions, small.areas, config.alike))
+    ranked = sorted(tried, key=lambda one: one.fit.cost)
+    kept = _different(ranked, lambda one: one.fit.positions, small.areas, config.different)[: config.coarse]
+    # What starts of several names lead to has the first one's, which is the simplest.
+    kept = [
+        replace(
+            one,
+            name=next(
+                t.name for t in tried if _apart(t.fit.positions, one.fit.positions, small.areas) < config.different
+            ),
+        )
+        for one in kept
+    ]
+    return [_Candidate(one.name, _on(small, one.fit, shapes.coarse)) for one in kept]
+
+
+def _coarse_fits(
+    pair: Pair,
+    levels: tuple[int, int],
+    shapes: FitShapes,
+    rough: Sequence[_Candidate],
+    places: FloatArray,
+    elastic: ElasticConfig,
+    config: HypothesesConfig,
+) -> list[_Candidate]:
+    """The cheapest coarse fit of each rough one: from where it is, or from what spectral upsampling makes of it."""
+    rest = RestShape.build(shapes.coarse, None, elastic.coarse.smoothing)
+    target, source, on_source = _spectral_samples(pair, levels, shapes)
+
+    def improve(candidate: _Candidate) -> _Candidate:
+        with thread_limit(1):
+            return _cheapest(candidate)
+
+    def _cheapest(candidate: _Candidate) -> _Candidate:
+        own = coarse_fit(rest, shapes.sheet, candidate.fit.positions, places, elastic)
+        normals = deformed_normals(shapes.coarse, own.maps)
+        starts = spectral_starts(candidate.name, own.positions, normals, target, source, on_source)
+        others = [coarse_fit(rest, shapes.sheet, start.positions, places, elastic) for start in starts]
+        return _Candidate(candidate.name, min([own, *others], key=lambda ended: ended.cost))
+
+    improved = sorted(in_threads(improve, rough), key=lambda one: one.fit.cost)
+    kept = _different(improved, lambda one: one.fit.positions, shapes.coarse.areas, config.different)
+    hopeful = [one for one in kept if one.fit.cost <= config.hopeless * kept[0].fit.cost]
+    return hopeful[: config.finished]
+
+
+def _spectral_samples(pair: Pair, levels: tuple[int, int], shapes: FitShapes) -> tuple[Samples, Samples, SourcePlaces]:
+    """Basis rows of the coarse graph's vertices and of some vertices of the source, and where the latter lie."""
+    sheet_level = pair.source.refinement.coarsest_level(SHEET_VERTICES)
+    vertices = spread(len(shapes.sheet.positions), PLACES)
+    at = SourcePlaces.build(shapes.sheet.positions, shapes.sheet.normals, vertices)
+    sides = (
+        (pair.target, levels[0], shapes.vertices, shapes.coarse.areas),
+        (pair.source, sheet_level, vertices, np.ones(len(vertices))),
+    )
+    target, source = (
+        Samples(surface.basis.rows(level, chosen), areas, np.zeros((len(chosen), 0)))
+        for surface, level, chosen, areas in sides
+    )
+    return target, source, at
+
+
+def _different(
+    ranked: Sequence[One], positions_of: Callable[[One], FloatArray], areas: FloatArray, least: float
+) -> list[One]:
+    """Those that are at a mean distance of at least ``least`` from every better one."""
+    kept: list[One] = []
+    for one in ranked:
+        if all(_apart(positions_of(one), positions_of(better), areas) >= least for better in kept):
+            kept.append(one)
+    return kept
+
+
+def _apart(first: FloatArray, second: FloatArray, areas: FloatArray) -> float:
+    """Mean distance of two placements of the same vertices."""
+    return float(areas @ np.linalg.norm(first - second, axis=1))
+
+
+def _on(small: ElasticGraph, ended: CoarseFit, graph: ElasticGraph) -> CoarseFit:
+    """A fit of a small graph as rough positions of a larger one."""
+    positions = extrapolate(small, ended.positions, ended.maps, graph)
+    return CoarseFit(ended.cost, positions, np.zeros((graph.n, 3, 3)))

@@ -1,0 +1,170 @@
+"""Ways in which one shape may lie on another, before anything is known: rigid, by boxes, principal axes and numbers.
+
+A start is a rough position on the source for every vertex of the target's coarse graph. All are orientation-preserving:
+the elastic energy cannot turn a mirrored start over, so that left stays left.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import permutations, product
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from cagemap.maps.spectral.hierarchical import search_samples
+from cagemap.maps.spectral.samples import Samples, fit_functional_map, growth
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+AS_FILED = "as the files stand"
+# A box that is flat along an axis is not stretched along it.
+LEAST_EXTENT = 1e-6
+# Spectral starts: basis functions trusted of a rough fit, and where spectral upsampling of its match ends.
+TRUSTED_FUNCTIONS = (8, 20)
+LAST_FUNCTIONS = 100
+GROWTH = 1.5
+# How far apart, of sqrt(area), opposite normals count when a rough fit is matched with source points.
+NORMAL_LENGTH = 0.1
+
+
+@dataclass(frozen=True)
+class Start:
+    """One way in which the target may lie on the source.
+
+    Attributes
+    ----------
+    name : str
+        In words, such as "turned 180 degrees about y".
+    positions : (k, 3) float64
+        On or near the source, one for every vertex of the coarse graph.
+    """
+
+    name: str
+    positions: FloatArray
+
+
+def axis_rotations() -> list[FloatArray]:
+    """The 24 rotations that take coordinate axes to coordinate axes; the identity first, then by their angle."""
+    found = []
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            matrix = np.zeros((3, 3))
+            matrix[np.arange(3), order] = signs
+            if np.linalg.det(matrix) > 0:
+                found.append(matrix)
+    return sorted(found, key=lambda matrix: -np.trace(matrix))
+
+
+def rotation_name(matrix: FloatArray) -> str:
+    """A rotation in words."""
+    vector = Rotation.from_matrix(matrix).as_rotvec(degrees=True)
+    angle = round(float(np.linalg.norm(vector)))
+    if angle == 0:
+        return AS_FILED
+    axis = np.round(vector / np.abs(vector).max()).astype(int)
+    if np.count_nonzero(axis) == 1:
+        sign = "-" if axis.sum() < 0 and angle != 180 else ""
+        return f"turned {angle} degrees about {sign}{'xyz'[int(np.flatnonzero(axis)[0])]}"
+    return f"turned {angle} degrees about ({', '.join(map(str, axis))})"
+
+
+def rigid_starts(points: FloatArray, source_points: FloatArray) -> list[Start]:
+    """Both shapes' bounding boxes and principal frames laid on each other, in all 24 ways.
+
+    Boxes agree in their diagonal (one scale) or along every axis (three scales); principal frames, for files whose axes
+    mean nothing, keep unit area.
+
+    Parameters
+    ----------
+    points : (k, 3) float64
+        Of the target, at unit area.
+    source_points : (m, 3) float64
+        Of the source, at unit area.
+    """
+    starts = []
+    for matrix in axis_rotations():
+        turned = points @ matrix.T
+        starts += [
+            Start(rotation_name(matrix), _boxed(turned, source_points, stretched)) for stretched in (False, True)
+        ]
+    centre, frame = _principal_frame(points)
+    source_centre, source_frame = _principal_frame(source_points)
+    for signs in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        flips = np.array([*signs, signs[0] * signs[1]], dtype=np.float64)
+        starts.append(
+            Start("by its principal axes", (points - centre) @ (frame * flips) @ source_frame.T + source_centre)
+        )
+    return starts
+
+
+def spectral_starts(
+    name: str, positions: FloatArray, normals: FloatArray, target: Samples, source: Samples, places: SourcePlaces
+) -> list[Start]:
+    """What spectral upsampling makes of a rough fit: limbs find limbs wherever they are posed.
+
+    Parameters
+    ----------
+    name : str
+        Of the rough fit.
+    positions, normals : (k, 3) float64
+        Where the fit has brought the vertices of the coarse graph.
+    target, source : Samples
+        Basis rows of those vertices, and of the source's places.
+    places : SourcePlaces
+    """
+    match = places.nearest(positions, normals)
+    found = []
+    for start in TRUSTED_FUNCTIONS:
+        better = match
+        for k in growth(start, LAST_FUNCTIONS, GROWTH):
+            k1, k2 = min(k, target.rows.shape[1]), min(k, source.rows.shape[1])
+            functional_map = fit_functional_map(target, source.rows[better][:, :k2], k1)
+            better = search_samples(target, source, functional_map)
+        found.append(Start(name, places.positions[better]))
+    return found
+
+
+@dataclass(frozen=True)
+class SourcePlaces:
+    """Some points of the source that a rough fit is matched with.
+
+    Attributes
+    ----------
+    vertices : (m,) int64
+    positions, normals : (m, 3) float64
+    tree : cKDTree
+        Over position and normal.
+    """
+
+    vertices: IndexArray
+    positions: FloatArray
+    normals: FloatArray
+    tree: cKDTree
+
+    @classmethod
+    def build(cls, positions: FloatArray, normals: FloatArray, vertices: IndexArray) -> SourcePlaces:
+        """Prepare some vertices of a surface."""
+        chosen, planes = positions[vertices], normals[vertices]
+        return cls(vertices, chosen, planes, cKDTree(np.hstack([chosen, NORMAL_LENGTH * planes])))
+
+    def nearest(self, positions: FloatArray, normals: FloatArray) -> IndexArray:
+        """(k,) nearest place of every point in position and normal."""
+        return np.asarray(self.tree.query(np.hstack([positions, NORMAL_LENGTH * normals]))[1], dtype=np.int64)
+
+
+def _boxed(points: FloatArray, source_points: FloatArray, stretched: bool) -> FloatArray:
+    """Points moved and scaled so that their bounding box agrees with the source's."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    source_low, source_high = source_points.min(axis=0), source_points.max(axis=0)
+    extent, wanted = np.maximum(high - low, LEAST_EXTENT), np.maximum(source_high - source_low, LEAST_EXTENT)
+    scale = wanted / extent if stretched else np.linalg.norm(wanted) / np.linalg.norm(extent)
+    return np.asarray((points - (low + high) / 2) * scale + (source_low + source_high) / 2)
+
+
+def _principal_frame(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Centre and a right-handed frame of columns along the principal axes, longest first."""
+    centre = points.mean(axis=0)
+    frame = np.linalg.svd(points - centre, full_matrices=False)[2].T
+    frame[:, 2] *= np.sign(np.linalg.det(frame)) or 1.0
+    return centre, frame

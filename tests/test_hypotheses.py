@@ -1,0 +1,106 @@
+"""Maps without landmarks: every way to lie on the source is tried, and the answer says how sure it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cagemap.errors import InvalidLandmarksError
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence, Reading
+from cagemap.maps.hypotheses.starts import AS_FILED, axis_rotations, rigid_starts, rotation_name
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.shapes import creature, cube
+from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_surface
+
+
+def bent(control: ControlMesh) -> ControlMesh:
+    """The same cage, swollen and bent: every vertex keeps its meaning."""
+    x, y, z = (control.positions / np.ptp(control.positions)).T
+    return control.with_positions(np.column_stack([x * (1 + 0.3 * z), y + 0.2 * z**2, z * (1 + 0.2 * y)]))
+
+
+def matched(source: ControlMesh, landmarks: Landmarks | None = None) -> MatchResult:
+    target = prepare_surface(creature(), 1)
+    return match(target, prepare_surface(source, 1), landmarks)
+
+
+def errors(result: MatchResult) -> np.ndarray:
+    """How far from its own vertex every finest vertex maps, of sqrt(area); the cages are numbered alike."""
+    return np.linalg.norm(result.point_map.images.positions - result.point_map.source.positions, axis=1)
+
+
+def test_there_are_24_rotations_and_none_mirrors() -> None:
+    rotations = axis_rotations()
+    assert len({tuple(matrix.ravel()) for matrix in rotations}) == 24
+    assert all(np.linalg.det(matrix) == pytest.approx(1.0) for matrix in rotations)
+    assert rotation_name(rotations[0]) == AS_FILED
+    assert len({rotation_name(matrix) for matrix in rotations}) == 24
+
+
+def test_boxes_agree_and_no_start_mirrors() -> None:
+    rng = np.random.default_rng(2)
+    points, others = rng.normal(size=(50, 3)) * (1, 2, 3), rng.normal(size=(80, 3)) * (3, 1, 1) + 5
+    centred = points - points.mean(axis=0)
+    for start in rigid_starts(points, others):
+        linear = np.linalg.lstsq(centred, start.positions - start.positions.mean(axis=0), rcond=None)[0]
+        assert np.linalg.det(linear) > 0, start.name
+    stretched = rigid_starts(points, others)[1].positions
+    np.testing.assert_allclose(np.ptp(stretched, axis=0), np.ptp(others, axis=0))
+    np.testing.assert_allclose(stretched.min(axis=0), others.min(axis=0), atol=1e-12)
+
+
+def test_a_bent_twin_is_found_without_landmarks_however_its_axes_lie() -> None:
+    turn = axis_rotations()[-1]
+    twin = bent(creature())
+    result = matched(twin.with_positions(twin.positions @ turn.T))
+    assert result.confidence is not None
+    assert result.confidence.verdict == SURE, result.confidence.summary()
+    assert errors(result).mean() < 0.02
+    assert result.confidence.readings[0].name == rotation_name(turn)
+
+
+@pytest.mark.slow
+def test_a_shape_that_is_its_own_double_has_two_answers_and_landmarks_choose() -> None:
+    cage = cube()
+    target, source = prepare_surface(cage, 3), prepare_surface(cage, 3)
+    undecided = match(target, source)
+    assert undecided.confidence is not None
+    assert undecided.confidence.verdict == TWO
+    # Any corner may come to lie on any other, and an edge then on any of the three that leave it.
+    other = cage.positions[0] * (-1, 1, 1)
+    places = [int(np.argmin(np.linalg.norm(cage.positions - at, axis=1))) for at in (cage.positions[0], other)]
+    pairs = Landmarks(("corner", "edge"), np.array(places), np.array(places[::-1]))
+    result = match(target, source, pairs)
+    assert result.quality.landmark_errors.max() < 1e-9
+    assert result.quality.flipped_area < 1e-3
+    assert result.quality.dirichlet < 1.05
+
+
+@pytest.mark.slow
+def test_what_looks_different_is_not_sure() -> None:
+    result = match(prepare_surface(cube(), 3), prepare_surface(creature(), 2))
+    assert result.confidence is not None
+    assert result.confidence.verdict != SURE
+
+
+def test_the_paper_s_method_asks_for_landmarks() -> None:
+    target = prepare_surface(creature(), 1)
+    with pytest.raises(InvalidLandmarksError, match="at least 3 pairs for the method hfm, got 0"):
+        match(target, target, None, MatchConfig(method="hfm"))
+
+
+def test_verdicts_follow_cost_and_gap() -> None:
+    at = np.zeros((4, 3))
+    best = Reading("a", 1e-3, at)
+    other = Reading("b", 1.05e-3, at + np.outer([0.0, 2.0, 0.0, 9.0], [0, 1, 0]))
+    two = Confidence.of((best, other), 3)
+    assert (two.verdict, two.deciding) == (TWO, 1)  # the fourth vertex is not one of the control mesh
+    assert "vertex 1" in two.message
+    assert Confidence.of((best, replace(other, cost=5e-3)), 3).verdict == SURE
+    alone = Confidence.of((best,), 3)
+    assert (alone.verdict, alone.gap, alone.deciding) == (SURE, np.inf, None)
+    assert alone.summary()["gap"] is None
+    assert Confidence.of((replace(best, cost=1.0),), 3).verdict == LOOK
