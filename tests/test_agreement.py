@@ -6,28 +6,29 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from cagemap.geometry.closest import build_tree, closest_points
+from cagemap.geometry.points import SurfacePoints
+from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import normalized, triangle_normals
 from cagemap.maps.elastic import counterparts as agreement
+from cagemap.maps.elastic.config import ElasticConfig, Stage
 from cagemap.maps.elastic.counterparts import ReceivedArea, round_trip_weights
-from cagemap.maps.elastic.data import Sheet
-from cagemap.maps.elastic.fit import ElasticConfig, RestShape, Stage, run_stage
+from cagemap.maps.elastic.fit import run_stage
 from cagemap.maps.elastic.graph import ElasticGraph, mesh_graph
-from cagemap.maps.projection.project import facing_points, level_faces
+from cagemap.maps.elastic.prepared import RestShape
+from cagemap.maps.projection.project import facing_points
 from cagemap.mesh.shapes import creature
-from cagemap.operators import build_operators
 from cagemap.refinement import refine
 
 
 @pytest.fixture(scope="module")
-def graph() -> tuple[ElasticGraph, np.ndarray, np.ndarray]:
-    """Graph, faces and triangles of a creature of 2434 vertices."""
-    refinement = refine(creature(), 2)
-    faces, split = level_faces(refinement, 2)
-    return mesh_graph(build_operators(refinement).scale * refinement.finest.positions, faces, split), faces, split
+def graph() -> tuple[ElasticGraph, np.ndarray, TriangleSurface]:
+    """Graph, faces and mesh of a creature of 2434 vertices."""
+    finest = refine(creature(), 2).finest
+    mesh = TriangleSurface.from_faces(finest.positions, finest.faces)
+    return mesh_graph(mesh, finest.faces), finest.faces, mesh
 
 
-def test_what_receives_no_area_does_not_pull(graph: tuple[ElasticGraph, np.ndarray, np.ndarray]) -> None:
+def test_what_receives_no_area_does_not_pull(graph: tuple[ElasticGraph, np.ndarray, TriangleSurface]) -> None:
     rest = graph[0]
     received = ReceivedArea.build(rest, rest.laplacian())
     np.testing.assert_allclose(received.weights(rest.areas), 1.0)
@@ -52,22 +53,23 @@ def test_round_trips_count_more_inside_than_outside() -> None:
 
 
 def test_a_pocket_that_the_source_lacks_drags_nothing_along(
-    graph: tuple[ElasticGraph, np.ndarray, np.ndarray], monkeypatch: pytest.MonkeyPatch
+    graph: tuple[ElasticGraph, np.ndarray, TriangleSurface], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    smooth, faces, split = graph
+    smooth, faces, mesh = graph
     # Push a finger into the flattest place: the pocket's walls face each other, nothing on the source is like them.
     near = cKDTree(smooth.positions).query_ball_point(smooth.positions, 0.1)
     middle = max(range(0, smooth.n, 31), key=lambda i: float((smooth.normals[near[i]] @ smooth.normals[i]).min()))
     reach = np.linalg.norm(smooth.positions - smooth.positions[middle], axis=1) / 0.06
     depth = 0.12 * np.clip(1.0 - reach**4, 0.0, None) * (smooth.normals @ smooth.normals[middle] > 0)
-    pocketed = mesh_graph(smooth.positions - depth[:, None] * smooth.normals[middle], faces, split)
+    pocket = TriangleSurface(smooth.positions - depth[:, None] * smooth.normals[middle], mesh.triangles)
+    pocketed = mesh_graph(pocket, faces)
     landmarks = np.flatnonzero(reach > 3)[::25]
 
     def error() -> float:
         stage = Stage(8, (2e-4, 1e-5), 1e-4, momentum=0.8)
         found = run_stage(
-            RestShape.build(pocketed, split, stage.smoothing),
-            Sheet.build(smooth.positions, split),
+            RestShape.build(pocketed, pocket, stage.smoothing),
+            mesh,
             pocketed.positions,
             landmarks,
             smooth.positions[landmarks],
@@ -88,14 +90,12 @@ def test_projection_keeps_to_its_side_and_its_place() -> None:
     corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=float)
     positions = np.vstack([np.column_stack([corners, np.full(4, height)]) for height in (0.0, 0.004)])
     triangles = np.array([[0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7]])  # the lower side faces down
-    tree = build_tree(positions, triangles)
+    sheet = TriangleSurface(positions, triangles)
     rng = np.random.default_rng(51)
     points = np.column_stack([rng.uniform(0.2, 0.8, (50, 2)), rng.uniform(-0.004, 0.008, 50)])
     normals = normalized(np.array([0.0, 0.0, 1.0]) + 0.3 * rng.standard_normal((50, 3)))
-    triangle, _ = facing_points(tree, points, normals, (0.002, 0.02))
-    assert (triangle >= 2).all()
-    alone, _, _ = closest_points(tree, points, normals, normal_weight=0.002)
-    assert (alone < 2).any()
+    assert (facing_points(sheet, points, normals, (0.002, 0.02)).triangle >= 2).all()
+    assert (SurfacePoints.nearest(sheet, points, normals, normal_weight=0.002).triangle < 2).any()
     # Where the surface bends little, a normal that is off does not move the foot far.
     bend = np.column_stack([np.linspace(-1, 1, 41), 0.05 * np.linspace(-1, 1, 41) ** 2])
     strip = np.vstack([np.column_stack([bend[:, 0], np.full(41, y), bend[:, 1]]) for y in (-1.0, 1.0)])
@@ -105,6 +105,5 @@ def test_projection_keeps_to_its_side_and_its_place() -> None:
     assert (triangle_normals(strip, strip_triangles)[:, 2] > 0).all()
     query = np.array([[0.0, 0.0, 0.001]])
     tilted = normalized(np.array([[0.2, 0.0, 1.0]]))
-    found, weights = facing_points(build_tree(strip, strip_triangles), query, tilted, (0.002, 0.02))
-    foot = np.einsum("mk,mkd->md", weights, strip[strip_triangles[found]])
-    assert abs(foot[0, 0]) < 1e-3
+    found = facing_points(TriangleSurface(strip, strip_triangles), query, tilted, (0.002, 0.02))
+    assert abs(found.positions[0, 0]) < 1e-3

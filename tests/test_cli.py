@@ -26,7 +26,7 @@ from cagemap.files.meshes import read_mesh, write_mesh
 from cagemap.files.result import file_hash, read_result, write_result
 from cagemap.files.surface_store import prepared
 from cagemap.mesh import cube, icosahedron
-from cagemap.pipeline import MAP_BASIS, MatchConfig, prepare_pair, prepare_surface
+from cagemap.pipeline import MAP_BASIS, MatchConfig, prepare_surface, prepare_surfaces
 from cagemap.report import write_report
 
 from example_result import identity_result, textured_cube
@@ -393,7 +393,7 @@ def test_command_line_and_library_have_the_same_defaults() -> None:
     assert (shown["k"].default, shown["tolerance"].default) == (asked.k, asked.tolerance)
     assert basis_config(asked) == MAP_BASIS
     assert match_config(asked) == MatchConfig()
-    for prepare in (prepare_surface, prepare_pair, prepared):
+    for prepare in (prepare_surface, prepare_surfaces, prepared):
         assert inspect.signature(prepare).parameters["config"].default == MAP_BASIS
 
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import re
 from pathlib import Path
 
 import pytest
+
+import cagemap
 
 ROOT = Path(__file__).resolve().parents[1]
 PAPER_MAP = (ROOT / "docs" / "paper_map.md").read_text(encoding="utf-8")
@@ -54,6 +57,20 @@ def test_paper_map_covers_every_equation_lemma_and_definition() -> None:
         named |= set(re.findall(r"Lemma \d|Definition \d", row[0]))
     assert numbers == set(range(1, 17))
     assert named == {f"Lemma {i}" for i in range(1, 6)} | {f"Definition {i}" for i in range(1, 4)}
+
+
+def test_the_public_names_are_one_list() -> None:
+    """What can be imported, what `dir` shows, what type checkers see and what docs/api.md documents."""
+    assert dir(cagemap) == list(cagemap.__all__)
+    for name in cagemap.__all__:
+        assert getattr(cagemap, name).__name__ == name
+    seen_by_checkers = re.findall(
+        r"^    from cagemap\.\S+ import (\w+) as \1$", inspect.getsource(cagemap), re.MULTILINE
+    )
+    assert sorted(seen_by_checkers) == list(cagemap.__all__)
+    page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    documented = re.findall(r"\.\. auto(?:function|class|exception):: cagemap\.(\w+)$", page, re.MULTILINE)
+    assert sorted(documented) == list(cagemap.__all__)
 
 
 def documents() -> list[Path]:

@@ -10,10 +10,13 @@ from scipy.spatial import cKDTree
 from cagemap.basis import BasisConfig, Surface, hierarchical_basis
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.geometry.closest import build_tree, closest_points
+from cagemap.geometry.points import SurfacePoints
+from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import normalized, triangle_normals, vertex_normals
+from cagemap.maps.elastic.config import ElasticConfig, Stage
 from cagemap.maps.elastic.counterparts import round_trip_weights
-from cagemap.maps.elastic.data import Pullers, Sheet, curved_points, pull_by_source
-from cagemap.maps.elastic.fit import ElasticConfig, FitShapes, RestShape, Stage, coarse_fit, fit, run_stage
+from cagemap.maps.elastic.data import Pullers, curved_points, pull_by_source
+from cagemap.maps.elastic.fit import coarse_fit, fine_fit, run_stage
 from cagemap.maps.elastic.graph import (
     FLAT,
     LEAST_STRETCH,
@@ -24,25 +27,20 @@ from cagemap.maps.elastic.graph import (
     extrapolate,
     mesh_graph,
 )
+from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair, RestShape, level_graph
 from cagemap.maps.elastic.update import landmark_response
-from cagemap.maps.pair import Pair
+from cagemap.maps.pair import Pair, PointPairs
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.projection import unfold as folds
-from cagemap.maps.projection.project import (
-    control_points,
-    finest_surface,
-    fit_shapes,
-    level_faces,
-    project,
-    refined_positions,
-)
-from cagemap.maps.projection.unfold import Images, Sides, unfold
-from cagemap.maps.quality import flipped_share, flipped_triangles, map_positions, measure_quality
+from cagemap.maps.projection import relax as folds
+from cagemap.maps.projection.project import control_points, project, unfold
+from cagemap.maps.projection.relax import relax_folds
+from cagemap.maps.quality import flipped_triangles, measure_quality
+from cagemap.maps.spectral.hierarchical import HierarchyConfig
 from cagemap.maps.spectral.landmark_coordinates import interpolants, landmark_coordinates
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.shapes import creature
 from cagemap.operators import build_operators
-from cagemap.refinement import Refinement, refine
+from cagemap.refinement import Refinement, level_triangles, refine
 
 
 def unit_refinement(control: ControlMesh, level: int) -> tuple[Refinement, float]:
@@ -55,10 +53,14 @@ def shape() -> tuple[Refinement, float]:
     return unit_refinement(creature(), 3)
 
 
-def graph_of(refinement: Refinement, scale: float, level: int) -> tuple[ElasticGraph, np.ndarray]:
-    faces, split = level_faces(refinement, level)
+def mesh_of(refinement: Refinement, scale: float, level: int) -> TriangleSurface:
     n = refinement.levels[level].n_vertices
-    return mesh_graph(scale * refinement.finest.positions[:n], faces, split), split
+    return TriangleSurface(scale * refinement.finest.positions[:n], level_triangles(refinement, level), scale)
+
+
+def graph_of(refinement: Refinement, scale: float, level: int) -> tuple[ElasticGraph, TriangleSurface]:
+    mesh, faces = mesh_of(refinement, scale, level), refinement.levels[level].faces
+    return mesh_graph(mesh, mesh.triangles if faces is None else faces), mesh
 
 
 def surface_of(refinement: Refinement) -> Surface:
@@ -67,14 +69,11 @@ def surface_of(refinement: Refinement) -> Surface:
     return Surface(refinement, operators, hierarchical_basis(refinement, operators, BasisConfig(count=4)))
 
 
-def fit_both_starts(
-    shapes: FitShapes, start: np.ndarray, landmarks: np.ndarray, places: np.ndarray, config: ElasticConfig
-) -> np.ndarray:
-    """The whole fit from a rough start and from the landmarks, whichever ends cheaper."""
-    coarse = RestShape.build(shapes.coarse, None, config.coarse.smoothing)
-    started = [coarse_fit(coarse, shapes.sheet, first, places, config) for first in (start, None)]
-    fine = RestShape.build(shapes.graph, shapes.triangles, config.fine.smoothing)
-    return fit(shapes, fine, started, landmarks, places, config)
+def prepared_at(target: Surface, source: Surface, level: int, config: ElasticConfig) -> PreparedPair:
+    """A prepared pair that deforms a level of the target; both surfaces are small, so the sheet is the finest."""
+    rest = RestShape.build(level_graph(target, level), target.triangles(level), config.fine.smoothing)
+    sheet = source.triangles(source.finest)
+    return PreparedPair(target, source, HierarchyConfig(), config, (level, source.finest), rest, sheet)
 
 
 def fitted_map(
@@ -86,11 +85,13 @@ def fitted_map(
     config: ElasticConfig = ElasticConfig(),
 ) -> PointMap:
     """The whole fit, from a source vertex for every target vertex of a level; landmarks have the same numbers."""
-    pair = Pair(surface_of(target), surface_of(source), landmarks, landmarks)
-    on_source, triangles = finest_surface(pair.source)
-    shapes = fit_shapes(pair, level, config)
-    fitted = fit_both_starts(shapes, on_source[match[shapes.vertices]], landmarks, on_source[landmarks], config)
-    return project(refined_positions(target, level, fitted), pair, build_tree(on_source, triangles), config)
+    pair = Pair.of_vertices(surface_of(target), surface_of(source), landmarks, landmarks)
+    prepared = prepared_at(pair.target, pair.source, level, config)
+    coarse, places = prepared.coarse(landmarks), pair.landmarks.source.positions
+    start = prepared.on_source.positions[match[coarse.vertices]]
+    started = [coarse_fit(coarse, prepared.sheet, first, places, config) for first in (start, None)]
+    fitted = fine_fit(prepared, coarse, started, pair.landmarks)
+    return unfold(project(prepared, fitted, pair.landmarks), landmarks, config)
 
 
 def affine(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -211,15 +212,16 @@ def test_control_points_interpolate(shape: tuple[Refinement, float]) -> None:
 
 
 def test_a_surface_fits_itself_from_a_shaken_start(shape: tuple[Refinement, float]) -> None:
-    refinement, scale = shape
-    graph, split = graph_of(refinement, scale, 2)
-    finest = scale * refinement.finest.positions
-    sheet = Sheet.build(finest, level_faces(refinement, 3)[1])
+    refinement, _ = shape
+    surface = surface_of(refinement)
     landmarks = np.arange(0, refinement.levels[0].n_vertices, 3)
-    start = graph.positions + 0.03 * np.random.default_rng(13).standard_normal((graph.n, 3))
     config = ElasticConfig(coarse_vertices=400)
-    shapes = FitShapes.build(graph, split, sheet, landmarks, config)
-    found = fit_both_starts(shapes, start[shapes.vertices], landmarks, finest[landmarks], config)
+    pair, prepared = Pair.of_vertices(surface, surface, landmarks, landmarks), prepared_at(surface, surface, 2, config)
+    graph, coarse = prepared.rest.graph, prepared.coarse(landmarks)
+    start = graph.positions + 0.03 * np.random.default_rng(13).standard_normal((graph.n, 3))
+    places = pair.landmarks.source.positions
+    started = [coarse_fit(coarse, prepared.sheet, first, places, config) for first in (start[coarse.vertices], None)]
+    found = fine_fit(prepared, coarse, started, pair.landmarks)
     error = np.linalg.norm(found - graph.positions, axis=1)
     assert error.mean() < 0.003  # ten times less than the noise; tangentially only landmarks and the energy hold it
     assert error[landmarks].max() < 1e-4
@@ -229,26 +231,17 @@ def test_same_shape_other_cage_gives_the_identity(shape: tuple[Refinement, float
     refinement, scale = shape
     # The same surface from its own first level as a cage: other connectivity level by level, same refined vertices.
     level = refinement.levels[1]
-    other, other_scale = unit_refinement(ControlMesh.from_faces(level.positions, level.faces), 2)
+    other, _ = unit_refinement(ControlMesh.from_faces(level.positions, level.faces), 2)
     landmarks = np.arange(0, refinement.levels[0].n_vertices, 2)
     n = refinement.levels[2].n_vertices
     rng = np.random.default_rng(14)
     edges = refinement.matrices[1][:n].tocsr()
     match = np.array([rng.choice(edges.indices[edges.indptr[i] : edges.indptr[i + 1]]) for i in range(n)])
     found = fitted_map(refinement, other, 2, match, landmarks, ElasticConfig(400))
-    source_triangles = level_faces(other, 2)[1]
-    image = map_positions(other_scale * other.finest.positions, source_triangles, found.triangle, found.barycentric)
-    error = np.linalg.norm(image - scale * refinement.finest.positions, axis=1)
+    error = np.linalg.norm(found.images.positions - scale * refinement.finest.positions, axis=1)
     assert error.mean() < 0.0015  # the bar of issue 3
-    figures = measure_quality(
-        refinement.finest.positions,
-        level_faces(refinement, 3)[1],
-        other.finest.positions,
-        source_triangles,
-        found.triangle,
-        found.barycentric,
-        np.column_stack([landmarks, landmarks]),
-    )
+    pairs = PointPairs.of_vertices(found.target, found.source, landmarks, landmarks)
+    figures = measure_quality(found, pairs)
     assert figures.landmark_errors.max() < 1e-12
     assert figures.flipped_area < 2e-3
     assert figures.coverage > 0.99
@@ -256,8 +249,8 @@ def test_same_shape_other_cage_gives_the_identity(shape: tuple[Refinement, float
 
 def test_what_source_vertices_ask_is_the_sum_over_their_triangles_corners(shape: tuple[Refinement, float]) -> None:
     refinement, scale = shape
-    graph, split = graph_of(refinement, scale, 1)
-    sheet = Sheet.build(scale * refinement.finest.positions, level_faces(refinement, 3)[1])
+    graph, mesh = graph_of(refinement, scale, 1)
+    sheet, split = mesh_of(refinement, scale, 3), mesh.triangles
     pullers = Pullers.choose(sheet, 300)
     assert pullers.areas.sum() == pytest.approx(1)
     rng = np.random.default_rng(20)
@@ -306,8 +299,7 @@ def test_curved_points_are_exact_on_quadratic_surfaces() -> None:
 
 def test_momentum_gets_as_far_in_half_the_iterations(shape: tuple[Refinement, float]) -> None:
     refinement, scale = shape
-    graph, split = graph_of(refinement, scale, 2)
-    sheet = Sheet.build(graph.positions, split)
+    graph, sheet = graph_of(refinement, scale, 2)
     landmarks = np.arange(0, refinement.levels[0].n_vertices, 6)
     # Slide the surface along itself, smoothly: only the energy and the landmarks can bring it back.
     x, y, z = graph.positions.T
@@ -318,7 +310,7 @@ def test_momentum_gets_as_far_in_half_the_iterations(shape: tuple[Refinement, fl
         stage = Stage(iterations, (1e-4, 1e-4), 3e-4, momentum=momentum)
         start = graph.positions + slide
         held = graph.positions[landmarks]
-        rest = RestShape.build(graph, split, stage.smoothing)
+        rest = RestShape.build(graph, sheet, stage.smoothing)
         found = run_stage(rest, sheet, start, landmarks, held, stage, ElasticConfig())
         return float(np.linalg.norm(found - graph.positions, axis=1).mean())
 
@@ -327,14 +319,13 @@ def test_momentum_gets_as_far_in_half_the_iterations(shape: tuple[Refinement, fl
 
 def test_patience_ends_as_soon_as_nothing_folds(shape: tuple[Refinement, float]) -> None:
     refinement, scale = shape
-    graph, split = graph_of(refinement, scale, 2)
+    graph, sheet = graph_of(refinement, scale, 2)
     landmarks = np.arange(0, refinement.levels[0].n_vertices, 6)
     start = graph.positions + 0.01 * graph.normals
 
     def found(patience: int) -> np.ndarray:
         stage = Stage(3, (1e-3, 1e-4), 3e-4, patience=patience)
-        rest = RestShape.build(graph, split, stage.smoothing)
-        sheet = Sheet.build(graph.positions, split)
+        rest = RestShape.build(graph, sheet, stage.smoothing)
         return run_stage(rest, sheet, start, landmarks, graph.positions[landmarks], stage, ElasticConfig())
 
     np.testing.assert_array_equal(found(5), found(0))
@@ -360,26 +351,19 @@ def test_long_thin_legs_do_not_fold_on_short_thick_ones() -> None:
         return found[np.lexsort((z[found], x[found]))]
 
     body = np.flatnonzero((y > 1.6) & (np.arange(len(y)) % 9 == 0))
-    pair = Pair(
+    pair = Pair.of_vertices(
         surface_of(refine(source.with_positions(positions), 2)),
         surface_of(refine(source, 2)),
         np.concatenate([body, leg_fronts(-0.5)]),
         np.concatenate([body, leg_fronts(0.5)]),
     )
     config = ElasticConfig()
-    on_source, triangles = finest_surface(pair.source)
-    places = on_source[pair.source_landmarks]
-    shapes = fit_shapes(pair, 2, config)
-    coarse = coarse_fit(
-        RestShape.build(shapes.coarse, None, config.coarse.smoothing), shapes.sheet, None, places, config
-    )
-    fine = RestShape.build(shapes.graph, shapes.triangles, config.fine.smoothing)
-    fitted = fit(shapes, fine, [coarse], pair.target_landmarks, places, config)
-    found = project(fitted, pair, build_tree(on_source, triangles), config)
-    on_target, target_triangles = finest_surface(pair.target)
-    image = map_positions(on_source, triangles, found.triangle, found.barycentric)
-    facing = normalized(triangle_normals(on_source, triangles))[found.triangle]
-    assert flipped_share(image, on_target, target_triangles, facing) < 1e-4
+    prepared = prepared_at(pair.target, pair.source, 2, config)
+    coarse = prepared.coarse(pair.target_landmarks)
+    started = coarse_fit(coarse, prepared.sheet, None, pair.landmarks.source.positions, config)
+    fitted = fine_fit(prepared, coarse, [started], pair.landmarks)
+    found = unfold(project(prepared, fitted, pair.landmarks), pair.target_landmarks)
+    assert measure_quality(found).flipped_area < 1e-4
 
 
 def test_the_response_to_landmarks_is_linear_and_keeps_what_is_held(shape: tuple[Refinement, float]) -> None:
@@ -389,9 +373,9 @@ def test_the_response_to_landmarks_is_linear_and_keeps_what_is_held(shape: tuple
     held = np.arange(0, refinement.levels[0].n_vertices, 15)
     offsets = np.zeros((len(held), 3))
     offsets[0] = 0.05 * np.cross(graph.normals[held[0]], rng.standard_normal(3))
-    moved, maps = landmark_response(graph, graph.normals, held, offsets, 1e-2, 1e2)
-    twice, _ = landmark_response(graph, graph.normals, held, 2 * offsets, 1e-2, 1e2)
-    still, flat = landmark_response(graph, graph.normals, held, 0 * offsets, 1e-2, 1e2)
+    moved, maps = landmark_response(graph, graph.normals, held, offsets)
+    twice, _ = landmark_response(graph, graph.normals, held, 2 * offsets)
+    still, flat = landmark_response(graph, graph.normals, held, 0 * offsets)
     np.testing.assert_allclose(twice, 2 * moved, atol=1e-12)
     assert abs(still).max() == 0.0
     assert abs(flat).max() == 0.0
@@ -420,11 +404,9 @@ def test_landmark_coordinates_alone_lead_to_the_map_of_a_bent_twin(shape: tuple[
         coordinates.append(landmark_coordinates(operators.stiffness[2], operators.mass[2], landmarks))
     match = cKDTree(coordinates[1]).query(coordinates[0])[1]
     np.testing.assert_array_equal(match[landmarks], landmarks)
-    faces = level_faces(source, 3)[1]
     found = fitted_map(target, source, 2, match, landmarks)
     truth = source_scale * source.finest.positions
-    image = map_positions(truth, faces, found.triangle, found.barycentric)
-    error = np.linalg.norm(image - truth, axis=1)
+    error = np.linalg.norm(found.images.positions - truth, axis=1)
     assert error[landmarks].max() < 1e-12
     started = np.linalg.norm(truth[match] - truth[: len(match)], axis=1)
     assert error.mean() < 0.3 * started.mean()
@@ -433,28 +415,19 @@ def test_landmark_coordinates_alone_lead_to_the_map_of_a_bent_twin(shape: tuple[
 
 def test_unfolding_repairs_folds_and_leaves_the_rest_alone(shape: tuple[Refinement, float]) -> None:
     refinement, scale = shape
-    positions, faces = scale * refinement.finest.positions, level_faces(refinement, 3)[1]
-    tree = build_tree(positions, faces)
+    surface = mesh_of(refinement, scale, 3)
+    positions, faces = surface.positions, surface.triangles
     rng = np.random.default_rng(15)
     pulled = rng.choice(len(positions), 12, replace=False)
     held = np.setdiff1d(np.arange(0, len(positions), 50), pulled)
     wanted = positions.copy()
     spacing = np.sqrt(1 / len(positions))
     wanted[pulled] += 3 * spacing * normalized(rng.standard_normal((12, 3)))
-    triangle, barycentric, _ = closest_points(tree, wanted)
-    normals = normalized(triangle_normals(positions, faces))
-
-    def flips(triangle: np.ndarray, barycentric: np.ndarray) -> int:
-        image = map_positions(positions, faces, triangle, barycentric)
-        return int(flipped_triangles(image, faces, normals[triangle]).sum())
-
-    before = flips(triangle, barycentric)
+    images = SurfacePoints.nearest(surface, wanted)
+    before = flipped_triangles(images, faces).sum()
     assert before > 10
-    sides = Sides(positions, faces, positions, faces, tree)
-    images = Images.of(triangle, barycentric, sides)
-    again, still = unfold(images, sides, held, normal_weight=0.02)
-    assert flips(again.triangle, again.barycentric) == still.sum() <= before // 5
-    np.testing.assert_array_equal(again.positions, map_positions(positions, faces, again.triangle, again.barycentric))
+    again, still = relax_folds(images, faces, held, normal_weight=0.02)
+    assert flipped_triangles(again, faces).sum() == still.sum() <= before // 5
     moved = np.linalg.norm(again.positions - images.positions, axis=1)
     assert (moved[held] == 0).all()
     assert (moved > 0).mean() < 0.05
@@ -465,29 +438,28 @@ def test_unfolding_knows_what_still_folds_however_far_folds_spread(
     shape: tuple[Refinement, float], seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     refinement, scale = shape
-    positions, faces = scale * refinement.finest.positions, level_faces(refinement, 3)[1]
-    tree = build_tree(positions, faces)
-    sides = Sides(positions, faces, positions, faces, tree)
+    surface = mesh_of(refinement, scale, 3)
+    positions, faces = surface.positions, surface.triangles
     # A patch sent to another, upside down, cannot be unfolded; where every sweep is kept, folds spread to its border.
     centre, other = positions[np.random.default_rng(seed).choice(len(positions), 2, replace=False)]
     near = np.linalg.norm(positions - centre, axis=1) < 0.12
     wanted = np.where(near[:, None], other - (positions - centre), positions)
-    images = Images.of(*closest_points(tree, wanted)[:2], sides)
+    images = SurfacePoints.nearest(surface, wanted)
     monkeypatch.setattr(folds, "_improved", lambda near, inside, before, after: inside)
-    again, still = unfold(images, sides, np.zeros(0, dtype=np.int64), normal_weight=0.02, rounds=2)
+    again, still = relax_folds(images, faces, np.zeros(0, dtype=np.int64), normal_weight=0.02, rounds=2)
     assert still.sum() > 100
-    np.testing.assert_array_equal(still, again.flipped(faces, tree))
+    np.testing.assert_array_equal(still, flipped_triangles(again, faces))
 
 
 def test_projection_meets_landmarks_wherever_the_fit_left_them(shape: tuple[Refinement, float]) -> None:
     surface = surface_of(shape[0])
-    positions, faces = finest_surface(surface)
-    landmarks = np.array([3, 40, 90])
+    prepared = prepared_at(surface, surface, surface.finest, ElasticConfig())
+    pair = Pair.of_vertices(surface, surface, landmarks := np.array([3, 40, 90]), landmarks)
+    positions = prepared.on_source.positions
     fitted = positions.copy()
     fitted[landmarks] = positions[np.array([500, 700, 900])]  # far off: the closest triangle does not hold the landmark
-    found = project(fitted, Pair(surface, surface, landmarks, landmarks), build_tree(positions, faces))
-    image = map_positions(positions, faces, found.triangle, found.barycentric)
-    np.testing.assert_allclose(image[landmarks], positions[landmarks], atol=1e-12)
+    found = project(prepared, fitted, pair.landmarks)
+    np.testing.assert_allclose(found.images.positions[landmarks], positions[landmarks], atol=1e-12)
     np.testing.assert_allclose(found.barycentric.sum(axis=1), 1, atol=1e-12)
 
 
@@ -515,7 +487,7 @@ def test_what_cannot_be_fitted_is_refused(shape: tuple[Refinement, float]) -> No
     operators = build_operators(refinement)
     with pytest.raises(InvalidLandmarksError, match="repeated"):
         interpolants(operators.stiffness[1], operators.mass[1], np.array([4, 4, 5]))
-    graph, split = graph_of(refinement, scale, 1)
-    shapes = FitShapes.build(graph, split, Sheet.build(graph.positions, split), np.array([0]), ElasticConfig(200))
+    graph, mesh = graph_of(refinement, scale, 1)
+    coarse = CoarseShape.build(graph, np.array([0]), ElasticConfig(200))
     with pytest.raises(ParameterError, match="one for each coarse vertex"):
-        coarse_fit(RestShape.build(shapes.coarse, None, 1e-2), shapes.sheet, graph.positions, graph.positions[:1])
+        coarse_fit(coarse, mesh, graph.positions, graph.positions[:1])

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks.truth import compare_with_truth, true_map
 
 from cagemap import BasisConfig, Landmarks, MatchConfig, Surface, match, prepare_surface, read_mesh, refine
 from cagemap.example import example_pair
 from cagemap.files.landmarks import read_landmarks
-from cagemap.maps.elastic.fit import ElasticConfig, Stage
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.maps.elastic.config import ElasticConfig, Stage
 from cagemap.maps.spectral.hierarchical import HierarchyConfig
-from cagemap.maps.truth import compare_with_truth, true_map
-from cagemap.refinement import level_triangles
 
 # A quick fit: the question is which basin it ends in.
 QUICK = MatchConfig(
@@ -61,18 +61,8 @@ def test_six_landmarks_on_humans(shared_data):
     landmarks, _ = read_landmarks(file, "male1591", "female1605")
     six = landmarks.without(range(6, len(landmarks)))
     found = match(target, source, six)
-    neutral = [refine(read_mesh(humans / f"{name}_neutral.obj"), 2) for name in ("male1591", "female1605")]
-    triangles = [level_triangles(side, 2) for side in neutral]
-    truth = true_map(neutral[0].finest.positions, triangles[0], neutral[1].finest.positions, triangles[1])
-    figures = compare_with_truth(
-        target.refinement.finest.positions,
-        triangles[0],
-        source.refinement.finest.positions,
-        triangles[1],
-        found.point_map.triangle,
-        found.point_map.barycentric,
-        truth,
-        np.column_stack([six.target, six.source]),
-    )
+    neutral = (refine(read_mesh(humans / f"{name}_neutral.obj"), 2).finest for name in ("male1591", "female1605"))
+    truth = true_map(*(TriangleSurface.from_faces(side.positions, side.faces) for side in neutral))
+    figures = compare_with_truth(found.point_map, truth)
     assert figures.mean < 0.01
     assert figures.p95 < 0.03

@@ -8,8 +8,8 @@ from scipy import sparse
 from scipy.spatial import Delaunay
 
 from cagemap.errors import SolverError
-from cagemap.geometry.closest import build_tree, closest_points
-from cagemap.geometry.triangles import triangle_areas
+from cagemap.geometry.points import SurfacePoints
+from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.projection.lay_out import (
     LEAST_SHARE,
     MOST_FOLDED,
@@ -21,7 +21,7 @@ from cagemap.maps.projection.lay_out import (
     lay_out_parts,
     moved_to,
 )
-from cagemap.maps.projection.unfold import Images, Sides
+from cagemap.maps.quality import flipped_triangles
 
 SIDE = 81
 
@@ -55,17 +55,18 @@ def signed_areas(places: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return np.linalg.det(np.stack([second - first, third - first], axis=-1)) / 2
 
 
-def collapsed(centre: tuple[float, float], radius: float) -> tuple[Images, Sides]:
+def flat_grid() -> TriangleSurface:
+    return TriangleSurface(*grid())
+
+
+def collapsed(centre: tuple[float, float], radius: float) -> tuple[SurfacePoints, TriangleSurface]:
     """A square's map to itself that pushes a disc through itself: distances r from its centre go out, back and out."""
-    positions, triangles = grid()
-    tree = build_tree(positions, triangles)
-    offset = positions[:, :2] - centre
+    surface = flat_grid()
+    offset = surface.positions[:, :2] - centre
     r = np.linalg.norm(offset, axis=1) / radius
     squeezed = np.where(r < 1, np.interp(r, [0, 0.3, 0.6, 1], [0, 0.9, 0.5, 1]) / np.maximum(r, 1e-9), 1.0)
     wanted = np.column_stack([centre + squeezed[:, None] * offset, np.zeros(len(r))])
-    sides = Sides(positions, triangles, positions, triangles, tree)
-    triangle, barycentric, _ = closest_points(tree, wanted)
-    return Images.of(triangle, barycentric, sides), sides
+    return SurfacePoints.nearest(surface, wanted), surface
 
 
 def test_a_disc_is_laid_flat_without_folds_whatever_it_is_made_of() -> None:
@@ -132,68 +133,71 @@ def test_landmarks_cannot_leave_the_disc() -> None:
 
 @pytest.mark.parametrize("held", [[], [(0.5, 0.5)]])
 def test_a_part_that_collapsed_is_laid_out_and_the_rest_stays(held: list[tuple[float, float]]) -> None:
-    images, sides = collapsed((0.5, 0.5), 0.14)
-    triangles = sides.target_triangles
-    landmarks = np.array([np.argmin(np.linalg.norm(sides.target[:, :2] - at, axis=1)) for at in held], dtype=np.int64)
-    flipped = images.flipped(triangles, sides.tree)
-    assert triangle_areas(sides.target, triangles[flipped]).sum() > 0.01
-    found = lay_out_parts(images, flipped, sides, landmarks)
-    assert not found.flipped(triangles, sides.tree).any()
-    np.testing.assert_array_equal(found.positions, Images.of(found.triangle, found.barycentric, sides).positions)
+    images, surface = collapsed((0.5, 0.5), 0.14)
+    triangles = surface.triangles
+    nearest = [np.argmin(np.linalg.norm(surface.positions[:, :2] - at, axis=1)) for at in held]
+    landmarks = np.array(nearest, dtype=np.int64)
+    flipped = flipped_triangles(images, triangles)
+    assert surface.areas[flipped].sum() > 0.01
+    found = lay_out_parts(images, flipped, surface, landmarks)
+    assert not flipped_triangles(found, triangles).any()
     np.testing.assert_array_equal(found.positions[landmarks], images.positions[landmarks])
     moved = np.linalg.norm(found.positions - images.positions, axis=1) > 1e-9
-    distance = np.linalg.norm(sides.target[:, :2] - 0.5, axis=1)
+    distance = np.linalg.norm(surface.positions[:, :2] - 0.5, axis=1)
     assert moved.any()
     assert distance[moved].max() < 0.21  # 1.5 times as far as the fold
 
 
 def test_a_landmark_beside_its_natural_place_stays_and_does_not_fold_the_part_again() -> None:
-    images, sides = collapsed((0.5, 0.5), 0.14)
-    triangles = sides.target_triangles
-    off = int(np.argmin(np.linalg.norm(sides.target[:, :2] - [0.5653, 0.509], axis=1)))  # in the turned-over ring
-    before = images.flipped(triangles, sides.tree)
+    images, surface = collapsed((0.5, 0.5), 0.14)
+    triangles = surface.triangles
+    off = int(np.argmin(np.linalg.norm(surface.positions[:, :2] - [0.5653, 0.509], axis=1)))  # in the turned-over ring
+    before = flipped_triangles(images, triangles)
     assert before[np.any(triangles == off, axis=1)].all()
-    free = lay_out_parts(images, before, sides, np.zeros(0, dtype=np.int64))
+    free = lay_out_parts(images, before, surface, np.zeros(0, dtype=np.int64))
     assert np.linalg.norm(free.positions[off] - images.positions[off]) > 0.0125  # a spacing
-    found = lay_out_parts(images, before, sides, np.array([off]))
+    found = lay_out_parts(images, before, surface, np.array([off]))
     np.testing.assert_array_equal(found.barycentric[off], images.barycentric[off])
-    assert not found.flipped(triangles, sides.tree).any()
+    assert not flipped_triangles(found, triangles).any()
 
 
 def test_parts_are_told_apart_and_small_ones_left_alone() -> None:
-    positions, triangles = grid()
+    surface = flat_grid()
+    positions, triangles = surface.positions, surface.triangles
     middle = positions[triangles].mean(axis=1)[:, :2]
     flipped = np.zeros(len(triangles), dtype=bool)
     for centre, radius in (((0.25, 0.25), 0.04), ((0.7, 0.7), 0.06)):
         flipped |= np.linalg.norm(middle - centre, axis=1) < radius
     flipped[np.argmin(np.linalg.norm(middle - [0.9, 0.1], axis=1))] = True
-    parts = folded_parts(positions, triangles, flipped)
-    assert triangle_areas(positions, triangles[:1])[0] < LEAST_SHARE
+    parts = folded_parts(surface, flipped)
+    assert surface.areas[0] < LEAST_SHARE
     assert len(parts) == 2
     np.testing.assert_allclose(positions[parts[0]].mean(axis=0), [0.7, 0.7, 0], atol=0.01)
     np.testing.assert_allclose(positions[parts[1]].mean(axis=0), [0.25, 0.25, 0], atol=0.01)
-    assert folded_parts(positions, triangles, np.zeros(len(triangles), dtype=bool)) == []
+    assert folded_parts(surface, np.zeros(len(triangles), dtype=bool)) == []
 
 
 def test_a_map_that_is_folded_all_over_is_left_alone() -> None:
-    positions, triangles = grid()
+    surface = flat_grid()
+    positions, triangles = surface.positions, surface.triangles
     flipped = positions[triangles].mean(axis=1)[:, 0] < 1.5 * MOST_FOLDED
-    assert folded_parts(positions, triangles, flipped) == []
+    assert folded_parts(surface, flipped) == []
 
 
 def test_pieces_close_to_each_other_are_one_part() -> None:
-    positions, triangles = grid()
+    surface = flat_grid()
+    positions, triangles = surface.positions, surface.triangles
     middle = positions[triangles].mean(axis=1)[:, :2]
     beside = np.abs(middle[:, 0] - 0.5)
     for gap, count in ((0.03, 1), (0.1, 2)):  # of a strip in two; edges are 0.0125 long
         flipped = (beside > gap / 2) & (beside < gap / 2 + 0.03) & (np.abs(middle[:, 1] - 0.5) < 0.1)
-        assert len(folded_parts(positions, triangles, flipped)) == count
+        assert len(folded_parts(surface, flipped)) == count
 
 
 def test_the_border_of_a_surface_stays_where_it_is() -> None:
-    images, sides = collapsed((0.0, 0.5), 0.14)
-    flipped = images.flipped(sides.target_triangles, sides.tree)
+    images, surface = collapsed((0.0, 0.5), 0.14)
+    flipped = flipped_triangles(images, surface.triangles)
     assert flipped.any()
-    found = lay_out_parts(images, flipped, sides, np.zeros(0, dtype=np.int64))
-    border = np.isin(sides.target[:, :2], [0.0, 1.0]).any(axis=1)
+    found = lay_out_parts(images, flipped, surface, np.zeros(0, dtype=np.int64))
+    border = np.isin(surface.positions[:, :2], [0.0, 1.0]).any(axis=1)
     np.testing.assert_array_equal(found.positions[border], images.positions[border])

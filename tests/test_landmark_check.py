@@ -10,8 +10,9 @@ import pytest
 from cagemap import BasisConfig, Landmarks, MatchConfig, MatchResult, Surface, match, prepare_surface
 from cagemap.example import example_pair
 from cagemap.files.result import landmark_messages, result_of
-from cagemap.maps.elastic.fit import ElasticConfig, Stage
+from cagemap.maps.elastic.config import ElasticConfig, Stage
 from cagemap.maps.elastic.graph import ElasticGraph, cluster_graph
+from cagemap.maps.elastic.prepared import level_graph
 from cagemap.maps.landmarks.check import DISTANCES, LandmarkCheck, LandmarkSuspect
 from cagemap.maps.landmarks.distances import (
     LandmarkDistances,
@@ -20,7 +21,6 @@ from cagemap.maps.landmarks.distances import (
     place_by_distances,
 )
 from cagemap.maps.landmarks.strain import ReducedEnergy, elastic_form, reduced_energy, strained_pair
-from cagemap.maps.projection.project import level_graph
 from cagemap.maps.spectral.hierarchical import HierarchyConfig
 
 LEVEL = 1  # 1700 and 2200 vertices
@@ -44,7 +44,7 @@ def pair() -> tuple[Surface, Surface, Landmarks]:
 
 @pytest.fixture(scope="module")
 def graphs(pair: tuple[Surface, Surface, Landmarks]) -> tuple[ElasticGraph, ElasticGraph]:
-    return level_graph(pair[0], LEVEL)[0], level_graph(pair[1], LEVEL)[0]
+    return level_graph(pair[0], LEVEL), level_graph(pair[1], LEVEL)
 
 
 def misplaced(graphs: tuple[ElasticGraph, ElasticGraph], landmarks: Landmarks) -> list[int]:

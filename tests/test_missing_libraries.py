@@ -14,7 +14,7 @@ from cagemap.mesh import cube
 from cagemap.numerics import factorization
 from cagemap.numerics.libraries import library
 from cagemap.pictures.render import Model
-from cagemap.pipeline import MatchResult, choose_level, match, prepare_pair
+from cagemap.pipeline import MatchResult, choose_level, match, prepare_surfaces
 from cagemap.refinement import level_triangles
 from cagemap.transfer.unwrap import unwrap
 
@@ -22,7 +22,7 @@ from cagemap.transfer.unwrap import unwrap
 def matched() -> MatchResult:
     example = example_pair()
     levels = choose_level(example.target, 1500), choose_level(example.source, 1500)
-    return match(*prepare_pair(example.target, example.source, levels), example.landmarks)
+    return match(*prepare_surfaces(example.target, example.source, levels), example.landmarks)
 
 
 def images(result: MatchResult) -> np.ndarray:

@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from benchmarks.truth import compare_with_truth, true_map
 
 from cagemap import (
     BasisConfig,
@@ -21,13 +22,12 @@ from cagemap import (
 )
 from cagemap.errors import InvalidLandmarksError, InvalidMeshError, ParameterError
 from cagemap.example import example_pair
+from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.pair import Pair
-from cagemap.maps.quality import map_positions
 from cagemap.maps.spectral.hierarchical import HierarchyConfig, search_levels
 from cagemap.maps.spectral.levels import ladder
-from cagemap.maps.truth import compare_with_truth, true_map
 from cagemap.mesh import shapes
-from cagemap.refinement import level_triangles
+from cagemap.refinement import CatmullClark, Loop
 
 BASIS = BasisConfig(count=60)
 
@@ -54,6 +54,16 @@ def test_chosen_level_is_the_first_with_enough_vertices(shape):
             assert choose_level(mesh, wanted) == enough[0]
     with pytest.raises(ParameterError, match="vertices: expected"):
         choose_level(mesh, 0)
+
+
+def test_chosen_level_depends_on_the_scheme():
+    """Catmull-Clark makes a quad of every corner of a triangle, Loop a quarter of the triangle."""
+    mesh = shapes.icosahedron()
+    for scheme in (CatmullClark(), Loop()):
+        sizes = [level.n_vertices for level in refine(mesh, 4, scheme).levels]
+        for level in (1, 2, 3, 4):
+            assert choose_level(mesh, sizes[level], scheme) == level
+    assert choose_level(mesh, 60, CatmullClark()) < choose_level(mesh, 60, Loop())
 
 
 @pytest.mark.parametrize("method", ["hfm", "elastic"])
@@ -117,7 +127,7 @@ def test_levels_are_walked_down_together(pony):
     """Each step moves each side by at most one level, ends at both finest levels, and never backwards."""
     source, target = prepare_surface(pony, 3, BASIS), prepare_surface(shapes.creature(), 2, BasisConfig(count=20))
     nothing = np.zeros(0, dtype=np.int64)
-    steps = [(0, 0), *ladder(Pair(target, source, nothing, nothing), (0, 0))]
+    steps = [(0, 0), *ladder(Pair.of_vertices(target, source, nothing, nothing), (0, 0))]
     assert steps[-1] == (2, 3)
     moves = np.diff(steps, axis=0)
     assert moves.min() >= 0
@@ -128,11 +138,9 @@ def test_levels_are_walked_down_together(pony):
 def test_levels_without_functions_are_not_searched():
     """A level may have vertices enough and yet no functions: a tight tolerance leaves them to finer levels."""
     surface = prepare_surface(shapes.creature(), 2, BasisConfig(schedule=(1, 2, 57)))
-    nothing = np.zeros(0, dtype=np.int64)
-    pair = Pair(surface, surface, nothing, nothing)
-    assert search_levels(pair, HierarchyConfig(search_vertices=100)) == (2, 2)
+    assert search_levels(surface, surface, HierarchyConfig(search_vertices=100)) == (2, 2)
     usual = prepare_surface(shapes.creature(), 2, BasisConfig(schedule=(50, 10)))
-    assert search_levels(Pair(usual, surface, nothing, nothing), HierarchyConfig(search_vertices=100)) == (0, 2)
+    assert search_levels(usual, surface, HierarchyConfig(search_vertices=100)) == (0, 2)
 
 
 def test_wrong_input_is_refused_before_anything_expensive(pony):
@@ -169,24 +177,11 @@ def test_ground_truth_on_humans(shared_data, method, bound, direction):
     names = tuple(pair["name"] for pair in pairs)
     landmarks = Landmarks(names, sides[target_name], sides[source_name], "", "")
     found = match(target, source, landmarks, MatchConfig(method=method))
-    faces = [level_triangles(surface.refinement, 2) for surface in (target, source)]
-    neutral = [
-        refine(read_mesh(humans / f"{name}_neutral.obj"), 2).finest.positions for name in (target_name, source_name)
-    ]
-    truth = true_map(neutral[0], faces[0], neutral[1], faces[1])
-    positions = [surface.refinement.finest.positions for surface in (target, source)]
-    figures = compare_with_truth(
-        positions[0],
-        faces[0],
-        positions[1],
-        faces[1],
-        found.point_map.triangle,
-        found.point_map.barycentric,
-        truth,
-        np.column_stack([landmarks.target, landmarks.source]),
-    )
+    neutral = (refine(read_mesh(humans / f"{name}_neutral.obj"), 2).finest for name in (target_name, source_name))
+    truth = true_map(*(TriangleSurface.from_faces(side.positions, side.faces) for side in neutral))
+    figures = compare_with_truth(found.point_map, truth)
     assert 100 * figures.mean <= bound
     if method == "elastic":
-        image = map_positions(positions[1], faces[1], found.point_map.triangle, found.point_map.barycentric)
-        np.testing.assert_allclose(image[landmarks.target], positions[1][landmarks.source], atol=1e-9)
+        image, places = found.point_map.images.positions, found.point_map.source.positions
+        np.testing.assert_allclose(image[landmarks.target], places[landmarks.source], atol=1e-9)
         assert figures.flipped_area < 0.0025

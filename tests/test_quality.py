@@ -4,24 +4,27 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks.truth import compare_with_truth, round_trip, true_map
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull, cKDTree
 
-from cagemap.errors import ParameterError
 from cagemap.geometry.closest import build_tree, closest_points, closest_points_slowly
-from cagemap.geometry.triangles import normalized, ring_sums, triangle_normals, vertex_normals
+from cagemap.geometry.points import SurfacePoints
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.geometry.triangles import normalized, ring_sums, surface_area, triangle_normals, vertex_normals
+from cagemap.maps.pair import PointPairs
+from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import (
     covered_share,
     dirichlet_energy,
     flipped_triangles,
     measure_quality,
     stretches,
-    surface_area,
     weighted_percentiles,
 )
-from cagemap.maps.truth import compare_with_truth, round_trip, true_map
 from cagemap.mesh.shapes import torus
+from cagemap.numerics.threads import thread_limit
 from cagemap.refinement import level_triangles, refine
 
 
@@ -44,12 +47,8 @@ def grid(n: int) -> tuple[np.ndarray, np.ndarray]:
     return np.column_stack([x.ravel(), y.ravel(), np.zeros(n * n)]), triangles
 
 
-def vertex_map(triangles: np.ndarray, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A map that sends target vertex i to the source vertex ``vertices[i]``."""
-    holder = np.zeros(triangles.max() + 1, dtype=np.int64)
-    holder[triangles.ravel()] = np.repeat(np.arange(len(triangles)), 3)
-    triangle = holder[vertices]
-    return triangle, (triangles[triangle] == vertices[:, None]).astype(np.float64)
+def surface_from(arrays: tuple[np.ndarray, np.ndarray]) -> TriangleSurface:
+    return TriangleSurface.from_faces(*arrays)
 
 
 @settings(deadline=None, max_examples=15)
@@ -149,81 +148,104 @@ def test_stretches_of_a_degenerate_triangle_are_one() -> None:
     assert (largest[0], smallest[0]) == (1.0, 1.0)
 
 
+def test_of_points_equally_close_the_same_one_is_found_whatever_the_threads() -> None:
+    positions, triangles = grid(12)
+    both = np.concatenate([positions, positions + np.array([0.0, 0.0, 1.0])])
+    tree = build_tree(both, np.concatenate([triangles, triangles + len(positions)]))
+    rng = np.random.default_rng(77)
+    # Between the sheets a search keeps to the one where the query before it ended, which here may be the upper one.
+    between = np.column_stack([rng.random((6000, 2)), rng.choice([0.5, 0.9], 6000)])
+    found = []
+    for threads in (1, 2, 5):
+        with thread_limit(threads):
+            found.append(closest_points(tree, between)[0])
+    np.testing.assert_array_equal(found[0], found[1])
+    np.testing.assert_array_equal(found[0], found[2])
+
+
 def test_a_vertex_pulled_across_its_ring_flips_triangles_and_loses_trust() -> None:
-    positions, triangles = grid(9)
-    up = np.tile([0.0, 0.0, 1.0], (len(positions), 1))
-    image = positions.copy()
-    middle = 4 * 9 + 4
-    assert not flipped_triangles(image, triangles, up).any()
+    surface = surface_from(grid(9))
+    middle, image = 4 * 9 + 4, surface.positions.copy()
+    assert not flipped_triangles(SurfacePoints.nearest(surface, image), surface.triangles).any()
     image[middle, 0] += 1.5 / 8
-    flipped = flipped_triangles(image, triangles, up)
+    found = SurfacePoints.nearest(surface, image)
+    flipped = flipped_triangles(found, surface.triangles)
     assert flipped.any()
-    assert (triangles[flipped] == middle).any(axis=1).all()
+    assert (surface.triangles[flipped] == middle).any(axis=1).all()
+    assert measure_quality(PointMap(surface, found)).trust.argmin() == middle
 
 
 @pytest.mark.parametrize("n", [200, 900])
 def test_the_identity_has_perfect_figures(n: int) -> None:
     positions, triangles = sphere(n, (1.0, 0.6, 0.4))
-    triangle, barycentric = vertex_map(triangles, np.arange(n))
-    landmarks = np.array([[3, 3], [50, 50]])
-    figures = measure_quality(5 * positions, triangles, 0.1 * positions, triangles, triangle, barycentric, landmarks)
+    target, source = (TriangleSurface.from_faces(size * positions, triangles) for size in (5.0, 0.1))
+    landmarks = PointPairs.of_vertices(target, source, np.array([3, 50]), np.array([3, 50]))
+    figures = measure_quality(PointMap.from_vertices(target, source, np.arange(n)), landmarks)
     assert figures.flipped_area == 0
     assert figures.coverage == 1
     assert figures.dirichlet == pytest.approx(1, abs=1e-9)
     np.testing.assert_allclose(figures.area_ratios, 1, atol=1e-6)
     np.testing.assert_allclose(figures.aspect_ratios, 1, atol=1e-4)
     np.testing.assert_allclose(figures.trust, 1)
+    assert figures.trusted_area == pytest.approx(1)
     assert figures.warnings == ()
     assert figures.summary()["landmark_error_worst"] == pytest.approx(0, abs=1e-12)
 
 
 def test_coverage_is_the_share_of_area_reached() -> None:
-    positions, triangles = grid(41)
-    image = positions * np.array([0.5, 1.0, 1.0])
+    surface = surface_from(grid(41))
+    image = surface.positions * np.array([0.5, 1.0, 1.0])
     # Half an edge length (1/40) beyond the reached half still counts, and boundary rows have half the area.
-    assert covered_share(image, triangles, positions, triangles) == pytest.approx(0.5, abs=0.02)
+    assert covered_share(image, surface.triangles, surface) == pytest.approx(0.5, abs=0.02)
 
 
 def test_coverage_from_a_coarser_level_is_that_of_the_finest() -> None:
     refinement = refine(torus(), 4)
-    positions, triangles = refinement.finest.positions, level_triangles(refinement, 4)
-    inner = np.flatnonzero(positions[:, 0] > 0)  # everything goes to this half
-    mirrored = np.column_stack([np.abs(positions[:, 0]), positions[:, 1:]])
-    nearest = inner[cKDTree(positions[inner]).query(mirrored)[1]]
-    the_map = vertex_map(triangles, nearest)
-    measured = [
-        measure_quality(positions, triangles, positions, triangles, *the_map, np.zeros((0, 2), int), coarse_triangles=c)
-        for c in (None, level_triangles(refinement, 3))
-    ]
+    surface = TriangleSurface.from_faces(refinement.finest.positions, refinement.finest.faces)
+    inner = np.flatnonzero(surface.positions[:, 0] > 0)  # everything goes to this half
+    mirrored = np.column_stack([np.abs(surface.positions[:, 0]), surface.positions[:, 1:]])
+    nearest = inner[cKDTree(surface.positions[inner]).query(mirrored)[1]]
+    the_map = PointMap.from_vertices(surface, surface, nearest)
+    measured = [measure_quality(the_map, coarse_triangles=c) for c in (None, level_triangles(refinement, 3))]
     assert measured[0].coverage == pytest.approx(0.5, abs=0.02)
     assert measured[1].coverage == pytest.approx(measured[0].coverage, abs=0.005)
     assert measured[1].flipped_area == measured[0].flipped_area
 
 
 def test_a_mirrored_map_is_called_inside_out_and_missed_landmarks_are_named() -> None:
-    n = 400
-    positions, triangles = sphere(n, (1.0, 0.7, 0.5))
-    mirrored = positions * np.array([-1.0, 1.0, 1.0])
-    triangle, barycentric, _ = closest_points(build_tree(positions, triangles), mirrored)
-    landmarks = np.array([[10, 10]])
-    figures = measure_quality(
-        positions, triangles, positions, triangles, triangle, barycentric, landmarks, ["left ear"]
-    )
+    surface = surface_from(sphere(400, (1.0, 0.7, 0.5)))
+    mirrored = SurfacePoints.nearest(surface, surface.positions * np.array([-1.0, 1.0, 1.0]))
+    landmarks = PointPairs.of_vertices(surface, surface, np.array([10]), np.array([10]))
+    figures = measure_quality(PointMap(surface, mirrored), landmarks, ["left ear"])
     assert figures.flipped_area > 0.9
     assert "inside out" in figures.warnings[0]
     assert any("left ear" in warning for warning in figures.warnings)
 
 
+def test_trust_and_stretch_are_shares_of_area_however_uneven_the_mesh() -> None:
+    # Most vertices crowd in a strip of 4 % of the area, which the map stretches; the wide rest stays as it is.
+    x = np.concatenate([np.linspace(0, 0.04, 60), np.linspace(0.05, 1, 12)])
+    y = np.linspace(0, 1, 12)
+    flat = np.column_stack([np.repeat(x, 12), np.tile(y, len(x)), np.zeros(12 * len(x))])
+    i = (np.arange(len(x) - 1)[:, None] * 12 + np.arange(11)).ravel()
+    triangles = np.concatenate([np.column_stack([i, i + 12, i + 13]), np.column_stack([i, i + 13, i + 1])])
+    target = TriangleSurface(flat, triangles)
+    wanted = flat.copy()
+    wanted[:, 0] = np.where(flat[:, 0] < 0.045, flat[:, 0] / 5.0, flat[:, 0])
+    figures = measure_quality(PointMap(target, SurfacePoints.nearest(target, wanted)))
+    assert figures.trust.mean() < 0.4  # by vertices, most is lost
+    assert figures.trusted_area > 0.93
+    assert not any("stretches" in warning for warning in figures.warnings)
+
+
 def test_truth_figures_see_a_known_shift() -> None:
-    positions, triangles = grid(33)
-    truth = true_map(positions, triangles, positions, triangles)
-    assert truth[2].all()
-    shifted = positions + np.array([0.01, 0.0, 0.0])
-    triangle, barycentric, _ = closest_points(build_tree(positions, triangles), shifted)
-    figures = compare_with_truth(
-        positions, triangles, positions, triangles, triangle, barycentric, truth, np.array([[0, 0]])
-    )
-    inside = positions[:, 0] < 0.98
+    surface = TriangleSurface(*grid(33))
+    truth = true_map(surface, surface)
+    assert truth.known.all()
+    shifted = PointMap(surface, SurfacePoints.nearest(surface, surface.positions + np.array([0.01, 0.0, 0.0])))
+    corner = PointPairs.of_vertices(surface, surface, np.array([0]), np.array([0]))
+    figures = compare_with_truth(shifted, truth, corner)
+    inside = surface.positions[:, 0] < 0.98
     np.testing.assert_allclose(figures.errors[inside], 0.01, atol=1e-12)
     assert figures.maximum == pytest.approx(0.01)
     assert figures.worst_landmark == pytest.approx(0.01)
@@ -234,19 +256,18 @@ def test_truth_keeps_apart_two_sheets_that_touch() -> None:
     positions, triangles = grid(9)
     both = np.concatenate([positions, positions + np.array([0, 0, 1e-3])])
     sheets = np.concatenate([triangles[:, ::-1], triangles + len(positions)])  # lower one faces down
-    triangle, _, known = true_map(both, sheets, both + np.array([0, 0, 8e-4]), sheets)
-    assert known.all()
+    truth = true_map(TriangleSurface(both, sheets), TriangleSurface(both + np.array([0, 0, 8e-4]), sheets))
+    assert truth.known.all()
     below = np.arange(len(both)) < len(positions)
-    np.testing.assert_array_equal(triangle >= len(triangles), ~below)
+    np.testing.assert_array_equal(truth.images.triangle >= len(triangles), ~below)
 
 
 def test_round_trip_of_a_permutation_and_its_inverse_is_zero() -> None:
     rng = np.random.default_rng(8)
-    positions, triangles = sphere(300)
+    surface = surface_from(sphere(300))
     permutation = rng.permutation(300)
-    forward = vertex_map(triangles, permutation)
-    backward = vertex_map(triangles, np.argsort(permutation))
-    np.testing.assert_allclose(round_trip(positions, triangles, triangles, forward, backward), 0, atol=1e-12)
+    there, back = (PointMap.from_vertices(surface, surface, p) for p in (permutation, np.argsort(permutation)))
+    np.testing.assert_allclose(round_trip(there, back), 0, atol=1e-12)
 
 
 def test_vertex_normals_of_a_sphere_are_radial() -> None:
@@ -275,12 +296,3 @@ def test_surface_area_and_percentiles() -> None:
     assert surface_area(3 * positions, triangles) == pytest.approx(9)
     values = np.array([3.0, 1.0, 2.0])
     np.testing.assert_array_equal(weighted_percentiles(values, np.array([1.0, 98.0, 1.0]), (50, 99.5)), [1, 3])
-
-
-def test_a_map_of_another_size_is_refused() -> None:
-    positions, triangles = sphere(100)
-    triangle, barycentric = vertex_map(triangles, np.arange(100))
-    with pytest.raises(ParameterError, match="exchanged"):
-        measure_quality(positions, triangles, positions, triangles, triangle[:50], barycentric, np.zeros((0, 2), int))
-    with pytest.raises(ParameterError, match="source"):
-        measure_quality(positions, triangles, positions, triangles, triangle + 500, barycentric, np.zeros((0, 2), int))

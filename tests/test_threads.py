@@ -13,7 +13,7 @@ from cagemap.basis import BasisConfig
 from cagemap.errors import ParameterError
 from cagemap.mesh import shapes
 from cagemap.numerics.threads import ThreadPool, core_count, in_threads, one_blas_thread, thread_limit
-from cagemap.pipeline import prepare_pair, prepare_surface
+from cagemap.pipeline import prepare_surface, prepare_surfaces
 
 CONFIG = BasisConfig(count=12)
 
@@ -116,7 +116,7 @@ def fail_at_two(i):
 
 def test_a_pair_prepared_at_once_is_what_each_is_alone():
     meshes, levels = (shapes.creature(), shapes.icosahedron()), (1, 2)
-    together = prepare_pair(*meshes, levels, CONFIG)
+    together = prepare_surfaces(*meshes, levels, CONFIG)
     for surface, mesh, level in zip(together, meshes, levels, strict=True):
         alone = prepare_surface(mesh, level, CONFIG)
         np.testing.assert_array_equal(surface.basis.eigenvalues, alone.basis.eigenvalues)
@@ -125,4 +125,4 @@ def test_a_pair_prepared_at_once_is_what_each_is_alone():
 
 def test_a_bad_mesh_of_a_pair_is_refused_as_it_is_alone():
     with pytest.raises(ParameterError, match="level"):
-        prepare_pair(shapes.creature(), shapes.creature(), (1, 0), CONFIG)
+        prepare_surfaces(shapes.creature(), shapes.creature(), (1, 0), CONFIG)

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.accuracy.data import HumanPair, animal_pair
+from benchmarks.truth import Truth, compare_with_truth, round_trip, true_map
 from cagemap.basis import Surface
 from cagemap.geometry.surface import TriangleSurface
+from cagemap.maps.pair import PointPairs
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.quality import map_positions
-from cagemap.maps.truth import compare_with_truth, round_trip, true_map
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.pipeline import ENOUGH, MatchConfig, choose_level, match, prepare_pair
+from cagemap.pipeline import ENOUGH, MatchConfig, choose_level, match, prepare_surfaces
 from cagemap.refinement import Refinement, level_triangles, refine
 
 WORKER = Path(__file__).resolve().parents[1] / "speed" / "pyfm_worker.py"
@@ -50,15 +50,8 @@ def human_rows(
         for direction, landmarks in ((0, forward), (1, forward.reversed())):
             source, target = sides if direction == 0 else sides[::-1]
             found, back = maps[direction], maps[1 - direction]
-            pairs = np.column_stack([landmarks.target, landmarks.source])
-            figures = compare_with_truth(
-                target.positions, target.triangles, source.positions, source.triangles,
-                found.triangle, found.barycentric, truths[direction], pairs,
-            )  # fmt: skip
-            trip = round_trip(
-                target.positions, target.triangles, source.triangles,
-                (found.triangle, found.barycentric), (back.triangle, back.barycentric),
-            )  # fmt: skip
+            pairs = PointPairs.of_vertices(found.target, found.source, landmarks.target, landmarks.source)
+            figures, trip = compare_with_truth(found, truths[direction], pairs), round_trip(found, back)
             names = (pair.first, pair.second) if direction == 0 else (pair.second, pair.first)
             rows.append(
                 {
@@ -90,19 +83,17 @@ def animal_rows(key: str, vertices: int, method: str, left_out: int) -> list[dic
     """Both directions of a pair without truth; the leave-one-out error is over some evenly spaced landmarks."""
     source_mesh, target_mesh, forward = animal_pair(key)
     levels = (choose_level(target_mesh, vertices), choose_level(source_mesh, vertices))
-    target, source = prepare_pair(target_mesh, source_mesh, levels)
+    target, source = prepare_surfaces(target_mesh, source_mesh, levels)
     rows = []
     for landmarks, to, of in ((forward, target, source), (forward.reversed(), source, target)):
         config = MatchConfig(method=method)
         result = match(to, of, landmarks, config)
-        positions = of.operators.scale * of.refinement.finest.positions
-        triangles = level_triangles(of.refinement, of.refinement.n_levels)
+        positions = of.triangles(of.finest).positions
         errors = []
         for i in np.unique(np.linspace(0, len(landmarks) - 1, left_out).astype(int)):
             less = _without(landmarks, int(i))
             found = match(to, of, less, config).point_map
-            vertex = landmarks.target[i]
-            image = map_positions(positions, triangles, found.triangle[[vertex]], found.barycentric[[vertex]])
+            image = found.images.at(landmarks.target[[i]]).positions
             errors.append(float(np.linalg.norm(image - positions[landmarks.source[i]])))
         figures = result.quality
         rows.append(
@@ -141,7 +132,7 @@ def _prepared_sides(pair: HumanPair, vertices: int) -> tuple[Side, Side]:
     """First and second mesh of a pair, prepared at the level with about so many vertices."""
     meshes = pair.meshes()
     levels = tuple(choose_level(mesh, vertices) for mesh in meshes)
-    surfaces = prepare_pair(meshes[0], meshes[1], (levels[0], levels[1]))
+    surfaces = prepare_surfaces(meshes[0], meshes[1], (levels[0], levels[1]))
     first, second = (
         _side(surface.refinement, neutral, surface) for surface, neutral in zip(surfaces, pair.neutrals(), strict=True)
     )
@@ -163,9 +154,9 @@ def _side(refinement: Refinement, neutral: np.ndarray, surface: Surface | None) 
     return Side(surface, refinement.finest.positions, level_triangles(refinement, top), prolonged)
 
 
-def _truth(sides: tuple[Side, Side], direction: int) -> tuple:
+def _truth(sides: tuple[Side, Side], direction: int) -> Truth:
     source, target = sides if direction == 0 else sides[::-1]
-    return true_map(target.neutral, target.triangles, source.neutral, source.triangles)
+    return true_map(*(TriangleSurface.from_faces(side.neutral, side.triangles) for side in (target, source)))
 
 
 def _map(method: str, target: Side, source: Side, landmarks: Landmarks, pyfm: str | None, seconds: float) -> PointMap:

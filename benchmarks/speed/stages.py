@@ -60,7 +60,7 @@ def measure_stages(control: Any, level: int, count: int, run: Callable[[Any], An
             load_surface(place)
         result = run(surface)
         with timed(times, "quality"):
-            judge(result.target, result.source, result.point_map, result.landmarks)
+            judge(result.target, result.point_map)
         with timed(times, "write the result"):
             write_result(Path(folder) / "RESULT", result_of(result))
         written = sum(file.stat().st_size for file in (Path(folder) / "RESULT").iterdir())

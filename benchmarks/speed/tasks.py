@@ -93,10 +93,7 @@ def check_map(pair: str, result: str) -> Figures:
     from cagemap.files.result import read_result
 
     stored = read_result(result)
-    triangles = stored.source_triangles
-    return _assert_accurate(
-        PAIRS[pair], stored.target.level, stored.source.level, stored.triangle, stored.barycentric, triangles
-    )
+    return _assert_accurate(PAIRS[pair], stored.target.level, stored.source.level, stored.triangle, stored.barycentric)
 
 
 def prepared_match(pair: str, level: int, count: int, cache: str, output: str) -> Figures:
@@ -135,7 +132,6 @@ def landmark_added(pair: str, level: int, count: int, cache: str) -> Figures:
         level,
         result.point_map.triangle,
         result.point_map.barycentric,
-        _triangles(result.source),
     )
     return figures | {"vertices": _sizes(surfaces), "timings": result.timings}
 
@@ -195,7 +191,7 @@ def peer(pair: str, level: int, python: str, budget: float, folder: str) -> Figu
             place,
         )
     barycentric = np.eye(3)[corner[match]]
-    error = _mean_error(chosen, level, level, triangle[match], barycentric, source_triangles)
+    error = _mean_error(chosen, level, level, triangle[match], barycentric)
     stages = dict(zip(stored["stages"].tolist(), stored["seconds"].tolist(), strict=True))
     return {
         "vertices": [len(arrays["target_vertices"]), len(arrays["source_vertices"])],
@@ -244,31 +240,23 @@ def _sizes(surfaces: tuple[Any, Any]) -> list[int]:
     return [surface.refinement.finest.n_vertices for surface in surfaces]
 
 
-def _triangles(surface: Any) -> Any:
-    from cagemap.refinement import triangles
-
-    return triangles(surface.refinement.finest.faces)
-
-
-def _mean_error(
-    pair: HumanPair, target_level: int, source_level: int, triangle: Any, barycentric: Any, source_triangles: Any
-) -> float:
+def _mean_error(pair: HumanPair, target_level: int, source_level: int, triangle: Any, barycentric: Any) -> float:
     """Mean distance on the source between the map and the true one, x100 of sqrt(area) (protocol B)."""
+    from benchmarks.truth import true_map
     from cagemap.files.meshes import read_mesh
-    from cagemap.maps.quality import map_positions, surface_area
-    from cagemap.maps.truth import true_map
-    from cagemap.refinement import refine, triangles
+    from cagemap.geometry.points import SurfacePoints
+    from cagemap.geometry.surface import TriangleSurface
+    from cagemap.refinement import refine
+
+    def finest(file: Any, level: int) -> TriangleSurface:
+        mesh = refine(read_mesh(file), level).finest
+        return TriangleSurface.from_faces(mesh.positions, mesh.faces)
 
     levels = (target_level, source_level)
-    target, source = (refine(read_mesh(f), n).finest for f, n in zip(pair.neutral_files, levels, strict=True))
-    true_triangle, true_barycentric, known = true_map(
-        target.positions, triangles(target.faces), source.positions, source_triangles
-    )
-    positions = refine(read_mesh(pair.source_file), source_level).finest.positions
-    positions = positions / np.sqrt(surface_area(positions, source_triangles))
-    image = map_positions(positions, source_triangles, triangle, barycentric)
-    truth = map_positions(positions, source_triangles, true_triangle, true_barycentric)
-    return float(100 * np.linalg.norm(image - truth, axis=1)[known].mean())
+    truth = true_map(*(finest(f, n) for f, n in zip(pair.neutral_files, levels, strict=True)))
+    source = finest(pair.source_file, source_level)
+    image = SurfacePoints(source, triangle, barycentric).positions
+    return float(100 * np.linalg.norm(image - truth.on(source).positions, axis=1)[truth.known].mean())
 
 
 def _assert_accurate(*arguments: Any) -> Figures:

@@ -16,12 +16,25 @@ if TYPE_CHECKING:
     from cagemap.basis import HierarchicalBasis as HierarchicalBasis
     from cagemap.basis import Surface as Surface
     from cagemap.errors import CagemapError as CagemapError
+    from cagemap.files.images import read_image as read_image
+    from cagemap.files.images import write_image as write_image
     from cagemap.files.landmarks import read_landmarks as read_landmarks
     from cagemap.files.meshes import read_mesh as read_mesh
     from cagemap.files.meshes import write_mesh as write_mesh
     from cagemap.files.result import read_result as read_result
     from cagemap.files.result import write_result as write_result
+    from cagemap.geometry.points import SurfacePoints as SurfacePoints
+    from cagemap.geometry.surface import TriangleSurface as TriangleSurface
+    from cagemap.maps.elastic.config import ElasticConfig as ElasticConfig
+    from cagemap.maps.elastic.method import fit as fit
+    from cagemap.maps.elastic.method import functional_map_of as functional_map_of
+    from cagemap.maps.elastic.prepared import PreparedPair as PreparedPair
+    from cagemap.maps.pair import Pair as Pair
+    from cagemap.maps.pair import PointPairs as PointPairs
     from cagemap.maps.point_map import PointMap as PointMap
+    from cagemap.maps.projection.project import project as project
+    from cagemap.maps.projection.project import unfold as unfold
+    from cagemap.maps.quality import QualityFigures as QualityFigures
     from cagemap.mesh import ControlMesh as ControlMesh
     from cagemap.mesh.checks import check_mesh as check_mesh
     from cagemap.mesh.landmarks import Landmarks as Landmarks
@@ -31,58 +44,103 @@ if TYPE_CHECKING:
     from cagemap.pipeline import MatchConfig as MatchConfig
     from cagemap.pipeline import MatchResult as MatchResult
     from cagemap.pipeline import choose_level as choose_level
+    from cagemap.pipeline import default_basis as default_basis
+    from cagemap.pipeline import judge as judge
     from cagemap.pipeline import match as match
+    from cagemap.pipeline import match_pair as match_pair
+    from cagemap.pipeline import pair_of as pair_of
+    from cagemap.pipeline import prepare_pair as prepare_pair
     from cagemap.pipeline import prepare_surface as prepare_surface
+    from cagemap.pipeline import prepare_surfaces as prepare_surfaces
     from cagemap.pipeline import update_match as update_match
     from cagemap.refinement import CatmullClark as CatmullClark
     from cagemap.refinement import Loop as Loop
     from cagemap.refinement import Refinement as Refinement
     from cagemap.refinement import refine as refine
+    from cagemap.report import write_report as write_report
+    from cagemap.transfer import BakeOptions as BakeOptions
+    from cagemap.transfer import bake_displacement as bake_displacement
+    from cagemap.transfer import bake_texture as bake_texture
+    from cagemap.transfer import prepare_transfer as prepare_transfer
 
+# The one list: room by room. `__all__`, `dir` and a test of that page follow it.
 _ROOMS = {
-    "basis": ("BasisConfig", "HierarchicalBasis", "Surface"),
+    "basis": (
+        "BasisConfig",
+        "HierarchicalBasis",
+        "Surface",
+    ),
     "errors": ("CagemapError",),
+    "files.images": (
+        "read_image",
+        "write_image",
+    ),
     "files.landmarks": ("read_landmarks",),
-    "files.meshes": ("read_mesh", "write_mesh"),
-    "files.result": ("read_result", "write_result"),
+    "files.meshes": (
+        "read_mesh",
+        "write_mesh",
+    ),
+    "files.result": (
+        "read_result",
+        "write_result",
+    ),
+    "geometry.points": ("SurfacePoints",),
+    "geometry.surface": ("TriangleSurface",),
+    "maps.elastic.config": ("ElasticConfig",),
+    "maps.elastic.method": (
+        "fit",
+        "functional_map_of",
+    ),
+    "maps.elastic.prepared": ("PreparedPair",),
+    "maps.pair": (
+        "Pair",
+        "PointPairs",
+    ),
+    "maps.point_map": ("PointMap",),
+    "maps.projection.project": (
+        "project",
+        "unfold",
+    ),
+    "maps.quality": ("QualityFigures",),
     "mesh": ("ControlMesh",),
     "mesh.checks": ("check_mesh",),
     "mesh.landmarks": ("Landmarks",),
     "numerics.threads": ("thread_limit",),
-    "operators": ("Operators", "build_operators"),
-    "pipeline": ("MatchConfig", "MatchResult", "choose_level", "match", "prepare_surface", "update_match"),
-    "maps.point_map": ("PointMap",),
-    "refinement": ("CatmullClark", "Loop", "Refinement", "refine"),
+    "operators": (
+        "Operators",
+        "build_operators",
+    ),
+    "pipeline": (
+        "MatchConfig",
+        "MatchResult",
+        "choose_level",
+        "default_basis",
+        "judge",
+        "match",
+        "match_pair",
+        "pair_of",
+        "prepare_pair",
+        "prepare_surface",
+        "prepare_surfaces",
+        "update_match",
+    ),
+    "refinement": (
+        "CatmullClark",
+        "Loop",
+        "Refinement",
+        "refine",
+    ),
+    "report": ("write_report",),
+    "transfer": (
+        "BakeOptions",
+        "bake_displacement",
+        "bake_texture",
+        "prepare_transfer",
+    ),
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
 
-__all__ = [
-    "BasisConfig",
-    "CagemapError",
-    "CatmullClark",
-    "ControlMesh",
-    "HierarchicalBasis",
-    "Landmarks",
-    "Loop",
-    "MatchConfig",
-    "MatchResult",
-    "Operators",
-    "PointMap",
-    "Refinement",
-    "Surface",
-    "build_operators",
-    "check_mesh",
-    "choose_level",
-    "match",
-    "prepare_surface",
-    "read_landmarks",
-    "read_mesh",
-    "read_result",
-    "refine",
-    "thread_limit",
-    "write_mesh",
-    "write_result",
-]
+__all__ = sorted(_ROOM_OF)
 
 
 def __getattr__(name: str) -> object:
@@ -92,4 +150,4 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return __all__

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import islice
 
-import numpy as np
-
 from cagemap.basis import BasisConfig, Surface, hierarchical_basis
 from cagemap.errors import InvalidLandmarksError, ParameterError
-from cagemap.maps.elastic.fit import ElasticConfig
-from cagemap.maps.elastic.method import RefinedConfig, functional_map_of, refined_map, updated_map
+from cagemap.maps.elastic.config import ElasticConfig
+from cagemap.maps.elastic.method import elastic_map, functional_map_of, updated_map
+from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.confidence import Confidence
 from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS, hypothesis_map
-from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect, checked_map
-from cagemap.maps.pair import Pair, SymmetryPair
+from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect, checked_changes, checked_map
+from cagemap.maps.pair import Pair, PointPairs, Progress, SymmetryPair
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import COVERAGE_SAMPLES, QualityFigures, measure_quality
 from cagemap.maps.spectral.constraints import paired_mirrors
@@ -30,13 +30,14 @@ from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import ThreadPool, in_threads, one_blas_thread
 from cagemap.operators import build_operators
-from cagemap.refinement import Scheme, level_triangles, refine
+from cagemap.refinement import Scheme, refine
 from cagemap.refinement.counts import vertex_counts
 
-Progress = Callable[[str], None]
+logger = logging.getLogger(__name__)
 
 METHODS = ("elastic", "hfm", "paper")
-MAP_BASIS = BasisConfig()
+# What the elastic method reads of a basis (`HierarchyConfig.searched_functions`); `default_basis` knows the others.
+MAP_BASIS = BasisConfig(count=150)
 # A level counts as having the vertices asked for from this share on; the next one has four times as many.
 ENOUGH = 0.75
 MOST_LEVELS = 12
@@ -80,7 +81,7 @@ class MatchConfig:
             raise ParameterError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MatchResult:
     """A dense map from target to source, and how it came about.
 
@@ -104,6 +105,8 @@ class MatchResult:
         Functional map and vertex matches of every level, of the methods that go from level to level.
     confidence : Confidence or None
         How sure the answer is, and the other answers, where fewer than three landmarks had to do.
+    prepared : PreparedPair or None
+        What `update_match` and `match_pair` need of the two surfaces ("elastic" only).
     """
 
     target: Surface
@@ -116,6 +119,7 @@ class MatchResult:
     landmark_check: LandmarkCheck = field(default_factory=LandmarkCheck)
     level_maps: tuple[LevelMap, ...] = field(default=(), repr=False)
     confidence: Confidence | None = None
+    prepared: PreparedPair | None = field(default=None, repr=False)
 
     @property
     def suspects(self) -> tuple[LandmarkSuspect, ...]:
@@ -151,6 +155,11 @@ def choose_level(control: ControlMesh, vertices: int, scheme: Scheme | None = No
         raise ParameterError(f"vertices: expected a number from 1 to 20 000 000, got {vertices}")
     counts = islice(vertex_counts(control, scheme), 1, MOST_LEVELS)
     return next((level for level, n in enumerate(counts, 1) if n >= ENOUGH * vertices), MOST_LEVELS)
+
+
+def default_basis(method: str) -> BasisConfig:
+    """The basis that a method reads all of: 150 functions for "elastic", 300 for the paper's."""
+    return MAP_BASIS if method == "elastic" else BasisConfig()
 
 
 def prepare_surface(
@@ -193,7 +202,7 @@ def prepare_surface(
         return Surface(refinement, operators, hierarchical_basis(refinement, operators, config))
 
 
-def prepare_pair(
+def prepare_surfaces(
     target: ControlMesh,
     source: ControlMesh,
     levels: tuple[int, int],
@@ -224,6 +233,18 @@ def prepare_pair(
     with one_blas_thread():  # before the threads start: the setting is the process's
         made = in_threads(lambda side: prepare(*side, config), list(zip((target, source), levels, strict=True)))
     return made[0], made[1]
+
+
+def prepare_pair(target: Surface, source: Surface, config: MatchConfig = MatchConfig()) -> PreparedPair:
+    """All of an elastic match that no landmark changes: keep it, and further landmarks cost only what they must.
+
+    Parameters
+    ----------
+    target, source : Surface
+    config : MatchConfig
+    """
+    with one_blas_thread():
+        return PreparedPair.build(target, source, config.hierarchy, config.elastic)
 
 
 def match(
@@ -258,45 +279,73 @@ def match(
     """
     landmarks = Landmarks.none() if landmarks is None else landmarks
     check_landmarks(landmarks, target.control, source.control)
-    few = len(landmarks) < FEWEST_LANDMARKS
-    if few and config.method == "hfm":
+    if len(landmarks) < FEWEST_LANDMARKS and config.method == "hfm":
         raise InvalidLandmarksError(
             f"landmarks: expected at least {FEWEST_LANDMARKS} pairs for the method hfm, got {len(landmarks)}. Add "
             "pairs, or use the method elastic, which needs none."
         )
     timings: dict[str, float] = {}
-    pair = Pair(target, source, landmarks.target, landmarks.source, config.symmetries)
+    if config.method == "elastic":
+        with _timed(timings, "pair"):
+            prepared = prepare_pair(target, source, config)
+        return match_pair(prepared, landmarks, config, progress=progress, timings=timings)
     with _timed(timings, "symmetry"):
-        if config.use_symmetry and not config.symmetries:
-            pair = replace(pair, symmetries=paired_mirrors(pair))
-    check, confidence = LandmarkCheck(), None
-    level_maps: tuple[LevelMap, ...] = ()
+        pair = pair_of(target, source, landmarks, config)
     with one_blas_thread():
-        if config.method != "elastic":
-            with _timed(timings, "map"):
-                if config.method == "paper":
-                    level_maps, point_map = paper_map(pair, config.paper, progress)
-                else:
-                    level_maps, point_map = hierarchical_map(pair, config.hierarchy, progress)
-            functional_map = level_maps[-1].functional_map
-            progress("quality")
-            with _timed(timings, "quality"):
-                quality = judge(target, source, point_map, landmarks)
-        else:
-            refined = RefinedConfig(config.hierarchy, config.elastic)
-            with _timed(timings, "map"):
-                if few:
-                    point_map, confidence = hypothesis_map(pair, refined, progress=progress)
-                elif config.check_landmarks:
-                    point_map, check = checked_map(pair, landmarks.names, refined, progress)
-                else:
-                    point_map = refined_map(pair, refined, progress)
-            progress("functional map of the fit, quality")
-            with _timed(timings, "quality"):
-                functional_map, quality = _read_off_and_judged(pair, point_map, check.trusted(landmarks))
-    return MatchResult(
-        target, source, landmarks, functional_map, point_map, quality, timings, check, level_maps, confidence
-    )
+        with _timed(timings, "map"):
+            if config.method == "paper":
+                level_maps, point_map = paper_map(pair, config.paper, progress)
+            else:
+                level_maps, point_map = hierarchical_map(pair, config.hierarchy, progress)
+        progress("quality")
+        with _timed(timings, "quality"):
+            quality = judge(target, point_map, pair.landmarks, landmarks.names)
+    functional_map = level_maps[-1].functional_map
+    return MatchResult(target, source, landmarks, functional_map, point_map, quality, timings, level_maps=level_maps)
+
+
+def match_pair(
+    prepared: PreparedPair,
+    landmarks: Landmarks | None = None,
+    config: MatchConfig = MatchConfig(),
+    *,
+    progress: Progress = silent,
+    timings: dict[str, float] | None = None,
+) -> MatchResult:
+    """The elastic match of a prepared pair.
+
+    Parameters
+    ----------
+    prepared : PreparedPair
+    landmarks : Landmarks, optional
+        As in `match`.
+    config : MatchConfig
+        The one that the pair was prepared with.
+    progress : callable
+    timings : dict of str to float, optional
+        Seconds of stages that came before.
+
+    Raises
+    ------
+    InvalidLandmarksError
+        If the landmarks do not fit the control meshes.
+    """
+    target, source = prepared.target, prepared.source
+    landmarks = Landmarks.none() if landmarks is None else landmarks
+    check_landmarks(landmarks, target.control, source.control)
+    check, confidence, timings = LandmarkCheck(), None, {} if timings is None else timings
+    with _timed(timings, "symmetry"):
+        pair = pair_of(target, source, landmarks, config)
+    with one_blas_thread():
+        with _timed(timings, "map"):
+            if len(landmarks) < FEWEST_LANDMARKS:
+                point_map, confidence = hypothesis_map(prepared, pair, progress=progress)
+            elif config.check_landmarks:
+                point_map, check = checked_map(prepared, pair, landmarks.names, progress)
+            else:
+                point_map = elastic_map(prepared, pair, progress)
+        judged = _judged(prepared, point_map, landmarks, check, timings, progress)
+    return replace(judged, confidence=confidence)
 
 
 def update_match(
@@ -315,7 +364,8 @@ def update_match(
     ----------
     before : MatchResult
     landmarks : Landmarks
-        All of them, as they are now. Pairs that the match left out stay out unless they have changed.
+        All of them, as they are now. Pairs that the match left out stay out unless they have changed; pairs that have
+        are checked by their distances to the others.
     config : MatchConfig
         As in the match before.
     progress : callable
@@ -328,41 +378,67 @@ def update_match(
     """
     target, source = before.target, before.source
     check_landmarks(landmarks, target.control, source.control)
+    prepared = before.prepared or prepare_pair(target, source, config)
     check = before.landmark_check.still(before.landmarks, landmarks)
-    trusted = check.trusted(landmarks)
-    pair = Pair(target, source, trusted.target, trusted.source)
     timings: dict[str, float] = {}
     with one_blas_thread():
         with _timed(timings, "map"):
-            point_map = updated_map(pair, before.point_map, RefinedConfig(config.hierarchy, config.elastic), progress)
-        progress("functional map of the fit, quality")
-        with _timed(timings, "quality"):
-            functional_map, quality = _read_off_and_judged(pair, point_map, trusted)
-    return MatchResult(target, source, landmarks, functional_map, point_map, quality, timings, check)
+            if config.check_landmarks:
+                every = Pair.of_vertices(target, source, landmarks.target, landmarks.source)
+                changed = landmarks.new_since(before.landmarks)
+                check = checked_changes(prepared, every, landmarks.names, changed, check, before.point_map)
+            trusted = check.trusted(landmarks)
+            pair = Pair.of_vertices(target, source, trusted.target, trusted.source)
+            point_map = updated_map(prepared, pair, before.point_map, progress)
+        return _judged(prepared, point_map, landmarks, check, timings, progress)
 
 
-def _read_off_and_judged(pair: Pair, point_map: PointMap, landmarks: Landmarks) -> tuple[FloatArray, QualityFigures]:
-    """Functional map and quality figures of a point map, at the same time."""
-    with ThreadPool(1) as aside:
-        functional_map = aside.submit(functional_map_of, pair, point_map)
-        quality = judge(pair.target, pair.source, point_map, landmarks)
-        return functional_map.result(), quality
+def pair_of(target: Surface, source: Surface, landmarks: Landmarks, config: MatchConfig = MatchConfig()) -> Pair:
+    """Two surfaces with their landmarks, and with the symmetries that are given or found (paper, 5.2)."""
+    pair = Pair.of_vertices(target, source, landmarks.target, landmarks.source, config.symmetries)
+    if not config.use_symmetry or config.symmetries:
+        return pair
+    symmetries = paired_mirrors(pair)
+    if symmetries:
+        logger.info("both surfaces are mirrored in %d planes that landmarks agree with: used", len(symmetries))
+    return replace(pair, symmetries=symmetries)
 
 
-def judge(target: Surface, source: Surface, point_map: PointMap, landmarks: Landmarks) -> QualityFigures:
-    """Quality figures of a map between finest levels, without ground truth."""
-    dense = target.refinement.coarsest_level(COVERAGE_SAMPLES)
-    return measure_quality(
-        target.refinement.finest.positions,
-        level_triangles(target.refinement, target.finest),
-        source.refinement.finest.positions,
-        level_triangles(source.refinement, source.finest),
-        point_map.triangle,
-        point_map.barycentric,
-        np.column_stack([landmarks.target, landmarks.source]),
-        landmarks.names,
-        coarse_triangles=level_triangles(target.refinement, dense),
-    )
+def judge(
+    target: Surface, point_map: PointMap, landmarks: PointPairs | None = None, names: tuple[str, ...] = ()
+) -> QualityFigures:
+    """Quality figures of a map between finest levels, without ground truth.
+
+    Parameters
+    ----------
+    target : Surface
+    point_map : PointMap
+        Anyone's.
+    landmarks : PointPairs, optional
+    names : tuple of str
+        Of the landmarks, for warnings.
+    """
+    dense = target.triangles(target.refinement.coarsest_level(COVERAGE_SAMPLES))
+    return measure_quality(point_map, landmarks, names, coarse_triangles=dense.triangles)
+
+
+def _judged(
+    prepared: PreparedPair,
+    point_map: PointMap,
+    landmarks: Landmarks,
+    check: LandmarkCheck,
+    timings: dict[str, float],
+    progress: Progress,
+) -> MatchResult:
+    """The result of an elastic match: its quality and, at the same time, its functional map."""
+    target, source, trusted = prepared.target, prepared.source, check.trusted(landmarks)
+    points = Pair.of_vertices(target, source, trusted.target, trusted.source).landmarks
+    progress("functional map of the fit, quality")
+    with _timed(timings, "quality"), ThreadPool(1) as aside:
+        functional_map = aside.submit(functional_map_of, target, source, point_map)
+        quality = judge(target, point_map, points, trusted.names)
+        made = target, source, landmarks, functional_map.result(), point_map, quality, timings, check
+    return MatchResult(*made, prepared=prepared)
 
 
 @contextmanager

@@ -192,7 +192,15 @@ def match(
             show_default=False,
         ),
     ] = None,
-    k: Annotated[int, typer.Option("-k", min=3, help="Basis functions of each surface.")] = 300,
+    k: Annotated[
+        int | None,
+        typer.Option(
+            "-k",
+            min=3,
+            help="Basis functions of each surface.  [default: 150; 300 with --method hfm]",
+            show_default=False,
+        ),
+    ] = None,
     tolerance: Annotated[
         float, typer.Option("--tolerance", help="Relative error allowed in eigenvalues; sets the level of each band.")
     ] = 0.05,

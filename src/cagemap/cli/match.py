@@ -37,7 +37,15 @@ from cagemap.files.surface_store import prepared
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
-from cagemap.pipeline import MAP_BASIS, MatchConfig, choose_level, match, prepare_pair, prepare_surface
+from cagemap.pipeline import (
+    MAP_BASIS,
+    MatchConfig,
+    choose_level,
+    default_basis,
+    match,
+    prepare_surface,
+    prepare_surfaces,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -54,7 +62,7 @@ class MatchRequest:
     output: Path
     level: int | None = None
     vertices: int | None = None
-    k: int = MAP_BASIS.count
+    k: int | None = None
     tolerance: float = MAP_BASIS.tolerance
     schedule: str | None = None
     method: str = "elastic"
@@ -99,7 +107,7 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     parameters = {
         "level": request.level,
         "vertices": request.vertices or (None if request.level else DEFAULT_VERTICES),
-        "k": request.k,
+        "k": basis.count,
         "tolerance": request.tolerance,
         "schedule": request.schedule,
         "method": request.method,
@@ -130,7 +138,8 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
 def basis_config(request: MatchRequest) -> BasisConfig:
     """Parameters of the surfaces' bases that were asked for on the command line."""
     schedule = None if request.schedule is None else parse_schedule(request.schedule)
-    return BasisConfig(count=request.k, tolerance=request.tolerance, schedule=schedule)
+    count = default_basis(request.method).count if request.k is None else request.k
+    return BasisConfig(count=count, tolerance=request.tolerance, schedule=schedule)
 
 
 def match_config(request: MatchRequest) -> MatchConfig:
@@ -190,7 +199,7 @@ def match_meshes(
         require_size(control, levels[-1])
         _log.info("%s: level %d", control.name, levels[-1])
     prepare = prepare_surface if cache is None else partial(prepared, cache)
-    target, source = prepare_pair(
+    target, source = prepare_surfaces(
         inputs.target, inputs.source, (levels[0], levels[1]), basis, prepare=prepare, progress=stages
     )
     found = match(target, source, inputs.landmarks, config, progress=stages)

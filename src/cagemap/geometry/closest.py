@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from cagemap.errors import ParameterError
 from cagemap.geometry.triangles import CACHED, normalized, row_lengths, triangle_centres, triangle_normals
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
-from cagemap.numerics.threads import core_count, in_threads, parts
+from cagemap.numerics.threads import in_threads, parts
 
 _LEAF_SIZE = 8
 _STACK_SIZE = 64
-_CHUNK = 512  # queries that a thread answers in a row at least, each starting from the last answer
+_CHUNK = 512  # queries that a thread answers in a row, each starting from the last answer
 # Triangles that follow each other make a leaf where they lie together: within this many times a triangle's size.
 _COMPACT = 6.0
 
@@ -143,7 +143,7 @@ def closest_points(
     start = np.full(len(queries), -1, dtype=np.int64)
     if guess is not None:
         start = np.where(guess >= 0, tree.places[guess], -1)
-    sequence = np.argsort(_morton_codes(queries))
+    sequence = np.argsort(_morton_codes(queries), kind="stable")
     found = np.full(len(queries), -1, dtype=np.int64)
     barycentric, squared = np.zeros((len(queries), 3)), np.full(len(queries), np.inf)
     limits = np.full(len(queries), np.square(within), dtype=np.float64)  # writable, or the kernel is compiled twice
@@ -157,8 +157,9 @@ def closest_points(
             (found, barycentric, squared),
         )
 
-    pieces = 1 if len(queries) < _CHUNK else min(8 * core_count(), -(-len(queries) // _CHUNK))
-    in_threads(search, np.array_split(sequence, pieces))
+    # Pieces of the queries alone, whatever the cores: of points that are equally close, the one that is found depends
+    # on where a search starts.
+    in_threads(search, [sequence[part] for part in parts(len(sequence), _CHUNK)])
     triangle = np.where(found >= 0, tree.order[found], -1)
     return triangle, barycentric, np.sqrt(squared)
 

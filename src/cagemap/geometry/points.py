@@ -164,10 +164,10 @@ class SurfacePoints:
         """(m, 3) places in space, at unit area."""
         return read_only(self.interpolate(self.surface.positions))
 
-    @property
+    @cached_property
     def normals(self) -> FloatArray:
         """(m, 3) unit normals of the triangles that hold the points."""
-        return self.surface.normals.take(self.triangle, axis=0)
+        return read_only(self.surface.normals.take(self.triangle, axis=0))
 
     def interpolate(self, values: FloatArray) -> FloatArray:
         """Values at the points of a function that is linear on every triangle.

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cagemap.errors import ParameterError
 from cagemap.geometry.closest import TriangleTree, build_tree
 from cagemap.geometry.triangles import (
+    corner_sums,
     normalized,
     surface_area,
     triangle_areas,
@@ -96,6 +97,14 @@ class TriangleSurface:
     def vertex_normals(self) -> FloatArray:
         """(n, 3) unit normals of the vertices, area-weighted means of their triangles'."""
         return read_only(vertex_normals(self.positions, self.triangles))
+
+    @cached_property
+    def vertex_areas(self) -> FloatArray:
+        """(n,) share of the area that every vertex stands for, a third of its triangles'; sum 1."""
+        # Summed in the order of `cagemap.operators.vertex_areas`: the same numbers to the last bit.
+        x, y, z = triangle_normals(self.positions, self.triangles).T
+        areas = corner_sums(self.triangles, (np.sqrt(x * x + y * y + z * z) / 6.0)[:, None], self.n)[:, 0]
+        return read_only(areas / areas.sum())
 
     @cached_property
     def neighbors(self) -> NDArray[np.int32]:

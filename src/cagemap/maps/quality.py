@@ -1,7 +1,7 @@
 """How good a map is, without knowing the true one.
 
-All lengths are divided by sqrt(area) of the surface they are measured on, so that figures of different models compare.
-A map is given as arrays: ``triangle (n1,)`` and ``barycentric (n1, 3)``, the source point of every target vertex.
+All lengths are divided by sqrt(area) of the surface they are measured on, so that figures of different models compare;
+all shares are shares of area, whatever the mesh.
 """
 
 from __future__ import annotations
@@ -12,9 +12,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.errors import ParameterError
 from cagemap.geometry.closest import build_tree, closest_points
-from cagemap.geometry.triangles import CACHED, corner_sums, normalized, ring_sums, row_lengths, triangle_normals
+from cagemap.geometry.points import SurfacePoints
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.geometry.triangles import CACHED, corner_sums, normalized, ring_sums, triangle_areas, triangle_normals
+from cagemap.maps.pair import PointPairs
+from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool, in_threads, parts
 
@@ -45,6 +48,8 @@ class QualityFigures:
         Percentiles 50, 95, 99 (by target area) of the ratio of singular values, 1 meaning conformal.
     trust : (n1,) float64
         Per target vertex, 1 where the map is locally unfolded and stretches little, down to 0 at folds.
+    trusted_area : float
+        Mean of ``trust`` by area.
     warnings : tuple of str
         What a user should know before using the map, worst first; empty for a good map.
     """
@@ -56,6 +61,7 @@ class QualityFigures:
     area_ratios: FloatArray
     aspect_ratios: FloatArray
     trust: FloatArray = field(repr=False)
+    trusted_area: float
     warnings: tuple[str, ...] = ()
 
     def summary(self) -> dict[str, object]:
@@ -71,57 +77,26 @@ class QualityFigures:
                 zip(("1", "5", "50", "95", "99"), map(float, self.area_ratios), strict=True)
             ),
             "aspect_ratio_percentiles": dict(zip(("50", "95", "99"), map(float, self.aspect_ratios), strict=True)),
-            "trusted_area": float(self.trust.mean()),
+            "trusted_area": self.trusted_area,
             "warnings": list(self.warnings),
         }
 
 
-def surface_area(positions: FloatArray, triangles: IndexArray) -> float:
-    """Area of a triangle mesh."""
-    return float(0.5 * row_lengths(triangle_normals(positions, triangles)).sum())
+def flipped_triangles(images: SurfacePoints, triangles: IndexArray) -> NDArray[np.bool_]:
+    """(t1,) which target triangles (t1, 3) have an image whose orientation disagrees with the source's.
 
-
-def map_positions(
-    positions: FloatArray, triangles: IndexArray, triangle: IndexArray, barycentric: FloatArray
-) -> FloatArray:
-    """(n1, 3) positions of the points (triangle, barycentric) of a surface."""
-    images = np.empty((len(triangle), 3))
-
-    def fill(part: slice) -> None:
-        corners, weights = triangles.take(triangle[part], axis=0), barycentric[part]
-        images[part] = weights[:, :1] * positions.take(corners[:, 0], axis=0)
-        for k in (1, 2):
-            images[part] += weights[:, k, None] * positions.take(corners[:, k], axis=0)
-
-    in_threads(fill, parts(len(triangle), CACHED))
-    return images
-
-
-def flipped_triangles(image: FloatArray, target_triangles: IndexArray, image_normals: FloatArray) -> NDArray[np.bool_]:
-    """(t1,) which target triangles have an image whose orientation disagrees with the source's.
-
-    Parameters
-    ----------
-    image : (n1, 3) positions on the source
-    target_triangles : (t1, 3)
-    image_normals : (n1, 3)
-        Source normals at the image of every target vertex; a triangle compares with the sum over its corners.
+    A triangle's image compares with the sum of the source's normals at its three corners.
     """
-    flipped = np.empty(len(target_triangles), dtype=np.bool_)
+    flipped = np.empty(len(triangles), dtype=np.bool_)
+    positions, normals = images.positions, images.normals
 
     def fill(part: slice) -> None:
-        corners = target_triangles[part]
-        expected = sum(image_normals.take(corners[:, k], axis=0) for k in range(3))
-        flipped[part] = np.einsum("td,td->t", triangle_normals(image, corners), expected) < 0
+        corners = triangles[part]
+        expected = sum(normals.take(corners[:, k], axis=0) for k in range(3))
+        flipped[part] = np.einsum("td,td->t", triangle_normals(positions, corners), expected) < 0
 
-    in_threads(fill, parts(len(target_triangles), CACHED))
+    in_threads(fill, parts(len(triangles), CACHED))
     return flipped
-
-
-def flipped_share(image: FloatArray, target: FloatArray, triangles: IndexArray, image_normals: FloatArray) -> float:
-    """Share of the target's area whose image is flipped, see :func:`flipped_triangles`."""
-    areas = row_lengths(triangle_normals(target, triangles))
-    return float(areas[flipped_triangles(image, triangles, image_normals)].sum() / areas.sum())
 
 
 def stretches(target: FloatArray, image: FloatArray, triangles: IndexArray) -> tuple[FloatArray, FloatArray]:
@@ -144,38 +119,48 @@ def stretches(target: FloatArray, image: FloatArray, triangles: IndexArray) -> t
 def dirichlet_energy(target: FloatArray, image: FloatArray, triangles: IndexArray) -> float:
     """Return ``1/2 sum_t area_t (sigma_1^2 + sigma_2^2)``; at least the image's area, equal for conformal maps."""
     largest, smallest = stretches(target, image, triangles)
-    areas = 0.5 * row_lengths(triangle_normals(target, triangles))
+    areas = triangle_areas(target, triangles)
     return float(0.5 * (areas * (largest**2 + smallest**2)).sum())
 
 
 def covered_share(
-    image: FloatArray,
-    target_triangles: IndexArray,
-    source: FloatArray,
-    source_triangles: IndexArray,
-    *,
-    samples: int = COVERAGE_SAMPLES,
+    image: FloatArray, triangles: IndexArray, source: TriangleSurface, *, samples: int = COVERAGE_SAMPLES
 ) -> float:
     """Share of the source's area that the image of the target reaches.
 
     A source vertex counts as reached where the image surface, with an agreeing normal, passes within half the mean
     length of the edges around that vertex. The first ``samples`` vertices are judged: in a refined mesh they are
     the vertices of coarser levels and spread evenly.
+
+    Parameters
+    ----------
+    image : (n1, 3) float64
+        Where the target's vertices go.
+    triangles : (t1, 3) int64
+        Of the target.
+    source : TriangleSurface
     """
-    judged = min(samples, len(source))
-    normals, areas, edges, triangles = np.split(ring_sums(source, source_triangles, judged), (3, 4, 5), axis=1)
+    judged = min(samples, source.n)
+    sums = ring_sums(source.positions, source.triangles, judged)
+    normals, areas, edges, count = np.split(sums, (3, 4, 5), axis=1)
     reached, _, _ = closest_points(
-        build_tree(image, target_triangles),
-        source[:judged],
+        build_tree(image, triangles),
+        source.positions[:judged],
         normalized(normals),
         minimum_cosine=0.0,
-        within=0.5 * (edges / np.maximum(triangles, 1)).ravel(),
+        within=0.5 * (edges / np.maximum(count, 1)).ravel(),
     )
     return float(areas[reached >= 0].sum() / areas.sum())
 
 
+def landmark_errors(point_map: PointMap, landmarks: PointPairs) -> FloatArray:
+    """(p,) distances between where the landmarks map and where they belong, of sqrt(source area)."""
+    images = landmarks.target.interpolate(point_map.images.positions)
+    return np.linalg.norm(images - landmarks.source.positions, axis=1)
+
+
 def trust_field(
-    sigma: tuple[FloatArray, FloatArray], areas: FloatArray, triangles: IndexArray, flipped: NDArray[np.bool_], n: int
+    target: TriangleSurface, sigma: tuple[FloatArray, FloatArray], flipped: NDArray[np.bool_]
 ) -> FloatArray:
     """(n1,) 1 where the map is unfolded and stretches by at most ``TRUSTED_STRETCH`` either way, falling to 0 at folds.
 
@@ -184,28 +169,21 @@ def trust_field(
 
     Parameters
     ----------
+    target : TriangleSurface
     sigma : two (t,) arrays
         From :func:`stretches`, surfaces at unit area.
-    areas : (t,) areas of the target's triangles
-    triangles : (t, 3) int64
     flipped : (t,) bool
-    n : int
-        Number of target vertices.
     """
     delta = np.maximum(sigma[0], 1 / np.maximum(sigma[1], 1e-6))
     per_triangle = np.where(flipped, 0.0, np.minimum(1.0, (TRUSTED_STRETCH / delta) ** 2))
-    weighted, total = corner_sums(triangles, np.column_stack([areas * per_triangle, areas]), n).T
-    return np.divide(weighted, total, out=np.zeros(n), where=total > 0)
+    areas = target.areas
+    weighted, total = corner_sums(target.triangles, np.column_stack([areas * per_triangle, areas]), target.n).T
+    return np.divide(weighted, total, out=np.zeros(target.n), where=total > 0)
 
 
 def measure_quality(
-    target: FloatArray,
-    target_triangles: IndexArray,
-    source: FloatArray,
-    source_triangles: IndexArray,
-    triangle: IndexArray,
-    barycentric: FloatArray,
-    landmarks: IndexArray,
+    point_map: PointMap,
+    landmarks: PointPairs | None = None,
     landmark_names: Sequence[str] = (),
     *,
     coarse_triangles: IndexArray | None = None,
@@ -214,56 +192,42 @@ def measure_quality(
 
     Parameters
     ----------
-    target, source : (n1, 3), (n2, 3) float64
-        Refined positions, in any unit (both are scaled to unit area here).
-    target_triangles, source_triangles : (t1, 3), (t2, 3) int64
-    triangle, barycentric : (n1,), (n1, 3)
-        The map: source point of every target vertex.
-    landmarks : (p, 2) int64
-        Target and source vertex of every landmark pair.
+    point_map : PointMap
+    landmarks : PointPairs, optional
     landmark_names : sequence of str, optional
         Used in warnings.
     coarse_triangles : (t, 3) int64, optional
         A coarser level's triangles of the target, whose vertices come first: what coverage asks, on dense meshes.
-
-    Raises
-    ------
-    ParameterError
-        If the map's arrays do not fit the two surfaces.
     """
-    check_map(len(target), len(source_triangles), triangle, barycentric)
-    target = target / np.sqrt(surface_area(target, target_triangles))
-    source = source / np.sqrt(surface_area(source, source_triangles))
-    image = map_positions(source, source_triangles, triangle, barycentric)
-    image_normals = normalized(triangle_normals(source, source_triangles.take(triangle, axis=0)))
+    target, images = point_map.target, point_map.images
+    image, areas = images.positions, target.areas
 
-    def on_triangles(part: slice) -> tuple[FloatArray, NDArray[np.bool_], FloatArray, FloatArray]:
-        these = target_triangles[part]
-        sigma = stretches(target, image, these)
-        flipped = flipped_triangles(image, these, image_normals)
-        return 0.5 * row_lengths(triangle_normals(target, these)), flipped, *sigma
+    def on_triangles(part: slice) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:
+        these = target.triangles[part]
+        return flipped_triangles(images, these), *stretches(target.positions, image, these)
 
     with ThreadPool(1) as pool:
-        asked = target_triangles if coarse_triangles is None else coarse_triangles
-        covered = pool.submit(covered_share, image[: asked.max() + 1], asked, source, source_triangles)
-        found = in_threads(on_triangles, parts(len(target_triangles), CACHED))
-        areas, flipped, largest, smallest = (np.concatenate(kind) for kind in zip(*found, strict=True))
+        asked = target.triangles if coarse_triangles is None else coarse_triangles
+        covered = pool.submit(covered_share, image[: asked.max() + 1], asked, point_map.source)
+        found = in_threads(on_triangles, parts(len(target.triangles), CACHED))
+        flipped, largest, smallest = (np.concatenate(kind) for kind in zip(*found, strict=True))
         aspect = largest / np.maximum(smallest, 1e-9)
-        trust = trust_field((largest, smallest), areas, target_triangles, flipped, len(target))
+        trust = trust_field(target, (largest, smallest), flipped)
         coverage = covered.result()
     asked_about = (largest * smallest, areas, (1, 5, 50, 95, 99)), (aspect, areas, (50, 95, 99))
     area_ratios, aspect_ratios = in_threads(lambda asked: weighted_percentiles(*asked), asked_about)
-    errors = np.linalg.norm(image[landmarks[:, 0]] - source[landmarks[:, 1]], axis=1)
+    errors = np.zeros(0) if landmarks is None else landmark_errors(point_map, landmarks)
     flipped_area = float(areas[flipped].sum() / areas.sum())
-    names = tuple(landmark_names) or tuple(f"pair {i}" for i in range(len(landmarks)))
+    names = tuple(landmark_names) or tuple(f"pair {i}" for i in range(len(errors)))
     return QualityFigures(
         landmark_errors=errors,
         flipped_area=flipped_area,
         coverage=coverage,
-        dirichlet=float(0.5 * (areas * (largest**2 + smallest**2)).sum()),
+        dirichlet=float(0.5 * (areas * (largest**2 + smallest**2)).sum() / areas.sum()),
         area_ratios=area_ratios,
         aspect_ratios=aspect_ratios,
         trust=trust,
+        trusted_area=float(target.vertex_areas @ trust),
         warnings=_warnings(errors, names, flipped_area, coverage, trust, target),
     )
 
@@ -284,33 +248,19 @@ def _first_form(positions: FloatArray, triangles: IndexArray) -> tuple[FloatArra
     return np.einsum("td,td->t", e1, e1), np.einsum("td,td->t", e1, e2), np.einsum("td,td->t", e2, e2)
 
 
-def check_map(n_target: int, n_source_triangles: int, triangle: IndexArray, barycentric: FloatArray) -> None:
-    """Raise ParameterError if a map's arrays do not fit its two surfaces."""
-    if triangle.shape != (n_target,) or barycentric.shape != (n_target, 3):
-        raise ParameterError(
-            f"expected a map of {n_target} target vertices, got triangle {triangle.shape} and barycentric "
-            f"{barycentric.shape}: target and source may be exchanged, or the map belongs to another level"
-        )
-    outside = np.flatnonzero((triangle < 0) | (triangle >= n_source_triangles))
-    if len(outside):
-        raise ParameterError(
-            f"expected triangles 0 to {n_source_triangles - 1} of the source, got {triangle[outside[:5]]} at target "
-            f"vertices {outside[:5]}: target and source may be exchanged, or the map belongs to another level"
-        )
-
-
 def _warnings(
     errors: FloatArray,
     names: Sequence[str],
     flipped_area: float,
     coverage: float,
     trust: FloatArray,
-    target: FloatArray,
+    target: TriangleSurface,
 ) -> tuple[str, ...]:
     """Sentences for a user: what is wrong, how much, where."""
     messages = []
     worst = int(np.argmin(trust))
-    where = f"worst around target vertex {worst} at ({', '.join(f'{x:.2f}' for x in target[worst])}) of sqrt(area)"
+    place = ", ".join(f"{x:.2f}" for x in target.positions[worst])
+    where = f"worst around target vertex {worst} at ({place}) of sqrt(area)"
     if flipped_area > 0.5:
         messages.append(
             f"the map turns the surface inside out ({100 * flipped_area:.0f} % of the area is flipped): left and right "
@@ -324,7 +274,7 @@ def _warnings(
         messages.append(f"{len(off)} landmarks are not met exactly (distance of sqrt(area)): {listed}")
     if coverage < COVERAGE_TOLERANCE:
         messages.append(f"{100 * (1 - coverage):.1f} % of the source's area is not reached by the map")
-    untrusted = float((trust < 0.5).mean())
+    untrusted = float(target.vertex_areas[trust < 0.5].sum())
     if untrusted > 0.1:
         messages.append(f"the map stretches strongly over {100 * untrusted:.0f} % of the target, {where}")
     return tuple(messages)

@@ -51,6 +51,12 @@ class Landmarks:
             source_name=self.target_name,
         )
 
+    def new_since(self, before: Landmarks) -> IndexArray:
+        """Places of the pairs that were not there before, or joined other vertices."""
+        known = set(zip(before.target.tolist(), before.source.tolist(), strict=True))
+        now = zip(self.target.tolist(), self.source.tolist(), strict=True)
+        return np.array([i for i, pair in enumerate(now) if pair not in known], dtype=np.int64)
+
     def without(self, left_out: Collection[int]) -> Landmarks:
         """Return the pairs whose places are not among those given."""
         kept = np.setdiff1d(np.arange(len(self)), list(left_out))

@@ -19,7 +19,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import IndexArray
-from cagemap.pipeline import MatchResult, choose_level, match, prepare_pair, update_match
+from cagemap.pipeline import MatchResult, choose_level, match, prepare_surfaces, update_match
 from cagemap.refinement import refine
 from cagemap.studio.landmark_files import vertices_of
 from cagemap.studio.landmarks import Landmark
@@ -187,7 +187,7 @@ def find_map(bench: Bench, task: FindMap, progress: Progress) -> tuple[Bench, Fo
     surfaces = bench.surfaces
     if surfaces is None:
         levels = (models.target.level, models.source.level)
-        surfaces = prepare_pair(models.target.control, models.source.control, levels, progress=progress)
+        surfaces = prepare_surfaces(models.target.control, models.source.control, levels, progress=progress)
     landmarks = control_landmarks(models, task.landmarks)
     if bench.result is None or task.fresh:
         result = match(*surfaces, landmarks, progress=progress)

@@ -7,45 +7,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from cagemap.geometry.closest import TriangleTree, build_tree, closest_points
-from cagemap.geometry.triangles import normalized, vertex_normals
+from cagemap.geometry.closest import build_tree, closest_points
+from cagemap.geometry.points import SurfacePoints
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.geometry.triangles import normalized
 from cagemap.maps.elastic.counterparts import round_trip_weights
 from cagemap.maps.elastic.graph import ElasticGraph, transformed_normals
 from cagemap.maps.spectral.samples import spread
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.operators.laplacian import vertex_areas
 
 # Vertices of the source that pull at the target, per vertex of the target's mesh: more of them change nothing.
 PULLERS = 2.0
-
-
-@dataclass(frozen=True)
-class Sheet:
-    """The source as the fit sees it: a surface to lie on.
-
-    Attributes
-    ----------
-    positions : (n2, 3) float64, at unit area
-    triangles : (t2, 3) int64
-    normals : (n2, 3) float64
-    areas : (n2,) float64
-        Shares of the surface's area, sum 1.
-    tree : TriangleTree
-    """
-
-    positions: FloatArray
-    triangles: IndexArray
-    normals: FloatArray
-    areas: FloatArray
-    tree: TriangleTree
-
-    @classmethod
-    def build(cls, positions: FloatArray, faces: IndexArray) -> Sheet:
-        """Prepare a surface for closest points; ``faces`` are triangles."""
-        areas = vertex_areas(positions, faces)
-        return cls(
-            positions, faces, vertex_normals(positions, faces), areas / areas.sum(), build_tree(positions, faces)
-        )
 
 
 @dataclass(frozen=True)
@@ -68,10 +40,10 @@ class Pullers:
     outer: FloatArray
 
     @classmethod
-    def choose(cls, source: Sheet, count: int) -> Pullers:
+    def choose(cls, source: TriangleSurface, count: int) -> Pullers:
         """Some vertices of a source, spread over its numbering."""
         chosen = spread(len(source.positions), count)
-        planes, areas = source.normals[chosen], source.areas[chosen]
+        planes, areas = source.vertex_normals[chosen], source.vertex_areas[chosen]
         outer = (planes[:, :, None] * planes[:, None, :]).reshape(-1, 9)
         return cls(source.positions[chosen], planes, areas / areas.sum(), outer)
 
@@ -112,7 +84,7 @@ class Pull:
 
 def pull_to_source(
     graph: ElasticGraph,
-    source: Sheet,
+    source: TriangleSurface,
     positions: FloatArray,
     normals: FloatArray,
     guess: IndexArray | None,
@@ -123,7 +95,7 @@ def pull_to_source(
     Parameters
     ----------
     graph : ElasticGraph
-    source : Sheet
+    source : TriangleSurface
     positions, normals : (n, 3) float64
         Of the deformed target.
     guess : (n,) int64, optional
@@ -131,13 +103,13 @@ def pull_to_source(
     normal_weight : float
         Of the search, see `closest_points`.
     """
-    found, barycentric, _ = closest_points(source.tree, positions, normals, normal_weight=normal_weight, guess=guess)
-    corners = source.triangles[found]
-    foot = curved_points(source.positions[corners], source.normals[corners], barycentric)
-    plane = normalized(np.einsum("nk,nkd->nd", barycentric, source.normals[corners]))
+    found = SurfacePoints.nearest(source, positions, normals, normal_weight=normal_weight, guess=guess)
+    corners = found.corners
+    foot = curved_points(source.positions[corners], source.vertex_normals[corners], found.barycentric)
+    plane = normalized(found.interpolate(source.vertex_normals))
     weights = graph.areas * np.clip(np.einsum("nd,nd->n", plane, normals), 0.0, 1.0)
     blocks = weights[:, None, None] * plane[:, :, None] * plane[:, None, :]
-    return Pull(blocks, np.einsum("nab,nb->na", blocks, foot), weights, found, foot)
+    return Pull(blocks, np.einsum("nab,nb->na", blocks, foot), weights, found.triangle, foot)
 
 
 def pull_by_source(

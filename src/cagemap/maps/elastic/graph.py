@@ -19,7 +19,8 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from cagemap.geometry.triangles import normalized, vertex_normals
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.geometry.triangles import normalized
 from cagemap.maps.elastic.system import BlockSystem
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization
@@ -89,24 +90,22 @@ class ElasticGraph:
         return sparse.csr_array((np.ones(count), (self.heads, np.arange(count))), shape=(self.n, count))
 
 
-def mesh_graph(positions: FloatArray, faces: IndexArray, triangles: IndexArray) -> ElasticGraph:
+def mesh_graph(mesh: TriangleSurface, faces: IndexArray) -> ElasticGraph:
     """Graph of a mesh: its edges with cotangent weights.
 
     Parameters
     ----------
-    positions : (n, 3) float64, at unit area
+    mesh : TriangleSurface
     faces : (m, 4) or (m, 3) int64
-        Quads count as the mean of both triangulations.
-    triangles : (t, 3) int64
-        The same faces split, for the normals.
+        What was split into the mesh's triangles; quads count as the mean of both triangulations.
     """
-    upper = sparse.triu(stiffness(positions, faces), 1).tocoo()
+    upper = sparse.triu(stiffness(mesh.positions, faces), 1).tocoo()
     weights = np.maximum(-upper.data, LEAST_WEIGHT * np.median(np.abs(upper.data)))
     heads, tails = np.concatenate([upper.row, upper.col]), np.concatenate([upper.col, upper.row])
-    areas = vertex_areas(positions, faces)
+    areas = vertex_areas(mesh.positions, faces)
     return ElasticGraph(
-        positions,
-        vertex_normals(positions, triangles),
+        mesh.positions,
+        mesh.vertex_normals,
         areas / areas.sum(),
         heads.astype(np.int64),
         tails.astype(np.int64),

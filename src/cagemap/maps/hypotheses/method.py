@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from cagemap.geometry.closest import build_tree
-from cagemap.maps.elastic.method import RefinedConfig
+from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.confidence import Confidence
 from cagemap.maps.hypotheses.search import HypothesesConfig, found_readings
 from cagemap.maps.pair import Pair, Progress
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.projection.project import finest_surface, project, refined_positions
-from cagemap.maps.spectral.hierarchical import search_levels
+from cagemap.maps.projection.project import project, unfold
 
 # With fewer landmarks, they only help to choose among hypotheses; from here on they start a map of their own.
 FEWEST_LANDMARKS = 3
 
 
 def hypothesis_map(
+    prepared: PreparedPair,
     pair: Pair,
-    refined: RefinedConfig = RefinedConfig(),
     config: HypothesesConfig = HypothesesConfig(),
     progress: Progress = lambda stage: None,
 ) -> tuple[PointMap, Confidence]:
@@ -25,16 +23,15 @@ def hypothesis_map(
 
     Parameters
     ----------
+    prepared : PreparedPair
     pair : Pair
         With any number of landmarks; meant for fewer than `FEWEST_LANDMARKS`.
-    refined : RefinedConfig
     config : HypothesesConfig
     progress : callable
         Called with the name of each stage.
     """
-    levels = search_levels(pair, refined.hierarchy)
-    readings = found_readings(pair, levels, refined.elastic, config, progress)
+    readings = found_readings(prepared, pair, config, progress)
     progress("projection")
-    tree = build_tree(*finest_surface(pair.source))
-    positions = refined_positions(pair.target.refinement, levels[0], readings[0].positions)
-    return project(positions, pair, tree, refined.elastic), Confidence.of(readings, pair.target.control.n_vertices)
+    found = project(prepared, readings[0].positions, pair.landmarks)
+    point_map = unfold(found, pair.target_landmarks, prepared.elastic)
+    return point_map, Confidence.of(readings, pair.target.control.n_vertices)

@@ -10,21 +10,13 @@ import numpy as np
 
 from cagemap.geometry.closest import build_tree, closest_points
 from cagemap.maps.elastic.data import PULLERS, Pullers, deformed_normals
-from cagemap.maps.elastic.fit import (
-    CoarseFit,
-    ElasticConfig,
-    FitShapes,
-    RestShape,
-    Stage,
-    coarse_cost,
-    coarse_fit,
-    fit,
-)
-from cagemap.maps.elastic.graph import ElasticGraph, cluster_graph, extrapolate
+from cagemap.maps.elastic.config import Stage
+from cagemap.maps.elastic.fit import CoarseFit, coarse_cost, coarse_fit, fine_fit
+from cagemap.maps.elastic.graph import ElasticGraph, extrapolate
+from cagemap.maps.elastic.prepared import SHEET_VERTICES, CoarseShape, PreparedPair
 from cagemap.maps.hypotheses.confidence import Reading
 from cagemap.maps.hypotheses.starts import SourcePlaces, Start, rigid_starts, spectral_starts
 from cagemap.maps.pair import Pair
-from cagemap.maps.projection.project import SHEET_VERTICES, fit_shapes
 from cagemap.maps.spectral.samples import Samples, spread
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import in_threads, thread_limit
@@ -71,74 +63,64 @@ class _Candidate:
 
 
 def found_readings(
+    prepared: PreparedPair,
     pair: Pair,
-    levels: tuple[int, int],
-    elastic: ElasticConfig = ElasticConfig(),
     config: HypothesesConfig = HypothesesConfig(),
     progress: Callable[[str], None] = lambda stage: None,
 ) -> tuple[Reading, ...]:
     """Different ways in which the target lies on the source, fitted, cheapest first.
 
-    Landmarks of the pair, if there are any, are held by all of them.
+    Landmarks of the pair, if there are any, are held by all of them. Positions are those of the vertices of the level
+    that is deformed.
 
     Parameters
     ----------
+    prepared : PreparedPair
     pair : Pair
-    levels : (int, int)
-        Levels of target and source that are searched; positions are those of the target's.
-    elastic : ElasticConfig
     config : HypothesesConfig
     progress : callable
     """
     progress("hypotheses")
-    shapes = fit_shapes(pair, levels[0], elastic)
-    places = shapes_places(pair, shapes)
-    rough = _rough_fits(pair, shapes, places, elastic, config)
+    shape = prepared.coarse(pair.target_landmarks)
+    rough = _rough_fits(prepared, pair, shape, config)
     progress("coarse fits")
-    candidates = _coarse_fits(pair, levels, shapes, rough, places, elastic, config)
+    candidates = _coarse_fits(prepared, pair, shape, rough, config)
     progress("elastic fits")
-    mesh = RestShape.build(shapes.graph, shapes.triangles, elastic.fine.smoothing)
-    pullers = Pullers.choose(shapes.sheet, int(PULLERS * shapes.graph.n))
+    pullers = Pullers.choose(prepared.sheet, int(PULLERS * prepared.rest.graph.n))
 
     def finish(candidate: _Candidate) -> Reading:
-        ended = fit(shapes, mesh, [candidate.fit], pair.target_landmarks, places, elastic)
-        return Reading(candidate.name, reading_cost(shapes, mesh, pullers, ended, elastic), ended)
+        ended = fine_fit(prepared, shape, [candidate.fit], pair.landmarks)
+        return Reading(candidate.name, reading_cost(prepared, pullers, ended), ended)
 
     readings = sorted(in_threads(finish, candidates), key=lambda reading: reading.cost)
-    return tuple(_different(readings, lambda reading: reading.positions, shapes.graph.areas, config.different))
+    return tuple(_different(readings, lambda reading: reading.positions, prepared.rest.graph.areas, config.different))
 
 
-def shapes_places(pair: Pair, shapes: FitShapes) -> FloatArray:
-    """(p, 3) where the landmarks belong on the source; landmarks at control vertices are vertices of the sheet."""
-    return np.asarray(shapes.sheet.positions[pair.source_landmarks])
-
-
-def reading_cost(
-    shapes: FitShapes, mesh: RestShape, pullers: Pullers, positions: FloatArray, config: ElasticConfig
-) -> float:
+def reading_cost(prepared: PreparedPair, pullers: Pullers, positions: FloatArray) -> float:
     """What a fitted mesh costs: `coarse_cost`, and the mean squared distance of source points from the mesh.
 
     The last tells a limb that lies beside its counterpart, or a body squeezed into a part of the other.
     """
-    cost = coarse_cost(mesh.graph, shapes.sheet, positions, mesh.field.solve(positions), config)
-    tree = build_tree(positions, shapes.triangles)
+    rest, config = prepared.rest, prepared.elastic
+    cost = coarse_cost(rest.graph, prepared.sheet, positions, rest.field.solve(positions), config)
+    tree = build_tree(positions, prepared.mesh.triangles)
     _, _, distance = closest_points(tree, pullers.points, pullers.planes, normal_weight=config.normal_weight)
     return cost + float(pullers.areas @ distance**2)
 
 
 def _rough_fits(
-    pair: Pair, shapes: FitShapes, places: FloatArray, elastic: ElasticConfig, config: HypothesesConfig
+    prepared: PreparedPair, pair: Pair, shape: CoarseShape, config: HypothesesConfig
 ) -> list[_Candidate]:
     """The different ends of all rigid starts on a small graph, cheapest first, brought to the coarse graph."""
-    small, _ = cluster_graph(shapes.graph, min(config.rough_vertices, shapes.graph.n), pair.target_landmarks)
-    rest = RestShape.build(small, None, config.rough.smoothing)
-    staged = replace(elastic, coarse=config.rough)
+    staged = replace(prepared.elastic, coarse=config.rough, coarse_vertices=config.rough_vertices)
+    rough = CoarseShape.build(prepared.rest.graph, pair.target_landmarks, staged)
+    small, sheet, places = rough.rest.graph, prepared.sheet, pair.landmarks.source.positions
 
     def trial(start: Start) -> _Candidate:
         with thread_limit(1):  # the starts are spread over the cores: a step of one is too short to be
-            return _Candidate(start.name, coarse_fit(rest, shapes.sheet, start.positions, places, staged))
+            return _Candidate(start.name, coarse_fit(rough, sheet, start.positions, places, staged))
 
-    starts = rigid_starts(small.positions, shapes.sheet.positions)
+    starts = rigid_starts(small.positions, sheet.positions)
     tried = in_threads(trial, _different(starts, lambda start: start.positions, small.areas, config.alike))
     ranked = sorted(tried, key=lambda one: one.fit.cost)
     kept = _different(ranked, lambda one: one.fit.positions, small.areas, config.different)[: config.coarse]
@@ -152,47 +134,41 @@ def _rough_fits(
         )
         for one in kept
     ]
-    return [_Candidate(one.name, _on(small, one.fit, shapes.coarse)) for one in kept]
+    return [_Candidate(one.name, _on(small, one.fit, shape.rest.graph)) for one in kept]
 
 
 def _coarse_fits(
-    pair: Pair,
-    levels: tuple[int, int],
-    shapes: FitShapes,
-    rough: Sequence[_Candidate],
-    places: FloatArray,
-    elastic: ElasticConfig,
-    config: HypothesesConfig,
+    prepared: PreparedPair, pair: Pair, shape: CoarseShape, rough: Sequence[_Candidate], config: HypothesesConfig
 ) -> list[_Candidate]:
     """The cheapest coarse fit of each rough one: from where it is, or from what spectral upsampling makes of it."""
-    rest = RestShape.build(shapes.coarse, None, elastic.coarse.smoothing)
-    target, source, on_source = _spectral_samples(pair, levels, shapes)
+    graph, sheet, places, elastic = shape.rest.graph, prepared.sheet, pair.landmarks.source.positions, prepared.elastic
+    target, source, on_source = _spectral_samples(prepared, shape)
 
     def improve(candidate: _Candidate) -> _Candidate:
         with thread_limit(1):
             return _cheapest(candidate)
 
     def _cheapest(candidate: _Candidate) -> _Candidate:
-        own = coarse_fit(rest, shapes.sheet, candidate.fit.positions, places, elastic)
-        normals = deformed_normals(shapes.coarse, own.maps)
+        own = coarse_fit(shape, sheet, candidate.fit.positions, places, elastic)
+        normals = deformed_normals(graph, own.maps)
         starts = spectral_starts(candidate.name, own.positions, normals, target, source, on_source)
-        others = [coarse_fit(rest, shapes.sheet, start.positions, places, elastic) for start in starts]
+        others = [coarse_fit(shape, sheet, start.positions, places, elastic) for start in starts]
         return _Candidate(candidate.name, min([own, *others], key=lambda ended: ended.cost))
 
     improved = sorted(in_threads(improve, rough), key=lambda one: one.fit.cost)
-    kept = _different(improved, lambda one: one.fit.positions, shapes.coarse.areas, config.different)
+    kept = _different(improved, lambda one: one.fit.positions, graph.areas, config.different)
     hopeful = [one for one in kept if one.fit.cost <= config.hopeless * kept[0].fit.cost]
     return hopeful[: config.finished]
 
 
-def _spectral_samples(pair: Pair, levels: tuple[int, int], shapes: FitShapes) -> tuple[Samples, Samples, SourcePlaces]:
+def _spectral_samples(prepared: PreparedPair, shape: CoarseShape) -> tuple[Samples, Samples, SourcePlaces]:
     """Basis rows of the coarse graph's vertices and of some vertices of the source, and where the latter lie."""
-    sheet_level = pair.source.refinement.coarsest_level(SHEET_VERTICES)
-    vertices = spread(len(shapes.sheet.positions), PLACES)
-    at = SourcePlaces.build(shapes.sheet.positions, shapes.sheet.normals, vertices)
+    sheet_level = prepared.source.refinement.coarsest_level(SHEET_VERTICES)
+    vertices = spread(prepared.sheet.n, PLACES)
+    at = SourcePlaces.build(prepared.sheet.positions, prepared.sheet.vertex_normals, vertices)
     sides = (
-        (pair.target, levels[0], shapes.vertices, shapes.coarse.areas),
-        (pair.source, sheet_level, vertices, np.ones(len(vertices))),
+        (prepared.target, prepared.levels[0], shape.vertices, shape.rest.graph.areas),
+        (prepared.source, sheet_level, vertices, np.ones(len(vertices))),
     )
     target, source = (
         Samples(surface.basis.rows(level, chosen), areas, np.zeros((len(chosen), 0)))

@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from cagemap.basis import Surface
-from cagemap.geometry.triangles import normalized, triangle_normals
 from cagemap.maps.elastic.graph import ElasticGraph
-from cagemap.maps.elastic.method import RefinedConfig, refined_map
+from cagemap.maps.elastic.method import elastic_map
+from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.landmarks.distances import (
     FEWEST_JUDGED,
     LandmarkDistances,
@@ -27,9 +26,7 @@ from cagemap.maps.landmarks.distances import (
 from cagemap.maps.landmarks.strain import ReducedEnergy, reduced_energy, strained_pair
 from cagemap.maps.pair import Pair, Progress
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.projection.project import finest_surface, level_graph
-from cagemap.maps.quality import map_positions
-from cagemap.maps.spectral.hierarchical import search_levels
+from cagemap.maps.quality import landmark_errors
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads
@@ -122,7 +119,8 @@ class LandmarkCheck:
             (suspect, places.get((int(before.target[suspect.pair]), suspect.source_vertex)))
             for suspect in self.suspects
         ]
-        return LandmarkCheck(tuple(replace(suspect, pair=place) for suspect, place in found if place is not None))
+        kept = tuple(replace(suspect, pair=place) for suspect, place in found if place is not None)
+        return LandmarkCheck(kept, self.notes)
 
     def summary(self) -> dict[str, Any]:
         """The check as plain values for a manifest; every suspect with its sentence as ``message``."""
@@ -133,9 +131,9 @@ class LandmarkCheck:
 
 
 def checked_map(
-    pair: Pair, names: Sequence[str], config: RefinedConfig, progress: Progress = lambda stage: None
+    prepared: PreparedPair, pair: Pair, names: Sequence[str], progress: Progress = lambda stage: None
 ) -> tuple[PointMap, LandmarkCheck]:
-    """`refined_map` without the landmark pairs that turn out to be wrong.
+    """`elastic_map` without the landmark pairs that turn out to be wrong.
 
     Returns
     -------
@@ -146,19 +144,16 @@ def checked_map(
     count = len(names)
     if count < FEWEST_JUDGED:
         note = f"{count} landmark pairs are too few to tell a wrong one; {FEWEST_JUDGED} or more are checked"
-        return refined_map(pair, config, progress), LandmarkCheck(notes=(note,))
+        return elastic_map(prepared, pair, progress), LandmarkCheck(notes=(note,))
     progress("landmark distances")
-    level = search_levels(pair, config.hierarchy)
-    sides = (pair.target, level[0], pair.target_landmarks), (pair.source, level[1], pair.source_landmarks)
-    (target_graph, target), (source_graph, source) = in_threads(lambda side: _measured(*side), sides)
-    graphs = target_graph, source_graph
+    target, source = _distances(prepared, pair)
     misplaced = misplaced_pairs(target, source)
     notes: tuple[str, ...] = ()
     if len(misplaced) > MOST_SUSPECTS * count or typical_misfit(target, source, np.arange(count)) > UNRELATED:
         misplaced, notes = misplaced[:0], (CONTRADICTION,)
 
     def solve(left_out: Collection[int]) -> PointMap:
-        return refined_map(trusted_pairs(pair, left_out), config, progress)
+        return elastic_map(prepared, pair.without(left_out), progress)
 
     evidence = {int(i): DISTANCES for i in misplaced}
     current = solve(evidence)
@@ -169,7 +164,7 @@ def checked_map(
     for _ in range(MOST_STRAINED):
         progress("landmark strain")
         kept = np.setdiff1d(np.arange(count), list(evidence))
-        strained = strained_pair(*strain(trusted_pairs(pair, evidence), graphs[0], current))
+        strained = strained_pair(*strain(pair.without(evidence), prepared.graphs[0], current))
         suspect = None if strained is None else int(kept[strained])
         if suspect is None or typical_misfit(target, source, kept[kept != suspect]) > DISSIMILAR:
             break
@@ -177,43 +172,73 @@ def checked_map(
         if miss(pair, trial, suspect)[0] < CONFIRMED:
             break
         evidence[suspect], current = STRAIN, trial
-    suspects = tuple(
-        LandmarkSuspect(
-            names[i], i, *miss(pair, current, i), source_vertex=int(pair.source_landmarks[i]), evidence=evidence[i]
-        )
-        for i in sorted(evidence)
-    )
-    return current, LandmarkCheck(suspects, notes + orientation_notes(trusted_pairs(pair, evidence), graphs))
+    suspects = tuple(_suspect(pair, current, names, i, evidence[i]) for i in sorted(evidence))
+    return current, LandmarkCheck(suspects, notes + orientation_notes(pair.without(evidence), prepared.graphs))
 
 
-def _measured(surface: Surface, level: int, landmarks: IndexArray) -> tuple[ElasticGraph, LandmarkDistances]:
-    """Graph of a level, and the distances of the landmarks on it."""
-    graph = level_graph(surface, level)[0]
-    return graph, LandmarkDistances.measure(graph, landmarks)
+def checked_changes(
+    prepared: PreparedPair,
+    pair: Pair,
+    names: Sequence[str],
+    changed: IndexArray,
+    check: LandmarkCheck,
+    before: PointMap,
+) -> LandmarkCheck:
+    """A check of the landmarks of an update: pairs that are new or moved, by their distances to the others.
+
+    Only those are left out that the map from before puts elsewhere too; `checked_map` asks a map of its own.
+
+    Parameters
+    ----------
+    prepared : PreparedPair
+    pair : Pair
+        With all landmarks, as they are now.
+    names : sequence of str
+    changed : (c,) int64
+        Places of the pairs to ask about.
+    check : LandmarkCheck
+        What still holds of the last one.
+    before : PointMap
+    """
+    if not len(changed) or len(pair.landmarks) < FEWEST_JUDGED:
+        return check
+    out = [suspect.pair for suspect in check.suspects]
+    kept = np.setdiff1d(np.arange(len(pair.landmarks)), out)
+    target, source = _distances(prepared, pair.without(out))
+    wrong = kept[misplaced_pairs(target, source)]
+    if len(wrong) > MOST_SUSPECTS * len(kept) or typical_misfit(target, source, np.arange(len(kept))) > UNRELATED:
+        return LandmarkCheck(check.suspects, tuple(dict.fromkeys((*check.notes, CONTRADICTION))))
+    found = [i for i in np.intersect1d(wrong, changed).tolist() if miss(pair, before, i)[0] >= CONFIRMED]
+    new = tuple(_suspect(pair, before, names, i, DISTANCES) for i in found)
+    return LandmarkCheck(tuple(sorted((*check.suspects, *new), key=lambda suspect: suspect.pair)), check.notes)
 
 
-def trusted_pairs(pair: Pair, left_out: Collection[int]) -> Pair:
-    """The same two surfaces without some of the landmarks."""
-    kept = np.setdiff1d(np.arange(len(pair.target_landmarks)), list(left_out))
-    return replace(pair, target_landmarks=pair.target_landmarks[kept], source_landmarks=pair.source_landmarks[kept])
+def _distances(prepared: PreparedPair, pair: Pair) -> tuple[LandmarkDistances, LandmarkDistances]:
+    """Distances of the landmarks on both surfaces."""
+    sides = list(zip(prepared.graphs, (pair.target_landmarks, pair.source_landmarks), strict=True))
+    target, source = in_threads(lambda side: LandmarkDistances.measure(*side), sides)
+    return target, source
+
+
+def _suspect(pair: Pair, found: PointMap, names: Sequence[str], place: int, evidence: str) -> LandmarkSuspect:
+    """A pair that a map was made without, and where that map puts it."""
+    given = int(pair.source_landmarks[place])
+    return LandmarkSuspect(names[place], place, *miss(pair, found, place), source_vertex=given, evidence=evidence)
 
 
 def miss(pair: Pair, point_map: PointMap, landmark: int) -> tuple[float, int]:
-    """How far from its source vertex a map puts a landmark, of sqrt(area), and the control vertex nearest to there."""
-    row = slice(pair.target_landmarks[landmark], pair.target_landmarks[landmark] + 1)
-    on_source, triangles = finest_surface(pair.source)
-    place = map_positions(on_source, triangles, point_map.triangle[row], point_map.barycentric[row])
-    distances = np.linalg.norm(on_source[: pair.source.control.n_vertices] - place, axis=1)
-    return float(distances[pair.source_landmarks[landmark]]), int(np.argmin(distances))
+    """How far from its source place a map puts a landmark, of sqrt(area), and the control vertex nearest to there."""
+    only = pair.landmarks.only([landmark])
+    place = only.target.interpolate(point_map.images.positions)
+    control = pair.source.triangles(pair.source.finest).positions[: pair.source.control.n_vertices]
+    nearest = int(np.argmin(np.linalg.norm(control - place, axis=1)))
+    return float(landmark_errors(point_map, only)[0]), nearest
 
 
 def strain(pair: Pair, graph: ElasticGraph, point_map: PointMap) -> tuple[ReducedEnergy, FloatArray]:
     """Energy of the landmarks' places at a map that holds them, and these places."""
-    on_source, triangles = finest_surface(pair.source)
-    found = point_map.triangle[: graph.n]
-    images = map_positions(on_source, triangles, found, point_map.barycentric[: graph.n])
-    normals = normalized(triangle_normals(on_source, triangles[found]))
-    return reduced_energy(graph, images, normals, pair.target_landmarks), on_source[pair.source_landmarks]
+    found = point_map.images.at(slice(0, graph.n))
+    return reduced_energy(graph, found.positions, found.normals, pair.target_landmarks), pair.landmarks.source.positions
 
 
 def orientation_notes(pair: Pair, graphs: tuple[ElasticGraph, ElasticGraph]) -> tuple[str, ...]:

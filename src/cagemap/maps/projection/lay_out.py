@@ -14,23 +14,23 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 from scipy.spatial import Delaunay
 
 from cagemap.errors import SolverError
-from cagemap.geometry.closest import build_tree, closest_points
-from cagemap.geometry.triangles import row_lengths, triangle_areas
-from cagemap.maps.projection.unfold import (
-    Images,
-    Sides,
+from cagemap.geometry.points import SurfacePoints
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.geometry.triangles import row_lengths
+from cagemap.maps.projection.relax import (
+    BoolArray,
     around,
     convex_rows,
     neighbour_means,
     patches,
     touched_triangles,
 )
+from cagemap.maps.quality import flipped_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import factor_general
 
@@ -50,8 +50,6 @@ LARGEST = 0.5
 LEAST_GAIN = 0.5
 # Steps in which landmarks move to their places.
 STEPS = 50
-
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -83,28 +81,29 @@ class Disc:
         return inside
 
 
-def lay_out_parts(images: Images, flipped: BoolArray, sides: Sides, held: IndexArray) -> Images:
+def lay_out_parts(
+    images: SurfacePoints, flipped: BoolArray, target: TriangleSurface, held: IndexArray
+) -> SurfacePoints:
     """Unfold the parts that fold over most, each within a disc, where that leaves less than half of the fold.
 
     Parameters
     ----------
-    images : Images
+    images : SurfacePoints
         Of all target vertices.
     flipped : (t1,) bool
         Target triangles that lie upside down.
-    sides : Sides
+    target : TriangleSurface
     held : (p,) int64
         Target vertices that may not move (landmarks).
     """
-    for part in folded_parts(sides.target, sides.target_triangles, flipped):
+    for part in folded_parts(target, flipped):
         for growth in GROWTHS:
-            found = _laid_out(images, part, growth, sides, held)
+            found = _laid_out(images, part, growth, target, held)
             if found is None:
                 continue
             chosen, new = found
-            corners = sides.target_triangles[chosen]
-            still = new.flipped(corners, sides.tree)
-            areas = triangle_areas(sides.target, corners)
+            still = flipped_triangles(new, target.triangles[chosen])
+            areas = target.areas[chosen]
             if areas @ still < (1.0 - LEAST_GAIN) * (areas @ flipped[chosen]):
                 images, flipped = new, flipped.copy()
                 flipped[chosen] = still
@@ -112,20 +111,19 @@ def lay_out_parts(images: Images, flipped: BoolArray, sides: Sides, held: IndexA
     return images
 
 
-def folded_parts(positions: FloatArray, triangles: IndexArray, flipped: BoolArray) -> list[IndexArray]:
+def folded_parts(target: TriangleSurface, flipped: BoolArray) -> list[IndexArray]:
     """Vertices of flipped triangles (t,), by part, the largest first; none if more than `MOST_FOLDED` is folded.
 
     Parameters
     ----------
-    positions, triangles : (n, 3), (t, 3)
-        At unit area.
+    target : TriangleSurface
     flipped : (t,) bool
         Pieces of them less than `APART` apart are one part.
     """
-    areas = triangle_areas(positions, triangles[flipped])
+    triangles, areas = target.triangles, target.areas[flipped]
     if not LEAST_SHARE <= areas.sum() <= MOST_FOLDED:
         return []
-    n = len(positions)
+    n = target.n
     part = patches(triangles, around(triangles, flipped, max(1, round(0.5 * APART * np.sqrt(n))), n))
     share = np.bincount(part[triangles[flipped, 0]], areas)
     vertices = np.unique(triangles[flipped])
@@ -134,25 +132,25 @@ def folded_parts(positions: FloatArray, triangles: IndexArray, flipped: BoolArra
 
 
 def _laid_out(
-    images: Images, part: IndexArray, growth: float, sides: Sides, held: IndexArray
-) -> tuple[IndexArray, Images] | None:
+    images: SurfacePoints, part: IndexArray, growth: float, target: TriangleSurface, held: IndexArray
+) -> tuple[IndexArray, SurfacePoints] | None:
     """The target triangles of the disc around a part, and new images; None where either surface has no disc there."""
     centre = images.positions[part].mean(axis=0)
     away = row_lengths(images.positions - centre)
     radius = growth * away[part].max()
     ball = away < radius
     ball[part] = True
-    disc = _disc_in(ball, sides.target_triangles, part, touched_triangles)
+    disc = _disc_in(ball, target.triangles, part, touched_triangles)
     if disc is None:
         return None
-    now = images.at(disc.vertices)
-    needed = sides.source_triangles[now.triangle].ravel()
-    distance = row_lengths(sides.source - centre)
+    now, source = images.at(disc.vertices), images.surface
+    needed = now.corners.ravel()
+    distance = row_lengths(source.positions - centre)
     around_it = distance <= max(MARGIN * radius, distance[needed].max())
-    below = _disc_in(around_it, sides.source_triangles, needed[:1], _whole_triangles)
+    below = _disc_in(around_it, source.triangles, needed[:1], _whole_triangles)
     if below is None:
         return None
-    number = np.full(len(sides.source_triangles), -1)
+    number = np.full(len(source.triangles), -1)
     number[below.chosen] = np.arange(len(below.chosen))
     at = number[now.triangle]
     if np.any(at < 0):
@@ -169,7 +167,8 @@ def _laid_out(
         return None
     free = disc.inside & ~fixed
     triangle, barycentric = _located(moved[free], plane, below.triangles)
-    return disc.chosen, images.with_new(disc.vertices[free], Images.of(below.chosen[triangle], barycentric, sides))
+    new = SurfacePoints(source, below.chosen[triangle], barycentric)
+    return disc.chosen, images.replaced(disc.vertices[free], new)
 
 
 def flat_disc(disc: Disc) -> FloatArray:
@@ -273,8 +272,8 @@ def _upright(mesh: Delaunay, ends: FloatArray) -> bool:
 def _located(points: FloatArray, plane: FloatArray, triangles: IndexArray) -> tuple[IndexArray, FloatArray]:
     """Triangles (m,) of a flat mesh that hold points (m, 2), and barycentric coordinates (m, 3) in them."""
     flat, queries = (np.column_stack([p, np.zeros(len(p))]) for p in (plane, points))
-    chosen, weights, _ = closest_points(build_tree(flat, triangles), queries)
-    return chosen, weights
+    found = SurfacePoints.nearest(TriangleSurface(flat, triangles), queries)
+    return found.triangle, found.barycentric
 
 
 def _disc_in(

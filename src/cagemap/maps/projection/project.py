@@ -5,46 +5,58 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from cagemap.basis import Surface
-from cagemap.geometry.closest import TriangleTree, closest_points
+from cagemap.geometry.points import SurfacePoints
+from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import vertex_normals
-from cagemap.maps.elastic.data import Sheet
-from cagemap.maps.elastic.fit import ElasticConfig, FitShapes
-from cagemap.maps.elastic.graph import ElasticGraph, mesh_graph
-from cagemap.maps.pair import Pair
+from cagemap.maps.elastic.config import ElasticConfig
+from cagemap.maps.elastic.prepared import PreparedPair
+from cagemap.maps.pair import PointPairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.lay_out import lay_out_parts
-from cagemap.maps.projection.unfold import Images, Sides, unfold
+from cagemap.maps.projection.relax import relax_folds
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.refinement import Refinement, level_triangles
+from cagemap.refinement import Refinement
 
-# Vertices from which a level of the source is fine enough to lie on while fitting.
-SHEET_VERTICES = 15_000
 # A projected point whose normal makes a smaller cosine with its own is on the wrong side, or far from the source.
 LEAST_COSINE = 0.15
 
 
-def fit_shapes(pair: Pair, level: int, config: ElasticConfig = ElasticConfig()) -> FitShapes:
-    """Both surfaces as the elastic fit sees them: the target's mesh of one level, a coarse level of the source."""
-    graph, triangles = level_graph(pair.target, level)
-    source = pair.source.refinement
-    lain_on = source.coarsest_level(SHEET_VERTICES)
-    positions = pair.source.operators.scale * source.finest.positions[: source.levels[lain_on].n_vertices]
-    sheet = Sheet.build(positions, level_triangles(source, lain_on))
-    return FitShapes.build(graph, triangles, sheet, pair.target_landmarks, config)
+def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -> PointMap:
+    """Closest points of the source, in position and normal, of the subdivision surface through fitted points.
+
+    Parameters
+    ----------
+    prepared : PreparedPair
+    fitted : (n, 3) float64
+        Places near the source of the target's vertices of the level that is deformed.
+    landmarks : PointPairs
+        Met exactly; the target's are vertices.
+
+    Returns
+    -------
+    PointMap
+        Of the finest levels; it may fold.
+    """
+    target = prepared.target.triangles(prepared.target.finest)
+    positions = refined_positions(prepared.target.refinement, prepared.levels[0], fitted)
+    normals = vertex_normals(positions, target.triangles)
+    found = facing_points(prepared.on_source, positions, normals, prepared.elastic.projection_normal_weights)
+    return PointMap(target, found.replaced(landmarks.target_vertices, landmarks.source))
 
 
-def level_graph(surface: Surface, level: int) -> tuple[ElasticGraph, IndexArray]:
-    """Graph of a level's vertices at their places on the finest surface, at unit area, and the level's triangles."""
-    faces, triangles = level_faces(surface.refinement, level)
-    positions = surface.operators.scale * surface.refinement.finest.positions
-    return mesh_graph(positions[: surface.refinement.levels[level].n_vertices], faces, triangles), triangles
+def unfold(point_map: PointMap, held: IndexArray, config: ElasticConfig = ElasticConfig()) -> PointMap:
+    """A map without most of its folds: relaxed where they are small, laid out where whole parts fold.
 
-
-def finest_surface(surface: Surface) -> tuple[FloatArray, IndexArray]:
-    """Finest vertices at unit area, and triangles."""
-    finest = surface.triangles(surface.finest)
-    return finest.positions, finest.triangles
+    Parameters
+    ----------
+    point_map : PointMap
+    held : (p,) int64
+        Target vertices whose images stay (landmarks).
+    config : ElasticConfig
+    """
+    weight = config.projection_normal_weights[0]
+    images, flipped = relax_folds(point_map.images, point_map.target.triangles, held, normal_weight=weight)
+    return PointMap(point_map.target, lay_out_parts(images, flipped, point_map.target, held))
 
 
 def refined_positions(refinement: Refinement, level: int, points: FloatArray) -> FloatArray:
@@ -75,53 +87,9 @@ def control_points(sampling: sparse.csr_array, points: FloatArray, steps: int = 
     return control
 
 
-def level_faces(refinement: Refinement, level: int) -> tuple[IndexArray, IndexArray]:
-    """Faces of a level for its stiffness, and their triangles; n-gons of the control mesh are fans."""
-    faces = refinement.levels[level].faces
-    split = level_triangles(refinement, level)
-    return (split if faces is None else faces), split
-
-
-def project(positions: FloatArray, pair: Pair, tree: TriangleTree, config: ElasticConfig = ElasticConfig()) -> PointMap:
-    """Closest points of the source in position and normal, landmarks on their vertices exactly, folds removed.
-
-    Parameters
-    ----------
-    positions : (n1, 3) float64
-        Of the target's finest vertices, near the source at unit area.
-    pair : Pair
-    tree : TriangleTree
-        Of the source's finest level at unit area.
-    config : ElasticConfig
-
-    Returns
-    -------
-    PointMap
-        Of the finest levels.
-    """
-    on_target, target_triangles = finest_surface(pair.target)
-    on_source, source_triangles = finest_surface(pair.source)
-    weights = config.projection_normal_weights
-    triangle, barycentric = facing_points(tree, positions, vertex_normals(positions, target_triangles), weights)
-    landmarks = pair.target_landmarks, pair.source_landmarks
-    wanted = np.zeros(len(on_source), dtype=bool)
-    wanted[landmarks[1]] = True
-    at_landmarks = np.flatnonzero(wanted[source_triangles.ravel()])
-    holder = np.zeros(len(on_source), dtype=np.int64)
-    holder[source_triangles.ravel()[at_landmarks]] = at_landmarks // 3
-    triangle[landmarks[0]] = holder[landmarks[1]]
-    barycentric[landmarks[0]] = source_triangles[triangle[landmarks[0]]] == landmarks[1][:, None]
-    sides = Sides(on_target, target_triangles, on_source, source_triangles, tree)
-    images = Images.of(triangle, barycentric, sides)
-    images, flipped = unfold(images, sides, landmarks[0], normal_weight=weights[0])
-    images = lay_out_parts(images, flipped, sides, landmarks[0])
-    surfaces = pair.target.triangles(pair.target.finest), pair.source.triangles(pair.source.finest)
-    return PointMap.from_arrays(*surfaces, images.triangle, images.barycentric)
-
-
 def facing_points(
-    tree: TriangleTree, points: FloatArray, normals: FloatArray, weights: tuple[float, float]
-) -> tuple[IndexArray, FloatArray]:
+    surface: TriangleSurface, points: FloatArray, normals: FloatArray, weights: tuple[float, float]
+) -> SurfacePoints:
     """Closest points of a surface; where they do not face the same way, those that weigh normals more.
 
     On the surface, a normal that differs from the source's moves the closest point sideways: where the surface bends
@@ -129,20 +97,15 @@ def facing_points(
 
     Parameters
     ----------
-    tree : TriangleTree
+    surface : TriangleSurface
     points, normals : (m, 3) float64
     weights : (float, float)
         Normal weights of the first search, and of the second.
-
-    Returns
-    -------
-    triangle, barycentric : (m,), (m, 3)
     """
-    triangle, barycentric, _ = closest_points(tree, points, normals, normal_weight=weights[0])
-    cosine = np.einsum("md,md->m", tree.normals_of(triangle), normals)
-    away = np.flatnonzero(cosine < LEAST_COSINE)
-    if len(away):
-        triangle[away], barycentric[away], _ = closest_points(
-            tree, points[away], normals[away], normal_weight=weights[1], guess=triangle[away]
-        )
-    return triangle, barycentric
+    found = SurfacePoints.nearest(surface, points, normals, normal_weight=weights[0])
+    away = np.flatnonzero(np.einsum("md,md->m", found.normals, normals) < LEAST_COSINE)
+    if not len(away):
+        return found
+    guess = found.triangle[away]
+    again = SurfacePoints.nearest(surface, points[away], normals[away], normal_weight=weights[1], guess=guess)
+    return found.replaced(away, again)

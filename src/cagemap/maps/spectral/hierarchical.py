@@ -91,7 +91,7 @@ def hierarchical_map(
     """
     progress("functional map")
     constraints = gather_constraints(pair, config.descriptors)
-    searched = search_levels(pair, config)
+    searched = search_levels(pair.target, pair.source, config)
     target = _samples(pair.target, searched[0], pair.target_landmarks, config)
     source = _samples(pair.source, searched[1], pair.source_landmarks, config)
     maps = [LevelMap(searched, *grown_map(constraints, target, source, config))]
@@ -102,7 +102,7 @@ def hierarchical_map(
     return tuple(maps), recover_points(pair, maps[-1])
 
 
-def search_levels(pair: Pair, config: HierarchyConfig) -> LevelPair:
+def search_levels(target: Surface, source: Surface, config: HierarchyConfig) -> LevelPair:
     """The levels whose point map is searched in full: the coarsest ones with enough vertices and basis functions."""
 
     def first(surface: Surface) -> int:
@@ -114,7 +114,7 @@ def search_levels(pair: Pair, config: HierarchyConfig) -> LevelPair:
         )
         return next(enough, surface.finest)
 
-    return first(pair.target), first(pair.source)
+    return first(target), first(source)
 
 
 def grown_map(

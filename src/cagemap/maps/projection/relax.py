@@ -7,18 +7,18 @@ the patch's boundary: a discrete harmonic map, which is one-to-one where the pat
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from cagemap.geometry.closest import TriangleTree, closest_points
+from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.triangles import CACHED, normalized
-from cagemap.maps.quality import flipped_triangles, map_positions
+from cagemap.maps.quality import flipped_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads, parts
+
+BoolArray = NDArray[np.bool_]
 
 ROUNDS = 8
 SWEEPS = 10
@@ -26,71 +26,14 @@ SWEEPS = 10
 LEAST_GAIN = 0.02
 
 
-@dataclass(frozen=True)
-class Sides:
-    """The surfaces that a map goes between.
-
-    Attributes
-    ----------
-    target, target_triangles : (n1, 3), (t1, 3)
-        At unit area.
-    source, source_triangles : (n2, 3), (t2, 3)
-        At unit area.
-    tree : TriangleTree
-        Of the source.
-    """
-
-    target: FloatArray
-    target_triangles: IndexArray
-    source: FloatArray
-    source_triangles: IndexArray
-    tree: TriangleTree
-
-
-@dataclass(frozen=True)
-class Images:
-    """Where vertices of the target go.
-
-    Attributes
-    ----------
-    triangle, barycentric : (n,), (n, 3)
-        Of the source.
-    positions : (n, 3) float64
-    """
-
-    triangle: IndexArray
-    barycentric: FloatArray
-    positions: FloatArray
-
-    @classmethod
-    def of(cls, triangle: IndexArray, barycentric: FloatArray, sides: Sides) -> Images:
-        """With the positions of these points of the source."""
-        return cls(triangle, barycentric, map_positions(sides.source, sides.source_triangles, triangle, barycentric))
-
-    def flipped(self, triangles: IndexArray, tree: TriangleTree) -> NDArray[np.bool_]:
-        """(t,) which of some triangles (t, 3) of the target lie upside down."""
-        return flipped_triangles(self.positions, triangles, tree.normals_of(self.triangle))
-
-    def at(self, vertices: IndexArray) -> Images:
-        """Of some vertices alone."""
-        return Images(self.triangle[vertices], self.barycentric[vertices], self.positions[vertices])
-
-    def with_new(self, vertices: IndexArray, new: Images) -> Images:
-        """Other images for some vertices."""
-        changed = self.triangle.copy(), self.barycentric.copy(), self.positions.copy()
-        for values, others in zip(changed, (new.triangle, new.barycentric, new.positions), strict=True):
-            values[vertices] = others
-        return Images(*changed)
-
-
-def unfold(
-    images: Images,
-    sides: Sides,
+def relax_folds(
+    images: SurfacePoints,
+    triangles: IndexArray,
     held: IndexArray,
     *,
     normal_weight: float,
     rounds: int = ROUNDS,
-) -> tuple[Images, NDArray[np.bool_]]:
+) -> tuple[SurfacePoints, NDArray[np.bool_]]:
     """Reduce the flipped triangles of a map; vertices far from a flip and held ones keep their image.
 
     A connected patch keeps its new image only if fewer of its triangles are flipped than before; the patches grow by a
@@ -98,9 +41,10 @@ def unfold(
 
     Parameters
     ----------
-    images : Images
-        The map.
-    sides : Sides
+    images : SurfacePoints
+        Where the map takes the target's vertices.
+    triangles : (t1, 3) int64
+        Of the target.
     held : (p,) int64
         Target vertices that may not move (landmarks).
     normal_weight : float
@@ -108,16 +52,15 @@ def unfold(
 
     Returns
     -------
-    images : Images
+    images : SurfacePoints
     flipped : (t1,) bool
         Target triangles that still are.
     """
-    triangles = sides.target_triangles
-    flipped = images.flipped(triangles, sides.tree)
+    flipped = flipped_triangles(images, triangles)
     if not flipped.any():
         return images, flipped
     # Nothing outside the last round's patch is looked at: go on with the triangles around it, renumbered.
-    inner = around(triangles, flipped, rounds, len(images.triangle))
+    inner = around(triangles, flipped, rounds, len(images))
     region = touched_triangles(triangles, inner)
     vertices, near = np.unique(triangles[region], return_inverse=True)
     near = near.reshape(-1, 3)
@@ -127,39 +70,36 @@ def unfold(
     for ring in range(1, rounds + 1):
         before = folded.sum()
         inside = around(near, folded, ring, len(vertices)) & movable
-        local = _relaxed(local, near, inside, folded, sides, normal_weight)
-        folded = local.flipped(near, sides.tree)
+        local = _relaxed(local, near, inside, folded, normal_weight)
+        folded = flipped_triangles(local, near)
         if folded.sum() > (1.0 - LEAST_GAIN) * before or not folded.any():
             break
     flipped[region] = folded
-    return images.with_new(vertices, local), flipped
+    return images.replaced(vertices, local), flipped
 
 
 def _relaxed(
-    images: Images, near: IndexArray, inside: np.ndarray, flipped: np.ndarray, sides: Sides, normal_weight: float
-) -> Images:
+    images: SurfacePoints, near: IndexArray, inside: BoolArray, flipped: BoolArray, normal_weight: float
+) -> SurfacePoints:
     """Images of the vertices inside after some sweeps of averaging, where that leaves fewer triangles flipped."""
     vertices = np.flatnonzero(inside)
     touched = touched_triangles(near, inside)
     means = neighbour_means(near[touched], inside)
-    moved, directions = images.positions.copy(), sides.tree.normals_of(images.triangle)
+    moved, directions = images.positions.copy(), images.normals.copy()
     for _ in range(SWEEPS):
         moved[vertices] = means @ moved
         directions[vertices] = normalized(means @ directions)
-    found, weights, _ = closest_points(
-        sides.tree,
-        moved[vertices],
-        directions[vertices],
-        normal_weight=normal_weight,
-        guess=images.triangle[vertices],
+    guess = images.triangle[vertices]
+    found = SurfacePoints.nearest(
+        images.surface, moved[vertices], directions[vertices], normal_weight=normal_weight, guess=guess
     )
-    new = images.with_new(vertices, Images.of(found, weights, sides))
-    still = new.flipped(near[touched], sides.tree)
+    new = images.replaced(vertices, found)
+    still = flipped_triangles(new, near[touched])
     kept = np.flatnonzero(_improved(near[touched], inside, flipped[touched], still))
-    return images.with_new(kept, new.at(kept))
+    return images.replaced(kept, new.at(kept))
 
 
-def around(triangles: IndexArray, flipped: np.ndarray, rings: int, n: int) -> NDArray[np.bool_]:
+def around(triangles: IndexArray, flipped: BoolArray, rings: int, n: int) -> NDArray[np.bool_]:
     """(n,) which vertices are those of flipped triangles and of some rings around them."""
     inside = np.zeros(n, dtype=bool)
     inside[triangles[flipped].ravel()] = True
@@ -168,7 +108,7 @@ def around(triangles: IndexArray, flipped: np.ndarray, rings: int, n: int) -> ND
     return inside
 
 
-def touched_triangles(triangles: IndexArray, inside: np.ndarray) -> np.ndarray:
+def touched_triangles(triangles: IndexArray, inside: BoolArray) -> BoolArray:
     """(t,) triangles with a corner inside."""
     touched = np.empty(len(triangles), dtype=np.bool_)
 
@@ -180,7 +120,7 @@ def touched_triangles(triangles: IndexArray, inside: np.ndarray) -> np.ndarray:
     return touched
 
 
-def _improved(near: IndexArray, inside: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+def _improved(near: IndexArray, inside: BoolArray, before: BoolArray, after: BoolArray) -> BoolArray:
     """(n,) vertices of those connected patches in which fewer of the touched triangles are flipped than before."""
     patch = patches(near, inside)
     # The inside corners of a triangle are neighbours, so that any of them names its patch.
@@ -190,7 +130,7 @@ def _improved(near: IndexArray, inside: np.ndarray, before: np.ndarray, after: n
     return np.asarray(inside & (gain[patch] > 0))
 
 
-def patches(triangles: IndexArray, inside: np.ndarray) -> IndexArray:
+def patches(triangles: IndexArray, inside: BoolArray) -> IndexArray:
     """(n,) connected patch of every vertex, below n; vertices outside are patches of their own."""
     n = len(inside)
     near = triangles[touched_triangles(triangles, inside)]
@@ -200,7 +140,7 @@ def patches(triangles: IndexArray, inside: np.ndarray) -> IndexArray:
     return csgraph.connected_components(graph.tocsr(), directed=False)[1].astype(np.int64)
 
 
-def convex_rows(rows: IndexArray, columns: IndexArray, weights: FloatArray, inside: np.ndarray) -> sparse.csr_array:
+def convex_rows(rows: IndexArray, columns: IndexArray, weights: FloatArray, inside: BoolArray) -> sparse.csr_array:
     """(v, n) convex combinations for the v vertices inside: weights, summed where they meet, in rows of sum 1."""
     kept = inside[rows]
     number = np.cumsum(inside) - 1
@@ -209,7 +149,7 @@ def convex_rows(rows: IndexArray, columns: IndexArray, weights: FloatArray, insi
     return sparse.csr_array(sparse.diags_array(1.0 / np.asarray(matrix.sum(axis=1)).ravel()) @ matrix)
 
 
-def neighbour_means(triangles: IndexArray, inside: np.ndarray) -> sparse.csr_array:
+def neighbour_means(triangles: IndexArray, inside: BoolArray) -> sparse.csr_array:
     """(v, n) matrix that averages the neighbours of every inside vertex."""
     rows, columns = triangles[:, [0, 1, 2, 0, 1, 2]].ravel(), triangles[:, [1, 2, 0, 2, 0, 1]].ravel()
     return convex_rows(rows, columns, np.ones(len(rows)), inside)

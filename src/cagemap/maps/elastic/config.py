@@ -1,0 +1,75 @@
+"""Parameters of the elastic fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cagemap.numerics.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One run of iterations on one graph.
+
+    Attributes
+    ----------
+    iterations : int
+    stiffness : (float, float)
+        Weight alpha of the energy against the data, first and last; it falls geometrically over the first ``ramp`` of
+        the iterations. sqrt(alpha) is the length, of sqrt(area), below which the energy outweighs the data.
+    smoothing : float
+        epsilon: its square root is the length over which differentials are smoothed.
+    ramp : float
+        See ``stiffness``.
+    momentum : float
+        Every iteration but the last goes on by this share of its change: x <- x + momentum (x - x_before).
+    patience : int
+        At most this many iterations more, at the last stiffness, while the deformation would still fold or flatten more
+        than `UNSETTLED` of the surface.
+    """
+
+    iterations: int
+    stiffness: tuple[float, float]
+    smoothing: float
+    ramp: float = 0.7
+    momentum: float = 0.0
+    patience: int = 0
+
+    def ramped(self) -> FloatArray:
+        """(iterations + patience,) stiffness alpha of every iteration."""
+        first, last = self.stiffness
+        steps = np.minimum(np.arange(self.iterations + self.patience) / max(self.ramp * self.iterations, 1e-9), 1.0)
+        return np.asarray(first * (last / first) ** steps)
+
+
+@dataclass(frozen=True)
+class ElasticConfig:
+    """Parameters of the fit; the defaults are the measured ones (docs/accuracy.md).
+
+    Attributes
+    ----------
+    coarse_vertices : int
+        Size of the coarse graph.
+    coarse, fine : Stage
+    normal_weight : float
+        Closest points count position and this length times the normal.
+    fine_normal_weight : float
+        The same for those of the fine stage's vertices.
+    projection_normal_weights : (float, float)
+        The same in the last projection, see `facing_points`.
+    landmark_weight : float
+        Of a landmark, against a data weight of 1 for the whole surface.
+    response : Stage
+        What changed landmarks do to a map that is there, on the coarse graph (`cagemap.maps.elastic.update`).
+    """
+
+    coarse_vertices: int = 1500
+    coarse: Stage = Stage(10, (5e-2, 2e-4), 1e-2, momentum=0.6)
+    fine: Stage = Stage(12, (2e-4, 1e-5), 1e-4, momentum=0.8, patience=12)
+    normal_weight: float = 0.03
+    fine_normal_weight: float = 0.01
+    projection_normal_weights: tuple[float, float] = (0.002, 0.02)
+    landmark_weight: float = 1e2
+    response: Stage = Stage(8, (2e-4, 2e-4), 1e-2, momentum=0.6)

@@ -1,0 +1,147 @@
+"""What the elastic fit needs of two surfaces before any landmark: built once, used for every set of landmarks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from cagemap.basis import Surface
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.maps.elastic.config import ElasticConfig
+from cagemap.maps.elastic.counterparts import ReceivedArea
+from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph, bounded_maps, cluster_graph, mesh_graph
+from cagemap.maps.spectral.hierarchical import HierarchyConfig, search_levels
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import ThreadPool
+
+# Vertices from which a level of the source is fine enough to lie on while fitting.
+SHEET_VERTICES = 15_000
+
+
+@dataclass(frozen=True, eq=False)
+class RestShape:
+    """A graph with all that its rest shape alone decides: built before it is known where the shape goes.
+
+    Attributes
+    ----------
+    graph : ElasticGraph
+    field : DifferentialField
+    mesh : TriangleSurface or None
+        The mesh whose graph it is; None for clusters of one.
+    received : ReceivedArea or None
+        Of a mesh.
+    """
+
+    graph: ElasticGraph
+    field: DifferentialField
+    mesh: TriangleSurface | None
+    received: ReceivedArea | None
+
+    @classmethod
+    def build(cls, graph: ElasticGraph, mesh: TriangleSurface | None, smoothing: float) -> RestShape:
+        """Factor the matrices that stay the same in all iterations of a stage."""
+        laplacian = graph.laplacian()
+        field = DifferentialField.build(graph, laplacian, smoothing)
+        return cls(graph, field, mesh, None if mesh is None else ReceivedArea.build(graph, laplacian))
+
+    def differentials(self, positions: FloatArray) -> tuple[FloatArray, IndexArray]:
+        """(n, 3, 3) maps A for positions x (n, 3), none of which folds or flattens, and which of them were bounded."""
+        return bounded_maps(self.field.solve(positions), self.graph.normals)
+
+
+@dataclass(frozen=True, eq=False)
+class CoarseShape:
+    """Clusters of a mesh's vertices, for the stage that moves whole limbs.
+
+    Attributes
+    ----------
+    rest : RestShape
+        Of the k clusters.
+    vertices : (k,) int64
+        Vertex of the mesh that stands for each; those that were to have a cluster of their own come first.
+    """
+
+    rest: RestShape
+    vertices: IndexArray
+
+    @classmethod
+    def build(cls, graph: ElasticGraph, kept: IndexArray, config: ElasticConfig) -> CoarseShape:
+        """Cluster a mesh's graph, every kept vertex (p,) a cluster of its own."""
+        coarse, vertices = cluster_graph(graph, min(config.coarse_vertices, graph.n), kept)
+        return cls(RestShape.build(coarse, None, config.coarse.smoothing), vertices)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PreparedPair:
+    """Two surfaces with all of a match that no landmark changes.
+
+    Attributes
+    ----------
+    target, source : Surface
+    hierarchy : HierarchyConfig
+    elastic : ElasticConfig
+    levels : (int, int)
+        Of target and source, where the spectral map is searched in full. The target's is the level that is deformed.
+    rest : RestShape
+        Of the target's mesh of that level.
+    sheet : TriangleSurface
+        A level of the source, to lie on.
+    """
+
+    target: Surface
+    source: Surface
+    hierarchy: HierarchyConfig
+    elastic: ElasticConfig
+    levels: tuple[int, int]
+    rest: RestShape
+    sheet: TriangleSurface
+
+    @classmethod
+    def build(
+        cls,
+        target: Surface,
+        source: Surface,
+        hierarchy: HierarchyConfig = HierarchyConfig(),
+        elastic: ElasticConfig = ElasticConfig(),
+    ) -> PreparedPair:
+        """Factor the target's rest shape, and order the source's triangles for closest points."""
+        levels = search_levels(target, source, hierarchy)
+        sheet = source.triangles(source.refinement.coarsest_level(SHEET_VERTICES))
+        with ThreadPool(1) as aside:
+            trees = aside.submit(lambda: (sheet.tree, source.triangles(source.finest).tree))
+            graph = level_graph(target, levels[0])
+            rest = RestShape.build(graph, target.triangles(levels[0]), elastic.fine.smoothing)
+            trees.result()
+        return cls(target, source, hierarchy, elastic, levels, rest, sheet)
+
+    @property
+    def mesh(self) -> TriangleSurface:
+        """The target's mesh of the level that is deformed, at its places on the finest surface."""
+        return self.target.triangles(self.levels[0])
+
+    @cached_property
+    def graphs(self) -> tuple[ElasticGraph, ElasticGraph]:
+        """Graphs of both search levels, which landmarks are judged on; made once when they are first asked for."""
+        return self.rest.graph, level_graph(self.source, self.levels[1])
+
+    @property
+    def on_source(self) -> TriangleSurface:
+        """The source's finest surface, which maps lead to."""
+        return self.source.triangles(self.source.finest)
+
+    def coarse(self, kept: IndexArray | None = None) -> CoarseShape:
+        """Clusters of the target's mesh, each of the kept vertices (p,) one of its own; landmarks, or none."""
+        none = np.zeros(0, dtype=np.int64)
+        return CoarseShape.build(self.rest.graph, none if kept is None else kept, self.elastic)
+
+    def __repr__(self) -> str:
+        return f"PreparedPair({self.target} -> {self.source})"
+
+
+def level_graph(surface: Surface, level: int) -> ElasticGraph:
+    """Graph of a level's vertices at their places on the finest surface, at unit area."""
+    faces = surface.refinement.levels[level].faces
+    mesh = surface.triangles(level)
+    return mesh_graph(mesh, mesh.triangles if faces is None else faces)
