@@ -10,10 +10,14 @@ from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from cagemap.example import Creature, deer, example_pair, paint_displacement, paint_texture, pony
-from cagemap.example.brushes import rgb, star
-from cagemap.example.modelling import CHANNELS, mirror_vertices
-from cagemap.example.unwrap import flatten
+from cagemap.example import example_pair
+from examples.creatures.creatures import deer, pony
+from examples.creatures.modelling import Creature
+from examples.creatures.pair import creature_landmarks
+from examples.creatures.paint import paint_displacement, paint_texture
+from examples.creatures.brushes import rgb, star
+from examples.creatures.modelling import CHANNELS, mirror_vertices
+from examples.creatures.unwrap import flatten
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.landmarks import check_landmarks

@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from cagemap.example.blueprints import DEER, PONY, Blueprint, Patch
-from cagemap.example.modelling import CHANNELS, Creature, Modeller
-from cagemap.example.unwrap import unwrap
+from examples.creatures.blueprints import DEER, PONY, Blueprint, Patch
+from examples.creatures.modelling import CHANNELS, Creature, Modeller
+from examples.creatures.unwrap import unwrap
 from cagemap.numerics.arrays import FloatArray
 
 SIDES = ("L", "R")

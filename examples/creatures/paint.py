@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.example.brushes import lay_over, rgb, rise, star
-from cagemap.example.canvas import Anatomy, Float32Array, Samples, fill_texture
-from cagemap.example.modelling import Creature
+from examples.creatures.brushes import lay_over, rgb, rise, star
+from examples.creatures.canvas import Anatomy, Float32Array, Samples, fill_texture
+from examples.creatures.modelling import Creature
 from cagemap.numerics.arrays import FloatArray
 
 STRIPE_SPACING = 0.205

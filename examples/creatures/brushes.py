@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cagemap.example.canvas import Float32Array
+from examples.creatures.canvas import Float32Array
 from cagemap.numerics.arrays import FloatArray
 
 PALETTE = {

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.example.modelling import CHANNELS, Creature
+from examples.creatures.modelling import CHANNELS, Creature
 from cagemap.geometry.triangles import triangle_areas, triangle_neighbors, vertex_normals
 from cagemap.numerics.arrays import FloatArray
 from cagemap.refinement import refine
