@@ -6,18 +6,16 @@ from functools import cache
 
 import numpy as np
 import pytest
+from examples.creatures.brushes import rgb, star
+from examples.creatures.creatures import deer, pony
+from examples.creatures.modelling import CHANNELS, Creature, mirror_vertices
+from examples.creatures.paint import paint_displacement, paint_texture
+from examples.creatures.unwrap import flatten
 from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from cagemap.example import example_pair
-from examples.creatures.creatures import deer, pony
-from examples.creatures.modelling import Creature
-from examples.creatures.pair import creature_landmarks
-from examples.creatures.paint import paint_displacement, paint_texture
-from examples.creatures.brushes import rgb, star
-from examples.creatures.modelling import CHANNELS, mirror_vertices
-from examples.creatures.unwrap import flatten
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.landmarks import check_landmarks

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from examples.creatures.creatures import deer, pony
+from examples.creatures.paint import paint_texture
+from examples.creatures.pair import creature_landmarks
+
 from cagemap.files.images import write_image
 from cagemap.files.landmarks import write_landmarks
 from cagemap.files.meshes import write_mesh
-from examples.creatures.creatures import deer, pony
-from examples.creatures.pair import creature_landmarks
-from examples.creatures.paint import paint_texture
 
 FOLDER = Path(__file__).resolve().parents[2] / "src" / "cagemap" / "example"
 TEXTURE_SIZE = 2048

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-
 from examples.creatures.canvas import Float32Array
+
 from cagemap.numerics.arrays import FloatArray
 
 PALETTE = {

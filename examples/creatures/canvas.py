@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from examples.creatures.modelling import CHANNELS, Creature
 from numpy.typing import NDArray
 
-from examples.creatures.modelling import CHANNELS, Creature
 from cagemap.geometry.triangles import triangle_areas, triangle_neighbors, vertex_normals
 from cagemap.numerics.arrays import FloatArray
 from cagemap.refinement import refine

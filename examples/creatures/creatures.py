@@ -8,10 +8,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-
 from examples.creatures.blueprints import DEER, PONY, Blueprint, Patch
 from examples.creatures.modelling import CHANNELS, Creature, Modeller
 from examples.creatures.unwrap import unwrap
+
 from cagemap.numerics.arrays import FloatArray
 
 SIDES = ("L", "R")

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
-
 from examples.creatures.brushes import lay_over, rgb, rise, star
 from examples.creatures.canvas import Anatomy, Float32Array, Samples, fill_texture
 from examples.creatures.modelling import Creature
+from numpy.typing import NDArray
+
 from cagemap.numerics.arrays import FloatArray
 
 STRIPE_SPACING = 0.205

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from examples.creatures.modelling import Creature
 
 from cagemap.mesh.landmarks import Landmarks
-from examples.creatures.modelling import Creature
 
 
 def creature_landmarks(target: Creature, source: Creature) -> Landmarks:

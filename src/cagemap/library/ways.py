@@ -57,15 +57,7 @@ def composed_result(way: Sequence[Result], names: Sequence[str]) -> Result:
     first, last = way[0], way[-1]
     found = composed_map([stored_map(result) for result in way])
     nothing = np.zeros(0, dtype=np.int64)
-    quality = measure_quality(
-        found.target.positions,
-        found.target.triangles,
-        found.source.positions,
-        found.source.triangles,
-        found.triangle,
-        found.barycentric,
-        np.zeros((0, 2), dtype=np.int64),
-    )
+    quality = measure_quality(found)
     functional_map = way[0].functional_map
     for result in way[1:]:
         functional_map = functional_map @ result.functional_map

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
+from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import triangle_normals
 from cagemap.maps.elastic.graph import ElasticGraph, mesh_graph
 from cagemap.mesh import ControlMesh
@@ -77,9 +78,9 @@ def control_net(refinement: Refinement, level: int, scale: float) -> ControlNet:
         What the target's lengths are multiplied by to get a surface of unit area.
     """
     mesh = level_mesh(refinement, level)
-    split = level_triangles(refinement, level)
+    net = TriangleSurface(scale * mesh.positions, level_triangles(refinement, level), scale)
     faces = refinement.levels[level].faces
-    graph = mesh_graph(scale * mesh.positions, split if faces is None else faces, split)
+    graph = mesh_graph(net, net.triangles if faces is None else faces)
     lengths2 = np.einsum("ed,ed->e", graph.edges, graph.edges)
     weights = graph.weights * (lengths2 / lengths2.mean()) ** _POWER * lengths2.mean()
     finest = refinement.finest
