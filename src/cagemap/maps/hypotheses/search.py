@@ -9,8 +9,8 @@ from typing import TypeVar
 import numpy as np
 
 from cagemap.geometry.closest import build_tree, closest_points
-from cagemap.maps.elastic.data import PULLERS, Pullers, deformed_normals
 from cagemap.maps.elastic.config import Stage
+from cagemap.maps.elastic.data import PULLERS, Pullers, deformed_normals
 from cagemap.maps.elastic.fit import CoarseFit, coarse_cost, coarse_fit, fine_fit
 from cagemap.maps.elastic.graph import ElasticGraph, extrapolate
 from cagemap.maps.elastic.prepared import SHEET_VERTICES, CoarseShape, PreparedPair
@@ -108,9 +108,7 @@ def reading_cost(prepared: PreparedPair, pullers: Pullers, positions: FloatArray
     return cost + float(pullers.areas @ distance**2)
 
 
-def _rough_fits(
-    prepared: PreparedPair, pair: Pair, shape: CoarseShape, config: HypothesesConfig
-) -> list[_Candidate]:
+def _rough_fits(prepared: PreparedPair, pair: Pair, shape: CoarseShape, config: HypothesesConfig) -> list[_Candidate]:
     """The different ends of all rigid starts on a small graph, cheapest first, brought to the coarse graph."""
     staged = replace(prepared.elastic, coarse=config.rough, coarse_vertices=config.rough_vertices)
     rough = CoarseShape.build(prepared.rest.graph, pair.target_landmarks, staged)
