@@ -272,6 +272,22 @@ def test_a_target_without_uvs_needs_unwrap(run: Run, result_folder: Path, monkey
     assert shown["r"].target.control.uvs is not None  # type: ignore[attr-defined]
 
 
+def test_a_normal_map_is_not_taken_for_colours_without_a_word(run: Run, result_folder: Path) -> None:
+    place = result_folder.parent
+    slopes = np.random.default_rng(5).normal(0.0, 0.3, (32, 48, 2))
+    normals = np.concatenate([slopes, np.ones((32, 48, 1))], axis=2)
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    write_image(place / "n.png", np.round(255 * (normals + 1) / 2).astype(np.uint8))
+    warned = run("transfer", "R", "--texture", "n.png", "--size", 16, "-o", "o.png")
+    assert warned.code == 0
+    assert "looks like a normal map" in warned.err
+    sky = np.round(255 * np.random.default_rng(6).random((32, 48, 1)) * [0.5, 0.7, 1.0]).astype(np.uint8)
+    for name, pixels in (("t.png", None), ("sky.png", sky), ("grey.png", sky[:, :, :1])):
+        if pixels is not None:
+            write_image(place / name, pixels)
+        assert run("transfer", "R", "--texture", name, "--size", 16, "-o", "o.png").err == "", name
+
+
 @pytest.mark.parametrize("option", ["--scale", "--midlevel"])
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
 def test_heights_have_finite_scales(run: Run, result_folder: Path, option: str, value: str) -> None:

@@ -47,6 +47,7 @@ from cagemap.transfer import (
     target_tiles,
     unwrap,
 )
+from cagemap.transfer.normal_maps import looks_like_normal_map
 
 DEFAULT_SIZE = 2048
 Outcome = tuple[str, list[str]]
@@ -128,6 +129,11 @@ def _carry_texture(request: TransferRequest, result: Result, stages: Stages) -> 
     check_writable(request.output, dtype, first.pixels.shape[2])
     size = request.size or max(first.size)
     prepared = _prepare_bake(request, result, stages)
+    if looks_like_normal_map(first.pixels):
+        prepared.warnings.append(
+            f"{request.texture} looks like a normal map and is baked as colours: its directions belong to the source's "
+            "layout, and light would fall wrongly on the target. Bake --displacement instead"
+        )
     stages("bake")
     for tile in prepared.tiles:
         pixels = bake_texture(
