@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import linalg, sparse
 
-from cagemap.basis.eigen import EigenPairs, band_pairs, residual_norms
+from cagemap.basis.eigen import EigenPairs, band_pairs, count_below, residual_norms
 from cagemap.basis.error_estimate import ErrorEstimate, estimate_errors
 from cagemap.basis.gram import extend_gram, overlaps_with_bands
 from cagemap.basis.guess import SINGLE_TOLERANCE, pairs_from_guess, working_type
@@ -175,11 +175,27 @@ class _Growth:
 
     def add_scheduled(self, level: int, wanted: int) -> None:
         """Add the pairs that the fixed schedule wants of a level."""
+        if self.config.literal and level > 0:
+            self.add_literal(level, wanted)
+            return
         pairs = self.window(level, self.count + wanted)
         # Any error will do here: the estimate is for the record, and a sample of pairs is enough.
         estimate = self.estimate(pairs, level, tolerance=np.inf)
         self.append(level, pairs, estimate, wanted)
         self.pairs = pairs
+
+    def add_literal(self, level: int, wanted: int) -> None:
+        """Add the pairs of a level that follow the largest eigenvalue so far: eq. 8 with Definition 2 to the letter."""
+        stiffness, mass = self.operators.stiffness[level], self.operators.mass[level]
+        first = count_below(stiffness, mass, float(self.values.max()))
+        if first + wanted > self.rows(level):
+            raise ParameterError(
+                f"schedule: expected at most {self.rows(level) - first} functions at level {level}, which has so many "
+                f"above the largest eigenvalue so far, got {wanted}; move counts to finer levels"
+            )
+        pairs = band_pairs(stiffness, mass, first, first + wanted, tolerance=self.config.solver_accuracy)
+        estimate = self.estimate(pairs, level, tolerance=np.inf)
+        self.append_band(level, pairs.vectors, first + np.arange(wanted), estimate.errors)
 
     def add_controlled(self, level: int) -> None:
         """Add the pairs of one level that meet the tolerance there."""
@@ -292,6 +308,10 @@ class _Growth:
     def append(self, level: int, pairs: EigenPairs, estimate: ErrorEstimate, wanted: int) -> None:
         """Append the first ``wanted`` new directions of a window of eigenpairs to the band of a level (eq. 8)."""
         vectors, positions = self.missing(level, pairs, wanted)
+        self.append_band(level, vectors, pairs.first_index + positions, estimate.errors[positions])
+
+    def append_band(self, level: int, vectors: Block, indices: IndexArray, errors: FloatArray) -> None:
+        """Append eigenvectors of a level, with their places in its spectrum, to its band."""
         mass, stiffness = self.operators.mass[level], self.operators.stiffness[level]
         band = _orthonormal(vectors, mass)
         dual, energy = multiply(mass, band), multiply(stiffness, band)
@@ -304,8 +324,8 @@ class _Growth:
             self.bands[level] = np.hstack([self.bands[level], band])
         self.values = np.concatenate([self.values, values])
         self.residuals = np.concatenate([self.residuals, residuals])
-        self.errors = np.concatenate([self.errors, estimate.errors[positions]])
-        self.indices = np.concatenate([self.indices, pairs.first_index + positions])
+        self.errors = np.concatenate([self.errors, errors])
+        self.indices = np.concatenate([self.indices, indices])
 
     def missing(self, level: int, pairs: EigenPairs, wanted: int) -> tuple[Block, IndexArray]:
         """The first ``wanted`` eigenvectors of a window that the basis does not have yet, and their places in it."""

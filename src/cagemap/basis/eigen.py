@@ -305,6 +305,26 @@ def missed_pairs(
     return 0
 
 
+def count_below(stiffness: sparse.csr_array, mass: sparse.csr_array, value: float) -> int:
+    """Number of eigenvalues below a value, by Sylvester's law of inertia.
+
+    Raises
+    ------
+    SolverError
+        If the factorisation tells no inertia there.
+    """
+    for nudge in (0.0, 1e-9, -1e-9, 1e-7):  # the value may be an eigenvalue itself
+        try:
+            counted = factor(shifted_matrix(stiffness, mass, value * (1.0 + nudge))).negative_eigenvalues
+        except SolverError:
+            continue
+        if counted is not None:
+            return counted
+    raise SolverError(
+        f"expected to count the eigenvalues below {value:g}, but the factorisation tells no inertia there"
+    )
+
+
 def shifted_matrix(stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float) -> sparse.csr_array:
     """W - shift M."""
     return sparse.csr_array(stiffness - shift * mass)

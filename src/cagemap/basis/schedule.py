@@ -13,6 +13,9 @@ from cagemap.errors import ParameterError
 # surfaces measured: simple plump ones have the larger, bodies with fingers the smaller.
 REACH = 0.5
 LEAST_REACH = 0.14
+# Convergence of the pairs of a fixed schedule, whose eigenvalues are wrong by a thousand times that and more on coarse
+# levels; from here on the Krylov space is kept in single precision.
+FIXED_ACCURACY = 1e-5
 # How far below the last good pair a level may stop in order to end at a wide gap.
 _GAP_SEARCH = 0.25
 
@@ -31,9 +34,14 @@ class BasisConfig:
     schedule : tuple of int, optional
         The paper's fixed schedule: number of pairs k_l that each level adds, level 0 first. Then ``count`` and
         ``tolerance`` are not used.
+    literal : bool
+        Fixed schedule only. Definition 2 to the letter: the band of a level is the k_l eigenvectors that follow the
+        largest eigenvalue so far, whatever the prolonged basis spans already. Since refined eigenvalues are lower, the
+        band then starts a few indices higher, and directions between are lost. Default: the band goes on by index, and
+        what the prolonged basis spans is left out.
     accuracy : float, optional
         Convergence of the eigensolver at its own level, relative to the eigenvalues of the inverted problem. Default:
-        a thousandth of ``tolerance``, and 1e-7 for a fixed schedule. Levels of more than 12 000 vertices may stop once
+        a thousandth of ``tolerance``, and 1e-5 for a fixed schedule. Levels of more than 12 000 vertices may stop once
         their eigenvalues are within a quarter of ``tolerance``.
     """
 
@@ -41,6 +49,7 @@ class BasisConfig:
     tolerance: float = 0.05
     schedule: tuple[int, ...] | None = None
     accuracy: float | None = None
+    literal: bool = False
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -62,12 +71,17 @@ class BasisConfig:
                 f"schedule: expected counts per level such as (100, 50, 50), level 0 first, got {self.schedule}"
             )
 
+        if self.literal and self.schedule is None:
+            raise ParameterError(
+                "literal: expected a fixed schedule with it, as in Definition 2, got none; give schedule"
+            )
+
     @property
     def solver_accuracy(self) -> float:
         """``accuracy`` or its default."""
         if self.accuracy is not None:
             return self.accuracy
-        return 1e-7 if self.schedule is not None else min(1e-4, 1e-3 * self.tolerance)
+        return FIXED_ACCURACY if self.schedule is not None else min(1e-4, 1e-3 * self.tolerance)
 
     @property
     def total(self) -> int:
