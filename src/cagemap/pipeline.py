@@ -206,7 +206,7 @@ def prepare_surfaces(
     target: ControlMesh,
     source: ControlMesh,
     levels: tuple[int, int],
-    config: BasisConfig = MAP_BASIS,
+    config: BasisConfig | tuple[BasisConfig, BasisConfig] = MAP_BASIS,
     *,
     prepare: Callable[..., Surface] = prepare_surface,
     progress: Progress = silent,
@@ -218,7 +218,8 @@ def prepare_surfaces(
     target, source : ControlMesh
     levels : (int, int)
         Finest level of each.
-    config : BasisConfig
+    config : BasisConfig or two
+        Of both, or of each.
     prepare : callable
         What makes one surface from a control mesh, a level and a configuration.
     progress : callable
@@ -229,9 +230,10 @@ def prepare_surfaces(
     InvalidMeshError, ParameterError
         See `prepare_surface`.
     """
+    configs = config if isinstance(config, tuple) else (config, config)
     progress(f"prepare {target.name} and {source.name}")
     with one_blas_thread():  # before the threads start: the setting is the process's
-        made = in_threads(lambda side: prepare(*side, config), list(zip((target, source), levels, strict=True)))
+        made = in_threads(lambda side: prepare(*side), list(zip((target, source), levels, configs, strict=True)))
     return made[0], made[1]
 
 

@@ -212,6 +212,30 @@ def match(
             show_default=False,
         ),
     ] = None,
+    target_level: Annotated[
+        int | None, typer.Option("--target-level", help="--level of the target alone.", show_default=False)
+    ] = None,
+    target_k: Annotated[
+        int | None, typer.Option("--target-k", help="-k of the target alone.", show_default=False)
+    ] = None,
+    target_tolerance: Annotated[
+        float | None, typer.Option("--target-tolerance", help="--tolerance of the target alone.", show_default=False)
+    ] = None,
+    target_schedule: Annotated[
+        str | None, typer.Option("--target-schedule", help="--schedule of the target alone.", show_default=False)
+    ] = None,
+    source_level: Annotated[
+        int | None, typer.Option("--source-level", help="--level of the source alone.", show_default=False)
+    ] = None,
+    source_k: Annotated[
+        int | None, typer.Option("--source-k", help="-k of the source alone.", show_default=False)
+    ] = None,
+    source_tolerance: Annotated[
+        float | None, typer.Option("--source-tolerance", help="--tolerance of the source alone.", show_default=False)
+    ] = None,
+    source_schedule: Annotated[
+        str | None, typer.Option("--source-schedule", help="--schedule of the source alone.", show_default=False)
+    ] = None,
     method: Annotated[
         Method,
         typer.Option(
@@ -221,9 +245,30 @@ def match(
             "paper: the paper's own method, from level 0 on; give it a --schedule.",
         ),
     ] = Method.ELASTIC,
+    parameter: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--parameter",
+            metavar="NAME=VALUE",
+            help="A parameter of the spectral method, such as laplacian=0.01; repeat it for more.",
+            show_default=False,
+        ),
+    ] = None,
     symmetry: Annotated[
         bool, typer.Option("--symmetry/--no-symmetry", help="Use mirror symmetry where both meshes have it.")
     ] = True,
+    target_symmetry: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--target-symmetry", help="File with the image of every control vertex of the target.", show_default=False
+        ),
+    ] = None,
+    source_symmetry: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--source-symmetry", help="The same symmetry of the source; repeat both for more.", show_default=False
+        ),
+    ] = None,
     exchange_landmarks: Annotated[
         bool, typer.Option("--exchange-landmarks", help="The landmark file was made for the other direction.")
     ] = False,
@@ -263,8 +308,19 @@ def match(
         k=k,
         tolerance=tolerance,
         schedule=schedule,
+        target_level=target_level,
+        source_level=source_level,
+        target_k=target_k,
+        source_k=source_k,
+        target_tolerance=target_tolerance,
+        source_tolerance=source_tolerance,
+        target_schedule=target_schedule,
+        source_schedule=source_schedule,
         method=method.value,
+        parameter=tuple(parameter or ()),
         symmetry=symmetry,
+        target_symmetry=tuple(target_symmetry or ()),
+        source_symmetry=tuple(source_symmetry or ()),
         exchange_landmarks=exchange_landmarks,
         trust_landmarks=trust_landmarks,
         scheme=scheme,

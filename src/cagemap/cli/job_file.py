@@ -58,8 +58,14 @@ def stated_options(request: Any, folder: Path) -> dict[str, Any]:
         value = getattr(request, field.name)
         if field.name in _PLACES or value is None or value == _default(field):
             continue
-        options[field.name] = stated_path(value, folder) if isinstance(value, Path) else value
+        options[field.name] = _stated(value, folder)
     return options
+
+
+def _stated(value: Any, folder: Path) -> Any:
+    if isinstance(value, tuple):
+        return [_stated(item, folder) for item in value]
+    return stated_path(value, folder) if isinstance(value, Path) else value
 
 
 def _asset_name(path: Path) -> str:

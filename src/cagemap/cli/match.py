@@ -15,6 +15,7 @@ import numpy as np
 from cagemap.basis import BasisConfig
 from cagemap.cli.job_file import note_match
 from cagemap.cli.mesh_commands import require_size
+from cagemap.cli.method import read_symmetries, used_parameters, with_parameters
 from cagemap.cli.progress import Stages
 from cagemap.cli.subdivision import SubdivisionRequest
 from cagemap.errors import ParameterError
@@ -44,12 +45,12 @@ from cagemap.pipeline import (
     default_basis,
     match,
     prepare_surface,
-    prepare_surfaces,
 )
 
 _log = logging.getLogger(__name__)
 
 DEFAULT_VERTICES = 200_000
+SIDES = ("target", "source")
 
 
 @dataclass(frozen=True)
@@ -65,8 +66,19 @@ class MatchRequest:
     k: int | None = None
     tolerance: float = MAP_BASIS.tolerance
     schedule: str | None = None
+    target_level: int | None = None
+    source_level: int | None = None
+    target_k: int | None = None
+    source_k: int | None = None
+    target_tolerance: float | None = None
+    source_tolerance: float | None = None
+    target_schedule: str | None = None
+    source_schedule: str | None = None
     method: str = "elastic"
+    parameter: tuple[str, ...] = ()
     symmetry: bool = True
+    target_symmetry: tuple[Path, ...] = ()
+    source_symmetry: tuple[Path, ...] = ()
     exchange_landmarks: bool = False
     trust_landmarks: bool = False
     scheme: str | None = None
@@ -91,12 +103,14 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     """Match two mesh files and write the RESULT folder; returns a summary and warnings."""
     if request.level is not None and request.vertices is not None:
         raise ParameterError("--level and --vertices: expected one of them, got both. --vertices chooses the level.")
-    basis, config = basis_config(request), match_config(request)
+    bases, config = side_bases(request), match_config(request)
     started = time.perf_counter()
     stages("read")
     files = {"target": request.target, "source": request.source}
     if request.landmarks is not None:
         files["landmarks"] = request.landmarks
+    for side, symmetries in (("target", request.target_symmetry), ("source", request.source_symmetry)):
+        files.update({f"{side}_symmetry_{i}": path for i, path in enumerate(symmetries)})
     check_result_folder(request.output, force=request.force)
     require_no_input([request.output / name for name in (ARRAYS, MANIFEST)], files.values())
     inputs = read_inputs(request)
@@ -104,13 +118,17 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
         name: {"file": path.name, "path": stated_path(path, request.output), "sha256": file_hash(path)}
         for name, path in files.items()
     }
+    levels = side_levels(request, inputs)
+    sides = {
+        side: basis_parameters(basis) | {"level": level}
+        for side, basis, level in zip(SIDES, bases, levels, strict=True)
+    }
     parameters = {
         "level": request.level,
         "vertices": request.vertices or (None if request.level else DEFAULT_VERTICES),
-        "k": basis.count,
-        "tolerance": request.tolerance,
-        "schedule": request.schedule,
+        **{f"{side}_{name}": value for side, used in sides.items() for name, value in used.items()},
         "method": request.method,
+        "spectral": used_parameters(config),
         "symmetry": request.symmetry,
         "exchange_landmarks": request.exchange_landmarks,
         "trust_landmarks": request.trust_landmarks,
@@ -121,11 +139,10 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     }
     result = match_meshes(
         inputs,
-        basis,
+        bases,
         config,
         stages,
-        level=request.level,
-        vertices=request.vertices,
+        levels=levels,
         cache=request.cache,
         entries={"parameters": parameters, "inputs": hashes},
     )
@@ -136,20 +153,58 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
 
 
 def basis_config(request: MatchRequest) -> BasisConfig:
-    """Parameters of the surfaces' bases that were asked for on the command line."""
+    """Parameters of both surfaces' bases, where nothing else is asked for on one side."""
     schedule = None if request.schedule is None else parse_schedule(request.schedule)
     count = default_basis(request.method).count if request.k is None else request.k
     return BasisConfig(count=count, tolerance=request.tolerance, schedule=schedule)
 
 
+def side_bases(request: MatchRequest) -> tuple[BasisConfig, BasisConfig]:
+    """Parameters of the target's and the source's basis."""
+    found = []
+    for side in SIDES:
+        k, tolerance, schedule = (getattr(request, f"{side}_{name}") for name in ("k", "tolerance", "schedule"))
+        basis = basis_config(request)
+        if k is not None or tolerance is not None:  # asked for on this side, so a schedule of both does not hold here
+            basis = replace(basis, schedule=None)
+        found.append(
+            BasisConfig(
+                count=basis.count if k is None else k,
+                tolerance=basis.tolerance if tolerance is None else tolerance,
+                schedule=basis.schedule if schedule is None else parse_schedule(schedule, f"--{side}-schedule"),
+            )
+        )
+    return found[0], found[1]
+
+
+def side_levels(request: MatchRequest, inputs: Inputs) -> tuple[int, int]:
+    """Finest level of the target and of the source."""
+    found = []
+    for side, control in zip(SIDES, (inputs.target, inputs.source), strict=True):
+        level = getattr(request, f"{side}_level") or request.level
+        found.append(choose_level(control, request.vertices or DEFAULT_VERTICES) if level is None else level)
+    return found[0], found[1]
+
+
+def basis_parameters(basis: BasisConfig) -> dict[str, Any]:
+    """What decided about a basis: a schedule, or a number and a tolerance."""
+    if basis.schedule is not None:
+        return {"k": sum(basis.schedule), "schedule": list(basis.schedule)}
+    return {"k": basis.count, "tolerance": basis.tolerance}
+
+
 def match_config(request: MatchRequest) -> MatchConfig:
     """Parameters of the match that was asked for on the command line."""
-    return MatchConfig(
-        method=request.method, use_symmetry=request.symmetry, check_landmarks=not request.trust_landmarks
+    config = MatchConfig(
+        method=request.method,
+        use_symmetry=request.symmetry,
+        symmetries=read_symmetries(request.target_symmetry, request.source_symmetry),
+        check_landmarks=not request.trust_landmarks,
     )
+    return with_parameters(config, request.parameter)
 
 
-def parse_schedule(text: str) -> tuple[int, ...]:
+def parse_schedule(text: str, option: str = "--schedule") -> tuple[int, ...]:
     """Numbers of basis functions per level from text such as ``100,50,50,50``."""
     try:
         schedule = tuple(int(part) for part in text.split(","))
@@ -157,7 +212,7 @@ def parse_schedule(text: str) -> tuple[int, ...]:
         schedule = ()
     if not schedule or min(schedule) < 0 or schedule[0] < 1:
         raise ParameterError(
-            f"--schedule: expected numbers of basis functions for level 0, 1, ... such as 100,50,50,50, got {text!r}."
+            f"{option}: expected numbers of basis functions for level 0, 1, ... such as 100,50,50,50, got {text!r}."
         )
     return schedule
 
@@ -183,25 +238,20 @@ def read_inputs(request: MatchRequest) -> Inputs:
 
 def match_meshes(
     inputs: Inputs,
-    basis: BasisConfig,
+    bases: tuple[BasisConfig, BasisConfig],
     config: MatchConfig,
     stages: Stages,
     *,
-    level: int | None = None,
-    vertices: int | None = None,
+    levels: tuple[int, int],
     cache: Path | None = None,
     entries: dict[str, Any] | None = None,
 ) -> Result:
     """Prepare both surfaces, match them, and gather what is stored."""
-    levels = []
-    for control in (inputs.target, inputs.source):
-        levels.append(choose_level(control, vertices or DEFAULT_VERTICES) if level is None else level)
-        require_size(control, levels[-1])
-        _log.info("%s: level %d", control.name, levels[-1])
+    for control, level in zip((inputs.target, inputs.source), levels, strict=True):
+        require_size(control, level)
+        _log.info("%s: level %d", control.name, level)
     prepare = prepare_surface if cache is None else partial(prepared, cache)
-    target, source = prepare_surfaces(
-        inputs.target, inputs.source, (levels[0], levels[1]), basis, prepare=prepare, progress=stages
-    )
+    target, source = prepare_pair(inputs.target, inputs.source, levels, bases, prepare=prepare, progress=stages)
     found = match(target, source, inputs.landmarks, config, progress=stages)
     stages("gather")
     manifest = {

@@ -1,0 +1,86 @@
+"""Options of `cagemap match` that set the method's parameters, by name, and those that concern one side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from cagemap.errors import CagemapError, ParameterError
+from cagemap.files.symmetry import read_symmetry
+from cagemap.functional_map import MapWeights
+from cagemap.maps.pair import SymmetryPair
+from cagemap.maps.spectral.constraints import DescriptorConfig
+from cagemap.maps.spectral.hierarchical import HierarchyConfig
+from cagemap.maps.spectral.paper import PaperConfig
+from cagemap.pipeline import MatchConfig
+
+_PARTS = ("descriptors", "weights")
+
+
+def with_parameters(config: MatchConfig, settings: Sequence[str]) -> MatchConfig:
+    """Set parameters of the spectral methods from texts such as ``laplacian=0.01``.
+
+    Raises
+    ------
+    ParameterError
+        If a name is not known, has no meaning for the method, or its value is no number.
+    """
+    own: Any = config.paper if config.method == "paper" else config.hierarchy
+    values = _named_values(own)
+    for setting in settings:
+        name, given, text = setting.partition("=")
+        kind = {**_kinds(type(own)), **_kinds(DescriptorConfig), **_kinds(MapWeights)}.get(name)
+        if not given or name not in values or kind is None:
+            raise ParameterError(
+                f"--parameter: expected NAME=VALUE with one of {', '.join(sorted(values))} for {config.method}, "
+                f"got {setting!r}."
+            )
+        try:
+            values[name] = kind(text)
+        except ValueError:
+            kinds = {int: "a whole number", float: "a number"}
+            raise ParameterError(f"--parameter {name}: expected {kinds[kind]}, got {text!r}.") from None
+    try:
+        parts = {part: _filled(getattr(own, part), values) for part in _PARTS}
+        own = replace(_filled(own, values), **parts)
+    except CagemapError as error:
+        raise ParameterError(f"--parameter: {error}") from None
+    return replace(config, **{"paper" if config.method == "paper" else "hierarchy": own})
+
+
+def used_parameters(config: MatchConfig) -> dict[str, float]:
+    """All parameters of the spectral method that a match used, by the names of `with_parameters`."""
+    return _named_values(config.paper if config.method == "paper" else config.hierarchy)
+
+
+def read_symmetries(target: Sequence[Path], source: Sequence[Path]) -> tuple[SymmetryPair, ...]:
+    """Self-maps of both control meshes from files, the first of one side with the first of the other.
+
+    Raises
+    ------
+    ParameterError
+        If one side has more than the other.
+    """
+    if len(target) != len(source):
+        raise ParameterError(
+            "--target-symmetry and --source-symmetry: expected as many files for one side as for the other, got "
+            f"{len(target)} and {len(source)}. A symmetry is used where both surfaces have it."
+        )
+    return tuple((read_symmetry(one), read_symmetry(two)) for one, two in zip(target, source, strict=True))
+
+
+def _named_values(config: HierarchyConfig | PaperConfig) -> dict[str, Any]:
+    flat = asdict(config)
+    for part in _PARTS:
+        flat.update(flat.pop(part))
+    return flat
+
+
+def _kinds(config: type) -> dict[str, type]:
+    return {name: kind for name, kind in get_type_hints(config).items() if kind in (int, float)}
+
+
+def _filled(config: Any, values: dict[str, Any]) -> Any:
+    return replace(config, **{name: values[name] for name in _kinds(type(config))})

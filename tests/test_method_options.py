@@ -1,0 +1,92 @@
+"""Options of `cagemap match` that concern one side or the method's parameters, and what the manifest says of them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from cagemap.cli.match import MatchRequest, match_config, run_match, side_bases
+from cagemap.cli.method import used_parameters, with_parameters
+from cagemap.cli.progress import Stages
+from cagemap.descriptors import mirror_symmetries
+from cagemap.errors import FormatError, ParameterError
+from cagemap.files.meshes import write_mesh
+from cagemap.files.result import read_result
+from cagemap.files.symmetry import read_symmetry
+from cagemap.mesh import shapes
+from cagemap.pipeline import MatchConfig
+
+
+def files_of(folder):
+    """The creature mapped to itself: meshes, landmarks and its symmetry as files."""
+    mesh = shapes.creature()
+    for side in ("target", "source"):
+        write_mesh(folder / f"{side}.obj", mesh)
+    chosen = [int(vertex) for vertex in np.linspace(0, mesh.n_vertices - 1, 8).astype(int)]
+    pairs = [{"name": f"p{v}", "source": v, "target": v} for v in chosen]
+    (folder / "l.json").write_text(json.dumps({"source": "source.obj", "target": "target.obj", "pairs": pairs}))
+    image = mirror_symmetries(mesh)[0].image
+    (folder / "s.json").write_text(json.dumps(image.tolist()))
+    (folder / "s.txt").write_text("\n".join(map(str, image)))
+    np.save(folder / "s.npy", image)
+    return [folder / name for name in ("target.obj", "source.obj", "l.json")], image
+
+
+def test_each_side_has_its_own_level_and_schedule(tmp_path):
+    """The paper's Table 1, and the manifest says what was used."""
+    paths, _ = files_of(tmp_path)
+    request = MatchRequest(
+        *paths, tmp_path / "R", method="paper", target_level=2, source_level=1, target_schedule="12,6,4",
+        source_schedule="10,8", parameter=("rounds=0", "laplacian=0.01", "heat=4"),
+        target_symmetry=(tmp_path / "s.json",), source_symmetry=(tmp_path / "s.npy",),
+    )  # fmt: skip
+    with Stages() as stages:
+        run_match(request, stages)
+    result = read_result(tmp_path / "R")
+    assert result.functional_map.shape == (22, 18)
+    used = result.manifest["parameters"]
+    assert (used["target_level"], used["source_level"]) == (2, 1)
+    assert (used["target_schedule"], used["source_schedule"]) == ([12, 6, 4], [10, 8])
+    assert "target_tolerance" not in used  # a schedule leaves no tolerance to record
+    assert (used["spectral"]["laplacian"], used["spectral"]["heat"], used["spectral"]["rounds"]) == (0.01, 4, 0)
+
+
+def test_one_side_alone_leaves_the_other_as_it_is(tmp_path):
+    request = MatchRequest(tmp_path, tmp_path, tmp_path, tmp_path, schedule="9,5", source_k=40)
+    target, source = side_bases(request)
+    assert target.schedule == (9, 5)
+    assert (source.schedule, source.count) == (None, 40)
+
+
+def test_parameters_reach_the_method_they_belong_to():
+    assert used_parameters(with_parameters(MatchConfig(method="paper"), ["rounds=3"]))["rounds"] == 3
+    hierarchy = with_parameters(MatchConfig(method="hfm"), ["growth=1.5", "signature_weight=0"]).hierarchy
+    assert (hierarchy.growth, hierarchy.descriptors.signature_weight) == (1.5, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("method", "setting", "said"),
+    [
+        ("hfm", "rounds=3", "expected NAME=VALUE with one of .*growth.* for hfm, got 'rounds=3'"),
+        ("paper", "laplacian", "expected NAME=VALUE"),
+        ("paper", "rounds=2.5", "rounds: expected a whole number, got '2.5'"),
+        ("paper", "decay=-1", "decay of at least 0"),
+    ],
+)
+def test_wrong_parameters_are_refused(method, setting, said):
+    with pytest.raises(ParameterError, match=said):
+        with_parameters(MatchConfig(method=method), [setting])
+
+
+def test_symmetry_files(tmp_path):
+    _, image = files_of(tmp_path)
+    for name in ("s.json", "s.txt", "s.npy"):
+        np.testing.assert_array_equal(read_symmetry(tmp_path / name), image)
+    for name, content in (("a.json", '{"a": 1}'), ("b.txt", "1 2 x"), ("c.json", "[1.5]"), ("d.txt", "")):
+        (tmp_path / name).write_text(content)
+        with pytest.raises(FormatError, match="one vertex number for every control vertex"):
+            read_symmetry(tmp_path / name)
+    with pytest.raises(ParameterError, match="as many files for one side as for the other, got 1 and 0"):
+        match_config(MatchRequest(tmp_path, tmp_path, tmp_path, tmp_path, target_symmetry=(tmp_path / "s.npy",)))
