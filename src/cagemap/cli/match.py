@@ -251,7 +251,7 @@ def match_meshes(
         require_size(control, level)
         _log.info("%s: level %d", control.name, level)
     prepare = prepare_surface if cache is None else partial(prepared, cache)
-    target, source = prepare_pair(inputs.target, inputs.source, levels, bases, prepare=prepare, progress=stages)
+    target, source = prepare_surfaces(inputs.target, inputs.source, levels, bases, prepare=prepare, progress=stages)
     found = match(target, source, inputs.landmarks, config, progress=stages)
     stages("gather")
     manifest = {
