@@ -45,6 +45,7 @@ from cagemap.pipeline import (
     default_basis,
     match,
     prepare_surface,
+    prepare_surfaces,
 )
 
 _log = logging.getLogger(__name__)
