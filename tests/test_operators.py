@@ -8,9 +8,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 
+from cagemap.basis import exact_basis
+from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh, shapes
-from cagemap.operators import build_operators, stiffness, triangle_cotangents, vertex_areas
-from cagemap.operators.laplacian import face_terms, face_terms_reference
+from cagemap.operators import (
+    AlexaWardetzky,
+    DeGoesButtsDesbrun,
+    MeanTriangulation,
+    build_operators,
+    stiffness,
+    triangle_cotangents,
+    vertex_areas,
+)
+from cagemap.operators.laplacian import face_terms, face_terms_reference, gathered
 from cagemap.operators.sec import restrict, restrict_pair
 from cagemap.refinement import refine
 
@@ -186,3 +196,84 @@ def test_joint_restriction_makes_room_for_long_rows():
     expected = restrict(refinement.matrices[0], operators.stiffness[1])
     assert expected.nnz > 64 * expected.shape[0]
     assert abs(operators.stiffness[0] - expected).max() < EXACT * abs(expected).max()
+
+
+LAPLACIANS = [MeanTriangulation(), AlexaWardetzky(), AlexaWardetzky(2.0), DeGoesButtsDesbrun(), DeGoesButtsDesbrun(0.5)]
+
+
+@pytest.mark.parametrize("laplacian", LAPLACIANS, ids=str)
+def test_every_laplacian_is_the_cotangent_laplacian_on_triangles(laplacian):
+    finest = refine(shapes.icosahedron(), 2).finest
+    positions = finest.positions + 0.02 * np.random.default_rng(3).standard_normal(finest.positions.shape)
+    weights, areas = laplacian.face_terms(positions, finest.faces)
+    expected, areas_expected = face_terms_reference(positions, finest.faces)
+    np.testing.assert_allclose(weights, expected, rtol=0, atol=EXACT * np.abs(expected).max())
+    np.testing.assert_allclose(areas, areas_expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("laplacian", LAPLACIANS, ids=str)
+def test_every_laplacian_is_exact_for_linear_functions_on_flat_quads(laplacian):
+    """W x vanishes inside for x linear, and x^T W x is the area times the squared gradient."""
+    control = shapes.grid(5, 4)
+    rng = np.random.default_rng(4)
+    positions = control.positions.copy()
+    flat = np.ptp(positions, axis=0) > 0
+    positions[:, flat] += 0.15 * rng.uniform(-1, 1, (len(positions), 2))
+    faces = control.face_indices.reshape(-1, 4)
+    weights, areas = laplacian.face_terms(positions, faces)
+    stiff = gathered(weights, faces, len(positions))
+    gradient = np.where(flat, [0.3, -0.7, 0.45], 0.0)
+    values = positions @ gradient
+    boundary = np.zeros(len(positions), dtype=bool)
+    assert values @ (stiff @ values) == pytest.approx(areas.sum() * gradient @ gradient, rel=1e-12)
+    # Inside: every edge of the grid has two faces.
+    edges = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
+    unique, counts = np.unique(edges, axis=0, return_counts=True)
+    boundary[unique[counts == 1].ravel()] = True
+    assert np.abs((stiff @ values)[~boundary]).max() < 1e-12
+
+
+@pytest.mark.parametrize("laplacian", LAPLACIANS, ids=str)
+def test_operators_of_every_laplacian_are_symmetric_definite_and_of_unit_area(laplacian):
+    refinement = refine(shapes.creature(), 2)
+    operators = build_operators(refinement, laplacian)
+    for mass, stiff in zip(operators.mass, operators.stiffness, strict=True):
+        assert abs(mass.sum() - 1.0) < EXACT
+        assert abs(stiff - stiff.T).max() < EXACT * abs(stiff).max()
+        assert abs(stiff @ np.ones(stiff.shape[0])).max() < EXACT * abs(stiff).max()
+    values = np.linalg.eigvalsh(operators.stiffness[1].toarray())
+    assert values[0] > -EXACT * values[-1]
+    assert values[1] > 1e-6 * values[-1]
+
+
+@pytest.mark.parametrize("laplacian", LAPLACIANS[1:], ids=str)
+def test_laplacians_agree_ever_more_the_finer_the_surface(laplacian):
+    differences = []
+    for level in (1, 2, 3):
+        refinement = refine(shapes.creature(), level)
+        mean, other = (
+            exact_basis(build_operators(refinement, kind), level, 20).values for kind in (LAPLACIANS[0], laplacian)
+        )
+        differences.append(np.abs(other[1:] / mean[1:] - 1.0).max())
+    # Second order: a factor of four a level in the limit.
+    assert differences[1] < 0.5 * differences[0]
+    assert differences[2] < 0.4 * differences[1]
+
+
+@pytest.mark.parametrize("laplacian", LAPLACIANS, ids=str)
+def test_collapsed_faces_do_no_harm(laplacian):
+    finest = refine(shapes.cube(), 2).finest
+    positions = finest.positions.copy()
+    positions[finest.faces[0]] = positions[finest.faces[0, 0]]
+    weights, areas = laplacian.face_terms(positions, finest.faces)
+    assert np.isfinite(weights).all()
+    assert areas.min() >= 0.0
+    values = np.linalg.eigvalsh(gathered(weights, finest.faces, len(positions)).toarray())
+    assert values[0] > -1e-9 * values[-1]
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, float("nan")])
+def test_a_stabilisation_is_positive(wrong):
+    for kind in (AlexaWardetzky, DeGoesButtsDesbrun):
+        with pytest.raises(ParameterError, match="stabilisation"):
+            kind(wrong)

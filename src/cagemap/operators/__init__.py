@@ -1,9 +1,14 @@
 """Mass and stiffness of a surface, and their restriction to every level (SEC)."""
 
 from cagemap.operators.laplacian import stiffness, triangle_cotangents, vertex_areas
+from cagemap.operators.polygons import AlexaWardetzky, DeGoesButtsDesbrun, Laplacian, MeanTriangulation
 from cagemap.operators.sec import Operators, build_operators, lumped_areas, restrict
 
 __all__ = [
+    "AlexaWardetzky",
+    "DeGoesButtsDesbrun",
+    "Laplacian",
+    "MeanTriangulation",
     "Operators",
     "build_operators",
     "lumped_areas",

@@ -78,12 +78,17 @@ def vertex_areas(positions: FloatArray, faces: IndexArray) -> FloatArray:
 
 
 def areas_and_stiffness(positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, sparse.csr_array]:
-    """`vertex_areas` and `stiffness` from one pass over the faces.
+    """`vertex_areas` and `stiffness` from one pass over the faces."""
+    weights, areas = face_terms(positions, faces)
+    return areas, gathered(weights, faces, len(positions))
+
+
+def gathered(weights: FloatArray, faces: IndexArray, n: int) -> sparse.csr_array:
+    """The stiffness matrix (n, n) from the weights of every face's pairs of corners, see `face_terms`.
 
     Every vertex gathers its row from the faces around it, so that nothing is sorted but the row itself.
     """
-    n, corners = len(positions), faces.shape[1]
-    weights, areas = face_terms(positions, faces)
+    corners = faces.shape[1]
     incident = sparse.csr_array(  # row v: the corners, face * size + place, at vertex v; a counting sort
         sparse.csc_array(
             (np.ones(faces.size, np.int8), faces.ravel(), np.arange(faces.size + 1)), shape=(n, faces.size)
@@ -94,7 +99,7 @@ def areas_and_stiffness(positions: FloatArray, faces: IndexArray) -> tuple[Float
     around = incident.indptr, incident.indices
     end = _gather_rows(read_only(np.ascontiguousarray(faces)), weights, _pair_columns(corners), around, rows)
     indptr, indices, data = rows[0], rows[1][:end].copy(), rows[2][:end].copy()
-    return areas, sparse.csr_array((data, indices, indptr), shape=(n, n))
+    return sparse.csr_array((data, indices, indptr), shape=(n, n))
 
 
 # Corner pairs of a face that its triangulations use as edges: the sides, then both diagonals of a quad.

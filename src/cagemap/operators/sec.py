@@ -12,7 +12,8 @@ from numba import njit
 from scipy import sparse
 
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.operators.laplacian import areas_and_stiffness
+from cagemap.operators.laplacian import gathered
+from cagemap.operators.polygons import Laplacian, MeanTriangulation
 from cagemap.refinement import Refinement, triangulate_control
 
 
@@ -121,15 +122,24 @@ def restrict_pair(
     return coarse_mass, coarse_stiffness
 
 
-def build_operators(refinement: Refinement) -> Operators:
+def build_operators(refinement: Refinement, laplacian: Laplacian = MeanTriangulation()) -> Operators:
     """Operators of every level of a refinement, normalised to unit area of the finest level.
 
+    Parameters
+    ----------
+    refinement : Refinement
+    laplacian : Laplacian
+        Of the finest level's polygons: `MeanTriangulation`, `AlexaWardetzky` (the paper's) or `DeGoesButtsDesbrun`.
+
+    Notes
+    -----
     O(n_f) time and memory; a restricted matrix has about 25 nonzeros a row just below the finest level, 50
     further down.
     """
     finest = refinement.levels[-1]
     faces = triangulate_control(refinement.control) if finest.faces is None else finest.faces
-    areas, finest_stiffness = areas_and_stiffness(finest.positions, faces)
+    weights, areas = laplacian.face_terms(finest.positions, faces)
+    finest_stiffness = gathered(weights, faces, len(finest.positions))
     area = float(areas.sum())
     masses, stiffnesses = [sparse.csr_array(sparse.diags_array(areas / area))], [finest_stiffness]
     mass = _with_diagonal(finest_stiffness, areas / area)

@@ -1,0 +1,140 @@
+"""Laplacians of polygon meshes to choose from: each says what one face adds to W and M (paper, section 2.1.1).
+
+All three are the cotangent Laplacian on triangles, exact on linear functions of flat polygons, and converge to the same
+surface; on coarse, bent quads they differ by some per cent.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from cagemap.errors import ParameterError
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.operators.laplacian import QUAD_PAIRS, SLIVER, TRIANGLE_PAIRS, face_terms
+
+
+class Laplacian(Protocol):
+    """What the faces of a mesh of quads, or of triangles, add to W and M."""
+
+    def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
+        """Weights of every face's pairs of corners, and vertex areas, as `cagemap.operators.laplacian.face_terms`."""
+        ...
+
+
+@dataclass(frozen=True)
+class MeanTriangulation:
+    """The mean of both triangulations of every quad, with cotangents: no parameter, and the fastest. The default."""
+
+    def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
+        """See `Laplacian`."""
+        return face_terms(positions, faces)
+
+
+@dataclass(frozen=True)
+class AlexaWardetzky:
+    """The paper's: Alexa and Wardetzky, *Discrete Laplacians on general polygonal meshes*, 2011.
+
+    W_f = d^T (B B^T / |f| + lambda C C^T) d, with d the differences along the edges, B their midpoints, |f| the size of
+    the vector area, and C an orthonormal basis of what is orthogonal to the edges of the polygon laid in its plane.
+
+    Attributes
+    ----------
+    stabilisation : float
+        lambda, above 0: what functions cost that no gradient in the polygon's plane sees. No unit.
+    """
+
+    stabilisation: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Check the range."""
+        _check(self.stabilisation)
+
+    def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
+        """See `Laplacian`."""
+        polygon = _Polygons.of(positions, faces)
+        inner = np.einsum("fid,fjd->fij", polygon.midpoints, polygon.midpoints) / polygon.areas[:, None, None]
+        flat = polygon.edges - np.einsum("fid,fd,fe->fie", polygon.edges, polygon.normals, polygon.normals)
+        # The projection to the span of the flat edges; their third singular value is 0.
+        axes, sizes, _ = np.linalg.svd(flat, full_matrices=False)
+        axes = axes[:, :, :2] * (sizes[:, None, :2] > SLIVER * sizes[:, None, :1])
+        others = np.eye(faces.shape[1]) - np.einsum("fia,fja->fij", axes, axes)
+        return polygon.terms(inner + self.stabilisation * others, len(positions))
+
+
+@dataclass(frozen=True)
+class DeGoesButtsDesbrun:
+    """De Goes, Butts and Desbrun, *Discrete differential operators on polygonal meshes*, 2020.
+
+    W_f = d^T (|f| U^T U + lambda P^T P) d, with U the sharp operator (the mean gradient of a 1-form), V the flat one
+    and P = 1 - V U what a mean gradient does not see.
+
+    Attributes
+    ----------
+    stabilisation : float
+        lambda, above 0. No unit.
+    """
+
+    stabilisation: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Check the range."""
+        _check(self.stabilisation)
+
+    def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
+        """See `Laplacian`."""
+        polygon = _Polygons.of(positions, faces)
+        normals = polygon.normals[:, None, :]
+        sharp = np.cross(normals, polygon.midpoints) / polygon.areas[:, None, None]  # (m, k, 3): U^T
+        flat = polygon.edges - normals * np.einsum("fid,fd->fi", polygon.edges, polygon.normals)[:, :, None]
+        unseen = np.eye(faces.shape[1]) - np.einsum("fid,fjd->fij", flat, sharp)
+        inner = np.einsum("fid,fjd->fij", sharp, sharp) * polygon.areas[:, None, None]
+        inner += self.stabilisation * np.einsum("fki,fkj->fij", unseen, unseen)
+        return polygon.terms(inner, len(positions))
+
+
+@dataclass(frozen=True, eq=False)
+class _Polygons:
+    """Polygons of k corners each: edges, their midpoints around the centre (m, k, 3), vector areas' sizes, normals."""
+
+    faces: IndexArray
+    edges: FloatArray
+    midpoints: FloatArray
+    areas: FloatArray
+    normals: FloatArray
+    sizes: FloatArray
+
+    @classmethod
+    def of(cls, positions: FloatArray, faces: IndexArray) -> _Polygons:
+        corners = positions[faces]
+        corners = corners - corners.mean(axis=1, keepdims=True)
+        following = np.roll(corners, -1, axis=1)
+        vectors = 0.5 * np.cross(corners, following).sum(axis=1)
+        sizes = np.linalg.norm(vectors, axis=1)
+        edges = following - corners
+        # As slivers among triangles: their energy stays finite. A polygon shrunk to a point has none.
+        areas = np.maximum(sizes, 0.5 * SLIVER * np.einsum("fid,fid->fi", edges, edges).max(axis=1))
+        areas = np.where(areas == 0.0, 1.0, areas)
+        normals = vectors / np.where(sizes == 0.0, 1.0, sizes)[:, None]
+        return cls(faces, edges, 0.5 * (corners + following), areas, normals, sizes)
+
+    def terms(self, inner: FloatArray, n_vertices: int) -> tuple[FloatArray, FloatArray]:
+        """Weights and areas from the inner products M (m, k, k) of functions on edges: minus the entries of d^T M d."""
+        k = self.faces.shape[1]
+        # (d^T M d)_ij = M_(i-1)(j-1) - M_(i-1)j - M_i(j-1) + M_ij, edge i leading from corner i to corner i + 1.
+        rows = np.roll(inner, 1, axis=1) - inner
+        energy = np.roll(rows, 1, axis=2) - rows
+        pairs = np.array(QUAD_PAIRS if k == 4 else TRIANGLE_PAIRS)
+        weights = -energy[:, pairs[:, 0], pairs[:, 1]]
+        areas = np.bincount(self.faces.ravel(), np.repeat(self.sizes / k, k), minlength=n_vertices)
+        return np.ascontiguousarray(weights), np.asarray(areas, dtype=np.float64)
+
+
+def _check(stabilisation: float) -> None:
+    if not stabilisation > 0.0:
+        raise ParameterError(
+            f"stabilisation: expected a number above 0, got {stabilisation}; 1 is usual, and without it functions such "
+            "as +1 and -1 in turn over a quad's corners cost nothing"
+        )
