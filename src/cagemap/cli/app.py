@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from cagemap import __version__
+from cagemap.cli.map_command import map_file
 from cagemap.cli.subdivision import BoundaryName, CreasingName, SchemeName, UvName
 from cagemap.cli.words import say, set_verbosity, warn
 from cagemap.cli.wrap_command import wrap
@@ -366,6 +367,30 @@ def transfer(
         bool,
         typer.Option("--source-uvs", help="Give the target the source's UVs; -o names the mesh, and seams are listed."),
     ] = False,
+    weights: Annotated[
+        Path | None,
+        typer.Option(
+            "--weights", help="Skinning weights of the source's cage, a column a joint: .csv, .npz.", show_default=False
+        ),
+    ] = None,
+    influences: Annotated[
+        int, typer.Option("--influences", min=0, help="Weights: at most so many joints a vertex; 0 for all.")
+    ] = 4,
+    joints: Annotated[
+        Path | None,
+        typer.Option("--joints", help="Skeleton of the source, .json; with --weights its names.", show_default=False),
+    ] = None,
+    blend_shapes: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--blend-shapes",
+            help="Shapes of the source's cage: .obj, .npz or a folder; repeat it for more.",
+            show_default=False,
+        ),
+    ] = None,
+    write_map: Annotated[
+        bool, typer.Option("--write-map", help="The map itself, for other programs: .npy, .npz, .mtx or .vts.")
+    ] = False,
     size: Annotated[
         int | None,
         typer.Option(
@@ -401,7 +426,7 @@ def transfer(
     ] = False,
     force: Force = False,
 ) -> None:
-    """Carry something from source to target: --texture, --displacement, --attribute, --material-colors, --source-uvs.
+    """Carry something from source to target: textures, attributes, UVs, skinning weights, joints, blend shapes.
 
     Images are baked into the target's own UV layout, texel by texel, across the source's seams.
     """
@@ -416,6 +441,11 @@ def transfer(
         attribute=attribute,
         material_colors=material_colors,
         source_uvs=source_uvs,
+        weights=weights,
+        influences=influences,
+        joints=joints,
+        blend_shapes=tuple(blend_shapes or ()),
+        write_map=write_map,
         size=size,
         bits=bits,
         unwrap=unwrap,
@@ -537,3 +567,4 @@ def studio(
 
 
 app.command()(wrap)
+app.command("map")(map_file)

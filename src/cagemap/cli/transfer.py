@@ -12,6 +12,7 @@ import numpy as np
 
 from cagemap.cli.job_file import note_output
 from cagemap.cli.progress import Stages
+from cagemap.cli.rig import carry_blend_shapes, carry_skeleton, carry_weights, write_point_map
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs, require_no_input, require_replaceable, require_writable_folder
 from cagemap.files.attributes import check_attribute_path, read_attributes, write_attributes
@@ -64,6 +65,11 @@ class TransferRequest:
     attribute: Path | None = None
     material_colors: bool = False
     source_uvs: bool = False
+    weights: Path | None = None
+    influences: int = 4
+    joints: Path | None = None
+    blend_shapes: tuple[Path, ...] = ()
+    write_map: bool = False
     size: int | None = None
     bits: int | None = None
     unwrap: bool = False
@@ -88,7 +94,8 @@ def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
 
 def _inputs(request: TransferRequest) -> list[Path]:
     """Files that are read, as far as the command line names them."""
-    given = [path for path in (request.texture, request.displacement, request.attribute) if path is not None]
+    single = (request.texture, request.displacement, request.attribute, request.weights, request.joints)
+    given = [path for path in single if path is not None]
     return [
         request.result / MANIFEST,
         request.result / ARRAYS,
@@ -104,6 +111,10 @@ def _carrier(request: TransferRequest) -> Callable[[TransferRequest, Result, Sta
         "--attribute": (request.attribute is not None, _carry_attribute),
         "--material-colors": (request.material_colors, _carry_material_colors),
         "--source-uvs": (request.source_uvs, _carry_uvs),
+        "--weights": (request.weights is not None, carry_weights),
+        "--joints": (request.joints is not None and request.weights is None, carry_skeleton),
+        "--blend-shapes": (bool(request.blend_shapes), carry_blend_shapes),
+        "--write-map": (request.write_map, write_point_map),
     }
     chosen = [option for option, (given, _) in options.items() if given]
     if len(chosen) != 1:

@@ -17,6 +17,7 @@ from cagemap.files.atomic import check_outputs
 from cagemap.files.attributes import read_attributes
 from cagemap.files.images import check_writable, pixel_type, write_image
 from cagemap.files.meshes import check_mesh_path, mesh_files, write_mesh
+from cagemap.files.mhclo import bind, write_mhclo
 from cagemap.files.obj_layout import write_obj_positions
 from cagemap.files.result import (
     ARRAYS,
@@ -58,6 +59,7 @@ class WrapRequest:
     displacement: Path | None = None
     vector_displacement: Path | None = None
     size: int | None = None
+    mhclo: Path | None = None
     force: bool = False
 
 
@@ -82,12 +84,13 @@ def run_wrap(request: WrapRequest, stages: Stages) -> Outcome:
 def _check_request(request: WrapRequest) -> None:
     if not 0.0 <= request.amount <= 1.0:
         raise ParameterError(f"--amount: expected 0 (the target) to 1 (the source's shape), got {request.amount}")
-    images = [path for path in (request.displacement, request.vector_displacement) if path is not None]
+    beside = (request.displacement, request.vector_displacement, request.mhclo)
+    images = [path for path in beside if path is not None]
     many = len(request.results) > 1
     if many and not request.blend_shapes:
         raise ParameterError("expected one RESULT, or --blend-shapes with a folder as --output for several")
     if images and (many or request.amount != 1.0):
-        raise ParameterError("--displacement, --vector-displacement: expected one RESULT and the whole --amount")
+        raise ParameterError("--displacement, --vector-displacement, --mhclo: expected one RESULT, whole --amount")
     inputs = [folder / name for folder in request.results for name in (MANIFEST, ARRAYS)]
     inputs += [p for p in (request.target, request.source, request.landmarks, request.weights) if p is not None]
     for image, channels in ((request.displacement, 1), (request.vector_displacement, 3)):
@@ -123,6 +126,17 @@ def _run(request: WrapRequest, stages: Stages) -> Outcome:
     warnings = _write(request, wrapped, result, original, request.output)
     note_transfer(folder, _entry(request, wrapped, folder))
     lines = [f"wrote {request.output}: {wrapped.mesh.n_vertices} vertices of level {wrapped.level}", _figures(wrapped)]
+    if request.mhclo is not None:
+        faces = result.source.refinement().finest.face_parents
+        per_face = len(result.source_triangles) // len(faces)
+        own = wrapped.closest.triangle[: wrapped.mesh.n_vertices] // per_face
+        write_mhclo(
+            request.mhclo,
+            bind(wrapped.mesh.positions, result.source.control, faces[own]),
+            request.output,
+            force=request.force,
+        )
+        lines.append(f"wrote {request.mhclo}: the mesh follows {result.source.control.name}")
     if request.displacement is not None or request.vector_displacement is not None:
         stages("bake")
         lines += _bake(request, result, wrapped)

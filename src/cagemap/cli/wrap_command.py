@@ -65,6 +65,14 @@ def wrap(
         int | None,
         typer.Option("--size", min=1, help="Width and height of the images.  [default: 2048]", show_default=False),
     ] = None,
+    mhclo: Annotated[
+        Path | None,
+        typer.Option(
+            "--mhclo",
+            help="File to write (.mhclo, .proxy) that makes the mesh follow the source in MakeHuman and MPFB.",
+            show_default=False,
+        ),
+    ] = None,
     force: Annotated[
         bool, typer.Option("--force", help="Overwrite files that cagemap did not write, or that were changed since.")
     ] = False,
@@ -92,6 +100,7 @@ def wrap(
         displacement=displacement,
         vector_displacement=vector_displacement,
         size=size,
+        mhclo=mhclo,
         force=force,
     )
     with Stages() as stages:

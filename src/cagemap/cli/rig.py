@@ -1,0 +1,140 @@
+"""`cagemap transfer`: what rides on a cage (skinning weights, joints, blend shapes), and the map itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cagemap.cli.progress import Stages
+from cagemap.errors import ParameterError
+from cagemap.files.atomic import check_outputs
+from cagemap.files.attributes import Attributes, read_attributes, write_attributes
+from cagemap.files.maps import write_map
+from cagemap.files.mhclo import bind, write_mhclo
+from cagemap.files.result import note_transfer, stated_path
+from cagemap.files.result_values import Result
+from cagemap.files.rigs import Skeleton, read_shapes, read_skeleton, write_shapes, write_skeleton
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.maps.elastic.graph import mesh_graph
+from cagemap.refinement import triangulate_control
+from cagemap.transfer import control_weights, prepare_transfer
+from cagemap.transfer.shapes import carry_shape, prepare_shapes
+from cagemap.transfer.skeleton import carry_joints
+from cagemap.transfer.skin import carry_skin
+from cagemap.wrap.follow import counterpart
+
+if TYPE_CHECKING:
+    from cagemap.cli.transfer import TransferRequest
+
+Outcome = tuple[str, list[str]]
+# A control vertex below this trust takes its weights from those around it.
+_TRUSTED = 0.1
+# A mesh further from its base than this, in units of sqrt(area), is hardly meant to follow it as it stands.
+_APART = 0.05
+
+
+def carry_weights(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+    """Skinning weights: a column or array for each joint, or one array of all joints."""
+    assert request.weights is not None
+    check_outputs([request.output], [request.weights], force=request.force)
+    given = read_attributes(request.weights)
+    skin = np.column_stack([np.asarray(array, dtype=np.float64).reshape(len(array), -1) for array in given.values()])
+    if request.joints is not None:
+        _require_joints(given, read_skeleton(request.joints), request)
+    target, source = result.target.refinement(), result.source.refinement()
+    point_map = result.point_map()
+    stages("weights")
+    weights = control_weights(prepare_transfer(target.finest, source.finest, point_map), target, source)
+    control = target.control
+    split = triangulate_control(control)
+    scale = point_map.target.scale
+    net = mesh_graph(TriangleSurface(scale * control.positions, split, scale), split)
+    n = control.n_vertices
+    trusted = (result.trust[:n] >= _TRUSTED) & (counterpart(point_map)[:n] >= 0.5)
+    carried = carry_skin(weights, skin, net, trusted, influences=request.influences or None)
+    ends = np.cumsum([1 if array.ndim == 1 else array.shape[1] for array in given.values()])[:-1]
+    parts = np.split(carried, ends, axis=1)
+    columns = {
+        name: part[:, 0] if array.ndim == 1 else part for (name, array), part in zip(given.items(), parts, strict=True)
+    }
+    write_attributes(request.output, columns, force=request.force)
+    entry = {"kind": "weights", "output": stated_path(request.output, request.result)}
+    note_transfer(request.result, entry)
+    most = int((carried > 0).sum(axis=1).max())
+    filled = int(np.count_nonzero(~trusted))
+    text = f"wrote {request.output}: {len(carried)} vertices, {carried.shape[1]} joints, at most {most} a vertex"
+    if filled:
+        text += f"\n  {filled} vertices where the map is not to be trusted take theirs from around them"
+    return text, []
+
+
+def _require_joints(given: Attributes, skeleton: Skeleton, request: TransferRequest) -> None:
+    if all(array.ndim == 1 for array in given.values()):
+        missing = [name for name in given if name not in skeleton.names]
+        if missing:
+            raise ParameterError(
+                f"{request.weights}: weights of {', '.join(missing)}, which {request.joints} has no joint for"
+            )
+        return
+    count = sum(1 if array.ndim == 1 else array.shape[1] for array in given.values())
+    if count != len(skeleton.names):
+        raise ParameterError(
+            f"{request.weights}: expected weights of {len(skeleton.names)} joints, as {request.joints} has, got {count}"
+        )
+
+
+def carry_skeleton(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+    """Heads and tails of joints."""
+    assert request.joints is not None
+    check_outputs([request.output], [request.joints], force=request.force)
+    skeleton = read_skeleton(request.joints)
+    stages("joints")
+    count = len(skeleton.names)
+    carried = carry_joints(result.point_map(), np.concatenate([skeleton.heads, skeleton.tails]))
+    write_skeleton(
+        request.output,
+        Skeleton(skeleton.names, skeleton.parents, carried[:count], carried[count:]),
+        force=request.force,
+    )
+    note_transfer(request.result, {"kind": "joints", "output": stated_path(request.output, request.result)})
+    return f"wrote {request.output}: {count} joints", []
+
+
+def carry_blend_shapes(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+    """Blend shapes of the source's cage for the target's."""
+    shapes = read_shapes(request.blend_shapes, result.source.control)
+    stages("prepare")
+    carrier = prepare_shapes(result.target.refinement(), result.source.refinement(), result.point_map())
+    stages("shapes")
+    carried = {name: carry_shape(carrier, offset) for name, offset in shapes.items()}
+    files = write_shapes(
+        request.output, carried, result.target.control, list(request.blend_shapes), force=request.force
+    )
+    note_transfer(request.result, {"kind": "blend-shapes", "output": stated_path(request.output, request.result)})
+    return f"wrote {len(carried)} shapes to {request.output} ({len(files)} files)", []
+
+
+def write_point_map(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+    """The map itself, for other programs."""
+    check_outputs([request.output], [], force=request.force)
+    stages("write map")
+    point_map = result.point_map()
+    if request.output.suffix.lower() not in (".mhclo", ".proxy"):
+        write_map(request.output, point_map, force=request.force)
+        return f"wrote {request.output}: the place of {len(result.triangle)} target vertices on the source", []
+    control, source = result.target.control, result.source
+    face_of_triangle = np.repeat(
+        source.refinement().finest.face_parents, len(result.source_triangles) // len(source.faces)
+    )
+    fitting = bind(control.positions, source.control, face_of_triangle[result.triangle[: control.n_vertices]])
+    write_mhclo(request.output, fitting, Path(control.name).with_suffix(".obj"), force=request.force)
+    apart = float(np.linalg.norm(fitting.offsets, axis=1).mean()) * point_map.source.scale
+    warnings = []
+    if apart > _APART:
+        warnings.append(
+            f"{control.name} lies {100 * apart:.1f} % of sqrt(area) from {source.control.name} on average, and follows "
+            "it at that distance; `cagemap wrap --mhclo` puts it onto it first"
+        )
+    return f"wrote {request.output}: {control.name} follows {source.control.name}", warnings

@@ -1,0 +1,132 @@
+"""Point maps in files: anyone's, read for any use of a map, and ours, written for others.
+
+Vertex numbers count from 0, but in ``.vts`` from 1, as its users have it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import io, sparse
+
+from cagemap.errors import FormatError
+from cagemap.files.atomic import atomic_path
+from cagemap.files.marks import mark
+from cagemap.files.npz import read_npy, read_npz, write_npz
+from cagemap.files.text import read_text
+from cagemap.geometry.points import SurfacePoints
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.maps.point_map import PointMap
+from cagemap.refinement import Refinement
+
+SUFFIXES = (".npy", ".npz", ".mtx", ".vts")
+_REMEDY = "Write it again."
+
+
+def read_images(path: str | Path, source: TriangleSurface) -> SurfacePoints:
+    """Read where each of some target vertices goes on a source.
+
+    - ``.npy``, ``.vts`` (text): a source vertex for each.
+    - ``.npz``: ``triangle`` and ``barycentric``, or a sparse matrix as SciPy writes it.
+    - ``.mtx`` (Matrix Market): a sparse matrix, each row the weights of the corners of one source triangle.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, or is no map.
+    ParameterError
+        If its points are not points of this source.
+    """
+    file = Path(path)
+    suffix = file.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise FormatError(f"{file}: expected a map in {', '.join(SUFFIXES)}, got {suffix or 'no suffix'}")
+    if not file.is_file():
+        raise FormatError(f"{file}: expected a point map, found no such file. Check the name.")
+    if suffix == ".npy":
+        return SurfacePoints.from_vertices(source, _vertices(file, read_npy(file.read_bytes(), file, _REMEDY)))
+    if suffix == ".vts":
+        try:
+            numbers = np.array(read_text(file, "vertex numbers").split(), dtype=np.int64)
+        except ValueError as error:
+            raise FormatError(f"{file}: expected one vertex number a line, counted from 1, found {error}") from error
+        return SurfacePoints.from_vertices(source, _vertices(file, numbers) - 1)
+    if suffix == ".mtx":
+        try:
+            return SurfacePoints.from_matrix(source, sparse.csr_array(io.mmread(file)))
+        except (ValueError, OSError) as error:
+            if isinstance(error, FormatError) or type(error).__module__.startswith("cagemap"):
+                raise
+            raise FormatError(f"{file}: expected a sparse matrix (Matrix Market), found {error}") from error
+    arrays = read_npz(file, _REMEDY)
+    if {"triangle", "barycentric"} <= set(arrays):
+        return SurfacePoints(source, _vertices(file, arrays["triangle"]), arrays["barycentric"])
+    if {"indices", "indptr", "data", "shape"} <= set(arrays):
+        try:
+            matrix = sparse.csr_array(sparse.load_npz(file))
+        except ValueError as error:
+            raise FormatError(f"{file}: expected a sparse matrix, found {error}") from error
+        return SurfacePoints.from_matrix(source, matrix)
+    raise FormatError(
+        f"{file}: expected 'triangle' and 'barycentric', or a sparse matrix written by SciPy, found {', '.join(arrays)}"
+    )
+
+
+def _vertices(file: Path, numbers: NDArray[np.generic]) -> NDArray[np.int64]:
+    if numbers.ndim != 1 or numbers.dtype.kind not in "iu" or len(numbers) == 0:
+        raise FormatError(
+            f"{file}: expected a list of whole numbers, one for each target vertex, found {numbers.dtype} of shape "
+            f"{numbers.shape}"
+        )
+    return numbers.astype(np.int64)
+
+
+def dense_map(images: SurfacePoints, target: Refinement, surface: TriangleSurface) -> PointMap:
+    """A map of the target's finest vertices from images of these, or of its vertices at any coarser level.
+
+    Images of a coarser level are refined like the surface itself, and put back onto the source.
+
+    Raises
+    ------
+    FormatError
+        If there is not one image for each vertex of some level.
+    """
+    sizes = [level.n_vertices for level in target.levels]
+    if len(images) == sizes[-1]:
+        return PointMap(surface, images)
+    if len(images) not in sizes:
+        raise FormatError(
+            f"map: expected a point for each vertex of the target at some level ({', '.join(map(str, sizes))}), got "
+            f"{len(images)}; is it the map from source to target, or one of other meshes?"
+        )
+    level = sizes.index(len(images))
+    places = target.prolong(images.positions, level, target.n_levels)
+    fine = SurfacePoints.nearest(images.surface, places)
+    known = np.arange(len(images))
+    return PointMap(surface, fine.replaced(known, images))
+
+
+def write_map(path: str | Path, point_map: PointMap, *, force: bool = False) -> None:
+    """Write a map: by suffix as `read_images` reads it; vertices are the nearest corners.
+
+    Raises
+    ------
+    FormatError
+        If the suffix is unknown or the file cannot be written.
+    """
+    file = Path(path)
+    suffix = file.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise FormatError(f"{file}: expected a name ending in {', '.join(SUFFIXES)}, got {suffix or 'no suffix'}")
+    nearest = point_map.images.corners[np.arange(point_map.target.n), point_map.barycentric.argmax(axis=1)]
+    with atomic_path(file, force=force) as temporary:
+        if suffix == ".npy":
+            np.save(temporary, nearest)
+        elif suffix == ".vts":
+            temporary.write_text("\n".join(map(str, (nearest + 1).tolist())) + "\n", encoding="utf-8")
+        elif suffix == ".mtx":
+            io.mmwrite(temporary, sparse.coo_array(point_map.matrix()), comment=mark())
+        else:
+            write_npz(temporary, {"triangle": point_map.triangle, "barycentric": point_map.barycentric})

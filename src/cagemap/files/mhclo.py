@@ -1,0 +1,157 @@
+"""MakeHuman's ``.mhclo``: a mesh that follows a base mesh, by three base vertices, weights and an offset a vertex."""
+
+from __future__ import annotations
+
+import uuid
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cagemap.errors import FormatError
+from cagemap.files.atomic import atomic_path
+from cagemap.files.marks import mark
+from cagemap.files.text import read_text
+from cagemap.geometry.triangles import triangle_normals
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+_AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class Fitting:
+    """A mesh bound to a base mesh.
+
+    Attributes
+    ----------
+    vertices : (n, 3) int64
+        Base vertices that each vertex follows.
+    weights : (n, 3) float64
+        Rows sum to 1; may be negative.
+    offsets : (n, 3) float64
+        Added, scaled axis by axis.
+    scales : (3, 2) int64
+        Two base vertices for each axis, whose distance along it scales the offsets.
+    lengths : (3,) float64
+        That distance in the base mesh at rest.
+    """
+
+    vertices: IndexArray
+    weights: FloatArray
+    offsets: FloatArray
+    scales: IndexArray
+    lengths: FloatArray
+
+    def positions(self, base: FloatArray) -> FloatArray:
+        """(n, 3) where the mesh goes for base positions (n2, 3): what MakeHuman and MPFB do with the file."""
+        ends = base[self.scales, np.arange(3)[:, None]]
+        factors = np.abs(ends[:, 0] - ends[:, 1]) / self.lengths
+        return np.einsum("nk,nkd->nd", self.weights, base[self.vertices]) + self.offsets * factors
+
+
+def bind(positions: FloatArray, base: ControlMesh, faces: IndexArray) -> Fitting:
+    """Bind a mesh to the control vertices of a base mesh that it lies on.
+
+    Parameters
+    ----------
+    positions : (n, 3) float64
+        Of the mesh, in the base's units.
+    base : ControlMesh
+    faces : (n,) int64
+        Face of the base that each vertex belongs to; of its triangles the nearest one is taken.
+    """
+    corners, sizes = base.face_indices, base.face_sizes[faces]
+    begin = base.face_offsets[faces]
+    best = np.full(len(positions), np.inf)
+    vertices, weights = np.zeros((len(positions), 3), dtype=np.int64), np.zeros((len(positions), 3))
+    # All triples of a face's corners that follow each other, so that no diagonal is preferred.
+    for first in range(int(sizes.max())):
+        rows = np.flatnonzero(sizes > first)
+        triple = np.stack([corners[begin[rows] + (first + k) % sizes[rows]] for k in range(3)], axis=1)
+        inside = _coordinates(base.positions, triple, positions[rows])
+        outside = np.maximum(-inside.min(axis=1), 0.0)
+        closer = outside < best[rows] - 1e-12
+        better = rows[closer]
+        best[better], vertices[better], weights[better] = outside[closer], triple[closer], inside[closer]
+    offsets = positions - np.einsum("nk,nkd->nd", weights, base.positions[vertices])
+    scales = np.stack([(base.positions[:, axis].argmin(), base.positions[:, axis].argmax()) for axis in range(3)])
+    ends = base.positions[scales, np.arange(3)[:, None]]
+    return Fitting(vertices, weights, offsets, scales.astype(np.int64), np.abs(ends[:, 0] - ends[:, 1]))
+
+
+def _coordinates(places: FloatArray, triangles: IndexArray, points: FloatArray) -> FloatArray:
+    """(n, 3) barycentric coordinates of the feet of points on the planes of triangles; a third each if degenerate."""
+    a, b, c = (places[triangles[:, k]] for k in range(3))
+    normal = triangle_normals(places, triangles)
+    area = np.einsum("nd,nd->n", normal, normal)
+    sound = area > 1e-12 * np.square(np.einsum("nd,nd->n", b - a, b - a) + np.einsum("nd,nd->n", c - a, c - a))
+    area = np.where(sound, area, 1.0)
+    beta = np.einsum("nd,nd->n", np.cross(points - a, c - a), normal) / area
+    gamma = np.einsum("nd,nd->n", np.cross(b - a, points - a), normal) / area
+    found = np.column_stack([1 - beta - gamma, beta, gamma])
+    found[~sound] = 1 / 3
+    return found
+
+
+def write_mhclo(path: str | Path, fitting: Fitting, obj: Path, *, force: bool = False) -> None:
+    """Write a ``.mhclo`` (clothes) or ``.proxy`` (the body itself) for the mesh in ``obj``.
+
+    Raises
+    ------
+    FormatError
+        If the suffix is another one, or the file cannot be written.
+    """
+    file = Path(path)
+    if file.suffix.lower() not in (".mhclo", ".proxy"):
+        raise FormatError(f"{file}: expected a name ending in .mhclo or .proxy, got {file.suffix or 'no suffix'}")
+    name = file.stem
+    lines = [
+        f"# {mark()}",
+        "basemesh hm08",
+        f"name {name}",
+        f"uuid {uuid.uuid5(uuid.NAMESPACE_URL, name)}",
+        *(f"{axis}_scale {a} {b} {length!r}" for axis, (a, b), length in zip(
+            _AXES, fitting.scales.tolist(), fitting.lengths.tolist(), strict=True
+        )),
+        f"obj_file {obj.name}",
+        "verts 0",
+    ]  # fmt: skip
+    rows = zip(fitting.vertices.tolist(), fitting.weights.tolist(), fitting.offsets.tolist(), strict=True)
+    lines += [f"{a} {b} {c} {u!r} {v!r} {w!r} {x!r} {y!r} {z!r}" for (a, b, c), (u, v, w), (x, y, z) in rows]
+    with atomic_path(file, force=force) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def read_mhclo(path: str | Path) -> Fitting:
+    """Read what `write_mhclo` writes, and files of MakeHuman's own with one vertex a line.
+
+    Raises
+    ------
+    FormatError
+        If the file is no such list.
+    """
+    file = Path(path)
+    scales, lengths, rows, reading = np.zeros((3, 2), dtype=np.int64), np.ones(3), [], False
+    try:
+        for line in read_text(file, "a .mhclo file").splitlines():
+            words = line.split()
+            if not words or words[0].startswith("#"):
+                continue
+            if words[0] == "verts":
+                reading = True
+            elif words[0][1:] == "_scale" and words[0][0] in _AXES:
+                axis = _AXES.index(words[0][0])
+                scales[axis], lengths[axis] = (int(words[1]), int(words[2])), float(words[3])
+            elif reading and len(words) == 9:
+                rows.append([float(word) for word in words])
+            elif reading and len(words) == 1:
+                rows.append([float(words[0])] * 3 + [1.0, 0, 0, 0, 0, 0])
+            elif reading:
+                reading = False
+    except (ValueError, IndexError) as error:
+        raise FormatError(f"{file}: expected lines of three vertices, weights and offsets, found {error}") from error
+    if not rows:
+        raise FormatError(f"{file}: expected 'verts' and a line for each vertex, found none")
+    table = np.array(rows)
+    return Fitting(table[:, :3].astype(np.int64), table[:, 3:6], table[:, 6:], scales, lengths)

@@ -1,0 +1,165 @@
+"""What rides on a cage, in files: skeletons (JSON) and blend shapes (OBJ with the cage's faces, or .npz of offsets)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cagemap.errors import FormatError
+from cagemap.files.atomic import atomic_path, check_outputs
+from cagemap.files.marks import mark
+from cagemap.files.meshes import mesh_files, read_mesh, write_mesh
+from cagemap.files.npz import read_npz, write_npz
+from cagemap.files.text import read_text
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class Skeleton:
+    """Joints with a head and a tail each.
+
+    Attributes
+    ----------
+    names, parents : tuple of str
+        A parent of '' is none.
+    heads, tails : (j, 3) float64
+    """
+
+    names: tuple[str, ...]
+    parents: tuple[str, ...]
+    heads: FloatArray
+    tails: FloatArray
+
+
+def read_skeleton(path: str | Path) -> Skeleton:
+    """Read a list of joints: ``[{"name": ..., "parent": ... or null, "head": [x, y, z], "tail": [x, y, z]}, ...]``.
+
+    Raises
+    ------
+    FormatError
+        If the file is no such list, a name comes twice, or a parent is missing.
+    """
+    file = Path(path)
+    try:
+        stated = json.loads(read_text(file, "a skeleton"))
+        joints = stated["joints"] if isinstance(stated, dict) else stated
+        names = tuple(str(joint["name"]) for joint in joints)
+        parents = tuple(str(joint.get("parent") or "") for joint in joints)
+        heads, tails = (
+            np.array([joint[end] for joint in joints], dtype=np.float64).reshape(-1, 3) for end in ("head", "tail")
+        )
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise FormatError(
+            f'{file}: expected a list of joints such as {{"name": "spine", "parent": null, "head": [0, 1, 0], '
+            f'"tail": [0, 2, 0]}}, found something else ({error}).'
+        ) from error
+    if len(set(names)) != len(names):
+        raise FormatError(f"{file}: expected joints of different names, got some twice. Rename them.")
+    missing = sorted(set(parents) - set(names) - {""})
+    if missing:
+        raise FormatError(f"{file}: parents {', '.join(missing)} are no joints of the file. Export the whole skeleton.")
+    if not (np.isfinite(heads).all() and np.isfinite(tails).all()):
+        raise FormatError(f"{file}: expected finite positions of heads and tails.")
+    return Skeleton(names, parents, heads, tails)
+
+
+def write_skeleton(path: str | Path, skeleton: Skeleton, *, force: bool = False) -> None:
+    """Write joints as `read_skeleton` reads them, with cagemap's mark beside."""
+    joints = [
+        {"name": name, "parent": parent or None, "head": head, "tail": tail}
+        for name, parent, head, tail in zip(
+            skeleton.names, skeleton.parents, skeleton.heads.tolist(), skeleton.tails.tolist(), strict=True
+        )
+    ]
+    with atomic_path(path, force=force) as temporary:
+        temporary.write_text(json.dumps({"written_by": mark(), "joints": joints}, indent=1) + "\n", encoding="utf-8")
+
+
+def read_shapes(paths: Sequence[Path], rest: ControlMesh) -> dict[str, FloatArray]:
+    """Read shapes of a cage as displacements (n, 3) by name.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        OBJ or PLY files with the cage's faces, ``.npz`` files of named displacements, or folders of these.
+    rest : ControlMesh
+
+    Raises
+    ------
+    FormatError
+        If a file has other vertices or faces than the cage, a name comes twice, or there is no shape.
+    """
+    files: list[Path] = []
+    for path in paths:
+        known = (".obj", ".ply", ".npz")
+        files += sorted(file for file in path.iterdir() if file.suffix.lower() in known) if path.is_dir() else [path]
+    shapes: dict[str, FloatArray] = {}
+    for file in files:
+        found = _read_offsets(file, rest) if file.suffix.lower() == ".npz" else {file.stem: _read_shape(file, rest)}
+        twice = sorted(set(found) & set(shapes))
+        if twice:
+            raise FormatError(f"{file}: a shape named {twice[0]} was read before. Rename one of them.")
+        shapes |= found
+    if not shapes:
+        raise FormatError(f"expected shapes in {', '.join(map(str, paths))}, found none (.obj, .ply or .npz)")
+    return shapes
+
+
+def _read_shape(file: Path, rest: ControlMesh) -> FloatArray:
+    mesh = read_mesh(file)
+    if mesh.n_vertices != rest.n_vertices or not np.array_equal(mesh.face_indices, rest.face_indices):
+        raise FormatError(
+            f"{file}: expected a shape with the {rest.n_vertices} vertices and the faces of {rest.name}, found "
+            f"{mesh.n_vertices} vertices{'' if mesh.n_vertices != rest.n_vertices else ' and other faces'}. "
+            "Export it from the same cage, with vertices in their order."
+        )
+    return mesh.positions - rest.positions
+
+
+def _read_offsets(file: Path, rest: ControlMesh) -> dict[str, FloatArray]:
+    arrays = read_npz(file, "Write it again, with one array (vertices, 3) for each shape.")
+    for name, array in arrays.items():
+        if array.shape != (rest.n_vertices, 3) or array.dtype.kind not in "iuf" or not np.isfinite(array).all():
+            raise FormatError(
+                f"{file}: expected displacements of shape ({rest.n_vertices}, 3) in '{name}', one a vertex of "
+                f"{rest.name}, found {array.dtype} of shape {array.shape}"
+            )
+    return {name: array.astype(np.float64) for name, array in arrays.items()}
+
+
+def write_shapes(
+    output: Path, shapes: Mapping[str, FloatArray], rest: ControlMesh, inputs: Sequence[Path], *, force: bool = False
+) -> list[Path]:
+    """Write displacements as an ``.npz``, or as a folder of OBJ files, the cage at rest among them."""
+    if output.suffix.lower() == ".npz":
+        check_outputs([output], inputs, force=force)
+        with atomic_path(output, force=force) as temporary:
+            write_npz(temporary, dict(shapes), compressed=True)
+        return [output]
+    base = Path(rest.name).stem
+    meshes: dict[str, Any] = {name: rest.with_positions(rest.positions + offset) for name, offset in shapes.items()}
+    if base in meshes:
+        raise FormatError(f"{output}: a shape is named {base}, like the cage itself. Rename it.")
+    meshes = {base: rest} | meshes
+    if output.exists() and not output.is_dir():
+        raise FormatError(f"{output}: expected a folder or an .npz to write shapes to, got a file.")
+    bare = {
+        name: replace(mesh, face_materials=None, material_names=(), material_colors=None)
+        for name, mesh in meshes.items()
+    }
+    files = {name: output / f"{name}.obj" for name in bare}
+    if any(file.parent != output for file in files.values()):
+        raise FormatError(f"{output}: names of shapes must not hold slashes, got {', '.join(shapes)}")
+    if output.is_dir():
+        written = [path for name, file in files.items() for path in mesh_files(file, bare[name])]
+        check_outputs(written, inputs, force=force)
+    output.mkdir(exist_ok=True)
+    for name, mesh in bare.items():
+        write_mesh(files[name], mesh, force=force)
+    return list(files.values())

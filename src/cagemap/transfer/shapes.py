@@ -1,0 +1,265 @@
+"""Blend shapes carried to another cage: deformation gradients through the map (Sumner and Popovic 2004).
+
+A shape moves every triangle of the source by a linear map F. With Q the rotation of the map's differential, from the
+target's triangle to its image, the target's triangle is to move by ``Q^T F Q``. The displacement d of the target's
+*control* vertices solves
+
+    min_d  sum_t a_t |grad (S d) - (Q^T F Q - I)|^2  +  anchor sum_i m_i |(S d)_i - Q_i^T D(T12(i))|^2,
+
+with S the refinement and D the source's displacement, all at unit area. The second term, the simple twin, says where
+the whole goes. Zero stays zero, and under the identity each shape comes back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from cagemap.errors import ParameterError
+from cagemap.geometry.triangles import corner_sums, triangle_normals, vertex_normals
+from cagemap.maps.point_map import PointMap
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.factorization import Factorization, factor
+from cagemap.refinement import Refinement, level_triangles
+from cagemap.transfer.interpolation import interpolate_linearly
+from cagemap.transfer.locate import triangle_frames, walk_from
+
+# Vertices of the target at which a shape is looked at, about; far more than a shape has detail.
+_SAMPLES = 25_000
+# Gradients decide what is smaller than about 0.6 of sqrt(area), displacements where the whole goes.
+_ANCHOR = 100.0
+# Control points that the surface does not feel (of a cube, say) go with the source's own; against the anchor.
+_UNFELT = 1e-7
+# What touches in a shape of the source is to touch in the target's: weight against the anchor.
+_CONTACT = 100.0
+# Surfaces touch where they are closer than this part of a sample's edge, and face each other.
+_TOUCHING, _FACING = 0.5, -0.5
+
+
+@dataclass(frozen=True)
+class ShapeCarrier:
+    """All that carries shapes from one source to one target; prepare it once.
+
+    Attributes
+    ----------
+    point_map : PointMap
+    source : Refinement
+    samples : (s, n1) csr_array
+        Sampled target vertices from control vertices.
+    triangles : (t, 3) int64
+        Of the samples.
+    gradient : (3 t, s) csr_array
+        Gradients of functions on the samples' triangles.
+    areas, masses : (t,), (s,) float64
+    images : (t,) int64
+        Source triangle at the image of every triangle's centre.
+    turns : (t, 3, 3), vertex_turns : (s, 3, 3) float64
+        Rotations Q from the target to the source.
+    own : (n1, n2) csr_array
+        Source's control values at the target's control vertices.
+    ridge : (n1, n1) dia_array
+    matrix : (n1, n1) csc_array
+    factors : Factorization
+    """
+
+    point_map: PointMap
+    source: Refinement
+    samples: sparse.csr_array
+    triangles: IndexArray
+    gradient: sparse.csr_array
+    areas: FloatArray
+    masses: FloatArray
+    images: IndexArray
+    turns: FloatArray
+    vertex_turns: FloatArray
+    own: sparse.csr_array
+    ridge: sparse.dia_array
+    matrix: sparse.csc_array
+    factors: Factorization
+
+
+def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) -> ShapeCarrier:
+    """Prepare to carry shapes from a source to a target.
+
+    Parameters
+    ----------
+    target, source : Refinement
+        Up to the levels of the map.
+    point_map : PointMap
+    """
+    level = min(max(target.coarsest_level(_SAMPLES), 1), target.n_levels)
+    triangles = level_triangles(target, level)
+    count = target.levels[level].n_vertices
+    places, images = point_map.target.positions[:count], point_map.images.positions[:count]
+    gradient, areas = _gradients(places, triangles)
+    masses = corner_sums(triangles, areas[:, None], count)[:, 0] / 3
+    given = point_map.source
+    frames = triangle_frames(given.positions, given.triangles)
+    starts = point_map.triangle[triangles[:, 0]]
+    found, _ = walk_from(frames, given.neighbors, starts, images[triangles].mean(axis=1))
+    across = given.normals[found]
+    turns = _rotations(gradient, places, images, triangles, across)
+    around = corner_sums(triangles, (areas[:, None, None] * turns).reshape(-1, 9), count).reshape(-1, 3, 3)
+    samples = sparse.csr_array(target.product(target.n_levels, 0)[:count])
+    weighted = gradient.T @ sparse.diags_array(np.repeat(areas, 3)) @ gradient
+    n = target.control.n_vertices
+    control = source.control
+    linear = interpolate_linearly(control, control.face_indices, control.n_vertices, source.n_levels, source.scheme)
+    ridge = sparse.diags_array(_UNFELT * _ANCHOR * (samples.T @ masses))
+    matrix = samples.T @ (weighted + _ANCHOR * sparse.diags_array(masses)) @ samples + ridge
+    return ShapeCarrier(
+        point_map,
+        source,
+        samples,
+        triangles,
+        gradient,
+        areas,
+        masses,
+        found,
+        turns,
+        _nearest_rotations(around),
+        linear.at(point_map.triangle[:n], point_map.barycentric[:n]),
+        ridge,
+        sparse.csc_array(matrix),
+        factor(sparse.csc_array(matrix)),
+    )
+
+
+def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
+    """Displacement of the target's control vertices from that of the source's.
+
+    Parameters
+    ----------
+    carrier : ShapeCarrier
+    displacement : (n2, 3) float64
+        Of the source's control vertices, in its file units.
+
+    Returns
+    -------
+    (n1, 3) float64
+        In the target's file units.
+
+    Raises
+    ------
+    ParameterError
+        If there is not one finite row a control vertex.
+    """
+    expected = (carrier.source.control.n_vertices, 3)
+    if np.shape(displacement) != expected or not np.isfinite(displacement).all():
+        raise ParameterError(
+            f"shape: expected {expected[0]} finite displacements, one a control vertex of the source, got an array of "
+            f"shape {np.shape(displacement)}"
+        )
+    given, maps = carrier.point_map.source, carrier.point_map
+    moved = given.scale * carrier.source.prolong(np.asarray(displacement), 0, carrier.source.n_levels)
+    inner = _deformation(given.positions, given.positions + moved, given.triangles[np.unique(carrier.images)])
+    change = inner[np.searchsorted(np.unique(carrier.images), carrier.images)] - np.eye(3)
+    wanted = np.einsum("tba,tbc,tcd->tad", carrier.turns, change, carrier.turns)  # Q^T (F - I) Q
+    count = len(carrier.masses)
+    own = np.einsum("sba,sb->sa", carrier.vertex_turns, maps.images.at(slice(count)).interpolate(moved))
+    flow = (
+        (carrier.areas[:, None, None] * wanted).transpose(0, 2, 1).reshape(-1, 3)
+    )  # rows (t, direction), columns x y z
+    right = carrier.samples.T @ (carrier.gradient.T @ flow + _ANCHOR * carrier.masses[:, None] * own)
+    unfelt = given.scale * (carrier.own @ np.asarray(displacement, dtype=np.float64))
+    right = right + carrier.ridge @ np.einsum("nba,nb->na", carrier.vertex_turns[: len(unfelt)], unfelt)
+    factors = carrier.factors
+    first, second, gap = contacts(carrier, moved)
+    if len(first):
+        rows = carrier.samples[first] - carrier.samples[second]
+        weights = sparse.diags_array(_ANCHOR * _CONTACT * carrier.masses[first])
+        apart = maps.target.positions[first] - maps.target.positions[second]
+        factors = factor(sparse.csc_array(carrier.matrix + rows.T @ weights @ rows))
+        right = right + rows.T @ (weights @ (gap - apart))
+    return np.asarray(factors.solve(np.ascontiguousarray(right))) / maps.target.scale
+
+
+def contacts(carrier: ShapeCarrier, moved: FloatArray) -> tuple[IndexArray, IndexArray, FloatArray]:
+    """Samples (k,), (k,) whose images touch in a shape of the source, and the gap (k, 3) that it leaves the target.
+
+    Touching are points that are close, face each other, and are not neighbours: closed lips and eyelids.
+
+    Parameters
+    ----------
+    carrier : ShapeCarrier
+    moved : (n, 3) float64
+        Displacement of the source's finest vertices at unit area.
+    """
+    given, count = carrier.point_map.source, len(carrier.masses)
+    images = carrier.point_map.images.at(slice(count))
+    shaped = given.positions + moved
+    places = images.interpolate(shaped)
+    normals = images.interpolate(vertex_normals(shaped, given.triangles))
+    edges = np.sqrt(2 * carrier.masses)
+    distance, nearest = cKDTree(places).query(places, k=16, distance_upper_bound=_TOUCHING * float(edges.max()))
+    nearest = np.minimum(nearest, count - 1)
+    close = np.isfinite(distance) & (distance < _TOUCHING * edges[:, None])
+    facing = np.einsum("sd,skd->sk", normals, normals[nearest]) < _FACING
+    # Neighbours on a sharp fold of the target face each other too, and are close at rest along the surface.
+    apart = np.linalg.norm(
+        carrier.point_map.target.positions[nearest] - carrier.point_map.target.positions[:count, None], axis=2
+    )
+    touching = close & facing & ((apart > 3 * edges[:, None]) | (distance < 0.1 * edges[:, None]))
+    has = touching.any(axis=1)
+    first = np.flatnonzero(has)
+    second = nearest[first, np.argmax(touching[first], axis=1)]
+    once = first < second
+    first, second = first[once], second[once]
+    gap = np.einsum("kba,kb->ka", carrier.vertex_turns[first], places[first] - places[second])
+    return first, second, gap
+
+
+def _gradients(places: FloatArray, triangles: IndexArray) -> tuple[sparse.csr_array, FloatArray]:
+    """(3 t, n) gradients of functions that are linear on triangles, rows (t, direction); and areas (t,)."""
+    normals = triangle_normals(places, triangles)
+    doubled = np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
+    # The gradient of a corner's hat function is normal x opposite edge / (2 area).
+    unit = normals / doubled[:, None]
+    hats = [
+        np.cross(unit, places[triangles[:, (k + 2) % 3]] - places[triangles[:, (k + 1) % 3]]) / doubled[:, None]
+        for k in range(3)
+    ]
+    t = len(triangles)
+    rows = np.repeat(np.arange(3 * t), 3)
+    columns = np.repeat(triangles, 3, axis=0).reshape(-1)
+    values = np.stack(hats, axis=2).reshape(-1)  # (t, direction, corner)
+    return sparse.csr_array((values, (rows, columns)), shape=(3 * t, len(places))), 0.5 * doubled
+
+
+def _rotations(
+    gradient: sparse.csr_array, places: FloatArray, images: FloatArray, triangles: IndexArray, across: FloatArray
+) -> FloatArray:
+    """(t, 3, 3) rotation of the map's differential, target to source, of every triangle; normals go to normals."""
+    differential = (gradient @ images).reshape(-1, 3, 3).transpose(0, 2, 1)
+    normals = triangle_normals(places, triangles)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
+    stretch = np.sqrt(np.einsum("tab,tab->t", differential, differential) / 2)
+    return _nearest_rotations(differential + stretch[:, None, None] * across[:, :, None] * normals[:, None, :])
+
+
+def _nearest_rotations(maps: FloatArray) -> FloatArray:
+    """(t, 3, 3) rotations nearest to linear maps."""
+    left, _, right = np.linalg.svd(maps)
+    left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
+    return left @ right
+
+
+def _deformation(before: FloatArray, after: FloatArray, triangles: IndexArray) -> FloatArray:
+    """(t, 3, 3) linear maps F of triangles: edges go to edges, the unit normal to the unit normal."""
+
+    def frame(places: FloatArray) -> FloatArray:
+        a, b, c = (places[triangles[:, k]] for k in range(3))
+        normal = np.cross(b - a, c - a)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+        return np.stack([b - a, c - a, normal], axis=2)
+
+    rest = frame(before)
+    size = np.linalg.norm(rest[:, :, :2], axis=(1, 2))
+    sound = np.abs(np.linalg.det(rest)) > 1e-9 * size**2
+    rest[~sound] = np.eye(3)
+    maps = frame(after) @ np.linalg.inv(rest)
+    maps[~sound] = np.eye(3)
+    return maps

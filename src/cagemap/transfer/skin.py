@@ -1,0 +1,105 @@
+"""Skinning weights carried to another cage: convex, few influences, filled in where the map is not to be trusted."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from cagemap.errors import ParameterError
+from cagemap.maps.elastic.graph import ElasticGraph
+from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.factorization import factor
+
+# By how much a row's weights may miss a sum of 1 and still count as rounding.
+_ROUNDING = 1e-3
+
+
+def carry_skin(
+    weights: sparse.csr_array,
+    skin: FloatArray,
+    net: ElasticGraph,
+    trusted: NDArray[np.bool_],
+    *,
+    influences: int | None = 4,
+) -> FloatArray:
+    """Skinning weights of the target's control vertices from those of the source's.
+
+    Parameters
+    ----------
+    weights : (n1, n2) csr_array
+        Convex, see `control_weights`.
+    skin : (n2, j) float64
+        Weight of each joint at the source's control vertices, not negative; rows with any weight sum to 1.
+    net : ElasticGraph
+        Of the target's control mesh.
+    trusted : (n1,) bool
+        Where the map is to be trusted. All other vertices are filled in from these: the weights are harmonic on the net
+        there, so they stay convex.
+    influences : int, optional
+        How many joints may move a vertex; the smallest weights are left out. None for all.
+
+    Returns
+    -------
+    (n1, j) float64
+        Rows sum to 1, unless the source's rows around have none.
+
+    Raises
+    ------
+    ParameterError
+        If weights are negative, rows do not sum to 1, or nothing is trusted.
+    """
+    skin = np.asarray(skin, dtype=np.float64)
+    sums = skin.sum(axis=1)
+    if len(skin) != weights.shape[1]:
+        raise ParameterError(f"skinning weights: expected {weights.shape[1]} rows, one a vertex, got {len(skin)}")
+    wrong = np.flatnonzero((skin.min(axis=1) < 0) | ((sums > 0) & (np.abs(sums - 1) > _ROUNDING)))
+    if len(wrong):
+        raise ParameterError(
+            f"skinning weights: expected rows without negative weights that sum to 1, not so at {len(wrong)} vertices, "
+            f"first {wrong[:5].tolist()} (sum {sums[wrong[0]]:.4g}); normalise them in the rig"
+        )
+    if influences is not None and influences < 1:
+        raise ParameterError(f"influences: expected at least 1 joint a vertex, got {influences}")
+    carried = filled_in(np.asarray(weights @ skin), net, trusted)
+    return normalised(pruned(carried, influences), carried.sum(axis=1))
+
+
+def filled_in(values: FloatArray, net: ElasticGraph, known: NDArray[np.bool_]) -> FloatArray:
+    """Values (n, q) that are kept where known, and harmonic on the net elsewhere: means of what is around.
+
+    Raises
+    ------
+    ParameterError
+        If nothing is known.
+    """
+    if known.all():
+        return values
+    if not known.any():
+        raise ParameterError("expected a map that is to be trusted somewhere, got one that is trusted nowhere")
+    laplacian = net.laplacian()
+    unknown = np.flatnonzero(~known)
+    inner = laplacian[unknown][:, unknown]
+    # A trace of the identity for parts of the net that touch nothing known; they then get no weight at all.
+    inner = inner + 1e-12 * float(inner.diagonal().mean()) * sparse.eye_array(len(unknown))
+    result = values.copy()
+    right = -(laplacian[unknown][:, np.flatnonzero(known)] @ values[known])
+    result[unknown] = np.maximum(factor(sparse.csc_array(inner)).solve(right), 0.0)
+    return result
+
+
+def pruned(skin: FloatArray, influences: int | None) -> FloatArray:
+    """The largest weights of every row (n, j); of equal ones the first joints'."""
+    if influences is None or influences >= skin.shape[1]:
+        return skin
+    order = np.argsort(-skin, axis=1, kind="stable")[:, :influences]
+    kept = np.zeros_like(skin)
+    np.put_along_axis(kept, order, np.take_along_axis(skin, order, axis=1), axis=1)
+    return kept
+
+
+def normalised(skin: FloatArray, sums: FloatArray) -> FloatArray:
+    """Rows scaled to sums (n,); rounding apart, rows that have them already stay."""
+    present = skin.sum(axis=1)
+    factors = np.divide(sums, present, out=np.ones_like(present), where=present > 0)
+    return skin * np.where(np.abs(factors - 1) > 1e-12, factors, 1.0)[:, None]
