@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 import trimesh
 
+from cagemap.errors import ParameterError
 from cagemap.files.images import write_image
 from cagemap.files.meshes import write_mesh
 from cagemap.mesh.shapes import cube
 from cagemap.refinement import refine
-from cagemap.studio.bench import Bench, Dress, FindMap, Found, OpenModels, perform
+from cagemap.studio.bench import Bench, ChooseAnswer, Dress, FindMap, Found, OpenModels, perform
 from cagemap.studio.glb import Primitive, glb
 from cagemap.studio.landmarks import Landmark, Place
-from cagemap.studio.scene import Scene, carried_place, mirrored
+from cagemap.studio.scene import Scene, carried_place, mirrored, next_place
 from cagemap.studio.shape import pick, place_of, shape_of, vertex_place
 from cagemap.studio.skins import Images, crossing_triangles
 from cagemap.studio.state import View
@@ -138,6 +139,43 @@ def test_the_bench_maps_and_follows_landmarks(opened: tuple[Bench, OpenModels]) 
     back = carried_place(scene, "source", there)
     assert back is not None
     np.testing.assert_allclose(back.position, scene.target.positions[0], atol=0.3)
+
+
+def test_without_landmarks_the_bench_has_answers_to_choose_from(opened: tuple[Bench, OpenModels]) -> None:
+    bench, _ = opened
+    with pytest.raises(ParameterError, match="before"):
+        perform(bench, ChooseAnswer(0, View()), lambda _: None)
+    bench, first = perform(bench, FindMap((), View()), lambda _: None)
+    assert isinstance(first, Found)
+    # A box on a box: each half turn is an answer.
+    assert len(first.answers) > 1
+    assert first.confidence
+    bench, second = perform(bench, ChooseAnswer(1, View()), lambda _: None)
+    assert isinstance(second, Found)
+    assert second.chosen == 1
+    assert not np.array_equal(first.images.triangle, second.images.triangle)
+    # One landmark moves that answer, and taking it away gives it back.
+    bench, third = perform(bench, FindMap(landmarks(bench, 0)[:1], View()), lambda _: None)
+    assert isinstance(third, Found)
+    assert set(third.strain) == {"v0"}
+    bench, fourth = perform(bench, FindMap((), View()), lambda _: None)
+    assert isinstance(fourth, Found)
+    np.testing.assert_array_equal(fourth.images.triangle, second.images.triangle)
+
+
+def test_the_next_landmark_is_far_from_all_others(opened: tuple[Bench, OpenModels]) -> None:
+    bench, _ = opened
+    assert bench.models is not None
+    shape = bench.models.target.shape
+    images = identity(len(shape.positions), shape.triangles)
+    scene = Scene(shape, shape, (None, None), (b"", b""), images)
+    taken: tuple[Place, ...] = ()
+    for _ in range(shape.n_control):
+        place = next_place(scene, taken)
+        assert place is not None
+        assert place not in taken
+        taken = (*taken, place)
+    assert next_place(scene, taken) is None
 
 
 def test_mirror_images_lie_across_the_plane(opened: tuple[Bench, OpenModels]) -> None:

@@ -15,7 +15,7 @@ from cagemap.maps.elastic.config import ElasticConfig
 from cagemap.maps.elastic.method import elastic_map, functional_map_of, updated_map
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.confidence import Confidence
-from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS, hypothesis_map
+from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS, hypothesis_map, map_of_reading
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect, checked_changes, checked_map
 from cagemap.maps.pair import Pair, PointPairs, Progress, SymmetryPair
 from cagemap.maps.point_map import PointMap
@@ -393,6 +393,40 @@ def update_match(
             pair = Pair.of_vertices(target, source, trusted.target, trusted.source)
             point_map = updated_map(prepared, pair, before.point_map, progress)
         return _judged(prepared, point_map, landmarks, check, timings, progress)
+
+
+def other_answer(
+    before: MatchResult, index: int, config: MatchConfig = MatchConfig(), *, progress: Progress = silent
+) -> MatchResult:
+    """Another of the answers that a match with too few landmarks found, in place of the first.
+
+    Parameters
+    ----------
+    before : MatchResult
+        With its `confidence`.
+    index : int
+        Of ``before.confidence.readings``; 0 is the match's own answer.
+    config : MatchConfig
+        As in the match before.
+    progress : callable
+        Called with the name of each stage.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such answer.
+    """
+    readings = () if before.confidence is None else before.confidence.readings
+    if not 0 <= index < len(readings):
+        raise ParameterError(f"answer {index}: expected one of the {len(readings)} that the match found, from 0")
+    prepared, landmarks = before.prepared or prepare_pair(before.target, before.source, config), before.landmarks
+    pair = Pair.of_vertices(before.target, before.source, landmarks.target, landmarks.source)
+    timings: dict[str, float] = {}
+    with one_blas_thread():
+        with _timed(timings, "map"):
+            point_map = map_of_reading(prepared, pair, readings[index])
+        judged = _judged(prepared, point_map, landmarks, before.landmark_check, timings, progress)
+    return replace(judged, confidence=before.confidence)
 
 
 def pair_of(target: Surface, source: Surface, landmarks: Landmarks, config: MatchConfig = MatchConfig()) -> Pair:

@@ -10,16 +10,25 @@ from pathlib import Path
 
 import numpy as np
 
-from cagemap.basis import Surface
 from cagemap.descriptors import mirror_symmetries
-from cagemap.errors import CagemapError, InvalidLandmarksError
+from cagemap.errors import CagemapError, InvalidLandmarksError, ParameterError
 from cagemap.files.images import Image, Pixels, read_texture, write_image
 from cagemap.files.meshes import read_mesh
+from cagemap.maps.elastic.prepared import PreparedPair
+from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import IndexArray
-from cagemap.pipeline import MatchResult, choose_level, match, prepare_surfaces, update_match
+from cagemap.pipeline import (
+    MatchResult,
+    choose_level,
+    match_pair,
+    other_answer,
+    prepare_pair,
+    prepare_surfaces,
+    update_match,
+)
 from cagemap.refinement import refine
 from cagemap.studio.landmark_files import vertices_of
 from cagemap.studio.landmarks import Landmark
@@ -55,13 +64,21 @@ class FindMap:
 
 
 @dataclass(frozen=True)
+class ChooseAnswer:
+    """Go on from another of the landmark-free answers."""
+
+    index: int
+    view: View
+
+
+@dataclass(frozen=True)
 class Dress:
     """Show the models in another way."""
 
     view: View
 
 
-Task = OpenModels | FindMap | Dress
+Task = OpenModels | FindMap | ChooseAnswer | Dress
 
 
 @dataclass(frozen=True)
@@ -119,6 +136,12 @@ class Found:
     contradictions : dict of str to str
     notes : tuple of str
     seconds : float
+    answers : tuple of str
+        The landmark-free answers there are, best first.
+    chosen : int
+        Which of them the map goes on from.
+    confidence : str
+        What is said about the first one; empty where landmarks decided.
     """
 
     images: Images
@@ -127,6 +150,9 @@ class Found:
     contradictions: dict[str, str]
     notes: tuple[str, ...]
     seconds: float
+    answers: tuple[str, ...] = ()
+    chosen: int = 0
+    confidence: str = ""
 
 
 @dataclass(frozen=True)
@@ -141,10 +167,25 @@ Answer = Opened | Found | Dressed
 
 @dataclass(frozen=True)
 class Bench:
-    """What is open and prepared; each task gives the next one."""
+    """What is open and prepared; each task gives the next one.
+
+    Attributes
+    ----------
+    models : Models or None
+    prepared : PreparedPair or None
+        All that no landmark changes.
+    free : MatchResult or None
+        The match without landmarks, with all its answers.
+    chosen : int
+        The answer that maps go on from.
+    result : MatchResult or None
+        The map that is shown.
+    """
 
     models: Models | None = None
-    surfaces: tuple[Surface, Surface] | None = None
+    prepared: PreparedPair | None = None
+    free: MatchResult | None = None
+    chosen: int = 0
     result: MatchResult | None = None
 
 
@@ -162,6 +203,8 @@ def perform(bench: Bench, task: Task, progress: Progress) -> tuple[Bench, Answer
             return Bench(models), opened
         case FindMap():
             return find_map(bench, task, progress)
+        case ChooseAnswer():
+            return choose_answer(bench, task, progress)
         case Dress():
             return bench, Dressed(_skins(bench, task.view))
 
@@ -184,27 +227,40 @@ def find_map(bench: Bench, task: FindMap, progress: Progress) -> tuple[Bench, Fo
     """Map the models with the landmarks there are."""
     models = _opened(bench)
     started = time.perf_counter()
-    surfaces = bench.surfaces
-    if surfaces is None:
+    prepared = bench.prepared
+    if prepared is None:
         levels = (models.target.level, models.source.level)
         surfaces = prepare_surfaces(models.target.control, models.source.control, levels, progress=progress)
+        prepared = prepare_pair(*surfaces)
     landmarks = control_landmarks(models, task.landmarks)
-    if bench.result is None or task.fresh:
-        result = match(*surfaces, landmarks, progress=progress)
+    bench = replace(bench, prepared=prepared)
+    if not len(landmarks):
+        free = bench.free or match_pair(prepared, progress=progress)
+        bench = replace(bench, free=free, result=other_answer(free, bench.chosen) if bench.chosen else free)
+    elif bench.result is None or (task.fresh and len(landmarks) >= FEWEST_LANDMARKS):
+        bench = replace(bench, result=match_pair(prepared, landmarks, progress=progress))
     else:
-        result = update_match(bench.result, landmarks, progress=progress)
-    after = replace(bench, surfaces=surfaces, result=result)
-    images = _images(result)
-    skin = _target_skin(models, images, task.view)
-    found = Found(
-        images=images,
-        skin=skin,
-        strain=_strain(result),
-        contradictions={suspect.name: str(suspect) for suspect in result.suspects},
-        notes=tuple(result.landmark_check.notes) + tuple(result.quality.warnings),
-        seconds=time.perf_counter() - started,
-    )
-    return after, found
+        bench = replace(bench, result=update_match(bench.result, landmarks, progress=progress))
+    return bench, _found(bench, task.view, started)
+
+
+def choose_answer(bench: Bench, task: ChooseAnswer, progress: Progress) -> tuple[Bench, Found]:
+    """Go on from another landmark-free answer, with the landmarks there are.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such answer.
+    """
+    started = time.perf_counter()
+    free, before = bench.free, bench.result
+    if free is None or before is None:
+        raise ParameterError("answers: expected a map without landmarks before, there is none")
+    result = other_answer(free, task.index, progress=progress)
+    if len(before.landmarks):
+        result = update_match(result, before.landmarks, progress=progress)
+    after = replace(bench, chosen=task.index, result=result)
+    return after, _found(after, task.view, started)
 
 
 def control_landmarks(models: Models, items: tuple[Landmark, ...]) -> Landmarks:
@@ -256,6 +312,25 @@ def _opened(bench: Bench) -> Models:
     if bench.models is None:
         raise InvalidLandmarksError("expected two models, none are open; open them first")
     return bench.models
+
+
+def _found(bench: Bench, view: View, started: float) -> Found:
+    """What the page is told about the map there is now."""
+    result = bench.result
+    assert result is not None
+    images = _images(result)
+    known = None if bench.free is None else bench.free.confidence
+    return Found(
+        images=images,
+        skin=_target_skin(_opened(bench), images, view),
+        strain=_strain(result),
+        contradictions={suspect.name: str(suspect) for suspect in result.suspects},
+        notes=tuple(result.landmark_check.notes) + tuple(result.quality.warnings),
+        seconds=time.perf_counter() - started,
+        answers=() if known is None else tuple(reading.name for reading in known.readings),
+        chosen=bench.chosen,
+        confidence="" if result.confidence is None or bench.chosen else result.confidence.message,
+    )
 
 
 def _images(result: MatchResult) -> Images:

@@ -150,7 +150,7 @@ class Runner:
     def _run_one(self, command: Command, on_stage: Callable[[str], None]) -> str | None:
         if self._ended.is_set():
             return "cancelled"
-        call = [sys.executable, "-c", "from cagemap.cli import main; main()", *command.arguments]
+        call = [sys.executable, "-c", "from cagemap.cli import main; main()", "-v", *command.arguments]
         self._process = subprocess.Popen(call, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         lines: list[str] = []
         assert self._process.stdout is not None

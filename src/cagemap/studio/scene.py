@@ -10,9 +10,12 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.studio.landmarks import Place, Side
 from cagemap.studio.shape import Hit, Shape, nearest_vertex, vertex_place
 from cagemap.studio.skins import Images
+from cagemap.studio.state import Probe
 
 # A mirror image this close to the place itself, of the model's radius, is the same place.
 _ON_PLANE = 0.01
+# What a place counts that the map has no doubt about, beside one that it has every doubt about.
+_SOME_DOUBT = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +73,52 @@ def carried_place(scene: Scene, side: Side, place: Place) -> Place | None:
     return Place((x, y, z))
 
 
+def next_place(scene: Scene, taken: tuple[Place, ...]) -> Place | None:
+    """Place on the target where one more landmark tells most: far from all others, rather where the map is in doubt.
+
+    Parameters
+    ----------
+    taken : tuple of Place
+        Landmarks on the target.
+    """
+    if scene.images is None:
+        return None
+    shape = scene.target
+    points = shape.positions[: shape.n_control]
+    doubt = 1.0 - scene.images.trust[: shape.n_control]
+    away = np.full(len(points), shape.radius)
+    for place in taken:
+        away = np.minimum(away, np.linalg.norm(points - np.array(place.position), axis=1))
+    best = int(np.argmax(away * (_SOME_DOUBT + doubt)))
+    return None if away[best] == 0 else vertex_place(shape, best)
+
+
+def probed(scene: Scene, side: Side, hit: Hit) -> Probe:
+    """Where the map takes a hit on one model, and the names of the parts at both ends."""
+    there = carried(scene, side, hit.position)
+    here = _tuple(hit.position)
+    other = scene.source if side == "target" else scene.target
+    names = [part_name(scene.shape(side), hit.triangle)]
+    if there is not None:
+        names.append(part_name(other, int(np.flatnonzero((other.triangles == nearest_vertex(other, there)).any(1))[0])))
+    text = " \u2192 ".join(name for name in names if name)
+    across = None if there is None else _tuple(there)
+    return Probe(here, across, text) if side == "target" else Probe(across, here, text)
+
+
+def part_name(shape: Shape, triangle: int) -> str:
+    """Name of the part that a triangle belongs to; empty where parts have no names."""
+    if shape.face_parts is None or not shape.parts:
+        return ""
+    part = int(shape.face_parts[shape.faces[triangle]])
+    return shape.parts[part] if 0 <= part < len(shape.parts) else ""
+
+
+def _tuple(point: FloatArray) -> tuple[float, float, float]:
+    x, y, z = point.tolist()
+    return x, y, z
+
+
 def mirrored(scene: Scene, side: Side, place: Place) -> Place | None:
     """Mirror image of a place on its model; None on the mirror plane, or where the model has none."""
     shape = scene.shape(side)
@@ -80,7 +129,6 @@ def mirrored(scene: Scene, side: Side, place: Place) -> Place | None:
         across = int(mirror[place.vertex])
         return None if across == place.vertex else vertex_place(shape, across)
     points = shape.positions[: shape.n_control]
-    normal = (points - points[mirror]).sum(axis=0) if len(points) else np.zeros(3)
     apart = np.linalg.norm(points - points[mirror], axis=1)
     far = int(np.argmax(apart))
     normal = (points[far] - points[mirror[far]]) / apart[far]

@@ -14,21 +14,27 @@ from cagemap.errors import CagemapError, ParameterError
 from cagemap.files.atomic import atomic_path
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
-from cagemap.studio.bench import Dress, Dressed, FindMap, Found, Opened, OpenModels
+from cagemap.studio.bench import ChooseAnswer, Dress, Dressed, FindMap, Found, Opened, OpenModels, Task
 from cagemap.studio.finish import Command, FinishOptions, Runner, commands
 from cagemap.studio.landmark_files import load_landmarks, save_landmarks
 from cagemap.studio.landmarks import History, LandmarkList, Place, Side
-from cagemap.studio.scene import Scene, carried_place, mirrored
+from cagemap.studio.scene import Scene, carried_place, mirrored, next_place, probed
 from cagemap.studio.shape import pick, place_of
 from cagemap.studio.state import Files, Job, MapState, Output, Studio, View, with_message
-from cagemap.studio.worker import Failure, Worker
-from cagemap.studio.workspace import Workspace, autosave_path, read_autosave, write_autosave
+from cagemap.studio.worker import STOPPED, Failure, Worker
+from cagemap.studio.workspace import ADDED, Workspace, autosave_path, read_autosave, write_autosave
 
 log = logging.getLogger(__name__)
 
 Listener = Callable[[Studio, Scene | None], None]
-# Two pairs leave a rotation about their axis undecided.
-FEWEST_LANDMARKS = 3
+
+
+_TITLES = {
+    OpenModels: "opening the models",
+    FindMap: "finding the map",
+    ChooseAnswer: "finding the map",
+    Dress: "drawing",
+}
 
 
 class Session:
@@ -52,6 +58,8 @@ class Session:
         self._opening: OpenModels | None = None
         self._finding: bool | None = None  # None: nothing to find; True: from the start
         self._dressing = False
+        self._choosing: int | None = None
+        self._cancelled = self._reopened = False
         self._closed = False
         self._runner = Runner()
         self._worker = Worker(self._on_stage)
@@ -86,7 +94,10 @@ class Session:
                     self.workspace.require(path)
             with self._lock:
                 self._scene = None
-                self._change(files=files, history=History(), selected=None, map=MapState(), outputs=(), saved=True)
+                self._change(
+                    files=files, history=History(), selected=None, map=MapState(), probe=None, outputs=(), saved=True
+                )
+                self._reopened = False
                 self._opening = OpenModels(files.target, files.source, files.texture, self._vertices, self._state.view)
                 self._finding = None
                 self._wake.notify()
@@ -119,6 +130,8 @@ class Session:
         """Put a file into the first folder, under a name that is free."""
         with self._guarded():
             file = self.workspace.require(Path(name).name)
+            if file.suffix.lower() not in ADDED:
+                raise ParameterError(f"{file.name}: expected a file ending in {', '.join(ADDED)}. Add one of these.")
             free = next(path for path in _names_like(file) if not path.exists())
             with atomic_path(free) as temporary:
                 temporary.write_bytes(content)
@@ -138,6 +151,13 @@ class Session:
             place = self.place_under(side, origin, direction)
             if place is not None:
                 self._edit(edit.place(self._state.history.present, side, place), select=True)
+
+    def probe(self, side: Side, origin: FloatArray, direction: FloatArray) -> None:
+        """Ask where the map takes the point of a model that a ray meets; a ray beside it ends the asking."""
+        with self._lock:
+            scene = self._scene
+            hit = None if scene is None else pick(scene.shape(side), origin, direction)
+            self._change(probe=None if scene is None or hit is None else probed(scene, side, hit))
 
     def place_under(self, side: Side, origin: FloatArray, direction: FloatArray) -> Place | None:
         """Place on a model that a ray of the view meets first."""
@@ -162,6 +182,19 @@ class Session:
             if proposed is None:
                 raise ParameterError("expected a landmark that waits for its other place, and a map; click a model")
             self._edit(edit.move(self._state.history.present, *proposed))
+
+    def next_landmark(self) -> None:
+        """Begin the landmark that would tell most; the map's proposal for its other place is accepted or corrected."""
+        with self._guarded(), self._lock:
+            _, scene = self._open()
+            present = self._state.history.present
+            place = next_place(scene, tuple(item.target for item in present.complete if item.target))
+            if place is None:
+                raise ParameterError("next landmark: expected a map to judge; there is none yet")
+            waiting = present.open
+            if waiting is not None:
+                present = edit.remove(present, waiting.number)
+            self._edit(edit.place(present, "target", place), select=True)
 
     def move(self, number: int, side: Side, place: Place) -> None:
         """Move one end of a landmark."""
@@ -217,11 +250,20 @@ class Session:
         """Compute the map from the start, with the landmarks there are."""
         self._find(fresh=True)
 
-    def cancel_preview(self) -> None:
-        """Stop the preview's computation."""
+    def choose_answer(self, index: int) -> None:
+        """Go on from another of the landmark-free answers."""
         with self._lock:
-            if self._state.preview_job is not None:
-                self._worker.stop()
+            if self._scene is not None and 0 <= index < len(self._state.map.answers):
+                self._choosing = index
+                self._wake.notify()
+
+    def cancel_preview(self) -> None:
+        """Stop the preview's computation; the map stays as it was."""
+        with self._lock:
+            running = self._state.preview_job is not None
+            self._cancelled = running
+        if running:
+            self._worker.stop()
 
     # Finish
 
@@ -277,20 +319,22 @@ class Session:
         """Loop of the preview's thread: the newest wish of each kind, opening first."""
         while True:
             with self._lock:
-                while not (self._closed or self._opening or self._finding is not None or self._dressing):
+                while not self._anything_wanted():
                     self._wake.wait()
                 if self._closed:
                     return
-                task: OpenModels | FindMap | Dress
+                task: Task
                 if self._opening is not None:
                     task, self._opening = self._opening, None
                 elif self._finding is not None:
                     complete = self._state.history.present.complete
                     task, self._finding = FindMap(complete, self._state.view, fresh=self._finding), None
                     self._dressing = False
+                elif self._choosing is not None:
+                    task, self._choosing = ChooseAnswer(self._choosing, self._state.view), None
                 else:
                     task, self._dressing = Dress(self._state.view), False
-                title = {OpenModels: "opening the models", FindMap: "finding the map"}.get(type(task), "drawing")
+                title = _TITLES[type(task)]
                 self._change(preview_job=Job(title, can_cancel=True))
             answer = self._worker.run(task)
             with self._lock:
@@ -298,14 +342,25 @@ class Session:
                 with self._guarded():
                     self._receive(task, answer)
 
-    def _receive(self, task: OpenModels | FindMap | Dress, answer: object) -> None:
+    def _anything_wanted(self) -> bool:
+        wishes = (self._opening, self._finding, self._choosing)
+        return self._closed or self._dressing or any(wish is not None for wish in wishes)
+
+    def _receive(self, task: Task, answer: object) -> None:
         """Take in what the worker gave."""
         match answer:
+            case Failure() if self._closed:
+                pass
             case Failure():
-                if not self._closed:
+                if self._cancelled:
+                    self._say("note", "cancelled; the map stays as it was")
+                else:
                     self._say("error", f"{answer.kind}: {answer.message}")
-                if answer.kind == "Stopped" and self._scene is not None and not self._closed:
+                self._cancelled = False
+                if answer.kind == STOPPED and self._scene is not None:
                     self._reopen()
+            case Opened() if self._reopened:
+                self._reopened = False
             case Opened():
                 self._scene = Scene(answer.target, answer.source, answer.mirrors, answer.skins)
                 self._change()
@@ -319,6 +374,9 @@ class Session:
                     contradictions=answer.contradictions,
                     notes=answer.notes,
                     seconds=answer.seconds,
+                    answers=answer.answers,
+                    chosen=answer.chosen,
+                    confidence=answer.confidence,
                 )
                 self._change(map=found)
             case Dressed() if self._scene is not None:
@@ -328,18 +386,15 @@ class Session:
                 log.warning("unexpected answer %r to %r", type(answer), type(task))
 
     def _reopen(self) -> None:
-        """Give a new process of the worker what the old one knew."""
+        """Give a new process of the worker the models; what ended the old one is not done again by itself."""
         files, _ = self._open()
-        # The landmarks stay: only the first opening reads them.
+        self._finding, self._choosing, self._dressing, self._reopened = None, None, False, True
         self._opening = OpenModels(files.target, files.source, files.texture, self._vertices, self._state.view)
         self._wake.notify()
 
     def _first_landmarks(self) -> None:
         """Landmarks of newly opened models: what a killed studio left unsaved, else what the file holds."""
         files, scene = self._open()
-        if len(self._state.history.present):
-            self._find(fresh=True)
-            return
         kept = autosave_path(files.landmarks)
         if kept.is_file():
             self._change(history=History(read_autosave(kept)), saved=False)
@@ -373,8 +428,7 @@ class Session:
     def _find(self, *, fresh: bool) -> None:
         """Ask for a map; an update is enough where there is one."""
         with self._lock:
-            enough = len(self._state.history.present.complete) >= FEWEST_LANDMARKS
-            if self._scene is not None and enough:
+            if self._scene is not None:
                 self._finding = fresh or bool(self._finding)
                 self._wake.notify()
 

@@ -35,6 +35,8 @@ class Shape:
     n_control : int
     parts : tuple of str
         Names of materials.
+    face_parts : (m,) int64 or None
+        Material of every control face.
     """
 
     name: str
@@ -46,7 +48,8 @@ class Shape:
     faces: IndexArray
     edges: FloatArray
     n_control: int
-    parts: tuple[str, ...]
+    parts: tuple[str, ...] = ()
+    face_parts: IndexArray | None = None
 
     @property
     def centre(self) -> FloatArray:
@@ -84,6 +87,7 @@ def shape_of(refinement: Refinement) -> Shape:
         edges=control.positions[control_edges(control)],
         n_control=control.n_vertices,
         parts=control.material_names,
+        face_parts=control.face_materials,
     )
 
 

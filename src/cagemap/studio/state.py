@@ -116,6 +116,23 @@ class Job:
 
 
 @dataclass(frozen=True)
+class Probe:
+    """A place that was asked about, and where the map takes it.
+
+    Attributes
+    ----------
+    target, source : (x, y, z) or None
+        In file units.
+    text : str
+        The parts that they belong to.
+    """
+
+    target: tuple[float, float, float] | None
+    source: tuple[float, float, float] | None
+    text: str = ""
+
+
+@dataclass(frozen=True)
 class Message:
     """A line for the user.
 
@@ -151,8 +168,9 @@ class Studio:
         Number of the selected landmark.
     view : View
     map : MapState
-    jobs : tuple of Job
-        By slot: the preview's computation first, then the finish.
+    preview_job, finish_job : Job or None
+        What runs.
+    probe : Probe or None
     messages : tuple of Message
     outputs : tuple of Output
     saved : bool
@@ -166,6 +184,7 @@ class Studio:
     map: MapState = MapState()
     preview_job: Job | None = None
     finish_job: Job | None = None
+    probe: Probe | None = None
     messages: tuple[Message, ...] = ()
     outputs: tuple[Output, ...] = ()
     saved: bool = True

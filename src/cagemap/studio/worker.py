@@ -12,6 +12,8 @@ from typing import Any
 
 from cagemap.errors import CagemapError
 
+STOPPED = "Stopped"
+
 
 @dataclass(frozen=True)
 class Failure:
@@ -103,8 +105,8 @@ class Worker:
             process.join(5)
             code = process.exitcode
         if code is not None and code < 0:
-            return Failure("Stopped", f"the computation was ended by signal {-code}; there may be too little memory")
-        return Failure("Stopped", f"the computation's process ended (exit code {code})")
+            return Failure(STOPPED, f"the computation was ended by signal {-code}; there may be too little memory")
+        return Failure(STOPPED, f"the computation's process ended (exit code {code})")
 
 
 def _serve(connection: Connection) -> None:

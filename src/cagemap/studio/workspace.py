@@ -16,6 +16,8 @@ from cagemap.studio.landmarks import Landmark, LandmarkList, Place
 MESHES = (".obj", ".ply")
 IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
 LANDMARKS = (".json",)
+# What may be added through the page.
+ADDED = (*MESHES, ".mtl", *IMAGES, *LANDMARKS)
 _AUTOSAVE = "cagemap-studio-autosave"
 # A listing longer than this helps nobody.
 _LONGEST_LISTING = 500

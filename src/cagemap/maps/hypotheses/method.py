@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cagemap.maps.elastic.prepared import PreparedPair
-from cagemap.maps.hypotheses.confidence import Confidence
+from cagemap.maps.hypotheses.confidence import Confidence, Reading
 from cagemap.maps.hypotheses.search import HypothesesConfig, found_readings
 from cagemap.maps.pair import Pair, Progress
 from cagemap.maps.point_map import PointMap
@@ -32,6 +32,18 @@ def hypothesis_map(
     """
     readings = found_readings(prepared, pair, config, progress)
     progress("projection")
-    found = project(prepared, readings[0].positions, pair.landmarks)
-    point_map = unfold(found, pair.target_landmarks, prepared.elastic)
-    return point_map, Confidence.of(readings, pair.target.control.n_vertices)
+    return map_of_reading(prepared, pair, readings[0]), Confidence.of(readings, pair.target.control.n_vertices)
+
+
+def map_of_reading(prepared: PreparedPair, pair: Pair, reading: Reading) -> PointMap:
+    """Point map T12 of the finest levels by one reading, the best or a runner-up.
+
+    Parameters
+    ----------
+    prepared : PreparedPair
+    pair : Pair
+        The one that was read.
+    reading : Reading
+    """
+    found = project(prepared, reading.positions, pair.landmarks)
+    return unfold(found, pair.target_landmarks, prepared.elastic)

@@ -13,13 +13,11 @@ import viser
 from cagemap.studio.page.cameras import Cameras
 from cagemap.studio.page.door import LOOPBACK, Door, new_token
 from cagemap.studio.page.panels import SetupPanel, WorkPanel
-from cagemap.studio.page.view import DISTANCE, ModelView
+from cagemap.studio.page.view import FIRST_VIEW, ModelView
 from cagemap.studio.scene import Scene
 from cagemap.studio.session import Session
 from cagemap.studio.state import Files, Studio
 from cagemap.studio.workspace import Workspace
-
-FIRST_VIEW = (0.9, 0.7, DISTANCE)
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,8 @@ from cagemap.studio.landmarks import SIDES
 
 COOKIE = "cagemap_studio"
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
+# The page asks nothing of other machines, whatever viser's scripts would.
+_POLICY = "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; frame-ancestors 'self'"
 # Ports tried after the first one that is taken.
 _PORTS = 20
 
@@ -166,6 +168,7 @@ def _response(status: http.HTTPStatus, body: bytes, cookie: str | None = None) -
             "Cache-Control": "no-store",
             "Referrer-Policy": "no-referrer",
             "X-Frame-Options": "SAMEORIGIN",
+            "Content-Security-Policy": _POLICY,
         }
     )
     if cookie is not None:

@@ -38,6 +38,7 @@ class SetupPanel:
             self._source = gui.add_dropdown("Source", meshes, hint="gives: the model that has the texture")
             images = (NONE, *workspace.listing(IMAGES))
             self._texture = gui.add_dropdown("Texture", images, hint="an image over the source's UVs")
+            self._source.on_update(lambda event: self._guess_texture(event.client))
             gui.add_button("Open", icon=viser.Icon.FOLDER_OPEN).on_click(lambda _: self._open())
             upload = gui.add_upload_button("Add a file", hint="copies a file of yours into the studio's folder")
             upload.on_upload(lambda event: self._upload(event.target.value))
@@ -83,6 +84,13 @@ class SetupPanel:
         if view != self._session.state.view:
             self._session.show(view)
 
+    def _guess_texture(self, client: object) -> None:
+        """An image named after the source is most likely its texture."""
+        stem = Path(self._source.value).stem
+        named = [name for name in self._texture.options if Path(name).stem.startswith(stem)]
+        if client is not None and named:
+            _set(self._texture, "value", named[0])
+
     def _open(self) -> None:
         workspace = self._session.workspace
         texture = None if self._texture.value == NONE else self._texture.value
@@ -116,6 +124,8 @@ class WorkPanel:
         with gui.add_folder("Landmarks"):
             self._accept = gui.add_button("Accept proposal", icon=viser.Icon.CHECK, color="green", disabled=True)
             self._accept.on_click(lambda _: session.accept())
+            self._next = gui.add_button("Next landmark", icon=viser.Icon.BULB, hint="where one more tells most")
+            self._next.on_click(lambda _: session.next_landmark())
             self._undo = gui.add_button("Undo", icon=viser.Icon.ARROW_BACK_UP)
             self._undo.on_click(lambda _: session.undo())
             self._redo = gui.add_button("Redo", icon=viser.Icon.ARROW_FORWARD_UP)
@@ -136,9 +146,13 @@ class WorkPanel:
             self._load.on_update(lambda event: self._loaded(event.client))
         with gui.add_folder("Map"):
             self._map = gui.add_html("")
+            self._answers = gui.add_dropdown("Answer", (NONE,), hint="other ways in which target and source may agree")
+            self._answers.on_update(lambda event: self._choose_answer(event.client))
             gui.add_button("Match again", icon=viser.Icon.REFRESH).on_click(lambda _: session.match_again())
         with gui.add_folder("Finish"):
             self._finish_controls(gui)
+        gui.add_command("Undo", hotkey="Z", modifier="cmd/ctrl").on_trigger(lambda _: session.undo())
+        gui.add_command("Redo", hotkey="Z", modifier="cmd/ctrl+shift").on_trigger(lambda _: session.redo())
         gui.main_panel.dock_right()
         gui.main_panel.set_width(WIDTH)
 
@@ -158,10 +172,15 @@ class WorkPanel:
             _set(handle, "disabled", selected is None)
         _set(self._undo, "disabled", not state.history.past)
         _set(self._redo, "disabled", not state.history.future)
+        _set(self._next, "disabled", state.map.revision == 0)
         _set(self._accept, "disabled", self._session.proposal() is None)
         if state.files is not None and not self._file.value:
             _set(self._file, "value", self._session.workspace.show(state.files.landmarks))
         _set(self._map, "content", map_text(state))
+        answers = tuple(f"{number + 1} {name}" for number, name in enumerate(state.map.answers)) or (NONE,)
+        if tuple(self._answers.options) != answers:
+            self._answers.options = answers
+        _set(self._answers, "value", answers[min(state.map.chosen, len(answers) - 1)])
         _set(self._outputs, "content", outputs_text(state))
         names = tuple(output.path.name for output in state.outputs if output.path.is_file()) or (NONE,)
         if tuple(self._download.options) != names:
@@ -209,6 +228,10 @@ class WorkPanel:
         if client is not None:  # by a person, not by `refresh`
             self._session.select(self._numbers.get(self._chosen.value))
 
+    def _choose_answer(self, client: object) -> None:
+        if client is not None and self._answers.value in self._answers.options:
+            self._session.choose_answer(list(self._answers.options).index(self._answers.value))
+
     def _rename(self, client: object) -> None:
         number = self._session.state.selected
         if client is not None and number is not None:
@@ -246,7 +269,7 @@ def landmark_table(state: Studio) -> str:
         )
     head = f"{len(state.history.present.complete)} landmarks" + ("" if state.saved else " · not saved yet")
     return (
-        f'<div style="font-size:12px;padding:0 8px"><div>{head}</div>'
+        f'<div id="list" style="font-size:12px;padding:0 8px"><div>{head}</div>'
         f'<div style="max-height:{LIST_HEIGHT}px;overflow-y:auto"><table style="width:100%;border-spacing:2px">'
         f"{''.join(rows)}</table></div></div>"
     )
@@ -260,6 +283,8 @@ def status_text(state: Studio) -> str:
         lines.append(f"<b>{html.escape(job.title)}</b> {html.escape(job.stage)}")
     elif state.files is None:
         lines.append("Choose a target and a source on the left, then Open.")
+    elif state.probe is not None and state.probe.text:
+        lines.append(html.escape(state.probe.text))
     elif state.history.present.open is not None:
         lines.append("Click the same place on the other model, or accept the proposal.")
     else:
@@ -274,7 +299,7 @@ def map_text(state: Studio) -> str:
     """What is known about the map."""
     known = state.map
     if known.revision == 0:
-        return '<div style="font-size:12px;padding:0 8px">no map yet: place three landmarks</div>'
+        return '<div id="map" style="font-size:12px;padding:0 8px">no map yet</div>'
     lines = [f"map {known.revision}, {known.seconds:.1f} s"]
     lines += [known.confidence] if known.confidence else []
     lines += list(known.contradictions.values()) + list(known.notes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -15,13 +16,19 @@ from cagemap.studio.page.colors import Color, landmark_color
 from cagemap.studio.scene import Scene
 from cagemap.studio.session import Session
 from cagemap.studio.shape import Shape
-from cagemap.studio.state import Studio
+from cagemap.studio.state import Probe, Studio
 
 # Of a model's radius.
 MARKER = 0.016
 SELECTED_MARKER = 0.026
 LABEL_HEIGHT = 0.05
-DISTANCE = 2.6
+# Radians, vertically: little perspective, as modellers like it.
+FIELD_OF_VIEW = 0.6
+FIRST_VIEW = (0.95, 0.65, 3.1)
+PROBE = 0.02
+# Seconds that a skin stays under the one that replaces it.
+LINGER = 0.5
+PROBE_COLOR: Color = (255, 255, 255)
 CAGE_COLOR = (90, 170, 255)
 CONTRADICTED: Color = (255, 30, 30)
 # A click whose ray passes a marker this closely, in its radii, selects it.
@@ -85,10 +92,12 @@ class ModelView:
         self._markers: dict[int, tuple[Marker, Any, Any]] = {}
         server.scene.set_up_direction("+y")
         server.scene.world_axes.visible = False
-        server.initial_camera.position = (0.9, 0.7, DISTANCE)
+        server.initial_camera.position = FIRST_VIEW
+        server.initial_camera.fov = FIELD_OF_VIEW
         server.initial_camera.look_at = (0.0, 0.0, 0.0)
         server.initial_camera.near = 0.005
         server.scene.on_click()(self._clicked)
+        server.scene.on_click(modifier="shift")(self._probed)
 
     def refresh(self, state: Studio, scene: Scene | None) -> None:
         """Show the state as it is now."""
@@ -102,18 +111,21 @@ class ModelView:
             self._show_skin(scene.skins[0 if self.side == "target" else 1])
             self._cage.visible = state.view.cages
             self._show_markers(markers_of(state, shape, self.side, self._session.proposal()))
+            self._show_probe(state.probe, shape)
 
-    def show_probe(self, position: FloatArray | None) -> None:
-        """Point at a place (in file units) that the other frame asked about."""
-        if position is None or self._shape is None:
+    def _show_probe(self, probe: Probe | None, shape: Shape) -> None:
+        """A white ball where the probe is on this model."""
+        position = None if probe is None else probe.target if self.side == "target" else probe.source
+        if position is None:
             if self._probe is not None:
-                self._probe.remove()
-                self._probe = None
+                self._probe.visible = False
             return
-        point = self._shape.to_view(position)
-        self._probe = self.server.scene.add_icosphere(
-            "/probe", radius=0.02, color=(255, 255, 255), position=point, cast_shadow=False, receive_shadow=False
-        )
+        if self._probe is None:
+            self._probe = self.server.scene.add_icosphere(
+                "/probe", radius=PROBE, color=PROBE_COLOR, cast_shadow=False, receive_shadow=False
+            )
+        self._probe.position = shape.to_view(np.array(position))
+        self._probe.visible = True
 
     def _show_skin(self, skin: bytes) -> None:
         if skin is self._skin:
@@ -124,7 +136,10 @@ class ModelView:
             f"/skin/{self._count}", skin, cast_shadow=False, receive_shadow=False
         )
         if old is not None:
-            old.remove()
+            # The browser reads the new skin meanwhile; without the old one the model would blink.
+            timer = threading.Timer(LINGER, old.remove)
+            timer.daemon = True
+            timer.start()
 
     def _show_cage(self, shape: Shape) -> None:
         points = shape.to_view(shape.edges).astype(np.float32)
@@ -172,6 +187,9 @@ class ModelView:
             self._session.select(number)
         else:
             self._session.click(self.side, origin, direction)
+
+    def _probed(self, event: viser.SceneClickEvent) -> None:
+        self._session.probe(self.side, np.array(event.ray_origin), np.array(event.ray_direction))
 
     def _marker_under(self, origin: FloatArray, direction: FloatArray) -> int | None:
         """Landmark whose marker a ray meets, in front of the model."""

@@ -1,0 +1,1 @@
+"""How long the studio lets one wait, measured in a headless browser: `python -m benchmarks.studio [--triangles N]`."""
