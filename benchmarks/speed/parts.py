@@ -13,6 +13,9 @@ import numpy as np
 from benchmarks.speed.data import PAIRS
 from benchmarks.speed.measure import Figures, cagemap, run, run_task
 
+# What `cagemap match` prepares.
+FUNCTIONS = 150
+
 
 @dataclass(frozen=True)
 class Options:
@@ -69,7 +72,7 @@ def match(options: Options) -> Figures:
         {
             "pair": "proxies",
             "level": options.level,
-            "count": 300,
+            "count": FUNCTIONS,
             "cache": options.cache,
             "output": str(Path(options.folder) / "RESULT-prepared"),
         },
@@ -119,12 +122,12 @@ def bake(options: Options) -> Figures:
 
 def landmark(options: Options) -> Figures:
     """One landmark added: time to the new map at 25k vertices a side."""
-    return run_task("landmark_added", {"pair": "proxies", "level": 2, "count": 300, "cache": options.cache})
+    return run_task("landmark_added", {"pair": "proxies", "level": 2, "count": FUNCTIONS, "cache": options.cache})
 
 
 def stages(options: Options) -> Figures:
     """Every stage beside the bytes it must move or the operations it must do."""
-    return run_task("stages", {"pair": "proxies", "level": options.level, "count": 300, "cache": options.cache})
+    return run_task("stages", {"pair": "proxies", "level": options.level, "count": FUNCTIONS, "cache": options.cache})
 
 
 def start(options: Options) -> Figures:

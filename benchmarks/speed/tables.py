@@ -91,15 +91,27 @@ def _start(part: Figures) -> list[str]:
 
 
 def _basis(part: Figures) -> list[str]:
-    exact = part["eigsh"]
-    rows = [(f"SciPy `eigsh`, exact, at {thousands(part['vertices'])} vertices", *_pair(exact), "", "", "")]
+    exact = {
+        f"SciPy `eigsh`, exact, at {thousands(part['vertices'])} vertices": "eigsh",
+        "the same with cagemap's factorisation": "eigsh, our factorisation",
+        "cagemap, exact (block Lanczos there)": "ours exact",
+    }
+    exact = {label: name for label, name in exact.items() if name in part}
+    against = [part[name] for name in exact.values()]
+    rows = [(label, *_pair(part[name]), *[""] * (1 + len(exact))) for label, name in exact.items()]
+
+    def row(label: str, name: str, error: str) -> tuple[str, ...]:
+        return label, *_pair(part[name]), error, *(f"{other['cpu'] / part[name]['cpu']:.1f}x" for other in against)
+
     for name in part:
-        if name.startswith("ours "):
-            tolerance = name.removeprefix("ours ")
-            ratios = (f"{exact[unit] / part[name][unit]:.0f}x" for unit in ("wall", "cpu"))
+        tolerance = name.removeprefix("ours ")
+        if f"error {tolerance}" in part:
             label = f"cagemap, tolerance {tolerance}, bands {part[f'schedule {tolerance}']}"
-            rows.append((label, *_pair(part[name]), f"{part[f'error {tolerance}']:.1e}", *ratios))
-    head = ["wall", "processor", "largest eigenvalue error", "ratio (wall)", "ratio (processor)"]
+            rows.append(row(label, name, f"{part[f'error {tolerance}']:.1e}"))
+    if "fixed" in part:
+        rows.append(row(f"cagemap, fixed schedule {part['fixed schedule']}", "fixed", ""))
+    ratios = ["against eigsh", "against eigsh with our factorisation", "against our exact"][: len(exact)]
+    head = ["wall", "processor", "largest eigenvalue error", *ratios]
     return table([f"{part['count']} eigenpairs", *head], rows)
 
 
