@@ -30,7 +30,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-MeshFile = Annotated[Path, typer.Argument(help="Control mesh, .obj or .ply.", show_default=False)]
+MeshFile = Annotated[Path, typer.Argument(help="Control mesh, .obj, .ply or USD.", show_default=False)]
 Force = Annotated[
     bool, typer.Option("--force", help="Overwrite files that cagemap did not write, or that were changed since.")
 ]
@@ -127,7 +127,7 @@ def demo(
 @app.command()
 def check(
     meshes: Annotated[
-        list[Path], typer.Argument(metavar="MESH...", help="Control meshes, .obj or .ply.", show_default=False)
+        list[Path], typer.Argument(metavar="MESH...", help="Control meshes, .obj, .ply or USD.", show_default=False)
     ],
 ) -> None:
     """Tell whether control meshes can be used, and if not, what to mend and where.
@@ -149,7 +149,7 @@ def refine(
     level: Annotated[
         int, typer.Option("--level", "-l", min=0, help="Subdivision steps; each has about 4 times the faces.")
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Mesh to write, .obj or .ply.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Mesh to write, .obj, .ply or USD.")],
     scheme: SchemeOption = None,
     boundary: BoundaryOption = None,
     uv_interpolation: UvOption = None,
@@ -170,8 +170,8 @@ def refine(
 
 @app.command()
 def match(
-    target: Annotated[Path, typer.Option("--target", "-t", help="Control mesh that receives, .obj or .ply.")],
-    source: Annotated[Path, typer.Option("--source", "-s", help="Control mesh that gives, .obj or .ply.")],
+    target: Annotated[Path, typer.Option("--target", "-t", help="Control mesh that receives, .obj, .ply or USD.")],
+    source: Annotated[Path, typer.Option("--source", "-s", help="Control mesh that gives, .obj, .ply or USD.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="RESULT folder to write.")],
     landmarks: Annotated[
         Path | None,
@@ -347,7 +347,20 @@ def transfer(
         ),
     ],
     texture: Annotated[
-        Path | None, typer.Option("--texture", help="Source texture: colour, roughness, any image.", show_default=False)
+        list[str] | None,
+        typer.Option(
+            "--texture",
+            help="Source texture: colour, roughness, any image. Several as NAME=IMAGE, once each; -o gets their names.",
+            show_default=False,
+        ),
+    ] = None,
+    usd: Annotated[
+        Path | None,
+        typer.Option(
+            "--usd",
+            help="Also write a USD layer over the target that has the textures or attributes.",
+            show_default=False,
+        ),
     ] = None,
     displacement: Annotated[
         Path | None, typer.Option("--displacement", help="Source displacement along the normal.", show_default=False)
@@ -431,12 +444,15 @@ def transfer(
     Images are baked into the target's own UV layout, texel by texel, across the source's seams.
     """
     from cagemap.cli.progress import Stages
-    from cagemap.cli.transfer import TransferRequest, run_transfer
+    from cagemap.cli.transfer import TransferRequest, run_transfer, texture_and_maps
 
+    image, maps = texture_and_maps(texture or [])
     request = TransferRequest(
         result=result,
         output=output,
-        texture=texture,
+        texture=image,
+        maps=maps,
+        usd=usd,
         displacement=displacement,
         attribute=attribute,
         material_colors=material_colors,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import numpy as np
 from cagemap.cli.job_file import note_output
 from cagemap.cli.progress import Stages
 from cagemap.cli.rig import carry_blend_shapes, carry_skeleton, carry_weights, write_point_map
+from cagemap.cli.usd_output import texture_reference, write_usd_results
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs, require_no_input, require_replaceable, require_writable_folder
 from cagemap.files.attributes import check_attribute_path, read_attributes, write_attributes
@@ -24,12 +25,14 @@ from cagemap.files.images import (
     read_texture,
     texture_files,
     texture_pixels,
+    tile_pattern,
     udim_path,
     write_image,
 )
 from cagemap.files.meshes import write_mesh
 from cagemap.files.obj_layout import write_obj_layout
 from cagemap.files.result import ARRAYS, MANIFEST, Result, input_file, note_transfer, read_result, stated_path
+from cagemap.files.usd_write import UsdResults
 from cagemap.mesh import ControlMesh
 from cagemap.transfer import (
     BakeOptions,
@@ -61,6 +64,8 @@ class TransferRequest:
     result: Path
     output: Path
     texture: Path | None = None
+    maps: tuple[tuple[str, Path], ...] = ()
+    usd: Path | None = None
     displacement: Path | None = None
     attribute: Path | None = None
     material_colors: bool = False
@@ -76,6 +81,29 @@ class TransferRequest:
     midlevel: float | None = None
     scale: float = 1.0
     force: bool = False
+
+
+def texture_and_maps(given: Sequence[str]) -> tuple[Path | None, tuple[tuple[str, Path], ...]]:
+    """Tell a single image from the named maps of a material: ``albedo=skin.png``.
+
+    Raises
+    ------
+    ParameterError
+        If one of several has no name, or two have the same.
+    """
+    named = [(name, Path(path)) for name, sign, path in (text.partition("=") for text in given) if sign and path]
+    if len(given) == 1 and (not named or Path(given[0]).exists()):
+        return Path(given[0]), ()
+    if not given:
+        return None, ()
+    if len(named) != len(given) or len({name for name, _ in named}) != len(named):
+        raise ParameterError(
+            f"--texture: expected one image, or several as NAME=IMAGE with a name of its own each, got "
+            f"{', '.join(given)}."
+        )
+    if any(not name.replace("_", "").replace("-", "").isalnum() for name, _ in named):
+        raise ParameterError("--texture: expected names of letters, digits, - and _, since files are named by them.")
+    return None, tuple(named)
 
 
 def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
@@ -95,7 +123,7 @@ def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
 def _inputs(request: TransferRequest) -> list[Path]:
     """Files that are read, as far as the command line names them."""
     single = (request.texture, request.displacement, request.attribute, request.weights, request.joints)
-    given = [path for path in single if path is not None]
+    given = [path for path in (*single, *(path for _, path in request.maps)) if path is not None]
     return [
         request.result / MANIFEST,
         request.result / ARRAYS,
@@ -106,7 +134,7 @@ def _inputs(request: TransferRequest) -> list[Path]:
 def _carrier(request: TransferRequest) -> Callable[[TransferRequest, Result, Stages], Outcome]:
     """Choose the one thing to carry."""
     options = {
-        "--texture": (request.texture is not None, _carry_texture),
+        "--texture": (request.texture is not None or bool(request.maps), _carry_texture),
         "--displacement": (request.displacement is not None, _carry_displacement),
         "--attribute": (request.attribute is not None, _carry_attribute),
         "--material-colors": (request.material_colors, _carry_material_colors),
@@ -129,31 +157,60 @@ class _Bake:
     """A prepared bake: tiles of the target's layout, and what is to be said about it."""
 
     transfer: Transfer
+    control: ControlMesh
     tiles: list[int]
     mesh: Path | None
     warnings: list[str]
 
 
 def _carry_texture(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
-    assert request.texture is not None
-    texture, first, dtype = _read_image(request, request.texture)
-    check_writable(request.output, dtype, first.pixels.shape[2])
-    size = request.size or max(first.size)
-    prepared = _prepare_bake(request, result, stages)
-    if looks_like_normal_map(first.pixels):
-        prepared.warnings.append(
-            f"{request.texture} looks like a normal map and is baked as colours: its directions belong to the source's "
-            "layout, and light would fall wrongly on the target. Bake --displacement instead"
-        )
-    stages("bake")
-    for tile in prepared.tiles:
-        pixels = bake_texture(
-            prepared.transfer, texture_pixels(texture), size=size, dtype=dtype, options=BakeOptions(tile=tile)
-        )
-        write_image(udim_path(request.output, tile), replace(first, pixels=pixels), force=request.force)
-    return _finish(
-        request, prepared, {"kind": "texture", "image": stated_path(request.texture, request.result), "size": size}
-    )
+    """One image, or all maps of a material; the map is followed once for all of them."""
+    maps = request.maps if request.texture is None else (("", request.texture),)
+    images = [_read_image(request, path) for _, path in maps]
+    outputs = [_map_path(request.output, name) for name, _ in maps]
+    for output, (_, first, dtype) in zip(outputs, images, strict=True):
+        check_writable(output, dtype, first.pixels.shape[2])
+    prepared = _prepare_bake(request, result, stages, outputs)
+    for (name, path), output, (texture, first, dtype) in zip(maps, outputs, images, strict=True):
+        size = request.size or max(first.size)
+        if looks_like_normal_map(first.pixels):
+            prepared.warnings.append(
+                f"{path} looks like a normal map and is baked as colours: its directions belong to the source's "
+                "layout, and light would fall wrongly on the target. Bake --displacement instead"
+            )
+        for tile in prepared.tiles:
+            stages(" ".join(["bake", *([name] if name else []), *([f"tile {tile}"] if tile else [])]))
+            pixels = bake_texture(
+                prepared.transfer, texture_pixels(texture), size=size, dtype=dtype, options=BakeOptions(tile=tile)
+            )
+            write_image(udim_path(output, tile), replace(first, pixels=pixels), force=request.force)
+        entry = {"kind": "texture", "image": stated_path(path, request.result), "size": size}
+        summary, warnings = _finish(replace(request, output=output), prepared, entry | ({"map": name} if name else {}))
+    if request.usd is not None:
+        layer = request.usd
+        images_by_use = {
+            name or "texture": texture_reference(output if prepared.tiles == [0] else tile_pattern(output), layer)
+            for (name, _), output in zip(maps, outputs, strict=True)
+        }
+        control = prepared.control
+        uvs = None
+        if request.unwrap and control.uvs is not None and control.uv_indices is not None:
+            uvs = ("cagemap_st", control.uvs, control.uv_indices)
+        results = UsdResults(textures=images_by_use, uvs=uvs)
+        summary += "\n" + write_usd_results(layer, request.result, result, results, force=request.force)
+    if len(maps) > 1:
+        summary = f"wrote {len(maps)} maps: {', '.join(map(str, outputs))}" + summary.partition("\n")[2]
+    return summary, warnings
+
+
+def _map_path(output: Path, name: str) -> Path:
+    """Image of one of several maps: its name comes before the tile number and the suffix."""
+    if not name:
+        return output
+    stem, dot, rest = output.name.partition(UDIM_MARK) if UDIM_MARK in output.name else (output.stem, "", output.suffix)
+    if dot:
+        return output.with_name(f"{stem.rstrip('._')}_{name}.{UDIM_MARK}{rest}")
+    return output.with_name(f"{stem}_{name}{rest}")
 
 
 def _carry_displacement(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
@@ -204,6 +261,8 @@ def _carry_attribute(request: TransferRequest, result: Result, stages: Stages) -
     assert request.attribute is not None
     check_attribute_path(request.output)
     require_replaceable(request.output, force=request.force)
+    if request.usd is not None:
+        require_replaceable(request.usd, force=request.force)
     values = read_attributes(request.attribute)
     sides = result.target.refinement(), result.source.refinement()
     target, source = (side.control for side in sides)
@@ -230,11 +289,15 @@ def _carry_attribute(request: TransferRequest, result: Result, stages: Stages) -
                 f"face corners, or {len(result.source.vertices)} vertices of level {result.source.level}."
             )
     write_attributes(request.output, carried, force=request.force)
+    lines = []
+    if request.usd is not None:
+        results = UsdResults(attributes=carried)
+        lines.append(write_usd_results(request.usd, request.result, result, results, force=request.force))
     files = {"file": request.attribute, "output": request.output}
     entry = {"kind": "attribute"} | {name: stated_path(path, request.result) for name, path in files.items()}
     note_transfer(request.result, entry)
     shapes = ", ".join(f"{name} {array.shape}" for name, array in carried.items())
-    return f"wrote {request.output}: {shapes}", warnings
+    return "\n".join([f"wrote {request.output}: {shapes}", *lines]), warnings
 
 
 def _carry_uvs(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
@@ -268,7 +331,9 @@ def _prepare(result: Result, stages: Stages) -> Transfer:
     return prepare_transfer(result.target.refinement().finest, result.source.refinement().finest, result.point_map())
 
 
-def _prepare_bake(request: TransferRequest, result: Result, stages: Stages) -> _Bake:
+def _prepare_bake(
+    request: TransferRequest, result: Result, stages: Stages, outputs: Sequence[Path] | None = None
+) -> _Bake:
     """Lay the target out, with a new layout if asked for, and find its tiles."""
     mesh: Path | None = None
     warnings: list[str] = []
@@ -292,11 +357,12 @@ def _prepare_bake(request: TransferRequest, result: Result, stages: Stages) -> _
         warnings.append(
             f"{100 * outside:.1f} % of the target's layout lies outside the unit square and is not baked: move it"
         )
-    images = [udim_path(request.output, tile) for tile in tiles]
-    check_outputs([*images, *([mesh] if mesh else [])], _inputs(request), force=request.force)
+    images = [udim_path(output, tile) for output in outputs or [request.output] for tile in tiles]
+    others = [path for path in (mesh, request.usd) if path is not None]
+    check_outputs([*images, *others], _inputs(request), force=request.force)
     if mesh is not None:
         warnings += _write_unwrapped(request, result.target.control, result.manifest)
-    return _Bake(transfer, tiles, mesh, warnings)
+    return _Bake(transfer, result.target.control, tiles, mesh, warnings)
 
 
 def _finish(request: TransferRequest, prepared: _Bake, entry: dict[str, Any]) -> Outcome:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.npz import read_npy, read_npz, write_npz
+from cagemap.files.usd import USD_SUFFIXES, read_usd_meshes
 
 SUFFIXES = (".npy", ".npz", ".csv")
 
@@ -23,7 +24,8 @@ def read_attributes(path: str | Path) -> Attributes:
     """Read named arrays, one row a vertex or face.
 
     An ``.npy`` holds one array, named like the file; an ``.npz`` any number; a ``.csv`` one column each, with names in
-    its first line, or one array of all columns, named like the file, without.
+    its first line, or one array of all columns, named like the file, without. A USD file holds the primvars of its
+    mesh, skinning and blend shapes (`cagemap.files.usd_primvars`).
 
     Returns
     -------
@@ -38,6 +40,8 @@ def read_attributes(path: str | Path) -> Attributes:
     file = Path(path)
     if not file.is_file():
         raise FormatError(f"{file}: expected a file of attributes, found no such file. Check the name.")
+    if file.suffix.lower() in USD_SUFFIXES:
+        return _read_usd(file)
     check_attribute_path(file)
     try:
         arrays = _read_csv(file) if file.suffix.lower() == ".csv" else _read_numpy(file)
@@ -48,6 +52,16 @@ def read_attributes(path: str | Path) -> Attributes:
     if not arrays:
         raise FormatError(f"{file}: expected at least one array, found none. Write it again with its values.")
     return {name: _check(file, name, array) for name, array in arrays.items()}
+
+
+def _read_usd(file: Path) -> Attributes:
+    meshes = read_usd_meshes(file)
+    if len(meshes) > 1:
+        raise FormatError(
+            f"{file}: expected one mesh, got {', '.join(mesh.path for mesh in meshes)}. Make the attributes of one of "
+            "them a file of their own."
+        )
+    return {name: _check(file, name, array) for name, array in meshes[0].attributes.items()}
 
 
 def write_attributes(path: str | Path, attributes: Mapping[str, NDArray[Any]], *, force: bool = False) -> None:

@@ -215,6 +215,12 @@ def udim_path(path: str | Path, tile: int) -> Path:
     return file if tile == 0 else file.with_name(f"{file.stem}.{tile}{file.suffix}")
 
 
+def tile_pattern(path: str | Path) -> Path:
+    """The name of all files of `udim_path`: with ``<UDIM>`` where the tile's number stands."""
+    file = Path(path)
+    return file if UDIM_MARK in file.name else file.with_name(f"{file.stem}.{UDIM_MARK}{file.suffix}")
+
+
 def texture_pixels(texture: Image | Mapping[int, Image]) -> Pixels | dict[int, Pixels]:
     """Pixels alone, as the bakes of `cagemap.transfer` take them."""
     if isinstance(texture, Image):

@@ -35,15 +35,17 @@ CONTROL_FORMS = {
     "hole_faces": Form(("holes",), below="f", optional=True),
 }
 CONTROL_ARRAYS = tuple(CONTROL_FORMS)
-_TOGETHER = (("uvs", "uv_indices"), ("crease_edges", "crease_sharpness"), ("corner_vertices", "corner_sharpness"))
 # Names beside those of materials; each an array of text.
 _NAMES = ("object_names", "group_names")
+_UV_NAME = "uv_name"
 
 
 def control_to_arrays(control: ControlMesh, prefix: str) -> dict[str, Any]:
     """Arrays of a control mesh, those that it has."""
     arrays = {f"{prefix}{name}": getattr(control, name) for name in CONTROL_ARRAYS}
     arrays |= {f"{prefix}{name}": np.array(getattr(control, name)) for name in _NAMES if getattr(control, name)}
+    if control.uv_name:
+        arrays[f"{prefix}{_UV_NAME}"] = np.array([control.uv_name])
     return {name: array for name, array in arrays.items() if array is not None}
 
 
@@ -77,6 +79,7 @@ def control_from_arrays(
     ):
         if (one in values) != (other in values):
             raise FormatError(f"{path}: {prefix}{one} and {prefix}{other} belong together, one is missing. {remedy}")
+    texts[_UV_NAME] = "".join(_texts(path, f"{prefix}{_UV_NAME}", arrays.get(f"{prefix}{_UV_NAME}"), remedy))
     control = ControlMesh(**values, **texts, material_names=tuple(material_names), name=name, scheme=scheme)
     try:
         require_valid(control)

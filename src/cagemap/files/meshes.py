@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -9,14 +10,16 @@ import numpy as np
 from cagemap.errors import FormatError
 from cagemap.files.obj import obj_files, read_obj, write_obj
 from cagemap.files.ply import read_ply, write_ply
+from cagemap.files.usd import USD_SUFFIXES, read_usd
+from cagemap.files.usd_write import write_usd
 from cagemap.mesh import ControlMesh
 
-_READERS = {".obj": read_obj, ".ply": read_ply}
-_WRITERS = {".obj": write_obj, ".ply": write_ply}
+_READERS = {".obj": read_obj, ".ply": read_ply, **dict.fromkeys(USD_SUFFIXES, read_usd)}
+_WRITERS = {".obj": write_obj, ".ply": write_ply, **dict.fromkeys((".usd", ".usda", ".usdc"), write_usd)}
 
 
 def read_mesh(path: str | Path) -> ControlMesh:
-    """Read a control mesh from an ``.obj`` or ``.ply`` file, in its own numbering; its arrays are read-only.
+    """Read a control mesh from an ``.obj``, ``.ply`` or USD file, in its own numbering; its arrays are read-only.
 
     Raises
     ------
@@ -31,7 +34,7 @@ def read_mesh(path: str | Path) -> ControlMesh:
 
 
 def write_mesh(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> None:
-    """Write a mesh to an ``.obj`` or ``.ply`` file.
+    """Write a mesh to an ``.obj``, ``.ply`` or USD file.
 
     Raises
     ------
@@ -39,7 +42,7 @@ def write_mesh(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> N
         If the extension is another one, the file cannot be written, or cagemap did not write the one that is there
         and ``force`` is not given.
     """
-    _WRITERS[_extension(path)](path, mesh, force=force)
+    _WRITERS[_extension(path, _WRITERS)](path, mesh, force=force)
 
 
 def mesh_files(path: str | Path, mesh: ControlMesh) -> list[Path]:
@@ -50,14 +53,14 @@ def mesh_files(path: str | Path, mesh: ControlMesh) -> list[Path]:
 
 def check_mesh_path(path: str | Path) -> None:
     """Refuse a file name that `write_mesh` would refuse, before any work is done for it."""
-    _extension(path)
+    _extension(path, _WRITERS)
 
 
-def _extension(path: str | Path) -> str:
+def _extension(path: str | Path, formats: Collection[str] = tuple(_READERS)) -> str:
     extension = Path(path).suffix.lower()
-    if extension not in _READERS:
+    if extension not in formats:
         raise FormatError(
-            f"{path}: expected a mesh file ending in {' or '.join(_READERS)}, got '{extension}'. "
+            f"{path}: expected a mesh file ending in {', '.join(formats)}, got '{extension}'. "
             "Export the mesh in one of these formats."
         )
     return extension

@@ -6,8 +6,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cagemap.errors import ParameterError
 from cagemap.mesh.schemes import Scheme
 from cagemap.numerics.arrays import FloatArray, IndexArray
+
+
+@dataclass(frozen=True)
+class UvSet:
+    """Face-varying texture coordinates beside those that a mesh uses.
+
+    Attributes
+    ----------
+    name : str
+    uvs : (p, 2) float64
+    uv_indices : (c,) int64
+    """
+
+    name: str
+    uvs: FloatArray
+    uv_indices: IndexArray
 
 
 @dataclass(frozen=True)
@@ -29,6 +46,10 @@ class ControlMesh:
         Face-varying texture coordinates, v up (v = 0 is the bottom image row).
     uv_indices : (c,) int64 or None
         UV of every face corner. Two faces share a UV edge where they share both indices; anything else is a seam.
+    uv_name : str
+        Name of these coordinates, where the file has names for them.
+    uv_sets : tuple of UvSet
+        Further sets of the file; `with_uv_set` puts one of them in use.
     face_materials : (m,) int64 or None
         Index into ``material_names`` for every face.
     material_names : tuple of str
@@ -57,6 +78,8 @@ class ControlMesh:
     face_indices: IndexArray
     uvs: FloatArray | None = None
     uv_indices: IndexArray | None = None
+    uv_name: str = ""
+    uv_sets: tuple[UvSet, ...] = ()
     face_materials: IndexArray | None = None
     material_names: tuple[str, ...] = ()
     material_colors: FloatArray | None = None
@@ -125,6 +148,28 @@ class ControlMesh:
     def with_positions(self, positions: FloatArray) -> ControlMesh:
         """Return the same connectivity with other vertex positions."""
         return replace(self, positions=np.asarray(positions, dtype=np.float64))
+
+    def with_uv_set(self, name: str) -> ControlMesh:
+        """Return the same mesh with the set of that name in use.
+
+        Raises
+        ------
+        ParameterError
+            If there is no such set.
+        """
+        if name == self.uv_name and self.uvs is not None:
+            return self
+        chosen = next((uv_set for uv_set in self.uv_sets if uv_set.name == name), None)
+        if chosen is None:
+            known = [*([self.uv_name] if self.uvs is not None else []), *(uv_set.name for uv_set in self.uv_sets)]
+            raise ParameterError(
+                f"{self.name}: expected a UV set named {name!r}, got {', '.join(map(repr, known)) or 'none at all'}; "
+                "name one of those"
+            )
+        others = [uv_set for uv_set in self.uv_sets if uv_set is not chosen]
+        if self.uvs is not None and self.uv_indices is not None:
+            others.insert(0, UvSet(self.uv_name, self.uvs, self.uv_indices))
+        return replace(self, uvs=chosen.uvs, uv_indices=chosen.uv_indices, uv_name=chosen.name, uv_sets=tuple(others))
 
     def with_creases(self, edges: object, sharpness: object) -> ControlMesh:
         """Return the same mesh with other creases: (k, 2) vertices of edges and (k,) or one sharpness."""

@@ -1,0 +1,56 @@
+"""What `--usd` writes: a layer over the target's USD file, or a USD file of its own where the target is none."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from cagemap.errors import ParameterError
+from cagemap.files.images import UDIM_MARK
+from cagemap.files.result import Result, input_file
+from cagemap.files.usd import USD_SUFFIXES, read_usd_meshes
+from cagemap.files.usd_write import UsdResults, write_usd, write_usd_over
+
+
+def write_usd_results(layer: Path, folder: Path, result: Result, results: UsdResults, *, force: bool) -> str:
+    """Write results for the target of a RESULT folder; returns a line for the terminal.
+
+    Parameters
+    ----------
+    layer : path
+        USD file to write.
+    folder : path
+        The RESULT folder.
+    result : Result
+        What it holds.
+    results : UsdResults
+
+    Raises
+    ------
+    FormatError
+        See `write_usd_over`.
+    ParameterError
+        If the target's file has several meshes and the result does not say which one it is about.
+    """
+    control = result.target.control
+    original = input_file(folder, result.manifest, "target")
+    if original is None or original.suffix.lower() not in USD_SUFFIXES:
+        write_usd(layer, control, results, force=force)
+        return f"wrote {layer}, with {control.name} itself"
+    meshes = {mesh.path: mesh.control.n_vertices for mesh in read_usd_meshes(original)}
+    named = [path for path in control.object_names if path in meshes]
+    paths = list(meshes) if len(meshes) == 1 else named
+    if len(paths) != 1:
+        raise ParameterError(
+            f"--usd: expected a result about one mesh of {original.name}, got {len(paths)} of {', '.join(meshes)}. "
+            "Match one of them with --target-part."
+        )
+    write_usd_over(layer, original, paths[0], control, results, force=force)
+    return f"wrote {layer}, a layer over {original.name}"
+
+
+def texture_reference(image: Path, layer: Path) -> str:
+    """How a layer names an image: relative to itself, ``<UDIM>`` for the tile of a set."""
+    relative = Path(os.path.relpath(image.resolve(), layer.resolve().parent)).as_posix()
+    relative = relative.replace("%(UDIM)d", UDIM_MARK)
+    return relative if relative.startswith(".") else f"./{relative}"

@@ -1,0 +1,319 @@
+"""USD meshes: topology, subdivision, creases, UV sets, materials and attributes as `UsdGeom` has them.
+
+References, variants and layers are resolved by USD itself. It is an extra, ``cagemap[usd]``, imported when a USD file
+comes along.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cagemap.errors import FormatError
+from cagemap.files.usd_primvars import corner_values, primvar_arrays, uv_primvars
+from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Scheme
+from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.join import join_meshes
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+_SCHEMES: dict[str, type[CatmullClark] | type[Loop] | type[Bilinear]] = {
+    "catmullClark": CatmullClark,
+    "loop": Loop,
+    "bilinear": Bilinear,
+    "none": Bilinear,
+}
+_BOUNDARIES = {"none": "none", "edgeOnly": "edge_only", "edgeAndCorner": "edge_and_corner"}
+_UVS = {
+    "none": "none",
+    "cornersOnly": "corners_only",
+    "cornersPlus1": "corners_plus1",
+    "cornersPlus2": "corners_plus2",
+    "boundaries": "boundaries",
+    "all": "all",
+}
+_TRIANGLES = {"catmullClark": "catmull_clark", "smooth": "smooth"}
+
+
+@dataclass(frozen=True)
+class UsdMesh:
+    """One mesh prim.
+
+    Attributes
+    ----------
+    path : str
+        Of the prim.
+    control : ControlMesh
+        In the prim's own space.
+    attributes : dict of str to array
+        Other primvars, one row a control vertex, face or face corner; skinning as ``skel:jointWeights`` with a column
+        for each joint, blend shapes as ``blendShape:NAME``.
+    to_world : (4, 4) float64
+        Positions as rows, 1 appended, times this are in world space.
+    """
+
+    path: str
+    control: ControlMesh
+    attributes: dict[str, Any]
+    to_world: FloatArray
+
+
+def usd_modules() -> Any:
+    """The ``pxr`` package.
+
+    Raises
+    ------
+    FormatError
+        If it is not installed.
+    """
+    try:
+        import pxr
+        import pxr.Usd
+        import pxr.UsdGeom
+        import pxr.UsdShade
+        import pxr.UsdSkel
+    except ImportError:
+        raise FormatError(
+            "USD files: expected the package usd-core, which is not installed. Install cagemap[usd] or usd-core."
+        ) from None
+    return pxr
+
+
+def open_stage(path: str | Path) -> Any:
+    """Open a USD file.
+
+    Raises
+    ------
+    FormatError
+        If USD is not installed, there is no such file, or it is damaged.
+    """
+    pxr = usd_modules()
+    file = Path(path)
+    if not file.is_file():
+        raise FormatError(f"{file}: expected a USD file, there is no such file. Check the name and the folder.")
+    try:
+        return pxr.Usd.Stage.Open(str(file))
+    except pxr.Tf.ErrorException as error:
+        first = str(error).strip().splitlines()[-1]
+        raise FormatError(f"{file}: cannot be read as USD ({first}). Export it again.") from None
+
+
+def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
+    """Every active mesh prim of a stage, in its order.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, has no mesh with points and faces, or a mesh's arrays do not fit together.
+    """
+    file = Path(path)
+    stage, pxr = open_stage(file), usd_modules()
+    prims = [prim for prim in pxr.Usd.PrimRange.Stage(stage) if prim.IsA(pxr.UsdGeom.Mesh)]
+    meshes = []
+    for prim in prims:
+        if pxr.UsdGeom.Mesh(prim).GetPointsAttr().Get():
+            meshes.append(_read_prim(file, prim))
+    if not meshes:
+        what = f"got {len(prims)} without points" if prims else "got none"
+        raise FormatError(f"{file}: expected at least one mesh prim, {what}. Export the control mesh with its points.")
+    return tuple(meshes)
+
+
+def read_usd(path: str | Path) -> ControlMesh:
+    """Read a control mesh from a USD file; several mesh prims become objects of one mesh, in world space.
+
+    Raises
+    ------
+    FormatError
+        As `read_usd_meshes`, or if meshes are to be subdivided in different ways.
+    """
+    file = Path(path)
+    meshes = read_usd_meshes(file)
+    if len(meshes) == 1:
+        return replace(meshes[0].control, name=file.name)
+    schemes = {str(mesh.control.scheme): mesh.path for mesh in meshes}
+    if len(schemes) > 1:
+        raise FormatError(
+            f"{file}: expected meshes that are all subdivided alike, got {' and '.join(schemes)} (of "
+            f"{', '.join(schemes.values())}). Name one of the prims with --part."
+        )
+    return replace(join_meshes([in_world(mesh) for mesh in meshes]), name=file.name)
+
+
+def in_world(mesh: UsdMesh) -> ControlMesh:
+    """The mesh in world space, with its prim's path as object."""
+    control = mesh.control
+    positions = control.positions @ mesh.to_world[:3, :3] + mesh.to_world[3, :3]
+    return replace(
+        control,
+        positions=positions,
+        face_objects=np.zeros(control.n_faces, dtype=np.int64),
+        object_names=(mesh.path,),
+    )
+
+
+def _read_prim(file: Path, prim: Any) -> UsdMesh:
+    pxr = usd_modules()
+    mesh = pxr.UsdGeom.Mesh(prim)
+    where = f"{file}: {prim.GetPath()}"
+    positions = np.array(mesh.GetPointsAttr().Get(), dtype=np.float64).reshape(-1, 3)
+    sizes = _integers(mesh.GetFaceVertexCountsAttr().Get())
+    indices = _integers(mesh.GetFaceVertexIndicesAttr().Get())
+    if not len(sizes) or sizes.min() < 1 or sizes.sum() != len(indices):
+        raise FormatError(
+            f"{where}: expected face counts that sum to the {len(indices)} face vertex indices, got "
+            f"{len(sizes)} faces of {int(sizes.sum())} corners. Export the mesh again."
+        )
+    if indices.min() < 0 or indices.max() >= len(positions):
+        raise FormatError(
+            f"{where}: expected vertex numbers from 0 to {len(positions) - 1}, got {indices.min()} to {indices.max()}. "
+            "Export the mesh again."
+        )
+    offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    control = ControlMesh(positions, offsets, indices, name=str(prim.GetPath()), scheme=_scheme(where, mesh))
+    control = replace(control, **_sharpness(where, mesh))
+    sets = [UvSet(primvar.GetPrimvarName(), *corner_values(where, control, primvar)) for primvar in uv_primvars(prim)]
+    if sets:
+        first = next((uv_set for uv_set in sets if uv_set.name == "st"), sets[0])
+        others = tuple(uv_set for uv_set in sets if uv_set is not first)
+        control = replace(control.with_uvs(first.uvs, first.uv_indices), uv_name=first.name, uv_sets=others)
+    control = replace(control, **_materials(prim, control.n_faces))
+    attributes = primvar_arrays(where, control, prim)
+    colors = attributes.get("displayColor")
+    if colors is not None and colors.shape == (control.n_vertices, 3):
+        control = replace(control, vertex_colors=np.asarray(colors, dtype=np.float64))
+    if mesh.GetOrientationAttr().Get() == "leftHanded":
+        control, attributes = _turned_round(control, attributes)
+    world = np.array(pxr.UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(pxr.Usd.TimeCode.Default()))
+    return UsdMesh(str(prim.GetPath()), control, attributes, world)
+
+
+def _integers(values: Any) -> IndexArray:
+    return np.array([] if values is None else values, dtype=np.int64)
+
+
+def _scheme(where: str, mesh: Any) -> Scheme:
+    words = {
+        "subdivisionScheme": (mesh.GetSubdivisionSchemeAttr().Get(), {name: name for name in _SCHEMES}),
+        "interpolateBoundary": (mesh.GetInterpolateBoundaryAttr().Get(), _BOUNDARIES),
+        "faceVaryingLinearInterpolation": (mesh.GetFaceVaryingLinearInterpolationAttr().Get(), _UVS),
+        "triangleSubdivisionRule": (mesh.GetTriangleSubdivisionRuleAttr().Get(), _TRIANGLES),
+    }
+    for name, (word, known) in words.items():
+        if str(word) not in known:
+            raise FormatError(
+                f"{where}: expected {name} to be one of {', '.join(known)}, got {word!r}. Repair the file."
+            )
+    kind, boundary, uvs, triangles = (known[str(word)] for word, known in words.values())
+    return _SCHEMES[kind](boundary, uvs, triangles=triangles)  # type: ignore[arg-type]
+
+
+def _sharpness(where: str, mesh: Any) -> dict[str, Any]:
+    """Creases, corners and holes, as fields of a control mesh."""
+    result: dict[str, Any] = {}
+    chain, lengths = _integers(mesh.GetCreaseIndicesAttr().Get()), _integers(mesh.GetCreaseLengthsAttr().Get())
+    values = np.array(mesh.GetCreaseSharpnessesAttr().Get() or [], dtype=np.float64)
+    if len(chain):
+        n_edges = lengths - 1
+        if (
+            lengths.sum() != len(chain)
+            or (len(lengths) and lengths.min() < 2)
+            or len(values)
+            not in (
+                len(lengths),
+                int(n_edges.sum()),
+            )
+        ):
+            raise FormatError(
+                f"{where}: expected creases of two vertices or more with one sharpness each or one an edge, got "
+                f"{len(chain)} indices, lengths that sum to {int(lengths.sum())}, {len(values)} sharpnesses. "
+                "Export the creases again."
+            )
+        last = np.cumsum(lengths) - 1
+        starts = np.delete(np.arange(len(chain)), last)
+        result["crease_edges"] = np.column_stack([chain[starts], chain[starts + 1]])
+        per_edge = values if len(values) == n_edges.sum() else np.repeat(values, n_edges)
+        result["crease_sharpness"] = np.clip(per_edge, 0.0, None)
+    corners = _integers(mesh.GetCornerIndicesAttr().Get())
+    sharpness = np.array(mesh.GetCornerSharpnessesAttr().Get() or [], dtype=np.float64)
+    if len(corners) != len(sharpness):
+        raise FormatError(
+            f"{where}: expected one sharpness a corner, got {len(corners)} corners and {len(sharpness)} sharpnesses. "
+            "Export them again."
+        )
+    if len(corners):
+        result |= {"corner_vertices": corners, "corner_sharpness": np.clip(sharpness, 0.0, None)}
+    holes = _integers(mesh.GetHoleIndicesAttr().Get())
+    return result | ({"hole_faces": np.unique(holes)} if len(holes) else {})
+
+
+def _materials(prim: Any, n_faces: int) -> dict[str, Any]:
+    """Material of every face, by the mesh's binding and those of its subsets; other subsets become groups."""
+    pxr = usd_modules()
+    materials = np.full(n_faces, -1, dtype=np.int64)
+    groups = np.full(n_faces, -1, dtype=np.int64)
+    names: list[str] = []
+    group_names: list[str] = []
+    colors: list[FloatArray] = []
+
+    def number(material: Any) -> int:
+        name = material.GetPath().name
+        if name not in names:
+            names.append(name)
+            colors.append(_diffuse_color(material))
+        return names.index(name)
+
+    bound = pxr.UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+    if bound:
+        materials[:] = number(bound)
+    for subset in pxr.UsdGeom.Subset.GetAllGeomSubsets(pxr.UsdGeom.Imageable(prim)):
+        faces = _integers(subset.GetIndicesAttr().Get())
+        if subset.GetElementTypeAttr().Get() != "face" or not len(faces) or faces.min() < 0 or faces.max() >= n_faces:
+            continue
+        own = pxr.UsdShade.MaterialBindingAPI(subset.GetPrim()).GetDirectBinding().GetMaterial()
+        if own:
+            materials[faces] = number(own)
+        elif subset.GetFamilyNameAttr().Get() != "materialBind":
+            group_names.append(subset.GetPrim().GetName())
+            groups[faces] = len(group_names) - 1
+    result: dict[str, Any] = {}
+    if names:
+        unbound = materials < 0
+        if unbound.any():
+            materials[unbound] = len(names)
+            names.append("")
+            colors.append(np.full(3, np.nan))
+        result |= {"face_materials": materials, "material_names": tuple(names), "material_colors": np.array(colors)}
+    if group_names:
+        if (groups < 0).any():
+            groups[groups < 0] = len(group_names)
+            group_names.append("")
+        result |= {"face_groups": groups, "group_names": tuple(group_names)}
+    return result
+
+
+def _diffuse_color(material: Any) -> FloatArray:
+    """Constant diffuse colour of a UsdPreviewSurface, NaN where there is none."""
+    surface = material.ComputeSurfaceSource()[0]
+    color = surface.GetInput("diffuseColor") if surface else None
+    value = color.Get() if color and not color.HasConnectedSource() else None
+    return np.full(3, np.nan) if value is None else np.array(value, dtype=np.float64)
+
+
+def _turned_round(control: ControlMesh, attributes: dict[str, Any]) -> tuple[ControlMesh, dict[str, Any]]:
+    """Faces of a left-handed mesh, run through the other way."""
+    faces = control.corner_faces
+    first, last = control.face_offsets[:-1][faces], control.face_offsets[1:][faces] - 1
+    corners = np.arange(len(faces))
+    mirrored = np.where(corners == first, corners, last + first + 1 - corners)
+    turned = replace(
+        control,
+        face_indices=control.face_indices[mirrored],
+        uv_indices=None if control.uv_indices is None else control.uv_indices[mirrored],
+        uv_sets=tuple(replace(uv_set, uv_indices=uv_set.uv_indices[mirrored]) for uv_set in control.uv_sets),
+    )
+    of_corners = {name: values[mirrored] for name, values in attributes.items() if len(values) == len(corners)}
+    return turned, attributes | of_corners

@@ -1,0 +1,146 @@
+"""Primvars of USD meshes: UV sets, and everything else as named arrays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import FormatError
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+
+def uv_primvars(prim: Any) -> list[Any]:
+    """Primvars that hold texture coordinates: pairs of floats in that role, or named as the first set is by custom."""
+    from pxr import UsdGeom
+
+    found = []
+    for primvar in UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
+        kind = str(primvar.GetTypeName()).removesuffix("[]")
+        plain = kind in ("float2", "double2", "half2") and primvar.GetPrimvarName() in ("st", "uv", "UVMap")
+        if (kind.startswith("texCoord2") or plain) and primvar.HasValue():
+            found.append(primvar)
+    return found
+
+
+def corner_values(where: str, control: ControlMesh, primvar: Any) -> tuple[FloatArray, IndexArray]:
+    """Values of a primvar and the number of each face corner's, whatever its interpolation.
+
+    Raises
+    ------
+    FormatError
+        If there are too few values or indices, or some are not finite.
+    """
+    values, numbers, interpolation = _values(where, primvar)
+    values = values.astype(np.float64)
+    owners = {
+        "constant": np.zeros(len(control.face_indices), dtype=np.int64),
+        "uniform": control.corner_faces,
+        "varying": control.face_indices,
+        "vertex": control.face_indices,
+        "faceVarying": np.arange(len(control.face_indices)),
+    }.get(interpolation)
+    if owners is None or len(numbers) <= owners.max():
+        _refuse(where, primvar, f"got {len(numbers)} values of interpolation {interpolation!r}")
+    if not np.isfinite(values).all():
+        _refuse(where, primvar, "got values that are not numbers")
+    return values, numbers[owners]
+
+
+def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDArray[Any]]:
+    """All other numeric primvars, by name: one row a control vertex, control face or face corner.
+
+    Constant ones are no function on the mesh and are left out. Skinning weights become one column a joint, blend shapes
+    offsets at every vertex.
+    """
+    from pxr import UsdGeom
+
+    api = UsdGeom.PrimvarsAPI(prim)
+    taken = {primvar.GetPrimvarName() for primvar in uv_primvars(prim)}
+    rows = {
+        "uniform": control.n_faces,
+        "varying": control.n_vertices,
+        "vertex": control.n_vertices,
+        "faceVarying": len(control.face_indices),
+    }
+    arrays: dict[str, NDArray[Any]] = {}
+    for primvar in api.FindPrimvarsWithInheritance():
+        name = primvar.GetPrimvarName()
+        if name in taken or name.startswith("skel:") or not primvar.HasValue():
+            continue
+        values = np.asarray(primvar.Get())
+        expected = rows.get(str(primvar.GetInterpolation()))
+        if expected is None or values.dtype.kind not in "iuf":
+            continue
+        values, numbers, _ = _values(where, primvar)
+        if len(numbers) != expected:
+            _refuse(where, primvar, f"got {len(numbers)} values where {expected} belong")
+        arrays[name] = values[numbers]
+    return arrays | _weights(where, control, api) | _blend_shapes(where, control, prim)
+
+
+def _values(where: str, primvar: Any) -> tuple[NDArray[Any], IndexArray, str]:
+    """Values, the index of each element, and the interpolation; elements of several values become rows."""
+    values = np.asarray(primvar.Get())
+    size = primvar.GetElementSize()
+    if size > 1 and len(values) % size == 0:
+        values = values.reshape(len(values) // size, -1)
+    if values.dtype == np.float16:
+        values = values.astype(np.float32)
+    numbers = np.arange(len(values))
+    if primvar.IsIndexed():
+        numbers = np.asarray(primvar.GetIndices(), dtype=np.int64)
+        if len(numbers) and (numbers.min() < 0 or numbers.max() >= len(values)):
+            _refuse(where, primvar, f"got indices from {numbers.min()} to {numbers.max()} into {len(values)} values")
+    return values, numbers, str(primvar.GetInterpolation())
+
+
+def _refuse(where: str, primvar: Any, found: str) -> None:
+    raise FormatError(
+        f"{where}: primvar {primvar.GetPrimvarName()}: expected a finite value for each element of its interpolation, "
+        f"{found}. Export it again."
+    )
+
+
+def _weights(where: str, control: ControlMesh, api: Any) -> dict[str, NDArray[Any]]:
+    """``skel:jointWeights`` as a dense table, (n, joints)."""
+    indices, weights = api.GetPrimvar("skel:jointIndices"), api.GetPrimvar("skel:jointWeights")
+    if not (indices and weights and indices.HasValue() and weights.HasValue()):
+        return {}
+    joints, _, _ = _values(where, indices)
+    values, _, interpolation = _values(where, weights)
+    joints, values = joints.reshape(len(joints), -1), values.reshape(len(values), -1)
+    if interpolation == "constant":
+        joints, values = (np.repeat(table[:1], control.n_vertices, axis=0) for table in (joints, values))
+    if joints.shape != values.shape or len(joints) != control.n_vertices or (joints.size and joints.min() < 0):
+        _refuse(where, weights, f"got tables of {joints.shape} joints and {values.shape} weights")
+    table = np.zeros((control.n_vertices, int(joints.max(initial=0)) + 1))
+    np.add.at(table, (np.arange(len(joints))[:, None], joints), values)
+    return {"skel:jointWeights": table}
+
+
+def _blend_shapes(where: str, control: ControlMesh, prim: Any) -> dict[str, NDArray[Any]]:
+    from pxr import UsdSkel
+
+    binding = UsdSkel.BindingAPI(prim)
+    names = binding.GetBlendShapesAttr().Get() or []
+    targets = binding.GetBlendShapeTargetsRel().GetTargets() if len(names) else []
+    arrays = {}
+    for name, target in zip(names, targets, strict=False):
+        shape = UsdSkel.BlendShape(prim.GetStage().GetPrimAtPath(target))
+        offsets = np.asarray(shape.GetOffsetsAttr().Get() or np.zeros((0, 3)), dtype=np.float64).reshape(-1, 3)
+        points = shape.GetPointIndicesAttr().Get()
+        numbers = np.arange(len(offsets)) if points is None or not len(points) else np.asarray(points, dtype=np.int64)
+        if len(numbers) != len(offsets) or (
+            len(numbers) and not 0 <= numbers.min() <= numbers.max() < control.n_vertices
+        ):
+            raise FormatError(
+                f"{where}: blend shape {name}: expected one offset a point, got {len(offsets)} for {len(numbers)} "
+                f"points of {control.n_vertices}. Export it again."
+            )
+        table = np.zeros((control.n_vertices, 3))
+        table[numbers] = offsets
+        arrays[f"blendShape:{name}"] = table
+    return arrays

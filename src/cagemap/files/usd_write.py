@@ -1,0 +1,314 @@
+"""Writing USD: a mesh as a file of its own, or results as a new layer over the target's file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import FormatError, ParameterError
+from cagemap.files.atomic import atomic_path
+from cagemap.files.marks import mark
+from cagemap.files.usd import open_stage, usd_modules
+from cagemap.files.usd_material import bind_textures
+from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+_SCHEMES = {CatmullClark: "catmullClark", Loop: "loop", Bilinear: "bilinear"}
+_BOUNDARIES = {"none": "none", "edge_only": "edgeOnly", "edge_and_corner": "edgeAndCorner"}
+_TRIANGLES = {"catmull_clark": "catmullClark", "smooth": "smooth"}
+_JOINTS_KEPT = 8
+
+
+@dataclass(frozen=True)
+class UsdResults:
+    """What came over from the source, to be said about a mesh prim.
+
+    Attributes
+    ----------
+    textures : dict of str to str
+        Image of each map by what it is for, ``albedo`` or ``roughness``, say, with ``<UDIM>`` for a set; relative to
+        the layer.
+    attributes : dict of str to array
+        Values by name, one row a vertex, face or face corner; ``skel:jointWeights`` and ``blendShape:NAME`` become
+        skinning and blend shapes.
+    points : (n, 3) float64 or None
+        New places of the vertices.
+    uvs : (name, values, indices) or None
+        A new UV set.
+    """
+
+    textures: Mapping[str, str] = field(default_factory=dict)
+    attributes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    points: FloatArray | None = None
+    uvs: tuple[str, FloatArray, IndexArray] | None = None
+
+
+def write_usd(path: str | Path, mesh: ControlMesh, results: UsdResults = UsdResults(), *, force: bool = False) -> None:
+    """Write a control mesh, or a refined one, as a USD file of its own: ``/Asset/mesh``.
+
+    A mesh without a scheme is written as polygons (``none``), with one it is a subdivision surface.
+
+    Raises
+    ------
+    FormatError
+        If USD is not installed, or the file cannot be written.
+    """
+    file = Path(path)
+    _check_suffix(file)
+    pxr = usd_modules()
+    stage = pxr.Usd.Stage.CreateInMemory()
+    pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.y)
+    pxr.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    kind = "SkelRoot" if _needs_skeleton(results) else "Xform"
+    root = stage.DefinePrim("/Asset", kind)
+    stage.SetDefaultPrim(root)
+    prim = pxr.UsdGeom.Mesh.Define(stage, "/Asset/mesh")
+    _write_topology(prim, mesh)
+    if mesh.uvs is not None and mesh.uv_indices is not None:
+        _write_uvs(prim, mesh.uv_name or "st", mesh.uvs, mesh.uv_indices)
+        for uv_set in mesh.uv_sets:
+            _write_uvs(prim, uv_set.name, uv_set.uvs, uv_set.uv_indices)
+    _write_subsets(stage, prim, mesh)
+    _write_results(stage, prim.GetPrim(), mesh, results)
+    _save(stage.GetRootLayer(), file, force=force)
+
+
+def write_usd_over(
+    path: str | Path, target: str | Path, prim_path: str, mesh: ControlMesh, results: UsdResults, *, force: bool = False
+) -> None:
+    """Write results as a new layer over the target's file, which stays as it is; pipelines compose the two.
+
+    Parameters
+    ----------
+    path : path
+        The layer to write; it names the target relative to itself.
+    target : path
+        USD file that has the mesh.
+    prim_path : str
+        The mesh's prim there.
+    mesh : ControlMesh
+        The mesh as it was read.
+    results : UsdResults
+
+    Raises
+    ------
+    FormatError
+        If USD is not installed, there is no such prim, or the file cannot be written.
+    """
+    file = Path(path)
+    _check_suffix(file)
+    pxr = usd_modules()
+    below = open_stage(target)
+    prim = below.GetPrimAtPath(prim_path)
+    if not prim or not prim.IsA(pxr.UsdGeom.Mesh):
+        raise FormatError(f"{target}: expected a mesh prim {prim_path}, there is none. Match again with this file.")
+    layer = pxr.Sdf.Layer.CreateAnonymous(".usda")
+    layer.subLayerPaths.append(Path(os.path.relpath(Path(target).resolve(), file.resolve().parent)).as_posix())
+    # Relative paths of an unsaved layer have no folder: what lies below is composed from its full name meanwhile.
+    stage = pxr.Usd.Stage.Open(_with_absolute_sublayer(layer, target))
+    pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.GetStageUpAxis(below))
+    pxr.UsdGeom.SetStageMetersPerUnit(stage, pxr.UsdGeom.GetStageMetersPerUnit(below))
+    top = prim.GetPath().GetPrefixes()[0]
+    stage.GetRootLayer().defaultPrim = (below.GetDefaultPrim() or below.GetPrimAtPath(top)).GetName()
+    over = stage.OverridePrim(prim_path)
+    if _needs_skeleton(results) and not any(p.IsA(pxr.UsdSkel.Root) for p in _ancestors(prim)):
+        stage.OverridePrim(top).SetTypeName("SkelRoot")
+    _write_results(stage, over, mesh, results)
+    written = stage.GetRootLayer()
+    written.subLayerPaths = list(layer.subLayerPaths)
+    _save(written, file, force=force)
+
+
+def _with_absolute_sublayer(layer: Any, target: str | Path) -> Any:
+    copy = usd_modules().Sdf.Layer.CreateAnonymous(".usda")
+    copy.TransferContent(layer)
+    copy.subLayerPaths = [str(Path(target).resolve())]
+    return copy
+
+
+def _ancestors(prim: Any) -> list[Any]:
+    found = []
+    while prim and not prim.IsPseudoRoot():
+        found.append(prim)
+        prim = prim.GetParent()
+    return found
+
+
+def _check_suffix(file: Path) -> None:
+    if file.suffix.lower() not in (".usd", ".usda", ".usdc"):
+        raise FormatError(
+            f"{file}: expected a name ending in .usda, .usdc or .usd. Packages (.usdz) are made from those."
+        )
+
+
+def _save(layer: Any, file: Path, *, force: bool) -> None:
+    layer.comment = mark()
+    with atomic_path(file, force=force) as temporary:
+        arguments = {"format": "usda"} if file.suffix.lower() == ".usd" else {}
+        if not layer.Export(str(temporary), args=arguments):
+            raise FormatError(f"{file}: cannot be written. Check the folder and the space left on the disk.")
+
+
+def _write_topology(prim: Any, mesh: ControlMesh) -> None:
+    pxr = usd_modules()
+    points = pxr.Vt.Vec3fArray.FromNumpy(mesh.positions.astype(np.float32))
+    prim.CreatePointsAttr(points)
+    prim.CreateExtentAttr(pxr.UsdGeom.PointBased.ComputeExtent(points))
+    prim.CreateFaceVertexCountsAttr(_ints(mesh.face_sizes))
+    prim.CreateFaceVertexIndicesAttr(_ints(mesh.face_indices))
+    scheme = mesh.scheme
+    prim.CreateSubdivisionSchemeAttr("none" if scheme is None else _SCHEMES[type(scheme)])
+    if scheme is not None:
+        prim.CreateInterpolateBoundaryAttr(_BOUNDARIES[scheme.boundary])
+        words = scheme.uv_interpolation.split("_")
+        prim.CreateFaceVaryingLinearInterpolationAttr(words[0] + "".join(word.capitalize() for word in words[1:]))
+        prim.CreateTriangleSubdivisionRuleAttr(_TRIANGLES[scheme.triangles])
+    if mesh.crease_edges is not None and mesh.crease_sharpness is not None and len(mesh.crease_edges):
+        prim.CreateCreaseIndicesAttr(_ints(mesh.crease_edges.ravel()))
+        prim.CreateCreaseLengthsAttr(_ints(np.full(len(mesh.crease_edges), 2)))
+        prim.CreateCreaseSharpnessesAttr(_floats(mesh.crease_sharpness))
+    if mesh.corner_vertices is not None and mesh.corner_sharpness is not None and len(mesh.corner_vertices):
+        prim.CreateCornerIndicesAttr(_ints(mesh.corner_vertices))
+        prim.CreateCornerSharpnessesAttr(_floats(mesh.corner_sharpness))
+    if mesh.hole_faces is not None and len(mesh.hole_faces):
+        prim.CreateHoleIndicesAttr(_ints(mesh.hole_faces))
+    if mesh.vertex_colors is not None and np.isfinite(mesh.vertex_colors).all():
+        color = prim.CreateDisplayColorPrimvar("vertex")
+        color.Set(pxr.Vt.Vec3fArray.FromNumpy(mesh.vertex_colors.astype(np.float32)))
+
+
+def _write_uvs(prim: Any, name: str, uvs: FloatArray, indices: IndexArray) -> None:
+    pxr = usd_modules()
+    api = pxr.UsdGeom.PrimvarsAPI(prim)
+    primvar = api.CreatePrimvar(name, pxr.Sdf.ValueTypeNames.TexCoord2fArray, "faceVarying")
+    primvar.Set(pxr.Vt.Vec2fArray.FromNumpy(uvs.astype(np.float32)))
+    primvar.SetIndices(_ints(indices))
+
+
+def _write_subsets(stage: Any, prim: Any, mesh: ControlMesh) -> None:
+    """Materials as bound subsets, groups as plain ones."""
+    pxr = usd_modules()
+    for name, faces, material in _named_faces(mesh):
+        label = pxr.Tf.MakeValidIdentifier(name)
+        family = "materialBind" if material is not None else "groups"
+        subset = pxr.UsdGeom.Subset.CreateUniqueGeomSubset(prim, label, "face", _ints(faces), family)
+        if material is None:
+            continue
+        made = pxr.UsdShade.Material.Define(stage, f"/Asset/materials/{label}")
+        shader = pxr.UsdShade.Shader.Define(stage, made.GetPath().AppendChild("surface"))
+        shader.CreateIdAttr("UsdPreviewSurface")
+        made.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+        if np.isfinite(material).all():
+            color = pxr.Gf.Vec3f(*map(float, material))
+            shader.CreateInput("diffuseColor", pxr.Sdf.ValueTypeNames.Color3f).Set(color)
+        pxr.UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(made)
+    if mesh.face_materials is not None:
+        pxr.UsdGeom.Subset.SetFamilyType(prim, "materialBind", "nonOverlapping")
+        pxr.UsdGeom.Scope.Define(stage, "/Asset/materials")
+
+
+def _named_faces(mesh: ControlMesh) -> list[tuple[str, IndexArray, FloatArray | None]]:
+    """Name and faces of every material, with its colour, and of every group."""
+    found: list[tuple[str, IndexArray, FloatArray | None]] = []
+    if mesh.face_materials is not None:
+        for number, name in enumerate(mesh.material_names):
+            color = np.full(3, np.nan) if mesh.material_colors is None else mesh.material_colors[number]
+            found.append((name, np.flatnonzero(mesh.face_materials == number), color))
+    if mesh.face_groups is not None:
+        found += [(n, np.flatnonzero(mesh.face_groups == i), None) for i, n in enumerate(mesh.group_names)]
+    return [(name, faces, color) for name, faces, color in found if name and len(faces)]
+
+
+def _write_results(stage: Any, prim: Any, mesh: ControlMesh, results: UsdResults) -> None:
+    pxr = usd_modules()
+    geometry = pxr.UsdGeom.Mesh(prim)
+    if results.points is not None:
+        if results.points.shape != (mesh.n_vertices, 3):
+            raise ParameterError(f"points: expected ({mesh.n_vertices}, 3), got {results.points.shape}")
+        points = pxr.Vt.Vec3fArray.FromNumpy(results.points.astype(np.float32))
+        geometry.CreatePointsAttr().Set(points)
+        geometry.CreateExtentAttr().Set(pxr.UsdGeom.PointBased.ComputeExtent(points))
+    uv_name = mesh.uv_name or "st"
+    if results.uvs is not None:
+        uv_name = results.uvs[0]
+        _write_uvs(prim, *results.uvs)
+    shapes = {}
+    for name, values in results.attributes.items():
+        if name == "skel:jointWeights":
+            _write_weights(prim, np.asarray(values, dtype=np.float64))
+        elif name.startswith("blendShape:"):
+            shapes[name.removeprefix("blendShape:")] = np.asarray(values, dtype=np.float64)
+        else:
+            _write_primvar(prim, mesh, name, np.asarray(values))
+    if shapes:
+        _write_blend_shapes(stage, prim, shapes)
+    if results.textures:
+        bind_textures(stage, prim, results.textures, uv_name)
+
+
+def _write_primvar(prim: Any, mesh: ControlMesh, name: str, values: NDArray[Any]) -> None:
+    pxr = usd_modules()
+    rows = {mesh.n_vertices: "vertex", mesh.n_faces: "uniform", len(mesh.face_indices): "faceVarying"}
+    if len(values) not in rows:
+        raise ParameterError(f"{name}: expected a row for each vertex, face or face corner, got {len(values)}")
+    table: NDArray[Any] = values.reshape(len(values), -1)
+    names = pxr.Sdf.ValueTypeNames
+    whole = table.dtype.kind in "iu"
+    kinds = {2: (names.Float2Array, pxr.Vt.Vec2fArray), 3: (names.Float3Array, pxr.Vt.Vec3fArray)}
+    kind, array = (names.IntArray, pxr.Vt.IntArray) if whole else (names.FloatArray, pxr.Vt.FloatArray)
+    size = table.shape[1]
+    flat: NDArray[Any] = table.astype(np.int32 if whole else np.float32)
+    if size in kinds and not whole:
+        kind, array = kinds[size]
+        kind = names.Color3fArray if name == "displayColor" and size == 3 else kind
+        size = 1
+    else:
+        flat = flat.ravel()
+    made = pxr.UsdGeom.PrimvarsAPI(prim).CreatePrimvar(pxr.Tf.MakeValidIdentifier(name), kind, rows[len(values)], size)
+    made.Set(array.FromNumpy(np.ascontiguousarray(flat)))
+
+
+def _write_weights(prim: Any, table: FloatArray) -> None:
+    """The largest few weights of every vertex, which sum to 1."""
+    pxr = usd_modules()
+    kept = max(1, min(_JOINTS_KEPT, int((table > 0).sum(axis=1).max(initial=0))))
+    joints = np.argsort(-table, axis=1, kind="stable")[:, :kept]
+    weights = np.take_along_axis(table, joints, axis=1)
+    sums = weights.sum(axis=1, keepdims=True)
+    weights = np.divide(weights, sums, out=weights, where=sums > 0)
+    binding = pxr.UsdSkel.BindingAPI.Apply(prim)
+    binding.CreateJointIndicesPrimvar(False, kept).Set(_ints(joints.ravel()))
+    binding.CreateJointWeightsPrimvar(False, kept).Set(_floats(weights.ravel()))
+
+
+def _write_blend_shapes(stage: Any, prim: Any, shapes: Mapping[str, FloatArray]) -> None:
+    pxr = usd_modules()
+    binding = pxr.UsdSkel.BindingAPI.Apply(prim)
+    paths = []
+    for name, offsets in shapes.items():
+        path = prim.GetPath().AppendChild(pxr.Tf.MakeValidIdentifier(name))
+        shape = pxr.UsdSkel.BlendShape.Define(stage, path)
+        moved = np.flatnonzero(np.any(offsets != 0, axis=1))
+        shape.CreateOffsetsAttr(pxr.Vt.Vec3fArray.FromNumpy(offsets[moved].astype(np.float32)))
+        shape.CreatePointIndicesAttr(_ints(moved))
+        paths.append(path)
+    binding.CreateBlendShapesAttr(list(shapes))
+    binding.CreateBlendShapeTargetsRel().SetTargets(paths)
+
+
+def _needs_skeleton(results: UsdResults) -> bool:
+    return any(name == "skel:jointWeights" or name.startswith("blendShape:") for name in results.attributes)
+
+
+def _ints(values: Any) -> Any:
+    return usd_modules().Vt.IntArray.FromNumpy(np.ascontiguousarray(values, dtype=np.int32))
+
+
+def _floats(values: Any) -> Any:
+    return usd_modules().Vt.FloatArray.FromNumpy(np.ascontiguousarray(values, dtype=np.float32))

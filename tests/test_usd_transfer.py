@@ -1,0 +1,102 @@
+"""`transfer` with several maps, and with a USD layer over the target."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cagemap.cli.progress import Stages
+from cagemap.cli.transfer import TransferRequest, run_transfer, texture_and_maps
+from cagemap.errors import ParameterError
+from cagemap.files.images import read_image, write_image
+from cagemap.files.result import file_hash, write_result
+
+from example_result import identity_result, textured_cube
+
+pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+
+from pxr import Usd, UsdShade
+
+from cagemap.files.usd import read_usd_meshes
+from cagemap.files.usd_write import write_usd
+from test_usd import complaints
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A result about a USD target, and two source maps."""
+    monkeypatch.chdir(tmp_path)
+    target = replace(textured_cube("large.usda", 2.0), uv_name="map1")
+    write_usd(tmp_path / "large.usda", target)
+    result = identity_result()
+    entry = {"file": "large.usda", "path": "../large.usda", "sha256": file_hash(tmp_path / "large.usda")}
+    manifest = {**result.manifest, "inputs": {"target": entry}}
+    write_result(tmp_path / "RESULT", replace(result, target=replace(result.target, control=target), manifest=manifest))
+    rng = np.random.default_rng(1)
+    write_image(tmp_path / "skin.png", (rng.random((64, 64, 4)) * 255).astype(np.uint8))
+    write_image(tmp_path / "rough.exr", rng.random((32, 32, 1)).astype(np.float32))
+    return tmp_path
+
+
+def _run(**options: object) -> str:
+    with Stages() as stages:
+        summary, _ = run_transfer(TransferRequest(result=Path("RESULT"), **options), stages)
+    return summary
+
+
+def test_maps_of_a_material_in_one_run_and_bound_in_usd(folder: Path) -> None:
+    maps = texture_and_maps(["albedo=skin.png", "roughness=rough.exr"])[1]
+    with pytest.raises(Exception, match=r"\.png"):  # floats do not fit, and nothing was written
+        _run(maps=maps, output=folder / "out.png")
+    assert not list(folder.glob("out*"))
+    write_image(folder / "rough.png", (read_image(folder / "rough.exr").pixels * 65535).astype(np.uint16))
+    maps = texture_and_maps(["albedo=skin.png", "roughness=rough.png"])[1]
+    summary = _run(maps=maps, output=folder / "out.png", usd=folder / "look.usda")
+    assert "2 maps" in summary
+    assert "a layer over large.usda" in summary
+    albedo, roughness = read_image(folder / "out_albedo.png").pixels, read_image(folder / "out_roughness.png").pixels
+    assert (albedo.shape, albedo.dtype) == ((64, 64, 4), np.uint8)
+    assert (roughness.shape, roughness.dtype) == ((32, 32, 1), np.uint16)
+    assert complaints(folder / "look.usda") == []
+    stage = Usd.Stage.Open(str(folder / "look.usda"))
+    material = UsdShade.MaterialBindingAPI(stage.GetPrimAtPath("/Asset/mesh")).ComputeBoundMaterial()[0]
+    shaders = {prim.GetName(): prim for prim in Usd.PrimRange(material.GetPrim())}
+    assert shaders["diffuseColor_texture"].GetAttribute("inputs:file").Get().path == "./out_albedo.png"
+    assert shaders["uv"].GetAttribute("inputs:varname").Get() == "map1"
+
+
+def test_attributes_arrive_as_primvars(folder: Path) -> None:
+    rng = np.random.default_rng(2)
+    weights = rng.random((8, 3))
+    values = {"skel:jointWeights": weights / weights.sum(axis=1, keepdims=True), "fur": rng.random(8)}
+    np.savez(folder / "values.npz", **values)
+    _run(attribute=folder / "values.npz", output=folder / "carried.npz", usd=folder / "rig.usda")
+    carried = read_usd_meshes(folder / "rig.usda")[0].attributes
+    for name, array in values.items():
+        np.testing.assert_allclose(carried[name], array, atol=1e-5)
+    assert complaints(folder / "rig.usda") == []
+
+
+def test_a_target_that_is_no_usd_is_written_with_its_textures(folder: Path) -> None:
+    (folder / "large.usda").unlink()
+    _run(texture=folder / "skin.png", output=folder / "out.png", usd=folder / "asset.usda")
+    (mesh,) = read_usd_meshes(folder / "asset.usda")
+    assert mesh.control.n_faces == 6
+    assert complaints(folder / "asset.usda") == []
+
+
+@pytest.mark.parametrize(
+    "words", [["a.png", "b.png"], ["a=x.png", "a=y.png"], ["a=x.png", "y.png"], ["a/b=x.png", "c=y"]]
+)
+def test_maps_without_names_of_their_own_are_refused(words: list[str]) -> None:
+    with pytest.raises(ParameterError, match="--texture"):
+        texture_and_maps(words)
+
+
+def test_a_single_image_needs_no_name() -> None:
+    assert texture_and_maps(["skin.png"]) == (Path("skin.png"), ())
+    assert texture_and_maps([]) == (None, ())
+    assert texture_and_maps(["a=b.png"]) == (None, (("a", Path("b.png")),))
