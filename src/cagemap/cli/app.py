@@ -281,6 +281,21 @@ def match(
     boundary: BoundaryOption = None,
     uv_interpolation: UvOption = None,
     creasing: CreasingOption = None,
+    part: Annotated[
+        str | None,
+        typer.Option(
+            "--part",
+            help="Match only this object, group, material or component of both files, the largest, or each with its "
+            "counterpart; `cagemap check` lists them.",
+            show_default=False,
+        ),
+    ] = None,
+    target_part: Annotated[
+        str | None, typer.Option("--target-part", help="As --part, of the target alone.", show_default=False)
+    ] = None,
+    source_part: Annotated[
+        str | None, typer.Option("--source-part", help="As --part, of the source alone.", show_default=False)
+    ] = None,
     cache: Annotated[
         Path | None,
         typer.Option(
@@ -328,6 +343,9 @@ def match(
         boundary=boundary,
         uv_interpolation=uv_interpolation,
         creasing=creasing,
+        part=part,
+        target_part=target_part,
+        source_part=source_part,
         cache=cache,
         force=force,
     )

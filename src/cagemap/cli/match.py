@@ -14,6 +14,7 @@ import numpy as np
 
 from cagemap.basis import BasisConfig
 from cagemap.cli.job_file import note_match
+from cagemap.cli.match_parts import PartInputs, chosen_parts
 from cagemap.cli.mesh_commands import require_size
 from cagemap.cli.method import read_symmetries, used_parameters, with_parameters
 from cagemap.cli.progress import Stages
@@ -21,6 +22,7 @@ from cagemap.cli.subdivision import SubdivisionRequest
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import require_no_input
 from cagemap.files.landmarks import read_landmarks
+from cagemap.files.merged import merge_results
 from cagemap.files.meshes import read_mesh
 from cagemap.files.result import (
     ARRAYS,
@@ -86,18 +88,33 @@ class MatchRequest:
     boundary: str | None = None
     uv_interpolation: str | None = None
     creasing: str | None = None
+    part: str | None = None
+    target_part: str | None = None
+    source_part: str | None = None
     cache: Path | None = None
     force: bool = False
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a match works on, read and checked."""
+    """What a match works on, read and checked.
+
+    Attributes
+    ----------
+    target, source : ControlMesh
+        As in their files.
+    landmarks : Landmarks
+    notes : tuple of str
+        What the user is to know.
+    parts : tuple of PartInputs
+        What is matched of them; nothing where it is the whole of both.
+    """
 
     target: ControlMesh
     source: ControlMesh
     landmarks: Landmarks
     notes: tuple[str, ...] = ()
+    parts: tuple[PartInputs, ...] = ()
 
 
 def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
@@ -137,8 +154,10 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
         "boundary": request.boundary,
         "uv_interpolation": request.uv_interpolation,
         "creasing": request.creasing,
+        "target_part": request.target_part or request.part,
+        "source_part": request.source_part or request.part,
     }
-    result = match_meshes(
+    result = match_inputs(
         inputs,
         bases,
         config,
@@ -231,10 +250,40 @@ def read_inputs(request: MatchRequest) -> Inputs:
         landmarks = exchanged.reversed()
     elif request.landmarks is not None:
         landmarks, notes = read_landmarks(request.landmarks, request.target, request.source)
-    require_valid(target)
-    require_valid(source)
-    check_landmarks(landmarks, target, source)
-    return Inputs(target, source, landmarks, notes)
+    names = request.target_part or request.part, request.source_part or request.part
+    if names == (None, None):
+        require_valid(target)
+        require_valid(source)
+        check_landmarks(landmarks, target, source)
+        return Inputs(target, source, landmarks, notes)
+    parts, left_alone = chosen_parts(target, source, landmarks, *names)
+    for part in parts:
+        require_valid(part.target)
+        require_valid(part.source)
+        check_landmarks(part.landmarks, part.target, part.source)
+    return Inputs(target, source, landmarks, (*notes, *left_alone), parts)
+
+
+def match_inputs(
+    inputs: Inputs,
+    bases: tuple[BasisConfig, BasisConfig],
+    config: MatchConfig,
+    stages: Stages,
+    *,
+    levels: tuple[int, int],
+    cache: Path | None = None,
+    entries: dict[str, Any] | None = None,
+) -> Result:
+    """Match the whole of both meshes, or every pair of parts, all at the same levels, as one result."""
+    if not inputs.parts:
+        return match_meshes(inputs, bases, config, stages, levels=levels, cache=cache, entries=entries)
+    results = []
+    for part in inputs.parts:
+        own = Inputs(part.target, part.source, part.landmarks, inputs.notes)
+        results.append(match_meshes(own, bases, config, stages, levels=levels, cache=cache, entries=entries))
+    stages("merge parts")
+    faces = [[len(side.control.face_sizes) for side in (one.target, one.source)] for one in results]
+    return merge_results(results, {"parts": [{"target_faces": t, "source_faces": s} for t, s in faces]})
 
 
 def match_meshes(

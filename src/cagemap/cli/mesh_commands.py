@@ -12,11 +12,13 @@ from cagemap.files.atomic import check_outputs
 from cagemap.files.meshes import check_mesh_path, mesh_files, read_mesh, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import check_mesh, require_valid
+from cagemap.mesh.parts import list_parts
 from cagemap.refinement import Scheme, finest_mesh
 from cagemap.refinement import refine as refine_mesh
 from cagemap.refinement.counts import vertex_counts
 
 MOST_VERTICES = 20_000_000
+MOST_PARTS = 40
 
 
 def check_files(paths: Sequence[Path]) -> tuple[str, bool]:
@@ -24,14 +26,30 @@ def check_files(paths: Sequence[Path]) -> tuple[str, bool]:
     parts, sound = [], True
     for path in paths:
         try:
-            report = check_mesh(read_mesh(path))
+            mesh = read_mesh(path)
+            report = check_mesh(mesh)
         except CagemapError as error:
             parts.append(f"{path}\n  cannot be read: {error}")
             sound = False
             continue
-        parts.append(str(report))
+        parts.append(str(report) + _part_lines(mesh))
         sound &= not report.problems
     return "\n\n".join(parts), sound
+
+
+def _part_lines(mesh: ControlMesh) -> str:
+    """Objects, groups, materials and components with their sizes, where there is anything to choose from."""
+    try:
+        found = list_parts(mesh)
+    except (IndexError, ValueError):
+        return ""  # what keeps the mesh from having parts is among its problems
+    if len(found) < 2:
+        return ""
+    width = max(len(part.title) for part in found[:MOST_PARTS])
+    lines = [f"    {part.title:<{width}}  {len(part.faces)} faces" for part in found[:MOST_PARTS]]
+    if len(found) > MOST_PARTS:
+        lines.append(f"    and {len(found) - MOST_PARTS} more")
+    return "\n".join(["\n  parts, for --part:", *lines])
 
 
 def refine_file(

@@ -33,11 +33,15 @@ CONTROL_FORMS = {
     "corner_vertices": Form(("corners",), below="c", optional=True),
     "corner_sharpness": Form(("corners",), optional=True),
     "hole_faces": Form(("holes",), below="f", optional=True),
+    "file_vertices": Form(("c",), below="file_c", optional=True),
+    "file_faces": Form(("f",), below="file_f", optional=True),
 }
 CONTROL_ARRAYS = tuple(CONTROL_FORMS)
 # Names beside those of materials; each an array of text.
 _NAMES = ("object_names", "group_names")
 _UV_NAME = "uv_name"
+# How many vertices or faces the file had that a mesh is a part of: not known, and nothing is indexed by them here.
+_ANY = 2**40
 
 
 def control_to_arrays(control: ControlMesh, prefix: str) -> dict[str, Any]:
@@ -70,6 +74,7 @@ def control_from_arrays(
         key: _texts(path, f"{prefix}{key}", arrays.get(f"{prefix}{key}"), remedy) for key in _NAMES
     }
     sizes = {"m": len(material_names), "objects": len(texts["object_names"]), "groups": len(texts["group_names"])}
+    sizes |= {"file_c": _ANY, "file_f": _ANY}
     values: dict[str, Any] = check_arrays(path, stored, CONTROL_FORMS, sizes, remedy)
     check_offsets(path, f"{prefix}face_offsets", values["face_offsets"], sizes["q"], remedy)
     for one, other in (
@@ -82,7 +87,7 @@ def control_from_arrays(
     texts[_UV_NAME] = "".join(_texts(path, f"{prefix}{_UV_NAME}", arrays.get(f"{prefix}{_UV_NAME}"), remedy))
     control = ControlMesh(**values, **texts, material_names=tuple(material_names), name=name, scheme=scheme)
     try:
-        require_valid(control)
+        require_valid(control, pieces=True)
     except InvalidMeshError as error:
         raise FormatError(f"{path}: its control mesh is damaged ({error}). {remedy}") from error
     return control

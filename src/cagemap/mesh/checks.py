@@ -30,6 +30,8 @@ from cagemap.mesh.topology import (
 )
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
+SEVERAL = "several components"
+
 
 def check_mesh(mesh: ControlMesh) -> MeshReport:
     """Count the elements of a control mesh and list everything that keeps the method from taking it.
@@ -78,15 +80,21 @@ def _connect(mesh: ControlMesh) -> _Parts:
     return _Parts(mesh, edges, fans, face_orientation(mesh, edges), boundary_loops(mesh, edges, fans))
 
 
-def require_valid(mesh: ControlMesh) -> None:
+def require_valid(mesh: ControlMesh, *, pieces: bool = False) -> None:
     """Raise unless the method can take the mesh.
+
+    Parameters
+    ----------
+    mesh : ControlMesh
+    pieces : bool
+        Take a mesh of several components too, each of which was matched for itself.
 
     Raises
     ------
     InvalidMeshError
         Names every kind of problem, its first elements (0-based, in the file's numbering) and the remedy.
     """
-    problems = check_mesh(mesh).problems
+    problems = [problem for problem in check_mesh(mesh).problems if not (pieces and problem.kind == SEVERAL)]
     if problems:
         count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
         listed = "".join(f"\n  - {problem}" for problem in problems)
@@ -259,10 +267,10 @@ def _components_problem(mesh: ControlMesh, labels: IndexArray) -> Problem | None
     first_faces = np.unique(labels, return_index=True)[1]
     copy = " One is a copy of another in the same place." if _has_copied_component(mesh, labels) else ""
     return Problem(
-        "several components",
+        SEVERAL,
         f"expected one connected piece, got {len(sizes)} of {first_few(sizes.tolist())} faces, which begin at faces",
         tuple(first_faces.tolist()),
-        f"Delete the pieces that are not wanted, or save each as a file of its own.{copy}",
+        f"Match a part (--part NAME, largest, or each; the check lists them), or delete the pieces not wanted.{copy}",
     )
 
 

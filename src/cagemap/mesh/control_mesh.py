@@ -67,6 +67,8 @@ class ControlMesh:
         Vertices that are corners.
     hole_faces : (h,) int64 or None
         Faces that shape the surface but are no part of it.
+    file_vertices, file_faces : (n,) and (m,) int64, or None
+        Number in the file of every vertex and face, where the mesh is a part of it.
     scheme : CatmullClark, Loop, Bilinear or None
         How the file says that the mesh is to be subdivided; None where it says nothing.
     name : str
@@ -93,6 +95,8 @@ class ControlMesh:
     corner_vertices: IndexArray | None = None
     corner_sharpness: FloatArray | None = None
     hole_faces: IndexArray | None = None
+    file_vertices: IndexArray | None = None
+    file_faces: IndexArray | None = None
     scheme: Scheme | None = None
     name: str = "mesh"
 

@@ -55,7 +55,15 @@ def join_meshes(meshes: Sequence[ControlMesh]) -> ControlMesh:
         object_names=object_names,
         face_groups=groups,
         group_names=group_names,
+        file_vertices=_file_numbers([mesh.file_vertices for mesh in meshes]),
+        file_faces=_file_numbers([mesh.file_faces for mesh in meshes]),
     )
+
+
+def _file_numbers(numbers: Sequence[IndexArray | None]) -> IndexArray | None:
+    """Numbers in the file, if all meshes are parts of one."""
+    known = [array for array in numbers if array is not None]
+    return np.concatenate(known) if len(known) == len(numbers) else None
 
 
 def _shifted(arrays: Sequence[IndexArray], starts: IndexArray) -> IndexArray:

@@ -1,0 +1,109 @@
+"""`--part`: which parts of two files are matched, and the landmarks of each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cagemap.errors import ParameterError
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.parts import Part, extract, find_part, pair_parts
+from cagemap.numerics.arrays import IndexArray
+from cagemap.refinement import default_scheme
+
+EACH = "each"
+
+
+@dataclass(frozen=True)
+class PartInputs:
+    """Two parts to be matched, with the landmarks that lie on both, in the parts' own numbers."""
+
+    target: ControlMesh
+    source: ControlMesh
+    landmarks: Landmarks
+
+
+def chosen_parts(
+    target: ControlMesh, source: ControlMesh, landmarks: Landmarks, target_part: str | None, source_part: str | None
+) -> tuple[tuple[PartInputs, ...], tuple[str, ...]]:
+    """What is matched of two files, and sentences about what is left alone.
+
+    Parameters
+    ----------
+    target, source : ControlMesh
+        As in their files.
+    landmarks : Landmarks
+        In the files' numbers.
+    target_part, source_part : str or None
+        A part's name, ``largest``, or ``each`` on both sides; None for the whole mesh.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such part, no parts go together, or ``each`` is asked for on one side only.
+    """
+    # A part is subdivided as the whole file is, also where all its faces happen to be triangles.
+    target, source = (replace(mesh, scheme=default_scheme(mesh)) for mesh in (target, source))
+    if (target_part == EACH) != (source_part == EACH):
+        raise ParameterError(
+            f"--part: expected {EACH} on both sides, got {target_part!r} for the target and {source_part!r} for the "
+            "source. Use --part each, or name a part of each side."
+        )
+    if target_part == EACH:
+        return _each(target, source, landmarks)
+    sides = [(target, target_part), (source, source_part)]
+    parts = [None if name is None else find_part(mesh, name) for mesh, name in sides]
+    inputs = _inputs(target, source, landmarks, *parts)
+    notes = []
+    left = len(landmarks) - len(inputs.landmarks)
+    if left:
+        notes.append(f"{left} of {len(landmarks)} landmarks lie on other parts and are left out")
+    return (inputs,), tuple(notes)
+
+
+def _each(
+    target: ControlMesh, source: ControlMesh, landmarks: Landmarks
+) -> tuple[tuple[PartInputs, ...], tuple[str, ...]]:
+    pairs, *alone = pair_parts(target, source, np.column_stack([landmarks.target, landmarks.source]))
+    notes = []
+    for side, parts in zip(("target", "source"), alone, strict=True):
+        notes += [
+            f"{_titled(part)} of the {side} is left alone: nothing on the other side goes with it" for part in parts
+        ]
+    if not pairs:
+        raise ParameterError(f"--part each: expected parts that go together, found none: {'; '.join(notes)}.")
+    return tuple(_inputs(target, source, landmarks, pair.target, pair.source) for pair in pairs), tuple(notes)
+
+
+def _titled(part: Part) -> str:
+    return f"{part.kind} {part.name} ({len(part.faces)} faces)"
+
+
+def _inputs(
+    target: ControlMesh, source: ControlMesh, landmarks: Landmarks, target_part: Part | None, source_part: Part | None
+) -> PartInputs:
+    meshes, numbers = [], []
+    for mesh, part, vertices in ((target, target_part, landmarks.target), (source, source_part, landmarks.source)):
+        whole = part is None or len(part.faces) == mesh.n_faces
+        taken = mesh if part is None or whole else extract(mesh, part.faces)
+        meshes.append(taken)
+        numbers.append(vertices if whole else _renumbered(taken, mesh, vertices))
+    inside = np.flatnonzero((numbers[0] >= 0) & (numbers[1] >= 0))
+    kept = replace(
+        landmarks,
+        names=tuple(landmarks.names[pair] for pair in inside.tolist()),
+        target=numbers[0][inside],
+        source=numbers[1][inside],
+    )
+    return PartInputs(meshes[0], meshes[1], kept)
+
+
+def _renumbered(part: ControlMesh, mesh: ControlMesh, vertices: IndexArray) -> IndexArray:
+    """Vertices of a mesh in the numbers of one of its parts, -1 where the part has them not."""
+    assert part.file_vertices is not None
+    own = np.arange(mesh.n_vertices) if mesh.file_vertices is None else mesh.file_vertices
+    number = np.full(int(own.max()) + 1, -1, dtype=np.int64)
+    number[part.file_vertices] = np.arange(part.n_vertices)
+    return number[own[vertices]]

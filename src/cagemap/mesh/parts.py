@@ -1,0 +1,199 @@
+"""Parts of a mesh: its objects, groups, materials and components, found by name and taken out as meshes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import ParameterError
+from cagemap.mesh.checks import keep_faces
+from cagemap.mesh.control_mesh import ControlMesh, UvSet
+from cagemap.mesh.topology import face_components
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+KINDS = ("object", "group", "material", "component")
+LARGEST = "largest"
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some faces of a mesh.
+
+    Attributes
+    ----------
+    kind : str
+        One of `KINDS`.
+    name : str
+        As in the file; a component has the name of its object, group or material, where all its faces have the same
+        and no other component has it, else its number.
+    faces : (k,) int64
+    """
+
+    kind: str
+    name: str
+    faces: IndexArray
+
+    @property
+    def title(self) -> str:
+        """How to ask for the part where other kinds have the same name."""
+        return f"{self.kind}:{self.name}"
+
+
+def list_parts(mesh: ControlMesh) -> tuple[Part, ...]:
+    """Objects, groups and materials with a name, then components; each in file order."""
+    parts = []
+    for kind, numbers, names in _partitions(mesh):
+        parts += [Part(kind, name, np.flatnonzero(numbers == number)) for number, name in enumerate(names) if name]
+    return (*(part for part in parts if len(part.faces)), *components(mesh))
+
+
+def components(mesh: ControlMesh) -> tuple[Part, ...]:
+    """Connected pieces, named by what their faces are named by."""
+    labels = face_components(mesh)
+    pieces = [np.flatnonzero(labels == label) for label in range(int(labels.max(initial=-1)) + 1)]
+    names = [str(number) for number in range(len(pieces))]
+    for _, numbers, words in reversed(_partitions(mesh)):
+        own = [words[numbers[faces[0]]] if np.all(numbers[faces] == numbers[faces[0]]) else "" for faces in pieces]
+        names = [word if word and own.count(word) == 1 else name for word, name in zip(own, names, strict=True)]
+    return tuple(Part("component", name, faces) for name, faces in zip(names, pieces, strict=True))
+
+
+def find_part(mesh: ControlMesh, name: str) -> Part:
+    """The part of that name: of an object, group, material or component, ``KIND:NAME``, or ``largest``.
+
+    Raises
+    ------
+    ParameterError
+        If there is none, or parts of different faces have that name.
+    """
+    parts = list_parts(mesh)
+    if name == LARGEST:
+        return max(components(mesh), key=lambda part: len(part.faces))
+    found = [part for part in parts if name in (part.name, part.title)]
+    # A USD object is named by its whole path; its last word will do.
+    found = found or [part for part in parts if part.name.rpartition("/")[2] == name]
+    different = {part.faces.tobytes() for part in found}
+    if len(different) > 1:
+        titles = ", ".join(part.title for part in found)
+        raise ParameterError(
+            f"{mesh.name}: expected one part named {name!r}, got several: {titles}. Name one of these."
+        )
+    if not found:
+        known = ", ".join(dict.fromkeys(part.title for part in parts[:12]))
+        raise ParameterError(
+            f"{mesh.name}: expected a part named {name!r}, there is none. It has {known}"
+            f"{', ...' if len(parts) > 12 else ''}; `cagemap check` lists all."
+        )
+    return found[0]
+
+
+def extract(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
+    """Some faces as a mesh of their own, without the vertices and UVs that they do not use.
+
+    ``file_vertices`` and ``file_faces`` of the result say which they were.
+    """
+    kept = keep_faces(mesh, faces)
+    vertices, indices = np.unique(kept.face_indices, return_inverse=True)
+    number = np.full(mesh.n_vertices, -1, dtype=np.int64)
+    number[vertices] = np.arange(len(vertices))
+    corners = kept.corner_vertices
+    inside = None if corners is None else number[corners] >= 0
+    uvs, uv_indices = _used(kept.uvs, kept.uv_indices)
+    sets = [(uv_set.name, *_used(uv_set.uvs, uv_set.uv_indices)) for uv_set in kept.uv_sets]
+    earlier = (mesh.file_vertices, mesh.file_faces)
+    return replace(
+        kept,
+        positions=kept.positions[vertices],
+        face_indices=indices.astype(np.int64),
+        uvs=uvs,
+        uv_indices=uv_indices,
+        uv_sets=tuple(UvSet(name, a, b) for name, a, b in sets if a is not None and b is not None),
+        vertex_colors=None if kept.vertex_colors is None else kept.vertex_colors[vertices],
+        crease_edges=None if kept.crease_edges is None else number[kept.crease_edges],
+        corner_vertices=None if corners is None else number[corners[inside]],
+        corner_sharpness=None if kept.corner_sharpness is None else kept.corner_sharpness[inside],
+        file_vertices=vertices if earlier[0] is None else earlier[0][vertices],
+        file_faces=np.asarray(faces) if earlier[1] is None else earlier[1][faces],
+    )
+
+
+def _used(values: FloatArray | None, indices: IndexArray | None) -> tuple[FloatArray | None, IndexArray | None]:
+    if values is None or indices is None:
+        return None, None
+    used, renumbered = np.unique(indices, return_inverse=True)
+    return values[used], renumbered.astype(np.int64)
+
+
+def _partitions(mesh: ControlMesh) -> list[tuple[str, NDArray[np.int64], tuple[str, ...]]]:
+    named = (
+        ("object", mesh.face_objects, mesh.object_names),
+        ("group", mesh.face_groups, mesh.group_names),
+        ("material", mesh.face_materials, mesh.material_names),
+    )
+    return [(kind, numbers, names) for kind, numbers, names in named if numbers is not None]
+
+
+@dataclass(frozen=True)
+class PartPair:
+    """A part of the target and the part of the source that it is matched with."""
+
+    target: Part
+    source: Part
+
+
+def pair_parts(
+    target: ControlMesh, source: ControlMesh, landmarks: IndexArray
+) -> tuple[tuple[PartPair, ...], tuple[Part, ...], tuple[Part, ...]]:
+    """Pair the components of two meshes: by landmarks that lie on both, else by name, else if just one is left over.
+
+    Parameters
+    ----------
+    landmarks : (p, 2) int64
+        Target and source vertex of every pair.
+
+    Returns
+    -------
+    pairs : tuple of PartPair
+        The larger target component first.
+    alone_target, alone_source : tuple of Part
+        Components that are left alone.
+    """
+    mine = sorted(components(target), key=lambda part: -len(part.faces))
+    theirs = list(components(source))
+    votes = np.zeros((len(mine), len(theirs)), dtype=np.int64)
+    np.add.at(votes, (_owners(target, mine)[landmarks[:, 0]], _owners(source, theirs)[landmarks[:, 1]]), 1)
+    chosen: dict[int, int] = {}
+
+    def pair(row: int, column: int) -> None:
+        if row not in chosen and column not in chosen.values():
+            chosen[row] = column
+
+    for row, column in zip(*np.unravel_index(np.argsort(-votes, axis=None, kind="stable"), votes.shape), strict=True):
+        if votes[row, column]:
+            pair(int(row), int(column))
+    for row, part in enumerate(mine):
+        if not part.name.isdigit():
+            for column, other in enumerate(theirs):
+                if part.name == other.name or part.name.rpartition("/")[2] == other.name.rpartition("/")[2]:
+                    pair(row, column)
+    left = [row for row in range(len(mine)) if row not in chosen]
+    right = [column for column in range(len(theirs)) if column not in chosen.values()]
+    if len(left) == len(right) == 1:
+        pair(left[0], right[0])
+    return (
+        tuple(PartPair(mine[row], theirs[chosen[row]]) for row in sorted(chosen)),
+        tuple(part for row, part in enumerate(mine) if row not in chosen),
+        tuple(part for column, part in enumerate(theirs) if column not in chosen.values()),
+    )
+
+
+def _owners(mesh: ControlMesh, parts: list[Part]) -> IndexArray:
+    """(n,) part that every vertex belongs to; components share none."""
+    of_face = np.empty(mesh.n_faces, dtype=np.int64)
+    for number, part in enumerate(parts):
+        of_face[part.faces] = number
+    owners = np.zeros(mesh.n_vertices, dtype=np.int64)
+    owners[mesh.face_indices] = of_face[mesh.corner_faces]
+    return owners
