@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from cagemap.cli.progress import Stages
-from cagemap.cli.transfer import TransferRequest, run_transfer, texture_and_maps
+from cagemap.cli.texture_maps import texture_and_maps
+from cagemap.cli.transfer import TransferRequest, run_transfer
 from cagemap.errors import ParameterError
 from cagemap.files.images import read_image, write_image
 from cagemap.files.result import file_hash, write_result

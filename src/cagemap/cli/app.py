@@ -462,7 +462,8 @@ def transfer(
     Images are baked into the target's own UV layout, texel by texel, across the source's seams.
     """
     from cagemap.cli.progress import Stages
-    from cagemap.cli.transfer import TransferRequest, run_transfer, texture_and_maps
+    from cagemap.cli.texture_maps import texture_and_maps
+    from cagemap.cli.transfer import TransferRequest, run_transfer
 
     image, maps = texture_and_maps(texture or [])
     request = TransferRequest(

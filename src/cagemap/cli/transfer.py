@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 from cagemap.cli.job_file import note_output
 from cagemap.cli.progress import Stages
 from cagemap.cli.rig import carry_blend_shapes, carry_skeleton, carry_weights, write_point_map
+from cagemap.cli.texture_maps import map_path
 from cagemap.cli.usd_output import texture_reference, write_usd_results
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs, require_no_input, require_replaceable, require_writable_folder
@@ -22,6 +24,7 @@ from cagemap.files.images import (
     Image,
     check_writable,
     pixel_type,
+    read_image_form,
     read_texture,
     texture_files,
     texture_pixels,
@@ -34,6 +37,7 @@ from cagemap.files.obj_layout import write_obj_layout
 from cagemap.files.result import ARRAYS, MANIFEST, Result, input_file, note_transfer, read_result, stated_path
 from cagemap.files.usd_write import UsdResults
 from cagemap.mesh import ControlMesh
+from cagemap.numerics.threads import ThreadPool
 from cagemap.transfer import (
     BakeOptions,
     Transfer,
@@ -49,6 +53,7 @@ from cagemap.transfer import (
     prepare_transfer,
     pull_back_faces,
     target_tiles,
+    tile_cells,
     unwrap,
 )
 from cagemap.transfer.normal_maps import looks_like_normal_map
@@ -81,29 +86,6 @@ class TransferRequest:
     midlevel: float | None = None
     scale: float = 1.0
     force: bool = False
-
-
-def texture_and_maps(given: Sequence[str]) -> tuple[Path | None, tuple[tuple[str, Path], ...]]:
-    """Tell a single image from the named maps of a material: ``albedo=skin.png``.
-
-    Raises
-    ------
-    ParameterError
-        If one of several has no name, or two have the same.
-    """
-    named = [(name, Path(path)) for name, sign, path in (text.partition("=") for text in given) if sign and path]
-    if len(given) == 1 and (not named or Path(given[0]).exists()):
-        return Path(given[0]), ()
-    if not given:
-        return None, ()
-    if len(named) != len(given) or len({name for name, _ in named}) != len(named):
-        raise ParameterError(
-            f"--texture: expected one image, or several as NAME=IMAGE with a name of its own each, got "
-            f"{', '.join(given)}."
-        )
-    if any(not name.replace("_", "").replace("-", "").isalnum() for name, _ in named):
-        raise ParameterError("--texture: expected names of letters, digits, - and _, since files are named by them.")
-    return None, tuple(named)
 
 
 def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
@@ -166,24 +148,13 @@ class _Bake:
 def _carry_texture(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
     """One image, or all maps of a material; the map is followed once for all of them."""
     maps = request.maps if request.texture is None else (("", request.texture),)
-    images = [_read_image(request, path) for _, path in maps]
-    outputs = [_map_path(request.output, name) for name, _ in maps]
-    for output, (_, first, dtype) in zip(outputs, images, strict=True):
-        check_writable(output, dtype, first.pixels.shape[2])
+    outputs = [map_path(request.output, name) for name, _ in maps]
+    for output, (_, path) in zip(outputs, maps, strict=True):
+        dtype, channels = read_image_form(path)
+        check_writable(output, dtype if request.bits is None else pixel_type(request.bits, output.suffix), channels)
     prepared = _prepare_bake(request, result, stages, outputs)
-    for (name, path), output, (texture, first, dtype) in zip(maps, outputs, images, strict=True):
-        size = request.size or max(first.size)
-        if looks_like_normal_map(first.pixels):
-            prepared.warnings.append(
-                f"{path} looks like a normal map and is baked as colours: its directions belong to the source's "
-                "layout, and light would fall wrongly on the target. Bake --displacement instead"
-            )
-        for tile in prepared.tiles:
-            stages(" ".join(["bake", *([name] if name else []), *([f"tile {tile}"] if tile else [])]))
-            pixels = bake_texture(
-                prepared.transfer, texture_pixels(texture), size=size, dtype=dtype, options=BakeOptions(tile=tile)
-            )
-            write_image(udim_path(output, tile), replace(first, pixels=pixels), force=request.force)
+    for (name, path), output in zip(maps, outputs, strict=True):
+        size = _bake_map(request, prepared, name, path, output, stages)
         entry = {"kind": "texture", "image": stated_path(path, request.result), "size": size}
         summary, warnings = _finish(replace(request, output=output), prepared, entry | ({"map": name} if name else {}))
     if request.usd is not None:
@@ -203,14 +174,29 @@ def _carry_texture(request: TransferRequest, result: Result, stages: Stages) -> 
     return summary, warnings
 
 
-def _map_path(output: Path, name: str) -> Path:
-    """Image of one of several maps: its name comes before the tile number and the suffix."""
-    if not name:
-        return output
-    stem, dot, rest = output.name.partition(UDIM_MARK) if UDIM_MARK in output.name else (output.stem, "", output.suffix)
-    if dot:
-        return output.with_name(f"{stem.rstrip('._')}_{name}.{UDIM_MARK}{rest}")
-    return output.with_name(f"{stem}_{name}{rest}")
+def _bake_map(request: TransferRequest, prepared: _Bake, name: str, path: Path, output: Path, stages: Stages) -> int:
+    """Bake one map into all tiles; each is written while the next one is baked. Returns the size in texels."""
+    texture, first, dtype = _read_image(request, path)
+    size = request.size or max(first.size)
+    if looks_like_normal_map(first.pixels):
+        prepared.warnings.append(
+            f"{path} looks like a normal map and is baked as colours: its directions belong to the source's "
+            "layout, and light would fall wrongly on the target. Bake --displacement instead"
+        )
+    with ThreadPool(1) as aside:
+        written: list[Future[None]] = []
+        for number, tile in enumerate(prepared.tiles):
+            place = f"tile {tile}, {number + 1} of {len(prepared.tiles)}" if tile else ""
+            stages(" ".join(filter(None, ["bake", name, place])))
+            options = BakeOptions(tile=tile)
+            pixels = bake_texture(prepared.transfer, texture_pixels(texture), size=size, dtype=dtype, options=options)
+            for waiting in written:
+                waiting.result()  # at most one image is on its way to the disk
+            image = replace(first, pixels=pixels)
+            written = [aside.submit(write_image, udim_path(output, tile), image, force=request.force)]
+        for waiting in written:
+            waiting.result()
+    return size
 
 
 def _carry_displacement(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
@@ -348,12 +334,12 @@ def _prepare_bake(
             "to lay it out and write the mesh beside the image, or unwrap it in your modelling program and match again."
         )
     transfer = _prepare(result, stages)
-    centres = transfer.target.corner_uvs().mean(axis=1)
+    cells = tile_cells(transfer.target.corner_uvs())
     tiles = [0]
-    if centres.min() >= 0:
+    if cells.min() >= 0:
         tiles = target_tiles(result.target.refinement().finest)
     else:
-        outside = float(np.mean(((centres < 0) | (centres > 1)).any(axis=1)))
+        outside = float(np.mean((cells != 0).any(axis=1)))
         warnings.append(
             f"{100 * outside:.1f} % of the target's layout lies outside the unit square and is not baked: move it"
         )

@@ -80,6 +80,23 @@ def read_image(path: str | Path) -> Image:
 
 
 def _read(file: Path) -> Image:
+    opened, kind = _open(file)
+    spec = opened.spec()
+    try:
+        asked = {"float16": "half", "float32": "float"}.get(kind, kind)
+        pixels = opened.read_image(0, 0, 0, spec.nchannels, asked)
+        if pixels is None:
+            raise FormatError(
+                f"{file}: the image ends early or is damaged: {_reason(opened.geterror())} Export it again."
+            )
+    finally:
+        opened.close()
+    array = np.asarray(pixels).reshape(spec.height, spec.width, spec.nchannels).astype(kind, copy=False)
+    return Image(array, tuple(spec.channelnames), str(spec.getattribute("oiio:ColorSpace") or ""))
+
+
+def _open(file: Path) -> tuple[Any, str]:
+    """An image's reader, its header checked, and the number type of its pixels."""
     hints = oiio.ImageSpec()
     hints.attribute("oiio:UnassociatedAlpha", 1)
     opened = oiio.ImageInput.open(str(file), hints)
@@ -88,26 +105,35 @@ def _read(file: Path) -> Image:
             f"{file}: expected an image (PNG, TIFF, EXR, JPEG, ...), could not open it: {_reason(oiio.geterror())} "
             "Export it again in one of these formats."
         )
-    try:
-        spec = opened.spec()
-        kind = str(spec.format)
-        known = {"uint8": "uint8", "uint16": "uint16", "half": "float16", "float": "float32"}
-        if spec.channelformats:
-            kind = "float"  # channels of several types: the widest of them, without loss
-        if kind not in known or not 1 <= spec.nchannels <= _LARGEST_CHANNELS or spec.depth > 1:
-            raise FormatError(
-                f"{file}: expected a flat image of 1 to {_LARGEST_CHANNELS} channels of uint8, uint16, half or float, "
-                f"found {spec.nchannels} of {kind}" + (" in depth" if spec.depth > 1 else "") + ". Convert it first."
-            )
-        pixels = opened.read_image(0, 0, 0, spec.nchannels, kind)
-        if pixels is None:
-            raise FormatError(
-                f"{file}: the image ends early or is damaged: {_reason(opened.geterror())} Export it again."
-            )
-    finally:
+    spec = opened.spec()
+    kind = str(spec.format)
+    known = {"uint8": "uint8", "uint16": "uint16", "half": "float16", "float": "float32"}
+    if spec.channelformats:
+        kind = "float"  # channels of several types: the widest of them, without loss
+    if kind not in known or not 1 <= spec.nchannels <= _LARGEST_CHANNELS or spec.depth > 1:
         opened.close()
-    array = np.asarray(pixels).reshape(spec.height, spec.width, spec.nchannels).astype(known[kind], copy=False)
-    return Image(array, tuple(spec.channelnames), str(spec.getattribute("oiio:ColorSpace") or ""))
+        raise FormatError(
+            f"{file}: expected a flat image of 1 to {_LARGEST_CHANNELS} channels of uint8, uint16, half or float, "
+            f"found {spec.nchannels} of {kind}" + (" in depth" if spec.depth > 1 else "") + ". Convert it first."
+        )
+    return opened, known[kind]
+
+
+def read_image_form(path: str | Path) -> tuple[np.dtype[Any], int]:
+    """Number type and number of channels of an image, or of the first tile of a set, from its header alone.
+
+    Raises
+    ------
+    FormatError
+        If it is no image that `read_image` reads.
+    """
+    files = texture_files(path)
+    if not files:
+        raise FormatError(f"{path}: expected tiles such as {udim_path(path, 1001)}, found none. Check the name.")
+    opened, kind = _open(files[0])
+    channels = int(opened.spec().nchannels)
+    opened.close()
+    return np.dtype(kind), channels
 
 
 def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False) -> None:
@@ -181,17 +207,24 @@ def read_texture(path: str | Path) -> Image | dict[int, Image]:
     FormatError
         If there is no tile, or an image cannot be read.
     """
-    if UDIM_MARK not in Path(path).name:
-        return read_image(path)
-    found = _tiles(Path(path))
+    file = with_udim_mark(Path(path))
+    if UDIM_MARK not in file.name:
+        return read_image(file)
+    found = _tiles(file)
     if not found:
         raise FormatError(f"{path}: expected tiles such as {udim_path(path, 1001)}, found none. Check the name.")
     return {number: read_image(tile) for number, tile in found.items()}
 
 
+def with_udim_mark(path: Path) -> Path:
+    """A name with ``%(UDIM)d`` in place of the tile's number, as some programs write it, in the one spelling."""
+    return path.with_name(path.name.replace("%(UDIM)d", UDIM_MARK))
+
+
 def texture_files(path: str | Path) -> list[Path]:
     """Files that `read_texture` reads."""
-    return list(_tiles(Path(path)).values()) if UDIM_MARK in Path(path).name else [Path(path)]
+    file = with_udim_mark(Path(path))
+    return list(_tiles(file).values()) if UDIM_MARK in file.name else [file]
 
 
 def _tiles(path: Path) -> dict[int, Path]:
@@ -209,7 +242,7 @@ def udim_path(path: str | Path, tile: int) -> Path:
     >>> udim_path("skin.<UDIM>.png", 1002).name, udim_path("skin.png", 1002).name, udim_path("skin.png", 0).name
     ('skin.1002.png', 'skin.1002.png', 'skin.png')
     """
-    file = Path(path)
+    file = with_udim_mark(Path(path))
     if UDIM_MARK in file.name:
         return file.with_name(file.name.replace(UDIM_MARK, str(tile or 1001)))
     return file if tile == 0 else file.with_name(f"{file.stem}.{tile}{file.suffix}")
@@ -217,7 +250,7 @@ def udim_path(path: str | Path, tile: int) -> Path:
 
 def tile_pattern(path: str | Path) -> Path:
     """The name of all files of `udim_path`: with ``<UDIM>`` where the tile's number stands."""
-    file = Path(path)
+    file = with_udim_mark(Path(path))
     return file if UDIM_MARK in file.name else file.with_name(f"{file.stem}.{UDIM_MARK}{file.suffix}")
 
 

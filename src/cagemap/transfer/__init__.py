@@ -12,6 +12,7 @@ from cagemap.transfer.control_values import (
     corner_weights,
 )
 from cagemap.transfer.displacement import Displacement, bake_displacement, scale_ratio
+from cagemap.transfer.texture import tile_cells
 from cagemap.transfer.unwrap import unwrap
 
 __all__ = [
@@ -34,5 +35,6 @@ __all__ = [
     "pull_back_vertices",
     "scale_ratio",
     "target_tiles",
+    "tile_cells",
     "unwrap",
 ]

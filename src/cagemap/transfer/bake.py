@@ -26,7 +26,7 @@ from cagemap.transfer.dilation import LARGEST_SIDE, dilate
 from cagemap.transfer.locate import MappedSurface, Samples, locate_samples, map_surface, plan_samples
 from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.texels import GUTTER_RADIUS, Layout, lay_out, rasterize_band
-from cagemap.transfer.texture import Pixels, Wrap, lay_texture, look_up, udim_of, udim_origin
+from cagemap.transfer.texture import Pixels, Wrap, lay_texture, look_up, tile_cells, udim_of, udim_origin
 
 Shade = Callable[[Samples], FloatArray]
 ShadeCells = Callable[[NDArray[np.int32], IndexArray, int], FloatArray]
@@ -109,11 +109,8 @@ def prepare_transfer(target: Level, source: Level, point_map: PointMap) -> Trans
 
 def target_tiles(target: Level) -> list[int]:
     """UDIM numbers of the tiles that the target's layout uses, ascending; [0] if it stays in one unit square."""
-    corner_uvs = TexturedSurface.from_level(target).corner_uvs()
-    centres = corner_uvs.mean(axis=1)
-    if np.all((centres >= 0) & (centres <= 1)):
-        return [0]
-    return [int(tile) for tile in np.unique(udim_of(centres))]
+    cells = tile_cells(TexturedSurface.from_level(target).corner_uvs())
+    return [int(tile) for tile in np.unique(udim_of(cells))] if cells.any() else [0]
 
 
 def bake_texture(

@@ -18,6 +18,8 @@ Pixels = NDArray[Any]
 Wrap = Literal["repeat", "clamp"]
 
 FIRST_TILE = 1001
+# What lies across a border of a tile by less is there by a rounding: half a texel of a 4k image.
+OVERHANG = 1.0 / 8192.0
 TILES_PER_ROW = 10
 
 
@@ -90,7 +92,7 @@ def lay_texture(
     kinds = {(pixels.shape[2], str(pixels.dtype)) for pixels in tiles.values()}
     if len(kinds) != 1:
         raise ParameterError(f"texture tiles: expected one number of channels and one number type, got {sorted(kinds)}")
-    triangle_tiles = udim_of(uvs[uv_triangles].mean(axis=1))
+    triangle_tiles = udim_of(tile_cells(uvs[uv_triangles]))
     missing = np.setdiff1d(triangle_tiles, list(tiles))
     if len(missing):
         raise ParameterError(
@@ -98,6 +100,20 @@ def lay_texture(
             f"{sorted(tiles)[:10]}; add those images"
         )
     return Texture(tiles, uvs, uv_triangles, triangle_tiles, False)
+
+
+def tile_cells(corners: FloatArray) -> FloatArray:
+    """(t, 2) lower left corner of the unit square that each UV triangle lies in.
+
+    A triangle that lies across a border by no more than a rounding belongs to the side that it touches.
+
+    Parameters
+    ----------
+    corners : (t, 3, 2) float64
+    """
+    cells = np.floor(corners.mean(axis=1))
+    cells = cells - (corners.max(axis=1) - cells <= OVERHANG)
+    return np.asarray(cells + (cells + 1.0 - corners.min(axis=1) <= OVERHANG))
 
 
 def udim_of(uvs: FloatArray) -> IndexArray:
@@ -146,7 +162,11 @@ def as_pixels(image: Pixels) -> Pixels:
 def look_up(texture: Texture, samples: Samples) -> FloatArray:
     """(k, c) mean over every texel's samples of the bilinearly interpolated texture, in the texture's own values."""
     result = np.zeros((len(samples.first) - 1, texture.channels))
-    for tile, pixels in texture.tiles.items():
+    # Of a large set only few tiles meet in one band of texels; the others would look at every sample for nothing.
+    met = np.zeros(len(texture.triangle_tiles), dtype=bool)
+    met[samples.triangle] = True
+    for tile in np.unique(texture.triangle_tiles[met]).tolist():
+        pixels = texture.tiles[tile]
         u, v = udim_origin(tile)
         # Half floats have no arithmetic of their own; their conversion is exact.
         known = pixels.astype(np.float32) if pixels.dtype == np.float16 else pixels

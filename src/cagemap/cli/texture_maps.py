@@ -1,0 +1,43 @@
+"""Named maps of a material on the command line: ``--texture albedo=skin.png --texture roughness=rough.png``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from cagemap.errors import ParameterError
+from cagemap.files.images import UDIM_MARK, with_udim_mark
+
+
+def texture_and_maps(given: Sequence[str]) -> tuple[Path | None, tuple[tuple[str, Path], ...]]:
+    """Tell a single image from the named maps of a material: ``albedo=skin.png``.
+
+    Raises
+    ------
+    ParameterError
+        If one of several has no name, or two have the same.
+    """
+    named = [(name, Path(path)) for name, sign, path in (text.partition("=") for text in given) if sign and path]
+    if len(given) == 1 and (not named or Path(given[0]).exists()):
+        return Path(given[0]), ()
+    if not given:
+        return None, ()
+    if len(named) != len(given) or len({name for name, _ in named}) != len(named):
+        raise ParameterError(
+            f"--texture: expected one image, or several as NAME=IMAGE with a name of its own each, got "
+            f"{', '.join(given)}."
+        )
+    if any(not name.replace("_", "").replace("-", "").isalnum() for name, _ in named):
+        raise ParameterError("--texture: expected names of letters, digits, - and _, since files are named by them.")
+    return None, tuple(named)
+
+
+def map_path(output: Path, name: str) -> Path:
+    """Image of one of several maps: its name comes before the tile number and the suffix."""
+    output = with_udim_mark(output)
+    if not name:
+        return output
+    stem, dot, rest = output.name.partition(UDIM_MARK) if UDIM_MARK in output.name else (output.stem, "", output.suffix)
+    if dot:
+        return output.with_name(f"{stem.rstrip('._')}_{name}.{UDIM_MARK}{rest}")
+    return output.with_name(f"{stem}_{name}{rest}")
