@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.errors import FormatError
+from cagemap.files.gltf import write_glb
 from cagemap.files.obj import obj_files, read_obj, write_obj
 from cagemap.files.ply import read_ply, write_ply
 from cagemap.files.usd import USD_SUFFIXES, read_usd
@@ -15,7 +16,8 @@ from cagemap.files.usd_write import write_usd
 from cagemap.mesh import ControlMesh
 
 _READERS = {".obj": read_obj, ".ply": read_ply, **dict.fromkeys(USD_SUFFIXES, read_usd)}
-_WRITERS = {".obj": write_obj, ".ply": write_ply, **dict.fromkeys((".usd", ".usda", ".usdc"), write_usd)}
+_WRITERS = {".obj": write_obj, ".ply": write_ply, ".glb": write_glb}
+_WRITERS |= dict.fromkeys((".usd", ".usda", ".usdc"), write_usd)
 
 
 def read_mesh(path: str | Path) -> ControlMesh:
@@ -34,7 +36,7 @@ def read_mesh(path: str | Path) -> ControlMesh:
 
 
 def write_mesh(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> None:
-    """Write a mesh to an ``.obj``, ``.ply`` or USD file.
+    """Write a mesh to an ``.obj``, ``.ply`` or USD file, or export it as ``.glb``.
 
     Raises
     ------

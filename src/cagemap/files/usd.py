@@ -96,9 +96,16 @@ def open_stage(path: str | Path) -> Any:
         raise FormatError(f"{file}: expected a USD file, there is no such file. Check the name and the folder.")
     try:
         return pxr.Usd.Stage.Open(str(file))
-    except pxr.Tf.ErrorException as error:
-        first = str(error).strip().splitlines()[-1]
-        raise FormatError(f"{file}: cannot be read as USD ({first}). Export it again.") from None
+    except (pxr.Tf.ErrorException, UnicodeDecodeError) as error:
+        raise FormatError(f"{file}: cannot be read as USD ({_reason(error)}). Export it again.") from None
+
+
+def _reason(error: Exception) -> str:
+    """The last line of what USD says; its own messages may hold bytes that are no text."""
+    try:
+        return (str(error).strip().splitlines() or [type(error).__name__])[-1]
+    except UnicodeDecodeError:
+        return type(error).__name__
 
 
 def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
@@ -111,15 +118,18 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
     """
     file = Path(path)
     stage, pxr = open_stage(file), usd_modules()
-    prims = [prim for prim in pxr.Usd.PrimRange.Stage(stage) if prim.IsA(pxr.UsdGeom.Mesh)]
-    meshes = []
-    for prim in prims:
-        if pxr.UsdGeom.Mesh(prim).GetPointsAttr().Get():
-            meshes.append(_read_prim(file, prim))
+    try:
+        prims = [prim for prim in pxr.Usd.PrimRange.Stage(stage) if prim.IsA(pxr.UsdGeom.Mesh)]
+        meshes = tuple(_read_prim(file, prim) for prim in prims if pxr.UsdGeom.Mesh(prim).GetPointsAttr().Get())
+    except FormatError:
+        raise
+    except (pxr.Tf.ErrorException, UnicodeDecodeError, TypeError, ValueError) as error:
+        # Values are unpacked when they are asked for, and may be damaged or of other types than the schema says.
+        raise FormatError(f"{file}: holds values that are damaged ({_reason(error)}). Export it again.") from None
     if not meshes:
         what = f"got {len(prims)} without points" if prims else "got none"
         raise FormatError(f"{file}: expected at least one mesh prim, {what}. Export the control mesh with its points.")
-    return tuple(meshes)
+    return meshes
 
 
 def read_usd(path: str | Path) -> ControlMesh:
@@ -138,7 +148,7 @@ def read_usd(path: str | Path) -> ControlMesh:
     if len(schemes) > 1:
         raise FormatError(
             f"{file}: expected meshes that are all subdivided alike, got {' and '.join(schemes)} (of "
-            f"{', '.join(schemes.values())}). Name one of the prims with --part."
+            f"{', '.join(schemes.values())}). Save the one that is meant as a file of its own."
         )
     return replace(join_meshes([in_world(mesh) for mesh in meshes]), name=file.name)
 
