@@ -125,7 +125,7 @@ def test_refined_uvs_and_materials_come_along(run: Run, tmp_path: Path) -> None:
         (["refine", "none.obj", "--level", "1", "-o", "x.obj"], "none.obj"),
         (["refine", "box.obj", "--level", "20", "-o", "x.obj"], "Use --level 10 or less"),
         (["refine", "box.obj", "--level", "1000", "-o", "x.obj"], "Use --level 10 or less"),
-        (["refine", "box.obj", "--level", "1", "-o", "x.stl"], r".obj or .ply"),
+        (["refine", "box.obj", "--level", "1", "-o", "x.stl"], r"ending in .obj, .ply"),
         (["refine", "box.obj", "--level", "1", "-o", "nowhere/x.obj"], "nowhere"),
         (["refine", "box.obj", "--level", "-1", "-o", "x.obj"], "--level"),
         (["match", "--target", "box.obj", "-o", "R"], "--source"),

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull, cKDTree
 
-from cagemap.geometry.closest import build_tree, closest_points, closest_points_slowly
+from cagemap.geometry.closest import build_tree, closest_points
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import normalized, ring_sums, surface_area, triangle_normals, vertex_normals
@@ -26,6 +26,7 @@ from cagemap.maps.quality import (
 from cagemap.mesh.shapes import torus
 from cagemap.numerics.threads import thread_limit
 from cagemap.refinement import level_triangles, refine
+from closest_reference import closest_points_slowly
 
 
 def sphere(n: int, radii: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> tuple[np.ndarray, np.ndarray]:

@@ -21,7 +21,7 @@ from cagemap.transfer import (
 )
 from cagemap.transfer import bake as bake_module
 from cagemap.transfer.locate import Samples
-from cagemap.transfer.reference import look_up_slowly
+from transfer_reference import look_up_slowly
 from transfer_scenes import crossed_cube, face_texture, identity_map, plane, plane_map
 
 BARE = BakeOptions(dilation=0)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import transfer_reference as reference
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import triangle_areas, triangle_neighbors
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import torus
 from cagemap.refinement import refine
-from cagemap.transfer import reference
 from cagemap.transfer.dilation import dilate
 from cagemap.transfer.locate import Samples, locate_samples, map_surface, plan_samples, target_barycentric
 from cagemap.transfer.surface import TexturedSurface

@@ -20,7 +20,7 @@ SAMPLES, STEPS = 2000, 10
 SAME_PLANE = 0.99
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Mirror:
     """A mirror plane that a control mesh has, exactly or nearly.
 

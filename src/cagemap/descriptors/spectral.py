@@ -19,7 +19,7 @@ HEAT_RANGE = 4.0 * np.log(10.0)
 WAVE_WIDTH = 7.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Filters:
     """Parameters of the filters rho_t, chosen once for both surfaces and all levels.
 

@@ -25,7 +25,7 @@ from cagemap.refinement.topology import control_topology
 _DOUBT = ("sure", "look at it", "two answers")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Numbers:
     """Where the elements of one part stand among those of all: its vertices, edges, faces and face corners."""
 

@@ -19,7 +19,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 _AXES = "xyz"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fitting:
     """A mesh bound to a base mesh.
 

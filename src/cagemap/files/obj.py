@@ -33,7 +33,7 @@ _BYTE_CLASS[[ord(character) for character in "0123456789+-"]] = _NUMBER
 _IS_DIGIT = (np.arange(256) >= ord("0")) & (np.arange(256) <= ord("9"))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Statements:
     """The statements of a file, without comments' whole lines; ``numbers`` are the physical line numbers, from 1."""
 
@@ -154,7 +154,7 @@ def _read_numbers(statements: _Statements, row: int, keyword: str, required: int
     return values + [0.0] * (kept - len(values))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Corners:
     """Corners of all faces as written: 1-based or negative numbers, 0 where a corner has no texture coordinate."""
 

@@ -39,7 +39,7 @@ _WORDS: dict[str, tuple[str, dict[str, str]]] = {
 _COUNTS = {"crease": (2, 1, 0), "corner": (1, 1, 0)}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Tags:
     """What the tags of a file say; None where they say nothing."""
 

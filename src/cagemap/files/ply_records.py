@@ -46,7 +46,7 @@ class Element:
     properties: tuple[Property, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Column:
     """Values of one property for all records: ``lengths[i]`` of them for record i (1 for a scalar), concatenated."""
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:  # reading a result needs no solvers
     from cagemap.pipeline import MatchResult
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Side:
     """One of the two surfaces of a result.
 
@@ -49,7 +49,7 @@ class Side:
         return refine(self.control, self.level, self.scheme)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Result:
     """A dense map between two refined surfaces, as it is stored.
 

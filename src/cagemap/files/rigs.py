@@ -20,7 +20,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Skeleton:
     """Joints with a head and a tail each.
 

@@ -38,7 +38,7 @@ _UVS = {
 _TRIANGLES = {"catmullClark": "catmull_clark", "smooth": "smooth"}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class UsdMesh:
     """One mesh prim.
 

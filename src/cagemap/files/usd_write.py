@@ -25,7 +25,7 @@ _TRIANGLES = {"catmull_clark": "catmullClark", "smooth": "smooth"}
 _JOINTS_KEPT = 8
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class UsdResults:
     """What came over from the source, to be said about a mesh prim.
 

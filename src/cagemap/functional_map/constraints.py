@@ -14,7 +14,7 @@ from cagemap.numerics.arrays import FloatArray
 SPACING = 4.0 * np.pi
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SpectralData:
     """Descriptors and operators of one surface; the leading blocks are those of the coarser levels (eq. 15).
 

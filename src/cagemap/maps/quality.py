@@ -28,7 +28,7 @@ TRUSTED_STRETCH = 2.0  # up to this stretch or compression (relative to isometry
 COVERAGE_SAMPLES = 50_000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class QualityFigures:
     """What can be said about a map without knowing the true one.
 

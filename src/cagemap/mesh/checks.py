@@ -63,7 +63,7 @@ def check_mesh(mesh: ControlMesh) -> MeshReport:
     return replace(report, face_sizes=_face_sizes(mesh), problems=tuple(p for p in problems if p is not None))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Parts:
     """A mesh with what several checks ask of its connectivity."""
 

@@ -11,7 +11,7 @@ from cagemap.mesh.schemes import Scheme
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class UvSet:
     """Face-varying texture coordinates beside those that a mesh uses.
 
@@ -27,7 +27,7 @@ class UvSet:
     uv_indices: IndexArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ControlMesh:
     """A polygon mesh that a subdivision surface is built on.
 

@@ -13,7 +13,7 @@ from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import IndexArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Landmarks:
     """Pairs of control vertices that correspond.
 

@@ -17,7 +17,7 @@ KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Part:
     """Some faces of a mesh.
 

@@ -13,7 +13,7 @@ from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.numerics.arrays import IndexArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EdgeTable:
     """Edges of a mesh and how face corners refer to them.
 
@@ -125,7 +125,7 @@ def valences(mesh: ControlMesh, edges: EdgeTable) -> IndexArray:
     return np.bincount(edges.vertices.ravel(), minlength=mesh.n_vertices).astype(np.int64)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Orientation:
     """How the faces of a mesh are turned against each other.
 

@@ -47,7 +47,7 @@ class Analysis:
     _symbolic: Any = field(default=None, repr=False)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Factorization:
     """A factored matrix A.
 

@@ -17,7 +17,7 @@ from cagemap.operators.polygons import Laplacian, MeanTriangulation
 from cagemap.refinement import Refinement, triangulate_control
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Operators:
     """Mass and stiffness of every level of one refinement, for unit surface area.
 

@@ -10,7 +10,7 @@ from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Camera:
     """A pinhole camera.
 

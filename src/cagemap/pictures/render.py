@@ -29,7 +29,7 @@ SKY, FLOOR_SKY = 36, 80  # directions that light comes from
 BUSY = 0.06  # pixels of more contrast than this are sampled more finely
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Skin:
     """What colours a surface: the first of texture, vertex colours, face colours that is given, otherwise clay.
 
@@ -50,7 +50,7 @@ class Skin:
     corner_uvs: FloatArray | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Model:
     """A triangulated surface ready to be cast rays at; keep it for several views.
 
@@ -168,7 +168,7 @@ def visible(model: Model, camera: Camera, points: FloatArray) -> NDArray[np.bool
     return np.asarray(hit["tfar"] * model.scale > distance - 0.01 * model.scale)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Scene:
     """What the light of a ray depends on."""
 

@@ -20,7 +20,7 @@ from cagemap.refinement.topology import BoolArray, CornerTable, Topology, contro
 _DEPENDENT = ("corners_plus1", "corners_plus2")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class UvLayout:
     """Topology of the UVs of one level, with what the mode decided.
 

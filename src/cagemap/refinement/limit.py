@@ -123,7 +123,7 @@ def _unit(vectors: FloatArray) -> FloatArray:
     return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Features:
     """Vertices whose limit needs more than the boundary's rules, (n,) bool each."""
 

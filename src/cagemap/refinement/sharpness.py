@@ -24,7 +24,7 @@ from cagemap.refinement.topology import BoolArray, Topology
 SMOOTH, CREASE, CORNER = 0, 2, 3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sharpness:
     """Sharpness before and after one step.
 
@@ -131,7 +131,7 @@ def next_sharpness(sharpness: Sharpness, child: Topology, creasing: Creasing) ->
     return with_halves(child, edges, vertices, creasing)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class VertexRules:
     """Shares of the smooth, the crease and the corner mask at every vertex, (n,) each; they sum to 1.
 

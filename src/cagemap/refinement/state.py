@@ -23,7 +23,7 @@ from cagemap.refinement.topology import (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MeshState:
     """All of one level but its positions: what the next subdivision matrix is made from.
 

@@ -22,7 +22,7 @@ IntArray: TypeAlias = NDArray[np.int32]
 BoolArray: TypeAlias = NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CornerTable:
     """Faces, edges and vertices seen from the c corners. Serves the mesh and, separately, its UV layout.
 
@@ -64,7 +64,7 @@ class CornerTable:
         return bool(np.all(self.faces[::size] == np.arange(self.n_faces)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Topology:
     """A corner table of an oriented manifold mesh, with the order of the faces around every vertex.
 

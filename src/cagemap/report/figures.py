@@ -77,7 +77,7 @@ class Gallery:
     trust: tuple[Figure, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Stage:
     """Both surfaces, ready to draw; ``turn`` more degrees of azimuth show the source from where the target is seen."""
 

@@ -81,7 +81,7 @@ class Dress:
 Task = OpenModels | FindMap | ChooseAnswer | Dress
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Model:
     """One control mesh, opened.
 
@@ -112,7 +112,7 @@ class Models:
     source: Model
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Opened:
     """Answer to `OpenModels`."""
 
@@ -165,7 +165,7 @@ class Dressed:
 Answer = Opened | Found | Dressed
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Bench:
     """What is open and prepared; each task gives the next one.
 

@@ -16,7 +16,7 @@ _COMPONENT = {"f": 5126, "B": 5121, "I": 5125}
 _SHAPE = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Primitive:
     """Triangles with one material.
 

@@ -15,7 +15,7 @@ from cagemap.studio.landmarks import Place
 _SNAP = 0.75
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Shape:
     """The triangles of one level, at their limit positions.
 
@@ -97,7 +97,7 @@ def control_edges(control: ControlMesh) -> IndexArray:
     return np.unique(np.sort(ends, axis=1), axis=0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Hit:
     """Where a ray meets a shape.
 

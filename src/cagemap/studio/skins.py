@@ -27,7 +27,7 @@ CHECKER_CELLS = 24
 _SEAM = 0.6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Look:
     """Materials of the source.
 
@@ -46,7 +46,7 @@ class Look:
     colors: FloatArray | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Images:
     """Where a map takes the vertices of a target shape on the source shape.
 

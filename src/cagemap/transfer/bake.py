@@ -37,7 +37,7 @@ _BAND_TEXELS = 1 << 18
 _SAMPLE_BUDGET = 1 << 20
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Transfer:
     """All that a bake needs of one match: prepare it once, bake many images.
 

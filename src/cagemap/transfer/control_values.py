@@ -86,7 +86,7 @@ def corner_nodes(control: ControlMesh, values: NDArray[Any]) -> tuple[IndexArray
     return nodes.ravel(), values[first]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CornerValues:
     """Values of the source's face corners at the target's.
 
@@ -151,7 +151,7 @@ def _crossed_faces(
     return crossed
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CarriedUvs:
     """The source's texture coordinates on the target's faces.
 

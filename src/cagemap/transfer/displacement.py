@@ -25,7 +25,7 @@ _GREY = 1e-3
 _OUTLIERS = 0.005
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Displacement:
     """A baked displacement: height = (value - midlevel) * scale in the target's length unit.
 

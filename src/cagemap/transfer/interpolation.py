@@ -21,7 +21,7 @@ from cagemap.refinement.state import split_table
 from cagemap.refinement.topology import CornerTable, control_table, quad_children, triangle_children
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LinearValues:
     """Functions that are linear on the triangles of a refined level, given by values at the control mesh.
 

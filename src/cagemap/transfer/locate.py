@@ -30,7 +30,7 @@ _PLANNED_AT_ONCE = 1 << 15
 MAX_SAMPLES_PER_AXIS = 16
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MappedSurface:
     """The target's triangles with where the map T12 takes their corners, and the source to walk on.
 
@@ -83,7 +83,7 @@ def triangle_frames(positions: FloatArray, triangles: IndexArray) -> FloatArray:
     return np.ascontiguousarray(np.stack([a, g1, g2], axis=1))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Samples:
     """Source points of the samples of some texels; texel i has the samples ``first[i]:first[i + 1]``.
 

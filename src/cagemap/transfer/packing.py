@@ -25,7 +25,7 @@ _SLACK = 1.1
 _HEIGHT_SHARE = 0.25
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Island:
     """Points (q, 2) of an island, and its edges as pairs of them."""
 
@@ -33,7 +33,7 @@ class _Island:
     edges: IndexArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Profile:
     """Lower and upper outline of an island, column by column, above its own lowest point; origin its low corner."""
 

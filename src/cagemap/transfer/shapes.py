@@ -39,7 +39,7 @@ _CONTACT = 100.0
 _TOUCHING, _FACING = 0.5, -0.5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ShapeCarrier:
     """All that carries shapes from one source to one target; prepare it once.
 

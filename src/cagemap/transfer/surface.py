@@ -11,7 +11,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Level, triangles
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TexturedSurface:
     """The triangles of one level of a refinement, in the numbering that point maps use.
 

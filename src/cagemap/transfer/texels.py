@@ -24,7 +24,7 @@ _EDGE_TOLERANCE = 1e-7
 GUTTER_RADIUS = float(np.sqrt(2.0))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Layout:
     """A UV layout in texel coordinates, with its triangles and its island borders sorted into bands of rows.
 

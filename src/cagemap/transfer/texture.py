@@ -23,7 +23,7 @@ OVERHANG = 1.0 / 8192.0
 TILES_PER_ROW = 10
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Texture:
     """The source's texture, laid on its triangles.
 

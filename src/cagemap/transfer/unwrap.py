@@ -62,7 +62,7 @@ def unwrap(control: ControlMesh, *, padding: float = 1 / 256) -> ControlMesh:
     return control.with_uvs(pack_islands(uvs, edges, islands, padding), flat.corner_uvs)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Charts:
     """xatlas's answer: UVs and their vertices, UV triangles, and the chart of every triangle (-1: left out)."""
 
@@ -72,7 +72,7 @@ class _Charts:
     chart: IndexArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Flat:
     """UVs (p, 2), and the UV of every polygon corner (c,)."""
 

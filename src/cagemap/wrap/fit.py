@@ -72,7 +72,7 @@ class WrapConfig:
             raise ParameterError(f"fairness > 0, anchor >= 0 expected, got {self.fairness} and {self.anchor}")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FitData:
     """What a net is fitted to, at unit area of the source.
 

@@ -20,7 +20,7 @@ from cagemap.refinement import Refinement, finest_mesh, level_triangles
 _POWER = 0.5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ControlNet:
     """One level of a surface, whose vertices are free to move.
 

@@ -20,7 +20,7 @@ _RENDERED = 4
 _MOST_VERTICES = 1_500_000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Offsets:
     """The way from a wrapped surface to the source, in the source's units.
 

@@ -45,7 +45,7 @@ class Residual:
     left_out: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Wrapped:
     """The target's net in the source's shape.
 

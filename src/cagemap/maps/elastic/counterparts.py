@@ -13,18 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from cagemap.maps.elastic.constants import FULL, INSIDE_TRIP, NONE, OUTSIDE_TRIPS, SMOOTHING_LENGTH
 from cagemap.maps.elastic.graph import ElasticGraph
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.factorization import Factorization, factor
-
-# Length over which received area is smoothed, of sqrt(area): less than a finger's width.
-SMOOTHING_LENGTH = 0.005
-# Received area, of a vertex's own, up to which it does not pull, and from which it pulls fully.
-NONE, FULL = 0.25, 0.5
-# Lengths of round trips at which the weight is a quarter. Where the source lies outside the target, the target may not
-# have reached it yet: sqrt(alpha), the length below which the energy outweighs the data, times this is forgiven.
-INSIDE_TRIP = 0.006
-OUTSIDE_TRIPS = 6.0
 
 
 @dataclass(frozen=True)

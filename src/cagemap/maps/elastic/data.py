@@ -16,11 +16,8 @@ from cagemap.maps.elastic.graph import ElasticGraph, transformed_normals
 from cagemap.maps.spectral.samples import spread
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
-# Vertices of the source that pull at the target, per vertex of the target's mesh: more of them change nothing.
-PULLERS = 2.0
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Pullers:
     """Points of the source that pull at the target.
 
@@ -48,7 +45,7 @@ class Pullers:
         return cls(source.positions[chosen], planes, areas / areas.sum(), outer)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Pull:
     """Quadratic data term ``sum_i (x_i - y_i)^T B_i (x_i - y_i)`` up to a constant, and where it was found.
 

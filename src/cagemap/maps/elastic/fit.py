@@ -18,7 +18,8 @@ from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import vertex_normals
 from cagemap.maps.elastic.config import ElasticConfig, Stage
-from cagemap.maps.elastic.data import PULLERS, Pullers, deformed_normals, pull_by_source, pull_to_source
+from cagemap.maps.elastic.constants import COST_STIFFNESS, LANDMARK_ITERATIONS, PULLERS, UNSETTLED
+from cagemap.maps.elastic.data import Pullers, deformed_normals, pull_by_source, pull_to_source
 from cagemap.maps.elastic.graph import ElasticGraph, extrapolate
 from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair, RestShape
 from cagemap.maps.pair import PointPairs
@@ -26,13 +27,8 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import factor
 from cagemap.numerics.threads import ThreadPool
 
-LANDMARK_ITERATIONS = 20
-COST_STIFFNESS = 1e-3  # alpha at which coarse fits from different starts are compared
-# Share of the vertices with bounded differentials above which a stage goes on.
-UNSETTLED = 0.005
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CoarseFit:
     """Where a coarse stage ended.
 

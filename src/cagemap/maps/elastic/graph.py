@@ -21,26 +21,14 @@ from scipy.spatial import cKDTree
 
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import normalized
+from cagemap.maps.elastic.constants import FLAT, JOINING_ROUNDS, LEAST_STRETCH, LEAST_WEIGHT, NORMAL_SPREAD, TINY
 from cagemap.maps.elastic.system import BlockSystem
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization
 from cagemap.operators.laplacian import stiffness, vertex_areas
 
-# Cotangent weights may be negative; the energy wants positive ones: at least this share of the median.
-LEAST_WEIGHT = 1e-2
-# How far apart, in units of a cluster's size, opposite normals are.
-NORMAL_SPREAD = 1.0
-# Pieces of cells with less than this share of the mean piece's area are joined to a neighbour, in some rounds: two tiny
-# ones may join each other first.
-TINY = 0.3
-JOINING_ROUNDS = 4
-# Ratio of a map's two stretches in the tangent plane below which it flattens the surface.
-FLAT = 0.2
-# Such a map gets all three singular values up to this share of its largest.
-LEAST_STRETCH = 0.3
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ElasticGraph:
     """Rest shape of the energy.
 
@@ -163,7 +151,7 @@ def cluster_graph(fine: ElasticGraph, count: int, kept: IndexArray) -> tuple[Ela
     return graph, vertices.astype(np.int64)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DifferentialField:
     """Solver for the maps A that minimise the energy for given positions.
 

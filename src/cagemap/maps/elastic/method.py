@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cagemap.basis import Surface
+from cagemap.maps.elastic.constants import START_GROWTH, START_SAMPLES
 from cagemap.maps.elastic.fit import coarse_fit, fine_fit
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.elastic.update import respond
@@ -17,10 +18,6 @@ from cagemap.maps.spectral.landmark_coordinates import landmark_coordinates
 from cagemap.maps.spectral.samples import FIT_SAMPLES, Samples, fit_functional_map, spread
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool, in_threads
-
-# Source vertices that a start is sought among: twice as many as there are vertices to start.
-START_SAMPLES = 3000
-START_GROWTH = 1.5
 
 
 def elastic_map(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: None) -> PointMap:

@@ -10,14 +10,12 @@ import numpy as np
 from cagemap.basis import Surface
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.elastic.config import ElasticConfig
+from cagemap.maps.elastic.constants import SHEET_VERTICES
 from cagemap.maps.elastic.counterparts import ReceivedArea
 from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph, bounded_maps, cluster_graph, mesh_graph
 from cagemap.maps.spectral.hierarchical import HierarchyConfig, search_levels
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool
-
-# Vertices from which a level of the source is fine enough to lie on while fitting.
-SHEET_VERTICES = 15_000
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization, factor
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BlockSystem:
     """(3 n, 3 n) matrices alpha L + block diagonal, with the pattern kept from one to the next."""
 

@@ -16,7 +16,7 @@ SURE_GAP = 1.3
 TWO_GAP = 1.12
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Reading:
     """One way in which the target lies on the source, fitted.
 

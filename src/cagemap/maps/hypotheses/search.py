@@ -10,10 +10,11 @@ import numpy as np
 
 from cagemap.geometry.closest import build_tree, closest_points
 from cagemap.maps.elastic.config import Stage
-from cagemap.maps.elastic.data import PULLERS, Pullers, deformed_normals
+from cagemap.maps.elastic.constants import PULLERS, SHEET_VERTICES
+from cagemap.maps.elastic.data import Pullers, deformed_normals
 from cagemap.maps.elastic.fit import CoarseFit, coarse_cost, coarse_fit, fine_fit
 from cagemap.maps.elastic.graph import ElasticGraph, extrapolate
-from cagemap.maps.elastic.prepared import SHEET_VERTICES, CoarseShape, PreparedPair
+from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair
 from cagemap.maps.hypotheses.confidence import Reading
 from cagemap.maps.hypotheses.starts import SourcePlaces, Start, rigid_starts, spectral_starts
 from cagemap.maps.pair import Pair

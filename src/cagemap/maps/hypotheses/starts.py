@@ -28,7 +28,7 @@ GROWTH = 1.5
 NORMAL_LENGTH = 0.1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Start:
     """One way in which the target may lie on the source.
 
@@ -125,7 +125,7 @@ def spectral_starts(
     return found
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SourcePlaces:
     """Some points of the source that a rough fit is matched with.
 

@@ -34,7 +34,7 @@ LEAST_DISTANCE = 0.25
 FEWEST_JUDGED = 6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Placement:
     """Where the other landmarks put each one.
 
@@ -56,7 +56,7 @@ class Placement:
     distance: FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LandmarkDistances:
     """Geodesic distances from p landmarks on one surface.
 

@@ -34,7 +34,7 @@ OF_NEXT = 1.5
 FEWEST_JUDGED = 10
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ReducedEnergy:
     """``(l - rest)^T H (l - rest)`` of the landmarks' places, all else at its best.
 

@@ -22,6 +22,16 @@ from cagemap.errors import SolverError
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import row_lengths
+from cagemap.maps.projection.constants import (
+    APART,
+    GROWTHS,
+    LARGEST,
+    LEAST_SHARE,
+    LEAST_UNFOLDED,
+    MARGIN,
+    MOST_FOLDED,
+    STEPS,
+)
 from cagemap.maps.projection.relax import (
     BoolArray,
     around,
@@ -34,25 +44,8 @@ from cagemap.maps.quality import flipped_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import factor_general
 
-# Least share of the target's area that is folded in a part for it to be laid out.
-LEAST_SHARE = 1e-3
-# A map that folds over more than this in all has lost its way, and no part of it is worth the time.
-MOST_FOLDED = 0.02
-# Folded pieces that are less apart than this, of sqrt(area) and along edges of an even mesh, are one part.
-APART = 0.02
-# Radii of the ball, in those of the folded part's image: the first that does is taken.
-GROWTHS = (1.1, 1.5, 2.0)
-# The source's disc reaches this much farther than the ball.
-MARGIN = 1.15
-# Largest share of either surface that a disc may be.
-LARGEST = 0.5
-# Share of the fold that has to go.
-LEAST_GAIN = 0.5
-# Steps in which landmarks move to their places.
-STEPS = 50
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Disc:
     """A piece of a surface that is topologically a disc.
 
@@ -104,7 +97,7 @@ def lay_out_parts(
             chosen, new = found
             still = flipped_triangles(new, target.triangles[chosen])
             areas = target.areas[chosen]
-            if areas @ still < (1.0 - LEAST_GAIN) * (areas @ flipped[chosen]):
+            if areas @ still < (1.0 - LEAST_UNFOLDED) * (areas @ flipped[chosen]):
                 images, flipped = new, flipped.copy()
                 flipped[chosen] = still
                 break

@@ -12,13 +12,11 @@ from cagemap.maps.elastic.config import ElasticConfig
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.pair import PointPairs
 from cagemap.maps.point_map import PointMap
+from cagemap.maps.projection.constants import LEAST_COSINE
 from cagemap.maps.projection.lay_out import lay_out_parts
 from cagemap.maps.projection.relax import relax_folds
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Refinement
-
-# A projected point whose normal makes a smaller cosine with its own is on the wrong side, or far from the source.
-LEAST_COSINE = 0.15
 
 
 def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -> PointMap:

@@ -14,16 +14,12 @@ from scipy.sparse import csgraph
 
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.triangles import CACHED, normalized
+from cagemap.maps.projection.constants import LEAST_MENDED, ROUNDS, SWEEPS
 from cagemap.maps.quality import flipped_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads, parts
 
 BoolArray = NDArray[np.bool_]
-
-ROUNDS = 8
-SWEEPS = 10
-# Share of the flipped triangles that a round must mend for another one to be worth it.
-LEAST_GAIN = 0.02
 
 
 def relax_folds(
@@ -72,7 +68,7 @@ def relax_folds(
         inside = around(near, folded, ring, len(vertices)) & movable
         local = _relaxed(local, near, inside, folded, normal_weight)
         folded = flipped_triangles(local, near)
-        if folded.sum() > (1.0 - LEAST_GAIN) * before or not folded.any():
+        if folded.sum() > (1.0 - LEAST_MENDED) * before or not folded.any():
             break
     flipped[region] = folded
     return images.replaced(vertices, local), flipped

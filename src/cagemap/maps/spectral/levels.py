@@ -21,7 +21,7 @@ SAMPLE_VERTICES = 30_000
 COMPARABLE = 2.5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LevelMap:
     """Functional map and vertex matches between one level of the target and one of the source.
 

@@ -22,7 +22,7 @@ from cagemap.numerics.products import multiply
 BLOCK = 32_768
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SpectralRows:
     """Rows of a spectral embedding at one level, formed on demand.
 

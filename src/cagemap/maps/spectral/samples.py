@@ -18,7 +18,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 FIT_SAMPLES = 6000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Samples:
     """Vertices of one surface as the alternation sees them.
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
-from cagemap.geometry.closest import closest_points_slowly
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from closest_reference import closest_points_slowly
 
 
 def neighbors_slowly(corners: IndexArray) -> IndexArray:

@@ -1,0 +1,55 @@
+"""Numbers that decide an elastic map and that nobody needed to set so far; `config` has those that are set."""
+
+from __future__ import annotations
+
+# Where the fit starts
+
+# Source vertices that a start is sought among: twice as many as there are vertices to start.
+START_SAMPLES = 3000
+# Factor by which the number of basis functions grows there from one full search to the next.
+START_GROWTH = 1.5
+
+# What it lies on
+
+# Vertices from which a level of the source is fine enough to lie on while fitting.
+SHEET_VERTICES = 15_000
+
+# What pulls
+
+# Vertices of the source that pull at the target, per vertex of the target's mesh: more of them change nothing.
+PULLERS = 2.0
+
+# What does not pull
+
+# Length over which received area is smoothed, of sqrt(area): less than a finger's width.
+SMOOTHING_LENGTH = 0.005
+# Received area, of a vertex's own, up to which it does not pull, and from which it pulls fully.
+NONE, FULL = 0.25, 0.5
+# Lengths of round trips at which the weight is a quarter. Where the source lies outside the target, the target may not
+# have reached it yet: sqrt(alpha), the length below which the energy outweighs the data, times this is forgiven.
+INSIDE_TRIP = 0.006
+OUTSIDE_TRIPS = 6.0
+
+# The energy
+
+# Cotangent weights may be negative; the energy wants positive ones: at least this share of the median.
+LEAST_WEIGHT = 1e-2
+# How far apart, in units of a cluster's size, opposite normals are.
+NORMAL_SPREAD = 1.0
+# Pieces of cells with less than this share of the mean piece's area are joined to a neighbour, in some rounds: two tiny
+# ones may join each other first.
+TINY = 0.3
+JOINING_ROUNDS = 4
+# Ratio of a map's two stretches in the tangent plane below which it flattens the surface.
+FLAT = 0.2
+# Such a map gets all three singular values up to this share of its largest.
+LEAST_STRETCH = 0.3
+
+# The iterations
+
+# Alternations of positions and differentials from the landmarks alone.
+LANDMARK_ITERATIONS = 20
+# alpha at which coarse fits from different starts are compared.
+COST_STIFFNESS = 1e-3
+# Share of the vertices with bounded differentials above which a stage goes on.
+UNSETTLED = 0.005

@@ -1,0 +1,37 @@
+"""Values hold arrays, which do not compare to one truth: every value is equal to itself alone, and can be hashed."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import pkgutil
+import re
+
+import cagemap
+
+ARRAYS = re.compile(r"Array|ndarray|csr_array|csc_array|TriangleSurface|SurfacePoints")
+
+
+def values_with_arrays() -> list[type]:
+    found = []
+    for module in pkgutil.walk_packages(cagemap.__path__, "cagemap."):
+        if module.name.startswith("cagemap.studio"):  # needs libraries that are not always there
+            continue
+        for one in vars(importlib.import_module(module.name)).values():
+            if isinstance(one, type) and dataclasses.is_dataclass(one) and one.__module__ == module.name:
+                if any(ARRAYS.search(str(field.type)) for field in dataclasses.fields(one)):
+                    found.append(one)
+    return found
+
+
+def test_values_of_arrays_are_equal_to_themselves_alone_and_hashable() -> None:
+    values = values_with_arrays()
+    assert len(values) > 50
+    # A configuration that may be given arrays compares by what it holds; what starts with _ is no value.
+    wrong = [
+        one.__name__
+        for one in values
+        if one.__eq__ is not object.__eq__ and one.__name__[0] != "_" and not one.__name__.endswith("Config")
+    ]
+    assert wrong == []
+    assert all(one.__hash__ is not None for one in values if one.__name__[0] != "_")
