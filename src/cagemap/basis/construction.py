@@ -15,7 +15,7 @@ from cagemap.basis.guess import SINGLE_TOLERANCE, pairs_from_guess, working_type
 from cagemap.basis.hierarchical_basis import HierarchicalBasis
 from cagemap.basis.overlap import new_directions
 from cagemap.basis.ritz import gram, subtract
-from cagemap.basis.schedule import BasisConfig, choose_split, plausible_count
+from cagemap.basis.schedule import BasisConfig, certain_count, choose_split, plausible_count
 from cagemap.basis.smoothing import Block
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -205,8 +205,9 @@ class _Growth:
             seen = self.good * rows / self.rows(level - 1) if level > 0 else 0.0
             plausible = plausible_count(rows, config.tolerance, seen)
             last = reach = min(last, plausible)
-            if self.rows(level + 1) > GUESS_ROWS and 3 * (config.count + GUARDS) < rows:
-                # The next level is large: should it be needed, pairs that are no use here are a guess for it.
+            large = self.rows(level + 1) > GUESS_ROWS and 3 * (config.count + GUARDS) < rows
+            if large and config.count > certain_count(rows, config.tolerance):
+                # Should the next level be needed, pairs that are no use here are a guess for it.
                 reach = config.count + GUARDS
         if last <= self.count and reach <= last:
             if len(self.bands) == level:

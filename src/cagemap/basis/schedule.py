@@ -89,6 +89,11 @@ class BasisConfig:
         return self.count if self.schedule is None else sum(self.schedule)
 
 
+def certain_count(vertices: int, tolerance: float) -> int:
+    """How many eigenpairs of a level meet a tolerance on all surfaces measured."""
+    return int(LEAST_REACH * tolerance ** (1.0 / 3.0) * vertices)
+
+
 def plausible_count(vertices: int, tolerance: float, seen: float) -> int:
     """How many eigenpairs of a level are worth computing there because they may meet a tolerance.
 
