@@ -85,7 +85,7 @@ def test_everything_comes_back_bit_for_bit(result: Result, folder: Path) -> None
 def test_refining_again_gives_the_stored_vertices(folder: Path) -> None:
     back = read_result(folder)
     for stored in (back.target, back.source):
-        np.testing.assert_array_equal(stored.refinement().finest.positions, stored.vertices)
+        np.testing.assert_array_equal(stored.refinement.finest.positions, stored.vertices)
 
 
 def test_map_file_has_the_documented_arrays(result: Result, folder: Path) -> None:

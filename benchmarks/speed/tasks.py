@@ -159,7 +159,7 @@ def bake(result: str, sizes: list[int]) -> Figures:
 
     figures: Figures = {}
     stored = read_result(result)
-    source, target = stored.source.refinement().finest, stored.target.refinement().finest
+    source, target = stored.source.refinement.finest, stored.target.refinement.finest
     figures["identity error"] = _identity_error(source)
     surfaces = (TriangleSurface.from_faces(side.positions, side.faces) for side in (target, source))
     point_map = PointMap.from_arrays(*surfaces, stored.triangle, stored.barycentric)

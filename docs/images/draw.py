@@ -19,7 +19,7 @@ WIDTH, HEIGHT = 460, 420
 
 def draw(side: Side, texture: Path, view: View) -> Image:
     """One side of the result in its texture."""
-    surface = TexturedSurface.from_level(side.refinement().finest)
+    surface = TexturedSurface.from_level(side.refinement.finest)
     model = Model(surface.positions, surface.triangles)
     skin = Skin(texture=for_display(read_image(texture).pixels), corner_uvs=surface.corner_uvs())
     camera = frame(model.positions, view, aspect=WIDTH / HEIGHT)

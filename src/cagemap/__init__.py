@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from cagemap.files.meshes import write_mesh as write_mesh
     from cagemap.files.result import read_result as read_result
     from cagemap.files.result import write_result as write_result
+    from cagemap.files.resume import resume as resume
     from cagemap.geometry.points import SurfacePoints as SurfacePoints
     from cagemap.geometry.surface import TriangleSurface as TriangleSurface
     from cagemap.maps.elastic.config import ElasticConfig as ElasticConfig
@@ -59,9 +60,11 @@ if TYPE_CHECKING:
     from cagemap.refinement import refine as refine
     from cagemap.report import write_report as write_report
     from cagemap.transfer import BakeOptions as BakeOptions
+    from cagemap.transfer import bake as bake
     from cagemap.transfer import bake_displacement as bake_displacement
     from cagemap.transfer import bake_texture as bake_texture
     from cagemap.transfer import prepare_transfer as prepare_transfer
+    from cagemap.transfer import transfer_of as transfer_of
 
 # The one list: room by room. `__all__`, `dir` and a test of that page follow it.
 _ROOMS = {
@@ -84,6 +87,7 @@ _ROOMS = {
         "read_result",
         "write_result",
     ),
+    "files.resume": ("resume",),
     "geometry.points": ("SurfacePoints",),
     "geometry.surface": ("TriangleSurface",),
     "maps.elastic.config": ("ElasticConfig",),
@@ -133,9 +137,11 @@ _ROOMS = {
     "report": ("write_report",),
     "transfer": (
         "BakeOptions",
+        "bake",
         "bake_displacement",
         "bake_texture",
         "prepare_transfer",
+        "transfer_of",
     ),
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}

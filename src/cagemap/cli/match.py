@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -307,6 +307,7 @@ def match_meshes(
     manifest = {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         **(entries or {}),
+        "bases": {side: asdict(basis) for side, basis in zip(("target", "source"), bases, strict=True)},
         "notes": list(inputs.notes),
         "timings": dict(stages.timings),
         "peak_memory_bytes": peak_memory(),

@@ -43,8 +43,8 @@ def carry_weights(request: TransferRequest, result: Result, stages: Stages) -> O
     skin = np.column_stack([np.asarray(array, dtype=np.float64).reshape(len(array), -1) for array in given.values()])
     if request.joints is not None:
         _require_joints(given, read_skeleton(request.joints), request)
-    target, source = result.target.refinement(), result.source.refinement()
-    point_map = result.point_map()
+    target, source = result.target.refinement, result.source.refinement
+    point_map = result.point_map
     stages("weights")
     weights = control_weights(prepare_transfer(target.finest, source.finest, point_map), target, source)
     control = target.control
@@ -92,7 +92,7 @@ def carry_skeleton(request: TransferRequest, result: Result, stages: Stages) -> 
     skeleton = read_skeleton(request.joints)
     stages("joints")
     count = len(skeleton.names)
-    carried = carry_joints(result.point_map(), np.concatenate([skeleton.heads, skeleton.tails]))
+    carried = carry_joints(result.point_map, np.concatenate([skeleton.heads, skeleton.tails]))
     write_skeleton(
         request.output,
         Skeleton(skeleton.names, skeleton.parents, carried[:count], carried[count:]),
@@ -106,7 +106,7 @@ def carry_blend_shapes(request: TransferRequest, result: Result, stages: Stages)
     """Blend shapes of the source's cage for the target's."""
     shapes = read_shapes(request.blend_shapes, result.source.control)
     stages("prepare")
-    carrier = prepare_shapes(result.target.refinement(), result.source.refinement(), result.point_map())
+    carrier = prepare_shapes(result.target.refinement, result.source.refinement, result.point_map)
     stages("shapes")
     carried = {name: carry_shape(carrier, offset) for name, offset in shapes.items()}
     files = write_shapes(
@@ -120,13 +120,13 @@ def write_point_map(request: TransferRequest, result: Result, stages: Stages) ->
     """The map itself, for other programs."""
     check_outputs([request.output], [], force=request.force)
     stages("write map")
-    point_map = result.point_map()
+    point_map = result.point_map
     if request.output.suffix.lower() not in (".mhclo", ".proxy"):
         write_map(request.output, point_map, force=request.force)
         return f"wrote {request.output}: the place of {len(result.triangle)} target vertices on the source", []
     control, source = result.target.control, result.source
     face_of_triangle = np.repeat(
-        source.refinement().finest.face_parents, len(result.source_triangles) // len(source.faces)
+        source.refinement.finest.face_parents, len(result.source_triangles) // len(source.faces)
     )
     fitting = bind(control.positions, source.control, face_of_triangle[result.triangle[: control.n_vertices]])
     write_mhclo(request.output, fitting, Path(control.name).with_suffix(".obj"), force=request.force)

@@ -50,10 +50,10 @@ from cagemap.transfer import (
     corner_nodes,
     corner_weights,
     face_colors,
-    prepare_transfer,
     pull_back_faces,
     target_tiles,
     tile_cells,
+    transfer_of,
     unwrap,
 )
 from cagemap.transfer.normal_maps import looks_like_normal_map
@@ -250,7 +250,7 @@ def _carry_attribute(request: TransferRequest, result: Result, stages: Stages) -
     if request.usd is not None:
         require_replaceable(request.usd, force=request.force)
     values = read_attributes(request.attribute)
-    sides = result.target.refinement(), result.source.refinement()
+    sides = result.target.refinement, result.source.refinement
     target, source = (side.control for side in sides)
     transfer = _prepare(result, stages)
     stages("pull back")
@@ -288,7 +288,7 @@ def _carry_attribute(request: TransferRequest, result: Result, stages: Stages) -
 
 def _carry_uvs(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
     """The target's mesh with the source's texture coordinates, so that the source's own image fits it."""
-    sides = result.target.refinement(), result.source.refinement()
+    sides = result.target.refinement, result.source.refinement
     transfer = _prepare(result, stages)
     stages("texture coordinates")
     carried = carry_uvs(transfer, *sides)
@@ -314,7 +314,7 @@ def _read_image(request: TransferRequest, path: Path) -> tuple[Image | dict[int,
 
 def _prepare(result: Result, stages: Stages) -> Transfer:
     stages("prepare")
-    return prepare_transfer(result.target.refinement().finest, result.source.refinement().finest, result.point_map())
+    return transfer_of(result)
 
 
 def _prepare_bake(
@@ -337,7 +337,7 @@ def _prepare_bake(
     cells = tile_cells(transfer.target.corner_uvs())
     tiles = [0]
     if cells.min() >= 0:
-        tiles = target_tiles(result.target.refinement().finest)
+        tiles = target_tiles(result.target.refinement.finest)
     else:
         outside = float(np.mean((cells != 0).any(axis=1)))
         warnings.append(

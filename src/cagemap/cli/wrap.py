@@ -127,7 +127,7 @@ def _run(request: WrapRequest, stages: Stages) -> Outcome:
     note_transfer(folder, _entry(request, wrapped, folder))
     lines = [f"wrote {request.output}: {wrapped.mesh.n_vertices} vertices of level {wrapped.level}", _figures(wrapped)]
     if request.mhclo is not None:
-        faces = result.source.refinement().finest.face_parents
+        faces = result.source.refinement.finest.face_parents
         per_face = len(result.source_triangles) // len(faces)
         own = wrapped.closest.triangle[: wrapped.mesh.n_vertices] // per_face
         write_mhclo(
@@ -146,10 +146,10 @@ def _run(request: WrapRequest, stages: Stages) -> Outcome:
 def _wrap(request: WrapRequest, result: Result, config: WrapConfig, stages: Stages) -> Wrapped:
     follow = None if request.weights is None else _follow(request.weights)
     stages(f"wrap {result.source.control.name}")
-    target = result.target.refinement()
+    target = result.target.refinement
     symmetry = _symmetry(result.target.control, request.fit_level) if request.symmetric else None
     with one_blas_thread():
-        return wrap(target, result.point_map(), config, follow=follow, symmetry=symmetry)
+        return wrap(target, result.point_map, config, follow=follow, symmetry=symmetry)
 
 
 def _follow(path: Path) -> FloatArray:
@@ -170,7 +170,7 @@ def _symmetry(control: ControlMesh, level: int) -> IndexArray:
 
 def _write(request: WrapRequest, wrapped: Wrapped, result: Result, original: Path | None, output: Path) -> list[str]:
     """Write the cage; all that the target's own file says but positions stays, where that file is still there."""
-    rest = level_mesh(result.target.refinement(), wrapped.level)
+    rest = level_mesh(result.target.refinement, wrapped.level)
     mesh = wrapped.mesh
     if request.amount < 1.0:
         mesh = mesh.with_positions((1 - request.amount) * rest.positions + request.amount * mesh.positions)
@@ -202,7 +202,7 @@ def _write_shapes(request: WrapRequest, results: list[Result], config: WrapConfi
         wrapped = _wrap(request, result, config, stages)
         original = input_file(folder, result.manifest, "target")
         if file == files[1]:
-            rest = replace(wrapped, mesh=level_mesh(result.target.refinement(), wrapped.level))
+            rest = replace(wrapped, mesh=level_mesh(result.target.refinement, wrapped.level))
             _write(replace(request, amount=1.0), rest, result, original, files[0])
         warnings += _write(request, wrapped, result, original, file)
         lines.append(f"wrote {file}\n{_figures(wrapped)}")
@@ -212,7 +212,7 @@ def _write_shapes(request: WrapRequest, results: list[Result], config: WrapConfi
 
 def _bake(request: WrapRequest, result: Result, wrapped: Wrapped) -> list[str]:
     """What the cage still misses of the source, as scalar or vector displacement."""
-    offsets = offsets_to_source(wrapped, result.target.refinement(), result.source.refinement())
+    offsets = offsets_to_source(wrapped, result.target.refinement, result.source.refinement)
     size = request.size or DEFAULT_SIZE
     lines = []
     for path, values in ((request.displacement, offsets.heights), (request.vector_displacement, offsets.vectors)):

@@ -56,6 +56,7 @@ __all__ = [
     "read_manifest",
     "read_result",
     "result_of",
+    "result_record",
     "stated_path",
     "write_result",
 ]
@@ -233,6 +234,17 @@ def read_result(folder: str | Path) -> Result:
     result = Result(target, source, **arrays, landmark_names=tuple(record.landmark_names), manifest=manifest)
     _check_parts(root, result, record)
     return result
+
+
+def result_record(result: Result) -> ResultRecord:
+    """The manifest of a result as a typed record.
+
+    Raises
+    ------
+    FormatError
+        If something in it is of another type.
+    """
+    return checked_record(ResultRecord, json.loads(_to_json(_manifest(result))), Path(MANIFEST), _REMEDY)
 
 
 def _read_side(root: Path, prefix: str, entry: SideRecord, stored: dict[str, Any], sizes: dict[str, int]) -> Side:

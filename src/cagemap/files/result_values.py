@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -44,8 +45,9 @@ class Side:
     eigenvalues: FloatArray
     landmarks: IndexArray
 
+    @cached_property
     def refinement(self) -> Refinement:
-        """Every level again, with UVs; cheap, and the same numbers as in the match."""
+        """Every level again, with UVs: cheap, the same numbers as in the match, and made when it is first asked for."""
         return refine(self.control, self.level, self.scheme)
 
 
@@ -88,6 +90,7 @@ class Result:
     runner_up_images: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 3)))
     manifest: dict[str, Any] = field(default_factory=dict)
 
+    @cached_property
     def point_map(self) -> PointMap:
         """The map as a value that knows both surfaces."""
         target, source = (TriangleSurface.from_faces(side.vertices, side.faces) for side in (self.target, self.source))

@@ -36,6 +36,10 @@ class SuspectRecord(Record):
     name: str
     pair: Annotated[int, Field(ge=0)]
     message: str
+    distance: float = 0.0
+    nearest_vertex: int = 0
+    source_vertex: int = 0
+    evidence: str = ""
 
 
 class LandmarkCheckRecord(Record):
@@ -78,6 +82,15 @@ class QualityRecord(Record):
     warnings: list[str] = []
 
 
+class BasisRecord(Record):
+    """How a surface was prepared, see `cagemap.BasisConfig`."""
+
+    count: Annotated[int, Field(ge=1)]
+    tolerance: Annotated[float, Field(gt=0, lt=1)]
+    schedule: list[Annotated[int, Field(ge=0)]] | None = None
+    accuracy: float | None = None
+
+
 class ResultRecord(Record):
     """A RESULT folder's ``manifest.json``."""
 
@@ -92,6 +105,7 @@ class ResultRecord(Record):
     inputs: dict[str, InputRecord] = {}
     transfers: list[TransferRecord] = []
     parameters: dict[str, Any] = {}
+    bases: dict[str, BasisRecord] = {}
     versions: dict[str, str] = {}
     files: dict[str, str | None] = {}
     peak_memory_bytes: int | None = None

@@ -136,7 +136,7 @@ def draw_thumbnail(result: Result, size: tuple[int, int] = (220, 190)) -> Image:
 
 
 def _stage(result: Result) -> _Stage:
-    target, source = (TexturedSurface.from_level(side.refinement().finest) for side in (result.target, result.source))
+    target, source = (TexturedSurface.from_level(side.refinement.finest) for side in (result.target, result.source))
     turn = turn_between(target.positions, result.image())
     return _Stage(
         result,

@@ -12,6 +12,7 @@ from cagemap.transfer.control_values import (
     corner_weights,
 )
 from cagemap.transfer.displacement import Displacement, bake_displacement, scale_ratio
+from cagemap.transfer.matched import bake, transfer_of
 from cagemap.transfer.texture import tile_cells
 from cagemap.transfer.unwrap import unwrap
 
@@ -21,6 +22,7 @@ __all__ = [
     "CornerValues",
     "Displacement",
     "Transfer",
+    "bake",
     "bake_displacement",
     "bake_face_colors",
     "bake_texture",
@@ -36,5 +38,6 @@ __all__ = [
     "scale_ratio",
     "target_tiles",
     "tile_cells",
+    "transfer_of",
     "unwrap",
 ]

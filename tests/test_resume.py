@@ -1,0 +1,85 @@
+"""A result that is read back does what the one that was written does: it is baked, reported and updated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cagemap
+from cagemap import BasisConfig, Landmarks, MatchResult
+from cagemap.example import example_pair
+from cagemap.files.result import Result
+from cagemap.report import write_report
+
+CONFIG = BasisConfig(count=40)
+
+
+@pytest.fixture(scope="module")
+def landmarks() -> Landmarks:
+    return example_pair(64).landmarks
+
+
+@pytest.fixture(scope="module")
+def matched(landmarks: Landmarks) -> MatchResult:
+    """The built-in pair, with one landmark that is left out."""
+    pair = example_pair(64)
+    wrong = landmarks.names.index("hoof_hind_L")
+    source = landmarks.source.copy()
+    away = np.linalg.norm(pair.source.positions - pair.source.positions[source[wrong]], axis=1)
+    away[source] = 0.0
+    source[wrong] = np.argmax(away)
+    surfaces = cagemap.prepare_surfaces(pair.target, pair.source, (1, 1), CONFIG)
+    return cagemap.match(*surfaces, replace(landmarks, source=source))
+
+
+@pytest.fixture(scope="module")
+def read(matched: MatchResult, tmp_path_factory: pytest.TempPathFactory) -> Result:
+    folder = tmp_path_factory.mktemp("r") / "RESULT"
+    cagemap.write_result(folder, matched)
+    return cagemap.read_result(folder)
+
+
+def test_bakes_are_those_of_the_match(matched: MatchResult, read: Result) -> None:
+    texture = example_pair(64).texture
+    np.testing.assert_array_equal(cagemap.bake(read, texture, size=48), cagemap.bake(matched, texture, size=48))
+
+
+def test_both_are_reported(matched: MatchResult, read: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(write_report.__kwdefaults__, "size", (16, 12))
+    cagemap.write_report(tmp_path / "read.html", read)
+    cagemap.write_report(tmp_path / "fresh.html", matched)
+    assert "left out" in (tmp_path / "fresh.html").read_text()
+    assert "left out" in (tmp_path / "read.html").read_text()
+
+
+def test_a_resumed_match_is_the_one_that_was_stored(matched: MatchResult, read: Result) -> None:
+    again = cagemap.resume(read)
+    assert again.suspects == matched.suspects
+    assert len(again.suspects) == 1
+    assert again.trusted.names == matched.trusted.names
+    np.testing.assert_array_equal(again.point_map.barycentric, matched.point_map.barycentric)
+    # Eigenvectors are found again from the same start, to rounding.
+    np.testing.assert_allclose(again.functional_map, matched.functional_map, atol=1e-9)
+    for name, value in matched.quality.summary().items():
+        if isinstance(value, float):
+            assert again.quality.summary()[name] == pytest.approx(value, abs=1e-12), name
+
+
+def test_an_update_of_what_was_read_is_that_of_the_match(
+    matched: MatchResult, read: Result, landmarks: Landmarks
+) -> None:
+    updated = cagemap.update_match(matched, landmarks)
+    assert updated.suspects == ()
+    resumed = cagemap.update_match(cagemap.resume(read), landmarks)
+    assert resumed.suspects == ()
+    np.testing.assert_allclose(resumed.point_map.images.positions, updated.point_map.images.positions, atol=1e-9)
+
+
+def test_a_stored_surface_is_taken_from_the_cache(read: Result, tmp_path: Path) -> None:
+    before = cagemap.resume(read, cache=tmp_path)
+    assert len(list(tmp_path.iterdir())) == 2
+    again = cagemap.resume(read, cache=tmp_path)
+    np.testing.assert_array_equal(again.functional_map, before.functional_map)
