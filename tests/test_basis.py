@@ -15,7 +15,7 @@ from cagemap.basis import (
     extended_basis,
     hierarchical_basis,
 )
-from cagemap.basis.construction import ILL_CONDITIONED
+from cagemap.basis.constants import ILL_CONDITIONED
 from cagemap.basis.error_estimate import predict_next_level
 from cagemap.basis.overlap import clusters, new_directions
 from cagemap.basis.smoothing import smoother

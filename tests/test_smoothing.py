@@ -8,7 +8,8 @@ from scipy import sparse
 from scipy.sparse import linalg
 
 from cagemap.basis import exact_basis
-from cagemap.basis.smoothing import CONDITION, _chebyshev_rows, residuals, smoother
+from cagemap.basis.constants import CONDITION
+from cagemap.basis.smoothing import _chebyshev_rows, residuals, smoother
 from cagemap.mesh import shapes
 from cagemap.operators import build_operators
 from cagemap.refinement import refine

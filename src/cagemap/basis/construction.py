@@ -8,10 +8,24 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import linalg, sparse
 
+from cagemap.basis.constants import (
+    BELOW,
+    GUARDS,
+    GUESS_ERROR,
+    GUESS_ROWS,
+    GUESS_SHARE,
+    ILL_CONDITIONED,
+    NEARLY_DOUBLE,
+    OVERLAP,
+    SEED,
+    SINGLE_TOLERANCE,
+    START_COLUMNS,
+    TIGHT,
+)
 from cagemap.basis.eigen import EigenPairs, band_pairs, count_below, residual_norms
 from cagemap.basis.error_estimate import ErrorEstimate, estimate_errors
 from cagemap.basis.gram import extend_gram, overlaps_with_bands
-from cagemap.basis.guess import SINGLE_TOLERANCE, pairs_from_guess, working_type
+from cagemap.basis.guess import pairs_from_guess, working_type
 from cagemap.basis.hierarchical_basis import HierarchicalBasis
 from cagemap.basis.overlap import new_directions
 from cagemap.basis.ritz import gram, subtract
@@ -25,25 +39,6 @@ from cagemap.operators import Operators, lumped_areas
 from cagemap.refinement import Refinement
 
 _log = logging.getLogger(__name__)
-
-# Pairs computed below the start of a band, to see which of them the prolonged basis has already.
-OVERLAP = 12
-# Levels larger than this start from the pairs of the level below, if those are good to this relative error (safety
-# included) and reach half this many places beyond what is wanted.
-GUESS_ROWS = 12_000
-GUESS_ERROR = 5e-1
-GUARDS = 30
-# How many pairs below a window take part in its Rayleigh-Ritz step, in widths of the window; all where the tolerance is
-# below this.
-BELOW = 1
-TIGHT = 1e-3
-# Share of the tolerance that unfinished iterations may take there.
-GUESS_SHARE = 0.25
-NEARLY_DOUBLE = 1e-4
-START_COLUMNS = 16
-# Condition of the Gram matrix above which functions of different levels nearly repeat each other.
-ILL_CONDITIONED = 100.0
-_SEED = 2019
 
 
 def hierarchical_basis(
@@ -250,7 +245,7 @@ class _Growth:
         # The coarser level's pairs in that range, mixed at random, are a block rich in what is sought; a little noise
         # makes it a full one.
         useful = previous.vectors[:, max(0, first - previous.first_index) :]
-        rng = np.random.default_rng(_SEED)
+        rng = np.random.default_rng(SEED)
         mixed = useful @ rng.standard_normal((useful.shape[1], START_COLUMNS))
         block = self.refinement.prolong(mixed, level - 1, level)
         block += 0.01 * np.abs(block).mean() * rng.standard_normal(block.shape)

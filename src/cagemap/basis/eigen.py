@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 from scipy import linalg, sparse
 
+from cagemap.basis.constants import DENSE_ROWS, EXTRA_PAIRS, LARGEST_DENSE_ROWS, PLACES, RANK, SINGLE_STORAGE
 from cagemap.basis.lanczos import shift_invert_lanczos
 from cagemap.basis.ritz import Ritz, squared_residuals
 from cagemap.basis.smoothing import Block
@@ -19,19 +20,6 @@ from cagemap.numerics.threads import in_threads
 from cagemap.operators import Operators
 
 _log = logging.getLogger(__name__)
-
-# Up to this size a dense solve is faster than an iteration.
-DENSE_ROWS = 800
-# Largest size that is solved densely when a large share of the spectrum is asked for.
-_LARGEST_DENSE_ROWS = 5_000
-# Relative eigenvalue of a coarse mass matrix below which a direction is one that subdivision maps to zero.
-_RANK = 1e-13
-# Convergence from which on a Krylov space in single precision is exact enough: it disturbs eigenvalues by under 1e-5.
-SINGLE_STORAGE = 1e-5
-# Places that are tried where a factorisation does not tell its inertia.
-_PLACES = 3
-# Pairs computed beyond those asked for, among which a gap is sought to count the eigenvalues below it.
-_EXTRA_PAIRS = 8
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -170,7 +158,7 @@ def band_pairs(
             f"expected a range of eigenpairs within 0 to {n}, the size of the level, got {first} to {last}; "
             "ask for fewer or refine once more"
         )
-    if n <= DENSE_ROWS or (n <= _LARGEST_DENSE_ROWS and 5 * (last - first) > n):
+    if n <= DENSE_ROWS or (n <= LARGEST_DENSE_ROWS and 5 * (last - first) > n):
         values, vectors = _dense_pairs(stiffness.toarray(), mass.toarray())
         if last > len(values):
             raise ParameterError(
@@ -179,7 +167,7 @@ def band_pairs(
             )
         return EigenPairs(values[first:last], np.ascontiguousarray(vectors[:, first:last]), first)
     # Factors in double precision: on a body with slivers single precision lost every digit (docs/performance.md).
-    low, high = max(0, first - _EXTRA_PAIRS), min(n, last + _EXTRA_PAIRS)
+    low, high = max(0, first - EXTRA_PAIRS), min(n, last + EXTRA_PAIRS)
     shifted, sigma = _shift_inside(stiffness, mass, low, high, shift)
     below = shifted.negative_eigenvalues
     if below is None:
@@ -237,7 +225,7 @@ def _dense_pairs(stiffness: FloatArray, mass: FloatArray) -> tuple[FloatArray, F
     There is such a function on the cube: +1 and -1 in turn. W and M both vanish on it, and it is no function at all.
     """
     squares, axes = linalg.eigh(mass, driver="evd")
-    seen = squares > _RANK * squares[-1]
+    seen = squares > RANK * squares[-1]
     scaled = axes[:, seen] / np.sqrt(squares[seen])
     values, vectors = linalg.eigh(scaled.T @ stiffness @ scaled, driver="evd")
     return values, scaled @ vectors
@@ -261,7 +249,7 @@ def _shift_inside(
         below = shifted.negative_eigenvalues
         if below is None:
             untold += 1
-            if untold == _PLACES:
+            if untold == PLACES:
                 return factor(shifted_matrix(stiffness, mass, -spacing)), -spacing
             shift *= 1.0 + 1e-3
             continue
@@ -288,9 +276,9 @@ def missed_pairs(
     if end == 0:
         return 0
     position = end - first_index
-    low, high = max(0, position - _EXTRA_PAIRS), min(len(values), position + _EXTRA_PAIRS)
+    low, high = max(0, position - EXTRA_PAIRS), min(len(values), position + EXTRA_PAIRS)
     gap = low + int(np.argmax(np.diff(values[low:high])))
-    for share in (0.5, 0.3, 0.7)[:_PLACES]:
+    for share in (0.5, 0.3, 0.7)[:PLACES]:
         threshold = values[gap] + share * (values[gap + 1] - values[gap])
         counted = factor(shifted_matrix(stiffness, mass, threshold), like=like).negative_eigenvalues
         if counted is not None:

@@ -7,23 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, sparse
 
+from cagemap.basis.constants import (
+    CHEAP_WORK,
+    MUCH_WORK,
+    PREDICTION_STEPS,
+    SAFETY,
+    SAMPLE_SAFETY,
+    SAMPLES,
+    SINGLE_TOLERANCE,
+)
 from cagemap.basis.smoothing import Block, Smoother, residuals, smoother
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.products import multiply
-
-# What a prediction leaves out: unfinished iterations, and all levels finer than the next. On bodies with badly
-# shaped faces it was up to 3.1 times too low.
-SAFETY = 3.0
-# A sample may miss pairs on badly resolved parts, whose errors are several times those of their neighbours.
-_SAMPLE_SAFETY = 2.0
-_SAMPLES = 32
-# Chebyshev steps.
-_STEPS = 4
-# Rows of the next level times pairs: below the first all pairs are predicted at once, above the second never.
-_CHEAP_WORK = 4_000_000
-_MUCH_WORK = 20_000_000
-# Relative tolerance above which single precision is enough.
-_SINGLE_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,19 +88,19 @@ def estimate_errors(
     scale = np.maximum(values, 1e-3 * max(values[-1], 4.0 * np.pi / float(mass.sum())))
     work = stiffness.shape[0] * count
     # Single precision disturbs eigenvalues by less than 1e-7.
-    vectors = vectors.astype(np.float32 if tolerance > _SINGLE_TOLERANCE else np.float64, copy=False)
+    vectors = vectors.astype(np.float32 if tolerance > SINGLE_TOLERANCE else np.float64, copy=False)
     chosen, smooth = slice(0, count), smoother(stiffness)
     errors, leaks = np.zeros(count), np.zeros(count + 1)
-    if work > _CHEAP_WORK and count > 2 * _SAMPLES:
-        sample = np.unique(np.linspace(0, count - 1, _SAMPLES).astype(np.int64))
+    if work > CHEAP_WORK and count > 2 * SAMPLES:
+        sample = np.unique(np.linspace(0, count - 1, SAMPLES).astype(np.int64))
         coupling = _coupling(subdivision, smooth, mass, values[sample], vectors[:, sample])
         sampled = SAFETY * np.diag(coupling) / scale[sample]
         # Errors grow with the index: between two samples take the larger.
         segment = np.searchsorted(sample, np.arange(count), side="right") - 1
-        errors = _SAMPLE_SAFETY * np.maximum(sampled, np.append(sampled[1:], 0.0))[segment]
+        errors = SAMPLE_SAFETY * np.maximum(sampled, np.append(sampled[1:], 0.0))[segment]
         gaps = np.diff(values, prepend=-scale[0], append=values[-1] + scale[0])
         leaks = np.append(errors * scale, errors[-1] * scale[-1]) / np.maximum(gaps, 1e-9 * scale[-1])
-        if errors.max() <= 0.5 * tolerance or work > _MUCH_WORK:
+        if errors.max() <= 0.5 * tolerance or work > MUCH_WORK:
             return ErrorEstimate(errors, leaks)
         # From the first pair that is clearly too bad on nothing is kept.
         bad = sample[sampled > 2.0 * tolerance]
@@ -165,7 +160,7 @@ def _coupling(
     """(m, m) energy R^T Z that corrections within level l + 1 gain."""
     prolonged = multiply(subdivision, vectors)
     residual = residuals(smooth.matrix, mass, prolonged, values)
-    correction = smooth(residual, _STEPS)
+    correction = smooth(residual, PREDICTION_STEPS)
     energy = np.asarray(residual.T @ correction, dtype=np.float64)
     gained = np.diag(energy)
     # On the correction the operator is W - lambda M rather than W: a Rayleigh quotient mu near lambda gains more.

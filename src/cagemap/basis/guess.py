@@ -5,6 +5,18 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
+from cagemap.basis.constants import (
+    DIVERGED,
+    MOST_ADDED,
+    MOST_MISSED,
+    NEAR,
+    NEARLY_GOOD,
+    QUOTIENT_TOLERANCE,
+    SEARCH_STEPS,
+    SEED,
+    SINGLE_TOLERANCE,
+    STRANGERS,
+)
 from cagemap.basis.eigen import EigenPairs, missed_pairs, shifted_matrix
 from cagemap.basis.ritz import (
     Ritz,
@@ -24,25 +36,8 @@ from cagemap.numerics.products import multiply
 from cagemap.numerics.threads import parts
 from cagemap.operators import lumped_areas
 
-# Single precision disturbs eigenvectors by 1e-6, and Rayleigh quotients taken of them in double by its square.
-SINGLE_TOLERANCE = 1e-6
-# Below this the values found in single precision, good to 1e-5 for the lowest, are taken once more in double.
-_QUOTIENT_TOLERANCE = 1e-4
 # Columns solved for at once: what fits a cache.
 _COLUMNS = 64
-# Pairs just outside of the ones wanted: those below are iterated too, those above searched for a gap.
-_NEAR = 8
-# Share of the tolerance from which on a pair gets a direction of its own if others need one.
-_NEARLY = 0.3
-# The largest error may grow a little from round to round as pairs change places, not more.
-_DIVERGED = 10.0
-# Most pairs that get a direction of their own in one round.
-_MOST_ADDED = 96
-# Most pairs that a guess may lack, columns of the block that looks for them, and its inverse iterations.
-_MOST_MISSED = 8
-_STRANGERS = 24
-_SEARCH_STEPS = 6
-_SEED = 2019
 
 
 def working_type(tolerance: float) -> Precision:
@@ -97,7 +92,7 @@ def pairs_from_guess(
     start, end = first_index, first_index + len(guess_values)
     first, last = (start, end) if kept is None else kept
     # Values still fall: which of them is the first is known at the end only.
-    low = max(start, first - _NEAR)
+    low = max(start, first - NEAR)
     iterated, asked = slice(low - start, None), slice(first - low, last - low)
     dtype = working_type(tolerance) if dtype is None else dtype
     shift = _widest_gap(guess_values, first - start, last - start)
@@ -123,7 +118,7 @@ def pairs_from_guess(
                 missed = missed_pairs(stiffness, mass, pairs.values, low, shifted, last)
                 if missed == 0:
                     break
-                if searched or start > 0 or not 0 < missed <= _MOST_MISSED:
+                if searched or start > 0 or not 0 < missed <= MOST_MISSED:
                     return None
                 lowest = pairs.values[0]
                 strangers = _strangers(shifted, mass, pairs, guess[:, :low])
@@ -131,7 +126,7 @@ def pairs_from_guess(
                 if low > 0 and pairs.values[0] < (1.0 - tolerance) * lowest:  # it belongs below the window
                     return None
                 continue
-            if errors.max() > _DIVERGED * before:  # rounding has taken over
+            if errors.max() > DIVERGED * before:  # rounding has taken over
                 return None
             before = errors.max()
             if upper is None:
@@ -139,7 +134,7 @@ def pairs_from_guess(
                 bound = gap_after(pairs.values, min(last - low, len(pairs.values) - 1))
                 upper = factor(shifted_matrix(stiffness, mass, bound), like=shifted)
             # Pairs that are nearly good enough come along.
-            worst = asked.start + np.argsort(-errors)[: min(_MOST_ADDED, int(np.sum(errors > _NEARLY * tolerance)))]
+            worst = asked.start + np.argsort(-errors)[: min(MOST_ADDED, int(np.sum(errors > NEARLY_GOOD * tolerance)))]
             added = upper.solve(pairs.residuals(worst)).astype(dtype)
             pairs = extended(pairs, added, stiffness, mass)
         else:
@@ -147,7 +142,7 @@ def pairs_from_guess(
     except SolverError:  # on an eigenvalue, or a guess with the same function twice
         return None
     values = pairs.values
-    if dtype == np.float32 and tolerance < _QUOTIENT_TOLERANCE:
+    if dtype == np.float32 and tolerance < QUOTIENT_TOLERANCE:
         values = rayleigh_quotients(stiffness, mass, pairs.vectors)
     found = EigenPairs(values, pairs.vectors, low)
     return found.part(first, found.last_index)
@@ -169,9 +164,9 @@ def _strangers(shifted: Factorization, mass: sparse.csr_array, pairs: Ritz, belo
     single precision leaves it so.
     """
     dtype = pairs.vectors.dtype
-    block = np.random.default_rng(_SEED).standard_normal((len(below), _STRANGERS)).astype(dtype)
+    block = np.random.default_rng(SEED).standard_normal((len(below), STRANGERS)).astype(dtype)
     below = below.astype(dtype, copy=False)
-    for _ in range(_SEARCH_STEPS):
+    for _ in range(SEARCH_STEPS):
         block = shifted.solve(multiply(mass, block))
         subtract(block, pairs.vectors, gram(pairs.mass_vectors, block, symmetric=False))
         subtract(block, below, gram(below, multiply(mass, block), symmetric=False))
@@ -202,6 +197,6 @@ def _widest_gap(values: FloatArray, first: int, last: int) -> float:
 
 def gap_after(values: FloatArray, end: int) -> float:
     """A place in the widest gap from just before index ``end`` to a few pairs on."""
-    low, high = max(0, end - 1), min(len(values), end + _NEAR)
+    low, high = max(0, end - 1), min(len(values), end + NEAR)
     gap = low + int(np.argmax(np.diff(values[low:high])))
     return float(0.5 * (values[gap] + values[gap + 1]))

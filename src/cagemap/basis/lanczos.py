@@ -5,19 +5,12 @@ from __future__ import annotations
 import numpy as np
 from scipy import linalg, sparse
 
+from cagemap.basis.constants import DEPENDENT_BLOCK, KRYLOV_SEED, LOOSE, WELL_CONDITIONED
 from cagemap.basis.smoothing import Block
 from cagemap.errors import SolverError
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.factorization import Factorization, Precision
 from cagemap.numerics.products import multiply
-
-_SEED = 20190708  # SGP 2019 opened on that day; any fixed number makes the basis reproducible
-# Inverse squared condition of a block that one Cholesky QR leaves orthonormal enough for a Krylov basis, and that of
-# one which has lost a direction.
-_WELL_CONDITIONED = 1e-6
-_DEPENDENT = 1e-14
-# Residual that is enough for pairs which only have to be told from their neighbours.
-LOOSE = 1e-2
 
 
 def orthonormal_block(
@@ -48,7 +41,7 @@ def orthonormal_block(
         mass_block = multiply(mass, block)
         gram = block.T @ mass_block
         values, vectors = linalg.eigh(0.5 * (gram + gram.T))
-        weak = values <= _DEPENDENT * max(values[-1], np.finfo(float).tiny)
+        weak = values <= DEPENDENT_BLOCK * max(values[-1], np.finfo(float).tiny)
         roots = np.sqrt(np.where(weak, 1.0, values))
         total = (np.where(weak, 0.0, roots)[:, None] * vectors.T) @ total
         turn = vectors / roots
@@ -62,7 +55,7 @@ def orthonormal_block(
                 fresh /= np.sqrt(np.einsum("ij,ij->j", fresh, multiply(mass, fresh)))
             block[:, weak] = fresh
             mass_block = multiply(mass, block)
-        elif values[0] > _WELL_CONDITIONED * values[-1]:
+        elif values[0] > WELL_CONDITIONED * values[-1]:
             break
     return block, mass_block, total
 
@@ -117,7 +110,7 @@ def shift_invert_lanczos(
     number of wanted pairs. Narrow blocks need fewer columns, wide ones find higher multiplicities.
     """
     n = mass.shape[0]
-    rng = np.random.default_rng(_SEED)
+    rng = np.random.default_rng(KRYLOV_SEED)
     wanted = below + above
     block = rng.standard_normal((n, min(block_size, n))) if start is None else np.array(start, dtype=np.float64)
     width = block.shape[1]

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import linalg
 
+from cagemap.basis.constants import CLUSTER
 from cagemap.numerics.arrays import FloatArray, IndexArray
-
-# Eigenvalues closer than this, relatively, count as one repeated eigenvalue, whose eigenvectors may be rotated.
-CLUSTER = 1e-4
 
 
 def clusters(values: FloatArray, tolerance: float = CLUSTER) -> IndexArray:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg, sparse
 
+from cagemap.basis.constants import DEPENDENT_COLUMNS, NEW_SHARE
 from cagemap.basis.smoothing import Block
 from cagemap.errors import SolverError
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -19,10 +20,6 @@ _COLUMNS = 64
 _ROWS = 8192
 # Sums of products over rows, each over every so many of these pieces.
 _SHARES = 4
-# Smallest eigenvalue of the Gram matrix of unit columns below which one of them is no direction of its own.
-_DEPENDENT = 1e-5
-# Part of a new direction that must be new.
-_NEW = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +42,7 @@ def ritz_rotation(block: Block, stiffness_block: Block, mass_block: Block) -> tu
     stiffness_gram, mass_gram = gram(block, stiffness_block), gram(block, mass_block)
     sizes = np.sqrt(np.diag(mass_gram))
     # Columns near eigenvectors are nearly orthogonal; whether rounding lets a dependent one pass is chance.
-    if linalg.eigvalsh(mass_gram / np.outer(sizes, sizes), subset_by_index=[0, 0])[0] < _DEPENDENT:
+    if linalg.eigvalsh(mass_gram / np.outer(sizes, sizes), subset_by_index=[0, 0])[0] < DEPENDENT_COLUMNS:
         raise SolverError(
             f"expected {block.shape[1]} independent columns in a Rayleigh-Ritz step, got dependent ones; "
             "the guess holds a vector twice"
@@ -60,7 +57,7 @@ def extended(pairs: Ritz, added: Block, stiffness: sparse.csr_array, mass: spars
         subtract(added, pairs.vectors, gram(pairs.mass_vectors, added, symmetric=False))
         mass_added = multiply(mass, added)
         squares, axes = linalg.eigh(gram(added, mass_added))
-        new = squares > _NEW**2 * max(squares[-1], np.finfo(float).tiny)
+        new = squares > NEW_SHARE**2 * max(squares[-1], np.finfo(float).tiny)
         turn = axes[:, new] / np.sqrt(squares[new])
         added, mass_added = rotated(added, turn), rotated(mass_added, turn)
     stiffness_added = multiply(stiffness, added)

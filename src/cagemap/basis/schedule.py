@@ -6,18 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cagemap.basis.constants import FIXED_ACCURACY, GAP_SEARCH, LEAST_REACH, REACH
 from cagemap.basis.error_estimate import ErrorEstimate
 from cagemap.errors import ParameterError
-
-# The relative eigenvalue error of pair j at a level with n vertices is about (j / (c n))^3, c between these two on all
-# surfaces measured: simple plump ones have the larger, bodies with fingers the smaller.
-REACH = 0.5
-LEAST_REACH = 0.14
-# Convergence of the pairs of a fixed schedule, whose eigenvalues are wrong by a thousand times that and more on coarse
-# levels; from here on the Krylov space is kept in single precision.
-FIXED_ACCURACY = 1e-5
-# How far below the last good pair a level may stop in order to end at a wide gap.
-_GAP_SEARCH = 0.25
 
 
 @dataclass(frozen=True)
@@ -143,5 +134,5 @@ def choose_split(estimate: ErrorEstimate, first: int, wanted: int, tolerance: fl
     good = int(bad[0]) if len(bad) else len(estimate.errors) - first
     if good == 0 or good >= wanted:
         return good, min(good, wanted)
-    places = np.arange(max(1, int((1.0 - _GAP_SEARCH) * good)), good + 1)
+    places = np.arange(max(1, int((1.0 - GAP_SEARCH) * good)), good + 1)
     return good, int(places[np.argmin(estimate.leaks[first + places])])

@@ -10,16 +10,11 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
+from cagemap.basis.constants import BOUND_STEPS, CONDITION, SEED
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.products import in_row_shares, multiply
 
 Block = NDArray[Any]  # (n, q), float64 or float32
-
-# Condition of the scaled stiffness matrix on what the coarser level cannot represent.
-CONDITION = 20.0
-# That bound the largest eigenvalue; unrelated to the Lanczos iteration for eigenpairs.
-_LANCZOS_STEPS = 20
-_SEED = 2019
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,10 +71,10 @@ class Smoother:
 def smoother(matrix: sparse.csr_array) -> Smoother:
     """The smoother of a stiffness matrix; a few Lanczos steps bound its largest scaled eigenvalue."""
     root = 1.0 / np.sqrt(matrix.diagonal())
-    vector = np.random.default_rng(_SEED).standard_normal(matrix.shape[0])
+    vector = np.random.default_rng(SEED).standard_normal(matrix.shape[0])
     vector, before = vector / np.linalg.norm(vector), np.zeros(matrix.shape[0])
-    diagonal, beside = np.zeros(_LANCZOS_STEPS), np.zeros(_LANCZOS_STEPS)
-    for step in range(_LANCZOS_STEPS):
+    diagonal, beside = np.zeros(BOUND_STEPS), np.zeros(BOUND_STEPS)
+    for step in range(BOUND_STEPS):
         image = root * (matrix @ (root * vector)) - beside[step - 1] * before
         diagonal[step] = vector @ image
         image -= diagonal[step] * vector
