@@ -340,3 +340,13 @@ def test_functions_that_nearly_repeat_each_other_are_warned_of(caplog):
     basis = hierarchical_basis(refinement, operators, BasisConfig(schedule=(150, 30, 20)))
     assert basis.condition > ILL_CONDITIONED
     assert "condition" in caplog.text
+
+
+def test_nobody_changes_a_basis(creature):
+    _, operators, basis = creature
+    pairs = exact_basis(operators, 1, 5)
+    for array in (*basis.bands, basis.eigenvalues, basis.gram, basis.indices, pairs.values, pairs.vectors):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+    assert basis == basis
+    assert hash(basis) != hash(replace(basis))

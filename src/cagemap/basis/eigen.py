@@ -14,7 +14,7 @@ from cagemap.basis.lanczos import shift_invert_lanczos
 from cagemap.basis.ritz import Ritz, squared_residuals
 from cagemap.basis.smoothing import Block
 from cagemap.errors import ParameterError, SolverError
-from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.arrays import FloatArray, read_only
 from cagemap.numerics.factorization import Factorization, factor
 from cagemap.numerics.threads import in_threads
 from cagemap.operators import Operators
@@ -39,6 +39,11 @@ class EigenPairs:
     values: FloatArray
     vectors: Block
     first_index: int
+
+    def __post_init__(self) -> None:
+        """Nobody changes the arrays from here on."""
+        object.__setattr__(self, "values", read_only(self.values))
+        object.__setattr__(self, "vectors", read_only(self.vectors))
 
     @property
     def last_index(self) -> int:

@@ -12,7 +12,7 @@ from scipy import linalg, sparse
 
 from cagemap.basis.gram import products_with_bands, refined_bands
 from cagemap.errors import ParameterError
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 from cagemap.numerics.products import multiply
 from cagemap.numerics.threads import parts
 from cagemap.operators import Operators
@@ -54,7 +54,7 @@ class HierarchicalBasis:
     errors: FloatArray
 
     def __post_init__(self) -> None:
-        """Check that the bands are functions of these levels."""
+        """Check that the bands are functions of these levels; nobody changes them from here on."""
         sizes = [level.n_vertices for level in self.refinement.levels]
         found = [band.shape[0] for band in self.bands]
         if found != sizes[: len(found)] or [mass.shape[0] for mass in self.operators.mass] != sizes:
@@ -62,6 +62,9 @@ class HierarchicalBasis:
                 f"expected bands and operators of levels with {sizes} vertices, got bands with {found} rows; give the "
                 "refinement and the operators that the basis was computed from"
             )
+        object.__setattr__(self, "bands", tuple(read_only(band) for band in self.bands))
+        for name in ("eigenvalues", "residuals", "indices", "gram", "errors"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @property
     def schedule(self) -> tuple[int, ...]:

@@ -11,6 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 
+from cagemap.numerics.arrays import read_only
 from cagemap.numerics.threads import core_count, in_threads
 
 # A block of float64 (or of float32 where only a nearest neighbour is asked) gives one of the same type.
@@ -57,12 +58,13 @@ def multiply(matrix: sparse.csr_array, block: RealArray) -> RealArray:
     Row ranges go to a few threads; the result does not depend on their number.
     """
     dtype = np.float32 if block.dtype == np.float32 else np.float64
-    values = np.ascontiguousarray(block, dtype=dtype)
-    entries = matrix.data.astype(dtype, copy=False)
+    values = read_only(np.ascontiguousarray(block, dtype=dtype))
+    pattern = read_only(matrix.indptr), read_only(matrix.indices)
+    entries = read_only(matrix.data.astype(dtype, copy=False))
     out = np.empty((matrix.shape[0], values.shape[1]), dtype=dtype)
 
     def share(first: int, last: int) -> None:
-        _multiply_rows(matrix.indptr, matrix.indices, entries, values, first, last, out)
+        _multiply_rows(*pattern, entries, values, first, last, out)
 
     in_row_shares(matrix, values.shape[1], share)
     return out
