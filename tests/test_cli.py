@@ -278,9 +278,9 @@ def test_a_normal_map_is_not_taken_for_colours_without_a_word(run: Run, result_f
     normals = np.concatenate([slopes, np.ones((32, 48, 1))], axis=2)
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
     write_image(place / "n.png", np.round(255 * (normals + 1) / 2).astype(np.uint8))
-    warned = run("transfer", "R", "--texture", "n.png", "--size", 16, "-o", "o.png")
-    assert warned.code == 0
-    assert "looks like a normal map" in warned.err
+    refused = run("transfer", "R", "--texture", "n.png", "--size", 16, "-o", "o.png")
+    assert refused.code == 2
+    assert "looks like a normal map" in refused.err
     sky = np.round(255 * np.random.default_rng(6).random((32, 48, 1)) * [0.5, 0.7, 1.0]).astype(np.uint8)
     for name, pixels in (("t.png", None), ("sky.png", sky), ("grey.png", sky[:, :, :1])):
         if pixels is not None:

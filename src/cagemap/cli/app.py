@@ -383,6 +383,19 @@ def transfer(
     displacement: Annotated[
         Path | None, typer.Option("--displacement", help="Source displacement along the normal.", show_default=False)
     ] = None,
+    normal_map: Annotated[
+        Path | None, typer.Option("--normal-map", help="Source normal map, turned with the map.", show_default=False)
+    ] = None,
+    vector_displacement: Annotated[
+        Path | None, typer.Option("--vector-displacement", help="Source vector displacement.", show_default=False)
+    ] = None,
+    space: Annotated[str, typer.Option("--space", help="Of normals and vectors: tangent (MikkTSpace) or object.")] = (
+        "tangent"
+    ),
+    green: Annotated[str, typer.Option("--green", help="Normal map: green up (OpenGL) or down (DirectX).")] = "up",
+    as_color: Annotated[
+        bool, typer.Option("--as-color", help="Texture: carry what looks like a normal map as a picture.")
+    ] = False,
     attribute: Annotated[
         Path | None,
         typer.Option(
@@ -473,6 +486,11 @@ def transfer(
         maps=maps,
         usd=usd,
         displacement=displacement,
+        normal_map=normal_map,
+        vector_displacement=vector_displacement,
+        space=space,
+        green=green,
+        as_color=as_color,
         attribute=attribute,
         material_colors=material_colors,
         source_uvs=source_uvs,

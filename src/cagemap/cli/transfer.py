@@ -6,8 +6,9 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from cagemap.cli.progress import Stages
 from cagemap.cli.rig import carry_blend_shapes, carry_skeleton, carry_weights, write_point_map
 from cagemap.cli.texture_maps import map_path
 from cagemap.cli.usd_output import texture_reference, write_usd_results
+from cagemap.cli.vectors import carry_normal_map, carry_vector_displacement
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs, require_no_input, require_replaceable, require_writable_folder
 from cagemap.files.attributes import check_attribute_path, read_attributes, write_attributes
@@ -57,6 +59,7 @@ from cagemap.transfer import (
     unwrap,
 )
 from cagemap.transfer.normal_maps import looks_like_normal_map
+from cagemap.transfer.vectors import Green, bake_normal_map
 
 DEFAULT_SIZE = 2048
 Outcome = tuple[str, list[str]]
@@ -72,6 +75,11 @@ class TransferRequest:
     maps: tuple[tuple[str, Path], ...] = ()
     usd: Path | None = None
     displacement: Path | None = None
+    normal_map: Path | None = None
+    vector_displacement: Path | None = None
+    space: str = "tangent"
+    green: str = "up"
+    as_color: bool = False
     attribute: Path | None = None
     material_colors: bool = False
     source_uvs: bool = False
@@ -104,8 +112,9 @@ def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
 
 def _inputs(request: TransferRequest) -> list[Path]:
     """Files that are read, as far as the command line names them."""
-    single = (request.texture, request.displacement, request.attribute, request.weights, request.joints)
-    given = [path for path in (*single, *(path for _, path in request.maps)) if path is not None]
+    single = (request.texture, request.displacement, request.normal_map, request.vector_displacement)
+    others = (request.attribute, request.weights, request.joints, *(path for _, path in request.maps))
+    given = [path for path in (*single, *others) if path is not None]
     return [
         request.result / MANIFEST,
         request.result / ARRAYS,
@@ -118,6 +127,8 @@ def _carrier(request: TransferRequest) -> Callable[[TransferRequest, Result, Sta
     options = {
         "--texture": (request.texture is not None or bool(request.maps), _carry_texture),
         "--displacement": (request.displacement is not None, _carry_displacement),
+        "--normal-map": (request.normal_map is not None, carry_normal_map),
+        "--vector-displacement": (request.vector_displacement is not None, carry_vector_displacement),
         "--attribute": (request.attribute is not None, _carry_attribute),
         "--material-colors": (request.material_colors, _carry_material_colors),
         "--source-uvs": (request.source_uvs, _carry_uvs),
@@ -152,11 +163,11 @@ def _carry_texture(request: TransferRequest, result: Result, stages: Stages) -> 
     for output, (_, path) in zip(outputs, maps, strict=True):
         dtype, channels = read_image_form(path)
         check_writable(output, dtype if request.bits is None else pixel_type(request.bits, output.suffix), channels)
-    prepared = _prepare_bake(request, result, stages, outputs)
+    prepared = prepare_bake(request, result, stages, outputs)
     for (name, path), output in zip(maps, outputs, strict=True):
         size = _bake_map(request, prepared, name, path, output, stages)
         entry = {"kind": "texture", "image": stated_path(path, request.result), "size": size}
-        summary, warnings = _finish(replace(request, output=output), prepared, entry | ({"map": name} if name else {}))
+        summary, warnings = finish(replace(request, output=output), prepared, entry | ({"map": name} if name else {}))
     if request.usd is not None:
         layer = request.usd
         images_by_use = {
@@ -178,18 +189,22 @@ def _bake_map(request: TransferRequest, prepared: _Bake, name: str, path: Path, 
     """Bake one map into all tiles; each is written while the next one is baked. Returns the size in texels."""
     texture, first, dtype = _read_image(request, path)
     size = request.size or max(first.size)
-    if looks_like_normal_map(first.pixels):
-        prepared.warnings.append(
-            f"{path} looks like a normal map and is baked as colours: its directions belong to the source's "
-            "layout, and light would fall wrongly on the target. Bake --displacement instead"
+    turned = not request.as_color and looks_like_normal_map(first.pixels)
+    if turned and not name:
+        raise ParameterError(
+            f"{path}: looks like a normal map, whose directions must turn with the map. Give it as --normal-map, or "
+            "add --as-color if it is a picture after all."
         )
+    if turned:
+        prepared.warnings.append(f"{path} looks like a normal map and is turned with the map, not carried as colours")
     with ThreadPool(1) as aside:
         written: list[Future[None]] = []
         for number, tile in enumerate(prepared.tiles):
             place = f"tile {tile}, {number + 1} of {len(prepared.tiles)}" if tile else ""
             stages(" ".join(filter(None, ["bake", name, place])))
             options = BakeOptions(tile=tile)
-            pixels = bake_texture(prepared.transfer, texture_pixels(texture), size=size, dtype=dtype, options=options)
+            carry = partial(bake_normal_map, green=cast(Green, request.green)) if turned else bake_texture
+            pixels = carry(prepared.transfer, texture_pixels(texture), size=size, dtype=dtype, options=options)
             for waiting in written:
                 waiting.result()  # at most one image is on its way to the disk
             image = replace(first, pixels=pixels)
@@ -204,7 +219,7 @@ def _carry_displacement(request: TransferRequest, result: Result, stages: Stages
     texture, first, dtype = _read_image(request, request.displacement)
     check_writable(request.output, dtype, 1)
     size = request.size or max(first.size)
-    prepared = _prepare_bake(request, result, stages)
+    prepared = prepare_bake(request, result, stages)
     stages("bake")
     for tile in prepared.tiles:
         baked = bake_displacement(
@@ -224,7 +239,7 @@ def _carry_displacement(request: TransferRequest, result: Result, stages: Stages
         "midlevel": baked.midlevel,
         "scale": baked.scale,
     }
-    summary, warnings = _finish(request, prepared, entry)
+    summary, warnings = finish(request, prepared, entry)
     return f"{summary}\n  height = (value - {baked.midlevel:g}) * {baked.scale:.6g} in the target's units", warnings
 
 
@@ -234,12 +249,12 @@ def _carry_material_colors(request: TransferRequest, result: Result, stages: Sta
     check_writable(request.output, dtype, 3)
     colors = face_colors(result.source.control)
     size = request.size or DEFAULT_SIZE
-    prepared = _prepare_bake(request, result, stages)
+    prepared = prepare_bake(request, result, stages)
     stages("bake")
     for tile in prepared.tiles:
         pixels = bake_face_colors(prepared.transfer, colors, size=size, dtype=dtype, options=BakeOptions(tile=tile))
         write_image(udim_path(request.output, tile), pixels, force=request.force)
-    return _finish(request, prepared, {"kind": "material-colors", "size": size})
+    return finish(request, prepared, {"kind": "material-colors", "size": size})
 
 
 def _carry_attribute(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
@@ -312,12 +327,21 @@ def _read_image(request: TransferRequest, path: Path) -> tuple[Image | dict[int,
     return texture, first, dtype
 
 
+def read_source_image(
+    request: TransferRequest, path: Path, channels: int
+) -> tuple[Image | dict[int, Image], Image, np.dtype[Any]]:
+    """Read a source image, and refuse an output that cannot hold what will be written."""
+    texture, first, dtype = _read_image(request, path)
+    check_writable(request.output, dtype, channels)
+    return texture, first, dtype
+
+
 def _prepare(result: Result, stages: Stages) -> Transfer:
     stages("prepare")
     return transfer_of(result)
 
 
-def _prepare_bake(
+def prepare_bake(
     request: TransferRequest, result: Result, stages: Stages, outputs: Sequence[Path] | None = None
 ) -> _Bake:
     """Lay the target out, with a new layout if asked for, and find its tiles."""
@@ -351,7 +375,8 @@ def _prepare_bake(
     return _Bake(transfer, result.target.control, tiles, mesh, warnings)
 
 
-def _finish(request: TransferRequest, prepared: _Bake, entry: dict[str, Any]) -> Outcome:
+def finish(request: TransferRequest, prepared: _Bake, entry: dict[str, Any]) -> Outcome:
+    """Note a bake in the manifest, and say what was written."""
     outputs = [udim_path(request.output, tile) for tile in prepared.tiles]
     mesh = None if prepared.mesh is None else stated_path(prepared.mesh, request.result)
     stated = stated_path(outputs[0], request.result)

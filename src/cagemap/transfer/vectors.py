@@ -1,0 +1,231 @@
+"""Normal maps and vector displacement: directions that turn with the map.
+
+At a point of the target with normal n1, whose image on the source has normal n2, the differential of the map turns the
+plane across n1 into the plane across n2; Q is the rotation nearest to it that takes n1 to n2. A vector v of the source
+arrives as ``Q^T v``, so what is flat stays flat, and under the identity everything comes back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+from cagemap.errors import ParameterError
+from cagemap.geometry.triangles import normalized, vertex_normals
+from cagemap.numerics.arrays import FloatArray
+from cagemap.transfer.bake import BakeOptions, Transfer, bake, make_canvas, unit
+from cagemap.transfer.displacement import Displacement, scale_ratio
+from cagemap.transfer.locate import Samples, plan_samples, target_barycentric
+from cagemap.transfer.tangents import plane_basis, tangent_frames
+from cagemap.transfer.texture import Pixels, Texture, lay_texture, look_up
+
+Space = Literal["tangent", "object"]
+Green = Literal["up", "down"]
+# Vector displacement in tangent space is stored as tangent, normal, bitangent (Blender, Mudbox).
+_DISPLACEMENT_ORDER = [0, 2, 1]
+
+
+def bake_normal_map(
+    transfer: Transfer,
+    texture: Pixels | Mapping[int, Pixels],
+    *,
+    size: int | tuple[int, int],
+    space: Space = "tangent",
+    green: Green = "up",
+    dtype: DTypeLike | None = None,
+    options: BakeOptions | None = None,
+) -> Pixels:
+    """Bake the source's normal map into the target's layout, in the target's own frames.
+
+    Parameters
+    ----------
+    transfer : Transfer
+    texture : (h, w, 3) array, or such arrays by UDIM number
+        Directions, stored as half of them plus a half; floats with negative values as they are. Alpha is left out.
+    size : int or (height, width)
+    space : "tangent" or "object"
+        Tangent space is MikkTSpace's, of both refined surfaces.
+    green : "up" or "down"
+        Whether green grows with v (OpenGL, Blender) or against it (DirectX); in and out.
+    dtype, options
+        As in `bake_texture`.
+
+    Raises
+    ------
+    ParameterError
+        If the image has fewer than three channels, or as `bake_texture`.
+    """
+    options = options or BakeOptions()
+    if green not in ("up", "down"):
+        raise ParameterError(f"green: expected up or down, got {green!r}")
+    laid = lay_texture(_three(texture), *transfer.source.layout(), wrap=options.wrap)
+    kept = laid.dtype if dtype is None else np.dtype(dtype)
+    signed = laid.dtype.kind == "f" and any(float(np.nanmin(tile)) < 0 for tile in laid.tiles.values())
+    flip = np.array([1.0, -1.0 if green == "down" and space == "tangent" else 1.0, 1.0])
+
+    def decode(values: FloatArray) -> FloatArray:
+        values = values / unit(laid.dtype)
+        return np.asarray(flip * (values if signed else 2.0 * values - 1.0))
+
+    def encode(vectors: FloatArray) -> FloatArray:
+        vectors = flip * normalized(vectors)
+        return np.asarray((vectors if signed and kept.kind == "f" else 0.5 * vectors + 0.5) * unit(kept))
+
+    return _bake_vectors(transfer, laid, decode, encode, size, space, [0, 1, 2], kept, options)
+
+
+def bake_vector_displacement(
+    transfer: Transfer,
+    texture: Pixels | Mapping[int, Pixels],
+    *,
+    size: int | tuple[int, int],
+    space: Space = "tangent",
+    midlevel: float | None = None,
+    scale: float = 1.0,
+    dtype: DTypeLike | None = None,
+    options: BakeOptions | None = None,
+) -> Displacement:
+    """Bake the source's vector displacement into the target's layout; lengths grow with the surfaces.
+
+    Parameters
+    ----------
+    transfer : Transfer
+    texture : (h, w, 3) array, or such arrays by UDIM number
+        Vector = (value - midlevel) * scale, in the source's units; in tangent space the channels are tangent, normal,
+        bitangent.
+    size : int or (height, width)
+    space : "tangent" or "object"
+    midlevel : float, optional
+        By default 0.5 for integers and 0 for floats.
+    scale : float
+    dtype, options
+        As in `bake_texture`.
+
+    Returns
+    -------
+    Displacement
+        With three channels. As with heights, floats get new values and integers a new scale.
+
+    Raises
+    ------
+    ParameterError
+        If the image has fewer than three channels, the scale is 0, or as `bake_texture`.
+    """
+    options = options or BakeOptions()
+    laid = lay_texture(_three(texture), *transfer.source.layout(), wrap=options.wrap)
+    kept = laid.dtype if dtype is None else np.dtype(dtype)
+    middle = midlevel if midlevel is not None else 0.5 if laid.dtype.kind == "u" else 0.0
+    if scale == 0:
+        raise ParameterError("scale: expected a number other than 0")
+    ratio = scale_ratio(transfer)
+    factor, out_scale = (1.0, scale * ratio) if kept.kind == "u" else (ratio, scale)
+
+    def decode(values: FloatArray) -> FloatArray:
+        return np.asarray(values / unit(laid.dtype) - middle)
+
+    def encode(vectors: FloatArray) -> FloatArray:
+        return np.asarray((factor * vectors + middle) * unit(kept))
+
+    order = _DISPLACEMENT_ORDER if space == "tangent" else [0, 1, 2]
+    pixels = _bake_vectors(transfer, laid, decode, encode, size, space, order, kept, options)
+    return Displacement(pixels, middle, out_scale)
+
+
+def _bake_vectors(
+    transfer: Transfer,
+    laid: Texture,
+    decode: Callable[[FloatArray], FloatArray],
+    encode: Callable[[FloatArray], FloatArray],
+    size: int | tuple[int, int],
+    space: Space,
+    order: list[int],
+    kept: np.dtype[Any],
+    options: BakeOptions,
+) -> Pixels:
+    """Run a bake of vectors: looked up sample by sample, turned, and averaged in the target's frame.
+
+    ``order`` says which channels hold tangent, bitangent and normal.
+    """
+    if space not in ("tangent", "object"):
+        raise ParameterError(f"space: expected tangent or object, got {space!r}")
+    canvas = make_canvas(transfer, size, options)
+    target, source = transfer.target, transfer.source
+    frames = None if space == "object" else (tangent_frames(target), tangent_frames(source))
+    normals = [
+        frames[k].vertex_normals if frames else vertex_normals(side.positions, side.triangles)
+        for k, side in enumerate((target, source))
+    ]
+    edges = target.positions[target.triangles[:, 1:]] - target.positions[target.triangles[:, :1]]
+    mapped = transfer.mapped.mapped
+    images = mapped[target.triangles[:, 1:]] - mapped[target.triangles[:, :1]]
+
+    def shade(samples: Samples) -> FloatArray:
+        counts = np.diff(samples.first)
+        inside = np.repeat(target_barycentric(canvas.corners, samples), counts, axis=0)
+        triangle = np.repeat(samples.target_triangle.astype(np.int64), counts)
+        alone = replace(samples, first=np.arange(len(samples.triangle) + 1))
+        vectors = decode(look_up(laid, alone))[:, order]
+        if frames is not None:
+            vectors = np.einsum("sab,sb->sa", frames[1].at(samples.triangle, samples.barycentric), vectors)
+        n1 = np.einsum("sc,scd->sd", inside, normals[0][target.triangles[triangle]])
+        n2 = np.einsum("sc,scd->sd", samples.barycentric, normals[1][source.triangles[samples.triangle]])
+        vectors = _turned_back(vectors, n1, n2, edges[triangle], images[triangle])
+        if frames is not None:
+            vectors = _solve(frames[0].at(triangle, inside), vectors)
+        return np.asarray(encode(samples.mean(vectors[:, np.argsort(order)])))
+
+    counts = plan_samples(transfer.mapped, canvas.corners, laid.corner_texels())
+    return bake(transfer, canvas, counts, shade, 3, kept, options)
+
+
+def _turned_back(
+    vectors: FloatArray, n1: FloatArray, n2: FloatArray, edges: FloatArray, images: FloatArray
+) -> FloatArray:
+    """(s, 3) ``Q^T v``; edges (s, 2, 3) of target triangles and their images say how the map turns."""
+    one, two = plane_basis(n1, edges[:, 0]), plane_basis(n2, images[:, 0])
+    flat, image = edges @ one, images @ two  # (s, edge, coordinate)
+    determinant = flat[:, 0, 0] * flat[:, 1, 1] - flat[:, 0, 1] * flat[:, 1, 0]
+    adjugate = np.stack(
+        [
+            np.stack([flat[:, 1, 1], -flat[:, 0, 1]], axis=1),
+            np.stack([-flat[:, 1, 0], flat[:, 0, 0]], axis=1),
+        ],
+        axis=1,
+    )
+    # Coordinates go by the matrix M^T = flat^-1 image; its nearest rotation needs no scale but the determinant's sign.
+    transposed = np.where(determinant < 0, -1.0, 1.0)[:, None, None] * (adjugate @ image)
+    sine, cosine = transposed[:, 0, 1] - transposed[:, 1, 0], transposed[:, 0, 0] + transposed[:, 1, 1]
+    length = np.hypot(sine, cosine)
+    sine, cosine = np.where(length > 0, sine, 0.0), np.where(length > 0, cosine, 1.0)
+    length = np.where(length > 0, length, 1.0)
+    sine, cosine = sine / length, cosine / length
+    x, y = np.einsum("sab,sa->sb", two, vectors).T
+    height = np.einsum("sd,sd->s", normalized(n2), vectors)
+    turned = np.stack([cosine * x + sine * y, cosine * y - sine * x], axis=1)
+    return np.asarray(np.einsum("sab,sb->sa", one, turned) + height[:, None] * normalized(n1))
+
+
+def _solve(frames: FloatArray, vectors: FloatArray) -> FloatArray:
+    """(s, 3) coordinates of vectors in frames whose columns need not be perpendicular; zero where a frame is flat."""
+    a, b, c = (frames[:, :, k] for k in range(3))
+    volume = np.einsum("sd,sd->s", a, np.cross(b, c))
+    safe = np.where(np.abs(volume) > 1e-12, volume, np.inf)
+    duals = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
+    return np.asarray(np.einsum("skd,sd->sk", duals, vectors) / safe[:, None])
+
+
+def _three(texture: Pixels | Mapping[int, Pixels]) -> Pixels | dict[int, Pixels]:
+    """The first three channels."""
+    if isinstance(texture, Mapping):
+        return {tile: np.ascontiguousarray(_channels(pixels)) for tile, pixels in texture.items()}
+    return np.ascontiguousarray(_channels(texture))
+
+
+def _channels(pixels: Pixels) -> Pixels:
+    if pixels.ndim != 3 or pixels.shape[2] < 3:
+        raise ParameterError(f"expected three channels of directions, got an image of shape {pixels.shape}")
+    return pixels[:, :, :3]
