@@ -62,14 +62,14 @@ def test_one_side_alone_leaves_the_other_as_it_is(tmp_path):
 
 def test_parameters_reach_the_method_they_belong_to():
     assert used_parameters(with_parameters(MatchConfig(method="paper"), ["rounds=3"]))["rounds"] == 3
-    hierarchy = with_parameters(MatchConfig(method="hfm"), ["growth=1.5", "signature_weight=0"]).hierarchy
-    assert (hierarchy.growth, hierarchy.descriptors.signature_weight) == (1.5, 0.0)
+    hierarchy = with_parameters(MatchConfig(method="hfm"), ["searched_functions=80", "signature_weight=0"]).hierarchy
+    assert (hierarchy.searched_functions, hierarchy.descriptors.signature_weight) == (80, 0.0)
 
 
 @pytest.mark.parametrize(
     ("method", "setting", "said"),
     [
-        ("hfm", "rounds=3", "expected NAME=VALUE with one of .*growth.* for hfm, got 'rounds=3'"),
+        ("hfm", "rounds=3", "expected NAME=VALUE with one of .*search_vertices.* for hfm, got 'rounds=3'"),
         ("paper", "laplacian", "expected NAME=VALUE"),
         ("paper", "rounds=2.5", "rounds: expected a whole number, got '2.5'"),
         ("paper", "decay=-1", "decay of at least 0"),

@@ -6,8 +6,8 @@ import numpy as np
 from scipy import sparse
 
 from cagemap.functional_map import Constraints, SpectralData, coarse_functional_map
-from cagemap.maps.spectral.hierarchical import HierarchyConfig, grown_map, search_samples
-from cagemap.maps.spectral.samples import Samples, fit_functional_map, growth, spread
+from cagemap.maps.spectral.hierarchical import Growth, HierarchyConfig, grown_map, search_samples
+from cagemap.maps.spectral.samples import Samples, fit_functional_map, sizes_between, spread
 from cagemap.maps.spectral.search import (
     nearest_candidates,
     nearest_candidates_reference,
@@ -121,14 +121,14 @@ def test_functional_map_of_a_point_map():
 
 
 def test_growth_reaches_the_end_in_small_steps():
-    assert growth(20, 20) == [20]
-    sizes = growth(20, 300)
+    assert sizes_between(20, 20) == [20]
+    sizes = sizes_between(20, 300)
     assert sizes[0] == 20
     assert sizes[-1] == 300
     ratios = np.array(sizes[1:]) / np.array(sizes[:-1])
     assert ratios.max() < 1.3
     assert ratios.min() > 1.0
-    assert growth(30, 20) == [20]
+    assert sizes_between(30, 20) == [20]
 
 
 def test_samples_spread_over_the_numbering():
@@ -156,11 +156,11 @@ def test_growing_map_repairs_a_rough_start():
     for places in shifted:
         at = [np.cos(np.pi * i * places[:, 0]) * np.cos(np.pi * j * places[:, 1]) for i, j in frequencies]
         sides.append(SpectralData(spectrum, decay * np.array(at)))
-    config = HierarchyConfig(first_functions=6)
+    config = HierarchyConfig()
     constraints = Constraints(*sides)
     first = coarse_functional_map(constraints.leading(6, 6), config.weights)
     before = np.linalg.norm(points[search_samples(samples, samples, first)] - points, axis=1).mean()
-    functional_map, match = grown_map(constraints, samples, samples, config)
+    functional_map, match = grown_map(constraints, samples, samples, config, Growth(6))
     after = np.linalg.norm(points[match] - points, axis=1).mean()
     assert after < 0.2 * before
     assert functional_map.shape == (36, 36)

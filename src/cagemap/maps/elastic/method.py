@@ -13,7 +13,7 @@ from cagemap.maps.pair import Pair, Progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import project, unfold
 from cagemap.maps.spectral.constraints import gather_constraints
-from cagemap.maps.spectral.hierarchical import grown_map
+from cagemap.maps.spectral.hierarchical import Growth, grown_map
 from cagemap.maps.spectral.landmark_coordinates import landmark_coordinates
 from cagemap.maps.spectral.samples import FIT_SAMPLES, Samples, fit_functional_map, spread
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -110,7 +110,7 @@ def start_map(prepared: PreparedPair, pair: Pair, vertices: IndexArray, areas: F
         (pair.source, levels[1], pair.source_landmarks, candidates, np.ones(len(candidates))),
     ]
     target, source = in_threads(lambda side: _samples(*side), sides)
-    _, match = grown_map(constraints, target, source, config, START_GROWTH)
+    _, match = grown_map(constraints, target, source, config, Growth(factor=START_GROWTH, coordinate_weight=1.0))
     return candidates[match]
 
 

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from cagemap.maps.spectral.hierarchical import search_samples
-from cagemap.maps.spectral.samples import Samples, fit_functional_map, growth
+from cagemap.maps.spectral.samples import Samples, fit_functional_map, sizes_between
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 AS_FILED = "as the files stand"
@@ -117,7 +117,7 @@ def spectral_starts(
     found = []
     for start in TRUSTED_FUNCTIONS:
         better = match
-        for k in growth(start, LAST_FUNCTIONS, GROWTH):
+        for k in sizes_between(start, LAST_FUNCTIONS, GROWTH):
             k1, k2 = min(k, target.rows.shape[1]), min(k, source.rows.shape[1])
             functional_map = fit_functional_map(target, source.rows[better][:, :k2], k1)
             better = search_samples(target, source, functional_map)

@@ -8,7 +8,7 @@ Fig. 9. `cagemap.maps.spectral.paper` is the paper's method without the map's pa
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from cagemap.maps.spectral.samples import (
     embed_source,
     embed_target,
     fit_functional_map,
-    growth,
+    sizes_between,
     spread,
     subset,
 )
@@ -41,6 +41,37 @@ FEWEST_LANDMARKS = 2
 
 
 @dataclass(frozen=True)
+class Growth:
+    """How the number of functions grows while all source vertices are searched.
+
+    Attributes
+    ----------
+    first : int
+        Basis functions that eq. 13 is solved for.
+    factor : float
+        By which a band makes their number grow.
+    coordinate_weight : float
+        Weight of harmonic and biharmonic landmark coordinates beside the basis functions.
+    """
+
+    first: int = 20
+    factor: float = 1.25
+    coordinate_weight: float = 0.33
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        if self.first < FEWEST_FUNCTIONS or self.factor <= 1.0 or self.coordinate_weight < 0.0:
+            raise ParameterError(
+                f"expected at least {FEWEST_FUNCTIONS} first functions, a factor above 1 and a weight of at least 0, "
+                f"got {self}"
+            )
+
+
+# A map may settle with a limb half a turn off, and which growth avoids that differs from pair to pair.
+GROWTHS = (Growth(), Growth(20, 1.5, 0.33), Growth(20, 1.25, 1.0), Growth(20, 1.5, 1.0), Growth(30, 1.25, 0.33))
+
+
+@dataclass(frozen=True)
 class HierarchyConfig:
     """Parameters of the hierarchical map; the defaults are the measured ones.
 
@@ -51,38 +82,48 @@ class HierarchyConfig:
         Of eq. 13 and of the map beside the descriptors, the same on all levels.
     search_vertices : int
         The point map is searched in full at each side's coarsest level with at least this many vertices.
-    first_functions : int
-        Basis functions that eq. 13 is solved for.
     searched_functions : int
         Basis functions up to which bands are found with full searches; those above are found further down, where
         vertices move only among candidates.
-    growth : float
-        Factor by which a band makes the number of functions grow during full searches.
-    coordinate_weight : float
-        Weight of harmonic and biharmonic landmark coordinates beside the basis functions in full searches.
+    growths : tuple of Growth
+        Ways up to there. The map whose matches cover most of the source is kept: it folds least, and of the maps of one
+        pair it is nearly always the best (docs/accuracy.md).
     """
 
     descriptors: DescriptorConfig = DescriptorConfig()
     weights: MapWeights = MapWeights()
     search_vertices: int = 3000
-    first_functions: int = 20
     searched_functions: int = 150
-    growth: float = 1.25
-    coordinate_weight: float = 0.33
+    growths: tuple[Growth, ...] = GROWTHS
 
     def __post_init__(self) -> None:
         """Check the ranges."""
-        if min(self.first_functions, self.searched_functions) < FEWEST_FUNCTIONS or self.growth <= 1.0:
+        if self.searched_functions < FEWEST_FUNCTIONS or not self.growths:
             raise ParameterError(
-                f"expected at least {FEWEST_FUNCTIONS} functions and a growth above 1, got first_functions "
-                f"{self.first_functions}, searched_functions {self.searched_functions}, growth {self.growth}"
+                f"expected at least {FEWEST_FUNCTIONS} searched functions and one growth, got "
+                f"{self.searched_functions} and {len(self.growths)}"
             )
 
 
 def hierarchical_map(
-    pair: Pair, config: HierarchyConfig = HierarchyConfig(), progress: Progress = lambda stage: None
+    pair: Pair,
+    config: HierarchyConfig = HierarchyConfig(),
+    progress: Progress = lambda stage: None,
+    *,
+    constraints: Constraints | None = None,
+    start: FloatArray | None = None,
 ) -> tuple[tuple[LevelMap, ...], PointMap]:
     """Maps of the search levels and of all below, and the point map T12 of the finest ones.
+
+    Parameters
+    ----------
+    pair : Pair
+    config : HierarchyConfig
+    progress : callable
+    constraints : Constraints, optional
+        One's own, instead of `gather_constraints`.
+    start : (k, k) array, optional
+        A functional map of the first functions from elsewhere, instead of the solution of eq. 13.
 
     Raises
     ------
@@ -90,16 +131,22 @@ def hierarchical_map(
         If the surfaces cannot share descriptors (too few basis functions).
     """
     progress("functional map")
-    constraints = gather_constraints(pair, config.descriptors)
+    constraints = gather_constraints(pair, config.descriptors) if constraints is None else constraints
     searched = search_levels(pair.target, pair.source, config)
-    target = _samples(pair.target, searched[0], pair.target_landmarks, config)
-    source = _samples(pair.source, searched[1], pair.source_landmarks, config)
-    maps = [LevelMap(searched, *grown_map(constraints, target, source, config))]
+    target = level_samples(pair.target, searched[0], pair.target_landmarks)
+    source = level_samples(pair.source, searched[1], pair.source_landmarks)
+    grown = [grown_map(constraints, target, source, config, growth, start) for growth in config.growths]
+    maps = [LevelMap(searched, *max(grown, key=lambda found: covered(found[1], source)))]
     for levels in ladder(pair, searched):
         progress(f"point map, levels {levels[0]} and {levels[1]}")
         maps.append(descend(pair, constraints, maps[-1], levels, config))
     progress("vertex to point")
     return tuple(maps), recover_points(pair, maps[-1])
+
+
+def covered(match: IndexArray, source: Samples) -> float:
+    """Share of the source's area that some sample is matched to."""
+    return float(source.areas[np.unique(match)].sum() / source.areas.sum())
 
 
 def search_levels(target: Surface, source: Surface, config: HierarchyConfig) -> LevelPair:
@@ -118,7 +165,12 @@ def search_levels(target: Surface, source: Surface, config: HierarchyConfig) -> 
 
 
 def grown_map(
-    constraints: Constraints, target: Samples, source: Samples, config: HierarchyConfig, factor: float | None = None
+    constraints: Constraints,
+    target: Samples,
+    source: Samples,
+    config: HierarchyConfig,
+    growth: Growth = Growth(),
+    start: FloatArray | None = None,
 ) -> tuple[FloatArray, IndexArray]:
     """Functional map and match of samples: eq. 13 on the first functions, then band after band with full searches.
 
@@ -127,9 +179,11 @@ def grown_map(
     constraints : Constraints
         Of the whole bases.
     target, source : Samples
+        Their landmark coordinates are weighted by the growth.
     config : HierarchyConfig
-    factor : float, optional
-        Instead of ``config.growth``.
+    growth : Growth
+    start : (k, k) array, optional
+        Instead of the solution of eq. 13.
 
     Returns
     -------
@@ -140,11 +194,18 @@ def grown_map(
     most = target.rows.shape[1], source.rows.shape[1]
     if min(most) < FEWEST_FUNCTIONS:
         raise ParameterError(f"expected at least {FEWEST_FUNCTIONS} basis functions on both surfaces, got {most}")
+    target, source = (
+        replace(side, coordinates=growth.coordinate_weight * side.coordinates) for side in (target, source)
+    )
     few = subset(target, spread(len(target.areas), FIT_SAMPLES)), subset(source, spread(len(source.areas), FIT_SAMPLES))
-    stop = min(config.searched_functions, max(most))
-    first, *further = growth(min(config.first_functions, *most), stop, config.growth if factor is None else factor)
-    functional_map = solve_functional_map(constraints.leading(first, first), config.weights)
+    first = min(growth.first, *most) if start is None else min(start.shape)
+    stop = max(first, min(config.searched_functions, max(most)))
+    if start is None:
+        functional_map = solve_functional_map(constraints.leading(first, first), config.weights)
+    else:
+        functional_map = start
     match = search_samples(*few, functional_map)
+    _, *further = sizes_between(first, stop, growth.factor)
     for k in further:
         functional_map = extended(
             constraints, *few, match, functional_map.shape, (min(k, most[0]), min(k, most[1])), config
@@ -201,12 +262,11 @@ def descend(
     return LevelMap(levels, functional_map, search_level(pair, functional_map, levels, coarse))
 
 
-def _samples(surface: Surface, level: int, landmarks: IndexArray, config: HierarchyConfig) -> Samples:
+def level_samples(surface: Surface, level: int, landmarks: IndexArray) -> Samples:
     """All vertices of a level, with the row sums of its mass matrix as areas and their landmark coordinates."""
     operators = surface.operators
     rows = surface.basis.at(level)
     coordinates = np.zeros((len(rows), 0))
-    if config.coordinate_weight > 0.0 and len(landmarks) >= FEWEST_LANDMARKS:
-        made = landmark_coordinates(operators.stiffness[level], operators.mass[level], landmarks)
-        coordinates = config.coordinate_weight * made
+    if len(landmarks) >= FEWEST_LANDMARKS:
+        coordinates = landmark_coordinates(operators.stiffness[level], operators.mass[level], landmarks)
     return Samples(rows, operators.areas(level), coordinates)

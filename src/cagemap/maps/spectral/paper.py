@@ -49,18 +49,33 @@ class PaperConfig:
 
 
 def paper_map(
-    pair: Pair, config: PaperConfig = PaperConfig(), progress: Progress = lambda stage: None
+    pair: Pair,
+    config: PaperConfig = PaperConfig(),
+    progress: Progress = lambda stage: None,
+    *,
+    constraints: Constraints | None = None,
+    start: FloatArray | None = None,
 ) -> tuple[tuple[LevelMap, ...], PointMap]:
     """Maps of all levels, and the point map of the finest ones.
+
+    Parameters
+    ----------
+    pair : Pair
+    config : PaperConfig
+    progress : callable
+    constraints : Constraints, optional
+        One's own, instead of `gather_constraints`.
+    start : (k1, k2) array, optional
+        A functional map of level 0 from elsewhere, instead of the solution of eq. 13.
 
     Raises
     ------
     ParameterError
-        If level 0 has too few basis functions.
+        If level 0 has too few basis functions, or the start does not have as many.
     """
     progress("functional map, level 0")
-    constraints = gather_constraints(pair, config.descriptors)
-    maps = [first_level(pair, constraints, config)]
+    constraints = gather_constraints(pair, config.descriptors) if constraints is None else constraints
+    maps = [first_level(pair, constraints, config, start)]
     for levels in ladder(pair, (0, 0)):
         progress(f"functional map, levels {levels[0]} and {levels[1]}")
         maps.append(next_level(pair, constraints, maps[-1], levels, config))
@@ -68,7 +83,7 @@ def paper_map(
     return tuple(maps), recover_points(pair, maps[-1])
 
 
-def first_level(pair: Pair, constraints: Constraints, config: PaperConfig) -> LevelMap:
+def first_level(pair: Pair, constraints: Constraints, config: PaperConfig, start: FloatArray | None = None) -> LevelMap:
     """Level 0: eq. 13, and the full search (5.3.1, 5.4)."""
     sizes = basis_sizes(pair, (0, 0))
     if min(sizes) < FEWEST_FUNCTIONS:
@@ -76,7 +91,9 @@ def first_level(pair: Pair, constraints: Constraints, config: PaperConfig) -> Le
             f"expected at least {FEWEST_FUNCTIONS} basis functions on level 0 of both surfaces, got {sizes}: give a "
             "schedule such as 100,50,50"
         )
-    functional_map = coarse_functional_map(constraints.leading(*sizes), config.weights)
+    if start is not None and start.shape != sizes:
+        raise ParameterError(f"start: expected a functional map of level 0, {sizes}, got {start.shape}")
+    functional_map = coarse_functional_map(constraints.leading(*sizes), config.weights) if start is None else start
     match = search_full(pair, functional_map, (0, 0))
     for _ in range(config.rounds):
         functional_map = orthonormal(refit(pair, (0, 0), match))

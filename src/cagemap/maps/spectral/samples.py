@@ -38,7 +38,7 @@ class Samples:
     coordinates: FloatArray
 
 
-def growth(start: int, stop: int, factor: float = 1.25) -> list[int]:
+def sizes_between(start: int, stop: int, factor: float = 1.25) -> list[int]:
     """Numbers of basis functions from start to stop, growing by a factor (at least 1 a step)."""
     sizes = [min(start, stop)]
     while sizes[-1] < stop:

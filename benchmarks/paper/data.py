@@ -1,0 +1,103 @@
+"""Surfaces that the figures are drawn from, each prepared once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.accuracy.data import DATA, HUMANS, REPOSITORY, HumanPair
+from benchmarks.truth import true_map
+from cagemap.basis import BasisConfig, Surface
+from cagemap.files.obj import read_obj
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.maps.pair import Pair
+from cagemap.mesh import ControlMesh
+from cagemap.pictures import Model, Skin, View, frame, render
+from cagemap.pipeline import pair_of, prepare_surface
+
+OUTPUT = REPOSITORY / "docs" / "paper"
+# The schedule of Fig. 13's pair and of the trolls (Table 1).
+SCHEDULE = (100, 50, 50, 50)
+PAIR = HUMANS["female1605__male1591"]
+# Figures are looked at on a page: this many pixels a panel.
+PANEL = (360, 480)
+STANDING = View("from the front", 20.0, 6.0)
+
+
+def human(name: str) -> ControlMesh:
+    return read_obj(DATA / "humans" / f"{name}.obj")
+
+
+def animal(name: str) -> ControlMesh:
+    return read_obj(DATA / "animals" / f"{name}.obj")
+
+
+@cache
+def prepared(name: str, level: int, schedule: tuple[int, ...] | None = SCHEDULE) -> Surface:
+    """A surface of `data/humans` or `data/animals`, by a fixed schedule or the tolerance."""
+    mesh = human(name) if (DATA / "humans" / f"{name}.obj").is_file() else animal(name)
+    config = BasisConfig() if schedule is None else BasisConfig(schedule=schedule[: level + 1])
+    return prepare_surface(mesh, level, config)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Two surfaces whose true map is known, at their finest levels.
+
+    Attributes
+    ----------
+    places : (n2, 3)
+        Source vertices, unit area.
+    images : (n1, 3)
+        Where the target's vertices belong on the source.
+    known : (n1,) bool
+    """
+
+    places: np.ndarray
+    images: np.ndarray
+    known: np.ndarray
+
+    @classmethod
+    def of(cls, pair: HumanPair, target: Surface, source: Surface) -> Judged:
+        """Source is the pair's first mesh."""
+        neutrals = [
+            TriangleSurface.from_faces(
+                surface.refinement.prolong(neutral, 0, surface.finest), surface.refinement.finest.faces
+            )
+            for surface, neutral in zip((source, target), pair.neutrals(), strict=True)
+        ]
+        truth = true_map(neutrals[1], neutrals[0])
+        places = source.triangles(source.finest)
+        return cls(places.positions, truth.on(places).positions, truth.known)
+
+    def error(self, images: np.ndarray) -> float:
+        """Mean distance to the true images, x100 of sqrt(area), of the first vertices of the target."""
+        n = len(images)
+        away = np.linalg.norm(images - self.images[:n], axis=1)
+        return 100.0 * float(away[self.known[:n]].mean())
+
+
+def with_landmarks(target: Surface, source: Surface, count: int) -> Pair:
+    """`PAIR` forward, with a number of farthest point landmarks and the mirror planes of both."""
+    return pair_of(target, source, PAIR.landmarks(count))
+
+
+def picture(
+    positions: np.ndarray,
+    triangles: np.ndarray,
+    colors: np.ndarray,
+    view: View = STANDING,
+    size: tuple[int, int] = PANEL,
+) -> np.ndarray:
+    """One panel: a surface with colours (n, 3) at its vertices."""
+    width, height = size
+    camera = frame(positions, view, aspect=width / height)
+    return render(Model(positions, triangles), Skin(vertex_colors=colors), camera, width=width, height=height)
+
+
+def folder() -> Path:
+    OUTPUT.mkdir(parents=True, exist_ok=True)
+    return OUTPUT
