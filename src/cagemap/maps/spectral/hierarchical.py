@@ -145,8 +145,8 @@ def hierarchical_map(
 
 
 def covered(match: IndexArray, source: Samples) -> float:
-    """Share of the source's area that some sample is matched to."""
-    return float(source.areas[np.unique(match)].sum() / source.areas.sum())
+    """Share of the source's samples that some target sample is matched to; a limb that is missed costs many."""
+    return len(np.unique(match)) / len(source.areas)
 
 
 def search_levels(target: Surface, source: Surface, config: HierarchyConfig) -> LevelPair:
