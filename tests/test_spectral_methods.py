@@ -1,0 +1,159 @@
+"""The spectral methods on real pairs: what each stage is worth, and that maps get better from level to level."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from benchmarks.accuracy.data import HUMANS
+from benchmarks.truth import true_map
+
+from cagemap.basis import BasisConfig
+from cagemap.errors import ParameterError
+from cagemap.functional_map import MapWeights, extend_functional_map
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.maps.pair import Pair
+from cagemap.maps.spectral import hierarchical
+from cagemap.maps.spectral.hierarchical import Growth, HierarchyConfig, hierarchical_map
+from cagemap.maps.spectral.paper import PaperConfig, orthonormal, paper_map
+from cagemap.mesh import shapes
+from cagemap.pipeline import MatchConfig, match, pair_of, prepare_surface
+
+HUMAN = HUMANS["female1605__male1591"]
+
+
+class Judged:
+    """A pair with its true map on level 1, both sides by one schedule."""
+
+    def __init__(self, schedule, landmarks):
+        meshes = HUMAN.meshes()
+        self.surfaces = [prepare_surface(mesh, 1, BasisConfig(schedule=schedule)) for mesh in meshes]
+        neutrals = [
+            TriangleSurface.from_faces(s.refinement.prolong(neutral, 0, 1), s.refinement.finest.faces)
+            for s, neutral in zip(self.surfaces, HUMAN.neutrals(), strict=True)
+        ]
+        source, target = self.surfaces
+        truth = true_map(neutrals[1], neutrals[0])
+        self.images, self.known = truth.on(source.triangles(1)).positions, truth.known
+        self.pair = pair_of(target, source, HUMAN.landmarks(landmarks), MatchConfig())
+
+    def error(self, positions):
+        n = len(positions)
+        return 100 * float(np.linalg.norm(positions - self.images[:n], axis=1)[self.known[:n]].mean())
+
+    def errors(self, maps, points):
+        """Of every level's match, and of the point map."""
+        places = self.surfaces[0].triangles(1).positions
+        return [*(self.error(places[found.match]) for found in maps), self.error(points.images.positions)]
+
+
+@pytest.fixture(scope="module")
+def judged(shared_data):
+    return Judged((100, 50), 14)
+
+
+def noise_beside(coarse, constraints, weights, *, match=None):
+    """The extension with its new blocks replaced by noise of the same size."""
+    extended = extend_functional_map(coarse, constraints, weights, match=match)
+    new = np.ones(extended.shape, dtype=bool)
+    new[: coarse.shape[0], : coarse.shape[1]] = False
+    values = extended[new]
+    extended[new] = np.random.default_rng(7).standard_normal(new.sum()) * np.sqrt(np.mean(values**2))
+    return extended
+
+
+@pytest.mark.slow
+def test_the_paper_method_gets_better_from_level_to_level(judged):
+    """Fig. 10's claim, and the bar of 6 (x100 of sqrt(area)) with 14 landmarks."""
+    errors = judged.errors(*paper_map(judged.pair))
+    assert errors[0] > errors[1]
+    assert errors[-1] < 5.0
+
+
+@pytest.mark.slow
+def test_decay_and_alternation_help_the_paper_method(judged):
+    """Both stages stay because the map is worse without them."""
+    usual = judged.errors(*paper_map(judged.pair))[-1]
+    literal = PaperConfig(weights=replace(MapWeights(), decay=0.0), rounds=0)
+    assert judged.errors(*paper_map(judged.pair, literal))[-1] > 1.3 * usual
+
+
+@pytest.mark.slow
+def test_extended_blocks_matter_to_the_hierarchical_map(judged, monkeypatch):
+    """Noise in what eqs. 14-16 find makes the map worse by half at least: before, it changed nothing."""
+    config = HierarchyConfig(growths=(Growth(20, 1.5, 0.33),))
+    usual = judged.errors(*hierarchical_map(judged.pair, config))[-1]
+    assert usual < 2.5
+    monkeypatch.setattr(hierarchical, "extend_functional_map", noise_beside)
+    assert judged.errors(*hierarchical_map(judged.pair, config))[-1] > 1.5 * usual
+
+
+@pytest.mark.slow
+def test_descriptors_help_every_band(judged):
+    """The hierarchical map without descriptors beside the map is plain upsampling, and worse on the whole."""
+    config = HierarchyConfig(growths=(Growth(20, 1.5, 0.33),))
+    with_both = judged.errors(*hierarchical_map(judged.pair, config))[-1]
+    map_alone = replace(config, weights=replace(config.weights, match=1e9))
+    assert judged.errors(*hierarchical_map(judged.pair, map_alone))[-1] > 1.1 * with_both
+
+
+def creature_pair(level=1, schedule=(20, 10)):
+    surface = prepare_surface(shapes.creature(), level, BasisConfig(schedule=schedule))
+    chosen = np.arange(0, surface.control.n_vertices, 7)
+    return Pair.of_vertices(surface, surface, chosen, chosen)
+
+
+def test_maps_of_all_levels_are_returned_and_are_the_identity():
+    """A surface and itself: C = I and every vertex its own match, level by level."""
+    pair = creature_pair()
+    maps, points = paper_map(pair, PaperConfig(weights=MapWeights(decay=0.0)))
+    assert [found.levels for found in maps] == [(0, 0), (1, 1)]
+    for found, size in zip(maps, (20, 30), strict=True):
+        np.testing.assert_allclose(found.functional_map, np.eye(size), atol=1e-6)
+        np.testing.assert_array_equal(found.match, np.arange(len(found.match)))
+    away = np.linalg.norm(points.images.positions - pair.source.triangles(1).positions, axis=1)
+    assert away.max() < 1e-3
+
+
+def test_sides_may_have_their_own_levels_and_schedules():
+    """Table 1: the finer side waits, and C has as many rows and columns as the sides have functions."""
+    one = prepare_surface(shapes.creature(), 2, BasisConfig(schedule=(12, 6, 4)))
+    two = prepare_surface(shapes.creature(), 1, BasisConfig(schedule=(10, 8)))
+    chosen = np.arange(0, one.control.n_vertices, 9)
+    maps, points = paper_map(Pair.of_vertices(one, two, chosen, chosen))
+    assert maps[-1].levels == (2, 1)
+    assert maps[-1].functional_map.shape == (22, 18)
+    assert points.source.n == two.refinement.finest.n_vertices
+
+
+def test_orthonormal_is_the_nearest_isometry():
+    """Singular values become 1, singular vectors stay (2.1.4)."""
+    rng = np.random.default_rng(3)
+    c = rng.standard_normal((6, 4))
+    q = orthonormal(c)
+    np.testing.assert_allclose(q.T @ q, np.eye(4), atol=1e-12)
+    other, _ = np.linalg.qr(rng.standard_normal((6, 4)))
+    assert np.linalg.norm(c - q) < np.linalg.norm(c - other)
+
+
+def test_match_keeps_the_maps_of_all_levels():
+    surface = creature_pair().target
+    chosen = np.arange(0, surface.control.n_vertices, 7)
+    from cagemap.mesh.landmarks import Landmarks
+
+    landmarks = Landmarks(tuple(map(str, chosen)), chosen, chosen, surface.control.name, surface.control.name)
+    found = match(surface, surface, landmarks, MatchConfig(method="paper"))
+    assert [one.levels for one in found.level_maps] == [(0, 0), (1, 1)]
+    np.testing.assert_array_equal(found.functional_map, found.level_maps[-1].functional_map)
+
+
+def test_wrong_parameters_are_refused():
+    with pytest.raises(ParameterError, match="rounds: expected 0 or more alternations, got -1"):
+        PaperConfig(rounds=-1)
+    with pytest.raises(ParameterError, match="first functions"):
+        Growth(factor=1.0)
+    with pytest.raises(ParameterError, match="one growth"):
+        HierarchyConfig(growths=())
+    with pytest.raises(ParameterError, match="start: expected a functional map of level 0"):
+        paper_map(creature_pair(), start=np.eye(3))
