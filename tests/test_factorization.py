@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from scipy import sparse
@@ -91,8 +93,12 @@ def test_superlu_tells_no_inertia_in_single_precision(matrices):
 def test_that_rslab_is_missing_is_said_once(matrices, monkeypatch, caplog):
     monkeypatch.setattr(factorization, "rslab", None)
     factorization._say_that_rslab_is_missing.cache_clear()
-    for _ in range(2):
+
+    def work(_):
         assert factor(matrices[0] + matrices[1]).library == "superlu"
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(work, range(8)))
     assert [record.levelname for record in caplog.records] == ["WARNING"]
     assert "rslab is not installed" in caplog.text
 

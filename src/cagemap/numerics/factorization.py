@@ -11,6 +11,7 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -180,11 +181,15 @@ def _chosen(library: str, matrix: SparseMatrix) -> str:
     if library == "auto":
         if rslab is not None:
             return "rslab"
-        _say_that_rslab_is_missing()
+        with _SAYING:
+            _say_that_rslab_is_missing()
         return "superlu"
     if library not in ("rslab", "superlu") or (library == "rslab" and rslab is None):
         raise ParameterError(f'expected library "auto", "superlu" or an installed "rslab", got {library!r}')
     return library
+
+
+_SAYING = Lock()  # both surfaces of a pair come here at the same time
 
 
 @cache  # once for each process
