@@ -13,6 +13,7 @@ from cagemap.files.result import landmark_messages, result_of
 from cagemap.maps.elastic.config import ElasticConfig, Stage
 from cagemap.maps.elastic.graph import ElasticGraph, cluster_graph
 from cagemap.maps.elastic.prepared import level_graph
+from cagemap.maps.landmarks import check
 from cagemap.maps.landmarks.check import DISTANCES, LandmarkCheck, LandmarkSuspect
 from cagemap.maps.landmarks.distances import (
     LandmarkDistances,
@@ -164,6 +165,31 @@ def test_the_strained_pair_is_the_displaced_one(graphs):
     assert strained_pair(reduced_energy(graph, graph.positions, graph.normals, landmarks[:9]), slid[:9]) is None
 
 
+def test_a_pair_that_strains_is_kept_and_named(pair):
+    """A landmark slid along a limb says what shape alone cannot: it is met, and the strain is told."""
+    target, source, landmarks = pair
+    places = source.operators.scale * source.refinement.finest.positions[: source.control.n_vertices]
+    i = landmarks.names.index("knee_L")
+    away = np.linalg.norm(places - places[landmarks.source[i]], axis=1)
+    away[landmarks.source] = 0.0
+    slid = with_source(landmarks, {i: int(np.flatnonzero(away > 0.12)[np.argmin(away[away > 0.12])])})
+    found = match(target, source, slid, CONFIG)
+    assert found.suspects == ()
+    assert found.quality.landmark_errors.max() < 1e-12
+    assert len(found.landmark_check.strains) == len(landmarks)
+    assert int(np.argmax(found.landmark_check.strains)) == i
+    assert any("knee_L" in note and "kept" in note for note in found.landmark_check.notes)
+
+
+def test_pairs_out_of_proportion_are_kept_where_the_map_is_no_better_without(pair, monkeypatch):
+    target, source, landmarks = pair
+    wrong = with_source(landmarks, {3: farthest(source, landmarks.source[3], landmarks.source)})
+    monkeypatch.setattr(check, "coarse_map_cost", lambda pair, config: 1e-4)
+    found = match(target, source, wrong, CONFIG)
+    assert found.suspects == ()
+    assert wrong.names[3] in found.landmark_check.notes[0]
+
+
 @pytest.fixture(scope="module")
 def followed(pair) -> MatchResult:
     return match(*pair, CONFIG)
@@ -233,8 +259,8 @@ def test_a_suspect_stays_out_only_while_its_pair_is_the_same() -> None:
     names = ("a", "b", "c")
     before = Landmarks(names, np.array([3, 5, 9]), np.array([1, 2, 4]), "t.obj", "s.obj")
     suspect = LandmarkSuspect("b", 1, 0.2, nearest_vertex=7, source_vertex=2, evidence=DISTANCES)
-    check = LandmarkCheck((suspect,))
+    judged = LandmarkCheck((suspect,))
     moved_up = Landmarks(("b", "d"), np.array([5, 3]), np.array([2, 1]), "t.obj", "s.obj")
-    assert [s.pair for s in check.still(before, moved_up).suspects] == [0]
+    assert [s.pair for s in judged.still(before, moved_up).suspects] == [0]
     corrected = Landmarks(names, np.array([3, 5, 9]), np.array([1, 7, 4]), "t.obj", "s.obj")
-    assert check.still(before, corrected).suspects == ()
+    assert judged.still(before, corrected).suspects == ()

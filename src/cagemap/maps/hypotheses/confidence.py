@@ -28,11 +28,14 @@ class Reading:
         Mean squared distances between the surfaces both ways, and the elastic energy; of unit areas.
     positions : (n, 3) float64
         Of the vertices of the target's fitted level, near the source at unit area.
+    doubt : float
+        See `Start`.
     """
 
     name: str
     cost: float
     positions: FloatArray
+    doubt: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -46,9 +49,9 @@ class Confidence:
     cost : float
         Of the answer, x 1e4.
     gap : float
-        Cost of the next different answer, of this one's; infinite if there is none.
+        Least cost of a different answer, of this one's; infinite if there is none. Below 1 where files' axes decided.
     readings : tuple of Reading
-        The answer, then the different ones, by cost.
+        The answer, then the different ones, by cost and doubt.
     deciding : int or None
         Control vertex of the target where the two best answers differ most: a landmark there decides.
     """
@@ -63,7 +66,7 @@ class Confidence:
     def of(cls, readings: tuple[Reading, ...], control_vertices: int) -> Confidence:
         """Judge answers that are all different, best first."""
         best = readings[0]
-        gap = readings[1].cost / max(best.cost, 1e-12) if len(readings) > 1 else float("inf")
+        gap = min((other.cost for other in readings[1:]), default=float("inf")) / max(best.cost, 1e-12)
         deciding = None
         if len(readings) > 1:
             apart = (best.positions[:control_vertices] - readings[1].positions[:control_vertices]) ** 2

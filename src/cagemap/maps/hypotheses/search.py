@@ -60,7 +60,12 @@ class HypothesesConfig:
 @dataclass(frozen=True)
 class _Candidate:
     name: str
+    doubt: float
     fit: CoarseFit
+
+    @property
+    def rank(self) -> float:
+        return self.doubt * self.fit.cost
 
 
 def found_readings(
@@ -91,9 +96,9 @@ def found_readings(
 
     def finish(candidate: _Candidate) -> Reading:
         ended = fine_fit(prepared, shape, [candidate.fit], pair.landmarks)
-        return Reading(candidate.name, reading_cost(prepared, pullers, ended), ended)
+        return Reading(candidate.name, reading_cost(prepared, pullers, ended), ended, candidate.doubt)
 
-    readings = sorted(in_threads(finish, candidates), key=lambda reading: reading.cost)
+    readings = sorted(in_threads(finish, candidates), key=lambda reading: reading.doubt * reading.cost)
     return tuple(_different(readings, lambda reading: reading.positions, prepared.rest.graph.areas, config.different))
 
 
@@ -117,23 +122,21 @@ def _rough_fits(prepared: PreparedPair, pair: Pair, shape: CoarseShape, config: 
 
     def trial(start: Start) -> _Candidate:
         with thread_limit(1):  # the starts are spread over the cores: a step of one is too short to be
-            return _Candidate(start.name, coarse_fit(rough, sheet, start.positions, places, staged))
+            return _Candidate(start.name, start.doubt, coarse_fit(rough, sheet, start.positions, places, staged))
 
     starts = rigid_starts(small.positions, sheet.positions)
     tried = in_threads(trial, _different(starts, lambda start: start.positions, small.areas, config.alike))
-    ranked = sorted(tried, key=lambda one: one.fit.cost)
+    ranked = sorted(tried, key=lambda one: one.rank)
     kept = _different(ranked, lambda one: one.fit.positions, small.areas, config.different)[: config.coarse]
     # What starts of several names lead to has the first one's, which is the simplest.
-    kept = [
-        replace(
-            one,
-            name=next(
-                t.name for t in tried if _apart(t.fit.positions, one.fit.positions, small.areas) < config.different
-            ),
-        )
+    firsts = [
+        next(t for t in tried if _apart(t.fit.positions, one.fit.positions, small.areas) < config.different)
         for one in kept
     ]
-    return [_Candidate(one.name, _on(small, one.fit, shape.rest.graph)) for one in kept]
+    return [
+        _Candidate(first.name, first.doubt, _on(small, one.fit, shape.rest.graph))
+        for first, one in zip(firsts, kept, strict=True)
+    ]
 
 
 def _coarse_fits(
@@ -152,9 +155,9 @@ def _coarse_fits(
         normals = deformed_normals(graph, own.maps)
         starts = spectral_starts(candidate.name, own.positions, normals, target, source, on_source)
         others = [coarse_fit(shape, sheet, start.positions, places, elastic) for start in starts]
-        return _Candidate(candidate.name, min([own, *others], key=lambda ended: ended.cost))
+        return replace(candidate, fit=min([own, *others], key=lambda ended: ended.cost))
 
-    improved = sorted(in_threads(improve, rough), key=lambda one: one.fit.cost)
+    improved = sorted(in_threads(improve, rough), key=lambda one: one.rank)
     kept = _different(improved, lambda one: one.fit.positions, graph.areas, config.different)
     hopeful = [one for one in kept if one.fit.cost <= config.hopeless * kept[0].fit.cost]
     return hopeful[: config.finished]

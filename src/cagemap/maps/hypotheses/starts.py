@@ -18,6 +18,8 @@ from cagemap.maps.spectral.samples import Samples, fit_functional_map, sizes_bet
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 AS_FILED = "as the files stand"
+# Doubt of a start, see `Start`: turned about the vertical, and turned otherwise.
+TURNED_DOUBT, OTHER_DOUBT = 1.1, 1.3
 # A box that is flat along an axis is not stretched along it.
 LEAST_EXTENT = 1e-6
 # Spectral starts: basis functions trusted of a rough fit, and where spectral upsampling of its match ends.
@@ -38,10 +40,13 @@ class Start:
         In words, such as "turned 180 degrees about y".
     positions : (k, 3) float64
         On or near the source, one for every vertex of the coarse graph.
+    doubt : float
+        Factor on costs when answers are ranked: files nearly always agree in what is up, and mostly in what is front.
     """
 
     name: str
     positions: FloatArray
+    doubt: float = OTHER_DOUBT
 
 
 def axis_rotations() -> list[FloatArray]:
@@ -85,8 +90,9 @@ def rigid_starts(points: FloatArray, source_points: FloatArray) -> list[Start]:
     starts = []
     for matrix in axis_rotations():
         turned = points @ matrix.T
+        doubt = OTHER_DOUBT if matrix[1, 1] < 0.5 else 1.0 if matrix[0, 0] > 0.5 else TURNED_DOUBT
         starts += [
-            Start(rotation_name(matrix), _boxed(turned, source_points, stretched)) for stretched in (False, True)
+            Start(rotation_name(matrix), _boxed(turned, source_points, stretched), doubt) for stretched in (False, True)
         ]
     centre, frame = _principal_frame(points)
     source_centre, source_frame = _principal_frame(source_points)

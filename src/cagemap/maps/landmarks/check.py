@@ -1,23 +1,25 @@
-"""A map that does not follow a wrong landmark pair: what is out of proportion or strained is left out, and named.
+"""A map that does not follow a slip: a pair on the wrong limb is left out, one that only strains is kept and named.
 
-Before the map, distances between landmarks tell which pair lies on the wrong limb; after it, strain tells which one
-holds the map where it does not want to be. The map is then computed without that pair and says itself how far off the
-pair is; a pair that it confirms is taken back.
+Landmarks are a person's word. Distances between them accuse a pair before the map; it is left out only if a coarse fit
+without it is much cheaper than one with it, and if the map without it leads elsewhere. After the map, strain tells
+which pair holds it where it does not want to be: it is kept, because it may say what shape alone cannot, and named.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from cagemap.maps.elastic.fit import coarse_fit
 from cagemap.maps.elastic.graph import ElasticGraph
-from cagemap.maps.elastic.method import elastic_map
+from cagemap.maps.elastic.method import elastic_map, start_map
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.landmarks.distances import (
     FEWEST_JUDGED,
+    MOST_SUSPECTS,
     LandmarkDistances,
     misplaced_pairs,
     orientation_agreement,
@@ -33,23 +35,22 @@ from cagemap.numerics.threads import in_threads
 
 # A pair that the map without it misses by less, of sqrt(area), is taken back.
 CONFIRMED = 0.03
+# Cost of the coarse fit with the pairs that distances accuse, of that without them, from which on they are slips.
+SLIP = 1.05
 # Where distances between landmarks typically differ by more (log ratio), shapes differ so much that strain of one pair
 # says nothing.
 DISSIMILAR = 0.12
 # Below this agreement of orientations the landmarks are mirrored as a whole; correct ones measured from 0.45 on.
 MIRRORED = -0.2
-# If distances accuse a larger share of the pairs, or typically differ by more, it is not known which are right.
-# Shuffled pairs measured 0.36 to 0.53, the least alike animals 0.26.
-MOST_SUSPECTS = 1 / 3
+# Where distances typically differ by more, it is not known which pairs are right. Shuffled pairs measured 0.36 to 0.53,
+# the least alike animals 0.26.
 UNRELATED = 0.32
 CONTRADICTION = (
     "the distances between landmarks contradict each other on the two surfaces for so many pairs that all were kept: "
     "the landmark file may belong to other meshes or to the other direction"
 )
-# Strain is asked for one pair at a time; each costs another map.
-MOST_STRAINED = 2
 
-DISTANCES, STRAIN = "distances", "strain"
+DISTANCES = "distances"
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ class LandmarkSuspect:
     source_vertex : int
         Source control vertex that was given.
     evidence : str
-        "distances" (to the other landmarks, before the map) or "strain" (of the map that followed it).
+        "distances": to the other landmarks, before the map.
     """
 
     name: str
@@ -80,13 +81,9 @@ class LandmarkSuspect:
 
     def __str__(self) -> str:
         """One sentence for a user: what was found and the remedy."""
-        found = (
-            "its distances to the other landmarks do not fit"
-            if self.evidence == DISTANCES
-            else "following it strains the map around it, and only there"
-        )
         return (
-            f"landmark '{self.name}' looks wrong and was left out: {found}, and without it the map leads "
+            f"landmark '{self.name}' looks wrong and was left out: its distances to the other landmarks do not fit, a "
+            "map that follows it costs much more, and without it the map leads "
             f"{100 * self.distance:.0f} % of the model's size away from source vertex {self.source_vertex}, to near "
             f"vertex {self.nearest_vertex}. Check this pair; --trust-landmarks (in Python "
             "MatchConfig(check_landmarks=False)) keeps all pairs as they are"
@@ -103,10 +100,13 @@ class LandmarkCheck:
         Pairs left out.
     notes : tuple of str
         What else a user should know.
+    strains : (p,) float64
+        How far every pair would move if it alone were let go, of sqrt(area); 0 for those left out. Empty if unknown.
     """
 
     suspects: tuple[LandmarkSuspect, ...] = ()
     notes: tuple[str, ...] = ()
+    strains: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def trusted(self, landmarks: Landmarks) -> Landmarks:
         """The landmarks checked, without the suspects."""
@@ -127,6 +127,7 @@ class LandmarkCheck:
         return {
             "suspects": [asdict(suspect) | {"message": str(suspect)} for suspect in self.suspects],
             "notes": list(self.notes),
+            "strains": self.strains.tolist(),
         }
 
 
@@ -152,28 +153,56 @@ def checked_map(
     if len(misplaced) > MOST_SUSPECTS * count or typical_misfit(target, source, np.arange(count)) > UNRELATED:
         misplaced, notes = misplaced[:0], (CONTRADICTION,)
 
-    def solve(left_out: Collection[int]) -> PointMap:
-        return elastic_map(prepared, pair.without(left_out), progress)
+    def solve(out: Collection[int]) -> PointMap:
+        return elastic_map(prepared, pair.without(out), progress)
 
-    evidence = {int(i): DISTANCES for i in misplaced}
-    current = solve(evidence)
-    confirmed = [i for i in evidence if miss(pair, current, i)[0] < CONFIRMED]
+    left_out = {int(i) for i in misplaced}
+    if left_out:
+        progress("costs with and without suspects")
+        costs = coarse_map_cost(prepared, pair), coarse_map_cost(prepared, pair.without(left_out))
+        if costs[0] < SLIP * costs[1]:
+            left_out, notes = set(), (kept_note([names[i] for i in sorted(left_out)]),)
+    current = solve(left_out)
+    confirmed = {i for i in left_out if miss(pair, current, i)[0] < CONFIRMED}
     if confirmed:
-        evidence = {i: how for i, how in evidence.items() if i not in confirmed}
-        current = solve(evidence)
-    for _ in range(MOST_STRAINED):
-        progress("landmark strain")
-        kept = np.setdiff1d(np.arange(count), list(evidence))
-        strained = strained_pair(*strain(pair.without(evidence), prepared.graphs[0], current))
-        suspect = None if strained is None else int(kept[strained])
-        if suspect is None or typical_misfit(target, source, kept[kept != suspect]) > DISSIMILAR:
-            break
-        trial = solve([*evidence, suspect])
-        if miss(pair, trial, suspect)[0] < CONFIRMED:
-            break
-        evidence[suspect], current = STRAIN, trial
-    suspects = tuple(_suspect(pair, current, names, i, evidence[i]) for i in sorted(evidence))
-    return current, LandmarkCheck(suspects, notes + orientation_notes(pair.without(evidence), prepared.graphs))
+        left_out -= confirmed
+        current = solve(left_out)
+    progress("landmark strain")
+    kept = np.setdiff1d(np.arange(count), list(left_out))
+    energy, places = strain(pair.without(left_out), prepared.graphs[0], current)
+    strains = np.zeros(count)
+    strains[kept] = np.linalg.norm(energy.released(places, np.arange(len(kept))), axis=1)
+    strained = strained_pair(energy, places)
+    if strained is not None and typical_misfit(target, source, np.delete(kept, strained)) <= DISSIMILAR:
+        notes += (strain_note(names[kept[strained]], float(strains[kept[strained]])),)
+    suspects = tuple(_suspect(pair, current, names, i, DISTANCES) for i in sorted(left_out))
+    notes += orientation_notes(pair.without(left_out), prepared.graphs)
+    return current, LandmarkCheck(suspects, notes, strains)
+
+
+def coarse_map_cost(prepared: PreparedPair, pair: Pair) -> float:
+    """Cost of the best coarse fit that meets a pair's landmarks: what they ask of the whole shape, without the mesh."""
+    places, shape = pair.landmarks.source.positions, prepared.coarse(pair.target_landmarks)
+    match = start_map(prepared, pair, shape.vertices, shape.rest.graph.areas)
+    starts = prepared.on_source.positions[match], None
+    return min(coarse_fit(shape, prepared.sheet, start, places, prepared.elastic).cost for start in starts)
+
+
+def kept_note(names: Sequence[str]) -> str:
+    """A sentence about pairs that distances accuse and the map does not."""
+    listed = ", ".join(f"'{name}'" for name in names)
+    return (
+        f"the distances of {listed} to the other landmarks differ between the surfaces more than those of the others; "
+        "the map is hardly better without, so all were kept"
+    )
+
+
+def strain_note(name: str, distance: float) -> str:
+    """A sentence about a pair that strains the map."""
+    return (
+        f"landmark '{name}' strains the map around it, and only there: let go, it would move by about "
+        f"{100 * distance:.0f} % of the model's size. It was kept; if it was a slip, correct it"
+    )
 
 
 def checked_changes(

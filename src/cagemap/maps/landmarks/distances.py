@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from cagemap.maps.elastic.graph import ElasticGraph, cluster_graph
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import parts
 
 # Vertices of the graphs that distances are measured on; their spacing, 0.026 of sqrt(area), bounds what can be told.
 GRAPH_VERTICES = 1500
@@ -30,6 +31,10 @@ GAIN_OF_TYPICAL = 2.2
 LEAST_EXCHANGE_GAIN = 0.1
 # Shorter corrections are left to the check of the finished map (`cagemap.maps.landmarks.strain`).
 LEAST_DISTANCE = 0.25
+# If distances accuse a larger share of the pairs, it is not known which are right, and no more are sought.
+MOST_SUSPECTS = 1 / 3
+# Terms of sums over triples of landmarks that are held at a time.
+MOST_TERMS = 4_000_000
 # Fewer pairs cannot outvote one of them.
 FEWEST_JUDGED = 6
 
@@ -134,7 +139,7 @@ def misplaced_pairs(target: LandmarkDistances, source: LandmarkDistances) -> Ind
     while len(trusted) > FEWEST_JUDGED and (exchanged := exchanged_pairs(target, source, trusted)) is not None:
         wrong.extend(exchanged)
         trusted = np.setdiff1d(trusted, exchanged)
-    while len(trusted) >= FEWEST_JUDGED:
+    while len(trusted) >= FEWEST_JUDGED and len(wrong) <= MOST_SUSPECTS * len(target.to_nodes):
         placed = place_by_distances(target, source, trusted)
         gain = np.where(placed.distance >= LEAST_DISTANCE, placed.misfit - placed.least, 0.0)
         worst = int(np.argmax(gain))
@@ -158,19 +163,30 @@ def exchanged_pairs(
     near = target.between[square] + SHORT
     wanted, found = np.log(near), np.log(source.between[square] + SHORT)
     different = ~np.eye(len(trusted), dtype=bool)
-    shift = float(np.median((wanted - found)[different]))
+    wanted = wanted - float(np.median((wanted - found)[different]))
     weights = np.where(different, 1.0 / near, 0.0)
-    ratios = np.abs(wanted[:, None] - shift - found[None])
-    terms = weights[:, None] * np.minimum(ratios, LARGEST)  # of landmark i at the vertex of j, by the landmark asked
-    total = terms.sum(axis=2)
+    # Landmark i at the vertex of j: asked about all others, about j itself, and about the own vertex.
+    total = _misfits(wanted, found, weights)
+    at_own = weights * np.minimum(np.abs(wanted - found), LARGEST)
+    at_other = weights * np.minimum(np.abs(wanted - found.diagonal()), LARGEST)
     rest = weights.sum(axis=1)[:, None] - weights
-    own = (total.diagonal()[:, None] - np.einsum("iij->ij", terms)) / rest
-    other = (total - np.einsum("ijj->ij", terms)) / rest
+    own = (total.diagonal()[:, None] - at_own) / rest
+    other = (total - at_other) / rest
     gain = np.where(different, own + own.T - other - other.T, -np.inf)
     first, second = np.unravel_index(np.argmax(gain), gain.shape)
     if gain[first, second] < max(LEAST_EXCHANGE_GAIN, typical_misfit(target, source, trusted)):
         return None
     return int(trusted[first]), int(trusted[second])
+
+
+def _misfits(wanted: FloatArray, found: FloatArray, weights: FloatArray) -> FloatArray:
+    """(p, p) ``sum_k w_ik min(|wanted_ik - found_jk|, LARGEST)`` for landmarks i at the vertices of j."""
+    p = len(wanted)
+    total = np.empty((p, p))
+    for rows in parts(p, max(1, MOST_TERMS // max(p * p, 1))):
+        ratios = np.abs(wanted[rows, None] - found[None])
+        total[rows] = np.einsum("ik,ijk->ij", weights[rows], np.minimum(ratios, LARGEST))
+    return total
 
 
 def orientation_agreement(target: tuple[FloatArray, FloatArray], source: tuple[FloatArray, FloatArray]) -> float:
@@ -184,14 +200,19 @@ def orientation_agreement(target: tuple[FloatArray, FloatArray], source: tuple[F
     target, source : pair of (p, 3) arrays
         Positions and unit normals of the landmarks.
     """
+    agreed = counted = 0.0
+    for i in range(len(target[0])):
+        votes = _turns(i, *target) * _turns(i, *source)
+        agreed += float(votes.sum())
+        counted += float(np.abs(votes).sum())
+    return agreed / max(counted, 1e-12)
 
-    def turns(positions: FloatArray, normals: FloatArray) -> FloatArray:
-        offsets = positions[None] - positions[:, None]
-        units = offsets / np.maximum(np.linalg.norm(offsets, axis=2, keepdims=True), 1e-12)
-        return np.einsum("id,ijkd->ijk", normals, np.cross(units[:, :, None], units[:, None]))
 
-    votes = turns(*target) * turns(*source)
-    return float(votes.sum() / max(np.abs(votes).sum(), 1e-12))
+def _turns(i: int, positions: FloatArray, normals: FloatArray) -> FloatArray:
+    """(p, p) ``n_i . (e_ij x e_ik)`` for one landmark i."""
+    offsets = positions - positions[i]
+    units = offsets / np.maximum(np.linalg.norm(offsets, axis=1, keepdims=True), 1e-12)
+    return np.asarray(np.cross(normals[i], units) @ units.T)
 
 
 def _pairs(trusted: IndexArray) -> tuple[IndexArray, IndexArray]:

@@ -1,0 +1,132 @@
+"""Landmarks anywhere on a mesh, kept per mesh and by name, in the forms of other programs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cagemap.errors import FormatError, InvalidLandmarksError
+from cagemap.files.landmark_points import read_points, write_points
+from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, check_landmarks, on_cage, paired
+from cagemap.mesh.measures import fan_triangles
+from cagemap.mesh.shapes import creature, cube
+
+NOWHERE = (np.nan,) * 3
+
+
+def some_points() -> NamedPoints:
+    return NamedPoints(("tip & end", "side"), np.array([4, -1]), np.array([NOWHERE, (0.5, 0.25, -1.0)]), "cube.obj")
+
+
+@pytest.mark.parametrize("name", ["points.json", "points.pp"])
+def test_what_is_written_reads_back(tmp_path: Path, name: str) -> None:
+    points = some_points()
+    write_points(tmp_path / name, points, cube())
+    found = read_points(tmp_path / name)
+    assert found.names == points.names
+    ours, theirs = on_cage(points, cube()), on_cage(found, cube())
+    np.testing.assert_allclose(ours.of(cube().positions), theirs.of(cube().positions), atol=1e-12)
+    np.testing.assert_array_equal(theirs.vertices, [4, -1])
+
+
+def test_other_programs_forms(tmp_path: Path) -> None:
+    place = [1.0, 2.0, 3.0]
+    slicer = {"markups": [{"coordinateSystem": "RAS", "controlPoints": [{"label": "nose", "position": [-1, -2, 3]}]}]}
+    forms = {
+        "a.mrk.json": json.dumps(slicer),
+        "b.mrk.json": json.dumps(slicer).replace("RAS", "LPS").replace("[-1, -2, 3]", "[1, 2, 3]"),
+        "c.fcsv": "# Markups fiducial file version = 4.10\n# CoordinateSystem = 0\nvtk0,-1,-2,3,0,0,0,1,1,1,0,nose,,\n",
+        "d.fcsv": "# CoordinateSystem = LPS\nvtk0,1,2,3,0,0,0,1,1,1,0,nose,,\n",
+        "e.csv": "name,x,y,z\nnose,1,2,3\n",
+        "f.csv": "nose,1,2,3\n",
+        "g.pp": '<!DOCTYPE PickedPoints>\n<PickedPoints><point x="1" y="2" z="3" name="nose" active="1"/>'
+        '<point x="9" y="9" z="9" name="off" active="0"/></PickedPoints>',
+    }
+    for name, text in forms.items():
+        (tmp_path / name).write_text(text)
+        found = read_points(tmp_path / name)
+        assert found.names == ("nose",), name
+        np.testing.assert_allclose(found.positions, [place], err_msg=name)
+    (tmp_path / "v.csv").write_text("name,vertex\nnose,7\n")
+    assert read_points(tmp_path / "v.csv").vertices.tolist() == [7]
+
+
+def test_wrap_s_points_are_triangles_of_the_mesh(tmp_path: Path) -> None:
+    (tmp_path / "wrap.json").write_text("[[3, 0.25, 0.5], [0, 0, 0]]")
+    mesh = cube()
+    found = read_points(tmp_path / "wrap.json", mesh)
+    a, b, c = mesh.positions[fan_triangles(mesh)[0][3]]
+    np.testing.assert_allclose(found.positions[0], 0.25 * a + 0.25 * b + 0.5 * c)
+    (tmp_path / "far.json").write_text("[[99, 0, 0]]")
+    with pytest.raises(FormatError, match="triangle from 0 to 11"):
+        read_points(tmp_path / "far.json", mesh)
+    with pytest.raises(FormatError, match="the mesh beside"):
+        read_points(tmp_path / "wrap.json")
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.json", "{"),
+        ("a.json", "{}"),
+        ("a.json", '{"points": [{"name": "x"}]}'),
+        ("a.json", '{"points": [{"name": "x", "position": [1, 2]}]}'),
+        ("a.csv", "name,x,y,z\nnose,1,2,nan\n"),
+        ("a.pp", "<PickedPoints><point"),
+        ("a.pp", '<!DOCTYPE p [<!ENTITY a "b">]><PickedPoints/>'),
+        ("a.pp", '<PickedPoints><point x="1" y="2"/></PickedPoints>'),
+    ],
+)
+def test_what_is_broken_is_refused_by_name(tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(FormatError, match=name):
+        read_points(tmp_path / name)
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.lists(st.integers(0, 11), min_size=1, max_size=5), st.integers(0, 2**32 - 1))
+def test_places_on_the_mesh_are_found_where_they_are(triangles: list[int], seed: int) -> None:
+    mesh = cube()
+    weights = np.random.default_rng(seed).dirichlet([1, 1, 1], len(triangles))
+    places = np.einsum("qk,qkd->qd", weights, mesh.positions[fan_triangles(mesh)[0][triangles]])
+    names = tuple(map(str, range(len(triangles))))
+    found = on_cage(NamedPoints(names, np.full(len(triangles), -1), places), mesh)
+    np.testing.assert_allclose(found.of(mesh.positions), places, atol=1e-9)
+    np.testing.assert_allclose(found.weights.sum(axis=1), 1.0)
+
+
+def test_points_of_two_meshes_are_matched_by_name() -> None:
+    target = NamedPoints(("a", "only here", "b"), np.array([1, 2, 3]), np.full((3, 3), np.nan))
+    source = NamedPoints(("b", "a", "only there"), np.array([5, 6, 7]), np.full((3, 3), np.nan))
+    landmarks, notes = paired(target, source, cube(), creature())
+    assert landmarks.names == ("a", "b")
+    assert (landmarks.target.tolist(), landmarks.source.tolist()) == ([1, 3], [6, 5])
+    assert len(notes) == 2
+    assert "only here" in notes[0]
+    assert "only there" in notes[1]
+
+
+def test_points_far_away_and_wrong_vertices_are_refused() -> None:
+    with pytest.raises(InvalidLandmarksError, match=r"on or near cube.*x \("):
+        on_cage(NamedPoints(("x",), np.array([-1]), np.full((1, 3), 50.0)), cube())
+    with pytest.raises(InvalidLandmarksError, match=r"0 to 7.*x \(8\)"):
+        on_cage(NamedPoints(("x",), np.array([8]), np.full((1, 3), np.nan)), cube())
+
+
+def test_landmarks_keep_their_points_through_reversal_and_selection() -> None:
+    between = CagePoints(np.array([[0, 1, 2], [3, 3, 3]]), np.array([[0.5, 0.25, 0.25], [1.0, 0, 0]]))
+    corners = CagePoints.of_vertices(np.array([4, 5]))
+    landmarks = Landmarks.of_points(("p", "q"), between, corners, "t", "s")
+    assert landmarks.target.tolist() == [-1, 3]
+    check_landmarks(landmarks, cube(), cube())
+    back = landmarks.reversed()
+    assert back.source_points is between
+    assert landmarks.without([1]).target_points.weights.tolist() == [[0.5, 0.25, 0.25]]
+    wrong = Landmarks(("p",), np.array([-1]), np.array([0]))
+    with pytest.raises(InvalidLandmarksError, match="target vertices from 0 to 7"):
+        check_landmarks(wrong, cube(), cube())

@@ -1,0 +1,85 @@
+"""Checks that ask all triples of landmarks, against their plain definitions, and with hundreds of landmarks."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import numpy as np
+
+from cagemap.maps.landmarks.distances import (
+    LARGEST,
+    LEAST_EXCHANGE_GAIN,
+    SHORT,
+    LandmarkDistances,
+    exchanged_pairs,
+    misplaced_pairs,
+    orientation_agreement,
+    typical_misfit,
+)
+
+
+def distances_of(points: np.ndarray, others: np.ndarray) -> LandmarkDistances:
+    """Straight-line distances from points to themselves and to others."""
+    nodes = np.vstack([points, others])
+    return LandmarkDistances(np.linalg.norm(points[:, None] - nodes[None], axis=2), np.arange(len(nodes)))
+
+
+def plain_exchange(target: LandmarkDistances, source: LandmarkDistances) -> tuple[int, int] | None:
+    """The pair with the largest gain, summed term by term."""
+    p = len(target.to_nodes)
+    wanted, found = np.log(target.between + SHORT), np.log(source.between + SHORT)
+    off = ~np.eye(p, dtype=bool)
+    shift = np.median((wanted - found)[off])
+
+    def misfit(i: int, at: int, unasked: int) -> float:
+        asked = [k for k in range(p) if k not in (i, unasked)]
+        weights = 1.0 / (target.between[i, asked] + SHORT)
+        return float(weights @ np.minimum(np.abs(wanted[i, asked] - shift - found[at, asked]), LARGEST) / weights.sum())
+
+    best = max(
+        (misfit(i, i, j) + misfit(j, j, i) - misfit(i, j, j) - misfit(j, i, i), i, j)
+        for i in range(p) for j in range(i + 1, p)
+    )  # fmt: skip
+    enough = max(LEAST_EXCHANGE_GAIN, typical_misfit(target, source, np.arange(p)))
+    return (best[1], best[2]) if best[0] >= enough else None
+
+
+def test_exchanges_are_those_of_the_sum_over_triples() -> None:
+    rng = np.random.default_rng(3)
+    for exchanged in (None, (1, 5), (0, 8)):
+        points = rng.random((9, 3))
+        moved = points + 0.02 * rng.standard_normal(points.shape)
+        if exchanged:
+            moved[list(exchanged)] = moved[list(exchanged)[::-1]]
+        others = rng.random((30, 3))
+        target, source = distances_of(points, others), distances_of(moved, others)
+        found = exchanged_pairs(target, source, np.arange(9))
+        assert found == plain_exchange(target, source)
+        assert found == exchanged
+
+
+def test_orientation_is_that_of_all_triples() -> None:
+    rng = np.random.default_rng(4)
+    sides = [(rng.random((7, 3)), rng.standard_normal((7, 3))) for _ in range(2)]
+    votes = []
+    for positions, normals in sides:
+        turns = np.zeros((7, 7, 7))
+        for i, j, k in np.ndindex(7, 7, 7):
+            if i not in (j, k):
+                first, second = (positions[n] - positions[i] for n in (j, k))
+                unit = np.cross(first / np.linalg.norm(first), second / np.linalg.norm(second))
+                turns[i, j, k] = normals[i] @ unit
+        votes.append(turns)
+    product = votes[0] * votes[1]
+    np.testing.assert_allclose(orientation_agreement(*sides), product.sum() / np.abs(product).sum(), rtol=1e-10)
+
+
+def test_hundreds_of_landmarks_need_little_memory() -> None:
+    points = np.random.default_rng(5).random((400, 3))
+    distances = distances_of(points, points[:100])
+    tracemalloc.start()
+    assert len(misplaced_pairs(distances, distances)) == 0
+    assert orientation_agreement((points, points), (points, points)) > 0.99
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 400**3 * 8 / 2  # less than half of one array of all triples
