@@ -12,7 +12,7 @@ from cagemap.geometry.triangles import normalized, triangle_normals
 from cagemap.maps.elastic import counterparts as agreement
 from cagemap.maps.elastic.config import ElasticConfig, Stage
 from cagemap.maps.elastic.counterparts import ReceivedArea, round_trip_weights
-from cagemap.maps.elastic.fit import run_stage
+from cagemap.maps.elastic.fit import Anchors, run_stage
 from cagemap.maps.elastic.graph import ElasticGraph, mesh_graph
 from cagemap.maps.elastic.prepared import RestShape
 from cagemap.maps.projection.project import facing_points
@@ -71,7 +71,7 @@ def test_a_pocket_that_the_source_lacks_drags_nothing_along(
             RestShape.build(pocketed, pocket, stage.smoothing),
             mesh,
             pocketed.positions,
-            landmarks,
+            Anchors.at_vertices(landmarks),
             smooth.positions[landmarks],
             stage,
             ElasticConfig(),

@@ -21,11 +21,13 @@ from cagemap.cli.match import MatchRequest, basis_config, match_config, read_inp
 from cagemap.cli.progress import Stages
 from cagemap.example import ExamplePair, example_pair
 from cagemap.files.images import read_image, write_image
-from cagemap.files.landmarks import write_landmarks
+from cagemap.files.landmark_points import write_points
+from cagemap.files.landmarks import read_landmarks, write_landmarks
 from cagemap.files.meshes import read_mesh, write_mesh
 from cagemap.files.result import file_hash, read_result, write_result
 from cagemap.files.surface_store import prepared
 from cagemap.mesh import cube, icosahedron
+from cagemap.mesh.landmarks import NamedPoints
 from cagemap.pipeline import MAP_BASIS, MatchConfig, prepare_surface, prepare_surfaces
 from cagemap.report import write_report
 
@@ -346,6 +348,24 @@ def test_a_match_without_landmarks_says_how_sure_it_is(run: Run, pair_files: Pat
     assert said["message"] in outcome.err
     assert len(result.runner_up_images) == len(said["readings"]) - 1
     assert run("report", "R").code == 0
+
+
+def test_landmarks_come_from_one_file_for_each_mesh(run: Run, pair_files: Path) -> None:
+    landmarks = read_landmarks(pair_files / "landmarks.json", "deer.obj", "pony.obj")[0]
+    for side, vertices in (("deer", landmarks.target), ("pony", landmarks.source)):
+        mesh = read_mesh(pair_files / f"{side}.obj")
+        names = (*landmarks.names, f"only {side}")
+        points = NamedPoints(names, np.append(vertices, 0), np.full((len(names), 3), np.nan))
+        write_points(pair_files / f"{side}.pp", points, mesh)
+    files = ["--target-points", "deer.pp", "--source-points", "pony.pp"]
+    outcome = run("match", *MATCH[:4], *files, "--level", 1, "-k", 20, "-o", "R")
+    assert outcome.code == 0, outcome.err
+    assert "only deer" in outcome.err
+    found = read_result(pair_files / "R")
+    assert found.landmark_names == landmarks.names
+    np.testing.assert_array_equal(found.target.landmarks, landmarks.target)
+    assert run("match", *MATCH, *files, "-o", "S").code == 2
+    assert run("match", *MATCH[:4], *files[:2], "-o", "S").code == 2
 
 
 def test_match_from_files_to_a_result(run: Run, pair_files: Path) -> None:

@@ -16,7 +16,7 @@ from cagemap.geometry.triangles import normalized, triangle_normals, vertex_norm
 from cagemap.maps.elastic.config import ElasticConfig, Stage
 from cagemap.maps.elastic.counterparts import round_trip_weights
 from cagemap.maps.elastic.data import Pullers, curved_points, pull_by_source
-from cagemap.maps.elastic.fit import coarse_fit, fine_fit, run_stage
+from cagemap.maps.elastic.fit import Anchors, coarse_fit, fine_fit, run_stage
 from cagemap.maps.elastic.graph import (
     FLAT,
     LEAST_STRETCH,
@@ -311,7 +311,7 @@ def test_momentum_gets_as_far_in_half_the_iterations(shape: tuple[Refinement, fl
         start = graph.positions + slide
         held = graph.positions[landmarks]
         rest = RestShape.build(graph, sheet, stage.smoothing)
-        found = run_stage(rest, sheet, start, landmarks, held, stage, ElasticConfig())
+        found = run_stage(rest, sheet, start, Anchors.at_vertices(landmarks), held, stage, ElasticConfig())
         return float(np.linalg.norm(found - graph.positions, axis=1).mean())
 
     assert error(8, 0.8) < error(16, 0.0) < np.linalg.norm(slide, axis=1).mean()
@@ -326,7 +326,9 @@ def test_patience_ends_as_soon_as_nothing_folds(shape: tuple[Refinement, float])
     def found(patience: int) -> np.ndarray:
         stage = Stage(3, (1e-3, 1e-4), 3e-4, patience=patience)
         rest = RestShape.build(graph, sheet, stage.smoothing)
-        return run_stage(rest, sheet, start, landmarks, graph.positions[landmarks], stage, ElasticConfig())
+        return run_stage(
+            rest, sheet, start, Anchors.at_vertices(landmarks), graph.positions[landmarks], stage, ElasticConfig()
+        )
 
     np.testing.assert_array_equal(found(5), found(0))
     np.testing.assert_array_equal(Stage(3, (1e-3, 1e-4), 3e-4, patience=2).ramped()[3:], 1e-4)

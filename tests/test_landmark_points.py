@@ -10,8 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cagemap import match, prepare_surface, update_match
 from cagemap.errors import FormatError, InvalidLandmarksError
 from cagemap.files.landmark_points import read_points, write_points
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, check_landmarks, on_cage, paired
 from cagemap.mesh.measures import fan_triangles
 from cagemap.mesh.shapes import creature, cube
@@ -130,3 +132,41 @@ def test_landmarks_keep_their_points_through_reversal_and_selection() -> None:
     wrong = Landmarks(("p",), np.array([-1]), np.array([0]))
     with pytest.raises(InvalidLandmarksError, match="target vertices from 0 to 7"):
         check_landmarks(wrong, cube(), cube())
+
+
+def bent(control: ControlMesh) -> ControlMesh:
+    x, y, z = (control.positions / np.ptp(control.positions)).T
+    return control.with_positions(np.column_stack([x * (1 + 0.3 * z), y + 0.2 * z**2, z * (1 + 0.2 * y)]))
+
+
+def test_the_map_meets_landmarks_between_vertices() -> None:
+    cage = creature()
+    target, source = prepare_surface(cage, 2), prepare_surface(bent(cage), 2)
+    triangles = fan_triangles(cage)[0]
+    chosen = np.linspace(0, len(triangles) - 1, 10).astype(int)
+    weights = np.random.default_rng(8).dirichlet([2, 2, 2], len(chosen))
+    points = CagePoints(triangles[chosen], weights)
+    names = tuple(map(str, chosen))
+    between = match(target, source, Landmarks.of_points(names, points, points, "t", "s"))
+    assert between.suspects == ()
+    # What is left is how far triangles lie inside the curved surface, h^2 / 8 R.
+    assert between.quality.landmark_errors.max() < 2e-4
+    assert between.quality.flipped_area < 5e-3
+    # Every vertex keeps its meaning, so the map of true points leads to where it is itself.
+    errors = np.linalg.norm(between.point_map.images.positions - between.point_map.source.positions, axis=1)
+    assert errors.mean() < 0.01
+    moved = CagePoints(triangles[chosen], weights[:, [1, 0, 2]])
+    updated = update_match(between, Landmarks.of_points(names, points, moved, "t", "s"))
+    assert updated.quality.landmark_errors.max() < 2e-4
+
+
+def test_vertices_given_as_points_are_vertices() -> None:
+    cage = creature()
+    target, source = prepare_surface(cage, 1), prepare_surface(bent(cage), 1)
+    vertices = np.arange(0, cage.n_vertices, 9)
+    names = tuple(map(str, vertices))
+    given = Landmarks(names, vertices, vertices)
+    corners = np.column_stack([np.roll(vertices, 1), vertices, np.roll(vertices, 2)])
+    points = CagePoints(corners, np.tile([0.0, 1.0, 0.0], (len(vertices), 1)))
+    maps = [match(target, source, one).point_map for one in (given, Landmarks.of_points(names, points, points, "", ""))]
+    np.testing.assert_array_equal(maps[0].images.positions, maps[1].images.positions)

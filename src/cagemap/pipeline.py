@@ -17,7 +17,7 @@ from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.confidence import Confidence
 from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS, hypothesis_map, map_of_reading
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect, checked_changes, checked_map
-from cagemap.maps.pair import Pair, PointPairs, Progress, SymmetryPair
+from cagemap.maps.pair import Pair, PointPairs, Progress, SymmetryPair, point_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import COVERAGE_SAMPLES, QualityFigures, measure_quality
 from cagemap.maps.spectral.constraints import paired_mirrors
@@ -386,11 +386,11 @@ def update_match(
     with one_blas_thread():
         with _timed(timings, "map"):
             if config.check_landmarks:
-                every = Pair.of_vertices(target, source, landmarks.target, landmarks.source)
+                every = Pair(target, source, point_pairs(target, source, landmarks))
                 changed = landmarks.new_since(before.landmarks)
                 check = checked_changes(prepared, every, landmarks.names, changed, check, before.point_map)
             trusted = check.trusted(landmarks)
-            pair = Pair.of_vertices(target, source, trusted.target, trusted.source)
+            pair = Pair(target, source, point_pairs(target, source, trusted))
             point_map = updated_map(prepared, pair, before.point_map, progress)
         return _judged(prepared, point_map, landmarks, check, timings, progress)
 
@@ -431,7 +431,7 @@ def other_answer(
 
 def pair_of(target: Surface, source: Surface, landmarks: Landmarks, config: MatchConfig = MatchConfig()) -> Pair:
     """Two surfaces with their landmarks, and with the symmetries that are given or found (paper, 5.2)."""
-    pair = Pair.of_vertices(target, source, landmarks.target, landmarks.source, config.symmetries)
+    pair = Pair(target, source, point_pairs(target, source, landmarks), config.symmetries)
     if not config.use_symmetry or config.symmetries:
         return pair
     symmetries = paired_mirrors(pair)
@@ -468,7 +468,7 @@ def _judged(
 ) -> MatchResult:
     """The result of an elastic match: its quality and, at the same time, its functional map."""
     target, source, trusted = prepared.target, prepared.source, check.trusted(landmarks)
-    points = Pair.of_vertices(target, source, trusted.target, trusted.source).landmarks
+    points = point_pairs(target, source, trusted)
     progress("functional map of the fit, quality")
     with _timed(timings, "quality"), ThreadPool(1) as aside:
         functional_map = aside.submit(functional_map_of, target, source, point_map)

@@ -277,6 +277,18 @@ def match(
         bool,
         typer.Option("--trust-landmarks", help="Meet every landmark; otherwise pairs that look wrong are left out."),
     ] = False,
+    target_points: Annotated[
+        Path | None,
+        typer.Option(
+            "--target-points",
+            help="Instead of --landmarks: named points of the target (.json, .pp, .mrk.json, .fcsv, .csv, Wrap's).",
+            show_default=False,
+        ),
+    ] = None,
+    source_points: Annotated[
+        Path | None,
+        typer.Option("--source-points", help="The source's points; equal names are landmarks.", show_default=False),
+    ] = None,
     scheme: SchemeOption = None,
     boundary: BoundaryOption = None,
     uv_interpolation: UvOption = None,
@@ -339,6 +351,8 @@ def match(
         source_symmetry=tuple(source_symmetry or ()),
         exchange_landmarks=exchange_landmarks,
         trust_landmarks=trust_landmarks,
+        target_points=target_points,
+        source_points=source_points,
         scheme=scheme,
         boundary=boundary,
         uv_interpolation=uv_interpolation,

@@ -21,6 +21,7 @@ from cagemap.cli.progress import Stages
 from cagemap.cli.subdivision import SubdivisionRequest
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import require_no_input
+from cagemap.files.landmark_points import read_points
 from cagemap.files.landmarks import read_landmarks
 from cagemap.files.merged import merge_results
 from cagemap.files.meshes import read_mesh
@@ -39,7 +40,7 @@ from cagemap.files.result import (
 from cagemap.files.surface_store import prepared
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
-from cagemap.mesh.landmarks import Landmarks, check_landmarks
+from cagemap.mesh.landmarks import Landmarks, check_landmarks, paired
 from cagemap.pipeline import (
     MAP_BASIS,
     MatchConfig,
@@ -84,6 +85,8 @@ class MatchRequest:
     source_symmetry: tuple[Path, ...] = ()
     exchange_landmarks: bool = False
     trust_landmarks: bool = False
+    target_points: Path | None = None
+    source_points: Path | None = None
     scheme: str | None = None
     boundary: str | None = None
     uv_interpolation: str | None = None
@@ -125,8 +128,12 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     started = time.perf_counter()
     stages("read")
     files = {"target": request.target, "source": request.source}
-    if request.landmarks is not None:
-        files["landmarks"] = request.landmarks
+    given = {
+        "landmarks": request.landmarks,
+        "target_points": request.target_points,
+        "source_points": request.source_points,
+    }
+    files.update({name: path for name, path in given.items() if path is not None})
     for side, symmetries in (("target", request.target_symmetry), ("source", request.source_symmetry)):
         files.update({f"{side}_symmetry_{i}": path for i, path in enumerate(symmetries)})
     check_result_folder(request.output, force=request.force)
@@ -243,13 +250,7 @@ def read_inputs(request: MatchRequest) -> Inputs:
     target, source = (
         subdivision.applied(replace(read_mesh(path), name=path.name)) for path in (request.target, request.source)
     )
-    landmarks: Landmarks = Landmarks.none()
-    notes: tuple[str, ...] = ()
-    if request.landmarks is not None and request.exchange_landmarks:
-        exchanged, notes = read_landmarks(request.landmarks, request.source, request.target)
-        landmarks = exchanged.reversed()
-    elif request.landmarks is not None:
-        landmarks, notes = read_landmarks(request.landmarks, request.target, request.source)
+    landmarks, notes = read_given_landmarks(request, target, source)
     names = request.target_part or request.part, request.source_part or request.part
     if names == (None, None):
         require_valid(target)
@@ -284,6 +285,26 @@ def match_inputs(
     stages("merge parts")
     faces = [[len(side.control.face_sizes) for side in (one.target, one.source)] for one in results]
     return merge_results(results, {"parts": [{"target_faces": t, "source_faces": s} for t, s in faces]})
+
+
+def read_given_landmarks(
+    request: MatchRequest, target: ControlMesh, source: ControlMesh
+) -> tuple[Landmarks, tuple[str, ...]]:
+    """Landmarks of a pair file, or of a file for each mesh, or none; and notes."""
+    points = request.target_points, request.source_points
+    if points[0] is not None and points[1] is not None and request.landmarks is None:
+        return paired(read_points(points[0], target), read_points(points[1], source), target, source)
+    if points != (None, None):
+        raise ParameterError(
+            "--target-points and --source-points: expected both, and no --landmarks beside them; landmarks are pairs "
+            "of points of the same name, or come from one file of pairs."
+        )
+    if request.landmarks is None:
+        return Landmarks.none(), ()
+    if request.exchange_landmarks:
+        exchanged, notes = read_landmarks(request.landmarks, request.source, request.target)
+        return exchanged.reversed(), notes
+    return read_landmarks(request.landmarks, request.target, request.source)
 
 
 def match_meshes(

@@ -34,7 +34,7 @@ class Side:
     eigenvalues : (k,) float64
         Of the unit-area surface.
     landmarks : (p,) int64
-        Control vertices, in the order of the other side's.
+        Control vertices, in the order of the other side's; the nearest where a landmark lies between them.
     """
 
     control: ControlMesh
@@ -123,9 +123,12 @@ def result_of(match: MatchResult, manifest: dict[str, Any] | None = None) -> Res
             vertices=surface.refinement.finest.positions,
             faces=np.asarray(surface.refinement.finest.faces),
             eigenvalues=surface.basis.eigenvalues,
-            landmarks=landmarks,
+            landmarks=landmarks.nearest_vertices,
         )
-        for surface, landmarks in ((match.target, match.landmarks.target), (match.source, match.landmarks.source))
+        for surface, landmarks in (
+            (match.target, match.landmarks.target_points),
+            (match.source, match.landmarks.source_points),
+        )
     ]
     return Result(
         target=sides[0],

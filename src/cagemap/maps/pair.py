@@ -6,12 +6,19 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from cagemap.basis import Surface
 from cagemap.errors import ParameterError
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
+from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.numerics.arrays import IndexArray
+
+# Vertices of the level from which on points between vertices are given near ones.
+NEAR_VERTICES = 3000
+# Length, of sqrt(area), that opposite normals count when a landmark is put on the surface: thin parts have two sides.
+LANDMARK_NORMAL_WEIGHT = 0.01
 
 Progress = Callable[[str], None]
 LevelPair = tuple[int, int]
@@ -53,16 +60,6 @@ class PointPairs:
 
     def __len__(self) -> int:
         return len(self.target)
-
-    @property
-    def target_vertices(self) -> IndexArray:
-        """(p,) the target's points as vertices, for methods that know no other points."""
-        return as_vertices(self.target)
-
-    @property
-    def source_vertices(self) -> IndexArray:
-        """(p,) the source's points as vertices, for methods that know no other points."""
-        return as_vertices(self.source)
 
     def only(self, kept: Sequence[int] | IndexArray) -> PointPairs:
         """The pairs at some places."""
@@ -107,30 +104,75 @@ class Pair:
 
     @property
     def target_landmarks(self) -> IndexArray:
-        """(p,) landmarks of the target as vertices."""
-        return self.landmarks.target_vertices
+        """(p,) vertices of the target nearest to the landmarks, see `near_vertices`."""
+        return near_vertices(self.landmarks.target, self.target)
 
     @property
     def source_landmarks(self) -> IndexArray:
-        """(p,) landmarks of the source as vertices."""
-        return self.landmarks.source_vertices
+        """(p,) vertices of the source nearest to the landmarks, see `near_vertices`."""
+        return near_vertices(self.landmarks.source, self.source)
 
     def without(self, left_out: Collection[int]) -> Pair:
         """The same surfaces without some of the landmarks."""
         return replace(self, landmarks=self.landmarks.without(left_out))
 
 
-def as_vertices(points: SurfacePoints) -> IndexArray:
-    """(m,) vertices that points lie on.
+def near_vertices(points: SurfacePoints, surface: Surface) -> IndexArray:
+    """(m,) different vertices that points of the finest surface lie on or near: for steps that know no other points.
+
+    Points between vertices get a free vertex of a level that basis and search have in common, coarse enough to be one
+    of theirs and fine enough to be near.
 
     Raises
     ------
     ParameterError
-        If a point is not a vertex.
+        If there are more points than vertices.
     """
+    vertices = vertices_at(points)
+    if ((vertices >= 0) & (vertices < surface.control.n_vertices)).all():
+        return vertices
+    level = surface.triangles(min(surface.basis.last_level, surface.refinement.coarsest_level(NEAR_VERTICES)))
+    between = np.flatnonzero((vertices < 0) | (vertices >= level.n))
+    tree = cKDTree(level.positions)
+    count = min(len(points) + 1, tree.n)
+    _, nearest = tree.query(points.positions[between], k=count)
+    taken = set(vertices.tolist())
+    for place, near in zip(between, np.asarray(nearest).reshape(len(between), count), strict=True):
+        free = next((int(vertex) for vertex in near if int(vertex) not in taken), None)
+        if free is None:
+            raise ParameterError(
+                f"expected at most {tree.n} landmarks on a level of as many vertices, got {len(points)}"
+            )
+        vertices[place] = free
+        taken.add(free)
+    return vertices
+
+
+def vertices_at(points: SurfacePoints) -> IndexArray:
+    """(m,) vertices that points lie on, -1 for points between them."""
     corner = points.barycentric.argmax(axis=1)
     rows = np.arange(len(points))
-    between = np.flatnonzero(points.barycentric[rows, corner] != 1.0)
-    if len(between):
-        raise ParameterError(f"expected landmarks at vertices, got points between them at places {between[:5]}")
-    return np.asarray(points.corners[rows, corner])
+    return np.where(points.barycentric[rows, corner] == 1.0, points.corners[rows, corner], -1).astype(np.int64)
+
+
+def point_pairs(target: Surface, source: Surface, landmarks: Landmarks) -> PointPairs:
+    """Landmarks of control meshes as points of the finest surfaces."""
+    return PointPairs(located(target, landmarks.target_points), located(source, landmarks.source_points))
+
+
+def located(surface: Surface, points: CagePoints) -> SurfacePoints:
+    """Points of a control mesh on the finest surface.
+
+    Control vertices are vertices of all levels. A point between them lies near the same mean of their places, where
+    the surface faces the same way.
+    """
+    finest = surface.triangles(surface.finest)
+    vertices = points.vertices
+    found = SurfacePoints.from_vertices(finest, np.where(vertices >= 0, vertices, points.corners[:, 0]))
+    between = np.flatnonzero(vertices < 0)
+    if not len(between):
+        return found
+    some, count = points.at(between), surface.control.n_vertices
+    places, normals = some.of(finest.positions[:count]), some.of(finest.vertex_normals[:count])
+    near = SurfacePoints.nearest(finest, places, normals, normal_weight=LANDMARK_NORMAL_WEIGHT)
+    return found.replaced(between, near)

@@ -154,8 +154,15 @@ def covered_share(
 
 
 def landmark_errors(point_map: PointMap, landmarks: PointPairs) -> FloatArray:
-    """(p,) distances between where the landmarks map and where they belong, of sqrt(source area)."""
-    images = landmarks.target.interpolate(point_map.images.positions)
+    """(p,) distances between where the landmarks map and where they belong, of sqrt(source area).
+
+    A landmark between vertices maps to the source's point nearest to the mean of its triangle's images, which lies
+    inside the curved surface.
+    """
+    if not len(landmarks):
+        return np.zeros(0)
+    means = landmarks.target.interpolate(point_map.images.positions)
+    images = SurfacePoints.nearest(point_map.source, means, guess=landmarks.source.triangle).positions
     return np.linalg.norm(images - landmarks.source.positions, axis=1)
 
 

@@ -23,7 +23,7 @@ AT_VERTEX = 1.0 - 1e-6
 FAR = 0.1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class NamedPoints:
     """Points of one mesh as people keep them.
 
@@ -44,7 +44,7 @@ class NamedPoints:
     mesh_name: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CagePoints:
     """Points of a control mesh.
 
@@ -73,6 +73,20 @@ class CagePoints:
         rows = np.arange(len(heaviest))
         at_vertex = self.weights[rows, heaviest] >= AT_VERTEX
         return np.where(at_vertex, self.corners[rows, heaviest], -1).astype(np.int64)
+
+    @property
+    def keys(self) -> list[bytes]:
+        """Equal points, equal keys."""
+        vertices = self.vertices
+        return [
+            vertex.tobytes() if vertex >= 0 else corners.tobytes() + weights.tobytes()
+            for vertex, corners, weights in zip(vertices, self.corners, self.weights, strict=True)
+        ]
+
+    @property
+    def nearest_vertices(self) -> IndexArray:
+        """(q,) the vertex of largest weight."""
+        return np.take_along_axis(self.corners, self.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
 
     def of(self, values: FloatArray) -> FloatArray:
         """(q, d) values (n_0, d) of the control vertices at the points."""
@@ -142,10 +156,14 @@ class Landmarks:
         )
 
     def new_since(self, before: Landmarks) -> IndexArray:
-        """Places of the pairs that were not there before, or joined other vertices."""
-        known = set(zip(before.target.tolist(), before.source.tolist(), strict=True))
-        now = zip(self.target.tolist(), self.source.tolist(), strict=True)
-        return np.array([i for i, pair in enumerate(now) if pair not in known], dtype=np.int64)
+        """Places of the pairs that were not there before, or joined other points."""
+        known = set(before.places)
+        return np.array([i for i, pair in enumerate(self.places) if pair not in known], dtype=np.int64)
+
+    @property
+    def places(self) -> list[tuple[bytes, bytes]]:
+        """What tells pairs apart: the points that each joins, whatever its name."""
+        return list(zip(self.target_points.keys, self.source_points.keys, strict=True))
 
     def without(self, left_out: Collection[int]) -> Landmarks:
         """Return the pairs whose places are not among those given."""

@@ -22,10 +22,58 @@ from cagemap.maps.elastic.constants import COST_STIFFNESS, LANDMARK_ITERATIONS, 
 from cagemap.maps.elastic.data import Pullers, deformed_normals, pull_by_source, pull_to_source
 from cagemap.maps.elastic.graph import ElasticGraph, extrapolate
 from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair, RestShape
-from cagemap.maps.pair import PointPairs
+from cagemap.maps.pair import PointPairs, vertices_at
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import factor
 from cagemap.numerics.threads import ThreadPool
+
+
+@dataclass(frozen=True, eq=False)
+class Anchors:
+    """Points of a graph that are held: vertices, or points of its mesh's triangles.
+
+    Attributes
+    ----------
+    corners : (p, 3) int64
+    weights : (p, 3) float64
+        Rows sum to 1.
+    """
+
+    corners: IndexArray
+    weights: FloatArray
+
+    @classmethod
+    def at_vertices(cls, vertices: IndexArray) -> Anchors:
+        """Vertices (p,) as points."""
+        return cls(np.repeat(vertices[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (len(vertices), 1)))
+
+    @classmethod
+    def on_mesh(cls, mesh: TriangleSurface, points: SurfacePoints) -> Anchors:
+        """Points of the finest surface as points of a coarser level's mesh; vertices of both stay vertices."""
+        vertices = vertices_at(points)
+        anchors = cls.at_vertices(vertices)
+        between = np.flatnonzero((vertices < 0) | (vertices >= mesh.n))
+        if len(between):
+            near = SurfacePoints.nearest(mesh, points.positions[between], points.normals[between], normal_weight=0.01)
+            anchors.corners[between], anchors.weights[between] = near.corners, near.barycentric
+        return anchors
+
+    def hold(
+        self, blocks: FloatArray, right: FloatArray, positions: FloatArray, places: FloatArray, weight: float
+    ) -> None:
+        """Put the term ``weight |sum_k b_k x_k - y|^2`` of every point into a data term (n, 3, 3), (n, 3).
+
+        A vertex has no other term. Between vertices the residual r = y - sum_k b_k x_k is asked of each corner with
+        weight b_k, as in `cagemap.maps.elastic.data.pull_by_source`: an upper bound, equal at the current positions.
+        """
+        at_vertex = self.weights[:, 0] == 1.0
+        held = self.corners[at_vertex, 0]
+        blocks[held] = weight * np.eye(3)
+        right[held] = weight * places[at_vertex]
+        corners, shares = self.corners[~at_vertex], weight * self.weights[~at_vertex]
+        moved = places[~at_vertex] - np.einsum("pk,pkd->pd", self.weights[~at_vertex], positions[corners])
+        np.add.at(blocks, corners, shares[:, :, None, None] * np.eye(3))
+        np.add.at(right, corners, shares[:, :, None] * (positions[corners] + moved[:, None]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +123,8 @@ def coarse_fit(
         raise ParameterError(f"start: expected {expected} positions, one for each coarse vertex, got {start.shape}")
     held = np.arange(len(landmark_positions))
     first = landmark_start(rest, held, landmark_positions, config) if start is None else start
-    positions = run_stage(rest, sheet, first, held, landmark_positions, config.coarse, config)
+    anchors = Anchors.at_vertices(held)
+    positions = run_stage(rest, sheet, first, anchors, landmark_positions, config.coarse, config)
     maps, _ = rest.differentials(positions)
     return CoarseFit(coarse_cost(rest.graph, sheet, positions, maps, config), positions, maps)
 
@@ -92,7 +141,6 @@ def fine_fit(
     coarse : sequence of CoarseFit
         From different starts.
     landmarks : PointPairs
-        The target's are vertices.
 
     Returns
     -------
@@ -102,7 +150,8 @@ def fine_fit(
     best = min(coarse, key=lambda ended: ended.cost)
     start = extrapolate(shape.rest.graph, best.positions, best.maps, prepared.rest.graph)
     places, elastic = landmarks.source.positions, prepared.elastic
-    return run_stage(prepared.rest, prepared.sheet, start, landmarks.target_vertices, places, elastic.fine, elastic)
+    held = Anchors.on_mesh(prepared.mesh, landmarks.target)
+    return run_stage(prepared.rest, prepared.sheet, start, held, places, elastic.fine, elastic)
 
 
 def landmark_start(
@@ -152,7 +201,7 @@ def run_stage(
     rest: RestShape,
     sheet: TriangleSurface,
     start: FloatArray,
-    landmarks: IndexArray,
+    landmarks: Anchors,
     landmark_positions: FloatArray,
     stage: Stage,
     config: ElasticConfig,
@@ -187,8 +236,7 @@ def run_stage(
                 blocks, right, guess_back = pull.blocks + back.blocks, pull.right + back.right, back.triangles
                 # Only the residual asks for them here: beside the factorisation, which keeps to one core.
                 differentials = aside.submit(rest.differentials, positions)
-            blocks[landmarks] = config.landmark_weight * np.eye(3)
-            right[landmarks] = config.landmark_weight * landmark_positions
+            landmarks.hold(blocks, right, positions, landmark_positions, config.landmark_weight)
             # Single precision: what a step misses, the next one finds in its residual, which is in double.
             matrix = field.system.at(alpha, blocks)
             factors = factor(matrix, like=field.factors, dtype=np.float32)

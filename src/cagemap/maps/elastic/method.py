@@ -11,7 +11,7 @@ from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.elastic.update import respond
 from cagemap.maps.pair import Pair, Progress
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.projection.project import project, unfold
+from cagemap.maps.projection.project import held_vertices, project, unfold
 from cagemap.maps.spectral.constraints import gather_constraints
 from cagemap.maps.spectral.hierarchical import Growth, grown_map
 from cagemap.maps.spectral.landmark_coordinates import landmark_coordinates
@@ -37,7 +37,7 @@ def elastic_map(prepared: PreparedPair, pair: Pair, progress: Progress = lambda 
     """
     fitted = fit(prepared, pair, progress)
     progress("projection")
-    return unfold(project(prepared, fitted, pair.landmarks), pair.target_landmarks, prepared.elastic)
+    return unfold(project(prepared, fitted, pair.landmarks), held_vertices(pair.landmarks), prepared.elastic)
 
 
 def fit(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: None) -> FloatArray:
@@ -81,7 +81,7 @@ def updated_map(
     progress("elastic response")
     moved = respond(prepared, before, pair.landmarks)
     progress("projection")
-    return unfold(project(prepared, moved, pair.landmarks), pair.target_landmarks, prepared.elastic)
+    return unfold(project(prepared, moved, pair.landmarks), held_vertices(pair.landmarks), prepared.elastic)
 
 
 def start_map(prepared: PreparedPair, pair: Pair, vertices: IndexArray, areas: FloatArray) -> IndexArray:

@@ -14,7 +14,7 @@ from cagemap.geometry.triangles import vertex_normals
 from cagemap.maps.elastic.config import ElasticConfig
 from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph, cluster_graph, extrapolate
 from cagemap.maps.elastic.prepared import PreparedPair
-from cagemap.maps.pair import PointPairs
+from cagemap.maps.pair import PointPairs, near_vertices
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
@@ -64,17 +64,17 @@ def respond(prepared: PreparedPair, before: PointMap, landmarks: PointPairs) -> 
     before : PointMap
         Of the finest levels.
     landmarks : PointPairs
-        As they are now; the target's are vertices.
+        As they are now.
 
     Returns
     -------
     (n, 3) float64
         Positions near the source of the target's vertices of the level that is deformed; project them for a map.
     """
-    graph, mesh, held = prepared.rest.graph, prepared.mesh, landmarks.target_vertices
+    graph, mesh, held = prepared.rest.graph, prepared.mesh, near_vertices(landmarks.target, prepared.target)
     coarse, vertices = cluster_graph(graph, min(prepared.elastic.coarse_vertices, graph.n), held)
     positions = before.images.at(slice(0, graph.n)).positions
     normals = vertex_normals(positions, mesh.triangles)[vertices]
-    offsets = landmarks.source.positions - positions[held]
+    offsets = landmarks.source.positions - landmarks.target.interpolate(before.images.positions)
     response = landmark_response(coarse, normals, np.arange(len(held)), offsets, prepared.elastic)
     return positions + extrapolate(coarse, *response, graph)

@@ -38,7 +38,7 @@ class Reading:
     doubt: float = 1.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Confidence:
     """What is known of an answer that no landmark decides.
 

@@ -7,7 +7,7 @@ from cagemap.maps.hypotheses.confidence import Confidence, Reading
 from cagemap.maps.hypotheses.search import HypothesesConfig, found_readings
 from cagemap.maps.pair import Pair, Progress
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.projection.project import project, unfold
+from cagemap.maps.projection.project import held_vertices, project, unfold
 
 # With fewer landmarks, they only help to choose among hypotheses; from here on they start a map of their own.
 FEWEST_LANDMARKS = 3
@@ -46,4 +46,4 @@ def map_of_reading(prepared: PreparedPair, pair: Pair, reading: Reading) -> Poin
     reading : Reading
     """
     found = project(prepared, reading.positions, pair.landmarks)
-    return unfold(found, pair.target_landmarks, prepared.elastic)
+    return unfold(found, held_vertices(pair.landmarks), prepared.elastic)

@@ -90,7 +90,7 @@ class LandmarkSuspect:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LandmarkCheck:
     """What is known about the landmarks of a map.
 
@@ -114,11 +114,8 @@ class LandmarkCheck:
 
     def still(self, before: Landmarks, now: Landmarks) -> LandmarkCheck:
         """What is left of the check of some landmarks for others: suspects that are still there as they were."""
-        places = {pair: i for i, pair in enumerate(zip(now.target.tolist(), now.source.tolist(), strict=True))}
-        found = [
-            (suspect, places.get((int(before.target[suspect.pair]), suspect.source_vertex)))
-            for suspect in self.suspects
-        ]
+        places = {pair: i for i, pair in enumerate(now.places)}
+        found = [(suspect, places.get(before.places[suspect.pair])) for suspect in self.suspects]
         kept = tuple(replace(suspect, pair=place) for suspect, place in found if place is not None)
         return LandmarkCheck(kept, self.notes)
 

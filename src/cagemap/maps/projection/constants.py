@@ -34,3 +34,7 @@ LARGEST = 0.5
 LEAST_UNFOLDED = 0.5
 # Steps in which landmarks move to their places.
 STEPS = 50
+# A landmark is met when it is missed by less, of sqrt(area); a few steps do, the surface is nearly flat there.
+MET, MEETING_STEPS = 1e-7, 12
+# Normal weight of the projections that keep to one side of a thin part.
+FACING = 0.002

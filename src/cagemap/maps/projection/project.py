@@ -10,9 +10,9 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import vertex_normals
 from cagemap.maps.elastic.config import ElasticConfig
 from cagemap.maps.elastic.prepared import PreparedPair
-from cagemap.maps.pair import PointPairs
+from cagemap.maps.pair import PointPairs, vertices_at
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.projection.constants import LEAST_COSINE
+from cagemap.maps.projection.constants import FACING, LEAST_COSINE, MEETING_STEPS, MET
 from cagemap.maps.projection.lay_out import lay_out_parts
 from cagemap.maps.projection.relax import relax_folds
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -28,7 +28,7 @@ def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -
     fitted : (n, 3) float64
         Places near the source of the target's vertices of the level that is deformed.
     landmarks : PointPairs
-        Met exactly; the target's are vertices.
+        Met exactly, see `meet`.
 
     Returns
     -------
@@ -39,7 +39,42 @@ def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -
     positions = refined_positions(prepared.target.refinement, prepared.levels[0], fitted)
     normals = vertex_normals(positions, target.triangles)
     found = facing_points(prepared.on_source, positions, normals, prepared.elastic.projection_normal_weights)
-    return PointMap(target, found.replaced(landmarks.target_vertices, landmarks.source))
+    return PointMap(target, meet(found, landmarks))
+
+
+def meet(images: SurfacePoints, landmarks: PointPairs) -> SurfacePoints:
+    """Images of all target vertices that meet landmarks.
+
+    A vertex goes where its landmark belongs. Around a landmark between vertices the triangle's corners move along with
+    what the landmark misses, and are projected again, until nothing is missed.
+    """
+    vertices = vertices_at(landmarks.target)
+    at_vertex, between = np.flatnonzero(vertices >= 0), np.flatnonzero(vertices < 0)
+    images = images.replaced(vertices[at_vertex], landmarks.source.at(at_vertex))
+    if not len(between):
+        return images
+    inside, aims = landmarks.target.at(between), landmarks.source.at(between)
+    free = np.unique(np.setdiff1d(inside.corners, vertices[at_vertex]))
+    gather = inside.matrix()[:, free].T
+    for _ in range(MEETING_STEPS):
+        means = inside.interpolate(images.positions)
+        missed = aims.positions - SurfacePoints.nearest(images.surface, means, guess=aims.triangle).positions
+        if np.linalg.norm(missed, axis=1).max() < MET:
+            break
+        # Every corner moves as the mean, by weight, of the landmarks in its triangles.
+        moved = (gather @ missed) / np.maximum(np.asarray(gather.sum(axis=1)).reshape(-1, 1), 1e-12)
+        at = images.at(free)
+        near = SurfacePoints.nearest(
+            images.surface, at.positions + moved, at.normals, normal_weight=FACING, guess=at.triangle
+        )
+        images = images.replaced(free, near)
+    return images
+
+
+def held_vertices(landmarks: PointPairs) -> IndexArray:
+    """Target vertices whose images landmarks decide: their own, and the corners of triangles that they lie in."""
+    vertices = vertices_at(landmarks.target)
+    return np.unique(np.concatenate([vertices[vertices >= 0], landmarks.target.corners[vertices < 0].ravel()]))
 
 
 def unfold(point_map: PointMap, held: IndexArray, config: ElasticConfig = ElasticConfig()) -> PointMap:

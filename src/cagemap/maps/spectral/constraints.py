@@ -91,10 +91,10 @@ def paired_mirrors(pair: Pair) -> tuple[SymmetryPair, ...]:
     A plane takes landmark i near landmark j on either side, or it is another plane. Where each side has one plane only
     and no landmarks tell, these two belong together.
     """
-    sides = [(pair.target.control, pair.target_landmarks), (pair.source.control, pair.source_landmarks)]
+    sides = [(pair.target.control, pair.landmarks.target), (pair.source.control, pair.landmarks.source)]
     partners = []
     for control, landmarks in sides:
-        places = control.positions[landmarks]
+        places = landmarks.positions / landmarks.surface.scale
         partners.append([(mirror, _partners(mirror, places)) for mirror in mirror_symmetries(control)])
     found: list[SymmetryPair] = []
     taken: set[int] = set()
