@@ -1,0 +1,130 @@
+"""From a control mesh to a prepared surface: refined, with its operators and its basis (paper, sections 2.2 and 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import islice
+
+from cagemap.basis.construction import hierarchical_basis
+from cagemap.basis.schedule import BasisConfig
+from cagemap.basis.surface import Surface
+from cagemap.errors import ParameterError
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.checks import require_valid
+from cagemap.numerics.threads import in_threads, one_blas_thread
+from cagemap.operators import build_operators
+from cagemap.refinement import Scheme, refine
+from cagemap.refinement.counts import vertex_counts
+
+Progress = Callable[[str], None]
+
+# What the elastic method reads of a basis (`HierarchyConfig.searched_functions`); `default_basis` knows the others.
+MAP_BASIS = BasisConfig(count=150)
+# A level counts as having the vertices asked for from this share on; the next one has four times as many.
+ENOUGH = 0.75
+MOST_LEVELS = 12
+
+
+def silent(stage: str) -> None:
+    """Report no progress."""
+
+
+def choose_level(control: ControlMesh, vertices: int, scheme: Scheme | None = None) -> int:
+    """Coarsest level of at least 1 with about this many vertices or more (three quarters count as enough).
+
+    Parameters
+    ----------
+    control : ControlMesh
+    vertices : int
+    scheme : Scheme, optional
+        Default: as in `prepare_surface`.
+
+    Raises
+    ------
+    ParameterError
+        If the number of vertices is out of range.
+    """
+    if not 1 <= vertices <= 20_000_000:
+        raise ParameterError(f"vertices: expected a number from 1 to 20 000 000, got {vertices}")
+    counts = islice(vertex_counts(control, scheme), 1, MOST_LEVELS)
+    return next((level for level, n in enumerate(counts, 1) if n >= ENOUGH * vertices), MOST_LEVELS)
+
+
+def default_basis(method: str) -> BasisConfig:
+    """The basis that a method reads all of: 150 functions for "elastic", 300 for the paper's."""
+    return MAP_BASIS if method == "elastic" else BasisConfig()
+
+
+def prepare_surface(
+    control: ControlMesh,
+    level: int,
+    config: BasisConfig = MAP_BASIS,
+    *,
+    scheme: Scheme | None = None,
+    progress: Progress = silent,
+) -> Surface:
+    """Refine a control mesh and compute its operators and its hierarchical basis (paper, sections 2.2 and 4).
+
+    Parameters
+    ----------
+    control : ControlMesh
+    level : int
+        Number of the finest level, at least 1.
+    config : BasisConfig
+    scheme : Scheme, optional
+        Default: Loop for triangle meshes, Catmull-Clark for all others.
+    progress : callable
+        Called with the name of each stage.
+
+    Raises
+    ------
+    InvalidMeshError
+        If the control mesh is not an oriented connected manifold; the message lists the offending elements.
+    ParameterError
+        If the level or the number of basis functions is out of range.
+    """
+    if not 1 <= level <= MOST_LEVELS:
+        raise ParameterError(f"level: expected 1 to {MOST_LEVELS}, got {level}; level 0 is the control mesh")
+    require_valid(control)
+    with one_blas_thread():
+        progress(f"refine {control.name}")
+        refinement = refine(control, level, scheme)
+        progress(f"operators of {control.name}")
+        operators = build_operators(refinement)
+        progress(f"basis of {control.name}")
+        return Surface(refinement, operators, hierarchical_basis(refinement, operators, config))
+
+
+def prepare_surfaces(
+    target: ControlMesh,
+    source: ControlMesh,
+    levels: tuple[int, int],
+    config: BasisConfig | tuple[BasisConfig, BasisConfig] = MAP_BASIS,
+    *,
+    prepare: Callable[..., Surface] = prepare_surface,
+    progress: Progress = silent,
+) -> tuple[Surface, Surface]:
+    """Prepare both surfaces at the same time, each in a thread of its own.
+
+    Parameters
+    ----------
+    target, source : ControlMesh
+    levels : (int, int)
+        Finest level of each.
+    config : BasisConfig or two
+        Of both, or of each.
+    prepare : callable
+        What makes one surface from a control mesh, a level and a configuration.
+    progress : callable
+        Called once: the stages of two surfaces would mix.
+
+    Raises
+    ------
+    InvalidMeshError, ParameterError
+        See `prepare_surface`.
+    """
+    configs = config if isinstance(config, tuple) else (config, config)
+    progress(f"prepare {target.name} and {source.name}")
+    with one_blas_thread():  # before the threads start: the setting is the process's
+        made = in_threads(lambda side: prepare(*side), list(zip((target, source), levels, configs, strict=True)))
+    return made[0], made[1]
