@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from cagemap.files.images import write_image
 from cagemap.files.meshes import write_mesh
 from cagemap.mesh.shapes import cube
 from cagemap.refinement import refine
-from cagemap.studio.bench import Bench, ChooseAnswer, Dress, FindMap, Found, OpenModels, perform
+from cagemap.studio.bench import Bench, ChooseAnswer, Dress, FindMap, Found, Opening, OpenModels, perform
 from cagemap.studio.glb import Primitive, glb
 from cagemap.studio.landmarks import Landmark, Place
 from cagemap.studio.scene import Scene, carried_place, mirrored, next_place
@@ -102,7 +103,7 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> tuple[Bench, OpenModels]
     write_mesh(folder / "a.obj", mesh.with_positions(mesh.positions * [1.0, 1.2, 1.4]))
     write_mesh(folder / "b.obj", mesh.with_positions(mesh.positions * [1.0, 1.2, 1.4] + [5.0, 0.0, 0.0]))
     write_image(folder / "t.png", np.full((8, 8, 3), [255, 0, 0], dtype=np.uint8))
-    task = OpenModels(folder / "a.obj", folder / "b.obj", folder / "t.png", 300, View())
+    task = OpenModels(Opening(folder / "a.obj", folder / "b.obj", folder / "t.png", 300), View())
     bench, _ = perform(Bench(), task, lambda _: None)
     return bench, task
 
@@ -114,13 +115,13 @@ def landmarks(bench: Bench, *vertices: int) -> tuple[Landmark, ...]:
 
 
 def test_the_bench_maps_and_follows_landmarks(opened: tuple[Bench, OpenModels]) -> None:
-    bench, _ = opened
-    bench, first = perform(bench, FindMap(landmarks(bench, *range(8)), View()), lambda _: None)
+    bench, task = opened
+    bench, first = perform(bench, FindMap(task.opening, landmarks(bench, *range(8)), View()), lambda _: None)
     assert isinstance(first, Found)
-    bench, second = perform(bench, FindMap(landmarks(bench, *range(7)), View()), lambda _: None)
+    bench, second = perform(bench, FindMap(task.opening, landmarks(bench, *range(7)), View()), lambda _: None)
     assert isinstance(second, Found)
     assert set(second.strain) == {f"v{v}" for v in range(7)}
-    _, dressed = perform(bench, Dress(View("checker")), lambda _: None)
+    _, dressed = perform(bench, Dress(task.opening, View("checker")), lambda _: None)
     assert dressed.skins[0] != second.skin
     # The models are translates of each other: the map carries a point to the same point, five units to the right.
     models = bench.models
@@ -142,23 +143,23 @@ def test_the_bench_maps_and_follows_landmarks(opened: tuple[Bench, OpenModels]) 
 
 
 def test_without_landmarks_the_bench_has_answers_to_choose_from(opened: tuple[Bench, OpenModels]) -> None:
-    bench, _ = opened
-    with pytest.raises(ParameterError, match="before"):
-        perform(bench, ChooseAnswer(0, View()), lambda _: None)
-    bench, first = perform(bench, FindMap((), View()), lambda _: None)
+    bench, task = opened
+    with pytest.raises(ParameterError, match="answer 99"):
+        perform(bench, ChooseAnswer(task.opening, (), 99, View()), lambda _: None)
+    bench, first = perform(bench, FindMap(task.opening, (), View()), lambda _: None)
     assert isinstance(first, Found)
     # A box on a box: each half turn is an answer.
     assert len(first.answers) > 1
     assert first.confidence
-    bench, second = perform(bench, ChooseAnswer(1, View()), lambda _: None)
+    bench, second = perform(bench, ChooseAnswer(task.opening, (), 1, View()), lambda _: None)
     assert isinstance(second, Found)
     assert second.chosen == 1
     assert not np.array_equal(first.images.triangle, second.images.triangle)
     # One landmark moves that answer, and taking it away gives it back.
-    bench, third = perform(bench, FindMap(landmarks(bench, 0)[:1], View()), lambda _: None)
+    bench, third = perform(bench, FindMap(task.opening, landmarks(bench, 0)[:1], View()), lambda _: None)
     assert isinstance(third, Found)
     assert set(third.strain) == {"v0"}
-    bench, fourth = perform(bench, FindMap((), View()), lambda _: None)
+    bench, fourth = perform(bench, FindMap(task.opening, (), View()), lambda _: None)
     assert isinstance(fourth, Found)
     np.testing.assert_array_equal(fourth.images.triangle, second.images.triangle)
 
@@ -196,7 +197,7 @@ def test_a_failing_task_is_a_named_failure_and_the_worker_lives_on(opened: tuple
     _, task = opened
     stages: list[str] = []
     worker = Worker(stages.append)
-    missing = worker.run(OpenModels(Path("/nowhere/a.obj"), task.source, None, 300, View()))
+    missing = worker.run(OpenModels(replace(task.opening, target=Path("/nowhere/a.obj")), View()))
     assert isinstance(missing, Failure)
     assert missing.kind == "FormatError"
     assert "a.obj" in missing.message
@@ -211,7 +212,7 @@ def test_a_failing_task_is_a_named_failure_and_the_worker_lives_on(opened: tuple
 
 
 def test_three_places_are_too_few_to_name_a_vertex_twice(opened: tuple[Bench, OpenModels]) -> None:
-    bench, _ = opened
+    bench, task = opened
     same = tuple(Landmark(k, f"{k}", Place((0.0, 0.0, 0.0)), Place((5.0, 0.0, 0.0))) for k in (1, 2, 3))
     with pytest.raises(ValueError, match="one pair only"):
-        perform(bench, FindMap(same, View()), lambda _: None)
+        perform(bench, FindMap(task.opening, same, View()), lambda _: None)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.descriptors import mirror_symmetries
-from cagemap.errors import CagemapError, InvalidLandmarksError, ParameterError
+from cagemap.errors import CagemapError, ParameterError
 from cagemap.files.images import Image, Pixels, read_texture, write_image
 from cagemap.files.meshes import read_mesh
 from cagemap.maps.elastic.prepared import PreparedPair
@@ -44,13 +44,28 @@ TEXTURE_SIZE = 1024
 
 
 @dataclass(frozen=True)
-class OpenModels:
-    """Read both models and show them."""
+class Opening:
+    """Which models a task is about; a bench that has others, or was killed, opens them first.
+
+    Attributes
+    ----------
+    target, source : Path
+    texture : Path or None
+    vertices : int
+        Of each previewed surface, about.
+    """
 
     target: Path
     source: Path
     texture: Path | None
     vertices: int
+
+
+@dataclass(frozen=True)
+class OpenModels:
+    """Read both models and show them."""
+
+    opening: Opening
     view: View
 
 
@@ -58,6 +73,7 @@ class OpenModels:
 class FindMap:
     """Map target to source; from the map before where there is one and ``fresh`` is not asked for."""
 
+    opening: Opening
     landmarks: tuple[Landmark, ...]
     view: View
     fresh: bool = False
@@ -67,6 +83,8 @@ class FindMap:
 class ChooseAnswer:
     """Go on from another of the landmark-free answers."""
 
+    opening: Opening
+    landmarks: tuple[Landmark, ...]
     index: int
     view: View
 
@@ -75,6 +93,7 @@ class ChooseAnswer:
 class Dress:
     """Show the models in another way."""
 
+    opening: Opening
     view: View
 
 
@@ -120,7 +139,6 @@ class Opened:
     source: Shape
     mirrors: tuple[IndexArray | None, IndexArray | None]
     skins: tuple[bytes, bytes]
-    has_texture: bool
 
 
 @dataclass(frozen=True)
@@ -171,6 +189,7 @@ class Bench:
 
     Attributes
     ----------
+    opening : Opening or None
     models : Models or None
     prepared : PreparedPair or None
         All that no landmark changes.
@@ -182,6 +201,7 @@ class Bench:
         The map that is shown.
     """
 
+    opening: Opening | None = None
     models: Models | None = None
     prepared: PreparedPair | None = None
     free: MatchResult | None = None
@@ -197,10 +217,14 @@ def perform(bench: Bench, task: Task, progress: Progress) -> tuple[Bench, Answer
     CagemapError
         Whatever is wrong with files or landmarks.
     """
+    if isinstance(task, OpenModels) or bench.opening != task.opening:
+        bench = Bench(task.opening, open_models(task.opening, progress))
     match task:
         case OpenModels():
-            models, opened = open_models(task, progress)
-            return Bench(models), opened
+            models = _opened(bench)
+            target, source = models.target, models.source
+            mirrors = (target.mirror, source.mirror)
+            return bench, Opened(target.shape, source.shape, mirrors, _skins(bench, task.view))
         case FindMap():
             return find_map(bench, task, progress)
         case ChooseAnswer():
@@ -209,31 +233,22 @@ def perform(bench: Bench, task: Task, progress: Progress) -> tuple[Bench, Answer
             return bench, Dressed(_skins(bench, task.view))
 
 
-def open_models(task: OpenModels, progress: Progress) -> tuple[Models, Opened]:
+def open_models(opening: Opening, progress: Progress) -> Models:
     """Read, check and refine both models."""
     progress("reading the models")
-    target, source = (_model(path, task.vertices) for path in (task.target, task.source))
-    if task.texture is not None:
+    target, source = (_model(path, opening.vertices) for path in (opening.target, opening.source))
+    if opening.texture is not None:
         progress("reading the texture")
-        pixels, encoded = read_look(task.texture)
+        pixels, encoded = read_look(opening.texture)
         source = replace(source, look=replace(source.look, texture=pixels, encoded=encoded))
-    models = Models(target, source)
-    skins = _skins(Bench(models), task.view)
-    mirrors = (target.mirror, source.mirror)
-    return models, Opened(target.shape, source.shape, mirrors, skins, task.texture is not None)
+    return Models(target, source)
 
 
 def find_map(bench: Bench, task: FindMap, progress: Progress) -> tuple[Bench, Found]:
     """Map the models with the landmarks there are."""
-    models = _opened(bench)
     started = time.perf_counter()
-    prepared = bench.prepared
-    if prepared is None:
-        levels = (models.target.level, models.source.level)
-        surfaces = prepare_surfaces(models.target.control, models.source.control, levels, progress=progress)
-        prepared = prepare_pair(*surfaces)
-    landmarks = control_landmarks(models, task.landmarks)
-    bench = replace(bench, prepared=prepared)
+    bench, prepared = _prepared(bench, progress)
+    landmarks = control_landmarks(_opened(bench), task.landmarks)
     if not len(landmarks):
         free = bench.free or match_pair(prepared, progress=progress)
         bench = replace(bench, free=free, result=other_answer(free, bench.chosen) if bench.chosen else free)
@@ -253,14 +268,24 @@ def choose_answer(bench: Bench, task: ChooseAnswer, progress: Progress) -> tuple
         If there is no such answer.
     """
     started = time.perf_counter()
-    free, before = bench.free, bench.result
-    if free is None or before is None:
-        raise ParameterError("answers: expected a map without landmarks before, there is none")
+    bench, prepared = _prepared(bench, progress)
+    free = bench.free or match_pair(prepared, progress=progress)
     result = other_answer(free, task.index, progress=progress)
-    if len(before.landmarks):
-        result = update_match(result, before.landmarks, progress=progress)
-    after = replace(bench, chosen=task.index, result=result)
+    landmarks = control_landmarks(_opened(bench), task.landmarks)
+    if len(landmarks):
+        result = update_match(result, landmarks, progress=progress)
+    after = replace(bench, free=free, chosen=task.index, result=result)
     return after, _found(after, task.view, started)
+
+
+def _prepared(bench: Bench, progress: Progress) -> tuple[Bench, PreparedPair]:
+    """The bench with its pair prepared, and the pair."""
+    if bench.prepared is not None:
+        return bench, bench.prepared
+    target, source = _opened(bench).target, _opened(bench).source
+    surfaces = prepare_surfaces(target.control, source.control, (target.level, source.level), progress=progress)
+    prepared = prepare_pair(*surfaces)
+    return replace(bench, prepared=prepared), prepared
 
 
 def control_landmarks(models: Models, items: tuple[Landmark, ...]) -> Landmarks:
@@ -310,7 +335,7 @@ def _model(path: Path, vertices: int) -> Model:
 
 def _opened(bench: Bench) -> Models:
     if bench.models is None:
-        raise InvalidLandmarksError("expected two models, none are open; open them first")
+        raise ParameterError("expected two models, none are open; open them first")
     return bench.models
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import logging
 import threading
 from collections.abc import Callable, Iterator
@@ -11,30 +10,22 @@ from dataclasses import replace
 from pathlib import Path
 
 from cagemap.errors import CagemapError, ParameterError
-from cagemap.files.atomic import atomic_path
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
-from cagemap.studio.bench import ChooseAnswer, Dress, Dressed, FindMap, Found, Opened, OpenModels, Task
+from cagemap.studio.bench import Dressed, Found, Opened, Task
 from cagemap.studio.finish import Command, FinishOptions, Runner, commands
 from cagemap.studio.landmark_files import load_landmarks, save_landmarks
-from cagemap.studio.landmarks import History, LandmarkList, Place, Side
+from cagemap.studio.landmarks import History, Landmark, LandmarkList, Place, Side
+from cagemap.studio.preview import Preview
 from cagemap.studio.scene import Scene, carried_place, mirrored, next_place, probed
 from cagemap.studio.shape import pick, place_of
 from cagemap.studio.state import Files, Job, MapState, Output, Studio, View, with_message
-from cagemap.studio.worker import STOPPED, Failure, Worker
-from cagemap.studio.workspace import ADDED, Workspace, autosave_path, read_autosave, write_autosave
+from cagemap.studio.worker import STOPPED, Failure
+from cagemap.studio.workspace import Workspace, autosave_path, read_autosave, write_autosave
 
 log = logging.getLogger(__name__)
 
 Listener = Callable[[Studio, Scene | None], None]
-
-
-_TITLES = {
-    OpenModels: "opening the models",
-    FindMap: "finding the map",
-    ChooseAnswer: "finding the map",
-    Dress: "drawing",
-}
 
 
 class Session:
@@ -49,22 +40,13 @@ class Session:
 
     def __init__(self, workspace: Workspace, vertices: int) -> None:
         self.workspace = workspace
-        self._vertices = vertices
         self._lock = threading.RLock()
-        self._wake = threading.Condition(self._lock)
         self._state = Studio()
         self._scene: Scene | None = None
         self._listeners: list[Listener] = []
-        self._opening: OpenModels | None = None
-        self._finding: bool | None = None  # None: nothing to find; True: from the start
-        self._dressing = False
-        self._choosing: int | None = None
-        self._cancelled = self._reopened = False
-        self._closed = False
+        self._cancelled = False
         self._runner = Runner()
-        self._worker = Worker(self._on_stage)
-        self._worker.start()
-        threading.Thread(target=self._compute, name="studio preview", daemon=True).start()
+        self._preview = Preview(vertices, self._wanted, lambda job: self._change(preview_job=job), self._receive)
 
     # What pages read
 
@@ -97,10 +79,7 @@ class Session:
                 self._change(
                     files=files, history=History(), selected=None, map=MapState(), probe=None, outputs=(), saved=True
                 )
-                self._reopened = False
-                self._opening = OpenModels(files.target, files.source, files.texture, self._vertices, self._state.view)
-                self._finding = None
-                self._wake.notify()
+                self._preview.open(files)
 
     def save(self, path: Path | None = None) -> None:
         """Write the landmarks that both models have."""
@@ -129,13 +108,8 @@ class Session:
     def add_file(self, name: str, content: bytes) -> bool:
         """Put a file into the first folder, under a name that is free."""
         with self._guarded():
-            file = self.workspace.require(Path(name).name)
-            if file.suffix.lower() not in ADDED:
-                raise ParameterError(f"{file.name}: expected a file ending in {', '.join(ADDED)}. Add one of these.")
-            free = next(path for path in _names_like(file) if not path.exists())
-            with atomic_path(free) as temporary:
-                temporary.write_bytes(content)
-            self._say("note", f"added {free.name}")
+            added = self.workspace.add(name, content)
+            self._say("note", f"added {added.name}")
             return True
         return False
 
@@ -243,8 +217,7 @@ class Session:
             before = self._state.view
             self._change(view=view)
             if (view.mode, view.doubts) != (before.mode, before.doubts) and self._scene is not None:
-                self._dressing = True
-                self._wake.notify()
+                self._preview.dress()
 
     def match_again(self) -> None:
         """Compute the map from the start, with the landmarks there are."""
@@ -254,8 +227,7 @@ class Session:
         """Go on from another of the landmark-free answers."""
         with self._lock:
             if self._scene is not None and 0 <= index < len(self._state.map.answers):
-                self._choosing = index
-                self._wake.notify()
+                self._preview.choose(index)
 
     def cancel_preview(self) -> None:
         """Stop the preview's computation; the map stays as it was."""
@@ -263,7 +235,7 @@ class Session:
             running = self._state.preview_job is not None
             self._cancelled = running
         if running:
-            self._worker.stop()
+            self._preview.stop()
 
     # Finish
 
@@ -284,7 +256,7 @@ class Session:
             if self._state.history.present.complete:
                 self.save()
             self._change(finish_job=Job("finish", "starting", 0.0, can_cancel=True), outputs=())
-        threading.Thread(target=self._finish, args=(todo,), name="studio finish", daemon=True).start()
+            threading.Thread(target=self._finish, args=(todo,), name="studio finish", daemon=True).start()
 
     def cancel_finish(self) -> None:
         """End the finish; what was written whole stays."""
@@ -292,11 +264,8 @@ class Session:
 
     def close(self) -> None:
         """End every computation; the autosave holds what was not saved."""
-        with self._lock:
-            self._closed = True
-            self._wake.notify()
         self._runner.cancel()
-        self._worker.stop()
+        self._preview.close()
 
     # Inside
 
@@ -315,52 +284,22 @@ class Session:
         else:
             self._say("note", "finished")
 
-    def _compute(self) -> None:
-        """Loop of the preview's thread: the newest wish of each kind, opening first."""
-        while True:
-            with self._lock:
-                while not self._anything_wanted():
-                    self._wake.wait()
-                if self._closed:
-                    return
-                task: Task
-                if self._opening is not None:
-                    task, self._opening = self._opening, None
-                elif self._finding is not None:
-                    complete = self._state.history.present.complete
-                    task, self._finding = FindMap(complete, self._state.view, fresh=self._finding), None
-                    self._dressing = False
-                elif self._choosing is not None:
-                    task, self._choosing = ChooseAnswer(self._choosing, self._state.view), None
-                else:
-                    task, self._dressing = Dress(self._state.view), False
-                title = _TITLES[type(task)]
-                self._change(preview_job=Job(title, can_cancel=True))
-            answer = self._worker.run(task)
-            with self._lock:
-                self._change(preview_job=None)
-                with self._guarded():
-                    self._receive(task, answer)
-
-    def _anything_wanted(self) -> bool:
-        wishes = (self._opening, self._finding, self._choosing)
-        return self._closed or self._dressing or any(wish is not None for wish in wishes)
+    def _wanted(self) -> tuple[tuple[Landmark, ...], View]:
+        state = self._state
+        return state.history.present.complete, state.view
 
     def _receive(self, task: Task, answer: object) -> None:
         """Take in what the worker gave."""
+        with self._lock, self._guarded():
+            self._take(task, answer)
+
+    def _take(self, task: Task, answer: object) -> None:
+        cancelled, self._cancelled = self._cancelled, False
         match answer:
-            case Failure() if self._closed:
-                pass
+            case Failure() if cancelled and answer.kind == STOPPED:
+                self._say("note", "cancelled; the map stays as it was")
             case Failure():
-                if self._cancelled:
-                    self._say("note", "cancelled; the map stays as it was")
-                else:
-                    self._say("error", f"{answer.kind}: {answer.message}")
-                self._cancelled = False
-                if answer.kind == STOPPED and self._scene is not None:
-                    self._reopen()
-            case Opened() if self._reopened:
-                self._reopened = False
+                self._say("error", f"{answer.kind}: {answer.message}")
             case Opened():
                 self._scene = Scene(answer.target, answer.source, answer.mirrors, answer.skins)
                 self._change()
@@ -384,13 +323,6 @@ class Session:
                 self._change()
             case _:
                 log.warning("unexpected answer %r to %r", type(answer), type(task))
-
-    def _reopen(self) -> None:
-        """Give a new process of the worker the models; what ended the old one is not done again by itself."""
-        files, _ = self._open()
-        self._finding, self._choosing, self._dressing, self._reopened = None, None, False, True
-        self._opening = OpenModels(files.target, files.source, files.texture, self._vertices, self._state.view)
-        self._wake.notify()
 
     def _first_landmarks(self) -> None:
         """Landmarks of newly opened models: what a killed studio left unsaved, else what the file holds."""
@@ -426,21 +358,13 @@ class Session:
             self._find(fresh=False)
 
     def _find(self, *, fresh: bool) -> None:
-        """Ask for a map; an update is enough where there is one."""
-        with self._lock:
-            if self._scene is not None:
-                self._finding = fresh or bool(self._finding)
-                self._wake.notify()
+        if self._scene is not None:
+            self._preview.find(fresh=fresh)
 
     def _open(self) -> tuple[Files, Scene]:
         if self._state.files is None or self._scene is None:
             raise ParameterError("expected two open models, there are none yet. Choose a target and a source.")
         return self._state.files, self._scene
-
-    def _on_stage(self, stage: str) -> None:
-        job = self._state.preview_job
-        if job is not None:
-            self._change(preview_job=replace(job, stage=stage))
 
     def _say(self, kind: str, text: str) -> None:
         with self._lock:
@@ -461,10 +385,3 @@ class Session:
             self.report(error)
         except OSError as error:
             self._say("error", f"{error.filename or 'file'}: {error.strerror or error}")
-
-
-def _names_like(file: Path) -> Iterator[Path]:
-    """The name, then the name with numbers behind it."""
-    yield file
-    for number in itertools.count(2):
-        yield file.with_stem(f"{file.stem} ({number})")

@@ -87,6 +87,7 @@ class Worker:
         process = self._process
         if process is not None and process.is_alive():
             process.kill()
+            process.join(5)
 
     def _connected(self) -> Connection:
         if self._connection is None or self._process is None or not self._process.is_alive():

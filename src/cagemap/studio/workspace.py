@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -66,6 +67,25 @@ class Workspace:
                 if path.suffix.lower() in suffixes and not hidden and path.is_file():
                     found.append(str(path.relative_to(folder)) if number == 0 else str(path))
         return tuple(found[:_LONGEST_LISTING])
+
+    def add(self, name: str, content: bytes) -> Path:
+        """Put a file into the first folder, under its name or, where that is taken, with a number behind it.
+
+        Raises
+        ------
+        ParameterError
+            If it is of no kind that the studio opens.
+        FormatError
+            If it cannot be written.
+        """
+        wanted = self.require(Path(name).name)
+        if wanted.suffix.lower() not in ADDED:
+            raise ParameterError(f"{wanted.name}: expected a file ending in {', '.join(ADDED)}. Add one of these.")
+        names = itertools.chain([wanted], (wanted.with_stem(f"{wanted.stem} ({k})") for k in itertools.count(2)))
+        free = next(path for path in names if not path.exists())
+        with atomic_path(free) as temporary:
+            temporary.write_bytes(content)
+        return free
 
     def show(self, path: Path) -> str:
         """Name of a path as `listing` gives it."""

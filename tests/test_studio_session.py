@@ -1,0 +1,190 @@
+"""The session behind all pages, with its worker's process but without a browser."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cagemap.files.images import write_image
+from cagemap.files.meshes import write_mesh
+from cagemap.mesh.shapes import cube
+from cagemap.studio.finish import FinishOptions
+from cagemap.studio.opening import default_files
+from cagemap.studio.scene import carried
+from cagemap.studio.session import Session
+from cagemap.studio.shape import vertex_place
+from cagemap.studio.state import Studio, View
+from cagemap.studio.workspace import Workspace, autosave_path
+
+PATIENCE = 60.0
+
+
+def until(done: Callable[[], object], session: Session) -> None:
+    end = time.monotonic() + PATIENCE
+    while not done():
+        assert time.monotonic() < end, session.state
+        time.sleep(0.01)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("boxes")
+    mesh = cube()
+    # Sides of three lengths, and slanted: no turn takes the box onto itself.
+    corners = mesh.positions * [1.0, 1.3, 1.7]
+    corners[:, 0] += 0.4 * corners[:, 1] * (corners[:, 2] > 0)
+    write_mesh(folder / "a.obj", mesh.with_positions(corners))
+    write_mesh(folder / "b.obj", mesh.with_positions(corners + np.array([4.0, 0.0, 0.0])))
+    write_image(folder / "b.png", np.full((8, 8, 3), 200, dtype=np.uint8))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def session(folder: Path) -> Iterator[Session]:
+    session = Session(Workspace.of(folder), 300)
+    yield session
+    session.close()
+
+
+@pytest.fixture
+def opened(session: Session, folder: Path) -> Session:
+    """The boxes without a landmark."""
+    files = default_files(folder, folder / "a.obj", folder / "b.obj", folder / "b.png")
+    for path in folder.glob("*.json*"):
+        path.unlink()
+    autosave_path(files.landmarks).unlink(missing_ok=True)
+    session.open(files)
+    until(lambda: session.state.map.revision >= 1 and session.state.preview_job is None, session)
+    return session
+
+
+def click(session: Session, side: str, vertex: int) -> None:
+    """A click along the ray through a corner's point, from outside."""
+    scene = session.scene
+    assert scene is not None
+    point = scene.shape(side).to_view(scene.shape(side).positions[vertex])
+    session.click(side, 3 * point, -point / np.linalg.norm(point))
+
+
+def test_it_starts_with_a_map_and_follows_clicks(opened: Session) -> None:
+    click(opened, "target", 2)
+    number, side, place = opened.proposal() or pytest.fail("no proposal")
+    assert (number, side) == (1, "source")
+    assert place.position[0] > 2  # on the other box
+    click(opened, "source", 2)
+    until(lambda: opened.state.map.revision >= 2, opened)
+    assert opened.state.history.present.complete[0].target == vertex_place(opened.scene.target, 2)
+    assert set(opened.state.map.strain) == {"landmark 1"}
+    opened.undo()
+    opened.undo()
+    assert not opened.state.history.present.items
+    opened.redo()
+    opened.redo()
+    assert len(opened.state.history.present.complete) == 1
+
+
+def test_saved_landmarks_are_read_again_and_a_persons_file_is_kept(opened: Session) -> None:
+    files = opened.state.files
+    for vertex in (0, 3, 5):
+        click(opened, "target", vertex)
+        opened.accept()
+    assert not opened.state.saved
+    assert autosave_path(files.landmarks).is_file()
+    theirs = {"source": "b.obj", "target": "a.obj", "pairs": [{"name": "mine", "source": 1, "target": 1}]}
+    files.landmarks.write_text(json.dumps(theirs))
+    opened.save()
+    assert opened.state.saved
+    assert not autosave_path(files.landmarks).exists()
+    assert json.loads(files.landmarks.with_name(f"{files.landmarks.name}.before-studio").read_text()) == theirs
+    before = opened.state.history.present.complete
+    opened.remove(1)
+    opened.load(files.landmarks)
+    assert [item.name for item in opened.state.history.present.complete] == [item.name for item in before]
+    opened.undo()
+    assert len(opened.state.history.present.complete) == 2
+
+
+def test_a_kill_of_the_session_loses_nothing(opened: Session, folder: Path) -> None:
+    click(opened, "target", 4)
+    opened.rename(1, "corner")
+    other = Session(Workspace.of(folder), 300)
+    try:
+        other.open(opened.state.files)
+        until(lambda: other.state.history.present.items, other)
+        assert other.state.history.present == opened.state.history.present
+        assert any("recovered" in message.text for message in other.state.messages)
+    finally:
+        other.close()
+
+
+def test_a_killed_computation_keeps_the_map_and_the_next_click_works(opened: Session) -> None:
+    revision = opened.state.map.revision
+    opened._preview.stop()  # as the system does where memory runs out
+    click(opened, "target", 6)
+    opened.accept()
+    until(lambda: opened.state.map.revision > revision, opened)
+    assert opened.scene.images is not None
+
+
+def test_cancelling_ends_what_runs(opened: Session) -> None:
+    def cancel(state: Studio, _: object) -> None:
+        if state.preview_job is not None and state.preview_job.stage:
+            opened.cancel_preview()
+
+    images = opened.scene.images
+    opened._preview.stop()  # so that the next map starts with the files, in stages
+    opened.subscribe(cancel)
+    opened.match_again()
+    until(lambda: any("cancelled" in message.text for message in opened.state.messages), opened)
+    assert opened.scene.images is images
+    opened._listeners.remove(cancel)
+
+
+def test_errors_are_messages_and_paths_outside_are_refused(opened: Session, tmp_path: Path) -> None:
+    opened.load(Path("../elsewhere.json"))
+    assert opened.state.messages[-1].kind == "error"
+    assert "ParameterError" in opened.state.messages[-1].text
+    opened.save(tmp_path / "out.json")
+    assert not (tmp_path / "out.json").exists()
+    opened.accept()  # nothing waits
+    opened.mirror(1)  # nothing to mirror
+    assert opened.state.messages[-1].kind == "error"
+    opened.finish(FinishOptions(displacement=tmp_path / "secret.png"))
+    assert opened.state.finish_job is None
+
+
+def test_the_view_is_drawn_anew_only_where_it_changes(opened: Session) -> None:
+    before = opened.scene.skins
+    opened.show(View(cages=True))
+    opened.show(View("colours"))
+    until(lambda: opened.scene.skins[0] != before[0] and opened.scene.skins[1] != before[1], opened)
+    opened.show(View())
+    until(lambda: opened.scene.skins == before, opened)
+
+
+def test_a_probe_points_at_both_models(opened: Session) -> None:
+    scene = opened.scene
+    point = scene.target.to_view(scene.target.positions[1])
+    opened.probe("target", 3 * point, -point / np.linalg.norm(point))
+    probe = opened.state.probe
+    assert probe is not None
+    assert np.linalg.norm(np.array(probe.target) - scene.target.positions[1]) < 0.3
+    np.testing.assert_array_equal(probe.source, carried(scene, "target", np.array(probe.target)))
+    assert probe.source[0] > 2  # on the other box
+    opened.probe("target", np.array([9.0, 9.0, 9.0]), np.array([1.0, 0.0, 0.0]))
+    assert opened.state.probe is None
+
+
+def test_files_are_added_under_free_names(session: Session, folder: Path) -> None:
+    workspace = session.workspace
+    first, second = workspace.add("../x.obj", b"1"), workspace.add("x.obj", b"2")
+    assert (first.name, second.name) == ("x.obj", "x (2).obj")
+    assert first.parent == second.parent == folder.resolve()
+    assert not session.add_file("x.sh", b"rm")
+    for path in (first, second):
+        path.unlink()
