@@ -311,7 +311,7 @@ def other_answer(
     if not 0 <= index < len(readings):
         raise ParameterError(f"answer {index}: expected one of the {len(readings)} that the match found, from 0")
     prepared, landmarks = before.prepared or prepare_pair(before.target, before.source, config), before.landmarks
-    pair = Pair.of_vertices(before.target, before.source, landmarks.target, landmarks.source)
+    pair = Pair(before.target, before.source, point_pairs(before.target, before.source, landmarks))
     timings: dict[str, float] = {}
     with one_blas_thread():
         with _timed(timings, "map"):

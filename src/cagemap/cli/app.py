@@ -551,6 +551,25 @@ def report(
 
 
 @app.command()
+def suggest(
+    result: ResultFolder,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Landmark file to write, .json.")] = Path(
+        "landmarks.json"
+    ),
+    count: Annotated[int, typer.Option("--count", min=1, help="How many more landmarks.")] = 3,
+    force: Force = False,
+) -> None:
+    """Say where more landmarks would tell most, and write them for correction.
+
+    The file holds the landmarks of the result and the new ones, on the source where the map puts them now. Move those
+    that are wrong there, and match again.
+    """
+    from cagemap.cli.suggest import run_suggest
+
+    say(run_suggest(result, output, count, force=force))
+
+
+@app.command()
 def run(
     job: Annotated[Path, typer.Argument(help="Job file, .toml.", show_default=False)],
     scheduler: Annotated[

@@ -1,0 +1,53 @@
+"""`cagemap suggest`: RESULT folder in, a landmark file with the next landmarks out, for a person to correct."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from cagemap.files.atomic import check_outputs
+from cagemap.files.landmarks import write_landmarks
+from cagemap.files.result import ARRAYS, MANIFEST, Result, read_result
+from cagemap.maps.landmarks.suggest import free_partners, suggested_vertices
+from cagemap.mesh.landmarks import Landmarks
+
+
+def run_suggest(folder: Path, output: Path, count: int, *, force: bool = False) -> str:
+    """Write the landmarks of a result and some more; returns a few lines for the terminal."""
+    check_outputs([output], [folder / MANIFEST, folder / ARRAYS], force=force)
+    result = read_result(folder)
+    landmarks = suggested_landmarks(result, count)
+    write_landmarks(output, landmarks, force=force)
+    new = landmarks.names[-count:]
+    pairs = zip(new, landmarks.target[-count:].tolist(), landmarks.source[-count:].tolist(), strict=True)
+    lines = [f"  {name}: target vertex {target}, now on source vertex {source}" for name, target, source in pairs]
+    return "\n".join(
+        [f"{count} more landmarks would tell most here:", *lines, f"wrote {output}; correct them and match again"]
+    )
+
+
+def suggested_landmarks(result: Result, count: int) -> Landmarks:
+    """The landmarks of a result, and ``count`` more where they would tell most, on the source where the map puts them.
+
+    Raises
+    ------
+    ParameterError
+        If the target has not so many control vertices left.
+    """
+    target, source = result.point_map.target, result.point_map.source
+    vertices = result.target.control.n_vertices
+    images, known = result.point_map.images.positions[:vertices], np.unique(result.target.landmarks)
+    others = result.runner_up_images.reshape(-1, vertices, 3) * source.scale
+    chosen = suggested_vertices(target.positions[:vertices], images, others, result.trust[:vertices], known, count)
+    places = source.positions[: result.source.control.n_vertices]
+    partners = free_partners(places, images[chosen], result.source.landmarks)
+    taken = set(result.landmark_names)
+    free = [name for i in range(1, count + len(taken) + 1) if (name := f"suggested {i}") not in taken]
+    return Landmarks(
+        (*result.landmark_names, *free[:count]),
+        np.concatenate([result.target.landmarks, chosen]),
+        np.concatenate([result.source.landmarks, partners]),
+        result.target.control.name,
+        result.source.control.name,
+    )

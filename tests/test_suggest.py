@@ -1,0 +1,59 @@
+"""The next landmark: where answers differ, where the map is doubtful, and far from the landmarks there are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cagemap.cli import main
+from cagemap.errors import ParameterError
+from cagemap.files.landmarks import read_landmarks
+from cagemap.files.result import write_result
+from cagemap.maps.landmarks.suggest import free_partners, suggested_vertices
+
+from example_result import identity_result
+
+
+def line(count: int = 11) -> np.ndarray:
+    return np.column_stack([np.linspace(0, 1, count), np.zeros((count, 2))])
+
+
+def test_where_answers_differ_comes_first_and_then_what_is_far() -> None:
+    places, trust = line(), np.ones(11)
+    others = places[None].copy()
+    others[0, 7] += (0, 0.9, 0)
+    found = suggested_vertices(places, places, others, trust, np.array([0]), 2)
+    assert found[0] == 7
+    assert found[1] in (3, 4)  # then the middle of what is left, where no landmark is near
+    assert suggested_vertices(places, places, others[:0], trust, np.array([0]), 1).tolist() == [10]
+
+
+def test_doubt_counts_and_known_landmarks_do_not_come_again() -> None:
+    places, trust = line(), np.ones(11)
+    trust[6] = 0.0
+    found = suggested_vertices(places, places, np.zeros((0, 11, 3)), trust, np.array([0, 10]), 9)
+    assert found[0] == 6
+    assert sorted(found) == list(range(1, 10))
+    with pytest.raises(ParameterError, match="1 to 9 further"):
+        suggested_vertices(places, places, np.zeros((0, 11, 3)), trust, np.array([0, 10]), 10)
+
+
+def test_partners_are_near_and_different() -> None:
+    places = line()
+    assert free_partners(places, places[[4, 4, 9]], np.array([4])).tolist() in ([5, 3, 9], [3, 5, 9])
+
+
+def test_the_command_writes_a_landmark_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = identity_result(2)
+    write_result("R", result)
+    monkeypatch.setattr("sys.argv", ["cagemap", "suggest", "R", "--count", "2", "-o", "more.json"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert not ended.value.code
+    found = read_landmarks(tmp_path / "more.json", "large.obj", "small.obj")[0]
+    assert found.names == (*result.landmark_names, "suggested 1", "suggested 2")
+    assert len(set(found.target.tolist())) == len(found)
+    np.testing.assert_array_equal(found.target, found.source)  # the map is the identity
