@@ -37,8 +37,9 @@ class MeanTriangulation:
 class AlexaWardetzky:
     """The paper's: Alexa and Wardetzky, *Discrete Laplacians on general polygonal meshes*, 2011.
 
-    W_f = d^T (B B^T / |f| + lambda C C^T) d, with d the differences along the edges, B their midpoints, |f| the size of
-    the vector area, and C an orthonormal basis of what is orthogonal to the edges of the polygon laid in its plane.
+    W_f = d^T (B B^T / ``|f|`` + lambda C C^T) d, with d the differences along the edges, B their midpoints, ``|f|`` the
+    size of the vector area, and C an orthonormal basis of what is orthogonal to the edges of the polygon laid in its
+    plane.
 
     Attributes
     ----------
@@ -68,8 +69,8 @@ class AlexaWardetzky:
 class DeGoesButtsDesbrun:
     """De Goes, Butts and Desbrun, *Discrete differential operators on polygonal meshes*, 2020.
 
-    W_f = d^T (|f| U^T U + lambda P^T P) d, with U the sharp operator (the mean gradient of a 1-form), V the flat one
-    and P = 1 - V U what a mean gradient does not see.
+    W_f = d^T (``|f|`` U^T U + lambda P^T P) d, with U the sharp operator (the mean gradient of a 1-form), V the flat
+    one and P = 1 - V U what a mean gradient does not see.
 
     Attributes
     ----------
