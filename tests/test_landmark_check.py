@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cagemap import BasisConfig, Landmarks, MatchConfig, MatchResult, Surface, match, prepare_surface
+from cagemap import BasisConfig, Landmarks, MatchConfig, MatchResult, Surface, match, prepare_surface, update_match
 from cagemap.example import example_pair
 from cagemap.files.result import landmark_messages, result_of
 from cagemap.maps.elastic.config import ElasticConfig, Stage
@@ -264,3 +264,16 @@ def test_a_suspect_stays_out_only_while_its_pair_is_the_same() -> None:
     assert [s.pair for s in judged.still(before, moved_up).suspects] == [0]
     corrected = Landmarks(names, np.array([3, 5, 9]), np.array([1, 7, 4]), "t.obj", "s.obj")
     assert judged.still(before, corrected).suspects == ()
+
+
+def test_an_update_checks_the_pairs_that_changed_and_keeps_what_was_known(pair):
+    target, source, landmarks = pair
+    before = match(target, source, landmarks, CONFIG)
+    assert before.suspects == ()
+    before = replace(before, landmark_check=LandmarkCheck(notes=("a note",)))
+    wrong = with_source(landmarks, {3: farthest(source, landmarks.source[3], landmarks.source)})
+    updated = update_match(before, wrong, CONFIG)
+    assert [suspect.pair for suspect in updated.suspects] == [3]
+    assert updated.landmark_check.notes == ("a note",)
+    trusting = update_match(before, wrong, replace(CONFIG, check_landmarks=False))
+    assert trusting.suspects == ()
