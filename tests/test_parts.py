@@ -21,7 +21,7 @@ from cagemap.files.obj import write_obj
 from cagemap.files.result import read_result
 from cagemap.mesh import CatmullClark, ControlMesh, Loop, creature, cube, grid, icosahedron, poles, pyramid, torus
 from cagemap.mesh.join import join_meshes
-from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.mesh.parts import components, extract, find_part, list_parts, pair_parts
 from cagemap.refinement import refine
 
@@ -144,6 +144,19 @@ def test_landmarks_follow_the_part_and_what_is_left_alone_is_said() -> None:
     assert all("left alone" in note for note in notes)
     with pytest.raises(ParameterError, match="both sides"):
         chosen_parts(scene, scene, _landmarks(pairs), "each", "body")
+
+
+def test_landmarks_between_vertices_follow_the_part_too() -> None:
+    scene = _scene()
+    eye = find_part(scene, "eye_left").faces
+    corners = np.array([scene.face(int(eye[3])), scene.face(int(find_part(scene, "eye_right").faces[3]))])
+    points = CagePoints(corners, np.array([[0.2, 0.3, 0.5]] * 2))
+    landmarks = Landmarks(("a", "b"), points.vertices, points.vertices, target_points=points, source_points=points)
+    (inputs,), _ = chosen_parts(scene, scene, landmarks, "eye_left", "eye_left")
+    assert inputs.landmarks.names == ("a",)
+    np.testing.assert_allclose(
+        inputs.landmarks.target_points.of(inputs.target.positions), points.of(scene.positions)[:1], atol=1e-15
+    )
 
 
 @pytest.fixture(scope="module")

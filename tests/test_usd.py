@@ -218,7 +218,7 @@ def test_results_are_a_layer_over_the_target(tmp_path: Path) -> None:
     for name in ("skin.1001.png", "rough.png", "normal.png"):
         (tmp_path / "out" / name).write_bytes(b"")
     layer = tmp_path / "out" / "hero_textured.usda"
-    write_usd_over(layer, target, "/hero/body", body, results)
+    write_usd_over(layer, target, ["/hero/body"], body, results)
     assert target.read_bytes() == before
     assert complaints(layer) == []
     stage = Usd.Stage.Open(str(layer))

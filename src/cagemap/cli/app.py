@@ -308,6 +308,14 @@ def match(
     source_part: Annotated[
         str | None, typer.Option("--source-part", help="As --part, of the source alone.", show_default=False)
     ] = None,
+    target_uv_set: Annotated[
+        str | None,
+        typer.Option("--target-uv-set", help="UV set of the target to bake into, by name.", show_default=False),
+    ] = None,
+    source_uv_set: Annotated[
+        str | None,
+        typer.Option("--source-uv-set", help="UV set of the source that its images belong to.", show_default=False),
+    ] = None,
     cache: Annotated[
         Path | None,
         typer.Option(
@@ -360,6 +368,8 @@ def match(
         part=part,
         target_part=target_part,
         source_part=source_part,
+        target_uv_set=target_uv_set,
+        source_uv_set=source_uv_set,
         cache=cache,
         force=force,
     )

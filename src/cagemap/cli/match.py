@@ -94,6 +94,8 @@ class MatchRequest:
     part: str | None = None
     target_part: str | None = None
     source_part: str | None = None
+    target_uv_set: str | None = None
+    source_uv_set: str | None = None
     cache: Path | None = None
     force: bool = False
 
@@ -163,6 +165,8 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
         "creasing": request.creasing,
         "target_part": request.target_part or request.part,
         "source_part": request.source_part or request.part,
+        "target_uv_set": request.target_uv_set,
+        "source_uv_set": request.source_uv_set,
     }
     result = match_inputs(
         inputs,
@@ -250,6 +254,8 @@ def read_inputs(request: MatchRequest) -> Inputs:
     target, source = (
         subdivision.applied(replace(read_mesh(path), name=path.name)) for path in (request.target, request.source)
     )
+    target = target if request.target_uv_set is None else target.with_uv_set(request.target_uv_set)
+    source = source if request.source_uv_set is None else source.with_uv_set(request.source_uv_set)
     landmarks, notes = read_given_landmarks(request, target, source)
     names = request.target_part or request.part, request.source_part or request.part
     if names == (None, None):

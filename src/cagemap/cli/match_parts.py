@@ -8,7 +8,7 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.mesh.parts import Part, extract, find_part, pair_parts
 from cagemap.numerics.arrays import IndexArray
 from cagemap.refinement import default_scheme
@@ -66,7 +66,11 @@ def chosen_parts(
 def _each(
     target: ControlMesh, source: ControlMesh, landmarks: Landmarks
 ) -> tuple[tuple[PartInputs, ...], tuple[str, ...]]:
-    pairs, *alone = pair_parts(target, source, np.column_stack([landmarks.target, landmarks.source]))
+    pairs, *alone = pair_parts(
+        target,
+        source,
+        np.column_stack([landmarks.target_points.nearest_vertices, landmarks.source_points.nearest_vertices]),
+    )
     notes = []
     for side, parts in zip(("target", "source"), alone, strict=True):
         notes += [
@@ -84,18 +88,27 @@ def _titled(part: Part) -> str:
 def _inputs(
     target: ControlMesh, source: ControlMesh, landmarks: Landmarks, target_part: Part | None, source_part: Part | None
 ) -> PartInputs:
-    meshes, numbers = [], []
-    for mesh, part, vertices in ((target, target_part, landmarks.target), (source, source_part, landmarks.source)):
+    meshes, corners = [], []
+    for mesh, part, points in (
+        (target, target_part, landmarks.target_points),
+        (source, source_part, landmarks.source_points),
+    ):
         whole = part is None or len(part.faces) == mesh.n_faces
         taken = mesh if part is None or whole else extract(mesh, part.faces)
         meshes.append(taken)
-        numbers.append(vertices if whole else _renumbered(taken, mesh, vertices))
-    inside = np.flatnonzero((numbers[0] >= 0) & (numbers[1] >= 0))
+        corners.append(points.corners if whole else _renumbered(taken, mesh, points.corners))
+    inside = np.flatnonzero(np.all([numbers >= 0 for numbers in corners], axis=(0, 2)))
+    points_inside = [
+        CagePoints(numbers[inside], points.weights[inside])
+        for numbers, points in zip(corners, (landmarks.target_points, landmarks.source_points), strict=True)
+    ]
     kept = replace(
         landmarks,
         names=tuple(landmarks.names[pair] for pair in inside.tolist()),
-        target=numbers[0][inside],
-        source=numbers[1][inside],
+        target=points_inside[0].vertices,
+        source=points_inside[1].vertices,
+        target_points=points_inside[0],
+        source_points=points_inside[1],
     )
     return PartInputs(meshes[0], meshes[1], kept)
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cagemap.cli.progress import Stages
+from cagemap.cli.usd_output import write_usd_results
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs
 from cagemap.files.attributes import Attributes, read_attributes, write_attributes
@@ -16,6 +17,7 @@ from cagemap.files.mhclo import bind, write_mhclo
 from cagemap.files.result import note_transfer, stated_path
 from cagemap.files.result_values import Result
 from cagemap.files.rigs import Skeleton, read_shapes, read_skeleton, write_shapes, write_skeleton
+from cagemap.files.usd_write import BLEND_SHAPE, JOINT_WEIGHTS, UsdResults
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.elastic.graph import mesh_graph
 from cagemap.refinement import triangulate_control
@@ -40,6 +42,8 @@ def carry_weights(request: TransferRequest, result: Result, stages: Stages) -> O
     assert request.weights is not None
     check_outputs([request.output], [request.weights], force=request.force)
     given = read_attributes(request.weights)
+    if JOINT_WEIGHTS in given:  # a USD file: its other primvars are no weights
+        given = {JOINT_WEIGHTS: given[JOINT_WEIGHTS]}
     skin = np.column_stack([np.asarray(array, dtype=np.float64).reshape(len(array), -1) for array in given.values()])
     if request.joints is not None:
         _require_joints(given, read_skeleton(request.joints), request)
@@ -65,6 +69,9 @@ def carry_weights(request: TransferRequest, result: Result, stages: Stages) -> O
     most = int((carried > 0).sum(axis=1).max())
     filled = int(np.count_nonzero(~trusted))
     text = f"wrote {request.output}: {len(carried)} vertices, {carried.shape[1]} joints, at most {most} a vertex"
+    if request.usd is not None:
+        skinning = UsdResults(attributes={JOINT_WEIGHTS: carried})
+        text += "\n" + write_usd_results(request.usd, request.result, result, skinning, force=request.force)
     if filled:
         text += f"\n  {filled} vertices where the map is not to be trusted take theirs from around them"
     return text, []
@@ -113,7 +120,11 @@ def carry_blend_shapes(request: TransferRequest, result: Result, stages: Stages)
         request.output, carried, result.target.control, list(request.blend_shapes), force=request.force
     )
     note_transfer(request.result, {"kind": "blend-shapes", "output": stated_path(request.output, request.result)})
-    return f"wrote {len(carried)} shapes to {request.output} ({len(files)} files)", []
+    text = f"wrote {len(carried)} shapes to {request.output} ({len(files)} files)"
+    if request.usd is not None:
+        shaped = UsdResults(attributes={f"{BLEND_SHAPE}{name}": offsets for name, offsets in carried.items()})
+        text += "\n" + write_usd_results(request.usd, request.result, result, shaped, force=request.force)
+    return text, []
 
 
 def write_point_map(request: TransferRequest, result: Result, stages: Stages) -> Outcome:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import numpy as np
+
 from cagemap.errors import ParameterError
 from cagemap.files.images import UDIM_MARK
 from cagemap.files.result import Result, input_file
@@ -37,15 +39,16 @@ def write_usd_results(layer: Path, folder: Path, result: Result, results: UsdRes
     if original is None or original.suffix.lower() not in USD_SUFFIXES:
         write_usd(layer, control, results, force=force)
         return f"wrote {layer}, with {control.name} itself"
-    meshes = {mesh.path: mesh.control.n_vertices for mesh in read_usd_meshes(original)}
-    named = [path for path in control.object_names if path in meshes]
-    paths = list(meshes) if len(meshes) == 1 else named
-    if len(paths) != 1:
+    meshes = [mesh.path for mesh in read_usd_meshes(original)]
+    numbers = [] if control.face_objects is None else np.unique(control.face_objects).tolist()
+    paths = [path for path in (control.object_names[number] for number in numbers) if path in meshes]
+    paths = meshes if len(meshes) == 1 else paths
+    if not paths or (len(paths) > 1 and (results.attributes or results.points is not None or results.uvs is not None)):
         raise ParameterError(
             f"--usd: expected a result about one mesh of {original.name}, got {len(paths)} of {', '.join(meshes)}. "
-            "Match one of them with --target-part."
+            "Match one of them with --target-part; textures alone may be of several."
         )
-    write_usd_over(layer, original, paths[0], control, results, force=force)
+    write_usd_over(layer, original, paths, control, results, force=force)
     return f"wrote {layer}, a layer over {original.name}"
 
 

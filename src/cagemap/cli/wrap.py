@@ -11,6 +11,7 @@ import numpy as np
 
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.progress import Stages
+from cagemap.cli.usd_output import write_usd_results
 from cagemap.descriptors import mirror_symmetries
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs
@@ -29,6 +30,8 @@ from cagemap.files.result import (
     read_result,
     stated_path,
 )
+from cagemap.files.usd import USD_SUFFIXES
+from cagemap.files.usd_write import UsdResults
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import one_blas_thread
@@ -179,6 +182,11 @@ def _write(request: WrapRequest, wrapped: Wrapped, result: Result, original: Pat
         write_obj_positions(output, original, mesh, force=request.force)
         return []
     check_outputs(mesh_files(output, mesh), [], force=request.force)
+    both_usd = all(path is not None and path.suffix.lower() in USD_SUFFIXES for path in (output, original))
+    if wrapped.level == 0 and both_usd:
+        points = UsdResults(points=mesh.positions)
+        write_usd_results(output, request.results[0], result, points, force=request.force)
+        return []
     write_mesh(output, mesh, force=request.force)
     if wrapped.level or output.suffix.lower() != ".obj":
         return []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,9 @@ _SCHEMES = {CatmullClark: "catmullClark", Loop: "loop", Bilinear: "bilinear"}
 _BOUNDARIES = {"none": "none", "edge_only": "edgeOnly", "edge_and_corner": "edgeAndCorner"}
 _TRIANGLES = {"catmull_clark": "catmullClark", "smooth": "smooth"}
 _JOINTS_KEPT = 8
+# Attributes that become skinning and blend shapes.
+JOINT_WEIGHTS = "skel:jointWeights"
+BLEND_SHAPE = "blendShape:"
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +83,13 @@ def write_usd(path: str | Path, mesh: ControlMesh, results: UsdResults = UsdResu
 
 
 def write_usd_over(
-    path: str | Path, target: str | Path, prim_path: str, mesh: ControlMesh, results: UsdResults, *, force: bool = False
+    path: str | Path,
+    target: str | Path,
+    prim_paths: Sequence[str],
+    mesh: ControlMesh,
+    results: UsdResults,
+    *,
+    force: bool = False,
 ) -> None:
     """Write results as a new layer over the target's file, which stays as it is; pipelines compose the two.
 
@@ -90,8 +99,8 @@ def write_usd_over(
         The layer to write; it names the target relative to itself.
     target : path
         USD file that has the mesh.
-    prim_path : str
-        The mesh's prim there.
+    prim_paths : sequence of str
+        The mesh's prim there; of several, each gets the textures.
     mesh : ControlMesh
         The mesh as it was read.
     results : UsdResults
@@ -105,21 +114,22 @@ def write_usd_over(
     _check_suffix(file)
     pxr = usd_modules()
     below = open_stage(target)
-    prim = below.GetPrimAtPath(prim_path)
-    if not prim or not prim.IsA(pxr.UsdGeom.Mesh):
-        raise FormatError(f"{target}: expected a mesh prim {prim_path}, there is none. Match again with this file.")
+    prims = [below.GetPrimAtPath(prim_path) for prim_path in prim_paths]
+    for prim, prim_path in zip(prims, prim_paths, strict=True):
+        if not prim or not prim.IsA(pxr.UsdGeom.Mesh):
+            raise FormatError(f"{target}: expected a mesh prim {prim_path}, there is none. Match again with this file.")
     layer = pxr.Sdf.Layer.CreateAnonymous(".usda")
     layer.subLayerPaths.append(Path(os.path.relpath(Path(target).resolve(), file.resolve().parent)).as_posix())
     # Relative paths of an unsaved layer have no folder: what lies below is composed from its full name meanwhile.
     stage = pxr.Usd.Stage.Open(_with_absolute_sublayer(layer, target))
     pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.GetStageUpAxis(below))
     pxr.UsdGeom.SetStageMetersPerUnit(stage, pxr.UsdGeom.GetStageMetersPerUnit(below))
-    top = prim.GetPath().GetPrefixes()[0]
+    top = prims[0].GetPath().GetPrefixes()[0]
     stage.GetRootLayer().defaultPrim = (below.GetDefaultPrim() or below.GetPrimAtPath(top)).GetName()
-    over = stage.OverridePrim(prim_path)
-    if _needs_skeleton(results) and not any(p.IsA(pxr.UsdSkel.Root) for p in _ancestors(prim)):
+    if _needs_skeleton(results) and not any(p.IsA(pxr.UsdSkel.Root) for p in _ancestors(prims[0])):
         stage.OverridePrim(top).SetTypeName("SkelRoot")
-    _write_results(stage, over, mesh, results)
+    for prim_path in prim_paths:
+        _write_results(stage, stage.OverridePrim(prim_path), mesh, results)
     written = stage.GetRootLayer()
     written.subLayerPaths = list(layer.subLayerPaths)
     _save(written, file, force=force)
@@ -240,10 +250,10 @@ def _write_results(stage: Any, prim: Any, mesh: ControlMesh, results: UsdResults
         _write_uvs(prim, *results.uvs)
     shapes = {}
     for name, values in results.attributes.items():
-        if name == "skel:jointWeights":
+        if name == JOINT_WEIGHTS:
             _write_weights(prim, np.asarray(values, dtype=np.float64))
-        elif name.startswith("blendShape:"):
-            shapes[name.removeprefix("blendShape:")] = np.asarray(values, dtype=np.float64)
+        elif name.startswith(BLEND_SHAPE):
+            shapes[name.removeprefix(BLEND_SHAPE)] = np.asarray(values, dtype=np.float64)
         else:
             _write_primvar(prim, mesh, name, np.asarray(values))
     if shapes:
@@ -303,7 +313,7 @@ def _write_blend_shapes(stage: Any, prim: Any, shapes: Mapping[str, FloatArray])
 
 
 def _needs_skeleton(results: UsdResults) -> bool:
-    return any(name == "skel:jointWeights" or name.startswith("blendShape:") for name in results.attributes)
+    return any(name == JOINT_WEIGHTS or name.startswith(BLEND_SHAPE) for name in results.attributes)
 
 
 def _ints(values: Any) -> Any:

@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from cagemap.mesh.control_mesh import ControlMesh
+from cagemap.mesh.control_mesh import ControlMesh, UvSet
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 
 def join_meshes(meshes: Sequence[ControlMesh]) -> ControlMesh:
     """One mesh of several pieces; vertices and faces of each in turn.
 
-    Names that several meshes have, of materials, objects or groups, become one. UVs are kept where all have some; of
-    further UV sets, those that all have by name.
+    Names that several meshes have, of materials, objects, groups or UV sets, become one. Where a mesh lacks a UV set,
+    all its corners lie in one point of it, so that nothing of it is baked there.
     """
     starts = np.cumsum([0, *(mesh.n_vertices for mesh in meshes)])
     faces = np.cumsum([0, *(mesh.n_faces for mesh in meshes)])
@@ -27,11 +27,11 @@ def join_meshes(meshes: Sequence[ControlMesh]) -> ControlMesh:
         name=meshes[0].name,
         scheme=meshes[0].scheme,
     )
-    if all(mesh.uvs is not None for mesh in meshes):
-        uv_starts = np.cumsum([0, *(len(mesh.uvs) for mesh in meshes if mesh.uvs is not None)])
-        uvs = np.concatenate([mesh.uvs for mesh in meshes if mesh.uvs is not None])
-        indices = _shifted([mesh.uv_indices for mesh in meshes if mesh.uv_indices is not None], uv_starts)
-        joined = replace(joined.with_uvs(uvs, indices), uv_name=meshes[0].uv_name)
+    sets = _uv_sets(meshes)
+    if sets:
+        joined = replace(
+            joined, uvs=sets[0].uvs, uv_indices=sets[0].uv_indices, uv_name=sets[0].name, uv_sets=tuple(sets[1:])
+        )
     creased = [(mesh.crease_edges, mesh.crease_sharpness, start) for mesh, start in zip(meshes, starts, strict=False)]
     edges = [(e + start, s) for e, s, start in creased if e is not None and s is not None]
     if edges:
@@ -64,6 +64,22 @@ def _file_numbers(numbers: Sequence[IndexArray | None]) -> IndexArray | None:
     """Numbers in the file, if all meshes are parts of one."""
     known = [array for array in numbers if array is not None]
     return np.concatenate(known) if len(known) == len(numbers) else None
+
+
+def _uv_sets(meshes: Sequence[ControlMesh]) -> list[UvSet]:
+    """All UV sets by name, the one in use first."""
+    known = []
+    for mesh in meshes:
+        in_use = [] if mesh.uvs is None or mesh.uv_indices is None else [UvSet(mesh.uv_name, mesh.uvs, mesh.uv_indices)]
+        known.append({uv_set.name: uv_set for uv_set in (*in_use, *mesh.uv_sets)})
+    result = []
+    for name in dict.fromkeys(name for own in known for name in own):
+        bare = [UvSet(name, np.full((1, 2), 0.5), np.zeros(len(mesh.face_indices), dtype=np.int64)) for mesh in meshes]
+        sets = [own.get(name, other) for own, other in zip(known, bare, strict=True)]
+        starts = np.cumsum([0, *(len(uv_set.uvs) for uv_set in sets)])
+        values = np.concatenate([uv_set.uvs for uv_set in sets])
+        result.append(UvSet(name, values, _shifted([uv_set.uv_indices for uv_set in sets], starts)))
+    return result
 
 
 def _shifted(arrays: Sequence[IndexArray], starts: IndexArray) -> IndexArray:

@@ -1,0 +1,128 @@
+"""A USD asset with creases, parts, UV sets, tiles, weights and a blend shape: every command, and back to USD."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cagemap.cli.match import MatchRequest, run_match
+from cagemap.cli.progress import Stages
+from cagemap.cli.transfer import TransferRequest, run_transfer
+from cagemap.cli.wrap import WrapRequest, run_wrap
+from cagemap.files.images import read_texture, udim_path, write_image
+from cagemap.files.landmarks import write_landmarks
+from cagemap.mesh import CatmullClark, ControlMesh, creature, poles
+from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.landmarks import Landmarks
+
+pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+
+from pxr import Usd, UsdGeom
+
+from cagemap.files.usd import read_usd, read_usd_meshes
+from cagemap.files.usd_write import UsdResults, write_usd
+from test_usd import complaints
+
+pytestmark = pytest.mark.slow
+
+
+def _body() -> ControlMesh:
+    """A creased creature whose faces lie in two tiles, and again in one square."""
+    mesh = creature()
+    edges = np.column_stack([mesh.face_indices, mesh.face_indices[mesh.next_corners]])
+    edges = np.unique(np.sort(edges, axis=1), axis=0)[::6]
+    corners = np.arange(len(mesh.face_indices))
+    size = int(np.ceil(np.sqrt(mesh.n_faces)))
+    unit = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])[corners % 4]
+    place = np.column_stack([mesh.corner_faces % size, mesh.corner_faces // size])
+    square = (place + 0.1 + 0.8 * unit) / size
+    return replace(
+        mesh.with_creases(edges, np.resize([0.5, 2, 10], len(edges))),
+        uvs=square * [2, 1],
+        uv_indices=corners,
+        uv_name="st",
+        uv_sets=(UvSet("square", square, corners),),
+        scheme=CatmullClark("edge_and_corner", "corners_plus1"),
+    )
+
+
+def _write_asset(path: Path, stretch: float) -> None:
+    body = _body().with_positions(_body().positions * [1, stretch, 1])
+    weights = np.zeros((body.n_vertices, 2))
+    weights[:, 0] = np.clip(body.positions[:, 1] / np.ptp(body.positions[:, 1]) + 0.5, 0, 1)
+    weights[:, 1] = 1 - weights[:, 0]
+    smile = np.zeros((body.n_vertices, 3))
+    smile[3:9] = [0, 0.1, 0]
+    results = UsdResults(attributes={"skel:jointWeights": weights, "blendShape:smile": smile})
+    write_usd(path, body, results)
+    stage = Usd.Stage.Open(str(path))
+    eye = UsdGeom.Mesh.Define(stage, "/Asset/eye")
+    ball = poles(6)
+    eye.CreatePointsAttr([tuple(map(float, point)) for point in ball.positions + np.array([9.0, 0, 0])])
+    eye.CreateFaceVertexCountsAttr(ball.face_sizes.tolist())
+    eye.CreateFaceVertexIndicesAttr(ball.face_indices.tolist())
+    eye.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(eye.GetPointsAttr().Get()))
+    stage.Save()
+
+
+def test_every_command_and_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    _write_asset(tmp_path / "source.usda", 1.0)
+    _write_asset(tmp_path / "target.usda", 1.05)
+    assert read_usd(tmp_path / "target.usda").object_names == ("/Asset/mesh", "/Asset/eye")
+    picked = np.linspace(0, creature().n_vertices - 1, 9).astype(int)
+    names = tuple(f"point {number}" for number in range(len(picked)))
+    write_landmarks(tmp_path / "landmarks.json", Landmarks(names, picked, picked, "target.usda", "source.usda"))
+    for tile in (1001, 1002):
+        pixels = np.full((64, 64, 3), 40 if tile == 1001 else 220, dtype=np.uint8)
+        write_image(udim_path(tmp_path / "skin.<UDIM>.png", tile), pixels)
+    request = MatchRequest(
+        *(tmp_path / name for name in ("target.usda", "source.usda", "landmarks.json", "RESULT")),
+        level=2,
+        k=40,
+        part="mesh",
+    )
+    run_match(request, Stages())
+    folder = tmp_path / "RESULT"
+    skin, layer = tmp_path / "skin.<UDIM>.png", tmp_path / "look.usda"
+    run_transfer(TransferRequest(folder, tmp_path / "baked.<UDIM>.png", texture=skin, usd=layer), Stages())
+    baked = read_texture(tmp_path / "baked.<UDIM>.png")
+    assert list(baked) == [1001, 1002]
+    assert abs(int(np.median(baked[1001].pixels)) - 40) <= 1
+    assert abs(int(np.median(baked[1002].pixels)) - 220) <= 1
+    weights = TransferRequest(
+        folder, tmp_path / "weights.npz", attribute=tmp_path / "body.usda", usd=tmp_path / "rig.usda"
+    )
+    body = read_usd_meshes(tmp_path / "source.usda")[0]
+    write_usd(tmp_path / "body.usda", body.control, UsdResults(attributes=body.attributes))
+    run_transfer(weights, Stages())
+    carried = read_usd_meshes(tmp_path / "rig.usda")[0]
+    assert carried.path == "/Asset/mesh"
+    # The assets differ by a stretch: weights and the shape's reach are those of the source, nearly.
+    source_weights = body.attributes["skel:jointWeights"]
+    assert np.median(np.abs(carried.attributes["skel:jointWeights"] - source_weights)) < 0.05
+    assert np.abs(carried.attributes["blendShape:smile"]).max() > 0.05
+    run_wrap(WrapRequest((folder,), tmp_path / "wrapped.usda"), Stages())
+    wrapped = read_usd_meshes(tmp_path / "wrapped.usda")[0].control
+    assert wrapped.n_vertices == creature().n_vertices
+    np.testing.assert_array_equal(wrapped.crease_sharpness, _body().crease_sharpness)
+    for name in ("look.usda", "rig.usda", "wrapped.usda"):
+        assert complaints(tmp_path / name) == [], name
+    # The target's own file is as it was, and every layer still has both parts.
+    assert len(read_usd_meshes(layer)) == 2
+
+
+def test_a_uv_set_is_chosen_by_name(tmp_path: Path) -> None:
+    from cagemap.cli.match import read_inputs
+
+    _write_asset(tmp_path / "asset.usda", 1.0)
+    path = tmp_path / "asset.usda"
+    request = MatchRequest(path, path, None, tmp_path / "R", part="mesh", target_uv_set="square")
+    (part,) = read_inputs(request).parts
+    assert (part.target.uv_name, part.source.uv_name) == ("square", "st")
+    assert part.target.uvs.max() <= 1 < part.source.uvs.max()
+    with pytest.raises(ValueError, match="expected a UV set named 'none'"):
+        read_inputs(replace(request, target_uv_set="none"))
