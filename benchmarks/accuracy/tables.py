@@ -11,9 +11,9 @@ def markdown(figures: dict[str, list[dict]]) -> str:
     if figures.get("humans"):
         parts += [
             "Errors x100 of sqrt(area), Euclidean, over vertices; an arrow reads source -> target. Truth: closest",
-            "points of the neutral surfaces, which coincide. `elastic` is the default, `hfm` the functional map grown with",
-            "the point map, `pyfm` pyFM 1.3.1 with its defaults and ZoomOut to 150 on the same landmarks, on triangles of",
-            "the size given, at least those of the control mesh.",
+            "points of the neutral surfaces, which coincide. `elastic` is the default, `hfm` the functional map grown",
+            "with the point map, `pyfm` pyFM 1.3.1 with its defaults and ZoomOut to 150 on the same landmarks, on",
+            "triangles of the size given, at least those of the control mesh.",
             "",
             "| pair | vertices | landmarks | method | mean | median | p95 | max | worst landmark | flipped % (truth) "
             "| Dirichlet ratio | coverage % | round trip | s | bar |",

@@ -68,7 +68,13 @@ class Growth:
 
 
 # A map may settle with a limb half a turn off, and which growth avoids that differs from pair to pair.
-GROWTHS = (Growth(), Growth(20, 1.5, 0.33), Growth(20, 1.25, 1.0), Growth(20, 1.5, 1.0), Growth(30, 1.25, 0.33))
+GROWTHS = (
+    Growth(15, 1.35, 0.33),
+    Growth(20, 1.5, 0.33),
+    Growth(20, 1.25, 1.0),
+    Growth(20, 1.5, 1.0),
+    Growth(30, 1.25, 0.33),
+)
 
 
 @dataclass(frozen=True)
