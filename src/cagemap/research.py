@@ -44,6 +44,7 @@ __all__ = [
     "paper_map",
     "point_map",
     "prepare",
+    "recover_points",
     "result_of_map",
     "signature_functions",
     "transport",
