@@ -6,6 +6,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
+from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.elastic.graph import TINY, ElasticGraph, cluster_graph, connected_cells, mesh_graph
 
 TURNS = 4.0
@@ -22,7 +23,7 @@ def ramp() -> tuple[ElasticGraph, np.ndarray]:
     corner = (np.arange(around - 1)[:, None] * across + np.arange(across - 1)).ravel()
     quads = np.stack([corner, corner + across, corner + across + 1, corner + 1], axis=1)
     triangles = quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
-    return mesh_graph(positions / np.sqrt(area), quads, triangles), angle.ravel()
+    return mesh_graph(TriangleSurface(positions / np.sqrt(area), triangles), quads), angle.ravel()
 
 
 def distances_from(graph: ElasticGraph, vertex: int) -> np.ndarray:
