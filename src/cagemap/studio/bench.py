@@ -363,8 +363,12 @@ def _images(result: MatchResult) -> Images:
 
 
 def _strain(result: MatchResult) -> dict[str, float]:
-    strain = dict(zip(result.trusted.names, map(float, result.quality.landmark_errors), strict=True))
-    return strain | {suspect.name: suspect.distance for suspect in result.suspects}
+    """Per landmark, of the model's size: how far it would move if let go, where a match says so, or is missed."""
+    missed = dict(zip(result.trusted.names, map(float, result.quality.landmark_errors), strict=True))
+    known = result.landmark_check.strains
+    if len(known) == len(result.landmarks):
+        missed |= dict(zip(result.landmarks.names, known.tolist(), strict=True))
+    return missed | {suspect.name: suspect.distance for suspect in result.suspects}
 
 
 def _skins(bench: Bench, view: View) -> tuple[bytes, bytes]:

@@ -11,9 +11,6 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Refinement, level_triangles, limit_normals, limit_positions, triangles
 from cagemap.studio.landmarks import Place
 
-# A click this close to a control vertex's point, in edge lengths of the displayed triangles, means that vertex.
-_SNAP = 0.75
-
 
 @dataclass(frozen=True, eq=False)
 class Shape:
@@ -144,15 +141,8 @@ def pick(shape: Shape, origin: FloatArray, direction: FloatArray) -> Hit | None:
 
 
 def place_of(shape: Shape, hit: Hit) -> Place:
-    """Place of a hit; a control vertex's own point where the hit is beside it."""
-    corners = shape.triangles[hit.triangle]
-    nearest = int(corners[np.argmax(hit.barycentric)])
-    points = shape.positions[corners]
-    length = float(np.linalg.norm(points - np.roll(points, 1, axis=0), axis=1).mean())
-    if nearest < shape.n_control and np.linalg.norm(hit.position - shape.positions[nearest]) < _SNAP * length:
-        return vertex_place(shape, nearest)
-    x, y, z = hit.position.tolist()
-    return Place((x, y, z))
+    """Place of a hit: the point of the nearest control vertex, which is what landmark files hold."""
+    return vertex_place(shape, nearest_vertex(shape, hit.position, shape.n_control))
 
 
 def vertex_place(shape: Shape, vertex: int) -> Place:
