@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pydantic import TypeAdapter
 
-from cagemap.cli.match import DEFAULT_VERTICES, MatchRequest, basis_config, run_match
+from cagemap.cli.match import (
+    DEFAULT_VERTICES,
+    SIDES,
+    Inputs,
+    MatchRequest,
+    read_control,
+    run_match,
+    side_bases,
+    side_levels,
+)
+from cagemap.cli.mesh_commands import require_size
 from cagemap.cli.progress import Stages
 from cagemap.cli.report import run_report
 from cagemap.cli.transfer import TransferRequest, run_transfer
+from cagemap.cli.wrap import WrapRequest, run_wrap
 from cagemap.errors import CagemapError
 from cagemap.files.code_version import code_version
 from cagemap.files.images import write_image
@@ -39,6 +50,7 @@ from cagemap.library.consistency import read_consistency, stored_map, write_cons
 from cagemap.library.plan import STATE
 from cagemap.library.ways import composed_result, has_ways_round, matches_only, with_ways
 from cagemap.mesh.checks import require_valid
+from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.threads import core_count
 from cagemap.pipeline import choose_level
 from cagemap.report import draw_thumbnail
@@ -53,7 +65,12 @@ class ReportRequest:
     texture: Path | None = None
 
 
-COMMANDS: dict[str, type] = {"match": MatchRequest, "transfer": TransferRequest, "report": ReportRequest}
+COMMANDS: dict[str, type] = {
+    "match": MatchRequest,
+    "transfer": TransferRequest,
+    "wrap": WrapRequest,
+    "report": ReportRequest,
+}
 # Processor seconds of a task on one core, from measured growth (docs/library.md): constant, per 1000 control vertices,
 # per 1000 finest vertices.
 COSTS = {
@@ -215,7 +232,10 @@ def run_task(task: Task) -> dict[str, Any]:
         result = composed_result(way, task.request["names"])
         write_result(task.request["output"], result)
         return {"quality": result.manifest["quality"], "notes": result.manifest["notes"]}
-    request: Any = TypeAdapter(COMMANDS[task.kind]).validate_python(task.request)
+    given = {"landmarks": None, **task.request} if task.kind == "match" else dict(task.request)
+    if task.kind == "wrap":
+        given["results"] = [given.pop("result")]
+    request: Any = TypeAdapter(COMMANDS[task.kind]).validate_python(given)
     if task.kind == "match":
         run_match(request, stages)
         manifest = read_manifest(request.output)
@@ -224,21 +244,21 @@ def run_task(task: Task) -> dict[str, Any]:
     if task.kind == "transfer":
         _, warnings = run_transfer(request, stages)
         return {"warnings": warnings}
+    if task.kind == "wrap":
+        _, warnings = run_wrap(request, stages)
+        return {"warnings": warnings}
     run_report(request.result, request.output, request.texture, stages)
     return {}
 
 
 def _prepare(task: Task) -> dict[str, Any]:
     """Prepare one surface and keep it in the store; the same as a match would do for that side."""
-    given = {name: value for name, value in task.request["options"].items() if name in _names(MatchRequest)}
-    nothing = Path()
-    request = MatchRequest(target=nothing, source=nothing, landmarks=nothing, output=nothing, **given)
-    control = replace(read_mesh(task.request["file"]), name=Path(task.request["file"]).name)
+    file, side = Path(task.request["file"]), SIDES.index(task.request["side"])
+    given = {"target": file, "source": file, "landmarks": None, "output": file, **task.request["options"]}
+    request: MatchRequest = TypeAdapter(MatchRequest).validate_python(given)
+    control = read_control(file, request, task.request["side"])
     require_valid(control)
-    level = request.level or choose_level(control, request.vertices or DEFAULT_VERTICES)
-    surface = prepared(task.request["cache"], control, level, basis_config(request))
+    level = side_levels(request, Inputs(control, control, Landmarks.none()))[side]
+    require_size(control, level)
+    surface = prepared(task.request["cache"], control, level, side_bases(request)[side])
     return {"vertices": surface.refinement.finest.n_vertices, "level": level}
-
-
-def _names(request: type) -> set[str]:
-    return {field.name for field in fields(request)}

@@ -250,12 +250,9 @@ def parse_schedule(text: str, option: str = "--schedule") -> tuple[int, ...]:
 
 def read_inputs(request: MatchRequest) -> Inputs:
     """Read both meshes and the landmarks, and check all of them before anything expensive begins."""
-    subdivision = SubdivisionRequest(request.scheme, request.boundary, request.uv_interpolation, request.creasing)
     target, source = (
-        subdivision.applied(replace(read_mesh(path), name=path.name)) for path in (request.target, request.source)
+        read_control(path, request, side) for side, path in zip(SIDES, (request.target, request.source), strict=True)
     )
-    target = target if request.target_uv_set is None else target.with_uv_set(request.target_uv_set)
-    source = source if request.source_uv_set is None else source.with_uv_set(request.source_uv_set)
     landmarks, notes = read_given_landmarks(request, target, source)
     names = request.target_part or request.part, request.source_part or request.part
     if names == (None, None):
@@ -269,6 +266,14 @@ def read_inputs(request: MatchRequest) -> Inputs:
         require_valid(part.source)
         check_landmarks(part.landmarks, part.target, part.source)
     return Inputs(target, source, landmarks, (*notes, *left_alone), parts)
+
+
+def read_control(path: Path, request: MatchRequest, side: str) -> ControlMesh:
+    """Read the control mesh of one side, and what was asked for about its subdivision and its UVs."""
+    subdivision = SubdivisionRequest(request.scheme, request.boundary, request.uv_interpolation, request.creasing)
+    control = subdivision.applied(replace(read_mesh(path), name=path.name))
+    uv_set = getattr(request, f"{side}_uv_set")
+    return control if uv_set is None else control.with_uv_set(uv_set)
 
 
 def match_inputs(

@@ -30,7 +30,7 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
@@ -57,8 +57,8 @@ class Asset(_Strict):
         Control mesh.
     landmarks : Path, optional
         Landmarks of this mesh by name, for pairs that have no file of their own.
-    part, scheme : str, optional
-        As `--part` and `--scheme` of `cagemap match`, for this side.
+    part : str, optional
+        As `--part` of `cagemap match`, for this side.
     files : dict of str to Path
         Textures, weights and other files of the model, by names that outputs ask for.
     """
@@ -67,7 +67,6 @@ class Asset(_Strict):
     file: Path
     landmarks: Path | None = None
     part: str | None = None
-    scheme: str | None = None
     files: dict[Name, Path] = {}
 
 
@@ -111,8 +110,8 @@ class Job:
     pairs : tuple of PairRule
         Their options include those of the whole job.
     outputs : tuple of OutputRule
-    paths : dict of str to frozenset of str
-        The options of every command that are files; relative ones start from the job file's folder.
+    kinds : dict of str to dict
+        Type of every option of every command.
     """
 
     path: Path
@@ -120,7 +119,7 @@ class Job:
     assets: dict[str, Asset]
     pairs: tuple[PairRule, ...]
     outputs: tuple[OutputRule, ...]
-    paths: dict[str, frozenset[str]]
+    kinds: dict[str, dict[str, Any]]
 
 
 def read_job(path: str | Path, commands: Mapping[str, type]) -> Job:
@@ -155,15 +154,19 @@ def read_job(path: str | Path, commands: Mapping[str, type]) -> Job:
         listed = "\n".join(f"  line {line}: {message}" for line, message in lines[:_SHOWN])
         more = f"\n  and {len(lines) - _SHOWN} more" if len(lines) > _SHOWN else ""
         raise FormatError(f"{file}: {len(lines)} problem{'s' * (len(lines) > 1)}; nothing was started.\n{listed}{more}")
-    return _resolved(file, parsed, {name: path_options(request) for name, request in commands.items()})
+    return _resolved(file, parsed, {name: get_type_hints(request) for name, request in commands.items()})
 
 
-def path_options(request: type) -> frozenset[str]:
-    """Names of a command's options that are files or folders."""
-    hints = get_type_hints(request)
-    return frozenset(
-        field.name for field in fields(request) if Path in (hints[field.name], *get_args(hints[field.name]))
-    )
+def absolute(value: Any, kind: Any, folder: Path) -> Any:
+    """An option's value with relative files taken from a folder; files are found by the option's type."""
+    if isinstance(value, str):
+        return (
+            str(folder / value) if kind is Path or (get_origin(kind) is not tuple and Path in get_args(kind)) else value
+        )
+    if isinstance(value, list):
+        kinds = [part for part in get_args(kind) if part is not Ellipsis] or [None]
+        return [absolute(item, kinds[min(i, len(kinds) - 1)], folder) for i, item in enumerate(value)]
+    return value
 
 
 def options_schema(request: type) -> type[BaseModel]:
@@ -173,18 +176,23 @@ def options_schema(request: type) -> type[BaseModel]:
     return create_model(f"{request.__name__}Options", __config__=ConfigDict(extra="forbid"), **wanted)
 
 
-def fill(text: str, source: Asset, target: Asset) -> str | None:
-    """Text with its ``{source}``, ``{target}`` and ``{source.NAME}`` filled in; None if an asset lacks the file."""
+def fill(value: Any, source: Asset, target: Asset) -> Any:
+    """A value with ``{source}``, ``{target}`` and ``{source.NAME}`` filled in; None if an asset lacks the file."""
+    if isinstance(value, list):
+        items = [fill(item, source, target) for item in value]
+        return None if None in items else items
+    if not isinstance(value, str):
+        return value
     sides = {"source": source, "target": target}
-    for side, name in _PLACEHOLDER.findall(text):
+    for side, name in _PLACEHOLDER.findall(value):
         if name and name not in sides[side].files:
             return None
 
-    def value(match: re.Match[str]) -> str:
+    def text(match: re.Match[str]) -> str:
         asset = sides[match[1]]
         return str(asset.files[match[2]]) if match[2] else asset.name
 
-    return _PLACEHOLDER.sub(value, text)
+    return _PLACEHOLDER.sub(text, value)
 
 
 Place = tuple[str | int, ...]
@@ -298,29 +306,28 @@ def listed(names: str | list[str] | None, everything: list[str]) -> list[str]:
     return everything if names == ALL else [names] if isinstance(names, str) else names
 
 
-def _resolved(path: Path, job: _File, paths: dict[str, frozenset[str]]) -> Job:
+def _resolved(path: Path, job: _File, kinds: dict[str, dict[str, Any]]) -> Job:
     """Paths made absolute against the job file's folder; the whole job's options put under those of each pair."""
     folder = path.resolve().parent
 
-    def absolute(item: Path | None) -> Path | None:
+    def placed(item: Path | None) -> Path | None:
         return None if item is None else folder / item
+
+    def options(pair: PairRule) -> dict[str, Any]:
+        merged = {**job.options, **pair.options}
+        return {name: absolute(value, kinds["match"][name], folder) for name, value in merged.items()}
 
     assets = {
         asset.name: asset.model_copy(
             update={
                 "file": folder / asset.file,
-                "landmarks": absolute(asset.landmarks),
+                "landmarks": placed(asset.landmarks),
                 "files": {name: folder / file for name, file in asset.files.items()},
             }
         )
         for asset in job.assets
     }
-
-    def options(pair: PairRule) -> dict[str, Any]:
-        merged = {**job.options, **pair.options}
-        return {name: str(folder / value) if name in paths["match"] else value for name, value in merged.items()}
-
     pairs = tuple(
-        pair.model_copy(update={"landmarks": absolute(pair.landmarks), "options": options(pair)}) for pair in job.pairs
+        pair.model_copy(update={"landmarks": placed(pair.landmarks), "options": options(pair)}) for pair in job.pairs
     )
-    return Job(path.resolve(), folder / job.output, assets, pairs, tuple(job.outputs), paths)
+    return Job(path.resolve(), folder / job.output, assets, pairs, tuple(job.outputs), kinds)

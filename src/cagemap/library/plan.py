@@ -11,12 +11,28 @@ from typing import Any
 
 from cagemap.errors import FormatError
 from cagemap.files.result import ARRAYS, file_hash
-from cagemap.library.job import Asset, Job, OutputRule, fill, listed
+from cagemap.library.job import Asset, Job, OutputRule, absolute, fill, listed
 
 # Folder inside the output folder for what a rerun needs: prepared surfaces, notes of finished tasks, locks.
 STATE = ".cagemap"
 RESULT = "RESULT"
 PICTURE = "picture.jpg"
+# Options of a match that a prepared surface depends on, for both sides or with the side's name before them.
+_SURFACE = frozenset(
+    [
+        "level",
+        "vertices",
+        "k",
+        "tolerance",
+        "schedule",
+        "method",
+        "scheme",
+        "boundary",
+        "uv_interpolation",
+        "creasing",
+        "uv_set",
+    ]
+)
 _DEFAULT_OUTPUT = {"report": "report.html", "wrap": "{target}.obj"}
 Pair = tuple[str, str]
 Tree = Callable[[list[Asset]], list[Pair]]
@@ -109,7 +125,10 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
                 )
     for pair, options in pairs.items():
         source, target = (job.assets[name] for name in pair)
-        prepared = [_prepare(asset, options, job, version, hashes) for asset in (target, source)]
+        sides = [("target", target), ("source", source)]
+        if any(asset.part for _, asset in sides) or any(name.endswith("part") for name in options):
+            sides = []  # which parts there are is known when both meshes have been read
+        prepared = [_prepare(asset, side, options, job, version, hashes) for side, asset in sides]
         tasks |= {task.name: task for task in prepared}
         match = _match(source, target, options, job, version, hashes, prepared)
         tasks[match.name] = match
@@ -158,10 +177,13 @@ class _Hashes:
 
     def of_request(self, request: dict[str, Any]) -> dict[str, Any]:
         """A request with every file that exists replaced by the hash of its content."""
-        return {
-            name: self.of(value) if isinstance(value, str) and Path(value).is_absolute() else value
-            for name, value in request.items()
-        }
+        return {name: self.of_value(value) for name, value in request.items()}
+
+    def of_value(self, value: Any) -> Any:
+        """A value with every file in it replaced by the hash of its content."""
+        if isinstance(value, list):
+            return [self.of_value(item) for item in value]
+        return self.of(value) if isinstance(value, str) and Path(value).is_absolute() else value
 
 
 def task_key(version: str, kind: str, *parts: Any) -> str:
@@ -169,16 +191,13 @@ def task_key(version: str, kind: str, *parts: Any) -> str:
     return hashlib.sha256(json.dumps([version, kind, *parts], sort_keys=True, default=str).encode()).hexdigest()
 
 
-def _prepare(asset: Asset, options: dict[str, Any], job: Job, version: str, hashes: _Hashes) -> Task:
-    choices = {name: value for name, value in options.items() if name != "landmarks"}
-    request = {
-        "asset": asset.name,
-        "file": str(asset.file),
-        "part": asset.part,
-        "scheme": asset.scheme,
-        "options": choices,
-    }
-    key = task_key(version, "prepare", hashes.of(asset.file), asset.part, asset.scheme, choices)
+def _prepare(asset: Asset, side: str, options: dict[str, Any], job: Job, version: str, hashes: _Hashes) -> Task:
+    """The task of one surface; a surface that is prepared alike for both sides is one task."""
+    kept = {name: value for name, value in options.items() if name in _SURFACE or name.startswith(f"{side}_")}
+    choices = {name: value for name, value in kept.items() if name.removeprefix(f"{side}_") in _SURFACE}
+    side = side if any(name.startswith(f"{side}_") for name in choices) else "target"
+    request = {"asset": asset.name, "file": str(asset.file), "side": side, "options": choices}
+    key = task_key(version, "prepare", hashes.of(asset.file), side, choices)
     return Task("prepare", f"prepare {asset.name} {key[:8]}", key, (), {**request, "cache": str(_cache(job))})
 
 
@@ -187,10 +206,9 @@ def _match(
 ) -> Task:
     folder = f"{source.name}__{target.name}/{RESULT}"
     inputs: dict[str, Any] = {"target": str(target.file), "source": str(source.file), **options}
-    for side, asset in (("target", target), ("source", source)):
-        inputs |= {f"{side}_{what}": getattr(asset, what) for what in ("part", "scheme") if getattr(asset, what)}
+    inputs |= {f"{side}_part": one.part for side, one in (("target", target), ("source", source)) if one.part}
     if "landmarks" not in options and source.landmarks is not None and target.landmarks is not None:
-        inputs |= {"target_landmarks": str(target.landmarks), "source_landmarks": str(source.landmarks)}
+        inputs |= {"target_points": str(target.landmarks), "source_points": str(source.landmarks)}
     key = task_key(version, "match", hashes.of_request(inputs), [task.key for task in needs])
     request = {**inputs, "output": str(job.output / folder), "cache": str(_cache(job))}
     pair, before = (source.name, target.name), tuple(task.name for task in needs)
@@ -213,13 +231,13 @@ def _output(
     """The task of an output; or why the pair does not get it."""
     pair = f"{source.name} -> {target.name}"
     options: dict[str, Any] = {}
-    files = job.paths[rule.command] - {"output"}
+    kinds = job.kinds[rule.command]
     name = rule.output or _DEFAULT_OUTPUT.get(rule.command) or f"{{target}}_{rule.command}.png"
     for option, value in {**(rule.model_extra or {}), "output": name}.items():
-        filled = fill(value, source, target) if isinstance(value, str) else value
+        filled = fill(value, source, target)
         if filled is None:
             return f"{pair}: no {rule.command}, {value} is not among the asset's files"
-        options[option] = str(job.path.parent / filled) if option in files else filled
+        options[option] = filled if option == "output" else absolute(filled, kinds[option], job.path.parent)
     written = f"{source.name}__{target.name}/{options.pop('output')}"
     key = task_key(version, rule.command, hashes.of_request(options), match.key)
     request = {**options, "result": match.request["output"], "output": str(job.output / written)}
