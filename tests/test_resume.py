@@ -12,6 +12,7 @@ import cagemap
 from cagemap import BasisConfig, Landmarks, MatchResult
 from cagemap.example import example_pair
 from cagemap.files.result import Result
+from cagemap.mesh.landmarks import CagePoints
 from cagemap.report import write_report
 
 CONFIG = BasisConfig(count=40)
@@ -76,6 +77,27 @@ def test_an_update_of_what_was_read_is_that_of_the_match(
     resumed = cagemap.update_match(cagemap.resume(read), landmarks)
     assert resumed.suspects == ()
     np.testing.assert_allclose(resumed.point_map.images.positions, updated.point_map.images.positions, atol=1e-9)
+
+
+def test_landmarks_between_vertices_stay_where_they_are(matched: MatchResult, tmp_path: Path) -> None:
+    """Moved a third of the way along an edge of a face."""
+    landmarks, control = matched.landmarks, matched.target.control
+    points = landmarks.target_points
+    weights, corners = points.weights.copy(), points.corners.copy()
+    at = int(np.flatnonzero(control.face_indices == landmarks.target[0])[0])
+    corners[0] = [landmarks.target[0], control.face_indices[control.next_corners[at]], landmarks.target[0]]
+    weights[0] = [2 / 3, 1 / 3, 0]
+    moved = CagePoints(corners, weights)
+    between = replace(landmarks, target=moved.vertices, target_points=moved)
+    assert between.target[0] == -1
+    updated = cagemap.update_match(matched, between)
+    cagemap.write_result(tmp_path / "R", updated)
+    again = cagemap.resume(cagemap.read_result(tmp_path / "R"))
+    assert again.landmarks.target[0] == -1
+    np.testing.assert_allclose(again.landmarks.target_points.weights, weights)
+    for name, value in updated.quality.summary().items():
+        if isinstance(value, float):
+            assert again.quality.summary()[name] == pytest.approx(value, abs=1e-12), name
 
 
 def test_a_stored_surface_is_taken_from_the_cache(read: Result, tmp_path: Path) -> None:

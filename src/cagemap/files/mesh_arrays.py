@@ -14,6 +14,7 @@ from cagemap.errors import FormatError, InvalidMeshError
 from cagemap.files.forms import Form, check_arrays, check_offsets
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
+from cagemap.mesh.landmarks import CagePoints
 from cagemap.mesh.schemes import SCHEMES, Scheme
 
 # Sizes: c vertices, f faces, q face corners, t texture vertices, m materials.
@@ -99,6 +100,22 @@ def _texts(path: Path, name: str, array: NDArray[Any] | None, remedy: str) -> tu
     if array.ndim != 1 or array.dtype.kind != "U":
         raise FormatError(f"{path}: {name} holds {array.dtype} of shape {array.shape}, expected names. {remedy}")
     return tuple(map(str, array.tolist()))
+
+
+def points_from_arrays(path: Path, arrays: Mapping[str, Any], prefix: str, remedy: str) -> CagePoints | None:
+    """Points of a control mesh whose arrays have their forms already, if there are any.
+
+    Raises
+    ------
+    FormatError
+        If one array is missing or points lie outside their triangles; says ``remedy``.
+    """
+    corners, weights = arrays.get(f"{prefix}corners"), arrays.get(f"{prefix}weights")
+    if corners is None and weights is None:
+        return None
+    if corners is None or weights is None or np.any(weights < -1e-6) or np.any(abs(weights.sum(axis=1) - 1) > 1e-6):
+        raise FormatError(f"{path}: {prefix}corners and {prefix}weights are not points of the mesh. {remedy}")
+    return CagePoints(corners, weights)
 
 
 def scheme_to_entry(scheme: Scheme) -> dict[str, Any]:

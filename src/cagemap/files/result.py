@@ -27,6 +27,7 @@ from cagemap.files.mesh_arrays import (
     CONTROL_ARRAYS,
     control_from_arrays,
     control_to_arrays,
+    points_from_arrays,
     scheme_from_entry,
     scheme_to_entry,
 )
@@ -163,6 +164,9 @@ def write_result(folder: str | Path, result: Result | MatchResult, *, force: boo
         arrays["runner_up_images"] = result.runner_up_images
     for prefix, side in (("target", result.target), ("source", result.source)):
         arrays |= {f"{prefix}_{name}": getattr(side, name) for name in _SIDE_ARRAYS}
+        if side.landmark_points is not None:
+            arrays[f"{prefix}_landmark_corners"] = side.landmark_points.corners
+            arrays[f"{prefix}_landmark_weights"] = side.landmark_points.weights
         arrays |= control_to_arrays(side.control, f"{prefix}_control_")
     with atomic_folder(folder, (ARRAYS, MANIFEST), force=force, owned=_is_own) as temporary:
         write_npz(temporary / ARRAYS, arrays)
@@ -257,7 +261,9 @@ def _read_side(root: Path, prefix: str, entry: SideRecord, stored: dict[str, Any
     sizes |= {f"c{number}": control.n_vertices, f"n{number}": _expected_vertices(control, scheme, entry.level)}
     forms = {f"{prefix}_{name}": form for name, form in _side_forms(number).items()}
     arrays = check_arrays(path, stored, forms, sizes, _REMEDY)
-    side = Side(control, scheme, entry.level, *(arrays[f"{prefix}_{name}"] for name in _SIDE_ARRAYS))
+    points = points_from_arrays(path, arrays, f"{prefix}_landmark_", _REMEDY)
+    own = {name: arrays[f"{prefix}_{name}"] for name in _SIDE_ARRAYS}
+    side = Side(control, scheme, entry.level, **own, landmark_points=points)
     low, high = control.positions.min(axis=0), control.positions.max(axis=0)
     slack = (high - low).max()  # refined vertices are averages of control vertices
     if np.any(side.vertices < low - slack) or np.any(side.vertices > high + slack):
@@ -275,6 +281,8 @@ def _side_forms(number: int) -> dict[str, Form]:
         "faces": Form((f"m{number}", "3|4"), below=f"n{number}"),
         "eigenvalues": Form((f"k{number}",)),
         "landmarks": Form(("p",), below=f"c{number}"),
+        "landmark_corners": Form(("p", 3), below=f"c{number}", optional=True),
+        "landmark_weights": Form(("p", 3), optional=True),
     }
 
 

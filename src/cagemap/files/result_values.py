@@ -11,6 +11,7 @@ import numpy as np
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.landmarks import CagePoints
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Refinement, Scheme, refine, triangles
 
@@ -35,6 +36,8 @@ class Side:
         Of the unit-area surface.
     landmarks : (p,) int64
         Control vertices, in the order of the other side's; the nearest where a landmark lies between them.
+    landmark_points : CagePoints, optional
+        Where the landmarks lie, if some lie between control vertices.
     """
 
     control: ControlMesh
@@ -44,6 +47,7 @@ class Side:
     faces: IndexArray
     eigenvalues: FloatArray
     landmarks: IndexArray
+    landmark_points: CagePoints | None = None
 
     @cached_property
     def refinement(self) -> Refinement:
@@ -124,6 +128,7 @@ def result_of(match: MatchResult, manifest: dict[str, Any] | None = None) -> Res
             faces=np.asarray(surface.refinement.finest.faces),
             eigenvalues=surface.basis.eigenvalues,
             landmarks=landmarks.nearest_vertices,
+            landmark_points=landmarks if np.any(landmarks.vertices < 0) else None,
         )
         for surface, landmarks in (
             (match.target, match.landmarks.target_points),

@@ -13,9 +13,9 @@ from cagemap.files.schema import BasisRecord, ResultRecord
 from cagemap.files.surface_store import prepared
 from cagemap.maps.elastic.method import functional_map_of
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
-from cagemap.maps.pair import Pair
+from cagemap.maps.pair import point_pairs
 from cagemap.maps.point_map import PointMap
-from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.pipeline import MAP_BASIS, MatchResult, judge, prepare_surface, prepare_surfaces
 
 
@@ -41,17 +41,20 @@ def resume(
     FormatError
         If the manifest holds something else where it should say what was found about the landmarks.
     """
+    sides = {"target": result.target, "source": result.source}
+    places = [side.landmark_points or CagePoints.of_vertices(side.landmarks) for side in sides.values()]
     landmarks = Landmarks(
         result.landmark_names or tuple(f"pair {i}" for i in range(len(result.target.landmarks))),
-        result.target.landmarks,
-        result.source.landmarks,
+        places[0].vertices,
+        places[1].vertices,
         result.target.control.name,
         result.source.control.name,
+        places[0],
+        places[1],
     )
     record = result_record(result)
     check = _stored_check(record)
     prepare = prepare_surface if cache is None else partial(prepared, cache)
-    sides = {"target": result.target, "source": result.source}
     levels = result.target.level, result.source.level
     controls = [replace(side.control, scheme=side.scheme) for side in sides.values()]
     bases = [_basis(record.bases.get(name), side) for name, side in sides.items()]
@@ -62,7 +65,7 @@ def resume(
         target.triangles(target.finest), source.triangles(source.finest), result.triangle, result.barycentric
     )
     trusted = check.trusted(landmarks)
-    points = Pair.of_vertices(target, source, trusted.target, trusted.source).landmarks
+    points = point_pairs(target, source, trusted)
     progress("functional map, quality")
     return MatchResult(
         target,
