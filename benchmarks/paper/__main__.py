@@ -84,14 +84,12 @@ def write_page(seen: dict[str, str]) -> None:
     ]
     for name, (_, claim) in FIGURES.items():
         if name in seen:
-            parts.append(
-                f"## {claim.split('. ')[0]}. {claim.split('. ')[1].split('.')[0]}\n\nThe paper: {claim}\n\n![{name}]({name}.png)\n\n{seen[name]}"
-            )
+            title, said = claim.split(". ", 1)[0] + ". " + claim.split(". ", 2)[1], claim.split(". ", 2)[2]
+            parts.append(f"## {title}\n\nThe paper: {said}\n\n![{name}]({name}.png)\n\n{seen[name]}")
     for name, (_, claim) in TABLES.items():
         if name in seen:
-            parts.append(
-                f"## {claim.split('. ')[0] if name != 'methods' else 'Methods by level and landmarks'}\n\nThe paper: {claim}\n\n{seen[name]}"
-            )
+            title, said = claim.split(". ", 1)
+            parts.append(f"## {title}\n\n{said}\n\n{seen[name]}")
     (folder() / "index.md").write_text("\n\n".join(parts) + "\n")
 
 

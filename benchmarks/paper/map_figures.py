@@ -69,12 +69,8 @@ def figure_9() -> Drawn:
     """One match of level 0, and the only candidates that its children have on level 1."""
     pair, _, maps, _ = paper_maps()
     first = maps[0]
-    vertex = int(
-        np.argmax(
-            pair.target.control.positions[:, 2]
-            - abs(pair.target.control.positions[:, 1] - np.median(pair.target.control.positions[:, 1]))
-        )
-    )
+    x, height, depth = pair.target.control.positions.T
+    vertex = int(np.argmax(depth - abs(height - np.median(height)) - abs(x)))  # on the belly, where the camera sees it
     match = int(first.match[vertex])
     column = pair.source.refinement.matrices[0][:, [match]].tocsc()
     candidates = column.indices
