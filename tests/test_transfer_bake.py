@@ -19,7 +19,7 @@ from cagemap.transfer import (
     target_tiles,
     unwrap,
 )
-from cagemap.transfer import bake as bake_module
+from cagemap.transfer import baking as bake_module
 from cagemap.transfer.locate import Samples
 from transfer_reference import look_up_slowly
 from transfer_scenes import crossed_cube, face_texture, identity_map, plane, plane_map

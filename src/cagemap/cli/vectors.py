@@ -8,7 +8,7 @@ from cagemap.cli.progress import Stages
 from cagemap.files.images import texture_pixels, udim_path, write_image
 from cagemap.files.result import stated_path
 from cagemap.files.result_values import Result
-from cagemap.transfer.bake import BakeOptions
+from cagemap.transfer.baking import BakeOptions
 from cagemap.transfer.vectors import Green, Space, bake_normal_map, bake_vector_displacement
 
 if TYPE_CHECKING:

@@ -36,7 +36,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import one_blas_thread
 from cagemap.transfer import target_tiles
-from cagemap.transfer.bake import BakeOptions
+from cagemap.transfer.baking import BakeOptions
 from cagemap.transfer.vertex_bake import bake_vertex_values
 from cagemap.wrap import WrapConfig, Wrapped, level_mesh, offsets_to_source, wrap
 

@@ -1,7 +1,7 @@
 """Transfer: textures, displacement and attributes, pulled back from source to target through the point map."""
 
 from cagemap.transfer.attributes import bake_face_colors, face_colors, pull_back_faces, pull_back_vertices
-from cagemap.transfer.bake import BakeOptions, Transfer, bake_texture, prepare_transfer, target_tiles
+from cagemap.transfer.baking import BakeOptions, Transfer, bake_texture, prepare_transfer, target_tiles
 from cagemap.transfer.control_values import (
     CarriedUvs,
     CornerValues,

@@ -11,7 +11,7 @@ from cagemap.errors import ParameterError
 from cagemap.geometry.triangles import triangle_areas
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.transfer.bake import BakeOptions, Transfer, bake, make_canvas, unit
+from cagemap.transfer.baking import BakeOptions, Transfer, bake, make_canvas, unit
 from cagemap.transfer.locate import Samples, locate_centers
 from cagemap.transfer.texture import Pixels
 

@@ -19,7 +19,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Refinement
 from cagemap.transfer.attributes import largest_share
-from cagemap.transfer.bake import Transfer
+from cagemap.transfer.baking import Transfer
 from cagemap.transfer.interpolation import LinearValues, corner_triangles, interpolate_linearly
 from cagemap.transfer.locate import locate_centers, walk_from
 

@@ -15,7 +15,7 @@ from numpy.typing import DTypeLike
 from cagemap.errors import ParameterError
 from cagemap.geometry.triangles import triangle_areas
 from cagemap.numerics.arrays import FloatArray
-from cagemap.transfer.bake import BakeOptions, Transfer, bake, make_canvas, unit
+from cagemap.transfer.baking import BakeOptions, Transfer, bake, make_canvas, unit
 from cagemap.transfer.locate import Samples, plan_samples, target_barycentric
 from cagemap.transfer.texture import Pixels, lay_texture, look_up
 

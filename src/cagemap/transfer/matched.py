@@ -9,7 +9,7 @@ from numpy.typing import DTypeLike
 
 from cagemap.maps.point_map import PointMap
 from cagemap.refinement import Refinement
-from cagemap.transfer.bake import BakeOptions, Transfer, bake_texture, prepare_transfer
+from cagemap.transfer.baking import BakeOptions, Transfer, bake_texture, prepare_transfer
 from cagemap.transfer.texture import Pixels
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cagemap.transfer.bake import unit
+from cagemap.transfer.baking import unit
 from cagemap.transfer.texture import Pixels
 
 # What of the painted texels decode to unit vectors that point outwards, and how nearly.

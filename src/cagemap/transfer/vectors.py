@@ -17,7 +17,7 @@ from numpy.typing import DTypeLike
 from cagemap.errors import ParameterError
 from cagemap.geometry.triangles import normalized, vertex_normals
 from cagemap.numerics.arrays import FloatArray
-from cagemap.transfer.bake import BakeOptions, Transfer, bake, make_canvas, unit
+from cagemap.transfer.baking import BakeOptions, Transfer, bake, make_canvas, unit
 from cagemap.transfer.displacement import Displacement, scale_ratio
 from cagemap.transfer.locate import Samples, plan_samples, target_barycentric
 from cagemap.transfer.tangents import plane_basis, tangent_frames

@@ -8,7 +8,7 @@ from numpy.typing import DTypeLike, NDArray
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Level
-from cagemap.transfer.bake import BakeOptions, lay_canvas, paint, unit
+from cagemap.transfer.baking import BakeOptions, lay_canvas, paint, unit
 from cagemap.transfer.locate import cell_barycentric
 from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.texture import Pixels
