@@ -231,7 +231,7 @@ def test_the_command_refuses_and_writes_nothing(run: Run, result_folder: Path) -
         (("R", "-o", "n.obj", "--fit-level", "3"), "level below"),
         (("R", "R", "-o", "n.obj"), "--blend-shapes"),
         (("-o", "n.obj"), "RESULT"),
-        (("R", "-o", "n.obj", "--target", "t.obj"), "--landmarks"),
+        (("R", "-o", "n.obj", "--target", "t.obj"), "--target and --source"),
         (("R", "-o", "n.obj", "--amount", "0.5", "--displacement", "d.exr"), "whole --amount"),
         (("R", "-o", "n.stl"), "n.stl"),
     ):

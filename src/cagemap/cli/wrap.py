@@ -72,12 +72,9 @@ def run_wrap(request: WrapRequest, stages: Stages) -> Outcome:
     given = (request.target, request.source, request.landmarks)
     if not any(given):
         return _run(request, stages)
-    if request.results or not all(given):
-        raise ParameterError("expected RESULT folders, or --target, --source and --landmarks together to match first")
+    if request.results or request.target is None or request.source is None:
+        raise ParameterError("expected RESULT folders, or --target and --source together to match first")
     with tempfile.TemporaryDirectory() as folder:
-        assert request.target is not None
-        assert request.source is not None
-        assert request.landmarks is not None
         result = Path(folder) / "result"
         _, warnings = run_match(MatchRequest(request.target, request.source, request.landmarks, result), stages)
         summary, more = _run(replace(request, results=(result,)), stages)
@@ -117,7 +114,7 @@ def _run(request: WrapRequest, stages: Stages) -> Outcome:
     stages("read result")
     results = [read_result(folder) for folder in request.results]
     if not results:
-        raise ParameterError("expected a RESULT folder of `cagemap match`, or --target, --source and --landmarks")
+        raise ParameterError("expected a RESULT folder of `cagemap match`, or --target and --source")
     if len({mesh_hash(result.target.control) for result in results}) > 1:
         raise ParameterError("--blend-shapes: expected results of one target, got several; the cages would differ")
     if request.blend_shapes:

@@ -1,0 +1,221 @@
+"""The words of `cagemap match`; the work is in `cagemap.cli.match`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cagemap.cli.options import BoundaryOption, CreasingOption, Force, Method, SchemeOption, UvOption
+from cagemap.cli.words import say, warn
+
+
+def match(
+    target: Annotated[Path, typer.Option("--target", "-t", help="Control mesh that receives, .obj, .ply or USD.")],
+    source: Annotated[Path, typer.Option("--source", "-s", help="Control mesh that gives, .obj, .ply or USD.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="RESULT folder to write.")],
+    landmarks: Annotated[
+        Path | None,
+        typer.Option(
+            "--landmarks",
+            help="JSON file of corresponding control vertices; without one the shapes alone decide.",
+            show_default=False,
+        ),
+    ] = None,
+    level: Annotated[
+        int | None, typer.Option("--level", min=1, help="Subdivision level of both surfaces.", show_default=False)
+    ] = None,
+    vertices: Annotated[
+        int | None,
+        typer.Option(
+            "--vertices",
+            min=1,
+            help="Instead of --level: about this many vertices each.  [default: 200000]",
+            show_default=False,
+        ),
+    ] = None,
+    k: Annotated[
+        int | None,
+        typer.Option(
+            "-k",
+            min=3,
+            help="Basis functions of each surface.  [default: 150; 300 with --method hfm]",
+            show_default=False,
+        ),
+    ] = None,
+    tolerance: Annotated[
+        float, typer.Option("--tolerance", help="Relative error allowed in eigenvalues; sets the level of each band.")
+    ] = 0.05,
+    schedule: Annotated[
+        str | None,
+        typer.Option(
+            "--schedule",
+            help="Basis functions per level, such as 100,50,50,50 (the paper's); replaces -k and --tolerance.",
+            show_default=False,
+        ),
+    ] = None,
+    target_level: Annotated[
+        int | None, typer.Option("--target-level", help="--level of the target alone.", show_default=False)
+    ] = None,
+    target_k: Annotated[
+        int | None, typer.Option("--target-k", help="-k of the target alone.", show_default=False)
+    ] = None,
+    target_tolerance: Annotated[
+        float | None, typer.Option("--target-tolerance", help="--tolerance of the target alone.", show_default=False)
+    ] = None,
+    target_schedule: Annotated[
+        str | None, typer.Option("--target-schedule", help="--schedule of the target alone.", show_default=False)
+    ] = None,
+    source_level: Annotated[
+        int | None, typer.Option("--source-level", help="--level of the source alone.", show_default=False)
+    ] = None,
+    source_k: Annotated[
+        int | None, typer.Option("--source-k", help="-k of the source alone.", show_default=False)
+    ] = None,
+    source_tolerance: Annotated[
+        float | None, typer.Option("--source-tolerance", help="--tolerance of the source alone.", show_default=False)
+    ] = None,
+    source_schedule: Annotated[
+        str | None, typer.Option("--source-schedule", help="--schedule of the source alone.", show_default=False)
+    ] = None,
+    method: Annotated[
+        Method,
+        typer.Option(
+            "--method",
+            help="elastic: spectral map finished by an elastic fit, landmarks met exactly. "
+            "hfm: hierarchical functional map, each band found by the paper's eqs. 14-16 and by the map so far. "
+            "paper: the paper's own method, from level 0 on; give it a --schedule.",
+        ),
+    ] = Method.ELASTIC,
+    parameter: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--parameter",
+            metavar="NAME=VALUE",
+            help="A parameter of the spectral method, such as laplacian=0.01; repeat it for more.",
+            show_default=False,
+        ),
+    ] = None,
+    symmetry: Annotated[
+        bool, typer.Option("--symmetry/--no-symmetry", help="Use mirror symmetry where both meshes have it.")
+    ] = True,
+    target_symmetry: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--target-symmetry", help="File with the image of every control vertex of the target.", show_default=False
+        ),
+    ] = None,
+    source_symmetry: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--source-symmetry", help="The same symmetry of the source; repeat both for more.", show_default=False
+        ),
+    ] = None,
+    exchange_landmarks: Annotated[
+        bool, typer.Option("--exchange-landmarks", help="The landmark file was made for the other direction.")
+    ] = False,
+    trust_landmarks: Annotated[
+        bool,
+        typer.Option("--trust-landmarks", help="Meet every landmark; otherwise pairs that look wrong are left out."),
+    ] = False,
+    target_points: Annotated[
+        Path | None,
+        typer.Option(
+            "--target-points",
+            help="Instead of --landmarks: named points of the target (.json, .pp, .mrk.json, .fcsv, .csv, Wrap's).",
+            show_default=False,
+        ),
+    ] = None,
+    source_points: Annotated[
+        Path | None,
+        typer.Option("--source-points", help="The source's points; equal names are landmarks.", show_default=False),
+    ] = None,
+    scheme: SchemeOption = None,
+    boundary: BoundaryOption = None,
+    uv_interpolation: UvOption = None,
+    creasing: CreasingOption = None,
+    part: Annotated[
+        str | None,
+        typer.Option(
+            "--part",
+            help="Match only this object, group, material or component of both files, the largest, or each with its "
+            "counterpart; `cagemap check` lists them.",
+            show_default=False,
+        ),
+    ] = None,
+    target_part: Annotated[
+        str | None, typer.Option("--target-part", help="As --part, of the target alone.", show_default=False)
+    ] = None,
+    source_part: Annotated[
+        str | None, typer.Option("--source-part", help="As --part, of the source alone.", show_default=False)
+    ] = None,
+    target_uv_set: Annotated[
+        str | None,
+        typer.Option("--target-uv-set", help="UV set of the target to bake into, by name.", show_default=False),
+    ] = None,
+    source_uv_set: Annotated[
+        str | None,
+        typer.Option("--source-uv-set", help="UV set of the source that its images belong to.", show_default=False),
+    ] = None,
+    cache: Annotated[
+        Path | None,
+        typer.Option(
+            "--cache", help="Folder that keeps prepared surfaces, so that each is prepared once.", show_default=False
+        ),
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Find for every point of the target its place on the source.
+
+    Writes a folder with manifest.json (what was done, how long it took, how good the map is) and map.npz (the map
+    itself). Without landmarks every way in which one shape may lie on the other is tried, and the answer says how sure
+    it is. Landmarks make it better: six to thirty, spread over the whole surface, are a good number; tips of limbs,
+    nose and tail first.
+    """
+    from cagemap.cli.match import MatchRequest, run_match
+    from cagemap.cli.progress import Stages
+
+    request = MatchRequest(
+        target=target,
+        source=source,
+        landmarks=landmarks,
+        output=output,
+        level=level,
+        vertices=vertices,
+        k=k,
+        tolerance=tolerance,
+        schedule=schedule,
+        target_level=target_level,
+        source_level=source_level,
+        target_k=target_k,
+        source_k=source_k,
+        target_tolerance=target_tolerance,
+        source_tolerance=source_tolerance,
+        target_schedule=target_schedule,
+        source_schedule=source_schedule,
+        method=method.value,
+        parameter=tuple(parameter or ()),
+        symmetry=symmetry,
+        target_symmetry=tuple(target_symmetry or ()),
+        source_symmetry=tuple(source_symmetry or ()),
+        exchange_landmarks=exchange_landmarks,
+        trust_landmarks=trust_landmarks,
+        target_points=target_points,
+        source_points=source_points,
+        scheme=scheme,
+        boundary=boundary,
+        uv_interpolation=uv_interpolation,
+        creasing=creasing,
+        part=part,
+        target_part=target_part,
+        source_part=source_part,
+        target_uv_set=target_uv_set,
+        source_uv_set=source_uv_set,
+        cache=cache,
+        force=force,
+    )
+    with Stages() as stages:
+        summary, warnings = run_match(request, stages)
+    warn(warnings)
+    say(summary)

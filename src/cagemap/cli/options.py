@@ -1,0 +1,54 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cagemap.cli.subdivision import BoundaryName, CreasingName, SchemeName, UvName
+
+MeshFile = Annotated[Path, typer.Argument(help="Control mesh, .obj, .ply or USD.", show_default=False)]
+Force = Annotated[
+    bool, typer.Option("--force", help="Overwrite files that cagemap did not write, or that were changed since.")
+]
+ResultFolder = Annotated[Path, typer.Argument(help="Folder that `cagemap match` wrote.", show_default=False)]
+
+SchemeOption = Annotated[
+    SchemeName | None,
+    typer.Option(
+        "--scheme",
+        help="Subdivision scheme; none takes the mesh as it is.  [default: as the file says, else loop for triangles]",
+        show_default=False,
+    ),
+]
+BoundaryOption = Annotated[
+    BoundaryName | None,
+    typer.Option(
+        "--boundary",
+        help="Whether boundary vertices with a single face stay.  [default: as the file says, else edge-and-corner]",
+        show_default=False,
+    ),
+]
+UvOption = Annotated[
+    UvName | None,
+    typer.Option(
+        "--uv-interpolation", help="Where UVs stay linear.  [default: as the file says, else all]", show_default=False
+    ),
+]
+CreasingOption = Annotated[
+    CreasingName | None,
+    typer.Option(
+        "--creasing", help="How creases soften.  [default: as the file says, else uniform]", show_default=False
+    ),
+]
+
+
+class Method(StrEnum):
+    """Matching methods."""
+
+    ELASTIC = "elastic"
+    HFM = "hfm"
+    PAPER = "paper"
