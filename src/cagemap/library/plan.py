@@ -193,8 +193,7 @@ def task_key(version: str, kind: str, *parts: Any) -> str:
 
 def _prepare(asset: Asset, side: str, options: dict[str, Any], job: Job, version: str, hashes: _Hashes) -> Task:
     """The task of one surface; a surface that is prepared alike for both sides is one task."""
-    kept = {name: value for name, value in options.items() if name in _SURFACE or name.startswith(f"{side}_")}
-    choices = {name: value for name, value in kept.items() if name.removeprefix(f"{side}_") in _SURFACE}
+    choices = {name: value for name, value in options.items() if name.removeprefix(f"{side}_") in _SURFACE}
     side = side if any(name.startswith(f"{side}_") for name in choices) else "target"
     request = {"asset": asset.name, "file": str(asset.file), "side": side, "options": choices}
     key = task_key(version, "prepare", hashes.of(asset.file), side, choices)

@@ -83,7 +83,7 @@ def run_plan(
         Of all tasks of the plan, by name, but those that only serve what is done.
     """
     outcomes = {task.name: kept for task in plan.tasks if (kept := kept_outcome(plan.root, task)) is not None}
-    missing = [task for task in missing_tasks(plan) if task.name not in outcomes]
+    missing = _to_do(plan, set(outcomes))
     if missing:
         outcomes |= _run(crew(), plan, missing, runner, outcomes, report)
     return outcomes
@@ -91,7 +91,11 @@ def run_plan(
 
 def missing_tasks(plan: Plan) -> list[Task]:
     """Tasks that a run would do: not done yet, and more than a preparation of what is done."""
-    missing = [task for task in plan.tasks if kept_outcome(plan.root, task) is None]
+    return _to_do(plan, {task.name for task in plan.tasks if kept_outcome(plan.root, task) is not None})
+
+
+def _to_do(plan: Plan, kept: set[str]) -> list[Task]:
+    missing = [task for task in plan.tasks if task.name not in kept]
     wanted = needed(plan, {task.name for task in missing if task.kind != "prepare"})
     return [task for task in missing if task.name in wanted]
 
