@@ -14,7 +14,8 @@ import pytest
 
 from cagemap.basis import BasisConfig
 from cagemap.cli.progress import Stages
-from cagemap.cli.transfer import TransferRequest, run_transfer
+from cagemap.cli.transfer import run_transfer
+from cagemap.cli.transfer_request import TransferRequest
 from cagemap.errors import CagemapError
 from cagemap.example import example_pair
 from cagemap.files.attributes import read_attributes, write_attributes

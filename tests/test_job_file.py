@@ -12,7 +12,7 @@ from cagemap.cli.app import app
 from cagemap.cli.job_file import JOB, note_match, note_output
 from cagemap.cli.library import COMMANDS
 from cagemap.cli.match import MatchRequest
-from cagemap.cli.transfer import TransferRequest
+from cagemap.cli.transfer_request import TransferRequest
 from cagemap.example import example_pair
 from cagemap.files.images import read_image, write_image
 from cagemap.files.landmarks import write_landmarks

@@ -12,7 +12,8 @@ from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.match_parts import chosen_parts
 from cagemap.cli.mesh_commands import check_files
 from cagemap.cli.progress import Stages
-from cagemap.cli.transfer import TransferRequest, run_transfer
+from cagemap.cli.transfer import run_transfer
+from cagemap.cli.transfer_request import TransferRequest
 from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.files.images import read_image, write_image
 from cagemap.files.landmarks import write_landmarks

@@ -18,7 +18,8 @@ from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.mesh_commands import refine_file
 from cagemap.cli.progress import Stages
 from cagemap.cli.report import run_report
-from cagemap.cli.transfer import TransferRequest, run_transfer
+from cagemap.cli.transfer import run_transfer
+from cagemap.cli.transfer_request import TransferRequest
 from cagemap.errors import FormatError
 from cagemap.example import example_pair
 from cagemap.files.atomic import atomic_path

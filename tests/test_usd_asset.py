@@ -10,7 +10,8 @@ import pytest
 
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.progress import Stages
-from cagemap.cli.transfer import TransferRequest, run_transfer
+from cagemap.cli.transfer import run_transfer
+from cagemap.cli.transfer_request import TransferRequest
 from cagemap.cli.wrap import WrapRequest, run_wrap
 from cagemap.files.images import read_texture, udim_path, write_image
 from cagemap.files.landmarks import write_landmarks

@@ -10,7 +10,8 @@ import pytest
 
 from cagemap.cli.progress import Stages
 from cagemap.cli.texture_maps import texture_and_maps
-from cagemap.cli.transfer import TransferRequest, run_transfer
+from cagemap.cli.transfer import run_transfer
+from cagemap.cli.transfer_request import TransferRequest
 from cagemap.errors import ParameterError
 from cagemap.files.images import read_image, write_image
 from cagemap.files.result import file_hash, write_result

@@ -22,7 +22,8 @@ from cagemap.cli.match import (
 from cagemap.cli.mesh_commands import require_size
 from cagemap.cli.progress import Stages
 from cagemap.cli.report import run_report
-from cagemap.cli.transfer import TransferRequest, run_transfer
+from cagemap.cli.transfer import run_transfer
+from cagemap.cli.transfer_request import TransferRequest
 from cagemap.cli.wrap import WrapRequest, run_wrap
 from cagemap.errors import CagemapError
 from cagemap.files.code_version import code_version

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cagemap.cli.progress import Stages
+from cagemap.cli.transfer_request import Outcome, TransferRequest
 from cagemap.cli.usd_output import write_usd_results
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs
@@ -27,10 +27,6 @@ from cagemap.transfer.skeleton import carry_joints
 from cagemap.transfer.skin import carry_skin
 from cagemap.wrap.follow import counterpart
 
-if TYPE_CHECKING:
-    from cagemap.cli.transfer import TransferRequest
-
-Outcome = tuple[str, list[str]]
 # A control vertex below this trust takes its weights from those around it.
 _TRUSTED = 0.1
 # A mesh further from its base than this, in units of sqrt(area), is hardly meant to follow it as it stands.

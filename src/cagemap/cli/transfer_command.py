@@ -131,7 +131,8 @@ def transfer(
     """
     from cagemap.cli.progress import Stages
     from cagemap.cli.texture_maps import texture_and_maps
-    from cagemap.cli.transfer import TransferRequest, run_transfer
+    from cagemap.cli.transfer import run_transfer
+    from cagemap.cli.transfer_request import TransferRequest
 
     image, maps = texture_and_maps(texture or [])
     request = TransferRequest(

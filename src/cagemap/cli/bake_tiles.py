@@ -1,0 +1,176 @@
+"""Baking on the command line: the target laid out once, and one loop over its tiles for whatever is baked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from cagemap.cli.progress import Stages
+from cagemap.cli.transfer_request import Outcome, TransferRequest, inputs_of
+from cagemap.errors import ParameterError
+from cagemap.files.atomic import check_outputs
+from cagemap.files.images import (
+    UDIM_MARK,
+    Image,
+    check_writable,
+    pixel_type,
+    read_texture,
+    texture_pixels,
+    udim_path,
+    write_image,
+)
+from cagemap.files.meshes import write_mesh
+from cagemap.files.obj_layout import write_obj_layout
+from cagemap.files.result import Result, input_file, note_transfer, stated_path
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.threads import ThreadPool
+from cagemap.transfer import BakeOptions, Transfer, target_tiles, tile_cells, transfer_of, unwrap
+from cagemap.transfer.displacement import Displacement
+from cagemap.transfer.texture import Pixels
+
+# Width and height of an image that no other one gives a size.
+DEFAULT_SIZE = 2048
+Baked = TypeVar("Baked", bound=Pixels | Image | Displacement)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A prepared bake: tiles of the target's layout, and what is to be said about it."""
+
+    transfer: Transfer
+    control: ControlMesh
+    tiles: list[int]
+    mesh: Path | None
+    warnings: list[str]
+
+
+@dataclass(frozen=True)
+class SourceImage:
+    """An image of the source, or its tiles.
+
+    Attributes
+    ----------
+    texture : array, or arrays by UDIM number
+    first : Image
+        Whose form (colour space, alpha) the result takes.
+    dtype : numpy.dtype
+        Number type to write.
+    size : int
+        Width and height to bake.
+    """
+
+    texture: Pixels | dict[int, Pixels]
+    first: Image
+    dtype: np.dtype[Any]
+    size: int
+
+
+def read_source_image(request: TransferRequest, path: Path, channels: int | None = None) -> SourceImage:
+    """Read an image of the source; with ``channels``, refuse an output that cannot hold so many."""
+    texture = read_texture(path)
+    first = texture if isinstance(texture, Image) else next(iter(texture.values()))
+    dtype = first.pixels.dtype if request.bits is None else pixel_type(request.bits, request.output.suffix)
+    if channels is not None:
+        check_writable(request.output, dtype, channels)
+    return SourceImage(texture_pixels(texture), first, dtype, request.size or max(first.size))
+
+
+def prepare_bake(
+    request: TransferRequest, result: Result, stages: Stages, outputs: Sequence[Path] | None = None
+) -> Prepared:
+    """Lay the target out, with a new layout if asked for, and find its tiles."""
+    mesh: Path | None = None
+    warnings: list[str] = []
+    if request.unwrap:
+        stages("unwrap")
+        control = unwrap(result.target.control)
+        mesh = unwrapped_name(request.output)
+        result = replace(result, target=replace(result.target, control=control))
+    elif result.target.control.uvs is None:
+        raise ParameterError(
+            f"{result.target.control.name}: expected texture coordinates to bake into, the mesh has none. Add --unwrap "
+            "to lay it out and write the mesh beside the image, or unwrap it in your modelling program and match again."
+        )
+    stages("prepare")
+    transfer = transfer_of(result)
+    cells = tile_cells(transfer.target.corner_uvs())
+    tiles = [0]
+    if cells.min() >= 0:
+        tiles = target_tiles(result.target.refinement.finest)
+    else:
+        outside = float(np.mean((cells != 0).any(axis=1)))
+        warnings.append(
+            f"{100 * outside:.1f} % of the target's layout lies outside the unit square and is not baked: move it"
+        )
+    images = [udim_path(output, tile) for output in outputs or [request.output] for tile in tiles]
+    others = [path for path in (mesh, request.usd) if path is not None]
+    check_outputs([*images, *others], inputs_of(request), force=request.force)
+    if mesh is not None:
+        warnings += _write_unwrapped(request, result.target.control, result.manifest)
+    return Prepared(transfer, result.target.control, tiles, mesh, warnings)
+
+
+def bake_tiles(
+    output: Path, tiles: list[int], bake: Callable[[BakeOptions], Baked], stages: Stages, *, force: bool, name: str = ""
+) -> Baked:
+    """Bake all tiles of a layout and write them, each while the next one is baked; returns the last.
+
+    Parameters
+    ----------
+    output : Path
+        Image to write, or a pattern for several tiles.
+    tiles : list of int
+        UDIM numbers; [0] for a layout in the unit square.
+    bake : callable
+        Options, which say the tile -> what was baked.
+    stages : Stages
+    force : bool
+        Whether foreign files may be replaced.
+    name : str
+        Of the map, to be shown.
+    """
+    with ThreadPool(1) as aside:
+        written: list[Future[None]] = []
+        for number, tile in enumerate(tiles):
+            place = f"tile {tile}, {number + 1} of {len(tiles)}" if tile else ""
+            stages(" ".join(filter(None, ["bake", name, place])))
+            baked = bake(BakeOptions(tile=tile))
+            for waiting in written:
+                waiting.result()  # at most one image is on its way to the disk
+            image = baked.pixels if isinstance(baked, Displacement) else baked
+            written = [aside.submit(write_image, udim_path(output, tile), image, force=force)]
+        for waiting in written:
+            waiting.result()
+    return baked
+
+
+def finish(request: TransferRequest, prepared: Prepared, entry: dict[str, Any]) -> Outcome:
+    """Note a bake in the manifest, and say what was written."""
+    outputs = [udim_path(request.output, tile) for tile in prepared.tiles]
+    mesh = None if prepared.mesh is None else stated_path(prepared.mesh, request.result)
+    stated = stated_path(outputs[0], request.result)
+    note_transfer(request.result, {**entry, "output": stated, "tiles": prepared.tiles, "mesh": mesh})
+    written = [*outputs, *([prepared.mesh] if prepared.mesh else [])]
+    return f"wrote {', '.join(map(str, written))}; {entry['size']} x {entry['size']} texels", prepared.warnings
+
+
+def unwrapped_name(image: Path) -> Path:
+    """The name of a mesh that gets a layout for an image: its own, since the image's may be that of the user's mesh."""
+    return image.with_name(f"{image.stem.replace(UDIM_MARK, '').rstrip('._')}_unwrapped.obj")
+
+
+def _write_unwrapped(request: TransferRequest, control: ControlMesh, manifest: dict[str, Any]) -> list[str]:
+    """Write the target with its new layout: its file with other UVs where that is there; returns warnings."""
+    mesh = unwrapped_name(request.output)
+    original = input_file(request.result, manifest, "target")
+    if original is not None and original.suffix.lower() == ".obj":
+        write_obj_layout(mesh, original, control, force=request.force)
+        return []
+    write_mesh(mesh, control, force=request.force)
+    why = "was not found, or has changed since the match" if original is None else "is no OBJ"
+    return [f"{control.name} {why}: {mesh} holds faces, UVs and materials, but no groups, names or normals of it"]

@@ -1,0 +1,166 @@
+"""`cagemap transfer`: images and colours of the source, baked into the target's layout."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, cast
+
+from cagemap.cli.bake_tiles import DEFAULT_SIZE, Prepared, bake_tiles, finish, prepare_bake, read_source_image
+from cagemap.cli.progress import Stages
+from cagemap.cli.texture_maps import map_path
+from cagemap.cli.transfer_request import Outcome, TransferRequest
+from cagemap.cli.usd_output import texture_reference, write_usd_results
+from cagemap.errors import ParameterError
+from cagemap.files.images import Image, check_writable, pixel_type, read_image_form, tile_pattern
+from cagemap.files.result import Result, stated_path
+from cagemap.files.usd_write import UsdResults
+from cagemap.transfer import BakeOptions, bake_displacement, bake_face_colors, bake_texture, face_colors
+from cagemap.transfer.displacement import Displacement
+from cagemap.transfer.normal_maps import looks_like_normal_map
+from cagemap.transfer.texture import Pixels
+from cagemap.transfer.vectors import Green, Space, bake_normal_map, bake_vector_displacement
+
+
+def carry_texture(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+    """One image, or all maps of a material; the map is followed once for all of them."""
+    maps = request.maps if request.texture is None else (("", request.texture),)
+    outputs = [map_path(request.output, name) for name, _ in maps]
+    for output, (_, path) in zip(outputs, maps, strict=True):
+        dtype, channels = read_image_form(path)
+        check_writable(output, dtype if request.bits is None else pixel_type(request.bits, output.suffix), channels)
+    prepared = prepare_bake(request, result, stages, outputs)
+    for (name, path), output in zip(maps, outputs, strict=True):
+        size = _bake_map(request, prepared, name, path, output, stages)
+        entry = {"kind": "texture", "image": stated_path(path, request.result), "size": size}
+        summary, warnings = finish(replace(request, output=output), prepared, entry | ({"map": name} if name else {}))
+    if request.usd is not None:
+        layer = request.usd
+        images_by_use = {
+            name or "texture": texture_reference(output if prepared.tiles == [0] else tile_pattern(output), layer)
+            for (name, _), output in zip(maps, outputs, strict=True)
+        }
+        control = prepared.control
+        uvs = None
+        if request.unwrap and control.uvs is not None and control.uv_indices is not None:
+            uvs = ("cagemap_st", control.uvs, control.uv_indices)
+        results = UsdResults(textures=images_by_use, uvs=uvs)
+        summary += "\n" + write_usd_results(layer, request.result, result, results, force=request.force)
+    if len(maps) > 1:
+        summary = f"wrote {len(maps)} maps: {', '.join(map(str, outputs))}" + summary.partition("\n")[2]
+    return summary, warnings
+
+
+def _bake_map(request: TransferRequest, prepared: Prepared, name: str, path: Path, output: Path, stages: Stages) -> int:
+    """Bake one map into all tiles; returns the size in texels."""
+    given = read_source_image(request, path)
+    turned = not request.as_color and looks_like_normal_map(given.first.pixels)
+    if turned and not name:
+        raise ParameterError(
+            f"{path}: looks like a normal map, whose directions must turn with the map. Give it as --normal-map, or "
+            "add --as-color if it is a picture after all."
+        )
+    if turned:
+        prepared.warnings.append(f"{path} looks like a normal map and is turned with the map, not carried as colours")
+    carry = partial(bake_normal_map, green=cast(Green, request.green)) if turned else bake_texture
+
+    def bake(options: BakeOptions) -> Image:
+        pixels = carry(prepared.transfer, given.texture, size=given.size, dtype=given.dtype, options=options)
+        return replace(given.first, pixels=pixels)
+
+    bake_tiles(output, prepared.tiles, bake, stages, force=request.force, name=name)
+    return given.size
+
+
+def carry_normal_map(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+    """A normal map, in tangent or object space."""
+    assert request.normal_map is not None
+    given = read_source_image(request, request.normal_map, 3)
+    prepared = prepare_bake(request, result, stages)
+
+    def bake(options: BakeOptions) -> Pixels:
+        return bake_normal_map(
+            prepared.transfer,
+            given.texture,
+            size=given.size,
+            space=cast(Space, request.space),
+            green=cast(Green, request.green),
+            dtype=given.dtype,
+            options=options,
+        )
+
+    bake_tiles(request.output, prepared.tiles, bake, stages, force=request.force)
+    image = stated_path(request.normal_map, request.result)
+    return finish(request, prepared, {"kind": "normal-map", "image": image, "size": given.size, "space": request.space})
+
+
+def carry_displacement(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+    """Displacement along the normal."""
+    assert request.displacement is not None
+    given = read_source_image(request, request.displacement, 1)
+    prepared = prepare_bake(request, result, stages)
+
+    def bake(options: BakeOptions) -> Displacement:
+        return bake_displacement(
+            prepared.transfer,
+            given.texture,
+            size=given.size,
+            midlevel=request.midlevel,
+            scale=request.scale,
+            dtype=given.dtype,
+            options=options,
+        )
+
+    baked = bake_tiles(request.output, prepared.tiles, bake, stages, force=request.force)
+    entry = {"kind": "displacement", "image": stated_path(request.displacement, request.result), "size": given.size}
+    return _finish_displacement(request, prepared, entry, baked, "height")
+
+
+def carry_vector_displacement(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+    """Vector displacement, in tangent or object space."""
+    assert request.vector_displacement is not None
+    given = read_source_image(request, request.vector_displacement, 3)
+    prepared = prepare_bake(request, result, stages)
+
+    def bake(options: BakeOptions) -> Displacement:
+        return bake_vector_displacement(
+            prepared.transfer,
+            given.texture,
+            size=given.size,
+            space=cast(Space, request.space),
+            midlevel=request.midlevel,
+            scale=request.scale,
+            dtype=given.dtype,
+            options=options,
+        )
+
+    baked = bake_tiles(request.output, prepared.tiles, bake, stages, force=request.force)
+    image = stated_path(request.vector_displacement, request.result)
+    entry = {"kind": "vector-displacement", "image": image, "size": given.size, "space": request.space}
+    return _finish_displacement(request, prepared, entry, baked, "vector")
+
+
+def _finish_displacement(
+    request: TransferRequest, prepared: Prepared, entry: dict[str, Any], baked: Displacement, what: str
+) -> Outcome:
+    """Note a displacement, and say how its values are to be read."""
+    entry |= {"midlevel": baked.midlevel, "scale": baked.scale}
+    summary, warnings = finish(request, prepared, entry)
+    return f"{summary}\n  {what} = (value - {baked.midlevel:g}) * {baked.scale:.6g} in the target's units", warnings
+
+
+def carry_material_colors(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+    """Colours of the source's materials."""
+    floats = request.output.suffix.lower() == ".exr"
+    dtype = pixel_type(request.bits or (32 if floats else 8), request.output.suffix)
+    check_writable(request.output, dtype, 3)
+    colors = face_colors(result.source.control)
+    size = request.size or DEFAULT_SIZE
+    prepared = prepare_bake(request, result, stages)
+
+    def bake(options: BakeOptions) -> Pixels:
+        return bake_face_colors(prepared.transfer, colors, size=size, dtype=dtype, options=options)
+
+    bake_tiles(request.output, prepared.tiles, bake, stages, force=request.force)
+    return finish(request, prepared, {"kind": "material-colors", "size": size})
