@@ -15,7 +15,7 @@ from cagemap.errors import DirectionError, FormatError, InvalidLandmarksError
 from cagemap.files.landmarks import read_landmarks, write_landmarks
 from cagemap.files.meshes import read_mesh
 from cagemap.mesh import cube, torus
-from cagemap.mesh.landmarks import Landmarks, check_landmarks
+from cagemap.mesh.landmarks import CagePoints, Landmarks, check_landmarks
 from test_obj import QUICK
 
 PAIRS = [{"name": name, "source": 2 * i, "target": i} for i, name in enumerate(("nose", "tail", "left hoof", "navel"))]
@@ -64,6 +64,38 @@ def test_what_is_written_reads_back(tmp_path: Path, data: st.DataObject) -> None
     assert (again.names, again.target_name, again.source_name) == (marks.names, marks.target_name, "b.obj")
     np.testing.assert_array_equal(again.target, target)
     np.testing.assert_array_equal(again.source, source)
+
+
+@QUICK
+@given(shares=st.lists(st.tuples(st.integers(0, 9), st.integers(1, 9), st.integers(0, 9)), max_size=5))
+def test_points_between_vertices_read_back_exactly(tmp_path: Path, shares: list[tuple[int, int, int]]) -> None:
+    weights = np.array(shares, dtype=np.float64).reshape(-1, 3)
+    weights /= weights.sum(axis=1, keepdims=True)
+    points = CagePoints(np.arange(3 * len(shares)).reshape(-1, 3), weights)
+    vertices = CagePoints.of_vertices(np.arange(len(shares)))
+    marks = Landmarks.of_points(tuple(f"m{i}" for i in range(len(shares))), points, vertices, "a.obj", "b.obj")
+    write_landmarks(tmp_path / "p.json", marks)
+    again, _ = read_landmarks(tmp_path / "p.json", "a.obj", "b.obj")
+    np.testing.assert_array_equal(again.target, points.vertices)
+    np.testing.assert_array_equal(again.source, np.arange(len(shares)))
+    values = np.random.default_rng(0).normal(size=(3 * len(shares), 2))
+    np.testing.assert_allclose(again.target_points.of(values), points.of(values), atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    "end",
+    [
+        {"corners": [0, 1], "weights": [0.5, 0.5]},
+        {"corners": [0, 1, 2], "weights": [0.5, 0.4, 0.3]},
+        {"corners": [0, 1, 2], "weights": [1.5, -0.5, 0.0]},
+        {"corners": [0, 1, True], "weights": [1, 0, 0]},
+        {"corners": [0, 1, 2], "weights": [float("nan"), 0, 1]},
+        {"corners": [0, 1, 2]},
+    ],
+)
+def test_points_that_are_none_are_refused(tmp_path: Path, end: dict[str, object]) -> None:
+    with pytest.raises(FormatError, match=r"'nose'.*'target'"):
+        read_landmarks(write_file(tmp_path, pairs=[{"name": "nose", "source": 0, "target": end}]), "horse", "zebra")
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Landmark files: JSON with the names of the two meshes and pairs of 0-based control vertices."""
+"""Landmark files: JSON with the names of the two meshes and pairs of 0-based control vertices, or of points between."""
 
 from __future__ import annotations
 
@@ -12,9 +12,16 @@ from cagemap.errors import DirectionError, FormatError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.marks import mark
 from cagemap.files.text import read_text
-from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.landmarks import CagePoints, Landmarks
 
-_FORM = '{"source": "a.obj", "target": "b.obj", "pairs": [{"name": "nose", "source": 3, "target": 7}, ...]}'
+_FORM = (
+    '{"source": "a.obj", "target": "b.obj", "pairs": [{"name": "nose", "source": 3, "target": 7}, ...]}, or '
+    '{"corners": [3, 4, 9], "weights": [0.2, 0.5, 0.3]} in place of a vertex'
+)
+# By how much written weights may miss a sum of 1, or be negative.
+_ROUNDING = 1e-4
+
+End = tuple[tuple[int, int, int], tuple[float, float, float]]
 
 
 def read_landmarks(path: str | Path, target: str | Path, source: str | Path) -> tuple[Landmarks, tuple[str, ...]]:
@@ -45,12 +52,12 @@ def read_landmarks(path: str | Path, target: str | Path, source: str | Path) -> 
     file = Path(path)
     data = _parse(file, read_text(file, "a landmark file"))
     pairs = [_pair(file, number, item) for number, item in enumerate(data["pairs"])]
-    landmarks = Landmarks(
-        names=tuple(name for name, _, _ in pairs),
-        target=np.array([vertex for _, vertex, _ in pairs], dtype=np.int64),
-        source=np.array([vertex for _, _, vertex in pairs], dtype=np.int64),
-        target_name=_mesh_name(file, data, "target"),
-        source_name=_mesh_name(file, data, "source"),
+    landmarks = Landmarks.of_points(
+        tuple(name for name, _, _ in pairs),
+        _points([target for _, target, _ in pairs]),
+        _points([source for _, _, source in pairs]),
+        _mesh_name(file, data, "target"),
+        _mesh_name(file, data, "source"),
     )
     return landmarks, _compare_names(file, landmarks, str(target), str(source))
 
@@ -63,11 +70,10 @@ def write_landmarks(path: str | Path, landmarks: Landmarks, *, force: bool = Fal
     FormatError
         If the file cannot be written, or cagemap did not write the one that is there and ``force`` is not given.
     """
+    ends = zip(landmarks.names, _ends(landmarks.source_points), _ends(landmarks.target_points), strict=True)
     pairs = [
         json.dumps({"name": name, "source": source, "target": target}, ensure_ascii=False)
-        for name, source, target in zip(
-            landmarks.names, landmarks.source.tolist(), landmarks.target.tolist(), strict=True
-        )
+        for name, source, target in ends
     ]
     names = f'"source": {json.dumps(landmarks.source_name)}, "target": {json.dumps(landmarks.target_name)}'
     with atomic_path(path, force=force) as temporary:
@@ -98,8 +104,8 @@ def _mesh_name(path: Path, data: dict[str, Any], side: str) -> str:
     return name.encode("utf-8", "replace").decode()
 
 
-def _pair(path: Path, number: int, item: Any) -> tuple[str, int, int]:
-    """Name, target vertex and source vertex of a pair."""
+def _pair(path: Path, number: int, item: Any) -> tuple[str, End, End]:
+    """Name, end on the target and end on the source of a pair."""
     if not isinstance(item, dict):
         raise FormatError(
             f"{path}: pair {number} (0-based): expected an object, got {_shown(item)}. The form is {_FORM}."
@@ -107,17 +113,53 @@ def _pair(path: Path, number: int, item: Any) -> tuple[str, int, int]:
     name = item.get("name", f"pair {number}")
     if not isinstance(name, str):
         raise FormatError(f"{path}: pair {number} (0-based): expected a name, got {_shown(name)}. Put it in quotes.")
-    vertices = []
+    ends = []
     for side in ("target", "source"):
-        vertex = item.get(side)
-        # JSON's true and false are integers to Python.
-        if not isinstance(vertex, int) or isinstance(vertex, bool) or abs(vertex) >= 2**63:
+        end = _end(item.get(side))
+        if end is None:
             raise FormatError(
-                f"{path}: pair {number} (0-based), '{name}': expected a whole vertex number as '{side}', "
-                f"got {_shown(vertex)}. Numbers are 0-based control vertices."
+                f"{path}: pair {number} (0-based), '{name}': expected a whole vertex number, or the three corners "
+                f"and weights of a point, as '{side}', got {_shown(item.get(side))}. Numbers are 0-based control "
+                "vertices; weights are not negative and sum to 1."
             )
-        vertices.append(vertex)
-    return name.encode("utf-8", "replace").decode(), vertices[0], vertices[1]  # JSON may hold half a character
+        ends.append(end)
+    return name.encode("utf-8", "replace").decode(), ends[0], ends[1]  # JSON may hold half a character
+
+
+def _end(value: Any) -> End | None:
+    """Corners and weights of one end of a pair; None if it is neither a vertex nor a point."""
+    if _is_vertex(value):
+        return (value, value, value), (1.0, 0.0, 0.0)
+    corners, weights = (value.get(key) if isinstance(value, dict) else None for key in ("corners", "weights"))
+    if not (isinstance(corners, list) and isinstance(weights, list) and len(corners) == len(weights) == 3):
+        return None
+    if not all(map(_is_vertex, corners)) or not all(isinstance(w, int | float) for w in weights):
+        return None
+    if not all(-_ROUNDING <= w <= 1 + _ROUNDING for w in weights) or abs(sum(weights) - 1) > _ROUNDING:
+        return None
+    a, b, c = (max(0.0, float(w)) for w in weights)
+    total = a + b + c
+    return (corners[0], corners[1], corners[2]), (a / total, b / total, c / total)
+
+
+def _is_vertex(value: Any) -> bool:
+    # JSON's true and false are integers to Python.
+    return isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**63
+
+
+def _points(ends: list[End]) -> CagePoints:
+    corners = np.array([corners for corners, _ in ends], dtype=np.int64).reshape(-1, 3)
+    return CagePoints(corners, np.array([weights for _, weights in ends], dtype=np.float64).reshape(-1, 3))
+
+
+def _ends(points: CagePoints) -> list[int | dict[str, Any]]:
+    """What a file says of points: a vertex where one lies on it."""
+    return [
+        vertex if vertex >= 0 else {"corners": corners, "weights": weights}
+        for vertex, corners, weights in zip(
+            points.vertices.tolist(), points.corners.tolist(), points.weights.tolist(), strict=True
+        )
+    ]
 
 
 def _shown(value: object) -> str:

@@ -161,18 +161,21 @@ def point_pairs(target: Surface, source: Surface, landmarks: Landmarks) -> Point
 
 
 def located(surface: Surface, points: CagePoints) -> SurfacePoints:
-    """Points of a control mesh on the finest surface.
+    """Points of a control mesh on the finest surface, see `on_surface`."""
+    return on_surface(surface.triangles(surface.finest), points)
 
-    Control vertices are vertices of all levels. A point between them lies near the same mean of their places, where
-    the surface faces the same way.
+
+def on_surface(finest: TriangleSurface, points: CagePoints) -> SurfacePoints:
+    """Points of a control mesh on a refined surface, whose first vertices are the control mesh's.
+
+    A point between control vertices lies near the same mean of their places, where the surface faces the same way.
     """
-    finest = surface.triangles(surface.finest)
     vertices = points.vertices
     found = SurfacePoints.from_vertices(finest, np.where(vertices >= 0, vertices, points.corners[:, 0]))
     between = np.flatnonzero(vertices < 0)
     if not len(between):
         return found
-    some, count = points.at(between), surface.control.n_vertices
-    places, normals = some.of(finest.positions[:count]), some.of(finest.vertex_normals[:count])
+    some = points.at(between)
+    places, normals = some.of(finest.positions), some.of(finest.vertex_normals)
     near = SurfacePoints.nearest(finest, places, normals, normal_weight=LANDMARK_NORMAL_WEIGHT)
     return found.replaced(between, near)
