@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     from cagemap.maps.elastic.method import fit as fit
     from cagemap.maps.elastic.method import functional_map_of as functional_map_of
     from cagemap.maps.elastic.prepared import PreparedPair as PreparedPair
+    from cagemap.maps.mask_values import face_mask as face_mask
+    from cagemap.maps.mask_values import soft_edge as soft_edge
+    from cagemap.maps.mask_values import vertex_mask as vertex_mask
+    from cagemap.maps.masks import Masks as Masks
     from cagemap.maps.pair import Pair as Pair
     from cagemap.maps.pair import PointPairs as PointPairs
     from cagemap.maps.point_map import PointMap as PointMap
@@ -65,6 +69,10 @@ if TYPE_CHECKING:
     from cagemap.transfer import bake_texture as bake_texture
     from cagemap.transfer import prepare_transfer as prepare_transfer
     from cagemap.transfer import transfer_of as transfer_of
+    from cagemap.transfer.masks import bake_mask as bake_mask
+    from cagemap.transfer.masks import blend as blend
+    from cagemap.transfer.masks import painted_mask as painted_mask
+    from cagemap.transfer.masks import with_alpha as with_alpha
 
 # The one list: room by room. `__all__`, `dir` and a test of that page follow it.
 _ROOMS = {
@@ -96,6 +104,12 @@ _ROOMS = {
         "functional_map_of",
     ),
     "maps.elastic.prepared": ("PreparedPair",),
+    "maps.mask_values": (
+        "face_mask",
+        "soft_edge",
+        "vertex_mask",
+    ),
+    "maps.masks": ("Masks",),
     "maps.pair": (
         "Pair",
         "PointPairs",
@@ -142,6 +156,12 @@ _ROOMS = {
         "bake_texture",
         "prepare_transfer",
         "transfer_of",
+    ),
+    "transfer.masks": (
+        "bake_mask",
+        "blend",
+        "painted_mask",
+        "with_alpha",
     ),
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}

@@ -23,6 +23,7 @@ from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.confidence import Confidence
 from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS, hypothesis_map, map_of_reading
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect, checked_changes, checked_map
+from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import Pair, PointPairs, Progress, SymmetryPair, point_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import COVERAGE_SAMPLES, QualityFigures, measure_quality
@@ -62,6 +63,8 @@ class MatchConfig:
         Self-maps of the control meshes that correspond, see `cagemap.maps.pair.Pair`.
     check_landmarks : bool
         Leave out landmark pairs that look wrong ("elastic" only); otherwise all are met exactly.
+    masks : Masks
+        What of the two finest levels is matched ("elastic" only); landmarks are met wherever they lie.
     """
 
     method: str = "elastic"
@@ -71,10 +74,13 @@ class MatchConfig:
     use_symmetry: bool = True
     symmetries: tuple[SymmetryPair, ...] = ()
     check_landmarks: bool = True
+    masks: Masks = WHOLE
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise ParameterError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
+        if self.masks.any and self.method != "elastic":
+            raise ParameterError(f"masks: expected the method elastic, which alone knows them, got {self.method!r}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +109,8 @@ class MatchResult:
         How sure the answer is, and the other answers, where fewer than three landmarks had to do.
     prepared : PreparedPair or None
         What `update_match` and `match_pair` need of the two surfaces ("elastic" only).
+    masks : Masks
+        What of both surfaces was matched.
     """
 
     target: Surface
@@ -116,6 +124,7 @@ class MatchResult:
     level_maps: tuple[LevelMap, ...] = field(default=(), repr=False)
     confidence: Confidence | None = None
     prepared: PreparedPair | None = field(default=None, repr=False)
+    masks: Masks = field(default=WHOLE, repr=False)
 
     @property
     def suspects(self) -> tuple[LandmarkSuspect, ...]:
@@ -136,8 +145,9 @@ def prepare_pair(target: Surface, source: Surface, config: MatchConfig = MatchCo
     target, source : Surface
     config : MatchConfig
     """
+    config.masks.require_fit(*(side.refinement.finest.n_vertices for side in (target, source)))
     with one_blas_thread():
-        return PreparedPair.build(target, source, config.hierarchy, config.elastic)
+        return PreparedPair.build(target, source, config.hierarchy, config.elastic, config.masks)
 
 
 def match(
@@ -271,7 +281,7 @@ def update_match(
     """
     target, source = before.target, before.source
     check_landmarks(landmarks, target.control, source.control)
-    prepared = before.prepared or prepare_pair(target, source, config)
+    prepared = before.prepared or prepare_pair(target, source, replace(config, masks=before.masks))
     check = before.landmark_check.still(before.landmarks, landmarks)
     timings: dict[str, float] = {}
     with one_blas_thread():
@@ -310,7 +320,8 @@ def other_answer(
     readings = () if before.confidence is None else before.confidence.readings
     if not 0 <= index < len(readings):
         raise ParameterError(f"answer {index}: expected one of the {len(readings)} that the match found, from 0")
-    prepared, landmarks = before.prepared or prepare_pair(before.target, before.source, config), before.landmarks
+    config, landmarks = replace(config, masks=before.masks), before.landmarks
+    prepared = before.prepared or prepare_pair(before.target, before.source, config)
     pair = Pair(before.target, before.source, point_pairs(before.target, before.source, landmarks))
     timings: dict[str, float] = {}
     with one_blas_thread():
@@ -332,7 +343,11 @@ def pair_of(target: Surface, source: Surface, landmarks: Landmarks, config: Matc
 
 
 def judge(
-    target: Surface, point_map: PointMap, landmarks: PointPairs | None = None, names: tuple[str, ...] = ()
+    target: Surface,
+    point_map: PointMap,
+    landmarks: PointPairs | None = None,
+    names: tuple[str, ...] = (),
+    masks: Masks = WHOLE,
 ) -> QualityFigures:
     """Quality figures of a map between finest levels, without ground truth.
 
@@ -344,9 +359,11 @@ def judge(
     landmarks : PointPairs, optional
     names : tuple of str
         Of the landmarks, for warnings.
+    masks : Masks
+        What of both surfaces counts.
     """
     dense = target.triangles(target.refinement.coarsest_level(COVERAGE_SAMPLES))
-    return measure_quality(point_map, landmarks, names, coarse_triangles=dense.triangles)
+    return measure_quality(point_map, landmarks, names, coarse_triangles=dense.triangles, masks=masks)
 
 
 def _judged(
@@ -363,9 +380,9 @@ def _judged(
     progress("functional map of the fit, quality")
     with _timed(timings, "quality"), ThreadPool(1) as aside:
         functional_map = aside.submit(functional_map_of, target, source, point_map)
-        quality = judge(target, point_map, points, trusted.names)
+        quality = judge(target, point_map, points, trusted.names, prepared.rest.masks)
         made = target, source, landmarks, functional_map.result(), point_map, quality, timings, check
-    return MatchResult(*made, prepared=prepared)
+    return MatchResult(*made, prepared=prepared, masks=prepared.rest.masks)
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from cagemap.cli.progress import Stages
-from cagemap.cli.transfer_request import Outcome, TransferRequest, inputs_of
+from cagemap.cli.transfer_request import Outcome, TransferRequest, base_of, inputs_of
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs
 from cagemap.files.images import (
@@ -19,7 +19,9 @@ from cagemap.files.images import (
     Image,
     check_writable,
     pixel_type,
+    read_image,
     read_texture,
+    texture_files,
     texture_pixels,
     udim_path,
     write_image,
@@ -30,7 +32,9 @@ from cagemap.files.result import Result, input_file, note_transfer, stated_path
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.threads import ThreadPool
 from cagemap.transfer import BakeOptions, Transfer, target_tiles, tile_cells, transfer_of, unwrap
+from cagemap.transfer.baking import to_dtype, unit
 from cagemap.transfer.displacement import Displacement
+from cagemap.transfer.masks import bake_mask, blend, with_alpha
 from cagemap.transfer.texture import Pixels
 
 # Width and height of an image that no other one gives a size.
@@ -70,14 +74,18 @@ class SourceImage:
     size: int
 
 
-def read_source_image(request: TransferRequest, path: Path, channels: int | None = None) -> SourceImage:
+def read_source_image(
+    request: TransferRequest, result: Result, path: Path, channels: int | None = None, name: str = ""
+) -> SourceImage:
     """Read an image of the source; with ``channels``, refuse an output that cannot hold so many."""
     texture = read_texture(path)
     first = texture if isinstance(texture, Image) else next(iter(texture.values()))
     dtype = first.pixels.dtype if request.bits is None else pixel_type(request.bits, request.output.suffix)
     if channels is not None:
-        check_writable(request.output, dtype, channels)
-    return SourceImage(texture_pixels(texture), first, dtype, request.size or max(first.size))
+        check_writable(request.output, dtype, written_channels(request, result, channels))
+    return SourceImage(
+        texture_pixels(texture), first, dtype, request.size or base_size(request, name) or max(first.size)
+    )
 
 
 def prepare_bake(
@@ -116,37 +124,72 @@ def prepare_bake(
 
 
 def bake_tiles(
-    output: Path, tiles: list[int], bake: Callable[[BakeOptions], Baked], stages: Stages, *, force: bool, name: str = ""
+    request: TransferRequest,
+    prepared: Prepared,
+    bake: Callable[[BakeOptions], Baked],
+    stages: Stages,
+    name: str = "",
 ) -> Baked:
     """Bake all tiles of a layout and write them, each while the next one is baked; returns the last.
 
+    What is masked is the base image, or gets alpha.
+
     Parameters
     ----------
-    output : Path
-        Image to write, or a pattern for several tiles.
-    tiles : list of int
-        UDIM numbers; [0] for a layout in the unit square.
+    request : TransferRequest
+        Its output is the image to write, or a pattern for several tiles.
+    prepared : Prepared
     bake : callable
         Options, which say the tile -> what was baked.
     stages : Stages
-    force : bool
-        Whether foreign files may be replaced.
     name : str
         Of the map, to be shown.
     """
+    base, tiles = base_of(request, name), prepared.tiles
     with ThreadPool(1) as aside:
         written: list[Future[None]] = []
         for number, tile in enumerate(tiles):
             place = f"tile {tile}, {number + 1} of {len(tiles)}" if tile else ""
             stages(" ".join(filter(None, ["bake", name, place])))
-            baked = bake(BakeOptions(tile=tile))
+            options = BakeOptions(tile=tile)
+            baked = bake(options)
             for waiting in written:
                 waiting.result()  # at most one image is on its way to the disk
-            image = baked.pixels if isinstance(baked, Displacement) else baked
-            written = [aside.submit(write_image, udim_path(output, tile), image, force=force)]
+            form = (
+                baked if isinstance(baked, Image) else Image(baked.pixels if isinstance(baked, Displacement) else baked)
+            )
+            if prepared.transfer.masks.any:
+                form = _masked(form, prepared.transfer, base, options)
+            written = [aside.submit(write_image, udim_path(request.output, tile), form, force=request.force)]
         for waiting in written:
             waiting.result()
     return baked
+
+
+def _masked(image: Image, transfer: Transfer, base: Path | None, options: BakeOptions) -> Image:
+    """What was baked over the base image of its tile, or with how much of it counts as alpha."""
+    weight = bake_mask(transfer, size=image.size, options=options)
+    if base is None:
+        return Image(with_alpha(image.pixels, weight), (), image.color_space)
+    below = read_image(udim_path(base, options.tile)).pixels
+    one, own = unit(below.dtype), unit(image.pixels.dtype)
+    converted = below if below.dtype == image.pixels.dtype else to_dtype(below * (own / one), image.pixels.dtype)
+    return replace(image, pixels=blend(image.pixels, converted, weight))
+
+
+def written_channels(request: TransferRequest, result: Result, channels: int, name: str = "") -> int:
+    """Channels of the image to write: one more where masks become alpha."""
+    opaque = channels % 2 == 1
+    return channels + 1 if result.masks.any and opaque and base_of(request, name) is None else channels
+
+
+def base_size(request: TransferRequest, name: str = "") -> int | None:
+    """Width and height of the base image, which what is baked over it takes."""
+    base = base_of(request, name)
+    if base is None:
+        return None
+    files = texture_files(base)
+    return max(read_image(files[0]).size) if files else None
 
 
 def finish(request: TransferRequest, prepared: Prepared, entry: dict[str, Any]) -> Outcome:
@@ -156,7 +199,12 @@ def finish(request: TransferRequest, prepared: Prepared, entry: dict[str, Any]) 
     stated = stated_path(outputs[0], request.result)
     note_transfer(request.result, {**entry, "output": stated, "tiles": prepared.tiles, "mesh": mesh})
     written = [*outputs, *([prepared.mesh] if prepared.mesh else [])]
-    return f"wrote {', '.join(map(str, written))}; {entry['size']} x {entry['size']} texels", prepared.warnings
+    summary = f"wrote {', '.join(map(str, written))}; {entry['size']} x {entry['size']} texels"
+    if prepared.transfer.masks.any:
+        base = base_of(request, str(entry.get("map", "")))
+        outside = "alpha says how much counts" if base is None else f"outside the masks it is {base}"
+        summary += f"\n  {outside}"
+    return summary, prepared.warnings
 
 
 def unwrapped_name(image: Path) -> Path:

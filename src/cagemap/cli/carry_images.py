@@ -7,7 +7,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
-from cagemap.cli.bake_tiles import DEFAULT_SIZE, Prepared, bake_tiles, finish, prepare_bake, read_source_image
+from cagemap.cli.bake_tiles import (
+    DEFAULT_SIZE,
+    Prepared,
+    bake_tiles,
+    base_size,
+    finish,
+    prepare_bake,
+    read_source_image,
+    written_channels,
+)
 from cagemap.cli.progress import Stages
 from cagemap.cli.texture_maps import map_path
 from cagemap.cli.transfer_request import Outcome, TransferRequest
@@ -27,14 +36,16 @@ def carry_texture(request: TransferRequest, result: Result, stages: Stages) -> O
     """One image, or all maps of a material; the map is followed once for all of them."""
     maps = request.maps if request.texture is None else (("", request.texture),)
     outputs = [map_path(request.output, name) for name, _ in maps]
-    for output, (_, path) in zip(outputs, maps, strict=True):
+    for output, (name, path) in zip(outputs, maps, strict=True):
         dtype, channels = read_image_form(path)
-        check_writable(output, dtype if request.bits is None else pixel_type(request.bits, output.suffix), channels)
+        kept = dtype if request.bits is None else pixel_type(request.bits, output.suffix)
+        check_writable(output, kept, written_channels(request, result, channels, name))
     prepared = prepare_bake(request, result, stages, outputs)
     for (name, path), output in zip(maps, outputs, strict=True):
-        size = _bake_map(request, prepared, name, path, output, stages)
+        own = replace(request, output=output)
+        size = _bake_map(own, result, prepared, name, path, stages)
         entry = {"kind": "texture", "image": stated_path(path, request.result), "size": size}
-        summary, warnings = finish(replace(request, output=output), prepared, entry | ({"map": name} if name else {}))
+        summary, warnings = finish(own, prepared, entry | ({"map": name} if name else {}))
     if request.usd is not None:
         layer = request.usd
         images_by_use = {
@@ -52,9 +63,11 @@ def carry_texture(request: TransferRequest, result: Result, stages: Stages) -> O
     return summary, warnings
 
 
-def _bake_map(request: TransferRequest, prepared: Prepared, name: str, path: Path, output: Path, stages: Stages) -> int:
+def _bake_map(
+    request: TransferRequest, result: Result, prepared: Prepared, name: str, path: Path, stages: Stages
+) -> int:
     """Bake one map into all tiles; returns the size in texels."""
-    given = read_source_image(request, path)
+    given = read_source_image(request, result, path, name=name)
     turned = not request.as_color and looks_like_normal_map(given.first.pixels)
     if turned and not name:
         raise ParameterError(
@@ -69,14 +82,14 @@ def _bake_map(request: TransferRequest, prepared: Prepared, name: str, path: Pat
         pixels = carry(prepared.transfer, given.texture, size=given.size, dtype=given.dtype, options=options)
         return replace(given.first, pixels=pixels)
 
-    bake_tiles(output, prepared.tiles, bake, stages, force=request.force, name=name)
+    bake_tiles(request, prepared, bake, stages, name)
     return given.size
 
 
 def carry_normal_map(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
     """A normal map, in tangent or object space."""
     assert request.normal_map is not None
-    given = read_source_image(request, request.normal_map, 3)
+    given = read_source_image(request, result, request.normal_map, 3)
     prepared = prepare_bake(request, result, stages)
 
     def bake(options: BakeOptions) -> Pixels:
@@ -90,7 +103,7 @@ def carry_normal_map(request: TransferRequest, result: Result, stages: Stages) -
             options=options,
         )
 
-    bake_tiles(request.output, prepared.tiles, bake, stages, force=request.force)
+    bake_tiles(request, prepared, bake, stages)
     image = stated_path(request.normal_map, request.result)
     return finish(request, prepared, {"kind": "normal-map", "image": image, "size": given.size, "space": request.space})
 
@@ -98,7 +111,7 @@ def carry_normal_map(request: TransferRequest, result: Result, stages: Stages) -
 def carry_displacement(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
     """Displacement along the normal."""
     assert request.displacement is not None
-    given = read_source_image(request, request.displacement, 1)
+    given = read_source_image(request, result, request.displacement, 1)
     prepared = prepare_bake(request, result, stages)
 
     def bake(options: BakeOptions) -> Displacement:
@@ -112,7 +125,7 @@ def carry_displacement(request: TransferRequest, result: Result, stages: Stages)
             options=options,
         )
 
-    baked = bake_tiles(request.output, prepared.tiles, bake, stages, force=request.force)
+    baked = bake_tiles(request, prepared, bake, stages)
     entry = {"kind": "displacement", "image": stated_path(request.displacement, request.result), "size": given.size}
     return _finish_displacement(request, prepared, entry, baked, "height")
 
@@ -120,7 +133,7 @@ def carry_displacement(request: TransferRequest, result: Result, stages: Stages)
 def carry_vector_displacement(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
     """Vector displacement, in tangent or object space."""
     assert request.vector_displacement is not None
-    given = read_source_image(request, request.vector_displacement, 3)
+    given = read_source_image(request, result, request.vector_displacement, 3)
     prepared = prepare_bake(request, result, stages)
 
     def bake(options: BakeOptions) -> Displacement:
@@ -135,7 +148,7 @@ def carry_vector_displacement(request: TransferRequest, result: Result, stages: 
             options=options,
         )
 
-    baked = bake_tiles(request.output, prepared.tiles, bake, stages, force=request.force)
+    baked = bake_tiles(request, prepared, bake, stages)
     image = stated_path(request.vector_displacement, request.result)
     entry = {"kind": "vector-displacement", "image": image, "size": given.size, "space": request.space}
     return _finish_displacement(request, prepared, entry, baked, "vector")
@@ -154,13 +167,13 @@ def carry_material_colors(request: TransferRequest, result: Result, stages: Stag
     """Colours of the source's materials."""
     floats = request.output.suffix.lower() == ".exr"
     dtype = pixel_type(request.bits or (32 if floats else 8), request.output.suffix)
-    check_writable(request.output, dtype, 3)
+    check_writable(request.output, dtype, written_channels(request, result, 3))
     colors = face_colors(result.source.control)
-    size = request.size or DEFAULT_SIZE
+    size = request.size or base_size(request) or DEFAULT_SIZE
     prepared = prepare_bake(request, result, stages)
 
     def bake(options: BakeOptions) -> Pixels:
         return bake_face_colors(prepared.transfer, colors, size=size, dtype=dtype, options=options)
 
-    bake_tiles(request.output, prepared.tiles, bake, stages, force=request.force)
+    bake_tiles(request, prepared, bake, stages)
     return finish(request, prepared, {"kind": "material-colors", "size": size})

@@ -11,6 +11,7 @@ from typing import Any
 
 import tomli_w
 
+from cagemap.cli.masks import mask_file
 from cagemap.files.atomic import atomic_path
 from cagemap.files.marks import is_own, mark
 from cagemap.files.result import stated_path
@@ -33,6 +34,11 @@ def note_match(request: Any) -> None:
         names = {side: f"{name}-{side}" for side, name in names.items()}
     assets = [{"name": names[side], "file": stated_path(path, folder)} for side, path in paths.items()]
     options, pair = stated_options(request, folder), dict(names)
+    for side in paths:  # a name or a file: which one it is, its words say, not its type
+        mask: str | None = getattr(request, f"{side}_mask", None)
+        file = mask_file(mask)
+        if mask is not None and file is not None:
+            options[f"{side}_mask"] = mask.replace(str(file), str(file.resolve()))
     if "landmarks" in options:
         pair["landmarks"] = options.pop("landmarks")
     _write(folder / JOB, {"output": "again", "options": options, "assets": assets, "pairs": [pair]})

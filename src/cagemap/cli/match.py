@@ -14,6 +14,7 @@ import numpy as np
 
 from cagemap.basis import BasisConfig
 from cagemap.cli.job_file import note_match
+from cagemap.cli.masks import GivenMasks, MaskOptions, mask_files, masks_on, read_masks
 from cagemap.cli.match_parts import PartInputs, chosen_parts
 from cagemap.cli.mesh_commands import require_size
 from cagemap.cli.method import read_symmetries, used_parameters, with_parameters
@@ -96,6 +97,9 @@ class MatchRequest:
     source_part: str | None = None
     target_uv_set: str | None = None
     source_uv_set: str | None = None
+    target_mask: str | None = None
+    source_mask: str | None = None
+    mask_edge: float | None = None
     cache: Path | None = None
     force: bool = False
 
@@ -113,6 +117,8 @@ class Inputs:
         What the user is to know.
     parts : tuple of PartInputs
         What is matched of them; nothing where it is the whole of both.
+    masks : (GivenMask or None, GivenMask or None)
+        What counts of target and source.
     """
 
     target: ControlMesh
@@ -120,6 +126,7 @@ class Inputs:
     landmarks: Landmarks
     notes: tuple[str, ...] = ()
     parts: tuple[PartInputs, ...] = ()
+    masks: GivenMasks = (None, None)
 
 
 def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
@@ -138,6 +145,8 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     files.update({name: path for name, path in given.items() if path is not None})
     for side, symmetries in (("target", request.target_symmetry), ("source", request.source_symmetry)):
         files.update({f"{side}_symmetry_{i}": path for i, path in enumerate(symmetries)})
+    for side, text in (("target", request.target_mask), ("source", request.source_mask)):
+        files.update({f"{side}_mask_{i}": path for i, path in enumerate(mask_files(text))})
     check_result_folder(request.output, force=request.force)
     require_no_input([request.output / name for name in (ARRAYS, MANIFEST)], files.values())
     inputs = read_inputs(request)
@@ -167,6 +176,9 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
         "source_part": request.source_part or request.part,
         "target_uv_set": request.target_uv_set,
         "source_uv_set": request.source_uv_set,
+        "target_mask": request.target_mask,
+        "source_mask": request.source_mask,
+        "mask_edge": request.mask_edge,
     }
     result = match_inputs(
         inputs,
@@ -254,18 +266,20 @@ def read_inputs(request: MatchRequest) -> Inputs:
         read_control(path, request, side) for side, path in zip(SIDES, (request.target, request.source), strict=True)
     )
     landmarks, notes = read_given_landmarks(request, target, source)
+    options = MaskOptions(request.target_mask, request.source_mask, request.mask_edge)
+    masks = read_masks(options, (target, source), (request.target, request.source))
     names = request.target_part or request.part, request.source_part or request.part
     if names == (None, None):
         require_valid(target)
         require_valid(source)
         check_landmarks(landmarks, target, source)
-        return Inputs(target, source, landmarks, notes)
+        return Inputs(target, source, landmarks, notes, masks=masks)
     parts, left_alone = chosen_parts(target, source, landmarks, *names)
     for part in parts:
         require_valid(part.target)
         require_valid(part.source)
         check_landmarks(part.landmarks, part.target, part.source)
-    return Inputs(target, source, landmarks, (*notes, *left_alone), parts)
+    return Inputs(target, source, landmarks, (*notes, *left_alone), parts, masks)
 
 
 def read_control(path: Path, request: MatchRequest, side: str) -> ControlMesh:
@@ -291,7 +305,7 @@ def match_inputs(
         return match_meshes(inputs, bases, config, stages, levels=levels, cache=cache, entries=entries)
     results = []
     for part in inputs.parts:
-        own = Inputs(part.target, part.source, part.landmarks, inputs.notes)
+        own = Inputs(part.target, part.source, part.landmarks, inputs.notes, masks=inputs.masks)
         results.append(match_meshes(own, bases, config, stages, levels=levels, cache=cache, entries=entries))
     stages("merge parts")
     faces = [[len(side.control.face_sizes) for side in (one.target, one.source)] for one in results]
@@ -334,6 +348,7 @@ def match_meshes(
         _log.info("%s: level %d", control.name, level)
     prepare = prepare_surface if cache is None else partial(prepared, cache)
     target, source = prepare_surfaces(inputs.target, inputs.source, levels, bases, prepare=prepare, progress=stages)
+    config = replace(config, masks=masks_on(inputs.masks, (target, source)))
     found = match(target, source, inputs.landmarks, config, progress=stages)
     stages("gather")
     manifest = {

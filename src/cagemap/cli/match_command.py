@@ -158,6 +158,28 @@ def match(
         str | None,
         typer.Option("--source-uv-set", help="UV set of the source that its images belong to.", show_default=False),
     ] = None,
+    target_mask: Annotated[
+        str | None,
+        typer.Option(
+            "--target-mask",
+            help="Match and transfer only this of the target: a group or other part by name, values at vertices or "
+            "faces (.npz, .csv), an image over its UVs; not:... for all but that.",
+            show_default=False,
+        ),
+    ] = None,
+    source_mask: Annotated[
+        str | None, typer.Option("--source-mask", help="The same of the source.", show_default=False)
+    ] = None,
+    mask_edge: Annotated[
+        float | None,
+        typer.Option(
+            "--mask-edge",
+            min=0.0,
+            help="Width of the masks' soft edge, as a share of the model's size.  [default: 0.02 of sets of faces, 0 "
+            "of values and images]",
+            show_default=False,
+        ),
+    ] = None,
     cache: Annotated[
         Path | None,
         typer.Option(
@@ -212,6 +234,9 @@ def match(
         source_part=source_part,
         target_uv_set=target_uv_set,
         source_uv_set=source_uv_set,
+        target_mask=target_mask,
+        source_mask=source_mask,
+        mask_edge=mask_edge,
         cache=cache,
         force=force,
     )

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cagemap.cli.base_values import keep_base
 from cagemap.cli.progress import Stages
 from cagemap.cli.transfer_request import Outcome, TransferRequest
 from cagemap.cli.usd_output import write_usd_results
@@ -59,6 +60,7 @@ def carry_weights(request: TransferRequest, result: Result, stages: Stages) -> O
     columns = {
         name: part[:, 0] if array.ndim == 1 else part for (name, array), part in zip(given.items(), parts, strict=True)
     }
+    columns, notes = keep_base(request, result, columns)
     write_attributes(request.output, columns, force=request.force)
     entry = {"kind": "weights", "output": stated_path(request.output, request.result)}
     note_transfer(request.result, entry)
@@ -66,11 +68,12 @@ def carry_weights(request: TransferRequest, result: Result, stages: Stages) -> O
     filled = int(np.count_nonzero(~trusted))
     text = f"wrote {request.output}: {len(carried)} vertices, {carried.shape[1]} joints, at most {most} a vertex"
     if request.usd is not None:
-        skinning = UsdResults(attributes={JOINT_WEIGHTS: carried})
+        kept = np.column_stack(list(columns.values()))
+        skinning = UsdResults(attributes={JOINT_WEIGHTS: kept})
         text += "\n" + write_usd_results(request.usd, request.result, result, skinning, force=request.force)
     if filled:
         text += f"\n  {filled} vertices where the map is not to be trusted take theirs from around them"
-    return text, []
+    return text, notes
 
 
 def _require_joints(given: Attributes, skeleton: Skeleton, request: TransferRequest) -> None:
@@ -111,7 +114,8 @@ def carry_blend_shapes(request: TransferRequest, result: Result, stages: Stages)
     stages("prepare")
     carrier = prepare_shapes(result.target.refinement, result.source.refinement, result.point_map)
     stages("shapes")
-    carried = {name: carry_shape(carrier, offset) for name, offset in shapes.items()}
+    follows = result.masks.joint(result.point_map)[: result.target.control.n_vertices, None]
+    carried = {name: follows * carry_shape(carrier, offset) for name, offset in shapes.items()}
     files = write_shapes(
         request.output, carried, result.target.control, list(request.blend_shapes), force=request.force
     )

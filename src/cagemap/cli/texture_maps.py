@@ -9,7 +9,9 @@ from cagemap.errors import ParameterError
 from cagemap.files.images import UDIM_MARK, with_udim_mark
 
 
-def texture_and_maps(given: Sequence[str]) -> tuple[Path | None, tuple[tuple[str, Path], ...]]:
+def texture_and_maps(
+    given: Sequence[str], option: str = "--texture"
+) -> tuple[Path | None, tuple[tuple[str, Path], ...]]:
     """Tell a single image from the named maps of a material: ``albedo=skin.png``.
 
     Raises
@@ -24,11 +26,11 @@ def texture_and_maps(given: Sequence[str]) -> tuple[Path | None, tuple[tuple[str
         return None, ()
     if len(named) != len(given) or len({name for name, _ in named}) != len(named):
         raise ParameterError(
-            f"--texture: expected one image, or several as NAME=IMAGE with a name of its own each, got "
+            f"{option}: expected one image, or several as NAME=IMAGE with a name of its own each, got "
             f"{', '.join(given)}."
         )
     if any(not name.replace("_", "").replace("-", "").isalnum() for name, _ in named):
-        raise ParameterError("--texture: expected names of letters, digits, - and _, since files are named by them.")
+        raise ParameterError(f"{option}: expected names of letters, digits, - and _, since files are named by them.")
     return None, tuple(named)
 
 

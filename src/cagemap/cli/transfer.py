@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from cagemap.cli.base_values import keep_base
 from cagemap.cli.carry_images import (
     carry_displacement,
     carry_material_colors,
@@ -104,6 +105,7 @@ def _carry_attribute(request: TransferRequest, result: Result, stages: Stages) -
                 f"{source.n_vertices} control vertices, {source.n_faces} control faces, {len(source.face_indices)} "
                 f"face corners, or {len(result.source.vertices)} vertices of level {result.source.level}."
             )
+    carried, notes = keep_base(request, result, carried)
     write_attributes(request.output, carried, force=request.force)
     lines = []
     if request.usd is not None:
@@ -113,7 +115,7 @@ def _carry_attribute(request: TransferRequest, result: Result, stages: Stages) -
     entry = {"kind": "attribute"} | {name: stated_path(path, request.result) for name, path in files.items()}
     note_transfer(request.result, entry)
     shapes = ", ".join(f"{name} {array.shape}" for name, array in carried.items())
-    return "\n".join([f"wrote {request.output}: {shapes}", *lines]), warnings
+    return "\n".join([f"wrote {request.output}: {shapes}", *lines]), warnings + notes
 
 
 def _carry_uvs(request: TransferRequest, result: Result, stages: Stages) -> Outcome:

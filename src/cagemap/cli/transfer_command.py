@@ -117,6 +117,15 @@ def transfer(
             show_default=False,
         ),
     ] = None,
+    base: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--base",
+            help="The target's own image (or values), which stays outside the masks of the match; for several maps as "
+            "NAME=IMAGE.  [default: alpha]",
+            show_default=False,
+        ),
+    ] = None,
     unwrap: Annotated[
         bool,
         typer.Option(
@@ -135,6 +144,7 @@ def transfer(
     from cagemap.cli.transfer_request import TransferRequest
 
     image, maps = texture_and_maps(texture or [])
+    whole, named = texture_and_maps(base or [], "--base")
     request = TransferRequest(
         result=result,
         output=output,
@@ -157,6 +167,7 @@ def transfer(
         write_map=write_map,
         size=size,
         bits=bits,
+        bases=named if whole is None else (("", whole),),
         unwrap=unwrap,
         midlevel=midlevel,
         scale=scale,

@@ -37,16 +37,28 @@ class TransferRequest:
     write_map: bool = False
     size: int | None = None
     bits: int | None = None
+    bases: tuple[tuple[str, Path], ...] = ()
     unwrap: bool = False
     midlevel: float | None = None
     scale: float = 1.0
     force: bool = False
 
 
+def base_of(request: TransferRequest, name: str = "") -> Path | None:
+    """What lies outside the masks of a map, or of all of them."""
+    given = dict(request.bases)
+    return given.get(name, given.get(""))
+
+
 def inputs_of(request: TransferRequest) -> list[Path]:
     """Files that are read, as far as the command line names them."""
     single = (request.texture, request.displacement, request.normal_map, request.vector_displacement)
-    others = (request.attribute, request.weights, request.joints, *(path for _, path in request.maps))
+    others = (
+        request.attribute,
+        request.weights,
+        request.joints,
+        *(path for _, path in (*request.maps, *request.bases)),
+    )
     given = [path for path in (*single, *others) if path is not None]
     return [
         request.result / MANIFEST,

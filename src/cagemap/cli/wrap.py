@@ -145,11 +145,21 @@ def _run(request: WrapRequest, stages: Stages) -> Outcome:
 
 def _wrap(request: WrapRequest, result: Result, config: WrapConfig, stages: Stages) -> Wrapped:
     follow = None if request.weights is None else _follow(request.weights)
+    if result.masks.any:
+        follow = _masked_follow(result, follow)
     stages(f"wrap {result.source.control.name}")
     target = result.target.refinement
     symmetry = _symmetry(result.target.control, request.fit_level) if request.symmetric else None
     with one_blas_thread():
         return wrap(target, result.point_map, config, follow=follow, symmetry=symmetry)
+
+
+def _masked_follow(result: Result, follow: FloatArray | None) -> FloatArray:
+    """(n_f,) how far finest vertices may follow, where masks leave some of the surfaces out."""
+    counts, refinement = result.masks.joint(result.point_map), result.target.refinement
+    if follow is None or len(follow) == len(counts):
+        return counts if follow is None else counts * follow
+    return np.asarray(counts * np.clip(refinement.prolong(follow, 0, refinement.n_levels), 0.0, 1.0))
 
 
 def _follow(path: Path) -> FloatArray:

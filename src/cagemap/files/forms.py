@@ -34,12 +34,15 @@ class Form:
         The array may be missing.
     nan : bool
         Unknown values are NaN and infinite ones are allowed.
+    share : bool
+        Values lie from 0 to 1.
     """
 
     shape: tuple[str | int, ...]
     below: str = ""
     optional: bool = False
     nan: bool = False
+    share: bool = False
 
 
 def check_arrays(
@@ -113,5 +116,7 @@ def _checked(
         checked = np.ascontiguousarray(array, dtype=np.float64)
         if not form.nan and array.size and not max(-float(checked.min()), float(checked.max())) <= _LARGEST:
             raise FormatError(f"{path}: {name} holds NaN, infinite or absurdly large numbers. {remedy}")
+        if form.share and array.size and not (checked.min() >= 0.0 and checked.max() <= 1.0):
+            raise FormatError(f"{path}: {name} holds numbers outside 0 to 1. {remedy}")
     checked.flags.writeable = False
     return checked

@@ -53,7 +53,7 @@ class Image:
     """
 
     pixels: Pixels
-    channel_names: tuple[str, ...]
+    channel_names: tuple[str, ...] = ()
     color_space: str = ""
 
     @property

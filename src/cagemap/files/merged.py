@@ -12,12 +12,13 @@ from scipy.linalg import block_diag
 from cagemap.errors import ParameterError
 from cagemap.files.result import Result, Side
 from cagemap.geometry.surface import TriangleSurface
+from cagemap.maps.masks import Masks
 from cagemap.maps.pair import PointPairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import measure_quality
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.join import join_meshes
-from cagemap.numerics.arrays import IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Loop, refine, triangles
 from cagemap.refinement.topology import control_topology
 
@@ -66,7 +67,8 @@ def merge_results(parts: Sequence[Result], manifest: dict[str, Any]) -> Result:
     names = tuple(name for part in parts for name in part.landmark_names)
     mine, theirs = (TriangleSurface.from_faces(side.vertices, side.faces) for side in (target, source))
     landmarks = PointPairs.of_vertices(mine, theirs, target.landmarks, source.landmarks)
-    quality = measure_quality(PointMap.from_arrays(mine, theirs, triangle, barycentric), landmarks, names)
+    masks = Masks(target.mask, source.mask)
+    quality = measure_quality(PointMap.from_arrays(mine, theirs, triangle, barycentric), landmarks, names, masks=masks)
     return Result(
         target=target,
         source=source,
@@ -127,8 +129,20 @@ def _merge_sides(sides: Sequence[Side]) -> tuple[Side, list[_Numbers]]:
         faces=np.asarray(finest.faces),
         eigenvalues=np.concatenate([side.eigenvalues for side in sides]),
         landmarks=np.concatenate(landmarks),
+        mask=_merge_masks(sides, numbers),
     )
     return merged, numbers
+
+
+def _merge_masks(sides: Sequence[Side], numbers: Sequence[_Numbers]) -> FloatArray | None:
+    """Masks of all parts side by side; a part without one counts whole."""
+    if all(side.mask is None for side in sides):
+        return None
+    mask = np.ones(sum(len(side.vertices) for side in sides))
+    for side, own in zip(sides, numbers, strict=True):
+        if side.mask is not None:
+            mask[own.vertices] = side.mask
+    return mask
 
 
 def part_numbers(controls: Sequence[ControlMesh], level: int, *, loop: bool) -> list[_Numbers]:

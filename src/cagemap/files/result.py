@@ -78,7 +78,6 @@ _FORMS = {
 }
 # What barycentric coordinates may lie beside [0, 1] and a sum of 1.
 _ROUNDING = 1e-6
-
 _SIDE_ARRAYS = ("vertices", "faces", "eigenvalues", "landmarks")
 _REMEDY = "Run `cagemap match` again."
 _LIBRARIES = ("numpy", "scipy", "numba", "rslab", "OpenImageIO", "embreex", "xatlas")
@@ -167,6 +166,8 @@ def write_result(folder: str | Path, result: Result | MatchResult, *, force: boo
         if side.landmark_points is not None:
             arrays[f"{prefix}_landmark_corners"] = side.landmark_points.corners
             arrays[f"{prefix}_landmark_weights"] = side.landmark_points.weights
+        if side.mask is not None:
+            arrays[f"{prefix}_mask"] = side.mask
         arrays |= control_to_arrays(side.control, f"{prefix}_control_")
     with atomic_folder(folder, (ARRAYS, MANIFEST), force=force, owned=_is_own) as temporary:
         write_npz(temporary / ARRAYS, arrays)
@@ -263,7 +264,7 @@ def _read_side(root: Path, prefix: str, entry: SideRecord, stored: dict[str, Any
     arrays = check_arrays(path, stored, forms, sizes, _REMEDY)
     points = points_from_arrays(path, arrays, f"{prefix}_landmark_", _REMEDY)
     own = {name: arrays[f"{prefix}_{name}"] for name in _SIDE_ARRAYS}
-    side = Side(control, scheme, entry.level, **own, landmark_points=points)
+    side = Side(control, scheme, entry.level, **own, landmark_points=points, mask=arrays.get(f"{prefix}_mask"))
     low, high = control.positions.min(axis=0), control.positions.max(axis=0)
     slack = (high - low).max()  # refined vertices are averages of control vertices
     if np.any(side.vertices < low - slack) or np.any(side.vertices > high + slack):
@@ -283,11 +284,12 @@ def _side_forms(number: int) -> dict[str, Form]:
         "landmarks": Form(("p",), below=f"c{number}"),
         "landmark_corners": Form(("p", 3), below=f"c{number}", optional=True),
         "landmark_weights": Form(("p", 3), optional=True),
+        "mask": Form((f"n{number}",), optional=True, share=True),
     }
 
 
 def _check_parts(root: Path, result: Result, record: ResultRecord) -> None:
-    """Refuse parts that are sound but do not belong together."""
+    """Refuse sound parts that do not belong together."""
     faults = {
         "source_triangles are not those of source_faces": not np.array_equal(
             result.source_triangles, triangles(result.source.faces)

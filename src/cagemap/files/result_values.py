@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cagemap.geometry.surface import TriangleSurface
+from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import CagePoints
@@ -38,6 +39,8 @@ class Side:
         Control vertices, in the order of the other side's; the nearest where a landmark lies between them.
     landmark_points : CagePoints, optional
         Where the landmarks lie, if some lie between control vertices.
+    mask : (n,) float64, optional
+        How much every vertex counts, where not all of the surface does.
     """
 
     control: ControlMesh
@@ -48,6 +51,7 @@ class Side:
     eigenvalues: FloatArray
     landmarks: IndexArray
     landmark_points: CagePoints | None = None
+    mask: FloatArray | None = None
 
     @cached_property
     def refinement(self) -> Refinement:
@@ -100,6 +104,11 @@ class Result:
         target, source = (TriangleSurface.from_faces(side.vertices, side.faces) for side in (self.target, self.source))
         return PointMap.from_arrays(target, source, self.triangle, self.barycentric)
 
+    @property
+    def masks(self) -> Masks:
+        """What of both surfaces was matched, and is transferred."""
+        return Masks(self.target.mask, self.source.mask)
+
     def image(self) -> FloatArray:
         """(n1, 3) where every target vertex maps to, in the source file's units."""
         corners = self.source.vertices[self.source_triangles[self.triangle]]
@@ -129,10 +138,11 @@ def result_of(match: MatchResult, manifest: dict[str, Any] | None = None) -> Res
             eigenvalues=surface.basis.eigenvalues,
             landmarks=landmarks.nearest_vertices,
             landmark_points=landmarks if np.any(landmarks.vertices < 0) else None,
+            mask=mask,
         )
-        for surface, landmarks in (
-            (match.target, match.landmarks.target_points),
-            (match.source, match.landmarks.source_points),
+        for surface, landmarks, mask in (
+            (match.target, match.landmarks.target_points, match.masks.target),
+            (match.source, match.landmarks.source_points, match.masks.source),
         )
     ]
     return Result(

@@ -73,9 +73,10 @@ def resume(
         landmarks,
         functional_map_of(target, source, point_map),
         point_map,
-        judge(target, point_map, points, trusted.names),
+        judge(target, point_map, points, trusted.names, result.masks),
         {stage: seconds or 0.0 for stage, seconds in record.timings.items()},
         check,
+        masks=result.masks,
     )
 
 

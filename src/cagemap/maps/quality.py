@@ -16,6 +16,7 @@ from cagemap.geometry.closest import build_tree, closest_points
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import CACHED, corner_sums, normalized, ring_sums, triangle_areas, triangle_normals
+from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import PointPairs
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -124,7 +125,12 @@ def dirichlet_energy(target: FloatArray, image: FloatArray, triangles: IndexArra
 
 
 def covered_share(
-    image: FloatArray, triangles: IndexArray, source: TriangleSurface, *, samples: int = COVERAGE_SAMPLES
+    image: FloatArray,
+    triangles: IndexArray,
+    source: TriangleSurface,
+    *,
+    samples: int = COVERAGE_SAMPLES,
+    masks: Masks = WHOLE,
 ) -> float:
     """Share of the source's area that the image of the target reaches.
 
@@ -139,6 +145,8 @@ def covered_share(
     triangles : (t1, 3) int64
         Of the target.
     source : TriangleSurface
+    masks : Masks
+        The share is that of what counts of the source.
     """
     judged = min(samples, source.n)
     sums = ring_sums(source.positions, source.triangles, judged)
@@ -150,6 +158,7 @@ def covered_share(
         minimum_cosine=0.0,
         within=0.5 * (edges / np.maximum(count, 1)).ravel(),
     )
+    areas = areas.ravel() * masks.of_source(judged)
     return float(areas[reached >= 0].sum() / areas.sum())
 
 
@@ -194,6 +203,7 @@ def measure_quality(
     landmark_names: Sequence[str] = (),
     *,
     coarse_triangles: IndexArray | None = None,
+    masks: Masks = WHOLE,
 ) -> QualityFigures:
     """Measure a map without ground truth.
 
@@ -205,9 +215,15 @@ def measure_quality(
         Used in warnings.
     coarse_triangles : (t, 3) int64, optional
         A coarser level's triangles of the target, whose vertices come first: what coverage asks, on dense meshes.
+    masks : Masks
+        Shares are those of what counts; trust and the landmarks' errors do not ask.
     """
     target, images = point_map.target, point_map.images
     image, areas = images.positions, target.areas
+    counted = np.ones(target.n)
+    if masks.any:
+        counted = masks.joint(point_map)
+        areas = areas * counted[target.triangles].mean(axis=1)
 
     def on_triangles(part: slice) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:
         these = target.triangles[part]
@@ -215,7 +231,7 @@ def measure_quality(
 
     with ThreadPool(1) as pool:
         asked = target.triangles if coarse_triangles is None else coarse_triangles
-        covered = pool.submit(covered_share, image[: asked.max() + 1], asked, point_map.source)
+        covered = pool.submit(covered_share, image[: asked.max() + 1], asked, point_map.source, masks=masks)
         found = in_threads(on_triangles, parts(len(target.triangles), CACHED))
         flipped, largest, smallest = (np.concatenate(kind) for kind in zip(*found, strict=True))
         aspect = largest / np.maximum(smallest, 1e-9)
@@ -225,6 +241,8 @@ def measure_quality(
     area_ratios, aspect_ratios = in_threads(lambda asked: weighted_percentiles(*asked), asked_about)
     errors = np.zeros(0) if landmarks is None else landmark_errors(point_map, landmarks)
     flipped_area = float(areas[flipped].sum() / areas.sum())
+    vertex_areas = target.vertex_areas * counted
+    vertex_areas = vertex_areas / vertex_areas.sum() if masks.any else vertex_areas
     names = tuple(landmark_names) or tuple(f"pair {i}" for i in range(len(errors)))
     return QualityFigures(
         landmark_errors=errors,
@@ -234,8 +252,8 @@ def measure_quality(
         area_ratios=area_ratios,
         aspect_ratios=aspect_ratios,
         trust=trust,
-        trusted_area=float(target.vertex_areas @ trust),
-        warnings=_warnings(errors, names, flipped_area, coverage, trust, target),
+        trusted_area=float(vertex_areas @ trust),
+        warnings=_warnings(errors, names, flipped_area, coverage, trust, target, vertex_areas),
     )
 
 
@@ -262,10 +280,11 @@ def _warnings(
     coverage: float,
     trust: FloatArray,
     target: TriangleSurface,
+    vertex_areas: FloatArray,
 ) -> tuple[str, ...]:
     """Sentences for a user: what is wrong, how much, where."""
     messages = []
-    worst = int(np.argmin(trust))
+    worst = int(np.argmin(np.where(vertex_areas > 0, trust, np.inf)))
     place = ", ".join(f"{x:.2f}" for x in target.positions[worst])
     where = f"worst around target vertex {worst} at ({place}) of sqrt(area)"
     if flipped_area > 0.5:
@@ -281,7 +300,7 @@ def _warnings(
         messages.append(f"{len(off)} landmarks are not met exactly (distance of sqrt(area)): {listed}")
     if coverage < COVERAGE_TOLERANCE:
         messages.append(f"{100 * (1 - coverage):.1f} % of the source's area is not reached by the map")
-    untrusted = float(target.vertex_areas[trust < 0.5].sum())
+    untrusted = float(vertex_areas[trust < 0.5].sum())
     if untrusted > 0.1:
         messages.append(f"the map stretches strongly over {100 * untrusted:.0f} % of the target, {where}")
     return tuple(messages)

@@ -69,12 +69,15 @@ class Gallery:
         "texture", "material colours" or "checker".
     looks, maps, trust : tuple of Figure
         The transferred look; the map as colours with landmarks; where the map is to be trusted.
+    masks : tuple of Figure
+        What was matched of both surfaces, where not all of them was.
     """
 
     appearance: str
     looks: tuple[Figure, ...]
     maps: tuple[Figure, ...]
     trust: tuple[Figure, ...]
+    masks: tuple[Figure, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,13 +120,24 @@ def draw_gallery(
     pulled = position_colors(result.image(), result.source.vertices)
     own = position_colors(result.source.vertices, result.source.vertices)
     trust = scalar_colors(result.trust, 0.0, 1.0, ENOUGH)
-    jobs = [
+    jobs: list[_Job] = [
         *((view, source_skin, target_skin, False) for view in VIEWS),
         *((view, Skin(vertex_colors=own), Skin(vertex_colors=pulled), True) for view in (FRONT, BACK)),
         *((view, None, Skin(vertex_colors=trust), False) for view in (FRONT, BACK)),
     ]
+    jobs += _mask_jobs(result)
     figures = tuple(_figures(stage, jobs, size, progress))
-    return Gallery(appearance, figures[:3], figures[3:5], figures[5:])
+    return Gallery(appearance, figures[:3], figures[3:5], figures[5:7], figures[7:])
+
+
+def _mask_jobs(result: Result) -> list[_Job]:
+    """What counts of both surfaces, from the front and from behind; nothing where all of it does."""
+    masks = result.masks
+    if not masks.any:
+        return []
+    own, joint = masks.of_source(len(result.source.vertices)), masks.joint(result.point_map)
+    skins = [Skin(vertex_colors=scalar_colors(values, 0.0, 1.0)) for values in (own, joint)]
+    return [(view, skins[0], skins[1], False) for view in (FRONT, BACK)]
 
 
 def draw_thumbnail(result: Result, size: tuple[int, int] = (220, 190)) -> Image:

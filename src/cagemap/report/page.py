@@ -55,6 +55,13 @@ def build_page(result: Result, gallery: Gallery) -> str:
             "The target. Grey: unfolded and stretched little. Red: folded or stretched strongly; look there first.",
             '<div class="pair">' + "".join(_picture(f.target, f.view) for f in gallery.trust) + "</div>",
         ),
+        _section(
+            "What was matched",
+            "Dark: masked, neither matched nor transferred. The target shows both masks, the source its own.",
+            "".join(_pair(figure, result) for figure in gallery.masks),
+        )
+        if gallery.masks
+        else "",
         _section("Quality", "Measured on this map, without knowing the true one.", _merits(merits)),
         _section("Landmarks", "Miss as a share of the model's size.", _landmarks(result)),
         _section("Time", _time_summary(manifest), _timings(manifest.get("timings") or {})),

@@ -18,6 +18,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from cagemap.errors import ParameterError
 from cagemap.geometry.triangles import triangle_areas, triangle_neighbors
+from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool, core_count
@@ -48,12 +49,15 @@ class Transfer:
         T12, for the target's vertices and the source's triangles.
     mapped : MappedSurface
         The target's vertices on the source, ready to walk.
+    masks : Masks
+        What of both surfaces is transferred; see `cagemap.transfer.masks`.
     """
 
     target: TexturedSurface
     source: TexturedSurface
     point_map: PointMap
     mapped: MappedSurface
+    masks: Masks = WHOLE
 
 
 @dataclass(frozen=True)
@@ -81,7 +85,7 @@ class BakeOptions:
     threads: int | None = None
 
 
-def prepare_transfer(target: Level, source: Level, point_map: PointMap) -> Transfer:
+def prepare_transfer(target: Level, source: Level, point_map: PointMap, masks: Masks = WHOLE) -> Transfer:
     """Put a match into the form that bakes need.
 
     Parameters
@@ -89,11 +93,13 @@ def prepare_transfer(target: Level, source: Level, point_map: PointMap) -> Trans
     target, source : Level
         The refined levels that the point map was computed on.
     point_map : PointMap
+    masks : Masks
+        What of both surfaces is transferred.
 
     Raises
     ------
     ParameterError
-        If the map does not fit the two levels.
+        If the map or the masks do not fit the two levels.
     """
     target_surface, source_surface = TexturedSurface.from_level(target), TexturedSurface.from_level(source)
     expected, sides = (target_surface, source_surface), (point_map.target, point_map.source)
@@ -104,7 +110,8 @@ def prepare_transfer(target: Level, source: Level, point_map: PointMap) -> Trans
             f"{sizes[1]}; are target and source exchanged, or of other levels?"
         )
     mapped = map_surface(target_surface, source_surface, point_map)
-    return Transfer(target_surface, source_surface, point_map, mapped)
+    masks.require_fit(len(target_surface.positions), len(source_surface.positions))
+    return Transfer(target_surface, source_surface, point_map, mapped, masks)
 
 
 def target_tiles(target: Level) -> list[int]:

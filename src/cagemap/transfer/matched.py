@@ -7,6 +7,7 @@ from typing import Protocol
 
 from numpy.typing import DTypeLike
 
+from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.refinement import Refinement
 from cagemap.transfer.baking import BakeOptions, Transfer, bake_texture, prepare_transfer
@@ -36,6 +37,10 @@ class Matched(Protocol):
     def point_map(self) -> PointMap:
         """T12, between the finest levels."""
 
+    @property
+    def masks(self) -> Masks:
+        """What of both surfaces counts."""
+
 
 def transfer_of(result: Matched) -> Transfer:
     """Put a match into the form that bakes need; keep it for several images.
@@ -44,7 +49,8 @@ def transfer_of(result: Matched) -> Transfer:
     ----------
     result : MatchResult or Result
     """
-    return prepare_transfer(result.target.refinement.finest, result.source.refinement.finest, result.point_map)
+    levels = result.target.refinement.finest, result.source.refinement.finest
+    return prepare_transfer(*levels, result.point_map, result.masks)
 
 
 def bake(

@@ -13,6 +13,7 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import normalized
 from cagemap.maps.elastic.counterparts import round_trip_weights
 from cagemap.maps.elastic.graph import ElasticGraph, transformed_normals
+from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.spectral.samples import spread
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
@@ -26,7 +27,7 @@ class Pullers:
     points, planes : (m, 3) float64
         Positions and unit normals.
     areas : (m,) float64
-        Sum 1.
+        Sum 1, times the source's mask.
     outer : (m, 9) float64
         Normal times normal.
     """
@@ -37,12 +38,13 @@ class Pullers:
     outer: FloatArray
 
     @classmethod
-    def choose(cls, source: TriangleSurface, count: int) -> Pullers:
+    def choose(cls, source: TriangleSurface, count: int, masks: Masks = WHOLE) -> Pullers:
         """Some vertices of a source, spread over its numbering."""
         chosen = spread(len(source.positions), count)
         planes, areas = source.vertex_normals[chosen], source.vertex_areas[chosen]
         outer = (planes[:, :, None] * planes[:, None, :]).reshape(-1, 9)
-        return cls(source.positions[chosen], planes, areas / areas.sum(), outer)
+        shares = areas / areas.sum() * masks.of_source(source.n)[chosen]
+        return cls(source.positions[chosen], planes, shares, outer)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +88,7 @@ def pull_to_source(
     normals: FloatArray,
     guess: IndexArray | None,
     normal_weight: float,
+    masks: Masks = WHOLE,
 ) -> Pull:
     """Point-to-plane term of the deformed vertices: each should lie in the source's tangent plane at its foot.
 
@@ -99,12 +102,15 @@ def pull_to_source(
         Source triangles of an earlier search.
     normal_weight : float
         Of the search, see `closest_points`.
+    masks : Masks
+        What counts of the graph's vertices and of the source's.
     """
     found = SurfacePoints.nearest(source, positions, normals, normal_weight=normal_weight, guess=guess)
     corners = found.corners
     foot = curved_points(source.positions[corners], source.vertex_normals[corners], found.barycentric)
     plane = normalized(found.interpolate(source.vertex_normals))
     weights = graph.areas * np.clip(np.einsum("nd,nd->n", plane, normals), 0.0, 1.0)
+    weights *= masks.of_target(graph.n) * masks.at_source(found)
     blocks = weights[:, None, None] * plane[:, :, None] * plane[:, None, :]
     return Pull(blocks, np.einsum("nab,nb->na", blocks, foot), weights, found.triangle, foot)
 
@@ -118,6 +124,7 @@ def pull_by_source(
     normal_weight: float,
     feet: FloatArray,
     alpha: float,
+    masks: Masks = WHOLE,
 ) -> Pull:
     """Point-to-plane term of source vertices: each should lie on the deformed target.
 
@@ -138,6 +145,8 @@ def pull_by_source(
         Where the target's vertices lie nearest on the source.
     alpha : float
         Stiffness of the energy, see `round_trip_weights`.
+    masks : Masks
+        What counts of the target's vertices; the pullers' areas know of the source's.
     """
     points, planes = pullers.points, pullers.planes
     tree = build_tree(positions, target_triangles)
@@ -148,6 +157,8 @@ def pull_by_source(
     facing = tree.normals_of(held_by)
     shares = pullers.areas * np.clip(np.einsum("nd,nd->n", facing, planes), 0.0, 1.0)
     shares *= round_trip_weights(np.einsum("mk,mkd->md", barycentric, feet[corners]) - points, residual, alpha)
+    if masks.target is not None:
+        shares *= np.einsum("mk,mk->m", barycentric, masks.target[corners])
     # Column j gives what source vertex j asks to the three corners around its foot.
     gather = sparse.csc_array(
         ((shares[:, None] * barycentric).ravel(), corners.ravel(), 3 * np.arange(len(points) + 1)),

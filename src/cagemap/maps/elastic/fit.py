@@ -20,7 +20,7 @@ from cagemap.geometry.triangles import vertex_normals
 from cagemap.maps.elastic.config import ElasticConfig, Stage
 from cagemap.maps.elastic.constants import COST_STIFFNESS, LANDMARK_ITERATIONS, PULLERS, UNSETTLED
 from cagemap.maps.elastic.data import Pullers, deformed_normals, pull_by_source, pull_to_source
-from cagemap.maps.elastic.graph import ElasticGraph, extrapolate
+from cagemap.maps.elastic.graph import extrapolate
 from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair, RestShape
 from cagemap.maps.pair import PointPairs, vertices_at
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -126,7 +126,7 @@ def coarse_fit(
     anchors = Anchors.at_vertices(held)
     positions = run_stage(rest, sheet, first, anchors, landmark_positions, config.coarse, config)
     maps, _ = rest.differentials(positions)
-    return CoarseFit(coarse_cost(rest.graph, sheet, positions, maps, config), positions, maps)
+    return CoarseFit(coarse_cost(rest, sheet, positions, maps, config), positions, maps)
 
 
 def fine_fit(
@@ -186,14 +186,16 @@ def similarity(points: FloatArray, images: FloatArray) -> tuple[FloatArray, floa
 
 
 def coarse_cost(
-    graph: ElasticGraph, sheet: TriangleSurface, positions: FloatArray, maps: FloatArray, config: ElasticConfig
+    rest: RestShape, sheet: TriangleSurface, positions: FloatArray, maps: FloatArray, config: ElasticConfig
 ) -> float:
     """What a coarse fit costs: mean squared distance in position and normal, and the energy at a fixed stiffness."""
+    graph = rest.graph
     normals = deformed_normals(graph, maps)
     found = SurfacePoints.nearest(sheet, positions, normals, normal_weight=config.normal_weight)
+    areas = graph.areas * rest.masks.of_target(graph.n) * rest.masks.at_source(found)
     squared = ((found.positions - positions) ** 2).sum(axis=1)
     turned = 2.0 - 2.0 * np.einsum("nd,nd->n", found.normals, normals)
-    data = graph.areas @ (squared + config.normal_weight**2 * turned)
+    data = areas @ (squared + config.normal_weight**2 * turned)
     return float(data + COST_STIFFNESS * graph.energy(positions, maps, config.coarse.smoothing))
 
 
@@ -215,7 +217,7 @@ def run_stage(
     """
     graph, field = rest.graph, rest.field
     triangles = None if rest.mesh is None else rest.mesh.triangles
-    pullers = None if triangles is None else Pullers.choose(sheet, int(PULLERS * graph.n))
+    pullers = None if triangles is None else Pullers.choose(sheet, int(PULLERS * graph.n), rest.masks)
     normal_weight = config.normal_weight if triangles is None else config.fine_normal_weight
     positions, before = start, start
     guess, guess_back = None, None
@@ -226,11 +228,19 @@ def run_stage(
                 normals = deformed_normals(graph, differentials.result()[0])
             else:
                 normals = vertex_normals(positions, triangles)
-            pull = pull_to_source(graph, sheet, positions, normals, guess, normal_weight)
+            pull = pull_to_source(graph, sheet, positions, normals, guess, normal_weight, rest.masks)
             blocks, right, guess = pull.blocks, pull.right, pull.triangles
             if triangles is not None and pullers is not None and rest.received is not None:
                 back = pull_by_source(
-                    triangles, pullers, positions, normals, guess_back, config.normal_weight, pull.feet, alpha
+                    triangles,
+                    pullers,
+                    positions,
+                    normals,
+                    guess_back,
+                    config.normal_weight,
+                    pull.feet,
+                    alpha,
+                    rest.masks,
                 )
                 pull = pull.scaled(rest.received.weights(back.weights))
                 blocks, right, guess_back = pull.blocks + back.blocks, pull.right + back.right, back.triangles

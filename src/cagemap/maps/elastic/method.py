@@ -102,6 +102,7 @@ def start_map(prepared: PreparedPair, pair: Pair, vertices: IndexArray, areas: F
         Source vertices.
     """
     levels, config = prepared.levels, prepared.hierarchy
+    areas = areas * prepared.rest.masks.for_vertices(vertices).of_target(len(vertices))
     constraints = gather_constraints(pair, config.descriptors)
     candidates = spread(len(pair.source.refinement.levels[levels[1]].positions), START_SAMPLES)
     candidates = np.union1d(candidates, pair.source_landmarks)

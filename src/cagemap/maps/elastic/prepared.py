@@ -13,6 +13,7 @@ from cagemap.maps.elastic.config import ElasticConfig
 from cagemap.maps.elastic.constants import SHEET_VERTICES
 from cagemap.maps.elastic.counterparts import ReceivedArea
 from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph, bounded_maps, cluster_graph, mesh_graph
+from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.spectral.hierarchical import HierarchyConfig, search_levels
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool
@@ -30,19 +31,24 @@ class RestShape:
         The mesh whose graph it is; None for clusters of one.
     received : ReceivedArea or None
         Of a mesh.
+    masks : Masks
+        What counts in the data: of the graph's vertices, and of the source's.
     """
 
     graph: ElasticGraph
     field: DifferentialField
     mesh: TriangleSurface | None
     received: ReceivedArea | None
+    masks: Masks = WHOLE
 
     @classmethod
-    def build(cls, graph: ElasticGraph, mesh: TriangleSurface | None, smoothing: float) -> RestShape:
+    def build(
+        cls, graph: ElasticGraph, mesh: TriangleSurface | None, smoothing: float, masks: Masks = WHOLE
+    ) -> RestShape:
         """Factor the matrices that stay the same in all iterations of a stage."""
         laplacian = graph.laplacian()
         field = DifferentialField.build(graph, laplacian, smoothing)
-        return cls(graph, field, mesh, None if mesh is None else ReceivedArea.build(graph, laplacian))
+        return cls(graph, field, mesh, None if mesh is None else ReceivedArea.build(graph, laplacian), masks)
 
     def differentials(self, positions: FloatArray) -> tuple[FloatArray, IndexArray]:
         """(n, 3, 3) maps A for positions x (n, 3), none of which folds or flattens, and which of them were bounded."""
@@ -65,10 +71,11 @@ class CoarseShape:
     vertices: IndexArray
 
     @classmethod
-    def build(cls, graph: ElasticGraph, kept: IndexArray, config: ElasticConfig) -> CoarseShape:
+    def build(cls, graph: ElasticGraph, kept: IndexArray, config: ElasticConfig, masks: Masks = WHOLE) -> CoarseShape:
         """Cluster a mesh's graph, every kept vertex (p,) a cluster of its own."""
         coarse, vertices = cluster_graph(graph, min(config.coarse_vertices, graph.n), kept)
-        return cls(RestShape.build(coarse, None, config.coarse.smoothing), vertices)
+        own = masks.for_vertices(vertices)
+        return cls(RestShape.build(coarse, None, config.coarse.smoothing, own), vertices)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -103,6 +110,7 @@ class PreparedPair:
         source: Surface,
         hierarchy: HierarchyConfig = HierarchyConfig(),
         elastic: ElasticConfig = ElasticConfig(),
+        masks: Masks = WHOLE,
     ) -> PreparedPair:
         """Factor the target's rest shape, and order the source's triangles for closest points."""
         levels = search_levels(target, source, hierarchy)
@@ -110,7 +118,7 @@ class PreparedPair:
         with ThreadPool(1) as aside:
             trees = aside.submit(lambda: (sheet.tree, source.triangles(source.finest).tree))
             graph = level_graph(target, levels[0])
-            rest = RestShape.build(graph, target.triangles(levels[0]), elastic.fine.smoothing)
+            rest = RestShape.build(graph, target.triangles(levels[0]), elastic.fine.smoothing, masks)
             trees.result()
         return cls(target, source, hierarchy, elastic, levels, rest, sheet)
 
@@ -132,7 +140,7 @@ class PreparedPair:
     def coarse(self, kept: IndexArray | None = None) -> CoarseShape:
         """Clusters of the target's mesh, each of the kept vertices (p,) one of its own; landmarks, or none."""
         none = np.zeros(0, dtype=np.int64)
-        return CoarseShape.build(self.rest.graph, none if kept is None else kept, self.elastic)
+        return CoarseShape.build(self.rest.graph, none if kept is None else kept, self.elastic, self.rest.masks)
 
     def __repr__(self) -> str:
         return f"PreparedPair({self.target} -> {self.source})"

@@ -92,7 +92,7 @@ def found_readings(
     progress("coarse fits")
     candidates = _coarse_fits(prepared, pair, shape, rough, config)
     progress("elastic fits")
-    pullers = Pullers.choose(prepared.sheet, int(PULLERS * prepared.rest.graph.n))
+    pullers = Pullers.choose(prepared.sheet, int(PULLERS * prepared.rest.graph.n), prepared.rest.masks)
 
     def finish(candidate: _Candidate) -> Reading:
         ended = fine_fit(prepared, shape, [candidate.fit], pair.landmarks)
@@ -108,7 +108,7 @@ def reading_cost(prepared: PreparedPair, pullers: Pullers, positions: FloatArray
     The last tells a limb that lies beside its counterpart, or a body squeezed into a part of the other.
     """
     rest, config = prepared.rest, prepared.elastic
-    cost = coarse_cost(rest.graph, prepared.sheet, positions, rest.field.solve(positions), config)
+    cost = coarse_cost(rest, prepared.sheet, positions, rest.field.solve(positions), config)
     tree = build_tree(positions, prepared.mesh.triangles)
     _, _, distance = closest_points(tree, pullers.points, pullers.planes, normal_weight=config.normal_weight)
     return cost + float(pullers.areas @ distance**2)
@@ -117,7 +117,7 @@ def reading_cost(prepared: PreparedPair, pullers: Pullers, positions: FloatArray
 def _rough_fits(prepared: PreparedPair, pair: Pair, shape: CoarseShape, config: HypothesesConfig) -> list[_Candidate]:
     """The different ends of all rigid starts on a small graph, cheapest first, brought to the coarse graph."""
     staged = replace(prepared.elastic, coarse=config.rough, coarse_vertices=config.rough_vertices)
-    rough = CoarseShape.build(prepared.rest.graph, pair.target_landmarks, staged)
+    rough = CoarseShape.build(prepared.rest.graph, pair.target_landmarks, staged, prepared.rest.masks)
     small, sheet, places = rough.rest.graph, prepared.sheet, pair.landmarks.source.positions
 
     def trial(start: Start) -> _Candidate:

@@ -1,0 +1,56 @@
+"""`cagemap transfer --base`: values of the target itself, which stay where nothing is transferred."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cagemap.cli.transfer_request import TransferRequest, base_of
+from cagemap.errors import ParameterError
+from cagemap.files.attributes import Attributes, read_attributes
+from cagemap.files.result import Result
+from cagemap.numerics.arrays import FloatArray
+
+
+def keep_base(request: TransferRequest, result: Result, carried: Attributes) -> tuple[Attributes, list[str]]:
+    """Carried values over the target's own ones outside the masks; and what is to be said where there are none.
+
+    Raises
+    ------
+    ParameterError
+        If the base lacks a value, or has another number of rows or columns.
+    """
+    if not result.masks.any:
+        return carried, []
+    base = base_of(request)
+    if base is None:
+        return carried, [
+            "outside the masks values are carried as well; --base with the target's own values keeps those"
+        ]
+    own = read_attributes(base)
+    weight = result.masks.joint(result.point_map)
+    kept: Attributes = {}
+    for name, values in carried.items():
+        below = own.get(name, next(iter(own.values())) if len(own) == len(carried) == 1 else None)
+        if below is None or below.shape != values.shape:
+            found = "none" if below is None else f"shape {below.shape}"
+            raise ParameterError(
+                f"--base {base}: expected {name} of shape {values.shape}, as what is carried, got {found}"
+            )
+        share = _rows(result, weight, len(values)).reshape(-1, *([1] * (values.ndim - 1)))
+        if values.dtype.kind == "i" or below.dtype.kind == "i":
+            kept[name] = np.where(share >= 0.5, values, below)
+        else:
+            kept[name] = below + share * (values - below)
+    return kept, []
+
+
+def _rows(result: Result, weight: FloatArray, count: int) -> FloatArray:
+    """(count,) how much control vertices, control faces, face corners or refined vertices count."""
+    control = result.target.control
+    at_vertices = weight[: control.n_vertices]
+    if count == len(at_vertices):
+        return at_vertices
+    at_corners = at_vertices[control.face_indices]
+    if count == control.n_faces:
+        return np.add.reduceat(at_corners, control.face_offsets[:-1]) / control.face_sizes
+    return at_corners if count == len(at_corners) else weight

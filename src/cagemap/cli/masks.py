@@ -1,0 +1,192 @@
+"""`--target-mask`, `--source-mask`: what of a model is matched and transferred, as files and names say it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cagemap.basis import Surface
+from cagemap.errors import ParameterError
+from cagemap.files.attributes import SUFFIXES as VALUE_SUFFIXES
+from cagemap.files.attributes import read_attributes
+from cagemap.files.images import Pixels, read_texture, texture_files, texture_pixels
+from cagemap.files.usd import USD_SUFFIXES, read_usd_meshes
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.maps.mask_values import face_mask, soft_edge, vertex_mask
+from cagemap.maps.masks import Masks
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.parts import find_part
+from cagemap.numerics.arrays import FloatArray
+from cagemap.refinement import Refinement
+from cagemap.transfer.masks import painted_mask
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
+# Width of the soft edge of a set of faces, in units of sqrt(area), where nothing else is said.
+DEFAULT_EDGE = 0.02
+# Before a name: everything but that.
+NOT = "not:"
+
+
+@dataclass(frozen=True, eq=False)
+class GivenMask:
+    """A mask as it was given, for a file's whole mesh.
+
+    Attributes
+    ----------
+    vertices : (n_0,) float64 or None
+        Values at the file's control vertices.
+    faces : (m_0,) float64 or None
+        Values at the file's control faces.
+    image : array, or arrays by UDIM number, or None
+        Painted over the UVs.
+    inverted : bool
+        Everything but that.
+    edge : float
+        Width of its soft edge, see `cagemap.maps.mask_values.soft_edge`.
+    """
+
+    vertices: FloatArray | None = None
+    faces: FloatArray | None = None
+    image: Pixels | dict[int, Pixels] | None = None
+    inverted: bool = False
+    edge: float = 0.0
+
+    def on(self, refinement: Refinement, surface: TriangleSurface) -> FloatArray:
+        """(n,) mask of the finest vertices of the file's mesh or of a part of it."""
+        control = refinement.control
+        if self.vertices is not None:
+            rows = slice(None) if control.file_vertices is None else control.file_vertices
+            mask = vertex_mask(refinement, self._turned(self.vertices)[rows])
+        elif self.faces is not None:
+            rows = slice(None) if control.file_faces is None else control.file_faces
+            mask = face_mask(refinement, self._turned(self.faces)[rows])
+        else:
+            assert self.image is not None
+            mask = self._turned(painted_mask(refinement.finest, self.image))
+        return soft_edge(surface, mask, self.edge)
+
+    def _turned(self, values: FloatArray) -> FloatArray:
+        return 1.0 - values if self.inverted else values
+
+
+GivenMasks = tuple[GivenMask | None, GivenMask | None]
+
+
+@dataclass(frozen=True)
+class MaskOptions:
+    """What the command line says about masks."""
+
+    target: str | None = None
+    source: str | None = None
+    edge: float | None = None
+
+
+def mask_file(text: str | None) -> Path | None:
+    """The file that a mask is read from, where it is not a part's name."""
+    if text is None:
+        return None
+    path = Path(text.removeprefix(NOT))
+    suffix = path.suffix.lower()
+    return path if suffix in (*VALUE_SUFFIXES, *IMAGE_SUFFIXES) else None
+
+
+def mask_files(text: str | None) -> list[Path]:
+    """All files of a mask: an image's tiles, or one."""
+    path = mask_file(text)
+    return [] if path is None else texture_files(path)
+
+
+def read_masks(options: MaskOptions, controls: tuple[ControlMesh, ControlMesh], files: tuple[Path, Path]) -> GivenMasks:
+    """Masks of the target's and the source's whole files.
+
+    Raises
+    ------
+    ParameterError
+        See `read_mask`; if there is an edge and no mask.
+    """
+    texts = {"--target-mask": options.target, "--source-mask": options.source}
+    target, source = (
+        None if text is None else read_mask(text, options.edge, control, file, option)
+        for (option, text), control, file in zip(texts.items(), controls, files, strict=True)
+    )
+    if options.edge is not None and target is None and source is None:
+        raise ParameterError("--mask-edge: expected --target-mask or --source-mask beside it, got neither")
+    return target, source
+
+
+def masks_on(given: GivenMasks, surfaces: tuple[Surface, Surface]) -> Masks:
+    """Masks of two prepared surfaces, which may be parts of their files."""
+    target, source = (
+        None if mask is None else mask.on(surface.refinement, surface.triangles(surface.finest))
+        for mask, surface in zip(given, surfaces, strict=True)
+    )
+    return Masks(target, source)
+
+
+def read_mask(text: str, edge: float | None, control: ControlMesh, mesh_file: Path, option: str) -> GivenMask:
+    """Read what a mask option says about a file's mesh.
+
+    Parameters
+    ----------
+    text : str
+        A file of values at control vertices or faces (.npy, .npz, .csv), an image over the UVs, a USD file's primvar,
+        or names of objects, groups, materials or components; after ``not:`` all but that.
+    edge : float or None
+        Width of the soft edge; by default that of `DEFAULT_EDGE` for sets of faces, and none for values.
+    control : ControlMesh
+        The file's whole mesh.
+    mesh_file : Path
+    option : str
+        For messages.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such part or primvar, or values are not one a control vertex or face, from 0 to 1.
+    """
+    inverted = text.startswith(NOT)
+    name = text.removeprefix(NOT)
+    path = mask_file(text)
+    if path is not None and path.suffix.lower() in IMAGE_SUFFIXES:
+        if control.uvs is None:
+            raise ParameterError(f"{option}: {control.name} has no texture coordinates that {path} could be painted on")
+        return GivenMask(image=texture_pixels(read_texture(path)), inverted=inverted, edge=edge or 0.0)
+    if path is not None:
+        values = read_attributes(path)
+        if len(values) != 1:
+            raise ParameterError(f"{option}: {path}: expected one array of values, got {', '.join(values)}")
+        return _of_values(next(iter(values.values())), f"{option}: {path}", control, inverted, edge)
+    primvar = _primvar(mesh_file, name)
+    if primvar is not None:
+        return _of_values(primvar, f"{option}: primvar {name}", control, inverted, edge)
+    faces = np.zeros(control.n_faces)
+    for one in name.split(","):
+        faces[find_part(control, one).faces] = 1.0
+    return GivenMask(faces=faces, inverted=inverted, edge=DEFAULT_EDGE if edge is None else edge)
+
+
+def _of_values(array: FloatArray, where: str, control: ControlMesh, inverted: bool, edge: float | None) -> GivenMask:
+    values = np.asarray(array, dtype=np.float64)
+    rows = {control.n_vertices: "vertices", control.n_faces: "faces"}
+    kind = rows.get(len(values)) if values.ndim == 1 else None
+    if kind is None or not np.all((values >= 0) & (values <= 1)):
+        raise ParameterError(
+            f"{where}: expected {control.n_vertices} numbers from 0 to 1, one a control vertex, or {control.n_faces}, "
+            f"one a control face, got shape {values.shape} from {values.min():g} to {values.max():g}"
+        )
+    if control.n_vertices == control.n_faces:
+        kind = "vertices"
+    if kind == "vertices":
+        return GivenMask(vertices=values, inverted=inverted, edge=edge or 0.0)
+    return GivenMask(faces=values, inverted=inverted, edge=DEFAULT_EDGE if edge is None else edge)
+
+
+def _primvar(mesh_file: Path, name: str) -> FloatArray | None:
+    """Values of a USD file's only mesh under a name; None where there is none."""
+    if mesh_file.suffix.lower() not in USD_SUFFIXES:
+        return None
+    meshes = read_usd_meshes(mesh_file)
+    values = meshes[0].attributes.get(name) if len(meshes) == 1 else None
+    return None if values is None else np.asarray(values, dtype=np.float64)

@@ -1,0 +1,124 @@
+"""Masks in transfer: painted ones, how much of every texel is transferred, and what lies outside."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from cagemap.errors import ParameterError
+from cagemap.numerics.arrays import FloatArray
+from cagemap.refinement import Level
+from cagemap.transfer.baking import (
+    BakeOptions,
+    Transfer,
+    bake,
+    make_canvas,
+    to_dtype,
+    unit,
+)
+from cagemap.transfer.locate import Samples, target_barycentric
+from cagemap.transfer.surface import TexturedSurface
+from cagemap.transfer.texture import Pixels, lay_texture, look_up
+
+
+def painted_mask(level: Level, image: Pixels | Mapping[int, Pixels]) -> FloatArray:
+    """(n,) mask of a level's vertices from an image painted over its UVs.
+
+    The image's first channel, or the mean of its colours, times its alpha; where a seam gives a vertex several values,
+    their mean.
+
+    Parameters
+    ----------
+    level : Level
+    image : (h, w) or (h, w, c) array, or such arrays by UDIM number
+        Integers stand for 0 to 1.
+
+    Raises
+    ------
+    ParameterError
+        If the level has no texture coordinates, or the image has none of its tiles.
+    """
+    surface = TexturedSurface.from_level(level)
+    laid = lay_texture(image, *surface.layout())
+    count = len(surface.triangles)
+    corners = np.tile(np.eye(3), (count, 1))
+    triangle = np.repeat(np.arange(count), 3)
+    each = Samples(triangle.astype(np.int32), triangle, 1, 0, np.arange(3 * count + 1), triangle, corners)
+    values = look_up(laid, each) / unit(laid.dtype)
+    colors = values.shape[1] - (1 if values.shape[1] in (2, 4) else 0)
+    grey = values[:, :colors].mean(axis=1) * (values[:, -1] if colors < values.shape[1] else 1.0)
+    sums = np.bincount(surface.triangles.ravel(), grey, minlength=level.n_vertices)
+    times = np.bincount(surface.triangles.ravel(), minlength=level.n_vertices)
+    return np.clip(np.divide(sums, times, out=np.zeros(level.n_vertices), where=times > 0), 0.0, 1.0)
+
+
+def bake_mask(transfer: Transfer, *, size: int | tuple[int, int], options: BakeOptions | None = None) -> Pixels:
+    """How much of every texel of the target is transferred: the product of both masks, linear in the triangles.
+
+    Parameters
+    ----------
+    transfer : Transfer
+    size : int or (height, width)
+    options : BakeOptions, optional
+        Those of the bake that it is for.
+
+    Returns
+    -------
+    (height, width, 1) float32
+    """
+    options = options or BakeOptions()
+    canvas = make_canvas(transfer, size, options)
+    target, source = transfer.target, transfer.source
+    mine = transfer.masks.of_target(len(target.positions))
+    theirs = transfer.masks.of_source(len(source.positions))
+
+    def shade(samples: Samples) -> FloatArray:
+        inside = target_barycentric(canvas.corners, samples)
+        own = np.einsum("kc,kc->k", inside, mine[target.triangles[samples.target_triangle]])
+        there = np.einsum("sc,sc->s", samples.barycentric, theirs[source.triangles[samples.triangle]])
+        return own[:, None] * samples.mean(there[:, None])
+
+    once = np.ones((len(target.triangles), 2), dtype=np.int32)
+    return bake(transfer, canvas, once, shade, 1, np.float32, options)
+
+
+def blend(baked: Pixels, base: Pixels, weight: Pixels) -> Pixels:
+    """What was baked over a base image: ``base + weight (baked - base)``, the base itself where the weight is 0.
+
+    Parameters
+    ----------
+    baked, base : (h, w, c) arrays
+        Of one number type.
+    weight : (h, w, 1) float array
+
+    Raises
+    ------
+    ParameterError
+        If the images have other sizes, channels or number types.
+    """
+    if baked.shape != base.shape or baked.dtype != base.dtype:
+        raise ParameterError(
+            f"base image: expected {baked.shape[0]} x {baked.shape[1]} texels of {baked.shape[2]} channels, "
+            f"{baked.dtype}, as what is baked, got {base.shape[0]} x {base.shape[1]} of {base.shape[2]}, {base.dtype}"
+        )
+    below = base.astype(np.float64)
+    mixed = to_dtype(below + weight * (baked.astype(np.float64) - below), baked.dtype)
+    return np.where(weight > 0, mixed, base)
+
+
+def with_alpha(baked: Pixels, weight: Pixels) -> Pixels:
+    """What was baked with the weight as its alpha, multiplied into the one that it has.
+
+    Parameters
+    ----------
+    baked : (h, w, c) array
+        Of one to four channels.
+    weight : (h, w, 1) float array
+    """
+    channels = baked.shape[2]
+    one = unit(baked.dtype)
+    has_alpha = channels in (2, 4)
+    alpha = weight * (baked[..., -1:].astype(np.float64) if has_alpha else one)
+    colors = baked[..., :-1] if has_alpha else baked
+    return np.concatenate([colors, to_dtype(alpha, baked.dtype)], axis=2)
