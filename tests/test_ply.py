@@ -202,3 +202,19 @@ def test_damaged_files_never_end_in_another_error(tmp_path: Path, data: st.DataO
         assert read.face_indices.min() >= 0
         assert read.face_indices.max() < read.n_vertices
         assert np.isfinite(read.positions).all()
+
+
+@pytest.mark.parametrize("kind", ["uchar", "float"])
+def test_vertex_colours_are_read(tmp_path: Path, kind: str) -> None:
+    lines = [
+        "ply", "format ascii 1.0", "element vertex 3", *(f"property float {axis}" for axis in "xyz"),
+        *(f"property {kind} {channel}" for channel in ("red", "green", "blue")), "element face 1",
+        "property list uchar int vertex_indices", "end_header",
+    ]  # fmt: skip
+    colors = np.array([(1.0, 0.0, 0.2), (0.4, 0.6, 0.8), (0.0, 0.0, 0.0)])
+    shown = (255 * colors).round().astype(int) if kind == "uchar" else colors
+    places = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+    rows = [" ".join(map(str, (*place, *color))) for place, color in zip(places, shown.tolist(), strict=True)]
+    file = tmp_path / "c.ply"
+    file.write_text("\n".join([*lines, *rows, "3 0 1 2", ""]))
+    np.testing.assert_allclose(read_ply(file).vertex_colors, colors, rtol=0, atol=1e-12)

@@ -12,7 +12,8 @@ from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.progress import Stages
 from cagemap.cli.transfer import run_transfer
 from cagemap.cli.transfer_request import TransferRequest
-from cagemap.cli.wrap import WrapRequest, run_wrap
+from cagemap.cli.wrap import run_wrap
+from cagemap.cli.wrap_request import WrapRequest
 from cagemap.files.images import read_texture, udim_path, write_image
 from cagemap.files.landmarks import write_landmarks
 from cagemap.mesh import CatmullClark, ControlMesh, creature, poles

@@ -19,7 +19,8 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh, cube, disk, torus
 from cagemap.refinement import Refinement, refine
-from cagemap.wrap import WrapConfig, level_mesh, offsets_to_source, wrap
+from cagemap.transfer.detail import meet
+from cagemap.wrap import WrapConfig, level_mesh, missing_detail, wrap
 from test_cli import Run, result_folder, run  # noqa: F401
 
 from example_result import identity_result
@@ -151,15 +152,21 @@ def test_symmetric_stays_symmetric() -> None:
     np.testing.assert_allclose(between, mirrored, rtol=0, atol=1e-9)
 
 
-def test_offsets_lead_to_the_source() -> None:
+def test_wrapped_surface_and_what_is_missing_are_the_source() -> None:
     target, source = refine(subdivided(cube(), 1), 3), refine(dented(subdivided(cube(), 2), 0.15), 2)
     wrapped = wrap(target, nearest_map(target, source))
-    offsets = offsets_to_source(wrapped, target, source)
+    transfer, detail, fine = missing_detail(wrapped, target, source)
     ground = surface_of(refine(source.control, 4))
-    _, _, before = closest_points(ground.tree, ground.scale * offsets.level.positions)
-    _, _, after = closest_points(ground.tree, ground.scale * (offsets.level.positions + offsets.vectors))
+    np.testing.assert_allclose(fine.finest.positions, ground.positions / ground.scale, rtol=0, atol=1e-12)
+    own = transfer.point_map.source
+    _, _, before = closest_points(detail.surface.tree, own.positions)
+    met = meet(detail, own.positions, own.vertex_normals)
+    _, _, after = closest_points(ground.tree, ground.scale / own.scale * met.foot.positions)
     assert after.max() < 1e-12
     assert before.mean() > 1e-5
+    # Nearly everywhere the normal meets the source, so that heights alone lead there as well.
+    off = np.linalg.norm(own.positions + met.heights[:, None] * own.vertex_normals - met.foot.positions, axis=1)
+    assert np.mean(off < 1e-6) > 0.999
 
 
 def test_what_does_not_fit_is_refused(ring: tuple[Refinement, Refinement]) -> None:

@@ -31,11 +31,11 @@ from cagemap.files.obj_layout import write_obj_layout
 from cagemap.files.result import Result, input_file, note_transfer, stated_path
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.threads import ThreadPool
-from cagemap.transfer import BakeOptions, Transfer, target_tiles, tile_cells, transfer_of, unwrap
+from cagemap.transfer import BakeOptions, Transfer, tile_cells, transfer_of, unwrap
 from cagemap.transfer.baking import to_dtype, unit
 from cagemap.transfer.displacement import Displacement
 from cagemap.transfer.masks import bake_mask, blend, with_alpha
-from cagemap.transfer.texture import Pixels
+from cagemap.transfer.texture import Pixels, udim_of
 
 # Width and height of an image that no other one gives a size.
 DEFAULT_SIZE = 2048
@@ -106,21 +106,23 @@ def prepare_bake(
         )
     stages("prepare")
     transfer = transfer_of(result)
-    cells = tile_cells(transfer.target.corner_uvs())
-    tiles = [0]
-    if cells.min() >= 0:
-        tiles = target_tiles(result.target.refinement.finest)
-    else:
-        outside = float(np.mean((cells != 0).any(axis=1)))
-        warnings.append(
-            f"{100 * outside:.1f} % of the target's layout lies outside the unit square and is not baked: move it"
-        )
+    tiles, outside = layout_tiles(transfer)
+    warnings += outside
     images = [udim_path(output, tile) for output in outputs or [request.output] for tile in tiles]
     others = [path for path in (mesh, request.usd) if path is not None]
     check_outputs([*images, *others], inputs_of(request), force=request.force)
     if mesh is not None:
         warnings += _write_unwrapped(request, result.target.control, result.manifest)
     return Prepared(transfer, result.target.control, tiles, mesh, warnings)
+
+
+def layout_tiles(transfer: Transfer) -> tuple[list[int], list[str]]:
+    """UDIM numbers of the tiles that the target's layout uses, [0] for the unit square; and warnings."""
+    cells = tile_cells(transfer.target.corner_uvs())
+    if cells.min() >= 0:
+        return ([int(tile) for tile in np.unique(udim_of(cells))] if cells.any() else [0]), []
+    outside = float(np.mean((cells != 0).any(axis=1)))
+    return [0], [f"{100 * outside:.1f} % of the target's layout lies outside the unit square and is not baked: move it"]
 
 
 def bake_tiles(
@@ -145,7 +147,36 @@ def bake_tiles(
     name : str
         Of the map, to be shown.
     """
-    base, tiles = base_of(request, name), prepared.tiles
+    return write_tiles(
+        request.output, prepared.tiles, bake, stages, masking(request, prepared, name), force=request.force, name=name
+    )
+
+
+def write_tiles(
+    output: Path,
+    tiles: list[int],
+    bake: Callable[[BakeOptions], Baked],
+    stages: Stages,
+    finished: Callable[[Image, BakeOptions], Image] = lambda image, _: image,
+    *,
+    force: bool,
+    name: str = "",
+) -> Baked:
+    """The loop of `bake_tiles`, for any layout.
+
+    Parameters
+    ----------
+    output : Path
+        Image to write, or a pattern for several tiles.
+    tiles : list of int
+        UDIM numbers; [0] for a layout in the unit square.
+    bake, stages, name
+        As in `bake_tiles`.
+    finished : callable
+        What is written of an image that was baked.
+    force : bool
+        Whether foreign files may be replaced.
+    """
     with ThreadPool(1) as aside:
         written: list[Future[None]] = []
         for number, tile in enumerate(tiles):
@@ -155,15 +186,20 @@ def bake_tiles(
             baked = bake(options)
             for waiting in written:
                 waiting.result()  # at most one image is on its way to the disk
-            form = (
-                baked if isinstance(baked, Image) else Image(baked.pixels if isinstance(baked, Displacement) else baked)
-            )
-            if prepared.transfer.masks.any:
-                form = _masked(form, prepared.transfer, base, options)
-            written = [aside.submit(write_image, udim_path(request.output, tile), form, force=request.force)]
+            pixels = baked.pixels if isinstance(baked, Displacement) else baked
+            image = finished(pixels if isinstance(pixels, Image) else Image(pixels), options)
+            written = [aside.submit(write_image, udim_path(output, tile), image, force=force)]
         for waiting in written:
             waiting.result()
     return baked
+
+
+def masking(request: TransferRequest, prepared: Prepared, name: str = "") -> Callable[[Image, BakeOptions], Image]:
+    """What masks leave of an image: it lies over the base image of its tile, or gets alpha."""
+    base, transfer = base_of(request, name), prepared.transfer
+    if not transfer.masks.any:
+        return lambda image, _: image
+    return lambda image, options: _masked(image, transfer, base, options)
 
 
 def _masked(image: Image, transfer: Transfer, base: Path | None, options: BakeOptions) -> Image:

@@ -24,7 +24,8 @@ from cagemap.cli.progress import Stages
 from cagemap.cli.report import run_report
 from cagemap.cli.transfer import run_transfer
 from cagemap.cli.transfer_request import TransferRequest
-from cagemap.cli.wrap import WrapRequest, run_wrap
+from cagemap.cli.wrap import run_wrap
+from cagemap.cli.wrap_request import WrapRequest
 from cagemap.errors import CagemapError
 from cagemap.files.code_version import code_version
 from cagemap.files.images import write_image

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 
 from cagemap.cli.base_values import keep_base
+from cagemap.cli.carry_detail import carry_detail
 from cagemap.cli.carry_images import (
     carry_displacement,
     carry_material_colors,
@@ -59,6 +60,7 @@ def _carrier(request: TransferRequest) -> Callable[[TransferRequest, Result, Sta
         "--vector-displacement": (request.vector_displacement is not None, carry_vector_displacement),
         "--attribute": (request.attribute is not None, _carry_attribute),
         "--material-colors": (request.material_colors, carry_material_colors),
+        "--bake": (bool(request.bake), carry_detail),
         "--source-uvs": (request.source_uvs, _carry_uvs),
         "--weights": (request.weights is not None, carry_weights),
         "--joints": (request.joints is not None and request.weights is None, carry_skeleton),

@@ -62,6 +62,23 @@ def transfer(
     material_colors: Annotated[
         bool, typer.Option("--material-colors", help="Bake the source's material colours.")
     ] = False,
+    bake: Annotated[
+        str | None,
+        typer.Option(
+            "--bake",
+            help="From a detailed mesh: normal, displacement, vector-displacement, ao, colors; several with commas.",
+            show_default=False,
+        ),
+    ] = None,
+    detail: Annotated[
+        Path | None,
+        typer.Option(
+            "--detail",
+            help="Bake: mesh that lies on the source.  [default: the source, for ao and colors]",
+            show_default=False,
+        ),
+    ] = None,
+    rays: Annotated[int, typer.Option("--rays", min=1, help="Bake ao: rays for every vertex of the mesh.")] = 128,
     source_uvs: Annotated[
         bool,
         typer.Option("--source-uvs", help="Give the target the source's UVs; -o names the mesh, and seams are listed."),
@@ -159,6 +176,9 @@ def transfer(
         as_color=as_color,
         attribute=attribute,
         material_colors=material_colors,
+        bake=tuple(name.strip() for name in bake.split(",")) if bake else (),
+        detail=detail,
+        rays=rays,
         source_uvs=source_uvs,
         weights=weights,
         influences=influences,

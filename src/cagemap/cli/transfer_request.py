@@ -29,6 +29,9 @@ class TransferRequest:
     as_color: bool = False
     attribute: Path | None = None
     material_colors: bool = False
+    bake: tuple[str, ...] = ()
+    detail: Path | None = None
+    rays: int = 128
     source_uvs: bool = False
     weights: Path | None = None
     influences: int = 4
@@ -57,6 +60,7 @@ def inputs_of(request: TransferRequest) -> list[Path]:
         request.attribute,
         request.weights,
         request.joints,
+        request.detail,
         *(path for _, path in (*request.maps, *request.bases)),
     )
     given = [path for path in (*single, *others) if path is not None]

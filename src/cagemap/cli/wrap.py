@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +11,14 @@ import numpy as np
 
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.progress import Stages
+from cagemap.cli.transfer_request import Outcome
 from cagemap.cli.usd_output import write_usd_results
+from cagemap.cli.wrap_bakes import bake_wrapped, wrap_bakes
+from cagemap.cli.wrap_request import WrapRequest
 from cagemap.descriptors import mirror_symmetries
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs
 from cagemap.files.attributes import read_attributes
-from cagemap.files.images import check_writable, pixel_type, write_image
 from cagemap.files.meshes import check_mesh_path, mesh_files, write_mesh
 from cagemap.files.mhclo import bind, write_mhclo
 from cagemap.files.obj_layout import write_obj_positions
@@ -35,35 +37,7 @@ from cagemap.files.usd_write import UsdResults
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import one_blas_thread
-from cagemap.transfer import target_tiles
-from cagemap.transfer.baking import BakeOptions
-from cagemap.transfer.vertex_bake import bake_vertex_values
-from cagemap.wrap import WrapConfig, Wrapped, level_mesh, offsets_to_source, wrap
-
-DEFAULT_SIZE = 2048
-Outcome = tuple[str, list[str]]
-
-
-@dataclass(frozen=True)
-class WrapRequest:
-    """What the user asked for, as said on the command line."""
-
-    results: tuple[Path, ...]
-    output: Path
-    target: Path | None = None
-    source: Path | None = None
-    landmarks: Path | None = None
-    fit_level: int = 0
-    amount: float = 1.0
-    fairness: float = WrapConfig.fairness
-    weights: Path | None = None
-    symmetric: bool = False
-    blend_shapes: bool = False
-    displacement: Path | None = None
-    vector_displacement: Path | None = None
-    size: int | None = None
-    mhclo: Path | None = None
-    force: bool = False
+from cagemap.wrap import WrapConfig, Wrapped, level_mesh, wrap
 
 
 def run_wrap(request: WrapRequest, stages: Stages) -> Outcome:
@@ -84,18 +58,20 @@ def run_wrap(request: WrapRequest, stages: Stages) -> Outcome:
 def _check_request(request: WrapRequest) -> None:
     if not 0.0 <= request.amount <= 1.0:
         raise ParameterError(f"--amount: expected 0 (the target) to 1 (the source's shape), got {request.amount}")
-    beside = (request.displacement, request.vector_displacement, request.mhclo)
-    images = [path for path in beside if path is not None]
+    bakes = wrap_bakes(request)
+    bakes.check()
+    images = [*bakes.images.values(), *([request.mhclo] if request.mhclo else [])]
     many = len(request.results) > 1
     if many and not request.blend_shapes:
         raise ParameterError("expected one RESULT, or --blend-shapes with a folder as --output for several")
     if images and (many or request.amount != 1.0):
-        raise ParameterError("--displacement, --vector-displacement, --mhclo: expected one RESULT, whole --amount")
+        raise ParameterError("images that are baked and --mhclo: expected one RESULT, and the whole --amount")
+    if request.detail is not None and not bakes.images:
+        raise ParameterError("--detail: expected an image to bake from it, such as --normal-map")
     inputs = [folder / name for folder in request.results for name in (MANIFEST, ARRAYS)]
-    inputs += [p for p in (request.target, request.source, request.landmarks, request.weights) if p is not None]
-    for image, channels in ((request.displacement, 1), (request.vector_displacement, 3)):
-        if image is not None:
-            check_writable(image, _image_type(image), channels)
+    inputs += [
+        p for p in (request.target, request.source, request.landmarks, request.weights, request.detail) if p is not None
+    ]
     if request.blend_shapes:
         if request.output.exists() and not request.output.is_dir():
             raise ParameterError(f"{request.output}: --blend-shapes writes a folder of OBJ files, got a file")
@@ -103,10 +79,6 @@ def _check_request(request: WrapRequest) -> None:
         return
     check_mesh_path(request.output)
     check_outputs([request.output, *images], inputs, force=request.force)
-
-
-def _image_type(path: Path) -> np.dtype[Any]:
-    return pixel_type(32 if path.suffix.lower() == ".exr" else 16, path.suffix)
 
 
 def _run(request: WrapRequest, stages: Stages) -> Outcome:
@@ -137,10 +109,8 @@ def _run(request: WrapRequest, stages: Stages) -> Outcome:
             force=request.force,
         )
         lines.append(f"wrote {request.mhclo}: the mesh follows {result.source.control.name}")
-    if request.displacement is not None or request.vector_displacement is not None:
-        stages("bake")
-        lines += _bake(request, result, wrapped)
-    return "\n".join(lines), warnings + _warnings(wrapped)
+    more, outside = bake_wrapped(request, result, wrapped, stages)
+    return "\n".join(lines + more), warnings + outside + _warnings(wrapped)
 
 
 def _wrap(request: WrapRequest, result: Result, config: WrapConfig, stages: Stages) -> Wrapped:
@@ -223,30 +193,6 @@ def _write_shapes(request: WrapRequest, results: list[Result], config: WrapConfi
         lines.append(f"wrote {file}\n{_figures(wrapped)}")
         warnings += [f"{name}: {message}" for message in _warnings(wrapped)]
     return "\n".join(lines), list(dict.fromkeys(warnings))
-
-
-def _bake(request: WrapRequest, result: Result, wrapped: Wrapped) -> list[str]:
-    """What the cage still misses of the source, as scalar or vector displacement."""
-    offsets = offsets_to_source(wrapped, result.target.refinement, result.source.refinement)
-    size = request.size or DEFAULT_SIZE
-    lines = []
-    for path, values in ((request.displacement, offsets.heights), (request.vector_displacement, offsets.vectors)):
-        if path is None:
-            continue
-        dtype = _image_type(path)
-        # Integers hold 0 to 1: the range of the offsets around one half.
-        scale = 1.0 if dtype.kind == "f" else 2.0 * float(np.abs(values).max() or 1.0)
-        midlevel = 0.0 if dtype.kind == "f" else 0.5
-        tiles = target_tiles(offsets.level)
-        if tiles != [0]:
-            raise ParameterError(f"{path}: expected a layout in one unit square, got tiles {tiles}; not baked")
-        image = bake_vertex_values(
-            offsets.level, midlevel + values / scale, size=size, dtype=dtype, options=BakeOptions()
-        )
-        write_image(path, image, force=request.force)
-        kind = "height along the normal" if values.ndim == 1 else "offset in object space"
-        lines.append(f"wrote {path}: {kind} = (value - {midlevel:g}) * {scale:.6g} in the source's units")
-    return lines
 
 
 def _entry(request: WrapRequest, wrapped: Wrapped, folder: Path) -> dict[str, Any]:

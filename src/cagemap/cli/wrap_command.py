@@ -57,10 +57,32 @@ def wrap(
         Path | None,
         typer.Option(
             "--vector-displacement",
-            help="Image to write: what is still missing, as vectors in object space.",
+            help="Image to write: what is still missing, as vectors.",
             show_default=False,
         ),
     ] = None,
+    normal_map: Annotated[
+        Path | None,
+        typer.Option(
+            "--normal-map", help="Image to write: the source's normals on the wrapped cage.", show_default=False
+        ),
+    ] = None,
+    occlusion: Annotated[
+        Path | None,
+        typer.Option("--occlusion", help="Image to write: the source's ambient occlusion.", show_default=False),
+    ] = None,
+    colors: Annotated[
+        Path | None, typer.Option("--colors", help="Image to write: the source's vertex colours.", show_default=False)
+    ] = None,
+    detail: Annotated[
+        Path | None,
+        typer.Option("--detail", help="Bake a more detailed mesh in the source's place instead.", show_default=False),
+    ] = None,
+    space: Annotated[str, typer.Option("--space", help="Of normals and vectors: tangent (MikkTSpace) or object.")] = (
+        "tangent"
+    ),
+    green: Annotated[str, typer.Option("--green", help="Normal map: green up (OpenGL) or down (DirectX).")] = "up",
+    rays: Annotated[int, typer.Option("--rays", min=1, help="Occlusion: rays for every vertex of the mesh.")] = 128,
     size: Annotated[
         int | None,
         typer.Option("--size", min=1, help="Width and height of the images.  [default: 2048]", show_default=False),
@@ -83,7 +105,8 @@ def wrap(
     target.
     """
     from cagemap.cli.progress import Stages
-    from cagemap.cli.wrap import WrapRequest, run_wrap
+    from cagemap.cli.wrap import run_wrap
+    from cagemap.cli.wrap_request import WrapRequest
 
     request = WrapRequest(
         results=tuple(results or ()),
@@ -99,6 +122,13 @@ def wrap(
         blend_shapes=blend_shapes,
         displacement=displacement,
         vector_displacement=vector_displacement,
+        normal_map=normal_map,
+        occlusion=occlusion,
+        colors=colors,
+        detail=detail,
+        space=space,
+        green=green,
+        rays=rays,
         size=size,
         mhclo=mhclo,
         force=force,

@@ -19,6 +19,7 @@ from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 _FACE_LISTS = ("vertex_indices", "vertex_index")
+_COLORS = ("red", "green", "blue")
 _VERTEX_UVS = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 
 
@@ -26,7 +27,7 @@ def read_ply(path: str | Path) -> ControlMesh:
     """Read a control mesh from a PLY file, text or binary, in the file's own order.
 
     Texture coordinates are taken from the faces' ``texcoord`` lists, else from the vertices (``s t``, ``u v`` or
-    ``texture_u texture_v``). Colours, normals and other elements are ignored.
+    ``texture_u texture_v``), and vertex colours from ``red green blue``. Normals and other elements are ignored.
 
     Raises
     ------
@@ -49,7 +50,13 @@ def read_ply(path: str | Path) -> ControlMesh:
     offsets = np.concatenate([[0], np.cumsum(corners.lengths)]).astype(np.int64)
     indices = _indices(file, corners, len(positions))
     uvs, uv_indices = _uvs(file, vertices, faces.get("texcoord"), corners.lengths, indices)
-    return ControlMesh(positions, offsets, indices, uvs, uv_indices, name=file.name)
+    colors = _colors(_table(file, vertices, _COLORS, "colours"))
+    return ControlMesh(positions, offsets, indices, uvs, uv_indices, name=file.name, vertex_colors=colors)
+
+
+def _colors(table: FloatArray | None) -> FloatArray | None:
+    """Colours from 0 to 1; what goes beyond counts to 255, as nearly every program writes them."""
+    return table / 255.0 if table is not None and table.max() > 1.0 else table
 
 
 def _table(path: Path, columns: dict[str, Column], names: tuple[str, ...], what: str) -> FloatArray | None:

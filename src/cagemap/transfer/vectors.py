@@ -12,12 +12,12 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import DTypeLike
+from numpy.typing import DTypeLike, NDArray
 
 from cagemap.errors import ParameterError
 from cagemap.geometry.triangles import normalized, vertex_normals
 from cagemap.numerics.arrays import FloatArray
-from cagemap.transfer.baking import BakeOptions, Transfer, bake, make_canvas, unit
+from cagemap.transfer.baking import BakeOptions, Canvas, Transfer, bake, make_canvas, unit
 from cagemap.transfer.displacement import Displacement, scale_ratio
 from cagemap.transfer.locate import Samples, plan_samples, target_barycentric
 from cagemap.transfer.tangents import plane_basis, tangent_frames
@@ -71,11 +71,21 @@ def bake_normal_map(
         values = values / unit(laid.dtype)
         return np.asarray(flip * (values if signed else 2.0 * values - 1.0))
 
+    encode = normal_encoder(green, space, kept, signed=signed)
+    return _bake_texture_vectors(transfer, laid, decode, encode, size, space, [0, 1, 2], kept, options)
+
+
+def normal_encoder(
+    green: Green, space: Space, dtype: np.dtype[Any], *, signed: bool = False
+) -> Callable[[FloatArray], FloatArray]:
+    """How directions (k, 3) are stored as colours: half of them plus a half, or as they are in signed floats."""
+    flip = np.array([1.0, -1.0 if green == "down" and space == "tangent" else 1.0, 1.0])
+
     def encode(vectors: FloatArray) -> FloatArray:
         vectors = flip * normalized(vectors)
-        return np.asarray((vectors if signed and kept.kind == "f" else 0.5 * vectors + 0.5) * unit(kept))
+        return np.asarray((vectors if signed and dtype.kind == "f" else 0.5 * vectors + 0.5) * unit(dtype))
 
-    return _bake_vectors(transfer, laid, decode, encode, size, space, [0, 1, 2], kept, options)
+    return encode
 
 
 def bake_vector_displacement(
@@ -130,12 +140,17 @@ def bake_vector_displacement(
     def encode(vectors: FloatArray) -> FloatArray:
         return np.asarray((factor * vectors + middle) * unit(kept))
 
-    order = _DISPLACEMENT_ORDER if space == "tangent" else [0, 1, 2]
-    pixels = _bake_vectors(transfer, laid, decode, encode, size, space, order, kept, options)
+    order = displacement_order(space)
+    pixels = _bake_texture_vectors(transfer, laid, decode, encode, size, space, order, kept, options)
     return Displacement(pixels, middle, out_scale)
 
 
-def _bake_vectors(
+def displacement_order(space: Space) -> list[int]:
+    """Channels that hold tangent, bitangent and normal of a vector displacement, or x, y and z."""
+    return _DISPLACEMENT_ORDER if space == "tangent" else [0, 1, 2]
+
+
+def _bake_texture_vectors(
     transfer: Transfer,
     laid: Texture,
     decode: Callable[[FloatArray], FloatArray],
@@ -146,39 +161,76 @@ def _bake_vectors(
     kept: np.dtype[Any],
     options: BakeOptions,
 ) -> Pixels:
-    """Run a bake of vectors: looked up sample by sample, turned, and averaged in the target's frame.
+    """Bake the vectors that a texture of the source holds."""
+    check_space(space)
+    canvas = make_canvas(transfer, size, options)
+    frames = None if space == "object" else tangent_frames(transfer.source)
 
-    ``order`` says which channels hold tangent, bitangent and normal.
-    """
+    def give(samples: Samples) -> FloatArray:
+        vectors = decode(look_up(laid, samples))[:, order]
+        if frames is None:
+            return vectors
+        return np.asarray(np.einsum("sab,sb->sa", frames.at(samples.triangle, samples.barycentric), vectors))
+
+    counts = plan_samples(transfer.mapped, canvas.corners, laid.corner_texels())
+    return bake_turned(transfer, canvas, counts, give, encode, space, order, kept, options)
+
+
+def check_space(space: str) -> None:
+    """Refuse what is neither tangent nor object space."""
     if space not in ("tangent", "object"):
         raise ParameterError(f"space: expected tangent or object, got {space!r}")
-    canvas = make_canvas(transfer, size, options)
+
+
+def bake_turned(
+    transfer: Transfer,
+    canvas: Canvas,
+    counts: NDArray[np.int32],
+    give: Callable[[Samples], FloatArray],
+    encode: Callable[[FloatArray], FloatArray],
+    space: Space,
+    order: list[int],
+    kept: np.dtype[Any],
+    options: BakeOptions,
+) -> Pixels:
+    """Run a bake of vectors: given sample by sample, turned, and averaged in the target's frame.
+
+    Parameters
+    ----------
+    transfer : Transfer
+    canvas : Canvas
+    counts : (t1, 2) int32
+        Samples in a texel, as `bake` takes them.
+    give : callable
+        Samples, each a texel of its own -> (s, 3) vectors of the source in object space.
+    encode : callable
+        Vectors (k, 3) in the channels' order -> their values.
+    space : "tangent" or "object"
+        That of the target, in which the vectors are to be.
+    order : list of int
+        Which channels hold tangent, bitangent and normal.
+    kept : numpy.dtype
+    options : BakeOptions
+    """
     target, source = transfer.target, transfer.source
-    frames = None if space == "object" else (tangent_frames(target), tangent_frames(source))
-    normals = [
-        frames[k].vertex_normals if frames else vertex_normals(side.positions, side.triangles)
-        for k, side in enumerate((target, source))
-    ]
+    frames = None if space == "object" else tangent_frames(target)
+    normals = [vertex_normals(side.positions, side.triangles) for side in (target, source)]
     edges = target.positions[target.triangles[:, 1:]] - target.positions[target.triangles[:, :1]]
     mapped = transfer.mapped.mapped
     images = mapped[target.triangles[:, 1:]] - mapped[target.triangles[:, :1]]
 
     def shade(samples: Samples) -> FloatArray:
-        counts = np.diff(samples.first)
-        inside = np.repeat(target_barycentric(canvas.corners, samples), counts, axis=0)
-        triangle = np.repeat(samples.target_triangle.astype(np.int64), counts)
-        alone = replace(samples, first=np.arange(len(samples.triangle) + 1))
-        vectors = decode(look_up(laid, alone))[:, order]
-        if frames is not None:
-            vectors = np.einsum("sab,sb->sa", frames[1].at(samples.triangle, samples.barycentric), vectors)
+        repeats = np.diff(samples.first)
+        inside = np.repeat(target_barycentric(canvas.corners, samples), repeats, axis=0)
+        triangle = np.repeat(samples.target_triangle.astype(np.int64), repeats)
+        vectors = give(replace(samples, first=np.arange(len(samples.triangle) + 1)))
         n1 = np.einsum("sc,scd->sd", inside, normals[0][target.triangles[triangle]])
         n2 = np.einsum("sc,scd->sd", samples.barycentric, normals[1][source.triangles[samples.triangle]])
         vectors = _turned_back(vectors, n1, n2, edges[triangle], images[triangle])
         if frames is not None:
-            vectors = _solve(frames[0].at(triangle, inside), vectors)
+            vectors = _solve(frames.at(triangle, inside), vectors)
         return np.asarray(encode(samples.mean(vectors[:, np.argsort(order)])))
 
-    counts = plan_samples(transfer.mapped, canvas.corners, laid.corner_texels())
     return bake(transfer, canvas, counts, shade, 3, kept, options)
 
 

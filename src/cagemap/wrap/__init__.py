@@ -1,8 +1,8 @@
 """Wrap: the target's cage in the source's shape, such that the refined surface lies on the source."""
 
 from cagemap.wrap.fit import WrapConfig
+from cagemap.wrap.missing import missing_detail, wrapped_transfer
 from cagemap.wrap.net import level_mesh
-from cagemap.wrap.offsets import Offsets, offsets_to_source
 from cagemap.wrap.wrapping import Residual, Wrapped, wrap
 
-__all__ = ["Offsets", "Residual", "WrapConfig", "Wrapped", "level_mesh", "offsets_to_source", "wrap"]
+__all__ = ["Residual", "WrapConfig", "Wrapped", "level_mesh", "missing_detail", "wrap", "wrapped_transfer"]

@@ -1,0 +1,90 @@
+"""`cagemap transfer --bake`: what a detailed mesh over the source shows, in the target's layout."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import cast
+
+from cagemap.cli.bake_tiles import DEFAULT_SIZE, base_size, masking, prepare_bake, written_channels
+from cagemap.cli.detail_bakes import (
+    CHANNELS,
+    KINDS,
+    OFFSETS,
+    DetailBakes,
+    Kind,
+    bake_detail,
+    mesh_detail,
+    vertex_colors,
+)
+from cagemap.cli.progress import Stages
+from cagemap.cli.texture_maps import map_path
+from cagemap.cli.transfer_request import Outcome, TransferRequest
+from cagemap.errors import ParameterError
+from cagemap.files.images import udim_path
+from cagemap.files.meshes import read_mesh
+from cagemap.files.result import Result, note_transfer, stated_path
+from cagemap.transfer.detail import Detail
+from cagemap.transfer.vectors import Green, Space
+
+
+def carry_detail(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+    """Normals, displacement, ambient occlusion and colours of a detailed mesh, or of the source itself."""
+    kinds = _kinds(request)
+    images = {kind: map_path(request.output, kind if len(kinds) > 1 else "") for kind in kinds}
+    bakes = DetailBakes(
+        images,
+        request.size or base_size(request, kinds[0]) or DEFAULT_SIZE,
+        request.bits,
+        cast(Space, request.space),
+        cast(Green, request.green),
+        request.rays,
+        request.force,
+    )
+    bakes.check({kind: written_channels(request, result, CHANNELS[kind], kind) - CHANNELS[kind] for kind in kinds})
+    mesh = None if request.detail is None else read_mesh(request.detail)
+    prepared = prepare_bake(request, result, stages, list(images.values()))
+    warnings = prepared.warnings
+    if mesh is not None:
+        stages("detail")
+        detail, more = mesh_detail(mesh, prepared.transfer)
+        warnings += more
+        colors = vertex_colors(mesh) if "colors" in kinds else None
+    else:
+        detail, colors = Detail(prepared.transfer.point_map.source), None
+        if "colors" in kinds:
+            refinement = result.source.refinement
+            colors = refinement.prolong(vertex_colors(refinement.control), 0, refinement.n_levels).clip(0.0, 1.0)
+    lines = bake_detail(
+        bakes,
+        prepared.transfer,
+        detail,
+        colors,
+        prepared.tiles,
+        stages,
+        "the target's",
+        partial(masking, request, prepared),
+    )
+    for kind, path in images.items():
+        place = udim_path(path, prepared.tiles[0])
+        entry = {"kind": f"bake-{kind}", "output": stated_path(place, request.result), "tiles": prepared.tiles}
+        note_transfer(request.result, {**entry, "size": bakes.size, "space": request.space})
+    if prepared.mesh is not None:
+        lines.append(f"wrote {prepared.mesh}")
+    return "\n".join(lines), warnings
+
+
+def _kinds(request: TransferRequest) -> list[Kind]:
+    """What to bake, checked."""
+    names = list(dict.fromkeys(request.bake))
+    unknown = [name for name in names if name not in KINDS]
+    if unknown:
+        raise ParameterError(f"--bake: expected some of {', '.join(KINDS)}, got {', '.join(unknown)}")
+    kinds = [cast(Kind, name) for name in names]
+    flat = [kind for kind in kinds if kind in OFFSETS]
+    if flat and request.detail is None:
+        raise ParameterError(
+            f"--bake {','.join(flat)}: expected --detail, a detailed mesh that lies on the source, since a surface has "
+            "no detail over itself. To bake the source onto a cage that is wrapped on it, use `cagemap wrap "
+            "--normal-map`."
+        )
+    return kinds

@@ -1,0 +1,69 @@
+"""Images baked onto a wrapped cage: what it still misses of the source, or of a more detailed mesh in its place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import cast
+
+from cagemap.cli.bake_tiles import DEFAULT_SIZE, layout_tiles
+from cagemap.cli.detail_bakes import DetailBakes, Kind, bake_detail, mesh_detail, vertex_colors
+from cagemap.cli.progress import Stages
+from cagemap.cli.wrap_request import WrapRequest
+from cagemap.errors import ParameterError
+from cagemap.files.atomic import check_outputs
+from cagemap.files.images import udim_path
+from cagemap.files.meshes import read_mesh
+from cagemap.files.result_values import Result
+from cagemap.transfer.vectors import Green, Space
+from cagemap.wrap import Wrapped, missing_detail, wrapped_transfer
+
+
+def wrap_bakes(request: WrapRequest) -> DetailBakes:
+    """What is to be baked onto the wrapped cage."""
+    images: dict[Kind, Path | None] = {
+        "normal": request.normal_map,
+        "displacement": request.displacement,
+        "vector-displacement": request.vector_displacement,
+        "ao": request.occlusion,
+        "colors": request.colors,
+    }
+    return DetailBakes(
+        {kind: path for kind, path in images.items() if path is not None},
+        request.size or DEFAULT_SIZE,
+        None,
+        cast(Space, request.space),
+        cast(Green, request.green),
+        request.rays,
+        request.force,
+    )
+
+
+def bake_wrapped(request: WrapRequest, result: Result, wrapped: Wrapped, stages: Stages) -> tuple[list[str], list[str]]:
+    """Bake the images that were asked for; returns a line about each, and warnings."""
+    bakes = wrap_bakes(request)
+    if not bakes.images:
+        return [], []
+    if result.target.control.uvs is None:
+        raise ParameterError(
+            f"{result.target.control.name}: expected texture coordinates to bake into, the mesh has none. Unwrap it in "
+            "your modelling program and match again."
+        )
+    stages("detail")
+    target, source = result.target.refinement, result.source.refinement
+    warnings: list[str] = []
+    colors = None
+    if request.detail is None:
+        transfer, detail, fine = missing_detail(wrapped, target, source)
+        if "colors" in bakes.images:
+            colors = fine.prolong(vertex_colors(source.control), 0, fine.n_levels).clip(0.0, 1.0)
+    else:
+        transfer, follow = wrapped_transfer(wrapped, target)
+        mesh = read_mesh(request.detail)
+        detail, warnings = mesh_detail(mesh, transfer)
+        detail = replace(detail, follow=follow)
+        colors = vertex_colors(mesh) if "colors" in bakes.images else None
+    tiles, outside = layout_tiles(transfer)
+    check_outputs([udim_path(path, tile) for path in bakes.images.values() for tile in tiles], [], force=request.force)
+    lines = bake_detail(bakes, transfer, detail, colors, tiles, stages, "the source's")
+    return lines, warnings + outside

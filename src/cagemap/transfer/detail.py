@@ -1,0 +1,351 @@
+"""Bakes from a detailed mesh that lies on the source: what bakers do along rays, here along the map.
+
+    texel -> point of the target -> T12 -> point of the source -> along its normal to the detailed mesh
+
+Its normal and the way to it turn with the map, as the source's own images do (`vectors`); its colours and its ambient
+occlusion are carried as they are. The detailed mesh of a *wrapped* cage is the source itself: then target and source of
+the bake are the wrapped surface, and the map is the identity (`own_transfer`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from cagemap.errors import ParameterError
+from cagemap.geometry.closest import closest_points
+from cagemap.geometry.points import SurfacePoints
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.geometry.triangles import normalized
+from cagemap.maps.point_map import PointMap
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.refinement import Level
+from cagemap.transfer.baking import BakeOptions, Canvas, Transfer, bake, make_canvas, prepare_transfer, unit
+from cagemap.transfer.displacement import Displacement, scale_ratio
+from cagemap.transfer.locate import Samples, plan_samples
+from cagemap.transfer.texture import Pixels
+from cagemap.transfer.vectors import Green, Space, bake_turned, check_space, displacement_order, normal_encoder
+
+# Detail further from the source than this, in units of sqrt(area), belongs to something else.
+REACH = 0.1
+# Steps of Newton's method along a normal.
+_STEPS = 5
+# A normal meets the detail where it comes nearer than this, in units of sqrt(area).
+_MET = 1e-6
+# A normal that leaves the detailed surface more flatly than this never meets it.
+_GRAZING = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Detail:
+    """A detailed mesh over the source.
+
+    Attributes
+    ----------
+    surface : TriangleSurface
+        In the source's place and unit: at unit area *of the source*, whose scale it has.
+    follow : (n2,) float64 or None
+        How much of the detail counts at every vertex of the source, from 0 to 1; all of it by default.
+    """
+
+    surface: TriangleSurface
+    follow: FloatArray | None = None
+
+
+def detail_over(source: TriangleSurface, positions: FloatArray, triangles: IndexArray) -> Detail:
+    """A detailed mesh in the source's file units.
+
+    Parameters
+    ----------
+    source : TriangleSurface
+        The source of the map that will be followed.
+    positions : (n, 3) float64
+    triangles : (t, 3) int64
+
+    Raises
+    ------
+    ParameterError
+        If less than half of the source has detail near it: the mesh lies elsewhere, or is in another unit.
+    """
+    detail = Detail(TriangleSurface(source.scale * positions, triangles, source.scale))
+    share = covered_share(detail, source)
+    if share < 0.5:
+        sizes = [float(np.ptp(side.positions / side.scale, axis=0).max()) for side in (source, detail.surface)]
+        raise ParameterError(
+            f"detail: expected a mesh that lies on the source, got one that is further away than {REACH:g} of "
+            f"sqrt(area) from {100 * (1 - share):.0f} % of it (the source is {sizes[0]:.4g} large, the detail "
+            f"{sizes[1]:.4g}): put it where the source is, in the same unit"
+        )
+    return detail
+
+
+def covered_share(detail: Detail, source: TriangleSurface) -> float:
+    """Share of the source's area that has detail near it."""
+    feet = SurfacePoints.nearest(detail.surface, source.positions)
+    near = np.linalg.norm(feet.positions - source.positions, axis=1) <= REACH
+    return float(source.vertex_areas @ near)
+
+
+def own_transfer(level: Level) -> Transfer:
+    """The transfer from a surface to itself: for detail that lies on the very surface whose layout is baked."""
+    surface = TriangleSurface.from_faces(level.positions, np.asarray(level.faces))
+    return prepare_transfer(level, level, PointMap.from_vertices(surface, surface, np.arange(surface.n)))
+
+
+def bake_detail_normals(
+    transfer: Transfer,
+    detail: Detail,
+    *,
+    size: int | tuple[int, int],
+    space: Space = "tangent",
+    green: Green = "up",
+    dtype: DTypeLike = np.uint8,
+    options: BakeOptions | None = None,
+) -> Pixels:
+    """Bake the detail's normals as a normal map of the target: what they are to the source's, they become to its own.
+
+    Parameters
+    ----------
+    transfer : Transfer
+    detail : Detail
+        Over the transfer's source.
+    size : int or (height, width)
+    space, green
+        As `bake_normal_map` takes them.
+    dtype : optional
+        Directions are stored as half of them plus a half.
+    options : BakeOptions, optional
+
+    Returns
+    -------
+    (height, width, 3) array
+    """
+    options, kept = options or BakeOptions(), np.dtype(dtype)
+
+    def give(samples: Samples) -> FloatArray:
+        met = _met(transfer, detail, samples)
+        shares = (met.near * _following(transfer, detail, samples))[:, None]
+        return normalized(shares * _smooth_normals(met.foot) + (1.0 - shares) * met.normals)
+
+    check_space(space)
+    canvas = make_canvas(transfer, size, options)
+    encode = normal_encoder(green, space, kept)
+    counts = _plan(transfer, detail, canvas)
+    return bake_turned(transfer, canvas, counts, give, encode, space, [0, 1, 2], kept, options)
+
+
+def bake_detail_vectors(
+    transfer: Transfer,
+    detail: Detail,
+    *,
+    size: int | tuple[int, int],
+    space: Space = "tangent",
+    scale: float = 1.0,
+    dtype: DTypeLike = np.float32,
+    options: BakeOptions | None = None,
+) -> Displacement:
+    """Bake the way from the source to the detail as vector displacement of the target, in the target's units.
+
+    Parameters
+    ----------
+    transfer, detail, size, options
+        As `bake_detail_normals` takes them.
+    space : "tangent" or "object"
+        In tangent space the channels are tangent, normal, bitangent.
+    scale : float
+        What a value of 1 stands for; with integers the range from -scale / 2 to scale / 2.
+    dtype : optional
+        Integers have their zero in the middle.
+    """
+    options, kept = options or BakeOptions(), np.dtype(dtype)
+    middle = 0.5 if kept.kind == "u" else 0.0
+    factor = scale_ratio(transfer) / (detail.surface.scale * scale)
+
+    def give(samples: Samples) -> FloatArray:
+        met = _met(transfer, detail, samples)
+        shares = met.near * _following(transfer, detail, samples)
+        return np.asarray(shares[:, None] * (met.foot.positions - met.points))
+
+    def encode(vectors: FloatArray) -> FloatArray:
+        return np.asarray((factor * vectors + middle) * unit(kept))
+
+    check_space(space)
+    canvas = make_canvas(transfer, size, options)
+    counts, order = _plan(transfer, detail, canvas), displacement_order(space)
+    pixels = bake_turned(transfer, canvas, counts, give, encode, space, order, kept, options)
+    return Displacement(pixels, middle, scale)
+
+
+def bake_detail_heights(
+    transfer: Transfer,
+    detail: Detail,
+    *,
+    size: int | tuple[int, int],
+    scale: float = 1.0,
+    dtype: DTypeLike = np.float32,
+    options: BakeOptions | None = None,
+) -> Displacement:
+    """Bake how far the detail lies above the source along its normal as displacement of the target.
+
+    Parameters
+    ----------
+    transfer, detail, size, scale, dtype, options
+        As `bake_detail_vectors` takes them.
+    """
+    options, kept = options or BakeOptions(), np.dtype(dtype)
+    middle = 0.5 if kept.kind == "u" else 0.0
+    factor = scale_ratio(transfer) / (detail.surface.scale * scale)
+
+    def shade(samples: Samples) -> FloatArray:
+        met = _met(transfer, detail, samples)
+        heights = met.near * _following(transfer, detail, samples) * met.heights
+        return np.asarray((factor * samples.mean(heights[:, None]) + middle) * unit(kept))
+
+    canvas = make_canvas(transfer, size, options)
+    pixels = bake(transfer, canvas, _plan(transfer, detail, canvas), shade, 1, kept, options)
+    return Displacement(pixels, middle, scale)
+
+
+def bake_detail_values(
+    transfer: Transfer,
+    detail: Detail,
+    values: FloatArray,
+    *,
+    size: int | tuple[int, int],
+    dtype: DTypeLike = np.uint8,
+    options: BakeOptions | None = None,
+) -> Pixels:
+    """Bake values at the detail's vertices: colours, ambient occlusion.
+
+    Parameters
+    ----------
+    transfer, detail, size, options
+        As `bake_detail_normals` takes them.
+    values : (n,) or (n, q) float64
+        At the detail's vertices.
+    dtype : optional
+        Integers stand for the range 0 to 1.
+
+    Raises
+    ------
+    ParameterError
+        If there is not one row a vertex.
+    """
+    options, kept = options or BakeOptions(), np.dtype(dtype)
+    if len(values) != detail.surface.n:
+        raise ParameterError(f"expected {detail.surface.n} rows, one a vertex of the detail, got {len(values)}")
+    table = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+
+    def shade(samples: Samples) -> FloatArray:
+        foot = _met(transfer, detail, samples).foot
+        return np.asarray(samples.mean(foot.interpolate(table)) * unit(kept))
+
+    canvas = make_canvas(transfer, size, options)
+    return bake(transfer, canvas, _plan(transfer, detail, canvas), shade, table.shape[1], kept, options)
+
+
+@dataclass(frozen=True, eq=False)
+class Met:
+    """Where the detail is, seen from points of the source; lengths at unit area of the source.
+
+    Attributes
+    ----------
+    points, normals : (s, 3) float64
+        Of the source.
+    foot : SurfacePoints
+        Where the normal meets the detail; the nearest point that faces the same way where it does not.
+    heights : (s,) float64
+        How far along the normal that is.
+    near : (s,) bool
+        Whether it is in reach.
+    """
+
+    points: FloatArray
+    normals: FloatArray
+    foot: SurfacePoints
+    heights: FloatArray
+    near: NDArray[np.bool_]
+
+
+def meet(detail: Detail, points: FloatArray, normals: FloatArray) -> Met:
+    """Follow normals to the detail: Newton's method from the nearest points that face the same way.
+
+    Each step goes on to where the normal meets the plane of the triangle that is nearest now.
+
+    Parameters
+    ----------
+    detail : Detail
+    points, normals : (s, 3) float64
+        Of the source at unit area; unit length.
+    """
+    surface = detail.surface
+    foot, distance = _nearest_facing(surface, points, normals, None)
+    first, met = foot, np.zeros(len(points), dtype=np.bool_)
+    heights = np.zeros(len(points))
+    triangle, barycentric = foot.triangle.copy(), foot.barycentric.copy()
+    for _ in range(_STEPS):
+        across = foot.normals
+        slope = np.einsum("sd,sd->s", normals, across)
+        ahead = np.einsum("sd,sd->s", foot.positions - points, across) / np.where(slope > _GRAZING, slope, np.inf)
+        ahead = np.clip(ahead, -REACH, REACH)
+        foot, missed = _nearest_facing(surface, points + ahead[:, None] * normals, normals, foot.triangle)
+        here = ~met & (missed < _MET) & (slope > _GRAZING)
+        heights[here], triangle[here], barycentric[here] = ahead[here], foot.triangle[here], foot.barycentric[here]
+        met |= here
+        if met.all():
+            break
+    aside = np.einsum("sd,sd->s", first.positions - points, normals)
+    place = SurfacePoints(surface, triangle, barycentric)
+    return Met(points, normals, place, np.where(met, heights, aside), distance <= REACH)
+
+
+def _nearest_facing(
+    surface: TriangleSurface, points: FloatArray, normals: FloatArray, guess: IndexArray | None
+) -> tuple[SurfacePoints, FloatArray]:
+    """The nearest points whose triangle faces the way of the normals, or any where none in reach does; and how far."""
+    triangle, barycentric, distance = closest_points(
+        surface.tree, points, normals, minimum_cosine=0.0, guess=guess, within=REACH
+    )
+    rest = np.flatnonzero(triangle < 0)
+    if len(rest):
+        triangle[rest], barycentric[rest], distance[rest] = closest_points(surface.tree, points[rest])
+    return SurfacePoints(surface, triangle, barycentric), distance
+
+
+def _met(transfer: Transfer, detail: Detail, samples: Samples) -> Met:
+    """Where the detail is, seen from the source points of samples."""
+    source = transfer.point_map.source
+    corners = source.triangles[samples.triangle]
+    points = np.einsum("sc,scd->sd", samples.barycentric, source.positions[corners])
+    normals = normalized(np.einsum("sc,scd->sd", samples.barycentric, source.vertex_normals[corners]))
+    return meet(detail, points, normals)
+
+
+def _following(transfer: Transfer, detail: Detail, samples: Samples) -> FloatArray:
+    """(s,) how much of the detail counts at samples."""
+    if detail.follow is None:
+        return np.ones(len(samples.triangle))
+    corners = transfer.source.triangles[samples.triangle]
+    return np.asarray(np.einsum("sc,sc->s", samples.barycentric, detail.follow[corners]))
+
+
+def _smooth_normals(points: SurfacePoints) -> FloatArray:
+    """(s, 3) interpolated vertex normals, of unit length."""
+    return normalized(points.interpolate(points.surface.vertex_normals))
+
+
+def _plan(transfer: Transfer, detail: Detail, canvas: Canvas) -> NDArray[np.int32]:
+    """(t1, 2) samples in a texel: one for every edge of the detail that it spans."""
+    source, surface = transfer.source, detail.surface
+    # A typical edge of the detail, in the source's file units: triangles of area a have edges of about sqrt(2 a).
+    edge = float(np.sqrt(2.0 * np.median(surface.areas))) / surface.scale
+    corners = source.positions[source.triangles]
+    one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    length = np.linalg.norm(one, axis=1)
+    along = np.einsum("td,td->t", one, two) / np.maximum(length, 1e-300)
+    up = np.sqrt(np.maximum(np.einsum("td,td->t", two, two) - along**2, 0.0))
+    flat = np.zeros((len(corners), 3, 2))
+    flat[:, 1, 0], flat[:, 2, 0], flat[:, 2, 1] = length, along, up
+    return plan_samples(transfer.mapped, canvas.corners, flat / max(edge, 1e-300))

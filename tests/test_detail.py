@@ -1,0 +1,207 @@
+"""Bakes from a detailed mesh: what lies over the source arrives in the target's layout and frames."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cagemap.errors import MissingLibraryError, ParameterError
+from cagemap.files.images import read_image
+from cagemap.files.meshes import write_mesh
+from cagemap.files.result import read_result
+from cagemap.geometry.closest import closest_points
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.geometry.triangles import triangles, vertex_normals
+from cagemap.mesh import ControlMesh
+from cagemap.refinement import Level, refine
+from cagemap.transfer import BakeOptions, prepare_transfer
+from cagemap.transfer.detail import (
+    Detail,
+    bake_detail_heights,
+    bake_detail_normals,
+    bake_detail_values,
+    bake_detail_vectors,
+    detail_over,
+    own_transfer,
+)
+from cagemap.transfer.occlusion import ambient_occlusion
+from test_cli import Run, result_folder, run  # noqa: F401
+from transfer_scenes import crossed_cube, identity_map, plane
+
+SIZE = 64
+PLAIN = BakeOptions(supersample=1)
+
+
+def waves(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A height over the unit square, and its gradient."""
+    x, y = points[:, 0], points[:, 1]
+    height = 0.02 * np.sin(9 * x) * np.cos(7 * y)
+    return height, np.column_stack([0.18 * np.cos(9 * x) * np.cos(7 * y), -0.14 * np.sin(9 * x) * np.sin(7 * y)])
+
+
+def texel_points() -> np.ndarray:
+    """(SIZE * SIZE, 2) texture coordinates of texels' centres."""
+    across = (np.arange(SIZE) + 0.5) / SIZE
+    x, y = np.meshgrid(across, 1 - across)
+    return np.column_stack([x.ravel(), y.ravel()])
+
+
+@pytest.fixture(scope="module")
+def flat() -> Level:
+    return plane(10, 10)
+
+
+@pytest.fixture(scope="module")
+def wavy(flat: Level) -> Detail:
+    fine = plane(60, 60)  # its edges are as long as a texel: no texel takes several samples
+    height, _ = waves(fine.positions)
+    places = fine.positions + height[:, None] * (0.0, 0.0, 1.0)
+    return detail_over(own_transfer(flat).point_map.source, places, triangles(np.asarray(fine.faces)))
+
+
+def test_a_height_field_over_a_plane_gives_its_heights_and_its_slopes(flat: Level, wavy: Detail) -> None:
+    transfer = own_transfer(flat)
+    height, slope = waves(texel_points())
+    heights = bake_detail_heights(transfer, wavy, size=SIZE, options=PLAIN).pixels
+    # The detail is linear between its vertices, 1/60 apart: 0.02 * (9^2 + 7^2) / (8 * 60^2).
+    np.testing.assert_allclose(heights.ravel(), height, rtol=0, atol=9e-5)
+    expected = np.column_stack([-slope, np.ones(len(slope))])
+    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    normals = 2.0 * bake_detail_normals(transfer, wavy, size=SIZE, dtype=np.float32, options=PLAIN) - 1.0
+    assert np.einsum("kd,kd->k", normals.reshape(-1, 3), expected).min() > 0.999
+    down = bake_detail_normals(transfer, wavy, size=SIZE, green="down", dtype=np.float32, options=PLAIN)
+    np.testing.assert_allclose(2.0 * down - 1.0, normals * (1, -1, 1), atol=1e-6)
+
+
+@pytest.mark.parametrize("space", ["tangent", "object"])
+def test_vectors_lead_to_the_detail(flat: Level, wavy: Detail, space: str) -> None:
+    vectors = bake_detail_vectors(own_transfer(flat), wavy, size=SIZE, space=space, options=PLAIN).pixels
+    own = vectors.reshape(-1, 3)[:, [0, 2, 1]] if space == "tangent" else vectors.reshape(-1, 3)
+    reached = np.column_stack([texel_points(), np.zeros(SIZE**2)]) + own
+    _, _, distance = closest_points(wavy.surface.tree, wavy.surface.scale * reached)
+    assert distance.max() < 1e-7  # single precision
+    # Integers hold the same, in their own range.
+    whole = bake_detail_vectors(
+        own_transfer(flat), wavy, size=SIZE, space=space, scale=0.1, dtype=np.uint16, options=PLAIN
+    )
+    np.testing.assert_allclose((whole.pixels / 65535 - whole.midlevel) * whole.scale, vectors, atol=1e-6)
+
+
+def test_detail_grows_and_turns_with_the_target(wavy: Detail) -> None:
+    source = plane(10, 10)
+    turn = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
+    target = replace(source, positions=3.0 * source.positions @ turn.T)
+    transfer, own = prepare_transfer(target, source, identity_map(source)), own_transfer(source)
+    for bake in (bake_detail_heights, bake_detail_vectors):
+        given = bake(own, wavy, size=SIZE, options=PLAIN).pixels
+        np.testing.assert_allclose(bake(transfer, wavy, size=SIZE, options=PLAIN).pixels, 3.0 * given, atol=1e-6)
+    given = bake_detail_vectors(own, wavy, size=SIZE, space="object", options=PLAIN).pixels
+    turned = bake_detail_vectors(transfer, wavy, size=SIZE, space="object", options=PLAIN).pixels
+    np.testing.assert_allclose(turned, 3.0 * given @ turn.T, atol=1e-6)
+    normals = [bake_detail_normals(side, wavy, size=SIZE, dtype=np.float32, options=PLAIN) for side in (own, transfer)]
+    np.testing.assert_allclose(normals[0], normals[1], atol=1e-6)
+
+
+def test_a_surface_over_itself_is_flat() -> None:
+    box = refine(crossed_cube(), 4).finest
+    transfer = own_transfer(box)
+    detail = Detail(transfer.point_map.source)
+    assert np.abs(bake_detail_vectors(transfer, detail, size=SIZE, options=PLAIN).pixels).max() < 1e-9
+    assert np.abs(bake_detail_heights(transfer, detail, size=SIZE, options=PLAIN).pixels).max() < 1e-9
+    normals = bake_detail_normals(transfer, detail, size=SIZE, options=PLAIN)
+    assert np.abs(normals.astype(int) - (128, 128, 255)).max() <= 1
+
+
+def test_what_does_not_follow_stays_flat(flat: Level, wavy: Detail) -> None:
+    follow = (flat.positions[:, 0] < 0.5).astype(float)
+    held = replace(wavy, follow=follow)
+    heights = bake_detail_heights(own_transfer(flat), held, size=SIZE, options=PLAIN).pixels[:, :, 0]
+    whole = bake_detail_heights(own_transfer(flat), wavy, size=SIZE, options=PLAIN).pixels[:, :, 0]
+    assert (heights[:, 32:] == 0).all()
+    np.testing.assert_array_equal(heights[:, :25], whole[:, :25])
+
+
+def test_values_at_the_detail_s_vertices_arrive(flat: Level, wavy: Detail) -> None:
+    # Linear in x and y: nothing is lost between vertices.
+    places = wavy.surface.positions / wavy.surface.scale
+    baked = bake_detail_values(own_transfer(flat), wavy, places[:, :2], size=SIZE, dtype=np.float32, options=PLAIN)
+    np.testing.assert_allclose(baked.reshape(-1, 2), texel_points(), rtol=0, atol=1e-6)  # single precision
+    with pytest.raises(ParameterError, match="one a vertex of the detail"):
+        bake_detail_values(own_transfer(flat), wavy, np.zeros(4), size=SIZE)
+
+
+def test_occlusion_is_the_hidden_part_of_the_sky() -> None:
+    pytest.importorskip("embreex")
+    # A floor and a wall at a right angle: half of the sky is hidden at the wall's foot, none of it far away.
+    far = 1000.0
+    floor = np.array([(0, 0, -far), (0, 0, far), (far, 0, far), (far, 0, -far)], dtype=float)
+    wall = np.array([(0, -1, -far), (0, -1, far), (0, far, far), (0, far, -far)], dtype=float) - (1e-3, 0, 0)
+    probe = np.array([(0, 0, 0), (1e-2, 0, 1e-2), (1e-2, 0, -1e-2)]) + np.array([0.05, 1e-3, 0])
+    faces = np.array([(0, 1, 2), (0, 2, 3)])
+    surface = TriangleSurface(
+        np.concatenate([floor, wall, probe]),
+        np.concatenate([faces, faces[:, ::-1] + 4, [(8, 9, 10)]]),
+    )
+    assert surface.vertex_normals[8][1] > 0.99
+    open_part = ambient_occlusion(surface, 2048)
+    assert open_part[8:] == pytest.approx(0.5, abs=0.02)
+    assert ambient_occlusion(surface, 256, reach=1e-2)[8:] == pytest.approx(1.0)
+    sphere = refine(crossed_cube(), 3)
+    assert ambient_occlusion(TriangleSurface.from_faces(sphere.finest.positions, sphere.finest.faces)).min() > 0.95
+
+
+def test_without_embreex_occlusion_says_so(monkeypatch: pytest.MonkeyPatch, wavy: Detail) -> None:
+    monkeypatch.setitem(sys.modules, "embreex", None)
+    monkeypatch.setitem(sys.modules, "embreex.rtcore_scene", None)
+    with pytest.raises(MissingLibraryError, match="ambient occlusion"):
+        ambient_occlusion(wavy.surface)
+
+
+def test_detail_elsewhere_is_refused(flat: Level) -> None:
+    surface = own_transfer(flat).point_map.source
+    fine = plane(20, 20)
+    for places in (100.0 * fine.positions + np.array([0, 0, 30]), fine.positions + np.array([5.0, 0, 0])):
+        with pytest.raises(ParameterError, match="lies on the source"):
+            detail_over(surface, places, triangles(np.asarray(fine.faces)))
+
+
+def test_through_the_command_line(run: Run, result_folder: Path) -> None:  # noqa: F811
+    place = result_folder.parent
+    refinement = refine(read_result(result_folder).source.refinement.control, 4)
+    faces = np.asarray(refinement.finest.faces)
+    x = refinement.finest.positions
+    size = np.ptp(x, axis=0).max()
+    bumps = x + 0.01 * size * np.sin(20 * x[:, :1] / size) * vertex_normals(x, triangles(faces))
+    colors = (x - x.min(axis=0)) / np.ptp(x, axis=0)
+    detailed = ControlMesh.from_faces(bumps, faces.tolist())
+    write_mesh(place / "high.obj", replace(detailed, vertex_colors=colors))
+    refused = run("transfer", "R", "--bake", "normal", "-o", "o.png")
+    assert refused.code
+    assert "--detail" in refused.err
+    refused = run("transfer", "R", "--bake", "shine", "--detail", "high.obj", "-o", "o.png")
+    assert refused.code
+    assert "vector-displacement" in refused.err
+    done = run(
+        "transfer", "R", "--bake", "normal,displacement,vector-displacement,colors", "--detail", "high.obj",
+        "--size", "64", "-o", "o.png",
+    )  # fmt: skip
+    assert not done.code, done.err
+    heights = read_image(place / "o_displacement.png").pixels
+    assert heights.dtype == np.uint16
+    assert np.ptp(heights.astype(int)) > 40_000
+    assert read_image(place / "o_colors.png").pixels.shape == (64, 64, 3)
+    normals = read_image(place / "o_normal.png").pixels / 65535
+    assert (2 * normals[:, :, 2] - 1).mean() > 0.7
+    assert normals[:, :, 0].std() > 0.01
+    assert run("wrap", "R", "-o", "w.obj", "--detail", "high.obj").code
+    done = run("wrap", "R", "-o", "w.obj", "--normal-map", "wn.png", "--vector-displacement", "wv.exr", "--size", "64")
+    assert not done.code, done.err
+    assert "tangent space" in done.out
+    assert read_image(place / "wv.exr").pixels.dtype == np.float32
+    if "embreex" in sys.modules:
+        done = run("transfer", "R", "--bake", "ao", "--rays", "8", "--size", "32", "-o", "ao.png")
+        assert not done.code, done.err
