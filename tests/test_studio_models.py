@@ -13,13 +13,15 @@ import trimesh
 from cagemap.errors import ParameterError
 from cagemap.files.images import write_image
 from cagemap.files.meshes import write_mesh
-from cagemap.mesh.shapes import cube
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.shapes import creature, cube
 from cagemap.refinement import refine
 from cagemap.studio.bench import Bench, ChooseAnswer, Dress, FindMap, Found, Opening, OpenModels, perform
 from cagemap.studio.glb import Primitive, glb
-from cagemap.studio.landmarks import Landmark, Place
-from cagemap.studio.scene import Scene, carried_place, mirrored, next_place
-from cagemap.studio.shape import pick, place_of, shape_of, vertex_place
+from cagemap.studio.landmarks import Landmark
+from cagemap.studio.places import place_at, place_of, vertex_place
+from cagemap.studio.scene import Scene, carried_place, mirrored, part_name
+from cagemap.studio.shape import Hit, pick, shape_of
 from cagemap.studio.skins import Images, crossing_triangles
 from cagemap.studio.state import View
 from cagemap.studio.worker import Failure, Worker
@@ -59,13 +61,41 @@ def test_a_click_lands_where_the_ray_meets_the_smooth_surface() -> None:
     assert pick(shape, np.array([5.0, 5.0, 5.0]), np.array([1.0, 0.0, 0.0])) is None
 
 
-def test_a_click_beside_a_control_vertex_means_it() -> None:
+def test_a_click_at_a_control_vertex_means_it() -> None:
     shape = shape_of(refine(cube(), 4))
     corner = shape.to_view(shape.positions[3])
     ray = -corner / np.linalg.norm(corner)
     hit = pick(shape, corner - 3 * ray, ray)
     assert hit is not None
-    assert place_of(shape, hit) == vertex_place(shape, 3)
+    place = place_of(shape, hit)
+    np.testing.assert_allclose(place.position, shape.positions[3], atol=1e-9)
+    np.testing.assert_allclose(np.array(place.weights) @ np.eye(8)[list(place.corners)], np.eye(8)[3], atol=1e-6)
+
+
+@pytest.mark.parametrize("mesh", [cube(), creature()], ids=["cube", "creature"])
+def test_a_place_lies_where_it_was_wanted(mesh: ControlMesh) -> None:
+    shape = shape_of(refine(mesh, 4))
+    rng = np.random.default_rng(3)
+    triangles, weights = rng.integers(0, len(shape.triangles), 60), rng.dirichlet(np.ones(3), 60)
+    missed = []
+    for triangle, inside in zip(triangles, weights, strict=True):
+        position = inside @ shape.positions[shape.triangles[triangle]]
+        found = np.array(place_of(shape, Hit(int(triangle), inside, position)).position)
+        missed.append(np.linalg.norm(found - position) / shape.radius)
+        assert np.linalg.norm(np.array(place_at(shape, found).position) - found) < 0.01 * shape.radius
+    assert np.median(missed) < 1e-3
+    assert max(missed) < 0.005
+
+
+def test_parts_have_names_and_triangles_belong_to_them() -> None:
+    mesh = cube()
+    numbers = np.array([0, 0, 0, 1, 1, 1])
+    named = replace(mesh, face_objects=numbers, object_names=("head", "body"), face_materials=numbers * 0)
+    shape = shape_of(refine(replace(named, material_names=("skin",)), 2))
+    assert shape.parts == ("head", "body", "skin")
+    assert part_name(shape, 0) == "head, skin"
+    assert part_name(shape, len(shape.triangles) - 1) == "body, skin"
+    assert part_name(shape_of(refine(mesh, 2)), 0) == ""
 
 
 def identity(n: int, triangles: np.ndarray) -> Images:
@@ -164,19 +194,17 @@ def test_without_landmarks_the_bench_has_answers_to_choose_from(opened: tuple[Be
     np.testing.assert_array_equal(fourth.images.triangle, second.images.triangle)
 
 
-def test_the_next_landmark_is_far_from_all_others(opened: tuple[Bench, OpenModels]) -> None:
-    bench, _ = opened
-    assert bench.models is not None
-    shape = bench.models.target.shape
-    images = identity(len(shape.positions), shape.triangles)
-    scene = Scene(shape, shape, (None, None), (b"", b""), images)
-    taken: tuple[Place, ...] = ()
-    for _ in range(shape.n_control):
-        place = next_place(scene, taken)
-        assert place is not None
-        assert place not in taken
-        taken = (*taken, place)
-    assert next_place(scene, taken) is None
+def test_every_map_suggests_a_free_vertex_until_all_are_taken(opened: tuple[Bench, OpenModels]) -> None:
+    bench, task = opened
+    taken: list[int] = []
+    for _ in range(8):
+        bench, found = perform(bench, FindMap(task.opening, landmarks(bench, *taken), View()), lambda _: None)
+        assert isinstance(found, Found)
+        assert found.suggestion not in (None, *taken)
+        taken.append(found.suggestion or 0)
+    _, found = perform(bench, FindMap(task.opening, landmarks(bench, *taken), View()), lambda _: None)
+    assert isinstance(found, Found)
+    assert found.suggestion is None
 
 
 def test_mirror_images_lie_across_the_plane(opened: tuple[Bench, OpenModels]) -> None:
@@ -188,7 +216,7 @@ def test_mirror_images_lie_across_the_plane(opened: tuple[Bench, OpenModels]) ->
     corner = vertex_place(shape, 0)
     across = mirrored(scene, "target", corner)
     assert across is not None
-    assert across.vertex != 0
+    assert across.corners != corner.corners
     assert mirrored(scene, "target", across) == corner
     assert mirrored(Scene(shape, shape, (None, None), (b"", b"")), "target", corner) is None
 
@@ -211,8 +239,8 @@ def test_a_failing_task_is_a_named_failure_and_the_worker_lives_on(opened: tuple
     worker.stop()
 
 
-def test_three_places_are_too_few_to_name_a_vertex_twice(opened: tuple[Bench, OpenModels]) -> None:
+def test_a_vertex_cannot_be_named_twice(opened: tuple[Bench, OpenModels]) -> None:
     bench, task = opened
-    same = tuple(Landmark(k, f"{k}", Place((0.0, 0.0, 0.0)), Place((5.0, 0.0, 0.0))) for k in (1, 2, 3))
+    one = landmarks(bench, 0)[0]
     with pytest.raises(ValueError, match="one pair only"):
-        perform(bench, FindMap(task.opening, same, View()), lambda _: None)
+        perform(bench, FindMap(task.opening, (one, replace(one, name="again")), View()), lambda _: None)

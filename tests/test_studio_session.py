@@ -14,10 +14,12 @@ from cagemap.files.images import write_image
 from cagemap.files.meshes import write_mesh
 from cagemap.mesh.shapes import cube
 from cagemap.studio.finish import FinishOptions
+from cagemap.studio.landmark_files import PER_MESH
 from cagemap.studio.opening import default_files
+from cagemap.studio.places import vertex_place
 from cagemap.studio.scene import carried
 from cagemap.studio.session import Session
-from cagemap.studio.shape import vertex_place
+from cagemap.studio.shape import pick
 from cagemap.studio.state import Studio, View
 from cagemap.studio.workspace import Workspace, autosave_path
 
@@ -73,12 +75,13 @@ def click(session: Session, side: str, vertex: int) -> None:
 
 def test_it_starts_with_a_map_and_follows_clicks(opened: Session) -> None:
     click(opened, "target", 2)
-    number, side, place = opened.proposal() or pytest.fail("no proposal")
-    assert (number, side) == (1, "source")
-    assert place.position[0] > 2  # on the other box
+    proposal = opened.state.proposal or pytest.fail("no proposal")
+    assert (proposal.number, proposal.side) == (1, "source")
+    assert proposal.place.position[0] > 2  # on the other box
     click(opened, "source", 2)
     until(lambda: opened.state.map.revision >= 2, opened)
-    assert opened.state.history.present.complete[0].target == vertex_place(opened.scene.target, 2)
+    there = opened.state.history.present.complete[0].target
+    np.testing.assert_allclose(there.position, vertex_place(opened.scene.target, 2).position, atol=1e-6)
     assert set(opened.state.map.strain) == {"landmark 1"}
     opened.undo()
     opened.undo()
@@ -107,6 +110,57 @@ def test_saved_landmarks_are_read_again_and_a_persons_file_is_kept(opened: Sessi
     assert [item.name for item in opened.state.history.present.complete] == [item.name for item in before]
     opened.undo()
     assert len(opened.state.history.present.complete) == 2
+
+
+def click_between(session: Session, side: str) -> np.ndarray:
+    """A click on the middle of a face; the place clicked, in file units."""
+    shape = session.scene.shape(side)
+    middle = shape.positions[shape.control.face_indices[:4]].mean(axis=0)
+    ray = shape.to_view(middle) / np.linalg.norm(shape.to_view(middle))
+    hit = pick(shape, 3 * ray, -ray)
+    assert hit is not None
+    session.click(side, 3 * ray, -ray)
+    return hit.position
+
+
+@pytest.mark.parametrize("name", ["", "other.json", "both.pp", "both.points.json"])
+def test_a_click_between_vertices_stays_where_it_was(opened: Session, folder: Path, name: str) -> None:
+    clicked = [click_between(opened, side) for side in ("target", "source")]
+    item = opened.state.history.present.complete[0]
+    for place, position, side in ((item.target, clicked[0], "target"), (item.source, clicked[1], "source")):
+        assert np.linalg.norm(np.array(place.position) - position) < 0.01 * opened.scene.shape(side).radius
+        assert max(place.weights) < 0.9
+    opened.save_as(name)
+    opened.remove(1)
+    ending = next((ending for ending in PER_MESH if name.endswith(ending)), None)
+    if ending is None:
+        assert opened.state.files.landmarks.name == (name or "b__a.json")
+        opened.load(Path(name or "b__a.json"))
+    else:
+        assert opened.state.files.landmarks.name == "b__a.json"
+        opened.load(Path(f"both.target{ending}"), Path(f"both.source{ending}"))
+    again = opened.state.history.present.complete[0]
+    for side in ("target", "source"):
+        np.testing.assert_allclose(again.on(side).position, item.on(side).position, atol=1e-6)
+    opened.save_as("refused.txt")
+    assert not (folder / "refused.txt").exists()
+
+
+def test_the_next_landmark_is_proposed_on_both_models(opened: Session) -> None:
+    vertex = opened.state.map.suggestion
+    opened.next_landmark()
+    waiting, proposal = opened.state.history.present.open, opened.state.proposal
+    assert waiting.target == vertex_place(opened.scene.target, vertex)
+    assert (proposal.number, proposal.side) == (waiting.number, "source")
+    revision = opened.state.map.revision
+    opened.accept()
+    until(lambda: opened.state.map.revision > revision, opened)
+    assert opened.state.map.suggestion != vertex
+    opened.next_landmark()
+    before = opened.state.proposal
+    clicked = click_between(opened, "target")  # corrected: the end moves, and the proposal with it
+    np.testing.assert_allclose(opened.state.history.present.open.target.position, clicked, atol=0.01)
+    assert opened.state.proposal != before
 
 
 def test_a_kill_of_the_session_loses_nothing(opened: Session, folder: Path) -> None:
@@ -174,7 +228,7 @@ def test_a_probe_points_at_both_models(opened: Session) -> None:
     probe = opened.state.probe
     assert probe is not None
     assert np.linalg.norm(np.array(probe.target) - scene.target.positions[1]) < 0.3
-    np.testing.assert_array_equal(probe.source, carried(scene, "target", np.array(probe.target)))
+    np.testing.assert_array_equal(probe.source, carried(scene, "target", np.array(probe.target)).position)
     assert probe.source[0] > 2  # on the other box
     opened.probe("target", np.array([9.0, 9.0, 9.0]), np.array([1.0, 0.0, 0.0]))
     assert opened.state.probe is None

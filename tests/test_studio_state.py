@@ -22,7 +22,7 @@ from cagemap.studio.workspace import Workspace, autosave_path, read_autosave, wr
 
 
 def place(x: float) -> Place:
-    return Place((x, 0.0, 0.0))
+    return Place((x, 0.0, 0.0), (0, 1, 2), (0.5, 0.25, 0.25))
 
 
 def pair(landmarks: LandmarkList, x: float) -> LandmarkList:
@@ -124,16 +124,21 @@ def test_the_page_reaches_nothing_outside_its_folders(tmp_path: Path) -> None:
 
 
 def test_an_autosave_keeps_everything_and_is_checked(tmp_path: Path) -> None:
-    landmarks = edit.place(pair(LandmarkList(), 1.0), "target", Place((0.1, 0.2, 0.3), 7))
+    landmarks = edit.place(pair(LandmarkList(), 1.0), "target", Place((0.1, 0.2, 0.3), (7, 7, 7), (1.0, 0.0, 0.0)))
     file = autosave_path(tmp_path / "a.json")
     write_autosave(file, landmarks)
-    assert read_autosave(file) == landmarks
+    assert read_autosave(file, (9, 9)) == landmarks
     write_autosave(file, LandmarkList())
-    assert read_autosave(file) == LandmarkList()
-    for damaged in ("{", "[]", json.dumps({"format": "other"}), file.read_text()[:-20]):
+    assert read_autosave(file, (9, 9)) == LandmarkList()
+    write_autosave(file, landmarks)
+    whole = file.read_text()
+    for k, damaged in enumerate(("{", "[]", json.dumps({"format": "other"}), whole[:-20], whole.replace("7", "9"))):
         file.write_text(damaged)
         with pytest.raises(FormatError, match="autosave"):
-            read_autosave(file)
+            read_autosave(file, (9, 9))
+        # Out of the way of the next one, not lost.
+        assert not file.exists()
+        assert file.with_name(f"{file.name}.{k + 1}").read_text() == damaged
 
 
 def request(path: str = "/", **headers: str) -> Request:

@@ -12,6 +12,7 @@ from cagemap.basis import Surface
 from cagemap.errors import ParameterError
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
+from cagemap.geometry.triangles import normalized
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.numerics.arrays import IndexArray
 
@@ -19,6 +20,8 @@ from cagemap.numerics.arrays import IndexArray
 NEAR_VERTICES = 3000
 # Length, of sqrt(area), that opposite normals count when a landmark is put on the surface: thin parts have two sides.
 LANDMARK_NORMAL_WEIGHT = 0.01
+# Closest points that put a landmark on the surface; each comes nearer to the line by the square of the slope.
+LANDMARK_STEPS = 4
 
 Progress = Callable[[str], None]
 LevelPair = tuple[int, int]
@@ -168,7 +171,9 @@ def located(surface: Surface, points: CagePoints) -> SurfacePoints:
 def on_surface(finest: TriangleSurface, points: CagePoints) -> SurfacePoints:
     """Points of a control mesh on a refined surface, whose first vertices are the control mesh's.
 
-    A point between control vertices lies near the same mean of their places, where the surface faces the same way.
+    A point between control vertices lies beside the same mean of their places, along the same mean of their normals:
+    the closest point is asked for again from where the last one left that line. From the mean itself, which is inside
+    where the surface is convex, whole strips along edges between facets are nearest to nothing.
     """
     vertices = points.vertices
     found = SurfacePoints.from_vertices(finest, np.where(vertices >= 0, vertices, points.corners[:, 0]))
@@ -176,6 +181,12 @@ def on_surface(finest: TriangleSurface, points: CagePoints) -> SurfacePoints:
     if not len(between):
         return found
     some = points.at(between)
-    places, normals = some.of(finest.positions), some.of(finest.vertex_normals)
-    near = SurfacePoints.nearest(finest, places, normals, normal_weight=LANDMARK_NORMAL_WEIGHT)
+    places, normals = some.of(finest.positions), normalized(some.of(finest.vertex_normals))
+    aim = places
+    for step in range(LANDMARK_STEPS):
+        # The nearer the aim is to its side of a thin part, the less normals have to tell the sides apart.
+        weight = LANDMARK_NORMAL_WEIGHT / 4.0**step
+        near = SurfacePoints.nearest(finest, aim, normals, normal_weight=weight)
+        along = np.einsum("qd,qd->q", near.positions - places, normals)
+        aim = places + along[:, None] * normals
     return found.replaced(between, near)

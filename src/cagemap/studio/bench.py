@@ -16,6 +16,7 @@ from cagemap.files.images import Image, Pixels, read_texture, write_image
 from cagemap.files.meshes import read_mesh
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS
+from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.landmarks import Landmarks
@@ -30,7 +31,7 @@ from cagemap.pipeline import (
     update_match,
 )
 from cagemap.refinement import refine
-from cagemap.studio.landmark_files import vertices_of
+from cagemap.studio.landmark_files import landmarks_of
 from cagemap.studio.landmarks import Landmark
 from cagemap.studio.shape import Shape, shape_of
 from cagemap.studio.skins import Images, Look, source_skin, target_skin
@@ -106,7 +107,6 @@ class Model:
 
     Attributes
     ----------
-    control : ControlMesh
     level : int
         Of the preview.
     shape : Shape
@@ -116,11 +116,15 @@ class Model:
         The control vertex across the mirror plane.
     """
 
-    control: ControlMesh
     level: int
     shape: Shape
     look: Look
     mirror: IndexArray | None
+
+    @property
+    def control(self) -> ControlMesh:
+        """The control mesh."""
+        return self.shape.control
 
 
 @dataclass(frozen=True)
@@ -160,6 +164,8 @@ class Found:
         Which of them the map goes on from.
     confidence : str
         What is said about the first one; empty where landmarks decided.
+    suggestion : int or None
+        Control vertex of the target at which one more landmark would tell most.
     """
 
     images: Images
@@ -171,6 +177,7 @@ class Found:
     answers: tuple[str, ...] = ()
     chosen: int = 0
     confidence: str = ""
+    suggestion: int | None = None
 
 
 @dataclass(frozen=True)
@@ -248,7 +255,7 @@ def find_map(bench: Bench, task: FindMap, progress: Progress) -> tuple[Bench, Fo
     """Map the models with the landmarks there are."""
     started = time.perf_counter()
     bench, prepared = _prepared(bench, progress)
-    landmarks = control_landmarks(_opened(bench), task.landmarks)
+    landmarks = _landmarks(_opened(bench), task.landmarks)
     if not len(landmarks):
         free = bench.free or match_pair(prepared, progress=progress)
         bench = replace(bench, free=free, result=other_answer(free, bench.chosen) if bench.chosen else free)
@@ -271,7 +278,7 @@ def choose_answer(bench: Bench, task: ChooseAnswer, progress: Progress) -> tuple
     bench, prepared = _prepared(bench, progress)
     free = bench.free or match_pair(prepared, progress=progress)
     result = other_answer(free, task.index, progress=progress)
-    landmarks = control_landmarks(_opened(bench), task.landmarks)
+    landmarks = _landmarks(_opened(bench), task.landmarks)
     if len(landmarks):
         result = update_match(result, landmarks, progress=progress)
     after = replace(bench, free=free, chosen=task.index, result=result)
@@ -286,23 +293,6 @@ def _prepared(bench: Bench, progress: Progress) -> tuple[Bench, PreparedPair]:
     surfaces = prepare_surfaces(target.control, source.control, (target.level, source.level), progress=progress)
     prepared = prepare_pair(*surfaces)
     return replace(bench, prepared=prepared), prepared
-
-
-def control_landmarks(models: Models, items: tuple[Landmark, ...]) -> Landmarks:
-    """Landmarks of the package: the control vertices whose points are nearest.
-
-    Raises
-    ------
-    InvalidLandmarksError
-        If two landmarks come to lie on one control vertex.
-    """
-    return Landmarks(
-        tuple(item.name for item in items),
-        vertices_of(tuple(item.target for item in items if item.target), models.target.shape),
-        vertices_of(tuple(item.source for item in items if item.source), models.source.shape),
-        models.target.control.name,
-        models.source.control.name,
-    )
 
 
 def read_look(path: Path) -> tuple[Pixels, bytes]:
@@ -330,7 +320,11 @@ def _model(path: Path, vertices: int) -> Model:
     except CagemapError:  # a mesh without materials is clay
         colors = None
     mirror = next((plane.image for plane in mirror_symmetries(control)), None)
-    return Model(control, level, shape_of(refine(control, level)), Look(colors=colors), mirror)
+    return Model(level, shape_of(refine(control, level)), Look(colors=colors), mirror)
+
+
+def _landmarks(models: Models, items: tuple[Landmark, ...]) -> Landmarks:
+    return landmarks_of(items, models.target.control, models.source.control)
 
 
 def _opened(bench: Bench) -> Models:
@@ -355,7 +349,23 @@ def _found(bench: Bench, view: View, started: float) -> Found:
         answers=() if known is None else tuple(reading.name for reading in known.readings),
         chosen=bench.chosen,
         confidence="" if result.confidence is None or bench.chosen else result.confidence.message,
+        suggestion=_suggestion(bench, result),
     )
+
+
+def _suggestion(bench: Bench, result: MatchResult) -> int | None:
+    """Where `cagemap suggest` would ask for the next landmark; None if every control vertex is one."""
+    finest = result.point_map.target
+    count = result.target.control.n_vertices
+    known = np.unique(result.landmarks.target_points.nearest_vertices)
+    if len(known) == count:
+        return None
+    readings = () if bench.free is None or bench.free.confidence is None else bench.free.confidence.readings
+    others = [reading.positions[:count] for k, reading in enumerate(readings) if k != bench.chosen]
+    images = result.point_map.images.positions[:count]
+    runners_up = np.array(others).reshape(len(others), count, 3)
+    trust = result.quality.trust[:count]
+    return int(suggested_vertices(finest.positions[:count], images, runners_up, trust, known, 1)[0])
 
 
 def _images(result: MatchResult) -> Images:

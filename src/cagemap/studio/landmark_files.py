@@ -9,72 +9,102 @@ from pathlib import Path
 
 import numpy as np
 
-from cagemap.errors import InvalidLandmarksError
+from cagemap.errors import FormatError
+from cagemap.files.landmark_points import read_points, write_points
 from cagemap.files.landmarks import read_landmarks, write_landmarks
 from cagemap.files.marks import is_own
-from cagemap.mesh.landmarks import Landmarks
-from cagemap.numerics.arrays import IndexArray
-from cagemap.studio.landmarks import Landmark, LandmarkList, Place
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, check_landmarks, paired
+from cagemap.studio.landmarks import Landmark, LandmarkList
+from cagemap.studio.places import cage_points, places_of
 from cagemap.studio.scene import Scene
-from cagemap.studio.shape import Shape, nearest_vertex, vertex_place
 from cagemap.studio.state import Files
 
+# Names that ask for a file a mesh instead of one for the pair.
+PER_MESH = (".points.json", ".pp")
 
-def load_landmarks(path: Path, scene: Scene, files: Files) -> tuple[LandmarkList, tuple[str, ...]]:
-    """Read a landmark file for the open models.
+
+def load_landmarks(
+    path: Path, source_points: Path | None, scene: Scene, files: Files
+) -> tuple[LandmarkList, list[str]]:
+    """Read landmarks for the open models: a file of pairs, or one of points for each.
+
+    Parameters
+    ----------
+    path : Path
+        Of pairs; or of the target's points, in any form that `read_points` knows.
+    source_points : Path or None
+        Of the source's points; those of the same name are pairs.
 
     Raises
     ------
     FormatError, DirectionError, InvalidLandmarksError
-        If it is damaged, made for the other direction, or for other meshes.
+        If a file is damaged, made for the other direction, or for other meshes.
     """
-    read, notes = read_landmarks(path, files.target, files.source)
-    sides = ((read.target, scene.target), (read.source, scene.source))
-    for vertices, shape in sides:
-        if len(vertices) and not 0 <= vertices.min() <= vertices.max() < shape.n_control:
-            raise InvalidLandmarksError(
-                f"{path}: expected control vertices 0 to {shape.n_control - 1} of {shape.name}, got {vertices.max()}. "
-                "Choose the landmark file of these models."
-            )
-    items = tuple(
-        Landmark(number + 1, name, *(vertex_place(shape, int(vertices[number])) for vertices, shape in sides))
-        for number, name in enumerate(read.names)
+    target, source = scene.target.control, scene.source.control
+    if source_points is None:
+        read, notes = read_landmarks(path, files.target, files.source)
+    else:
+        read, notes = paired(read_points(path, target), read_points(source_points, source), target, source)
+    check_landmarks(read, target, source)
+    ends = zip(
+        read.names,
+        places_of(scene.target, read.target_points),
+        places_of(scene.source, read.source_points),
+        strict=True,
     )
-    return LandmarkList(items), notes
+    return LandmarkList(tuple(Landmark(number, *end) for number, end in enumerate(ends, 1))), list(notes)
 
 
-def save_landmarks(path: Path, items: tuple[Landmark, ...], scene: Scene, files: Files) -> None:
-    """Write complete landmarks.
+def save_landmarks(path: Path, items: tuple[Landmark, ...], scene: Scene, files: Files) -> tuple[Path, ...]:
+    """Write complete landmarks; returns what was written.
 
-    The landmark file that is open may be one that a person made or edited: it is copied aside before it is replaced.
+    One file of pairs; a name that ends in ``.pp`` or ``.points.json`` asks for one file a mesh, NAME.target.pp and
+    NAME.source.pp. The landmark file that is open may be one that a person made or edited: it is copied aside before it
+    is replaced.
 
     Raises
     ------
     FormatError
-        If the file cannot be written, or another file of that name is there that cagemap did not write.
+        If a file cannot be written, or another file of that name is there that cagemap did not write.
     """
-    target = vertices_of(tuple(item.target for item in items if item.target), scene.target)
-    source = vertices_of(tuple(item.source for item in items if item.source), scene.source)
-    names = tuple(item.name for item in items)
+    landmarks = landmarks_of(items, scene.target.control, scene.source.control)
+    ending = next((ending for ending in PER_MESH if path.name.lower().endswith(ending)), None)
+    if ending is not None:
+        stem = path.name[: -len(ending)]
+        paths = tuple(path.with_name(f"{stem}.{side}{ending}") for side in ("target", "source"))
+        sides = ((landmarks.target_points, scene.target), (landmarks.source_points, scene.source))
+        for file, (points, shape) in zip(paths, sides, strict=True):
+            write_points(file, _named(landmarks.names, points, shape.control), shape.control)
+        return paths
+    if path.suffix.lower() != ".json":
+        known = ", ".join((".json", *PER_MESH))
+        raise FormatError(f"{path.name}: expected a landmark file that ends in one of {known}. Choose such a name.")
     is_open = path == files.landmarks
     if is_open and path.is_file() and not is_own(path):
         shutil.copy2(path, next(name for name in _aside(path) if not name.exists()))
-    landmarks = Landmarks(names, target, source, files.target.name, files.source.name)
     write_landmarks(path, landmarks, force=is_open)
+    return (path,)
+
+
+def landmarks_of(items: tuple[Landmark, ...], target: ControlMesh, source: ControlMesh) -> Landmarks:
+    """Landmarks of the package from complete landmarks of the studio."""
+    return Landmarks.of_points(
+        tuple(item.name for item in items),
+        cage_points([item.target for item in items if item.target]),
+        cage_points([item.source for item in items if item.source]),
+        target.name,
+        source.name,
+    )
+
+
+def _named(names: tuple[str, ...], points: CagePoints, control: ControlMesh) -> NamedPoints:
+    vertices = points.vertices
+    positions = np.where(vertices[:, None] >= 0, np.nan, points.of(control.positions))
+    return NamedPoints(names, vertices, positions, control.name)
 
 
 def _aside(path: Path) -> Iterator[Path]:
     yield path.with_name(f"{path.name}.before-studio")
     for number in itertools.count(2):
         yield path.with_name(f"{path.name}.before-studio-{number}")
-
-
-def vertices_of(places: tuple[Place, ...], shape: Shape) -> IndexArray:
-    """Control vertices of places: their own, or the nearest ones."""
-    return np.array(
-        [
-            nearest_vertex(shape, np.array(place.position), shape.n_control) if place.vertex is None else place.vertex
-            for place in places
-        ],
-        dtype=np.int64,
-    )

@@ -20,18 +20,21 @@ def other(side: Side) -> Side:
 
 @dataclass(frozen=True)
 class Place:
-    """A point of a model's smooth surface.
+    """A point of a model: on its control mesh, and where that lies on the smooth surface.
 
     Attributes
     ----------
     position : (x, y, z)
-        In the units of the model's file.
-    vertex : int or None
-        The control vertex that the point belongs to, where it was given as one.
+        Of the smooth surface, in the units of the model's file.
+    corners : (a, b, c)
+        Control vertices of the triangle that holds the point.
+    weights : (u, v, w)
+        Theirs, not negative, with sum 1.
     """
 
     position: tuple[float, float, float]
-    vertex: int | None = None
+    corners: tuple[int, int, int]
+    weights: tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -150,6 +153,15 @@ def mirrored_name(name: str) -> str:
             if name.startswith(one) and one[-1] == "_":
                 return two + name[len(one) :]
     return f"{name}_mirrored"
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """Where the map puts the missing end of the landmark that waits for it."""
+
+    number: int
+    side: Side
+    place: Place
 
 
 def _free_name(landmarks: LandmarkList, wanted: str) -> str:

@@ -16,9 +16,10 @@ from cagemap.studio.bench import Dressed, Found, Opened, Task
 from cagemap.studio.finish import Command, FinishOptions, Runner, commands
 from cagemap.studio.landmark_files import load_landmarks, save_landmarks
 from cagemap.studio.landmarks import History, Landmark, LandmarkList, Place, Side
+from cagemap.studio.places import place_of, vertex_place
 from cagemap.studio.preview import Preview
-from cagemap.studio.scene import Scene, carried_place, mirrored, next_place, probed
-from cagemap.studio.shape import pick, place_of
+from cagemap.studio.scene import Scene, mirrored, probed, proposed
+from cagemap.studio.shape import pick
 from cagemap.studio.state import Files, Job, MapState, Output, Studio, View, with_message
 from cagemap.studio.worker import STOPPED, Failure
 from cagemap.studio.workspace import Workspace, autosave_path, read_autosave, write_autosave
@@ -77,7 +78,14 @@ class Session:
             with self._lock:
                 self._scene = None
                 self._change(
-                    files=files, history=History(), selected=None, map=MapState(), probe=None, outputs=(), saved=True
+                    files=files,
+                    history=History(),
+                    selected=None,
+                    proposal=None,
+                    map=MapState(),
+                    probe=None,
+                    outputs=(),
+                    saved=True,
                 )
                 self._preview.open(files)
 
@@ -86,17 +94,19 @@ class Session:
         with self._guarded(), self._lock:
             files, scene = self._open()
             target = files.landmarks if path is None else self.workspace.require(path)
-            save_landmarks(target, self._state.history.present.complete, scene, files)
-            self._change(files=replace(files, landmarks=target), saved=True)
-            autosave_path(files.landmarks).unlink(missing_ok=True)
-            self._say("note", f"saved {self.workspace.show(target)}")
+            written = save_landmarks(target, self._state.history.present.complete, scene, files)
+            self._say("note", f"saved {', '.join(map(self.workspace.show, written))}")
+            if written == (target,):  # a file a mesh is for other programs; the file of pairs stays the open one
+                self._change(files=replace(files, landmarks=target), saved=True)
+                autosave_path(files.landmarks).unlink(missing_ok=True)
 
-    def load(self, path: Path) -> None:
-        """Replace the landmarks by those of a file; undo brings the old ones back."""
+    def load(self, path: Path, source_points: Path | None = None) -> None:
+        """Replace the landmarks by those of a file of pairs, or of a file a mesh; undo brings the old ones back."""
         with self._guarded(), self._lock:
             files, scene = self._open()
             file = self.workspace.require(path)
-            landmarks, notes = load_landmarks(file, scene, files)
+            second = None if source_points is None else self.workspace.require(source_points)
+            landmarks, notes = load_landmarks(file, second, scene, files)
             self._edit(landmarks)
             for note in notes:
                 self._say("note", note)
@@ -139,36 +149,25 @@ class Session:
         hit = None if scene is None else pick(scene.shape(side), origin, direction)
         return None if scene is None or hit is None else place_of(scene.shape(side), hit)
 
-    def proposal(self) -> tuple[int, Side, Place] | None:
-        """Number, missing side and place that the map proposes for the landmark that waits for its other place."""
-        waiting, scene = self._state.history.present.open, self._scene
-        if waiting is None or scene is None:
-            return None
-        missing: Side = "source" if waiting.source is None else "target"
-        given = waiting.on(edit.other(missing))
-        place = None if given is None else carried_place(scene, edit.other(missing), given)
-        return None if place is None else (waiting.number, missing, place)
-
     def accept(self) -> None:
         """Complete the open landmark where the map proposes."""
         with self._guarded(), self._lock:
-            proposed = self.proposal()
-            if proposed is None:
+            proposal = self._state.proposal
+            if proposal is None:
                 raise ParameterError("expected a landmark that waits for its other place, and a map; click a model")
-            self._edit(edit.move(self._state.history.present, *proposed))
+            self._edit(edit.move(self._state.history.present, proposal.number, proposal.side, proposal.place))
 
     def next_landmark(self) -> None:
-        """Begin the landmark that would tell most; the map's proposal for its other place is accepted or corrected."""
+        """Begin the landmark that would tell most; both its places are proposed, to be accepted or corrected."""
         with self._guarded(), self._lock:
             _, scene = self._open()
-            present = self._state.history.present
-            place = next_place(scene, tuple(item.target for item in present.complete if item.target))
-            if place is None:
+            vertex = self._state.map.suggestion
+            if vertex is None:
                 raise ParameterError("next landmark: expected a map to judge; there is none yet")
-            waiting = present.open
-            if waiting is not None:
-                present = edit.remove(present, waiting.number)
-            self._edit(edit.place(present, "target", place), select=True)
+            present = self._state.history.present
+            if present.open is not None:
+                present = edit.remove(present, present.open.number)
+            self._edit(edit.place(present, "target", vertex_place(scene.target, vertex)), select=True)
 
     def move(self, number: int, side: Side, place: Place) -> None:
         """Move one end of a landmark."""
@@ -302,6 +301,7 @@ class Session:
                 self._say("error", f"{answer.kind}: {answer.message}")
             case Opened():
                 self._scene = Scene(answer.target, answer.source, answer.mirrors, answer.skins)
+                threading.Thread(target=self._scene.warm, name="studio warm-up", daemon=True).start()
                 self._change()
                 self._first_landmarks()
             case Found() if self._scene is not None:
@@ -316,8 +316,9 @@ class Session:
                     answers=answer.answers,
                     chosen=answer.chosen,
                     confidence=answer.confidence,
+                    suggestion=answer.suggestion,
                 )
-                self._change(map=found)
+                self._change(map=found, proposal=proposed(self._scene, self._state.history.present))
             case Dressed() if self._scene is not None:
                 self._scene = replace(self._scene, skins=answer.skins)
                 self._change()
@@ -328,11 +329,15 @@ class Session:
         """Landmarks of newly opened models: what a killed studio left unsaved, else what the file holds."""
         files, scene = self._open()
         kept = autosave_path(files.landmarks)
+        recovered = None
         if kept.is_file():
-            self._change(history=History(read_autosave(kept)), saved=False)
+            with self._guarded():
+                recovered = read_autosave(kept, (scene.target.n_control, scene.source.n_control))
+        if recovered is not None:
+            self._change(history=History(recovered), saved=False)
             self._say("note", f"recovered unsaved landmarks of {files.landmarks.name}")
         elif files.landmarks.is_file():
-            landmarks, notes = load_landmarks(files.landmarks, scene, files)
+            landmarks, notes = load_landmarks(files.landmarks, None, scene, files)
             self._change(history=History(landmarks), saved=True)
             for note in notes:
                 self._say("note", note)
@@ -348,7 +353,7 @@ class Session:
         before = self._state.history.present
         if history == self._state.history:
             return
-        self._change(history=history, saved=False)
+        self._change(history=history, saved=False, proposal=proposed(self._scene, history.present))
         if history.present.get(self._state.selected) is None:
             self._change(selected=None)
         if self._state.files is not None:

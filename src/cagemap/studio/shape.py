@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.geometry.triangles import triangle_areas
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.measures import fan_triangles
+from cagemap.mesh.parts import list_parts
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Refinement, level_triangles, limit_normals, limit_positions, triangles
-from cagemap.studio.landmarks import Place
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,7 +22,7 @@ class Shape:
 
     Attributes
     ----------
-    name : str
+    control : ControlMesh
     positions, normals : (n, 3) float64
         Limit positions in file units, unit normals; the first rows are the control vertices' points.
     triangles : (t, 3) int64
@@ -27,33 +31,55 @@ class Shape:
     uv_triangles : (t, 3) int64 or None
     faces : (t,) int64
         Control face of every triangle.
-    edges : (e, 2, 3) float64
-        Of the control mesh, in file units.
-    n_control : int
-    parts : tuple of str
-        Names of materials.
-    face_parts : (m,) int64 or None
-        Material of every control face.
     """
 
-    name: str
+    control: ControlMesh
     positions: FloatArray
     normals: FloatArray
     triangles: IndexArray
     uvs: FloatArray | None
     uv_triangles: IndexArray | None
     faces: IndexArray
-    edges: FloatArray
-    n_control: int
-    parts: tuple[str, ...] = ()
-    face_parts: IndexArray | None = None
 
     @property
+    def name(self) -> str:
+        """The mesh's file name."""
+        return self.control.name
+
+    @property
+    def n_control(self) -> int:
+        """Number of control vertices."""
+        return self.control.n_vertices
+
+    @cached_property
+    def parts(self) -> tuple[str, ...]:
+        """Names of objects, groups and materials, each once."""
+        return tuple(dict.fromkeys(part.name for part in list_parts(self.control) if part.kind != "component"))
+
+    @cached_property
+    def edges(self) -> FloatArray:
+        """(e, 2, 3) ends of the control mesh's edges, in file units."""
+        return np.asarray(self.control.positions[control_edges(self.control)])
+
+    @cached_property
+    def surface(self) -> TriangleSurface:
+        """The same triangles as a surface of unit area."""
+        scale = 1.0 / float(np.sqrt(triangle_areas(self.positions, self.triangles).sum()))
+        return TriangleSurface(scale * self.positions, self.triangles, scale)
+
+    @cached_property
+    def cage(self) -> TriangleSurface:
+        """Triangles of the control mesh between its vertices' points of the smooth surface, in the surface's unit."""
+        return TriangleSurface(
+            self.surface.positions[: self.n_control], fan_triangles(self.control)[0], self.surface.scale
+        )
+
+    @cached_property
     def centre(self) -> FloatArray:
         """Middle of the bounding box."""
-        return 0.5 * (self.positions.min(0) + self.positions.max(0))
+        return np.asarray(0.5 * (self.positions.min(0) + self.positions.max(0)))
 
-    @property
+    @cached_property
     def radius(self) -> float:
         """Half the diagonal of the bounding box."""
         return float(0.5 * np.linalg.norm(np.ptp(self.positions, axis=0)))
@@ -70,21 +96,16 @@ class Shape:
 def shape_of(refinement: Refinement) -> Shape:
     """Shape of a refinement's finest level."""
     level, finest = refinement.n_levels, refinement.finest
-    control = refinement.control
     split = level_triangles(refinement, level)
     per_face = len(split) // len(finest.face_parents)
     return Shape(
-        name=control.name,
+        control=refinement.control,
         positions=limit_positions(refinement, level),
         normals=limit_normals(refinement, level),
         triangles=split,
         uvs=finest.uvs,
         uv_triangles=None if finest.uv_indices is None else triangles(finest.uv_indices),
         faces=np.repeat(finest.face_parents, per_face),
-        edges=control.positions[control_edges(control)],
-        n_control=control.n_vertices,
-        parts=control.material_names,
-        face_parts=control.face_materials,
     )
 
 
@@ -112,7 +133,7 @@ class Hit:
 
 
 def pick(shape: Shape, origin: FloatArray, direction: FloatArray) -> Hit | None:
-    """First point of a shape on a ray (Moeller and Trumbore 1997, all triangles at once).
+    """First point of a shape on a ray.
 
     Parameters
     ----------
@@ -120,35 +141,57 @@ def pick(shape: Shape, origin: FloatArray, direction: FloatArray) -> Hit | None:
         In the view's coordinates.
     """
     start = shape.to_file(np.asarray(origin, dtype=np.float64))
-    ray = np.asarray(direction, dtype=np.float64)
-    a, b, c = (shape.positions[shape.triangles[:, k]] for k in range(3))
+    triangles, weights, along = line_hits(
+        shape.positions, shape.triangles, start, np.asarray(direction, dtype=np.float64)
+    )
+    ahead = np.flatnonzero(along > 0)
+    if not len(ahead):
+        return None
+    first = ahead[np.argmin(along[ahead])]
+    triangle = int(triangles[first])
+    return Hit(triangle, weights[first], weights[first] @ shape.positions[shape.triangles[triangle]])
+
+
+def line_hits(
+    positions: FloatArray, triangles: IndexArray, start: FloatArray, line: FloatArray
+) -> tuple[IndexArray, FloatArray, FloatArray]:
+    """Where a line meets triangles (Moeller and Trumbore 1997, all triangles around the line at once).
+
+    Returns
+    -------
+    triangle : (h,) int64
+    barycentric : (h, 3) float64
+    along : (h,) float64
+        From the start, in lengths of ``line``.
+    """
+    near = _around(positions, triangles, start, line)
+    a, b, c = (positions[triangles[near, k]] for k in range(3))
     ab, ac = b - a, c - a
-    across = np.cross(ray, ac)
+    across = np.cross(line, ac)
     determinant = np.einsum("td,td->t", ab, across)
     with np.errstate(divide="ignore", invalid="ignore"):
         offset = start - a
         u = np.einsum("td,td->t", offset, across) / determinant
         turned = np.cross(offset, ab)
-        v = turned @ ray / determinant
-        distance = np.einsum("td,td->t", ac, turned) / determinant
-        inside = (u >= 0) & (v >= 0) & (u + v <= 1) & (distance > 0)
-    if not inside.any():
-        return None
-    hits = np.flatnonzero(inside)
-    first = int(hits[np.argmin(distance[hits])])
-    weights = np.array([1 - u[first] - v[first], u[first], v[first]])
-    return Hit(first, weights, weights @ shape.positions[shape.triangles[first]])
+        v = turned @ line / determinant
+        along = np.einsum("td,td->t", ac, turned) / determinant
+        inside = (u >= 0) & (v >= 0) & (u + v <= 1) & np.isfinite(along)
+    weights = np.column_stack([1 - u - v, u, v])
+    return near[inside], weights[inside], along[inside]
 
 
-def place_of(shape: Shape, hit: Hit) -> Place:
-    """Place of a hit: the point of the nearest control vertex, which is what landmark files hold."""
-    return vertex_place(shape, nearest_vertex(shape, hit.position, shape.n_control))
+def _around(positions: FloatArray, triangles: IndexArray, start: FloatArray, line: FloatArray) -> IndexArray:
+    """Triangles that a line may meet: seen along it, corners lie on both sides of it, right and left, up and down.
 
-
-def vertex_place(shape: Shape, vertex: int) -> Place:
-    """Place of a control vertex: its point of the smooth surface."""
-    x, y, z = shape.positions[vertex].tolist()
-    return Place((x, y, z), vertex)
+    Leaves a few of a million triangles for the exact test.
+    """
+    one = np.cross(line, np.eye(3)[np.argmin(np.abs(line))])
+    plane = np.column_stack([one, np.cross(line, one)])
+    seen = (positions - start) @ plane
+    slack = 1e-9 * np.abs(seen).max(axis=0, initial=0.0)
+    sides = ((seen >= -slack) @ np.array([1, 2]) + (seen <= slack) @ np.array([4, 8])).astype(np.uint8)
+    a, b, c = (sides[triangles[:, k]] for k in range(3))
+    return np.flatnonzero((a | b | c) == 15)
 
 
 def nearest_vertex(shape: Shape, position: FloatArray, count: int | None = None) -> int:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from cagemap.studio.landmarks import History
+from cagemap.studio.landmarks import History, Proposal
 
 Mode = Literal["texture", "colours", "checker", "plain"]
 MODES: tuple[Mode, ...] = ("texture", "colours", "checker", "plain")
@@ -82,6 +82,8 @@ class MapState:
         Warnings of the map.
     seconds : float
         What the last map took.
+    suggestion : int or None
+        Control vertex of the target at which one more landmark would tell most.
     """
 
     revision: int = 0
@@ -92,6 +94,7 @@ class MapState:
     contradictions: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
+    suggestion: int | None = None
 
 
 @dataclass(frozen=True)
@@ -166,6 +169,8 @@ class Studio:
     history : History
     selected : int or None
         Number of the selected landmark.
+    proposal : Proposal or None
+        What the map proposes for the landmark that waits for its other place.
     view : View
     map : MapState
     preview_job, finish_job : Job or None
@@ -180,6 +185,7 @@ class Studio:
     files: Files | None = None
     history: History = field(default_factory=History)
     selected: int | None = None
+    proposal: Proposal | None = None
     view: View = View()
     map: MapState = MapState()
     preview_job: Job | None = None

@@ -16,7 +16,7 @@ from cagemap.studio.landmarks import Landmark, LandmarkList, Place
 
 MESHES = (".obj", ".ply")
 IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
-LANDMARKS = (".json",)
+LANDMARKS = (".json", ".pp", ".fcsv", ".csv", ".txt")
 # What may be added through the page.
 ADDED = (*MESHES, ".mtl", *IMAGES, *LANDMARKS)
 _AUTOSAVE = "cagemap-studio-autosave"
@@ -110,36 +110,52 @@ def write_autosave(path: Path, landmarks: LandmarkList) -> None:
         )
 
 
-def read_autosave(path: Path) -> LandmarkList:
-    """Read kept landmarks.
+def read_autosave(path: Path, vertices: tuple[int, int]) -> LandmarkList:
+    """Read kept landmarks; a file that cannot be used is moved aside, so that the next autosave does not replace it.
+
+    Parameters
+    ----------
+    vertices : (int, int)
+        Control vertices of target and source.
 
     Raises
     ------
     FormatError
-        If the file is not one of ours or is damaged.
+        If the file is not one of ours, is damaged, or was made for other models.
     """
     try:
         data = json.loads(read_text(path, "an autosave of the studio"))
         if data["format"] != _AUTOSAVE:
             raise KeyError("format")
         items = tuple(
-            Landmark(int(entry["number"]), str(entry["name"]), _place(entry["target"]), _place(entry["source"]))
+            Landmark(
+                int(entry["number"]),
+                str(entry["name"]),
+                _place(entry["target"], vertices[0]),
+                _place(entry["source"], vertices[1]),
+            )
             for entry in data["items"]
         )
     except (ValueError, KeyError, TypeError) as error:
+        aside = next(name for k in itertools.count(1) if not (name := path.with_name(f"{path.name}.{k}")).exists())
+        path.rename(aside)
         raise FormatError(
-            f"{path}: expected an autosave of the studio, found something else ({error!r}). Move it away."
+            f"{path}: expected an autosave of the studio for these models, found something else ({error!r}). "
+            f"It was moved to {aside.name}."
         ) from None
     return LandmarkList(items)
 
 
 def _entry(place: Place | None) -> dict[str, Any] | None:
-    return None if place is None else {"position": place.position, "vertex": place.vertex}
+    return None if place is None else {"position": place.position, "corners": place.corners, "weights": place.weights}
 
 
-def _place(entry: Any) -> Place | None:
+def _place(entry: Any, vertices: int) -> Place | None:
     if entry is None:
         return None
     x, y, z = map(float, entry["position"])
-    vertex = entry["vertex"]
-    return Place((x, y, z), None if vertex is None else int(vertex))
+    a, b, c = map(int, entry["corners"])
+    u, v, w = map(float, entry["weights"])
+    if not 0 <= min(a, b, c) <= max(a, b, c) < vertices:
+        raise ValueError(f"control vertices {a}, {b}, {c} of a model that has {vertices}")
+    return Place((x, y, z), (a, b, c), (u, v, w))

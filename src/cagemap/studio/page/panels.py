@@ -173,7 +173,7 @@ class WorkPanel:
         _set(self._undo, "disabled", not state.history.past)
         _set(self._redo, "disabled", not state.history.future)
         _set(self._next, "disabled", state.map.revision == 0)
-        _set(self._accept, "disabled", self._session.proposal() is None)
+        _set(self._accept, "disabled", state.proposal is None)
         if state.files is not None and not self._file.value:
             _set(self._file, "value", self._session.workspace.show(state.files.landmarks))
         _set(self._map, "content", map_text(state))

@@ -11,7 +11,7 @@ import numpy as np
 import viser
 
 from cagemap.numerics.arrays import FloatArray
-from cagemap.studio.landmarks import Place, Side
+from cagemap.studio.landmarks import Side
 from cagemap.studio.page.colors import Color, landmark_color
 from cagemap.studio.scene import Scene
 from cagemap.studio.session import Session
@@ -49,13 +49,14 @@ class Marker:
     solid: bool
 
 
-def markers_of(state: Studio, shape: Shape, side: Side, proposed: tuple[int, Side, Place] | None) -> dict[int, Marker]:
+def markers_of(state: Studio, shape: Shape, side: Side) -> dict[int, Marker]:
     """Markers of one model: every landmark that has a place there, and what the map proposes for the open one."""
     made = {}
+    proposal = state.proposal
     for item in state.history.present.items:
         place, solid = item.on(side), True
-        if place is None and proposed is not None and proposed[:2] == (item.number, side):
-            place, solid = proposed[2], False
+        if place is None and proposal is not None and (proposal.number, proposal.side) == (item.number, side):
+            place, solid = proposal.place, False
         if place is None:
             continue
         wrong = item.name in state.map.contradictions
@@ -110,7 +111,7 @@ class ModelView:
                 self._show_cage(shape)
             self._show_skin(scene.skins[0 if self.side == "target" else 1])
             self._cage.visible = state.view.cages
-            self._show_markers(markers_of(state, shape, self.side, self._session.proposal()))
+            self._show_markers(markers_of(state, shape, self.side))
             self._show_probe(state.probe, shape)
 
     def _show_probe(self, probe: Probe | None, shape: Shape) -> None:
