@@ -17,6 +17,7 @@ from cagemap.basis.prepare import prepare_surface as prepare_surface
 from cagemap.basis.prepare import prepare_surfaces as prepare_surfaces
 from cagemap.basis.prepare import silent as silent
 from cagemap.errors import InvalidLandmarksError, ParameterError
+from cagemap.maps.curves import CurveMiss, curve_miss, curve_pairs
 from cagemap.maps.elastic.config import ElasticConfig
 from cagemap.maps.elastic.method import elastic_map, functional_map_of, updated_map
 from cagemap.maps.elastic.prepared import PreparedPair
@@ -136,6 +137,12 @@ class MatchResult:
         """The landmarks that the map meets."""
         return self.landmark_check.trusted(self.landmarks)
 
+    @property
+    def curve_misses(self) -> tuple[CurveMiss, ...]:
+        """How far the map leads each of the curves from the one that it belongs to."""
+        pairs = curve_pairs(self.target, self.source, self.landmarks.curves)
+        return tuple(curve_miss(pair, self.point_map) for pair in pairs)
+
 
 def prepare_pair(target: Surface, source: Surface, config: MatchConfig = MatchConfig()) -> PreparedPair:
     """All of an elastic match that no landmark changes: keep it, and further landmarks cost only what they must.
@@ -170,7 +177,7 @@ def match(
     source : Surface
         M2, the surface that gives.
     landmarks : Landmarks, optional
-        Control vertices that correspond.
+        Points, and curves, that correspond.
     config : MatchConfig
     progress : callable
         Called with the name of each stage.

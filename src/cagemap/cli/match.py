@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.basis import BasisConfig
+from cagemap.cli.given_landmarks import read_given_landmarks
 from cagemap.cli.job_file import note_match
 from cagemap.cli.masks import GivenMasks, MaskOptions, mask_files, masks_on, read_masks
 from cagemap.cli.match_parts import PartInputs, chosen_parts
@@ -22,8 +23,6 @@ from cagemap.cli.progress import Stages
 from cagemap.cli.subdivision import SubdivisionRequest
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import require_no_input
-from cagemap.files.landmark_points import read_points
-from cagemap.files.landmarks import read_landmarks
 from cagemap.files.merged import merge_results
 from cagemap.files.meshes import read_mesh
 from cagemap.files.result import (
@@ -41,7 +40,7 @@ from cagemap.files.result import (
 from cagemap.files.surface_store import prepared
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
-from cagemap.mesh.landmarks import Landmarks, check_landmarks, paired
+from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.pipeline import (
     MAP_BASIS,
     MatchConfig,
@@ -88,6 +87,7 @@ class MatchRequest:
     trust_landmarks: bool = False
     target_points: Path | None = None
     source_points: Path | None = None
+    curves: Path | None = None
     scheme: str | None = None
     boundary: str | None = None
     uv_interpolation: str | None = None
@@ -141,6 +141,7 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
         "landmarks": request.landmarks,
         "target_points": request.target_points,
         "source_points": request.source_points,
+        "curves": request.curves,
     }
     files.update({name: path for name, path in given.items() if path is not None})
     for side, symmetries in (("target", request.target_symmetry), ("source", request.source_symmetry)):
@@ -312,26 +313,6 @@ def match_inputs(
     return merge_results(results, {"parts": [{"target_faces": t, "source_faces": s} for t, s in faces]})
 
 
-def read_given_landmarks(
-    request: MatchRequest, target: ControlMesh, source: ControlMesh
-) -> tuple[Landmarks, tuple[str, ...]]:
-    """Landmarks of a pair file, or of a file for each mesh, or none; and notes."""
-    points = request.target_points, request.source_points
-    if points[0] is not None and points[1] is not None and request.landmarks is None:
-        return paired(read_points(points[0], target), read_points(points[1], source), target, source)
-    if points != (None, None):
-        raise ParameterError(
-            "--target-points and --source-points: expected both, and no --landmarks beside them; landmarks are pairs "
-            "of points of the same name, or come from one file of pairs."
-        )
-    if request.landmarks is None:
-        return Landmarks.none(), ()
-    if request.exchange_landmarks:
-        exchanged, notes = read_landmarks(request.landmarks, request.source, request.target)
-        return exchanged.reversed(), notes
-    return read_landmarks(request.landmarks, request.target, request.source)
-
-
 def match_meshes(
     inputs: Inputs,
     bases: tuple[BasisConfig, BasisConfig],
@@ -388,6 +369,11 @@ def landmark_summary(result: Result) -> str:
     if left_out:
         missed = ", ".join(f"{100 * result.landmark_errors[pair]:.0f} %" for pair in left_out)
         parts.append(f"{len(left_out)} left out, which the map misses by {missed}")
+    curves = result.manifest.get("curves") or []
+    if curves:
+        miss, most = (100 * np.array([curve[key] for curve in curves]) for key in ("mean", "worst"))
+        counted = f"{len(curves)} curves" if len(curves) > 1 else "1 curve"
+        parts.append(f"{counted} missed by {miss.mean():.2f} % (at most {most.max():.2f} %)")
     return "; ".join(parts) or "no landmarks"
 
 

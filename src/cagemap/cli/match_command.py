@@ -131,6 +131,14 @@ def match(
         Path | None,
         typer.Option("--source-points", help="The source's points; equal names are landmarks.", show_default=False),
     ] = None,
+    curves: Annotated[
+        Path | None,
+        typer.Option(
+            "--curves",
+            help="JSON file of curves that correspond (eyelids, lips, hems), as chains or loops of control vertices.",
+            show_default=False,
+        ),
+    ] = None,
     scheme: SchemeOption = None,
     boundary: BoundaryOption = None,
     uv_interpolation: UvOption = None,
@@ -225,6 +233,7 @@ def match(
         trust_landmarks=trust_landmarks,
         target_points=target_points,
         source_points=source_points,
+        curves=curves,
         scheme=scheme,
         boundary=boundary,
         uv_interpolation=uv_interpolation,

@@ -60,6 +60,9 @@ def chosen_parts(
     left = len(landmarks) - len(inputs.landmarks)
     if left:
         notes.append(f"{left} of {len(landmarks)} landmarks lie on other parts and are left out")
+    left = len(landmarks.curves) - len(inputs.landmarks.curves)
+    if left:
+        notes.append(f"{left} of {len(landmarks.curves)} curves lie on other parts and are left out")
     return (inputs,), tuple(notes)
 
 
@@ -88,15 +91,18 @@ def _titled(part: Part) -> str:
 def _inputs(
     target: ControlMesh, source: ControlMesh, landmarks: Landmarks, target_part: Part | None, source_part: Part | None
 ) -> PartInputs:
-    meshes, corners = [], []
-    for mesh, part, points in (
-        (target, target_part, landmarks.target_points),
-        (source, source_part, landmarks.source_points),
+    meshes: list[ControlMesh] = []
+    corners: list[IndexArray] = []
+    curve_corners: list[IndexArray] = []
+    for mesh, part, points, curves in (
+        (target, target_part, landmarks.target_points, landmarks.curves.target),
+        (source, source_part, landmarks.source_points, landmarks.curves.source),
     ):
         whole = part is None or len(part.faces) == mesh.n_faces
         taken = mesh if part is None or whole else extract(mesh, part.faces)
         meshes.append(taken)
-        corners.append(points.corners if whole else _renumbered(taken, mesh, points.corners))
+        for found, numbers in ((corners, points.corners), (curve_corners, curves.points.corners)):
+            found.append(numbers if whole else _renumbered(taken, mesh, numbers))
     inside = np.flatnonzero(np.all([numbers >= 0 for numbers in corners], axis=(0, 2)))
     points_inside = [
         CagePoints(numbers[inside], points.weights[inside])
@@ -109,6 +115,7 @@ def _inputs(
         source=points_inside[1].vertices,
         target_points=points_inside[0],
         source_points=points_inside[1],
+        curves=landmarks.curves.renumbered(*curve_corners),
     )
     return PartInputs(meshes[0], meshes[1], kept)
 

@@ -1,4 +1,4 @@
-"""Points of one mesh, by name, as people keep them: our own JSON, MeshLab, 3D Slicer, Wrap, CSV.
+"""Points and curves of one mesh, by name, as people keep them: our own JSON, MeshLab, 3D Slicer, Wrap, CSV.
 
 A file per mesh instead of one per pair: N meshes need N files, and any two of them are matched by the names they share.
 """
@@ -18,16 +18,18 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
+from cagemap.files.curves import MESH_FORM, curve_through, mesh_curves, mesh_entries
 from cagemap.files.marks import mark
 from cagemap.files.text import read_text
+from cagemap.mesh.cage_points import NamedCurve, NamedPoints
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.landmarks import NamedPoints
 from cagemap.mesh.measures import fan_triangles
 
 Named = list[tuple[str, int, tuple[float, float, float] | None]]
 
 FORMS = (
-    '{"mesh": "a.obj", "points": [{"name": "nose", "vertex": 3}, {"name": "chin", "position": [x, y, z]}, ...]}, '
+    '{"mesh": "a.obj", "points": [{"name": "nose", "vertex": 3}, {"name": "chin", "position": [x, y, z]}, ...], '
+    f'"curves": [{MESH_FORM}, ...]}}, '
     "MeshLab .pp, 3D Slicer .mrk.json or .fcsv, Wrap's [[triangle, u, v], ...], or .csv with columns name, x, y, z or "
     "name, vertex"
 )
@@ -77,10 +79,12 @@ def write_points(path: str | Path, points: NamedPoints, mesh: ControlMesh, *, fo
     Raises
     ------
     FormatError
-        If the file cannot be written.
+        If the file cannot be written, or MeshLab's form is asked for curves, which it does not have.
     """
     entries = zip(points.names, points.vertices.tolist(), points.positions.tolist(), strict=True)
     if str(path).lower().endswith(".pp"):
+        if points.curves:
+            raise FormatError(f"{path}: expected points alone, got curves, which MeshLab's form has not. Write .json.")
         places = mesh.positions[np.maximum(points.vertices, 0)]
         places = np.where(points.vertices[:, None] >= 0, places, points.positions)
         lines = [
@@ -95,20 +99,22 @@ def write_points(path: str | Path, points: NamedPoints, mesh: ControlMesh, *, fo
             for name, vertex, at in entries
         ]
         listed = ",\n  ".join(shown)
-        text = (
-            f'{{"written_by": "{mark()}",\n "mesh": {json.dumps(points.mesh_name)},\n "points": [\n  {listed}\n ]}}\n'
-        )
+        entered = ",\n  ".join(mesh_entries(points.curves))
+        curves = f',\n "curves": [\n  {entered}\n ]' if entered else ""
+        head = f'{{"written_by": "{mark()}",\n "mesh": {json.dumps(points.mesh_name)},'
+        text = f'{head}\n "points": [\n  {listed}\n ]{curves}}}\n'
     with atomic_path(path, force=force) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
-def _points(found: Named, mesh_name: str) -> NamedPoints:
+def _points(found: Named, mesh_name: str, curves: tuple[NamedCurve, ...] = ()) -> NamedPoints:
     unknown = (math.nan,) * 3
     return NamedPoints(
         tuple(name for name, _, _ in found),
         np.array([vertex for _, vertex, _ in found], dtype=np.int64),
         np.array([unknown if at is None else at for _, _, at in found], dtype=np.float64).reshape(-1, 3),
         mesh_name,
+        curves,
     )
 
 
@@ -122,10 +128,10 @@ def _json(path: Path, text: str, mesh: ControlMesh | None) -> NamedPoints:
     if isinstance(data, list):
         return _points(_wrap(path, data, mesh), mesh.name if mesh is not None else "")
     if isinstance(data, dict) and isinstance(data.get("markups"), list):
-        return _points(_markups(path, data["markups"]), "")
-    if isinstance(data, dict) and isinstance(data.get("points"), list):
-        found = [_own(path, number, item) for number, item in enumerate(data["points"])]
-        return _points(found, str(data.get("mesh", "")))
+        return _markups(path, data["markups"])
+    if isinstance(data, dict) and isinstance(data.get("points", data.get("curves")), list):
+        found = [_own(path, number, item) for number, item in enumerate(data.get("points", []))]
+        return _points(found, str(data.get("mesh", "")), mesh_curves(path, data.get("curves", [])))
     raise FormatError(f"{path}: expected landmark points, got other JSON. Known are {FORMS}.")
 
 
@@ -160,17 +166,28 @@ def _wrap(path: Path, data: list[Any], mesh: ControlMesh | None) -> Named:
     return found
 
 
-def _markups(path: Path, markups: list[Any]) -> Named:
-    """3D Slicer's control points; LPS is the space of the mesh files it reads, RAS has x and y the other way."""
-    found: Named = []
+def _markups(path: Path, markups: list[Any]) -> NamedPoints:
+    """3D Slicer's control points; LPS is the space of the mesh files it reads, RAS has x and y the other way.
+
+    The points of a curve, open or closed, are its control points, not places of their own.
+    """
+    every: Named = []
+    curves: list[NamedCurve] = []
     for markup in markups:
         turned = str(markup.get("coordinateSystem", "LPS")).upper() == "RAS"
+        found: Named = []
         for number, point in enumerate(markup.get("controlPoints", [])):
             if point.get("positionStatus", "defined") != "defined":
                 continue
             name = str(point.get("label") or point.get("id") or f"point {number}")
             found.append((name, -1, _in_lps(_place(path, name, point.get("position")), turned)))
-    return found
+        kind = str(markup.get("type", ""))
+        if kind in ("Curve", "ClosedCurve"):
+            title = str(markup.get("name") or path.name.partition(".")[0])
+            curves.append(curve_through(path, title, [place for _, _, place in found], kind == "ClosedCurve"))
+        else:
+            every += found
+    return _points(every, "", tuple(curves))
 
 
 def _fiducials(path: Path, text: str) -> Named:

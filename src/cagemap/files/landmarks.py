@@ -1,8 +1,9 @@
-"""Landmark files: JSON with the names of the two meshes and pairs of 0-based control vertices, or of points between."""
+"""Landmark files: JSON with two meshes' names, pairs of 0-based control vertices or points between, and of curves."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from cagemap.errors import DirectionError, FormatError
 from cagemap.files.atomic import atomic_path
+from cagemap.files.curves import pair_curves, pair_entries
 from cagemap.files.marks import mark
 from cagemap.files.text import read_text
 from cagemap.mesh.landmarks import CagePoints, Landmarks
@@ -51,7 +53,7 @@ def read_landmarks(path: str | Path, target: str | Path, source: str | Path) -> 
     """
     file = Path(path)
     data = _parse(file, read_text(file, "a landmark file"))
-    pairs = [_pair(file, number, item) for number, item in enumerate(data["pairs"])]
+    pairs = [_pair(file, number, item) for number, item in enumerate(data.get("pairs", []))]
     landmarks = Landmarks.of_points(
         tuple(name for name, _, _ in pairs),
         _points([target for _, target, _ in pairs]),
@@ -59,6 +61,7 @@ def read_landmarks(path: str | Path, target: str | Path, source: str | Path) -> 
         _mesh_name(file, data, "target"),
         _mesh_name(file, data, "source"),
     )
+    landmarks = replace(landmarks, curves=pair_curves(file, data.get("curves", [])))
     return landmarks, _compare_names(file, landmarks, str(target), str(source))
 
 
@@ -75,10 +78,12 @@ def write_landmarks(path: str | Path, landmarks: Landmarks, *, force: bool = Fal
         json.dumps({"name": name, "source": source, "target": target}, ensure_ascii=False)
         for name, source, target in ends
     ]
+    listed = ",\n  ".join(pair_entries(path, landmarks.curves))
+    curves = f',\n "curves": [\n  {listed}\n ]' if listed else ""
     names = f'"source": {json.dumps(landmarks.source_name)}, "target": {json.dumps(landmarks.target_name)}'
     with atomic_path(path, force=force) as temporary:
         temporary.write_text(
-            f'{{"written_by": "{mark()}",\n {names},\n "pairs": [\n  ' + ",\n  ".join(pairs) + "\n ]}\n",
+            f'{{"written_by": "{mark()}",\n {names},\n "pairs": [\n  ' + ",\n  ".join(pairs) + f"\n ]{curves}}}\n",
             encoding="utf-8",
         )
 
@@ -92,6 +97,8 @@ def _parse(path: Path, text: str) -> dict[str, Any]:
         ) from None
     except (ValueError, RecursionError):
         raise FormatError(f"{path}: expected a landmark file, got JSON that cannot be. The form is {_FORM}.") from None
+    if isinstance(data, dict) and "pairs" not in data and isinstance(data.get("curves"), list):
+        return data
     if not isinstance(data, dict) or not isinstance(data.get("pairs"), list):
         raise FormatError(f"{path}: expected an object with a list 'pairs', found none. The form is {_FORM}.")
     return data

@@ -17,6 +17,7 @@ from cagemap.maps.pair import PointPairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import measure_quality
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.curves import Curves
 from cagemap.mesh.join import join_meshes
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Loop, refine, triangles
@@ -79,14 +80,27 @@ def merge_results(parts: Sequence[Result], manifest: dict[str, Any]) -> Result:
         trust=trust,
         landmark_errors=np.concatenate([part.landmark_errors for part in parts]),
         landmark_names=names,
+        curves=_merged_curves(parts),
         manifest=parts[0].manifest
         | {
             "quality": quality.summary(),
             "landmark_check": _landmark_checks(parts),
             "confidence": _least_confidence(parts),
+            "curves": [entry for part in parts for entry in part.manifest.get("curves") or []],
         }
         | manifest,
     )
+
+
+def _merged_curves(parts: Sequence[Result]) -> Curves:
+    """The curves of all parts, in the numbers of all."""
+    every, starts = Curves.none(), [0, 0]
+    for part in parts:
+        sides = part.curves.target, part.curves.source
+        moved = [side.points.corners + start for side, start in zip(sides, starts, strict=True)]
+        every = every.beside(part.curves.renumbered(*moved))
+        starts = [starts[0] + part.target.control.n_vertices, starts[1] + part.source.control.n_vertices]
+    return every
 
 
 def _least_confidence(parts: Sequence[Result]) -> dict[str, Any] | None:

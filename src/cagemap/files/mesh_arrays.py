@@ -14,6 +14,7 @@ from cagemap.errors import FormatError, InvalidMeshError
 from cagemap.files.forms import Form, check_arrays, check_offsets
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
+from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.mesh.schemes import SCHEMES, Scheme
 
@@ -116,6 +117,57 @@ def points_from_arrays(path: Path, arrays: Mapping[str, Any], prefix: str, remed
     if corners is None or weights is None or np.any(weights < -1e-6) or np.any(abs(weights.sum(axis=1) - 1) > 1e-6):
         raise FormatError(f"{path}: {prefix}corners and {prefix}weights are not points of the mesh. {remedy}")
     return CagePoints(corners, weights)
+
+
+def curves_to_arrays(curves: Curves) -> dict[str, Any]:
+    """Arrays of curves; none where there are none."""
+    arrays: dict[str, Any] = {}
+    for side, lines in (("target", curves.target), ("source", curves.source)) if len(curves) else ():
+        parts = {"corners": lines.points.corners, "weights": lines.points.weights, "starts": lines.starts}
+        parts["closed"] = lines.closed.astype(np.int64)
+        arrays |= {f"{side}_curve_{name}": array for name, array in parts.items()}
+    return arrays
+
+
+def curves_from_arrays(
+    path: Path, arrays: Mapping[str, Any], names: Sequence[str], vertices: tuple[int, int], remedy: str
+) -> Curves:
+    """Undo `curves_to_arrays`.
+
+    Parameters
+    ----------
+    path : path
+    arrays : mapping of str to array
+    names : sequence of str
+        Of the curves.
+    vertices : (int, int)
+        Number of control vertices of target and source.
+    remedy : str
+
+    Raises
+    ------
+    FormatError
+        If arrays are missing, of another form, or are no curves of the meshes; says ``remedy``.
+    """
+    if not names:
+        return Curves.none()
+    sides = []
+    for side, count in zip(("target", "source"), vertices, strict=True):
+        prefix = f"{side}_curve_"
+        forms = {
+            f"{prefix}corners": Form(("p", 3), below="c"),
+            f"{prefix}weights": Form(("p", 3)),
+            f"{prefix}starts": Form(("q+1",), below="p+1"),
+            f"{prefix}closed": Form(("q",), below="two"),
+        }
+        found = check_arrays(path, arrays, forms, {"c": count, "q": len(names), "two": 2}, remedy)
+        points = points_from_arrays(path, found, prefix, remedy)
+        starts = found[f"{prefix}starts"]
+        check_offsets(path, f"{prefix}starts", starts, len(found[f"{prefix}corners"]), remedy)
+        if points is None or np.any(np.diff(starts) < 2):
+            raise FormatError(f"{path}: {prefix}starts leave curves of fewer than two points. {remedy}")
+        sides.append(CageCurves(points, starts, found[f"{prefix}closed"] == 1))
+    return Curves(tuple(names), sides[0], sides[1])
 
 
 def scheme_to_entry(scheme: Scheme) -> dict[str, Any]:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
 import platform
 import sys
@@ -27,13 +26,15 @@ from cagemap.files.mesh_arrays import (
     CONTROL_ARRAYS,
     control_from_arrays,
     control_to_arrays,
+    curves_from_arrays,
+    curves_to_arrays,
     points_from_arrays,
     scheme_from_entry,
     scheme_to_entry,
 )
 from cagemap.files.npz import read_npz, write_npz
 from cagemap.files.result_values import Result, Side, landmark_messages, result_of
-from cagemap.files.schema import ResultRecord, SideRecord, checked_record, parse_json
+from cagemap.files.schema import ResultRecord, SideRecord, checked_record, parse_json, to_json
 from cagemap.files.text import read_text
 from cagemap.mesh import ControlMesh
 from cagemap.refinement import Scheme, triangles
@@ -169,12 +170,13 @@ def write_result(folder: str | Path, result: Result | MatchResult, *, force: boo
         if side.mask is not None:
             arrays[f"{prefix}_mask"] = side.mask
         arrays |= control_to_arrays(side.control, f"{prefix}_control_")
+    arrays |= curves_to_arrays(result.curves)
     with atomic_folder(folder, (ARRAYS, MANIFEST), force=force, owned=_is_own) as temporary:
         write_npz(temporary / ARRAYS, arrays)
         seal(temporary / ARRAYS)
         manifest = _manifest(result) | {"files": {ARRAYS: stated_checksum(temporary / ARRAYS)}}
         # The manifest comes last: a folder with one is complete, whoever copies it.
-        (temporary / MANIFEST).write_text(_to_json(manifest), encoding="utf-8")
+        (temporary / MANIFEST).write_text(to_json(manifest), encoding="utf-8")
 
 
 def check_result_folder(folder: str | Path, *, force: bool = False) -> None:
@@ -209,10 +211,10 @@ def note_transfer(folder: str | Path, entry: dict[str, Any]) -> None:
     manifest = read_manifest(root)
     record = checked_record(ResultRecord, manifest, root / MANIFEST, _REMEDY)
     kept = [other.model_dump(exclude_unset=True) for other in record.transfers if other.output != entry.get("output")]
-    manifest["transfers"] = [*kept, _plain(entry)]
+    manifest["transfers"] = [*kept, entry]
     manifest["written_by"] = mark()
     with atomic_path(root / MANIFEST, force=True) as temporary:
-        temporary.write_text(_to_json(manifest), encoding="utf-8")
+        temporary.write_text(to_json(manifest), encoding="utf-8")
 
 
 def read_result(folder: str | Path) -> Result:
@@ -236,7 +238,10 @@ def read_result(folder: str | Path) -> Result:
     )
     sizes["t2"] = len(triangles(source.faces))
     arrays = check_arrays(root / ARRAYS, stored, _FORMS, sizes, _REMEDY)
-    result = Result(target, source, **arrays, landmark_names=tuple(record.landmark_names), manifest=manifest)
+    names, counts = [curve.name for curve in record.curves], (target.control.n_vertices, source.control.n_vertices)
+    curves = curves_from_arrays(root / ARRAYS, stored, names, counts, _REMEDY)
+    named = tuple(record.landmark_names)
+    result = Result(target, source, **arrays, landmark_names=named, curves=curves, manifest=manifest)
     _check_parts(root, result, record)
     return result
 
@@ -249,7 +254,7 @@ def result_record(result: Result) -> ResultRecord:
     FormatError
         If something in it is of another type.
     """
-    return checked_record(ResultRecord, json.loads(_to_json(_manifest(result))), Path(MANIFEST), _REMEDY)
+    return checked_record(ResultRecord, json.loads(to_json(_manifest(result))), Path(MANIFEST), _REMEDY)
 
 
 def _read_side(root: Path, prefix: str, entry: SideRecord, stored: dict[str, Any], sizes: dict[str, int]) -> Side:
@@ -342,25 +347,6 @@ def _library_versions() -> dict[str, str]:
         except metadata.PackageNotFoundError:
             continue
     return versions
-
-
-def _to_json(manifest: dict[str, Any]) -> str:
-    return json.dumps(_plain(manifest), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def _plain(value: Any) -> Any:
-    """Numbers, strings, lists and dicts that JSON knows; what is not finite becomes null."""
-    if isinstance(value, dict):
-        return {str(key): _plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, str):  # file names that are no UTF-8 hold lone surrogates
-        return value.encode("utf-8", "backslashreplace").decode()
-    return value if isinstance(value, int | float | bool | None) else _plain(str(value))
 
 
 def read_manifest(root: Path) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.curves import Curves
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Refinement, Scheme, refine, triangles
@@ -82,6 +83,8 @@ class Result:
     runner_up_images : (r, n_0, 3) float64
         Where the r other answers of a match without landmarks put the target's control vertices, about, in the source
         file's units; the manifest's ``confidence`` names them.
+    curves : Curves
+        Lines that correspond; the manifest's ``curves`` says how far the map leads one from the other.
     manifest : dict
         What ``manifest.json`` holds: versions, parameters, input hashes, timings in seconds, quality figures.
     """
@@ -96,6 +99,7 @@ class Result:
     landmark_errors: FloatArray
     landmark_names: tuple[str, ...] = ()
     runner_up_images: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 3)))
+    curves: Curves = field(default_factory=Curves.none)
     manifest: dict[str, Any] = field(default_factory=dict)
 
     @cached_property
@@ -156,10 +160,12 @@ def result_of(match: MatchResult, manifest: dict[str, Any] | None = None) -> Res
         landmark_errors=errors,
         landmark_names=match.landmarks.names,
         runner_up_images=_runner_up_images(match),
+        curves=match.landmarks.curves,
         manifest={
             "quality": quality.summary(),
             "landmark_check": match.landmark_check.summary(),
             "confidence": None if match.confidence is None else match.confidence.summary(),
+            "curves": [asdict(miss) for miss in match.curve_misses],
             "timings": dict(match.timings),
         }
         | (manifest or {}),
@@ -174,9 +180,19 @@ def _runner_up_images(match: MatchResult) -> FloatArray:
     return np.array([other.positions[:count] / scale for other in others]).reshape(len(others), count, 3)
 
 
+# Mean distance, of sqrt(area), from which a curve counts as missed.
+_CURVE_MISSED = 0.005
+
+
 def landmark_messages(manifest: dict[str, Any]) -> list[str]:
-    """Sentences of a manifest about landmarks: how sure a map without them is, pairs left out, and other notes."""
+    """Sentences of a manifest about landmarks: how sure a map without them is, what is left out or missed, notes."""
     check, confidence = manifest.get("landmark_check") or {}, manifest.get("confidence") or {}
     sure = [str(confidence["message"])] if "message" in confidence else []
     left_out = [str(suspect["message"]) for suspect in check.get("suspects", [])]
-    return sure + left_out + list(map(str, check.get("notes", [])))
+    missed = [
+        f"curve '{curve['name']}' is missed by {100 * curve['mean']:.1f} % of the model's size (at most "
+        f"{100 * curve['worst']:.0f} %): it contradicts other landmarks or the shapes; look at it in the report"
+        for curve in manifest.get("curves") or []
+        if curve["mean"] > _CURVE_MISSED
+    ]
+    return sure + left_out + missed + list(map(str, check.get("notes", [])))

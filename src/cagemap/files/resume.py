@@ -51,6 +51,7 @@ def resume(
         result.source.control.name,
         places[0],
         places[1],
+        result.curves,
     )
     record = result_record(result)
     check = _stored_check(record)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cagemap.errors import FormatError
@@ -76,6 +78,14 @@ class TransferRecord(Record):
     tiles: list[int] = [0]
 
 
+class CurveRecord(Record):
+    """A pair of curves, and how far the map leads one from the other."""
+
+    name: str
+    mean: float
+    worst: float
+
+
 class QualityRecord(Record):
     """Figures of a map; those that a page shows are looked up by name."""
 
@@ -100,6 +110,7 @@ class ResultRecord(Record):
     quality: QualityRecord | None = None
     landmark_check: LandmarkCheckRecord | None = None
     confidence: ConfidenceRecord | None = None
+    curves: list[CurveRecord] = []
     notes: list[str] = []
     timings: dict[str, float | None] = {}
     inputs: dict[str, InputRecord] = {}
@@ -143,6 +154,25 @@ def checked_record(kind: type[RecordType], entries: Any, path: Path, remedy: str
         raise FormatError(f"{path}: {lacks} '{place}' ({first['msg']}). {remedy}") from error
     except RecursionError as error:
         raise FormatError(f"{path}: is nested too deeply. {remedy}") from error
+
+
+def to_json(value: Any) -> str:
+    """A value as the text of a JSON file; what JSON does not know becomes what it does, what is not finite null."""
+    return json.dumps(_plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, str):  # file names that are no UTF-8 hold lone surrogates
+        return value.encode("utf-8", "backslashreplace").decode()
+    return value if isinstance(value, int | float | bool | None) else _plain(str(value))
 
 
 def parse_json(text: str, path: Path, remedy: str) -> Any:

@@ -12,16 +12,14 @@ from cagemap.basis import Surface
 from cagemap.errors import ParameterError
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
-from cagemap.geometry.triangles import normalized
-from cagemap.mesh.landmarks import CagePoints, Landmarks
+from cagemap.maps.curves import CurvePair, curve_pairs
+from cagemap.maps.places import located as located
+from cagemap.maps.places import on_surface as on_surface
+from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import IndexArray
 
 # Vertices of the level from which on points between vertices are given near ones.
 NEAR_VERTICES = 3000
-# Length, of sqrt(area), that opposite normals count when a landmark is put on the surface: thin parts have two sides.
-LANDMARK_NORMAL_WEIGHT = 0.01
-# Closest points that put a landmark on the surface; each comes nearer to the line by the square of the slope.
-LANDMARK_STEPS = 4
 
 Progress = Callable[[str], None]
 LevelPair = tuple[int, int]
@@ -36,6 +34,8 @@ class PointPairs:
     ----------
     target, source : SurfacePoints
         Of the finest surfaces, one each for every pair. A control vertex is a point like any other.
+    curves : tuple of CurvePair
+        Lines that correspond as a whole.
 
     Raises
     ------
@@ -45,6 +45,7 @@ class PointPairs:
 
     target: SurfacePoints
     source: SurfacePoints
+    curves: tuple[CurvePair, ...] = ()
 
     def __post_init__(self) -> None:
         if len(self.target) != len(self.source):
@@ -67,7 +68,7 @@ class PointPairs:
     def only(self, kept: Sequence[int] | IndexArray) -> PointPairs:
         """The pairs at some places."""
         rows = np.asarray(kept, dtype=np.int64)
-        return PointPairs(self.target.at(rows), self.source.at(rows))
+        return PointPairs(self.target.at(rows), self.source.at(rows), self.curves)
 
     def without(self, left_out: Collection[int]) -> PointPairs:
         """The pairs whose places are not among those given."""
@@ -159,34 +160,6 @@ def vertices_at(points: SurfacePoints) -> IndexArray:
 
 
 def point_pairs(target: Surface, source: Surface, landmarks: Landmarks) -> PointPairs:
-    """Landmarks of control meshes as points of the finest surfaces."""
-    return PointPairs(located(target, landmarks.target_points), located(source, landmarks.source_points))
-
-
-def located(surface: Surface, points: CagePoints) -> SurfacePoints:
-    """Points of a control mesh on the finest surface, see `on_surface`."""
-    return on_surface(surface.triangles(surface.finest), points)
-
-
-def on_surface(finest: TriangleSurface, points: CagePoints) -> SurfacePoints:
-    """Points of a control mesh on a refined surface, whose first vertices are the control mesh's.
-
-    A point between control vertices lies beside the same mean of their places, along the same mean of their normals:
-    the closest point is asked for again from where the last one left that line. From the mean itself, which is inside
-    where the surface is convex, whole strips along edges between facets are nearest to nothing.
-    """
-    vertices = points.vertices
-    found = SurfacePoints.from_vertices(finest, np.where(vertices >= 0, vertices, points.corners[:, 0]))
-    between = np.flatnonzero(vertices < 0)
-    if not len(between):
-        return found
-    some = points.at(between)
-    places, normals = some.of(finest.positions), normalized(some.of(finest.vertex_normals))
-    aim = places
-    for step in range(LANDMARK_STEPS):
-        # The nearer the aim is to its side of a thin part, the less normals have to tell the sides apart.
-        weight = LANDMARK_NORMAL_WEIGHT / 4.0**step
-        near = SurfacePoints.nearest(finest, aim, normals, normal_weight=weight)
-        along = np.einsum("qd,qd->q", near.positions - places, normals)
-        aim = places + along[:, None] * normals
-    return found.replaced(between, near)
+    """Landmarks of control meshes as points, and their curves as curves, of the finest surfaces."""
+    places = located(target, landmarks.target_points), located(source, landmarks.source_points)
+    return PointPairs(*places, curve_pairs(target, source, landmarks.curves))

@@ -11,7 +11,7 @@ from cagemap.pictures.colors import (
     to_display,
     to_linear,
 )
-from cagemap.pictures.overlay import draw_dots
+from cagemap.pictures.overlay import draw_dots, draw_line
 from cagemap.pictures.render import Image, Model, Skin, render, sample_texture, visible
 
 __all__ = [
@@ -29,6 +29,7 @@ __all__ = [
     "View",
     "distinct_colors",
     "draw_dots",
+    "draw_line",
     "frame",
     "position_colors",
     "render",

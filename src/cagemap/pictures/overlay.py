@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
+from cagemap.geometry.polylines import Polyline
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pictures.camera import Camera
 from cagemap.pictures.render import Image, Model, visible
+
+# Points that stand for a straight piece of a line.
+DOTS_A_PIECE = 12
 
 
 def draw_dots(
@@ -37,4 +42,31 @@ def draw_dots(
         for disc, paint in ((radius + 2.0, np.full(3, 255.0)), (radius + 0.6, np.full(3, 40.0)), (radius, color * 255)):
             cover = np.clip(disc - distance + 0.5, 0.0, 1.0)[..., None]
             tile[:] = tile * (1 - cover) + paint * cover
+    return np.round(shown).astype(np.uint8)
+
+
+def draw_line(
+    image: Image, model: Model, camera: Camera, line: Polyline, color: FloatArray, *, width: float = 3.0
+) -> Image:
+    """Return the picture with a rimmed line along what the camera sees of a polyline on the surface.
+
+    Parameters
+    ----------
+    line : Polyline
+        In the surface's own unit.
+    color : (3,) sRGB in [0, 1]
+    width : float
+        Pixels.
+    """
+    height, across = image.shape[:2]
+    dense = line.finer(DOTS_A_PIECE)
+    spots = camera.project(dense, across, height)[visible(model, camera, dense)]
+    if not len(spots):
+        return image
+    shown = image.astype(np.float64)
+    y, x = np.mgrid[:height, :across] + 0.5
+    distance = cKDTree(spots).query(np.column_stack([x.ravel(), y.ravel()]), distance_upper_bound=width + 3.0)[0]
+    for reach, paint in ((0.5 * width + 1.5, np.full(3, 255.0)), (0.5 * width, np.asarray(color) * 255)):
+        cover = np.clip(reach - distance + 0.5, 0.0, 1.0).reshape(height, across, 1)
+        shown = shown * (1 - cover) + paint * cover
     return np.round(shown).astype(np.uint8)

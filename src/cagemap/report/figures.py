@@ -9,7 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.files.result import Result
+from cagemap.files.result import Result, Side
+from cagemap.geometry.polylines import Polyline
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.maps.curves import surface_curves
+from cagemap.mesh.curves import CageCurves
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import ThreadPool
 from cagemap.pictures import (
@@ -23,6 +27,7 @@ from cagemap.pictures import (
     View,
     distinct_colors,
     draw_dots,
+    draw_line,
     frame,
     position_colors,
     render,
@@ -223,16 +228,37 @@ def _figures(stage: _Stage, jobs: list[_Job], size: tuple[int, int], progress: P
 def _figure(stage: _Stage, job: _Job, size: tuple[int, int]) -> Figure:
     view, source_skin, target_skin, dotted = job
     result = stage.result
-    target_dots = result.target.vertices[result.target.landmarks] if dotted else None
-    source_dots = result.source.vertices[result.source.landmarks] if dotted else None
     turned = replace(view, azimuth=view.azimuth + stage.turn)
-    source = None if source_skin is None else _draw(stage.source_model, source_skin, turned, size, source_dots)
-    return Figure(view.name, source, _draw(stage.target_model, target_skin, view, size, target_dots))
+    marks = [
+        _marks(side, lines) if dotted else None
+        for side, lines in ((result.target, result.curves.target), (result.source, result.curves.source))
+    ]
+    source = None if source_skin is None else _draw(stage.source_model, source_skin, turned, size, marks[1])
+    return Figure(view.name, source, _draw(stage.target_model, target_skin, view, size, marks[0]))
 
 
-def _draw(model: Model, skin: Skin, view: View, size: tuple[int, int], dots: FloatArray | None) -> Image:
+@dataclass(frozen=True, eq=False)
+class _Marks:
+    """What is drawn on a picture: a dot for every landmark, and a line for every curve."""
+
+    dots: FloatArray
+    curves: tuple[Polyline, ...]
+
+
+def _marks(side: Side, lines: CageCurves) -> _Marks:
+    curves: tuple[Polyline, ...] = ()
+    if len(lines):
+        finest = TriangleSurface.from_faces(side.vertices, side.faces)
+        found = surface_curves(side.refinement, finest, lines)
+        curves = tuple(Polyline(curve.line.positions / finest.scale, curve.closed) for curve in found)
+    return _Marks(side.vertices[side.landmarks], curves)
+
+
+def _draw(model: Model, skin: Skin, view: View, size: tuple[int, int], marks: _Marks | None) -> Image:
     camera = frame(model.positions, view, aspect=size[0] / size[1])
     image = render(model, skin, camera, width=size[0], height=size[1], background=_PAPER)
-    if dots is None:
+    if marks is None:
         return image
-    return draw_dots(image, model, camera, dots, distinct_colors(len(dots)), radius=5.0)
+    for line, color in zip(marks.curves, distinct_colors(len(marks.curves)), strict=True):
+        image = draw_line(image, model, camera, line, color)
+    return draw_dots(image, model, camera, marks.dots, distinct_colors(len(marks.dots)), radius=5.0)

@@ -47,7 +47,7 @@ def build_page(result: Result, gallery: Gallery) -> str:
         _section(
             "The map as colours",
             "Points of equal colour correspond; the faint checker shows stretch. Dots are landmarks: equal dots should "
-            "sit on equal places.",
+            "sit on equal places. Lines are curves: equal lines should lie on equal places.",
             "".join(_pair(figure, result) for figure in gallery.maps),
         ),
         _section(
@@ -64,6 +64,9 @@ def build_page(result: Result, gallery: Gallery) -> str:
         else "",
         _section("Quality", "Measured on this map, without knowing the true one.", _merits(merits)),
         _section("Landmarks", "Miss as a share of the model's size.", _landmarks(result)),
+        _section("Curves", "Distance between a curve and its counterpart, both ways.", _curves(result))
+        if len(result.curves)
+        else "",
         _section("Time", _time_summary(manifest), _timings(manifest.get("timings") or {})),
         _section("How it was made", "", _provenance(result)),
     ]
@@ -163,6 +166,18 @@ def _landmarks(result: Result) -> str:
         )
     head = "<tr><th>landmark</th><th>source vertex</th><th>target vertex</th><th>miss</th></tr>"
     return f'<table class="columns">{head}{"".join(rows)}</table>'
+
+
+def _curves(result: Result) -> str:
+    rows = []
+    for entry, color in zip(result.manifest.get("curves") or [], distinct_colors(len(result.curves)), strict=True):
+        red, green, blue = np.round(color * 255).astype(int)
+        dot = f'<span class="dot" style="background:rgb({red},{green},{blue})"></span>'
+        rows.append(
+            f"<tr><td>{dot}{escape(entry['name'])}</td>"
+            f"<td>{100 * entry['mean']:.2f} %</td><td>{100 * entry['worst']:.2f} %</td></tr>"
+        )
+    return f'<table class="columns"><tr><th>curve</th><th>mean miss</th><th>at most</th></tr>{"".join(rows)}</table>'
 
 
 def _total(timings: dict[str, Any]) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.triangles import normalized
-from cagemap.maps.pair import LANDMARK_NORMAL_WEIGHT, on_surface
+from cagemap.maps.places import LANDMARK_NORMAL_WEIGHT, on_surface
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio.landmarks import Place

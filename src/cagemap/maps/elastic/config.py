@@ -61,6 +61,8 @@ class ElasticConfig:
         The same in the last projection, see `facing_points`.
     landmark_weight : float
         Of a landmark, against a data weight of 1 for the whole surface.
+    curve_weight : float
+        Of a curve, by its length in sqrt(area), against the same.
     response : Stage
         What changed landmarks do to a map that is there, on the coarse graph (`cagemap.maps.elastic.update`).
     """
@@ -72,4 +74,5 @@ class ElasticConfig:
     fine_normal_weight: float = 0.01
     projection_normal_weights: tuple[float, float] = (0.002, 0.02)
     landmark_weight: float = 1e2
+    curve_weight: float = 1.0
     response: Stage = Stage(8, (2e-4, 2e-4), 1e-2, momentum=0.6)

@@ -19,6 +19,10 @@ SHEET_VERTICES = 15_000
 # Vertices of the source that pull at the target, per vertex of the target's mesh: more of them change nothing.
 PULLERS = 2.0
 
+# One in so many coarse vertices may be a curve's, all curves together, but each has as many as it needs to bend.
+CURVE_SHARE = 6
+FEWEST_OF_CURVE = 6
+
 # What does not pull
 
 # Length over which received area is smoothed, of sqrt(area): less than a finger's width.

@@ -17,63 +17,17 @@ from cagemap.errors import ParameterError
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import vertex_normals
+from cagemap.maps.elastic.anchors import Anchors as Anchors
 from cagemap.maps.elastic.config import ElasticConfig, Stage
 from cagemap.maps.elastic.constants import COST_STIFFNESS, LANDMARK_ITERATIONS, PULLERS, UNSETTLED
+from cagemap.maps.elastic.curves import NO_CURVES, CurvePull
 from cagemap.maps.elastic.data import Pullers, deformed_normals, pull_by_source, pull_to_source
 from cagemap.maps.elastic.graph import extrapolate
 from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair, RestShape
-from cagemap.maps.pair import PointPairs, vertices_at
+from cagemap.maps.pair import PointPairs
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import factor
 from cagemap.numerics.threads import ThreadPool
-
-
-@dataclass(frozen=True, eq=False)
-class Anchors:
-    """Points of a graph that are held: vertices, or points of its mesh's triangles.
-
-    Attributes
-    ----------
-    corners : (p, 3) int64
-    weights : (p, 3) float64
-        Rows sum to 1.
-    """
-
-    corners: IndexArray
-    weights: FloatArray
-
-    @classmethod
-    def at_vertices(cls, vertices: IndexArray) -> Anchors:
-        """Vertices (p,) as points."""
-        return cls(np.repeat(vertices[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (len(vertices), 1)))
-
-    @classmethod
-    def on_mesh(cls, mesh: TriangleSurface, points: SurfacePoints) -> Anchors:
-        """Points of the finest surface as points of a coarser level's mesh; vertices of both stay vertices."""
-        vertices = vertices_at(points)
-        anchors = cls.at_vertices(vertices)
-        between = np.flatnonzero((vertices < 0) | (vertices >= mesh.n))
-        if len(between):
-            near = SurfacePoints.nearest(mesh, points.positions[between], points.normals[between], normal_weight=0.01)
-            anchors.corners[between], anchors.weights[between] = near.corners, near.barycentric
-        return anchors
-
-    def hold(
-        self, blocks: FloatArray, right: FloatArray, positions: FloatArray, places: FloatArray, weight: float
-    ) -> None:
-        """Put the term ``weight |sum_k b_k x_k - y|^2`` of every point into a data term (n, 3, 3), (n, 3).
-
-        A vertex has no other term. Between vertices the residual r = y - sum_k b_k x_k is asked of each corner with
-        weight b_k, as in `cagemap.maps.elastic.data.pull_by_source`: an upper bound, equal at the current positions.
-        """
-        at_vertex = self.weights[:, 0] == 1.0
-        held = self.corners[at_vertex, 0]
-        blocks[held] = weight * np.eye(3)
-        right[held] = weight * places[at_vertex]
-        corners, shares = self.corners[~at_vertex], weight * self.weights[~at_vertex]
-        moved = places[~at_vertex] - np.einsum("pk,pkd->pd", self.weights[~at_vertex], positions[corners])
-        np.add.at(blocks, corners, shares[:, :, None, None] * np.eye(3))
-        np.add.at(right, corners, shares[:, :, None] * (positions[corners] + moved[:, None]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +78,7 @@ def coarse_fit(
     held = np.arange(len(landmark_positions))
     first = landmark_start(rest, held, landmark_positions, config) if start is None else start
     anchors = Anchors.at_vertices(held)
-    positions = run_stage(rest, sheet, first, anchors, landmark_positions, config.coarse, config)
+    positions = run_stage(rest, sheet, first, anchors, landmark_positions, config.coarse, config, shape.curves)
     maps, _ = rest.differentials(positions)
     return CoarseFit(coarse_cost(rest, sheet, positions, maps, config), positions, maps)
 
@@ -151,7 +105,8 @@ def fine_fit(
     start = extrapolate(shape.rest.graph, best.positions, best.maps, prepared.rest.graph)
     places, elastic = landmarks.source.positions, prepared.elastic
     held = Anchors.on_mesh(prepared.mesh, landmarks.target)
-    return run_stage(prepared.rest, prepared.sheet, start, held, places, elastic.fine, elastic)
+    curves = CurvePull.on_mesh(prepared.mesh, landmarks.curves)
+    return run_stage(prepared.rest, prepared.sheet, start, held, places, elastic.fine, elastic, curves)
 
 
 def landmark_start(
@@ -207,6 +162,7 @@ def run_stage(
     landmark_positions: FloatArray,
     stage: Stage,
     config: ElasticConfig,
+    curves: CurvePull = NO_CURVES,
 ) -> FloatArray:
     """Alternate closest points, positions and differentials; returns positions (n, 3).
 
@@ -246,6 +202,7 @@ def run_stage(
                 blocks, right, guess_back = pull.blocks + back.blocks, pull.right + back.right, back.triangles
                 # Only the residual asks for them here: beside the factorisation, which keeps to one core.
                 differentials = aside.submit(rest.differentials, positions)
+            curves.add(blocks, right, positions, config.curve_weight)
             landmarks.hold(blocks, right, positions, landmark_positions, config.landmark_weight)
             # Single precision: what a step misses, the next one finds in its residual, which is in double.
             matrix = field.system.at(alpha, blocks)

@@ -55,7 +55,7 @@ def fit(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: N
     """
     progress("functional map")
     places, sheet, elastic = pair.landmarks.source.positions, prepared.sheet, prepared.elastic
-    shape = prepared.coarse(pair.target_landmarks)
+    shape = prepared.coarse(pair.target_landmarks, pair.landmarks.curves)
     with ThreadPool(1) as aside:  # from the landmarks alone, while the functional map is made
         blind = aside.submit(coarse_fit, shape, sheet, None, places, elastic)
         match = start_map(prepared, pair, shape.vertices, shape.rest.graph.areas)

@@ -9,9 +9,11 @@ import numpy as np
 
 from cagemap.basis import Surface
 from cagemap.geometry.surface import TriangleSurface
+from cagemap.maps.curves import CurvePair
 from cagemap.maps.elastic.config import ElasticConfig
-from cagemap.maps.elastic.constants import SHEET_VERTICES
+from cagemap.maps.elastic.constants import CURVE_SHARE, SHEET_VERTICES
 from cagemap.maps.elastic.counterparts import ReceivedArea
+from cagemap.maps.elastic.curves import NO_CURVES, CurvePull
 from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph, bounded_maps, cluster_graph, mesh_graph
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.spectral.hierarchical import HierarchyConfig, search_levels
@@ -65,17 +67,28 @@ class CoarseShape:
         Of the k clusters.
     vertices : (k,) int64
         Vertex of the mesh that stands for each; those that were to have a cluster of their own come first.
+    curves : CurvePull
+        Curves whose vertices have clusters of their own, after the landmarks.
     """
 
     rest: RestShape
     vertices: IndexArray
+    curves: CurvePull = NO_CURVES
 
     @classmethod
-    def build(cls, graph: ElasticGraph, kept: IndexArray, config: ElasticConfig, masks: Masks = WHOLE) -> CoarseShape:
-        """Cluster a mesh's graph, every kept vertex (p,) a cluster of its own."""
-        coarse, vertices = cluster_graph(graph, min(config.coarse_vertices, graph.n), kept)
-        own = masks.for_vertices(vertices)
-        return cls(RestShape.build(coarse, None, config.coarse.smoothing, own), vertices)
+    def build(
+        cls,
+        graph: ElasticGraph,
+        kept: IndexArray,
+        config: ElasticConfig,
+        masks: Masks = WHOLE,
+        curves: CurvePull = NO_CURVES,
+    ) -> CoarseShape:
+        """Cluster a mesh's graph, every kept vertex (p,) a cluster of its own, and some vertices of every curve."""
+        every, own = curves.with_clusters(kept, config.coarse_vertices // CURVE_SHARE)
+        coarse, vertices = cluster_graph(graph, min(config.coarse_vertices, graph.n), every)
+        part = masks.for_vertices(vertices)
+        return cls(RestShape.build(coarse, None, config.coarse.smoothing, part), vertices, own)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -137,10 +150,11 @@ class PreparedPair:
         """The source's finest surface, which maps lead to."""
         return self.source.triangles(self.source.finest)
 
-    def coarse(self, kept: IndexArray | None = None) -> CoarseShape:
+    def coarse(self, kept: IndexArray | None = None, curves: tuple[CurvePair, ...] = ()) -> CoarseShape:
         """Clusters of the target's mesh, each of the kept vertices (p,) one of its own; landmarks, or none."""
-        none = np.zeros(0, dtype=np.int64)
-        return CoarseShape.build(self.rest.graph, none if kept is None else kept, self.elastic, self.rest.masks)
+        kept = np.zeros(0, dtype=np.int64) if kept is None else kept
+        pull = CurvePull.on_mesh(self.mesh, curves)
+        return CoarseShape.build(self.rest.graph, kept, self.elastic, self.rest.masks, pull)
 
     def __repr__(self) -> str:
         return f"PreparedPair({self.target} -> {self.source})"

@@ -12,6 +12,8 @@ import numpy as np
 
 from cagemap.geometry.triangles import vertex_normals
 from cagemap.maps.elastic.config import ElasticConfig
+from cagemap.maps.elastic.constants import CURVE_SHARE
+from cagemap.maps.elastic.curves import CurvePull
 from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph, cluster_graph, extrapolate
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.pair import PointPairs, near_vertices
@@ -25,6 +27,7 @@ def landmark_response(
     held: IndexArray,
     offsets: FloatArray,
     config: ElasticConfig = ElasticConfig(),
+    pull: tuple[FloatArray, FloatArray] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Displacements (n, 3) of a graph's vertices, and their differentials (n, 3, 3), when some of them are moved.
 
@@ -37,12 +40,16 @@ def landmark_response(
     offsets : (p, 3) float64
         Displacements of the vertices held, zero for those that stay.
     config : ElasticConfig
+    pull : (n, 3, 3) and (n, 3) float64, optional
+        Blocks B and forces B y of what else pulls: the term (d - y)^T B (d - y) of every displacement d.
     """
     stage, landmark_weight = config.response, config.landmark_weight
     field = DifferentialField.build(graph, graph.laplacian(), stage.smoothing)
     blocks = graph.areas[:, None, None] * normals[:, :, None] * normals[:, None, :]
-    blocks[held] = landmark_weight * np.eye(3)
     pulled = np.zeros((graph.n, 3))
+    if pull is not None:
+        blocks, pulled = blocks + pull[0], pulled + pull[1]
+    blocks[held] = landmark_weight * np.eye(3)
     pulled[held] = landmark_weight * offsets
     stiffness = stage.stiffness[-1]
     factors = field.system.factor(stiffness, blocks, field.factors)
@@ -56,7 +63,7 @@ def landmark_response(
 
 
 def respond(prepared: PreparedPair, before: PointMap, landmarks: PointPairs) -> FloatArray:
-    """Move a map so that its landmarks are where they should be.
+    """Move a map so that its landmarks are where they should be, and its curves where they are straight enough.
 
     Parameters
     ----------
@@ -72,9 +79,14 @@ def respond(prepared: PreparedPair, before: PointMap, landmarks: PointPairs) -> 
         Positions near the source of the target's vertices of the level that is deformed; project them for a map.
     """
     graph, mesh, held = prepared.rest.graph, prepared.mesh, near_vertices(landmarks.target, prepared.target)
-    coarse, vertices = cluster_graph(graph, min(prepared.elastic.coarse_vertices, graph.n), held)
+    size = min(prepared.elastic.coarse_vertices, graph.n)
+    every, curves = CurvePull.on_mesh(mesh, landmarks.curves).with_clusters(held, size // CURVE_SHARE)
+    coarse, vertices = cluster_graph(graph, size, every)
     positions = before.images.at(slice(0, graph.n)).positions
     normals = vertex_normals(positions, mesh.triangles)[vertices]
     offsets = landmarks.source.positions - landmarks.target.interpolate(before.images.positions)
-    response = landmark_response(coarse, normals, np.arange(len(held)), offsets, prepared.elastic)
+    blocks, right = np.zeros((coarse.n, 3, 3)), np.zeros((coarse.n, 3))
+    curves.add(blocks, right, positions[vertices], prepared.elastic.curve_weight)
+    pull = blocks, right - np.einsum("nab,nb->na", blocks, positions[vertices])
+    response = landmark_response(coarse, normals, np.arange(len(held)), offsets, prepared.elastic, pull)
     return positions + extrapolate(coarse, *response, graph)

@@ -11,6 +11,7 @@ import numpy as np
 from cagemap.geometry.closest import build_tree, closest_points
 from cagemap.maps.elastic.config import Stage
 from cagemap.maps.elastic.constants import PULLERS, SHEET_VERTICES
+from cagemap.maps.elastic.curves import CurvePull
 from cagemap.maps.elastic.data import Pullers, deformed_normals
 from cagemap.maps.elastic.fit import CoarseFit, coarse_cost, coarse_fit, fine_fit
 from cagemap.maps.elastic.graph import ElasticGraph, extrapolate
@@ -87,7 +88,7 @@ def found_readings(
     progress : callable
     """
     progress("hypotheses")
-    shape = prepared.coarse(pair.target_landmarks)
+    shape = prepared.coarse(pair.target_landmarks, pair.landmarks.curves)
     rough = _rough_fits(prepared, pair, shape, config)
     progress("coarse fits")
     candidates = _coarse_fits(prepared, pair, shape, rough, config)
@@ -117,7 +118,8 @@ def reading_cost(prepared: PreparedPair, pullers: Pullers, positions: FloatArray
 def _rough_fits(prepared: PreparedPair, pair: Pair, shape: CoarseShape, config: HypothesesConfig) -> list[_Candidate]:
     """The different ends of all rigid starts on a small graph, cheapest first, brought to the coarse graph."""
     staged = replace(prepared.elastic, coarse=config.rough, coarse_vertices=config.rough_vertices)
-    rough = CoarseShape.build(prepared.rest.graph, pair.target_landmarks, staged, prepared.rest.masks)
+    curves = CurvePull.on_mesh(prepared.mesh, pair.landmarks.curves)
+    rough = CoarseShape.build(prepared.rest.graph, pair.target_landmarks, staged, prepared.rest.masks, curves)
     small, sheet, places = rough.rest.graph, prepared.sheet, pair.landmarks.source.positions
 
     def trial(start: Start) -> _Candidate:

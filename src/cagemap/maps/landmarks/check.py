@@ -179,7 +179,8 @@ def checked_map(
 
 def coarse_map_cost(prepared: PreparedPair, pair: Pair) -> float:
     """Cost of the best coarse fit that meets a pair's landmarks: what they ask of the whole shape, without the mesh."""
-    places, shape = pair.landmarks.source.positions, prepared.coarse(pair.target_landmarks)
+    places = pair.landmarks.source.positions
+    shape = prepared.coarse(pair.target_landmarks, pair.landmarks.curves)
     match = start_map(prepared, pair, shape.vertices, shape.rest.graph.areas)
     starts = prepared.on_source.positions[match], None
     return min(coarse_fit(shape, prepared.sheet, start, places, prepared.elastic).cost for start in starts)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
 
 from cagemap.basis import Surface
 from cagemap.descriptors import (
@@ -21,6 +23,7 @@ from cagemap.descriptors import (
 )
 from cagemap.errors import ParameterError
 from cagemap.functional_map import Constraints, SpectralData
+from cagemap.maps.curves import SurfaceCurve
 from cagemap.maps.pair import Pair, SymmetryPair
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads
@@ -63,9 +66,10 @@ def gather_constraints(pair: Pair, config: DescriptorConfig = DescriptorConfig()
     config : DescriptorConfig
     """
     filters = choose_filters(pair.target.basis.eigenvalues, pair.source.basis.eigenvalues, config.heat, config.wave)
+    curves = [one.target for one in pair.landmarks.curves], [one.source for one in pair.landmarks.curves]
     sides = [
-        (pair.target, pair.target_landmarks, tuple(target for target, _ in pair.symmetries)),
-        (pair.source, pair.source_landmarks, tuple(source for _, source in pair.symmetries)),
+        (pair.target, pair.target_landmarks, curves[0], tuple(target for target, _ in pair.symmetries)),
+        (pair.source, pair.source_landmarks, curves[1], tuple(source for _, source in pair.symmetries)),
     ]
     made = in_threads(lambda side: _spectral_data(*side, filters, config.signature_weight), sides)
     return Constraints(*made)
@@ -83,6 +87,20 @@ def signature_functions(surface: Surface, filters: Filters, level: int) -> Float
     for part, block in surface.basis.row_blocks(level):
         values[part] = signatures(block, at_eigenvalues)
     return values
+
+
+def curve_rows(surface: Surface, curves: Sequence[SurfaceCurve]) -> FloatArray:
+    """Basis rows of whole curves, (q, k): the mean of Phi~(v, :) along each, by length.
+
+    With them a landmark descriptor becomes the heat or wave that starts from all of the curve at once, whatever its
+    points are called.
+    """
+    corners, places = np.unique(np.vstack([curve.points.corners for curve in curves]), return_inverse=True)
+    rows = surface.basis.rows(surface.finest, corners)
+    weights = np.vstack([curve.shares[:, None] * curve.points.barycentric for curve in curves])
+    of = np.repeat(np.arange(len(curves)), [3 * len(curve.points) for curve in curves])
+    gather = sparse.csr_array((weights.ravel(), (of, places.ravel())), shape=(len(curves), len(corners)))
+    return np.asarray(gather @ rows)
 
 
 def paired_mirrors(pair: Pair) -> tuple[SymmetryPair, ...]:
@@ -116,6 +134,7 @@ def _partners(mirror: Mirror, places: FloatArray) -> IndexArray:
 def _spectral_data(
     surface: Surface,
     landmarks: IndexArray,
+    curves: Sequence[SurfaceCurve],
     symmetries: tuple[IndexArray, ...],
     filters: Filters,
     signature_weight: float,
@@ -124,6 +143,8 @@ def _spectral_data(
     at_eigenvalues, level = filters.at(basis.eigenvalues), basis.last_level
     # Vertex i of the control mesh is vertex i of every level.
     columns = [normalise_columns(landmark_descriptors(basis.rows(level, landmarks), at_eigenvalues))]
+    if curves:
+        columns.append(normalise_columns(landmark_descriptors(curve_rows(surface, curves), at_eigenvalues)))
     if signature_weight > 0.0:
         projected = basis.project(signature_functions(surface, filters, level), level)
         columns.append(signature_weight * normalise_columns(projected))

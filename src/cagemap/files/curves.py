@@ -1,0 +1,151 @@
+"""Curves in landmark files: chains of control vertices, edges in any order, or places in space.
+
+A file of pairs has ``"curves": [{"name": "lips", "source": [3, 4, 9], "target": [7, 8, 2], "closed": true}, ...]``, a
+file of one mesh ``"curves": [{"name": "lips", "vertices": [3, 4, 9], "closed": true}, ...]``, with ``"positions"`` for
+places in space. A list of pairs of vertices is one of edges, whose order is found.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cagemap.errors import FormatError, InvalidLandmarksError
+from cagemap.mesh.cage_points import NamedCurve
+from cagemap.mesh.curves import CageCurves, Curves, chain_of_edges
+from cagemap.numerics.arrays import IndexArray
+
+FORM = '{"name": "lips", "source": [3, 4, 9], "target": [7, 8, 2], "closed": true}'
+MESH_FORM = '{"name": "lips", "vertices": [3, 4, 9], "closed": true}'
+_LARGEST = 2**62
+
+
+def pair_curves(path: Path, items: Any) -> Curves:
+    """Curves of a file of pairs.
+
+    Raises
+    ------
+    FormatError
+        If an entry has another form; it is named by its number.
+    """
+    names, sides, closed = [], {"target": [], "source": []}, {"target": [], "source": []}  # type: ignore[var-annotated]
+    for number, item in enumerate(_listed(path, items, FORM)):
+        name, entry = _named(path, number, item, FORM)
+        names.append(name)
+        for side, chains in sides.items():
+            chain, loop = _chain(path, name, side, entry.get(side), entry.get("closed"), FORM)
+            chains.append(chain)
+            closed[side].append(loop)
+    return Curves(tuple(names), *(CageCurves.of_vertices(sides[side], closed[side]) for side in ("target", "source")))
+
+
+def pair_entries(path: str | Path, curves: Curves) -> list[str]:
+    """Undo `pair_curves`: an entry each, as JSON.
+
+    Raises
+    ------
+    FormatError
+        If points of a curve lie between vertices: a file of pairs cannot hold them.
+    """
+    entries = []
+    for i, name in enumerate(curves.names):
+        chains = [side.at([i]).points.vertices for side in (curves.source, curves.target)]
+        if any((chain < 0).any() for chain in chains):
+            raise FormatError(
+                f"{path}: expected curves of control vertices, got '{name}' with points between them. "
+                "Write a file of points for each mesh instead."
+            )
+        shown = {"name": name, "source": chains[0].tolist(), "target": chains[1].tolist()}
+        entries.append(json.dumps(shown | {"closed": bool(curves.target.closed[i])}, ensure_ascii=False))
+    return entries
+
+
+def mesh_curves(path: Path, items: Any) -> tuple[NamedCurve, ...]:
+    """Curves of a file of one mesh.
+
+    Raises
+    ------
+    FormatError
+        If an entry has another form; it is named by its number.
+    """
+    found = []
+    for number, item in enumerate(_listed(path, items, MESH_FORM)):
+        name, entry = _named(path, number, item, MESH_FORM)
+        if "positions" in entry:
+            found.append(curve_through(path, name, entry["positions"], bool(entry.get("closed", False))))
+            continue
+        chain, closed = _chain(path, name, "vertices", entry.get("vertices"), entry.get("closed"), MESH_FORM)
+        found.append(NamedCurve(name, chain, np.full((len(chain), 3), np.nan), closed))
+    return tuple(found)
+
+
+def mesh_entries(curves: Sequence[NamedCurve]) -> list[str]:
+    """Undo `mesh_curves`: an entry each, as JSON. A curve with any place in space is written by places alone."""
+    entries = []
+    for curve in curves:
+        by_vertices = bool((curve.vertices >= 0).all())
+        points = {"vertices": curve.vertices.tolist()} if by_vertices else {"positions": curve.positions.tolist()}
+        entries.append(json.dumps({"name": curve.name, **points, "closed": curve.closed}, ensure_ascii=False))
+    return entries
+
+
+def curve_through(path: Path, name: str, places: Any, closed: bool) -> NamedCurve:
+    """A curve through places in space.
+
+    Raises
+    ------
+    FormatError
+        If they are not finite points.
+    """
+    try:
+        positions = np.array(places, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        positions = np.zeros(0)
+    if positions.ndim != 2 or positions.shape[1] != 3 or not np.isfinite(positions).all():
+        raise FormatError(f"{path}: curve '{name}': expected a list of finite places [x, y, z], got something else.")
+    return NamedCurve(name, np.full(len(positions), -1, dtype=np.int64), positions, closed)
+
+
+def _listed(path: Path, items: Any, form: str) -> list[Any]:
+    if not isinstance(items, list):
+        raise FormatError(f"{path}: expected a list 'curves', got {_shown(items)}. An entry is {form}.")
+    return items
+
+
+def _named(path: Path, number: int, item: Any, form: str) -> tuple[str, dict[str, Any]]:
+    name = item.get("name", f"curve {number}") if isinstance(item, dict) else None
+    if not isinstance(name, str) or not isinstance(item.get("closed", False), bool):
+        raise FormatError(f"{path}: curve {number} (0-based): expected {form}, got {_shown(item)}.")
+    return name.encode("utf-8", "replace").decode(), item
+
+
+def _chain(path: Path, name: str, key: str, values: Any, closed: bool | None, form: str) -> tuple[IndexArray, bool]:
+    """Vertices of a chain and whether it is closed, from vertices in order or edges in any order."""
+    values = values if isinstance(values, list) else []
+    if values and all(_is_vertex(value) for value in values):
+        if len(values) > 1 and values[0] == values[-1]:  # a loop that says so by coming back
+            values, closed = values[:-1], True
+        return np.array(values, dtype=np.int64), bool(closed)
+    edges = values and all(isinstance(e, list) and len(e) == 2 and all(map(_is_vertex, e)) for e in values)
+    if not edges:
+        raise FormatError(
+            f"{path}: curve '{name}': expected control vertices, or edges [[3, 4], [4, 9], ...], as '{key}', got "
+            f"{_shown(values)}. An entry is {form}."
+        )
+    try:
+        return chain_of_edges(np.array(values, dtype=np.int64))
+    except InvalidLandmarksError as error:
+        raise FormatError(f"{path}: curve '{name}', '{key}': {error}") from None
+
+
+def _is_vertex(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < _LARGEST
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,203 @@
+"""Curves on refined surfaces: they follow the subdivided edges, and a map leads one onto the other or misses it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from cagemap.basis import Surface
+from cagemap.geometry.points import SurfacePoints
+from cagemap.geometry.polylines import Polyline
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.maps.places import on_surface
+from cagemap.maps.point_map import PointMap
+from cagemap.mesh.curves import CageCurves, Curves
+from cagemap.mesh.topology import edge_table
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.refinement import Refinement
+
+# Curves are those of the first level with so many vertices: finer than the level that is deformed.
+CURVE_VERTICES = 15_000
+# Pieces of a straight line between two points of a curve that no edge joins.
+STRAIGHT_PIECES = 8
+# Length, of sqrt(area), that opposite normals count when such a line is put on the surface.
+NORMAL_WEIGHT = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceCurve:
+    """A polyline on a finest surface.
+
+    Attributes
+    ----------
+    points : SurfacePoints
+        (m,) along it.
+    closed : bool
+    """
+
+    points: SurfacePoints
+    closed: bool
+
+    @cached_property
+    def line(self) -> Polyline:
+        """Its places in space, at unit area."""
+        return Polyline(self.points.positions, self.closed)
+
+    @property
+    def shares(self) -> FloatArray:
+        """(m,) share of its length that every point stands for, sum 1."""
+        return self.line.shares / self.line.length
+
+
+@dataclass(frozen=True, eq=False)
+class CurvePair:
+    """Two curves that correspond as a whole.
+
+    Attributes
+    ----------
+    name : str
+    target, source : SurfaceCurve
+    """
+
+    name: str
+    target: SurfaceCurve
+    source: SurfaceCurve
+
+
+@dataclass(frozen=True)
+class CurveMiss:
+    """How far a map leads a curve from the one that it belongs to.
+
+    Attributes
+    ----------
+    name : str
+    mean, worst : float
+        Distance between the image of the target's curve and the source's curve, both ways, of sqrt(area).
+    """
+
+    name: str
+    mean: float
+    worst: float
+
+
+def curve_pairs(target: Surface, source: Surface, curves: Curves) -> tuple[CurvePair, ...]:
+    """Curves of control meshes as curves of the finest surfaces."""
+    sides = [
+        surface_curves(surface.refinement, surface.triangles(surface.finest), lines) if len(lines) else ()
+        for surface, lines in ((target, curves.target), (source, curves.source))
+    ]
+    return tuple(CurvePair(*made) for made in zip(curves.names, *sides, strict=True))
+
+
+def surface_curves(refinement: Refinement, finest: TriangleSurface, curves: CageCurves) -> tuple[SurfaceCurve, ...]:
+    """Curves of a control mesh on the finest surface.
+
+    A piece along an edge follows what subdivision makes of that edge. Another one is a straight line that is put on
+    the surface.
+    """
+    level = refinement.coarsest_level(CURVE_VERTICES)
+    vertices = curves.points.vertices
+    segments = curves.segments
+    ends = vertices[segments]
+    chains = refined_edges(refinement, ends, level)
+    on_edge = chains[:, -1] >= 0
+    at_ends = on_surface(finest, curves.points)
+    found = []
+    for i, closed in enumerate(curves.closed.tolist()):
+        own = np.flatnonzero(curves.curve_of[segments[:, 0]] == i)
+        pieces = [
+            SurfacePoints.from_vertices(finest, chains[row, :-1])
+            if on_edge[row]
+            else _straight(at_ends.at(segments[row, :1]), at_ends.at(segments[row, 1:]))
+            for row in own
+        ]
+        if not closed:
+            pieces.append(at_ends.at(segments[own[-1:], 1]))
+        points = SurfacePoints(
+            finest, np.concatenate([piece.triangle for piece in pieces]), np.vstack([p.barycentric for p in pieces])
+        )
+        found.append(SurfaceCurve(points, closed))
+    return tuple(found)
+
+
+def refined_edges(refinement: Refinement, ends: IndexArray, level: int) -> IndexArray:
+    """Vertices of a level along control edges.
+
+    Parameters
+    ----------
+    refinement : Refinement
+    ends : (e, 2) int64
+        Control vertices.
+    level : int
+
+    Returns
+    -------
+    (e, 2^level + 1) int64
+        Rows of -1 where the two vertices have no edge.
+    """
+    count = refinement.control.n_vertices
+    edges = edge_table(refinement.control).vertices
+    keys = np.array([count, 1])
+    chains = np.where(np.isin(np.sort(ends, axis=1) @ keys, edges @ keys)[:, None], ends, -1)
+    for number in range(level):
+        joined = np.stack([chains[:, :-1], chains[:, 1:]], axis=2)
+        middle = edge_vertices(refinement, number, joined.reshape(-1, 2)).reshape(joined.shape[:2])
+        finer = np.empty((len(chains), 2 * chains.shape[1] - 1), dtype=np.int64)
+        finer[:, ::2], finer[:, 1::2] = chains, middle
+        chains = finer
+    return chains
+
+
+def edge_vertices(refinement: Refinement, level: int, ends: IndexArray) -> IndexArray:
+    """Vertex of the next level in the middle of edges of a level; -1 where there is no such edge.
+
+    Rows of S^l stand in the order vertices, edges, faces: an edge's vertex is the one of the second kind that touches
+    both ends.
+
+    Parameters
+    ----------
+    refinement : Refinement
+    level : int
+    ends : (e, 2) int64
+        Vertices of the level; -1 for none.
+    """
+    here, finer = refinement.levels[level], refinement.levels[level + 1]
+    assert finer.faces is not None
+    faces_have_vertices = finer.faces.shape[1] == 4
+    past = finer.n_vertices - (here.n_faces if faces_have_vertices else 0)
+    wanted = np.zeros(finer.n_vertices, dtype=bool)
+    wanted[ends[ends >= 0]] = True
+    tails, heads = finer.faces.ravel(), np.roll(finer.faces, -1, axis=1).ravel()
+    tails, heads = np.concatenate([tails, heads]), np.concatenate([heads, tails])
+    own = wanted[tails] & (tails < here.n_vertices) & (heads >= here.n_vertices) & (heads < past)
+    touching = np.unique(heads[own] * here.n_vertices + tails[own])
+    middle, end = np.divmod(touching, here.n_vertices)
+    both = np.flatnonzero(middle[1:] == middle[:-1])
+    keys = end[both] * here.n_vertices + end[both + 1]  # ascending within a pair
+    order = np.argsort(keys)
+    asked = np.sort(ends, axis=1) @ np.array([here.n_vertices, 1])
+    if not len(keys):
+        return np.full(len(ends), -1, dtype=np.int64)
+    place = np.minimum(np.searchsorted(keys[order], asked), len(keys) - 1)
+    known = (keys[order][place] == asked) & (ends >= 0).all(axis=1)
+    return np.where(known, middle[both][order][place], -1)
+
+
+def curve_miss(pair: CurvePair, point_map: PointMap) -> CurveMiss:
+    """How far a map leads a pair's target curve from its source curve, and leaves that one uncovered."""
+    image = Polyline(pair.target.points.interpolate(point_map.images.positions), pair.target.closed)
+    there = np.linalg.norm(pair.source.line.nearest(image.positions).places - image.positions, axis=1)
+    back = np.linalg.norm(image.nearest(pair.source.line.positions).places - pair.source.line.positions, axis=1)
+    mean = 0.5 * (pair.target.shares @ there + pair.source.shares @ back)
+    return CurveMiss(pair.name, float(mean), float(max(there.max(), back.max())))
+
+
+def _straight(start: SurfacePoints, stop: SurfacePoints) -> SurfacePoints:
+    """Points of the surface nearest to those of the straight line between two of its points, without the second."""
+    share = np.arange(STRAIGHT_PIECES)[:, None] / STRAIGHT_PIECES
+    places = (1.0 - share) * start.positions + share * stop.positions
+    normals = (1.0 - share) * start.normals + share * stop.normals
+    near = SurfacePoints.nearest(start.surface, places, normals, normal_weight=NORMAL_WEIGHT)
+    return near.replaced(np.array([0]), start)

@@ -1,0 +1,45 @@
+"""Points of control meshes as points of the finest surfaces."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cagemap.basis import Surface
+from cagemap.geometry.points import SurfacePoints
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.geometry.triangles import normalized
+from cagemap.mesh.landmarks import CagePoints
+
+# Length, of sqrt(area), that opposite normals count when a landmark is put on the surface: thin parts have two sides.
+LANDMARK_NORMAL_WEIGHT = 0.01
+# Closest points that put a landmark on the surface; each comes nearer to the line by the square of the slope.
+LANDMARK_STEPS = 4
+
+
+def located(surface: Surface, points: CagePoints) -> SurfacePoints:
+    """Points of a control mesh on the finest surface, see `on_surface`."""
+    return on_surface(surface.triangles(surface.finest), points)
+
+
+def on_surface(finest: TriangleSurface, points: CagePoints) -> SurfacePoints:
+    """Points of a control mesh on a refined surface, whose first vertices are the control mesh's.
+
+    A point between control vertices lies beside the same mean of their places, along the same mean of their normals:
+    the closest point is asked for again from where the last one left that line. From the mean itself, which is inside
+    where the surface is convex, whole strips along edges between facets are nearest to nothing.
+    """
+    vertices = points.vertices
+    found = SurfacePoints.from_vertices(finest, np.where(vertices >= 0, vertices, points.corners[:, 0]))
+    between = np.flatnonzero(vertices < 0)
+    if not len(between):
+        return found
+    some = points.at(between)
+    places, normals = some.of(finest.positions), normalized(some.of(finest.vertex_normals))
+    aim = places
+    for step in range(LANDMARK_STEPS):
+        # The nearer the aim is to its side of a thin part, the less normals have to tell the sides apart.
+        weight = LANDMARK_NORMAL_WEIGHT / 4.0**step
+        near = SurfacePoints.nearest(finest, aim, normals, normal_weight=weight)
+        along = np.einsum("qd,qd->q", near.positions - places, normals)
+        aim = places + along[:, None] * normals
+    return found.replaced(between, near)

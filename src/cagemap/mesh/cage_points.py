@@ -1,0 +1,148 @@
+"""Points of a control mesh: a control vertex, or three vertices of a face and their weights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cagemap.errors import InvalidLandmarksError
+from cagemap.geometry.closest import build_tree, closest_points
+from cagemap.mesh.control_mesh import ControlMesh
+from cagemap.mesh.measures import fan_triangles
+from cagemap.mesh.mesh_report import first_few
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+# A point with at least this weight on one vertex is that vertex.
+AT_VERTEX = 1.0 - 1e-6
+# A place in space farther from the mesh than this share of the mesh's size (the diagonal of its box) is none of it.
+FAR = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class NamedCurve:
+    """A polyline of one mesh as people keep it.
+
+    Attributes
+    ----------
+    name : str
+    vertices : (c,) int64
+        Control vertices along it, 0-based; -1 where a place in space is given instead.
+    positions : (c, 3) float64
+        Places on or near the mesh, in its file's units; NaN where a vertex is given.
+    closed : bool
+        Whether its last point is joined to its first.
+    """
+
+    name: str
+    vertices: IndexArray
+    positions: FloatArray
+    closed: bool
+
+
+@dataclass(frozen=True, eq=False)
+class NamedPoints:
+    """Points of one mesh as people keep them.
+
+    Attributes
+    ----------
+    names : tuple of str
+    vertices : (q,) int64
+        Control vertices, 0-based; -1 where a place in space is given instead.
+    positions : (q, 3) float64
+        Places on or near the mesh, in its file's units; NaN where a vertex is given.
+    mesh_name : str
+        The mesh that they were made for; '' where unknown.
+    curves : tuple of NamedCurve
+    """
+
+    names: tuple[str, ...]
+    vertices: IndexArray
+    positions: FloatArray
+    mesh_name: str = ""
+    curves: tuple[NamedCurve, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class CagePoints:
+    """Points of a control mesh.
+
+    Attributes
+    ----------
+    corners : (q, 3) int64
+        Vertices of the triangle of a face's fan that holds each point.
+    weights : (q, 3) float64
+        Not negative, rows sum to 1.
+    """
+
+    corners: IndexArray
+    weights: FloatArray
+
+    @classmethod
+    def of_vertices(cls, vertices: IndexArray) -> CagePoints:
+        """Control vertices as points."""
+        weights = np.zeros((len(vertices), 3))
+        weights[:, 0] = 1.0
+        return cls(np.repeat(vertices[:, None], 3, axis=1), weights)
+
+    @property
+    def vertices(self) -> IndexArray:
+        """(q,) vertices that the points are, -1 where they lie between them."""
+        heaviest = self.weights.argmax(axis=1)
+        rows = np.arange(len(heaviest))
+        at_vertex = self.weights[rows, heaviest] >= AT_VERTEX
+        return np.where(at_vertex, self.corners[rows, heaviest], -1).astype(np.int64)
+
+    @property
+    def keys(self) -> list[bytes]:
+        """Equal points, equal keys."""
+        vertices = self.vertices
+        return [
+            vertex.tobytes() if vertex >= 0 else corners.tobytes() + weights.tobytes()
+            for vertex, corners, weights in zip(vertices, self.corners, self.weights, strict=True)
+        ]
+
+    @property
+    def nearest_vertices(self) -> IndexArray:
+        """(q,) the vertex of largest weight."""
+        return np.take_along_axis(self.corners, self.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+
+    def of(self, values: FloatArray) -> FloatArray:
+        """(q, d) values (n_0, d) of the control vertices at the points."""
+        return np.einsum("qk,qkd->qd", self.weights, values[self.corners])
+
+    def at(self, rows: IndexArray) -> CagePoints:
+        """Some of the points."""
+        return CagePoints(self.corners[rows], self.weights[rows])
+
+
+def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
+    """Points of a control mesh: the vertices given, and the mesh's nearest points to places in space.
+
+    Raises
+    ------
+    InvalidLandmarksError
+        If a vertex is out of range or a place is far from the mesh.
+    """
+    outside = np.flatnonzero(points.vertices >= mesh.n_vertices)
+    if len(outside):
+        listed = first_few(f"{points.names[i]} ({points.vertices[i]})" for i in outside)
+        raise InvalidLandmarksError(
+            f"expected vertices from 0 to {mesh.n_vertices - 1}, those of {mesh.name}, got {listed}. They are 0-based."
+        )
+    found = CagePoints.of_vertices(np.maximum(points.vertices, 0))
+    corners, weights = found.corners.copy(), found.weights.copy()
+    free = np.flatnonzero(points.vertices < 0)
+    if len(free):
+        triangles, _ = fan_triangles(mesh)
+        held_by, barycentric, distances = closest_points(build_tree(mesh.positions, triangles), points.positions[free])
+        size = float(np.linalg.norm(np.ptp(mesh.positions, axis=0)))
+        far = np.flatnonzero(distances > FAR * size)
+        if len(far):
+            listed = first_few(f"{points.names[free[i]]} ({distances[i]:.3g})" for i in far)
+            raise InvalidLandmarksError(
+                f"expected landmark points on or near {mesh.name}, whose size is {size:.3g}, got distances {listed}. "
+                "The points may belong to another mesh, or be in another unit or axis order."
+            )
+        corners[free], weights[free] = triangles[held_by], barycentric
+    return CagePoints(corners, weights)

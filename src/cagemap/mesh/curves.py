@@ -1,0 +1,266 @@
+"""Curves: pairs of polylines, one on the target and one on the source, that are the same line (eyelids, lips, hems).
+
+A curve says less than its points would: it lies on the other one, but which of its points goes where is left open. The
+ends of open curves belong to each other, whichever way round.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cagemap.errors import InvalidLandmarksError
+from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, on_cage
+from cagemap.mesh.control_mesh import ControlMesh
+from cagemap.mesh.mesh_report import first_few
+from cagemap.mesh.topology import edge_table
+from cagemap.numerics.arrays import IndexArray
+
+
+@dataclass(frozen=True, eq=False)
+class CageCurves:
+    """Polylines on a control mesh.
+
+    Attributes
+    ----------
+    points : CagePoints
+        Of all curves, one curve after the other.
+    starts : (q + 1,) int64
+        Curve i has the points ``starts[i]`` to ``starts[i + 1] - 1``.
+    closed : (q,) bool
+        Whether the last point of a curve is joined to its first.
+    """
+
+    points: CagePoints
+    starts: IndexArray
+    closed: np.ndarray
+
+    @classmethod
+    def of_vertices(cls, chains: Sequence[IndexArray], closed: Sequence[bool]) -> CageCurves:
+        """Chains of control vertices as curves."""
+        sizes = [len(chain) for chain in chains]
+        vertices = np.concatenate([np.zeros(0, dtype=np.int64), *chains]).astype(np.int64)
+        starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        return cls(CagePoints.of_vertices(vertices), starts, np.array(closed, dtype=bool))
+
+    @classmethod
+    def joined(cls, curves: Sequence[CageCurves]) -> CageCurves:
+        """All curves of several."""
+        none = cls.of_vertices((), ())
+        points = [one.points for one in (none, *curves)]
+        sizes = np.concatenate([np.diff(one.starts) for one in (none, *curves)])
+        return cls(
+            CagePoints(np.vstack([p.corners for p in points]), np.vstack([p.weights for p in points])),
+            np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
+            np.concatenate([one.closed for one in (none, *curves)]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.closed)
+
+    @property
+    def curve_of(self) -> IndexArray:
+        """(c,) curve of every point."""
+        return np.repeat(np.arange(len(self)), np.diff(self.starts))
+
+    @property
+    def segments(self) -> IndexArray:
+        """(s, 2) places of the points that every straight piece joins."""
+        count = len(self.points.corners)
+        after = np.arange(1, count + 1)
+        last = self.starts[1:] - 1
+        after[last] = np.where(self.closed, self.starts[:-1], -1)
+        joined = np.flatnonzero(after >= 0)
+        return np.column_stack([joined, after[joined]])
+
+    def at(self, rows: Sequence[int]) -> CageCurves:
+        """Some of the curves."""
+        places = [np.arange(self.starts[row], self.starts[row + 1]) for row in rows]
+        starts = np.concatenate([[0], np.cumsum([len(place) for place in places])]).astype(np.int64)
+        kept = np.concatenate([np.zeros(0, dtype=np.int64), *places])
+        return CageCurves(self.points.at(kept), starts, self.closed[np.asarray(rows, dtype=np.int64)])
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """Pairs of polylines that correspond as a whole.
+
+    Attributes
+    ----------
+    names : tuple of str
+        One per pair, such as ``left_eyelid``.
+    target, source : CageCurves
+    """
+
+    names: tuple[str, ...]
+    target: CageCurves
+    source: CageCurves
+
+    @classmethod
+    def none(cls) -> Curves:
+        """No curve at all."""
+        return cls((), CageCurves.of_vertices((), ()), CageCurves.of_vertices((), ()))
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def reversed(self) -> Curves:
+        """The same pairs for the map the other way round."""
+        return Curves(self.names, self.source, self.target)
+
+    def only(self, rows: Sequence[int]) -> Curves:
+        """Some of the pairs."""
+        return Curves(tuple(self.names[row] for row in rows), self.target.at(rows), self.source.at(rows))
+
+    def renumbered(self, target: IndexArray, source: IndexArray) -> Curves:
+        """The curves with other numbers (c, 3) for the corners of their points, without those that have none (-1)."""
+        sides = [
+            CageCurves(CagePoints(corners, side.points.weights), side.starts, side.closed)
+            for side, corners in ((self.target, target), (self.source, source))
+        ]
+        lost = [side.curve_of[(side.points.corners < 0).any(axis=1)] for side in sides]
+        kept = np.setdiff1d(np.arange(len(self)), np.concatenate(lost))
+        return Curves(self.names, *sides).only(kept.tolist())
+
+    def beside(self, others: Curves) -> Curves:
+        """These pairs and others."""
+        sides = (self.target, others.target), (self.source, others.source)
+        return Curves(self.names + others.names, *(CageCurves.joined(side) for side in sides))
+
+
+def chain_of_edges(edges: IndexArray) -> tuple[IndexArray, bool]:
+    """Vertices along the chain or loop that edges (e, 2) in any order make, and whether it is a loop.
+
+    Raises
+    ------
+    InvalidLandmarksError
+        If the edges branch or fall into pieces; names the vertices.
+    """
+    edges = np.unique(np.sort(edges, axis=1), axis=0)
+    neighbours: dict[int, list[int]] = {}
+    for a, b in edges.tolist():
+        neighbours.setdefault(a, []).append(b)
+        neighbours.setdefault(b, []).append(a)
+    branching = sorted(vertex for vertex, others in neighbours.items() if len(others) > 2)
+    ends = sorted(vertex for vertex, others in neighbours.items() if len(others) == 1)
+    if branching or len(ends) > 2:
+        raise InvalidLandmarksError(
+            f"expected the edges of one chain or loop, got a branch at vertex {first_few(branching)}."
+            if branching
+            else f"expected the edges of one chain or loop, got pieces that end at vertices {first_few(ends)}."
+        )
+    chain, before = [ends[0] if ends else int(edges[0, 0])], -1
+    while True:
+        onward = [vertex for vertex in neighbours[chain[-1]] if vertex != before]
+        if not onward or onward[0] == chain[0]:
+            break
+        before = chain[-1]
+        chain.append(onward[0])
+    if len(chain) != len(neighbours):
+        left = sorted(set(neighbours) - set(chain))
+        raise InvalidLandmarksError(
+            f"expected the edges of one chain or loop, got pieces: vertices {first_few(left)} are joined to no other."
+        )
+    return np.array(chain, dtype=np.int64), not ends
+
+
+def paired_curves(
+    target_points: NamedPoints, source_points: NamedPoints, target: ControlMesh, source: ControlMesh
+) -> tuple[Curves, tuple[str, ...]]:
+    """Curves of two meshes, matched by name, and notes on names that only one side has.
+
+    Raises
+    ------
+    InvalidLandmarksError
+        If a name occurs twice on one side, a vertex is out of range, or a place is far from its mesh.
+    """
+    by_name = []
+    for side, points in (("target", target_points), ("source", source_points)):
+        names = [curve.name for curve in points.curves]
+        again = [name for i, name in enumerate(names) if name in names[:i]]
+        if again:
+            raise InvalidLandmarksError(
+                f"{side} curves: expected every name once, got these again: {first_few(again)}. Rename them."
+            )
+        by_name.append(dict(zip(names, points.curves, strict=True)))
+    shared = tuple(name for name in by_name[0] if name in by_name[1])
+    notes = tuple(
+        f"curves only on the {side}, which were not used: {first_few(only)}"
+        for side, own, other in (("target", *by_name), ("source", *by_name[::-1]))
+        if (only := [name for name in own if name not in other])
+    )
+    sides = [
+        CageCurves.joined([on_cage_curve(own[name], mesh) for name in shared])
+        for own, mesh in zip(by_name, (target, source), strict=True)
+    ]
+    return Curves(shared, sides[0], sides[1]), notes
+
+
+def on_cage_curve(curve: NamedCurve, mesh: ControlMesh) -> CageCurves:
+    """A curve on a control mesh: its vertices, and the mesh's nearest points to its places in space."""
+    names = tuple(f"{curve.name}, point {i}" for i in range(len(curve.vertices)))
+    points = on_cage(NamedPoints(names, curve.vertices, curve.positions), mesh)
+    return CageCurves(points, np.array([0, len(names)]), np.array([curve.closed]))
+
+
+def curve_faults(curves: Curves, target: ControlMesh, source: ControlMesh) -> list[str]:
+    """What is wrong with curves on two meshes, a sentence each."""
+    faults = []
+    names = list(curves.names)
+    again = [name for i, name in enumerate(names) if name in names[:i]]
+    if again:
+        faults.append(f"expected every name of a curve once, got these again: {first_few(again)}. Rename them.")
+    for side, lines, mesh in (("target", curves.target, target), ("source", curves.source, source)):
+        faults += _side_faults(side, lines, names, mesh)
+    halves = [name for name, a, b in zip(names, curves.target.closed, curves.source.closed, strict=True) if a != b]
+    if halves:
+        faults.append(
+            f"expected curves closed on both sides or open on both, got these closed on one only: {first_few(halves)}."
+        )
+    return faults
+
+
+def _side_faults(side: str, curves: CageCurves, names: list[str], mesh: ControlMesh) -> list[str]:
+    faults = []
+    points, of = curves.points, curves.curve_of
+    outside = np.flatnonzero(((points.corners < 0) | (points.corners >= mesh.n_vertices)).any(axis=1))
+    if len(outside):
+        listed = first_few(f"{names[of[i]]} ({points.nearest_vertices[i]})" for i in outside)
+        return [
+            f"expected {side} vertices of curves from 0 to {mesh.n_vertices - 1}, those of {mesh.name}, got {listed}. "
+            "Numbers are 0-based; check that target and source are not exchanged."
+        ]
+    short = np.flatnonzero(np.diff(curves.starts) < np.where(curves.closed, 3, 2))
+    if len(short):
+        faults.append(
+            f"expected curves of the {side} with two points or more, closed ones with three, got fewer: "
+            f"{first_few(names[i] for i in short)}."
+        )
+    vertices = points.vertices
+    keys = of * (mesh.n_vertices + 1) + vertices
+    again = np.setdiff1d(
+        np.flatnonzero(vertices >= 0), np.unique(np.where(vertices >= 0, keys, -1), return_index=True)[1]
+    )
+    if len(again):
+        listed = first_few(f"{names[of[i]]} ({vertices[i]})" for i in again)
+        faults.append(f"expected every {side} vertex once in a curve, got these again: {listed}.")
+    segments = curves.segments
+    # A place in space may be that of a vertex; only what was given as vertices has to follow the edges.
+    stated = np.where(points.corners[:, 0] == points.corners[:, 1], vertices, -1)
+    ends = np.sort(stated[segments], axis=1)
+    apart = np.flatnonzero((ends[:, 0] >= 0) & ~np.isin(_keys(ends, mesh), _keys(edge_table(mesh).vertices, mesh)))
+    if len(apart):
+        listed = first_few(
+            f"{names[of[segments[i, 0]]]} ({vertices[segments[i, 0]]} to {vertices[segments[i, 1]]})" for i in apart
+        )
+        faults.append(
+            f"expected neighbours in a curve of the {side} to be joined by edges of {mesh.name}, got none "
+            f"for {listed}. Give every vertex along the curve, or places in space."
+        )
+    return faults
+
+
+def _keys(ends: IndexArray, mesh: ControlMesh) -> IndexArray:
+    return np.asarray(ends[:, 0] * mesh.n_vertices + ends[:, 1])
