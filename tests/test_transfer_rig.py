@@ -93,8 +93,10 @@ def test_joints_follow_an_affine_map_exactly(ring: Refinement) -> None:
     linear = np.array([[1.5, 0.2, 0], [-0.3, 0.8, 0.1], [0, 0.4, 2.0]])
     moved = refine(control.with_positions(control.positions @ linear.T + (3, -1, 2)), 2)
     joints = np.array([[2.0, 0, 0], [0, 2.0, 0.3], [-1.7, 0.4, 0]])
-    carried = carry_joints(same_vertices(moved, ring), joints)
+    carried, turns = carry_joints(same_vertices(moved, ring), joints)
     np.testing.assert_allclose(carried, joints @ linear.T + (3, -1, 2), rtol=0, atol=1e-6)
+    u, _, vt = np.linalg.svd(linear.T)
+    np.testing.assert_allclose(turns, np.tile(u @ vt, (3, 1, 1)), atol=1e-6)
 
 
 def test_shapes_come_back_under_the_identity_and_zero_stays_zero(ring: Refinement) -> None:

@@ -19,12 +19,15 @@ from cagemap.files.landmarks import write_landmarks
 from cagemap.mesh import CatmullClark, ControlMesh, creature, poles
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.parts import extract, find_part
+from cagemap.mesh.skeleton import Skeleton
 
 pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
-from pxr import Usd, UsdGeom
+from pxr import Gf, Usd, UsdGeom
 
 from cagemap.files.usd import read_usd, read_usd_meshes
+from cagemap.files.usd_skeleton import read_usd_skeleton
 from cagemap.files.usd_write import UsdResults, write_usd
 from test_usd import complaints
 
@@ -51,14 +54,21 @@ def _body() -> ControlMesh:
     )
 
 
-def _write_asset(path: Path, stretch: float) -> None:
+def _write_asset(path: Path, stretch: float, up: str = "Y", unit: float = 1.0) -> None:
+    """A rigged body and an eye, the whole of it turned up and scaled as its units say."""
     body = _body().with_positions(_body().positions * [1, stretch, 1])
     weights = np.zeros((body.n_vertices, 2))
     weights[:, 0] = np.clip(body.positions[:, 1] / np.ptp(body.positions[:, 1]) + 0.5, 0, 1)
     weights[:, 1] = 1 - weights[:, 0]
     smile = np.zeros((body.n_vertices, 3))
     smile[3:9] = [0, 0.1, 0]
-    results = UsdResults(attributes={"skel:jointWeights": weights, "blendShape:smile": smile})
+    low, high = body.positions.min(axis=0), body.positions.max(axis=0)
+    middle = body.positions.mean(axis=0)
+    heads, tails = (
+        np.array([[middle[0], y, middle[2]] for y in ends]) for ends in ((middle[1], low[1]), (high[1], middle[1]))
+    )
+    skeleton = Skeleton(("chest", "hips"), ("hips", ""), heads, tails, np.stack([np.eye(3)] * 2))
+    results = UsdResults(attributes={"skel:jointWeights": weights, "blendShape:smile": smile}, skeleton=skeleton)
     write_usd(path, body, results)
     stage = Usd.Stage.Open(str(path))
     eye = UsdGeom.Mesh.Define(stage, "/Asset/eye")
@@ -67,13 +77,25 @@ def _write_asset(path: Path, stretch: float) -> None:
     eye.CreateFaceVertexCountsAttr(ball.face_sizes.tolist())
     eye.CreateFaceVertexIndicesAttr(ball.face_indices.tolist())
     eye.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(eye.GetPointsAttr().Get()))
+    place = np.eye(4)
+    place[:3, :3] = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]) if up == "Z" else np.eye(3)
+    place[:3, :3] /= unit
+    UsdGeom.Xformable(stage.GetPrimAtPath("/Asset")).AddTransformOp().Set(Gf.Matrix4d(*place.ravel().tolist()))
+    UsdGeom.SetStageUpAxis(stage, up)
+    UsdGeom.SetStageMetersPerUnit(stage, unit)
     stage.Save()
+
+
+def _part(path: Path) -> ControlMesh:
+    """The body of an asset, as `--part mesh` takes it."""
+    whole = read_usd(path)
+    return extract(whole, find_part(whole, "mesh").faces)
 
 
 def test_every_command_and_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     _write_asset(tmp_path / "source.usda", 1.0)
-    _write_asset(tmp_path / "target.usda", 1.05)
+    _write_asset(tmp_path / "target.usda", 1.05, "Z", 0.01)
     assert read_usd(tmp_path / "target.usda").object_names == ("/Asset/mesh", "/Asset/eye")
     picked = np.linspace(0, creature().n_vertices - 1, 9).astype(int)
     names = tuple(f"point {number}" for number in range(len(picked)))
@@ -87,7 +109,8 @@ def test_every_command_and_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         k=40,
         part="mesh",
     )
-    run_match(request, Stages())
+    _, warnings = run_match(request, Stages())
+    assert any("target.usda has 0.01 m a unit, Z up" in text for text in warnings)
     folder = tmp_path / "RESULT"
     skin, layer = tmp_path / "skin.<UDIM>.png", tmp_path / "look.usda"
     run_transfer(TransferRequest(folder, tmp_path / "baked.<UDIM>.png", texture=skin, usd=layer), Stages())
@@ -95,23 +118,29 @@ def test_every_command_and_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert list(baked) == [1001, 1002]
     assert abs(int(np.median(baked[1001].pixels)) - 40) <= 1
     assert abs(int(np.median(baked[1002].pixels)) - 220) <= 1
-    weights = TransferRequest(
-        folder, tmp_path / "weights.npz", attribute=tmp_path / "body.usda", usd=tmp_path / "rig.usda"
-    )
-    body = read_usd_meshes(tmp_path / "source.usda")[0]
-    write_usd(tmp_path / "body.usda", body.control, UsdResults(attributes=body.attributes))
-    run_transfer(weights, Stages())
-    carried = read_usd_meshes(tmp_path / "rig.usda")[0]
-    assert carried.path == "/Asset/mesh"
-    # The assets differ by a stretch: weights and the shape's reach are those of the source, nearly.
+    source = tmp_path / "source.usda"
+    run_transfer(TransferRequest(folder, tmp_path / "w.npz", weights=source, usd=tmp_path / "rig.usda"), Stages())
+    shapes = TransferRequest(folder, tmp_path / "s.npz", blend_shapes=(source,), usd=tmp_path / "shaped.usda")
+    run_transfer(shapes, Stages())
+    body, rigged = read_usd_meshes(source)[0], read_usd_meshes(tmp_path / "rig.usda")[0]
+    assert rigged.path == "/Asset/mesh"
+    # The assets differ by a stretch: weights, joints and the shape's reach are those of the source, nearly.
     source_weights = body.attributes["skel:jointWeights"]
-    assert np.median(np.abs(carried.attributes["skel:jointWeights"] - source_weights)) < 0.05
-    assert np.abs(carried.attributes["blendShape:smile"]).max() > 0.05
+    assert np.median(np.abs(rigged.attributes["skel:jointWeights"] - source_weights)) < 0.05
+    own, given = (read_usd_skeleton(path, _part(path)) for path in (tmp_path / "rig.usda", source))
+    assert own.names == given.names
+    # Meshes of several prims are read in world space: the target's stands upright along z, in centimetres.
+    expected = 100 * (given.heads * [1, 1.05, 1]) @ np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+    size = 100 * np.ptp(body.control.positions, axis=0).max()
+    assert np.abs(own.heads - expected).max() < 0.05 * size
+    smile = read_usd_meshes(tmp_path / "shaped.usda")[0].attributes["blendShape:smile"]
+    assert 0.05 < smile[:, 1].max() < 0.15  # in the prim's own space, as it was made
     run_wrap(WrapRequest((folder,), tmp_path / "wrapped.usda"), Stages())
     wrapped = read_usd_meshes(tmp_path / "wrapped.usda")[0].control
     assert wrapped.n_vertices == creature().n_vertices
     np.testing.assert_array_equal(wrapped.crease_sharpness, _body().crease_sharpness)
-    for name in ("look.usda", "rig.usda", "wrapped.usda"):
+    assert np.abs(wrapped.positions - body.control.positions).mean() < 0.02 * size / 100
+    for name in ("look.usda", "rig.usda", "shaped.usda", "wrapped.usda"):
         assert complaints(tmp_path / name) == [], name
     # The target's own file is as it was, and every layer still has both parts.
     assert len(read_usd_meshes(layer)) == 2

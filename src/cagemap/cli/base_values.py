@@ -26,7 +26,7 @@ def keep_base(request: TransferRequest, result: Result, carried: Attributes) -> 
         return carried, [
             "outside the masks values are carried as well; --base with the target's own values keeps those"
         ]
-    own = read_attributes(base)
+    own = read_attributes(base, result.target.control)
     weight = result.masks.joint(result.point_map)
     kept: Attributes = {}
     for name, values in carried.items():

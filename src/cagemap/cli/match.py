@@ -38,6 +38,7 @@ from cagemap.files.result import (
     write_result,
 )
 from cagemap.files.surface_store import prepared
+from cagemap.files.usd_space import unit_notes
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
@@ -267,6 +268,7 @@ def read_inputs(request: MatchRequest) -> Inputs:
         read_control(path, request, side) for side, path in zip(SIDES, (request.target, request.source), strict=True)
     )
     landmarks, notes = read_given_landmarks(request, target, source)
+    notes += unit_notes(request.target, request.source)
     options = MaskOptions(request.target_mask, request.source_mask, request.mask_edge)
     masks = read_masks(options, (target, source), (request.target, request.source))
     names = request.target_part or request.part, request.source_part or request.part

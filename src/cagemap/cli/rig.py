@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +18,15 @@ from cagemap.files.maps import write_map
 from cagemap.files.mhclo import bind, write_mhclo
 from cagemap.files.result import note_transfer, stated_path
 from cagemap.files.result_values import Result
-from cagemap.files.rigs import Skeleton, read_shapes, read_skeleton, write_shapes, write_skeleton
-from cagemap.files.usd_write import BLEND_SHAPE, JOINT_WEIGHTS, UsdResults
+from cagemap.files.rigs import read_shapes, read_skeleton, write_shapes, write_skeleton
+from cagemap.files.usd import USD_SUFFIXES
+from cagemap.files.usd_primvars import BLEND_SHAPE, JOINT_WEIGHTS
+from cagemap.files.usd_skeleton import read_usd_skeleton
+from cagemap.files.usd_write import UsdResults
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.elastic.graph import mesh_graph
+from cagemap.maps.point_map import PointMap
+from cagemap.mesh.skeleton import Skeleton
 from cagemap.refinement import triangulate_control
 from cagemap.transfer import control_weights, prepare_transfer
 from cagemap.transfer.shapes import carry_shape, prepare_shapes
@@ -38,12 +44,16 @@ def carry_weights(request: TransferRequest, result: Result, stages: Stages) -> O
     """Skinning weights: a column or array for each joint, or one array of all joints."""
     assert request.weights is not None
     check_outputs([request.output], [request.weights], force=request.force)
-    given = read_attributes(request.weights)
+    given = read_attributes(request.weights, result.source.control)
     if JOINT_WEIGHTS in given:  # a USD file: its other primvars are no weights
         given = {JOINT_WEIGHTS: given[JOINT_WEIGHTS]}
     skin = np.column_stack([np.asarray(array, dtype=np.float64).reshape(len(array), -1) for array in given.values()])
+    skeleton = None
     if request.joints is not None:
-        _require_joints(given, read_skeleton(request.joints), request)
+        skeleton = read_skeleton(request.joints, result.source.control)
+        _require_joints(given, skeleton, request)
+    elif request.weights.suffix.lower() in USD_SUFFIXES:
+        skeleton = read_usd_skeleton(request.weights, result.source.control)
     target, source = result.target.refinement, result.source.refinement
     point_map = result.point_map
     stages("weights")
@@ -69,7 +79,7 @@ def carry_weights(request: TransferRequest, result: Result, stages: Stages) -> O
     text = f"wrote {request.output}: {len(carried)} vertices, {carried.shape[1]} joints, at most {most} a vertex"
     if request.usd is not None:
         kept = np.column_stack(list(columns.values()))
-        skinning = UsdResults(attributes={JOINT_WEIGHTS: kept})
+        skinning = UsdResults(attributes={JOINT_WEIGHTS: kept}, skeleton=_carried(skeleton, columns, point_map))
         text += "\n" + write_usd_results(request.usd, request.result, result, skinning, force=request.force)
     if filled:
         text += f"\n  {filled} vertices where the map is not to be trusted take theirs from around them"
@@ -91,19 +101,36 @@ def _require_joints(given: Attributes, skeleton: Skeleton, request: TransferRequ
         )
 
 
+def _carried(skeleton: Skeleton | None, columns: Attributes, point_map: PointMap) -> Skeleton | None:
+    """A skeleton in the target, its joints in the order of the columns of weights."""
+    if skeleton is None:
+        return None
+    moved = _moved(skeleton, point_map)
+    if any(array.ndim > 1 for array in columns.values()):  # a table of all joints, in their order
+        return moved
+    order = [moved.names.index(name) for name in columns]
+    order += [joint for joint in range(len(moved.names)) if joint not in order]
+    axes = None if moved.axes is None else moved.axes[order]
+    names, parents = (tuple(of[joint] for joint in order) for of in (moved.names, moved.parents))
+    return Skeleton(names, parents, moved.heads[order], moved.tails[order], axes)
+
+
+def _moved(skeleton: Skeleton, point_map: PointMap) -> Skeleton:
+    """A skeleton of the source where it belongs in the target."""
+    count = len(skeleton.names)
+    ends, turns = carry_joints(point_map, np.concatenate([skeleton.heads, skeleton.tails]))
+    axes = None if skeleton.axes is None else skeleton.axes @ turns[:count]
+    return replace(skeleton, heads=ends[:count], tails=ends[count:], axes=axes)
+
+
 def carry_skeleton(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
     """Heads and tails of joints."""
     assert request.joints is not None
     check_outputs([request.output], [request.joints], force=request.force)
-    skeleton = read_skeleton(request.joints)
+    skeleton = read_skeleton(request.joints, result.source.control)
     stages("joints")
     count = len(skeleton.names)
-    carried = carry_joints(result.point_map, np.concatenate([skeleton.heads, skeleton.tails]))
-    write_skeleton(
-        request.output,
-        Skeleton(skeleton.names, skeleton.parents, carried[:count], carried[count:]),
-        force=request.force,
-    )
+    write_skeleton(request.output, _moved(skeleton, result.point_map), force=request.force)
     note_transfer(request.result, {"kind": "joints", "output": stated_path(request.output, request.result)})
     return f"wrote {request.output}: {count} joints", []
 

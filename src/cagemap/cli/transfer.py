@@ -82,7 +82,7 @@ def _carry_attribute(request: TransferRequest, result: Result, stages: Stages) -
     require_replaceable(request.output, force=request.force)
     if request.usd is not None:
         require_replaceable(request.usd, force=request.force)
-    values = read_attributes(request.attribute)
+    values = read_attributes(request.attribute, result.source.control)
     sides = result.target.refinement, result.source.refinement
     target, source = (side.control for side in sides)
     transfer = _prepare(result, stages)

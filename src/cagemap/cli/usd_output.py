@@ -48,7 +48,7 @@ def write_usd_results(layer: Path, folder: Path, result: Result, results: UsdRes
             f"--usd: expected a result about one mesh of {original.name}, got {len(paths)} of {', '.join(meshes)}. "
             "Match one of them with --target-part; textures alone may be of several."
         )
-    write_usd_over(layer, original, paths, control, results, force=force)
+    write_usd_over(layer, original, paths, control, results, world=len(meshes) > 1, force=force)
     return f"wrote {layer}, a layer over {original.name}"
 
 

@@ -32,7 +32,8 @@ from cagemap.files.result import (
     read_result,
     stated_path,
 )
-from cagemap.files.usd import USD_SUFFIXES
+from cagemap.files.usd import USD_SUFFIXES, moved
+from cagemap.files.usd_space import between_spaces
 from cagemap.files.usd_write import UsdResults
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -95,7 +96,8 @@ def _run(request: WrapRequest, stages: Stages) -> Outcome:
     wrapped = _wrap(request, result, config, stages)
     original = input_file(folder, result.manifest, "target")
     stages("write")
-    warnings = _write(request, wrapped, result, original, request.output)
+    space = _to_target(folder, result)
+    warnings = _write(request, _through(wrapped, space), result, original, request.output)
     note_transfer(folder, _entry(request, wrapped, folder))
     lines = [f"wrote {request.output}: {wrapped.mesh.n_vertices} vertices of level {wrapped.level}", _figures(wrapped)]
     if request.mhclo is not None:
@@ -110,6 +112,11 @@ def _run(request: WrapRequest, stages: Stages) -> Outcome:
         )
         lines.append(f"wrote {request.mhclo}: the mesh follows {result.source.control.name}")
     more, outside = bake_wrapped(request, result, wrapped, stages)
+    if more and not np.allclose(space, np.eye(4)):
+        length = np.cbrt(abs(np.linalg.det(space[:3, :3])))
+        outside.append(
+            f"images are in the source's units and axes; one of its units is {length:.6g} of {request.output.name}"
+        )
     return "\n".join(lines + more), warnings + outside + _warnings(wrapped)
 
 
@@ -173,6 +180,17 @@ def _write(request: WrapRequest, wrapped: Wrapped, result: Result, original: Pat
     ]
 
 
+def _to_target(folder: Path, result: Result) -> FloatArray:
+    """(4, 4) from the source's space to the target's, where two USD files say that they differ."""
+    files = [input_file(folder, result.manifest, side) for side in ("target", "source")]
+    return between_spaces(files[0], result.target.control, files[1], result.source.control)
+
+
+def _through(wrapped: Wrapped, space: FloatArray) -> Wrapped:
+    """A wrapped cage in the target's own units and axes."""
+    return replace(wrapped, mesh=wrapped.mesh.with_positions(moved(wrapped.mesh.positions, space)))
+
+
 def _write_shapes(request: WrapRequest, results: list[Result], config: WrapConfig, stages: Stages) -> Outcome:
     """A folder of OBJ files: the target at rest, and its cage in every source's shape."""
     names = [Path(result.source.control.name).stem for result in results]
@@ -189,7 +207,7 @@ def _write_shapes(request: WrapRequest, results: list[Result], config: WrapConfi
         if file == files[1]:
             rest = replace(wrapped, mesh=level_mesh(result.target.refinement, wrapped.level))
             _write(replace(request, amount=1.0), rest, result, original, files[0])
-        warnings += _write(request, wrapped, result, original, file)
+        warnings += _write(request, _through(wrapped, _to_target(folder, result)), result, original, file)
         lines.append(f"wrote {file}\n{_figures(wrapped)}")
         warnings += [f"{name}: {message}" for message in _warnings(wrapped)]
     return "\n".join(lines), list(dict.fromkeys(warnings))

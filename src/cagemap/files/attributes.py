@@ -13,19 +13,27 @@ from numpy.typing import NDArray
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.npz import read_npy, read_npz, write_npz
-from cagemap.files.usd import USD_SUFFIXES, read_usd_meshes
+from cagemap.files.usd import USD_SUFFIXES, one_mesh, read_usd_meshes
+from cagemap.files.usd_primvars import BLEND_SHAPE
+from cagemap.mesh import ControlMesh
 
 SUFFIXES = (".npy", ".npz", ".csv")
 
 Attributes = dict[str, NDArray[Any]]
 
 
-def read_attributes(path: str | Path) -> Attributes:
+def read_attributes(path: str | Path, control: ControlMesh | None = None) -> Attributes:
     """Read named arrays, one row a vertex or face.
 
     An ``.npy`` holds one array, named like the file; an ``.npz`` any number; a ``.csv`` one column each, with names in
     its first line, or one array of all columns, named like the file, without. A USD file holds the primvars of its
     mesh, skinning and blend shapes (`cagemap.files.usd_primvars`).
+
+    Parameters
+    ----------
+    path : path
+    control : ControlMesh, optional
+        The mesh whose values are meant, which says which one where a USD file has several.
 
     Returns
     -------
@@ -41,7 +49,7 @@ def read_attributes(path: str | Path) -> Attributes:
     if not file.is_file():
         raise FormatError(f"{file}: expected a file of attributes, found no such file. Check the name.")
     if file.suffix.lower() in USD_SUFFIXES:
-        return _read_usd(file)
+        return _read_usd(file, control)
     check_attribute_path(file)
     try:
         arrays = _read_csv(file) if file.suffix.lower() == ".csv" else _read_numpy(file)
@@ -54,14 +62,14 @@ def read_attributes(path: str | Path) -> Attributes:
     return {name: _check(file, name, array) for name, array in arrays.items()}
 
 
-def _read_usd(file: Path) -> Attributes:
+def _read_usd(file: Path, control: ControlMesh | None) -> Attributes:
     meshes = read_usd_meshes(file)
-    if len(meshes) > 1:
-        raise FormatError(
-            f"{file}: expected one mesh, got {', '.join(mesh.path for mesh in meshes)}. Make the attributes of one of "
-            "them a file of their own."
-        )
-    return {name: _check(file, name, array) for name, array in meshes[0].attributes.items()}
+    chosen = one_mesh(file, meshes, control)
+    arrays = dict(chosen.attributes)
+    if len(meshes) > 1:  # the mesh is in world space then, and so are its offsets
+        turn = chosen.to_world[:3, :3]
+        arrays |= {name: array @ turn for name, array in arrays.items() if name.startswith(BLEND_SHAPE)}
+    return {name: _check(file, name, array) for name, array in arrays.items()}
 
 
 def write_attributes(path: str | Path, attributes: Mapping[str, NDArray[Any]], *, force: bool = False) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,33 +12,29 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path, check_outputs
+from cagemap.files.attributes import read_attributes
 from cagemap.files.marks import mark
 from cagemap.files.meshes import mesh_files, read_mesh, write_mesh
 from cagemap.files.npz import read_npz, write_npz
 from cagemap.files.text import read_text
+from cagemap.files.usd import USD_SUFFIXES
+from cagemap.files.usd_primvars import BLEND_SHAPE
+from cagemap.files.usd_skeleton import read_usd_skeleton
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.skeleton import Skeleton
 from cagemap.numerics.arrays import FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class Skeleton:
-    """Joints with a head and a tail each.
-
-    Attributes
-    ----------
-    names, parents : tuple of str
-        A parent of '' is none.
-    heads, tails : (j, 3) float64
-    """
-
-    names: tuple[str, ...]
-    parents: tuple[str, ...]
-    heads: FloatArray
-    tails: FloatArray
-
-
-def read_skeleton(path: str | Path) -> Skeleton:
+def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skeleton:
     """Read a list of joints: ``[{"name": ..., "parent": ... or null, "head": [x, y, z], "tail": [x, y, z]}, ...]``.
+
+    A joint may have its own ``"axes"``, three directions. A USD file has the skeleton that its mesh is bound to.
+
+    Parameters
+    ----------
+    path : path
+    control : ControlMesh, optional
+        The mesh that it moves, which says which one where a USD file has several.
 
     Raises
     ------
@@ -46,6 +42,13 @@ def read_skeleton(path: str | Path) -> Skeleton:
         If the file is no such list, a name comes twice, or a parent is missing.
     """
     file = Path(path)
+    if file.suffix.lower() in USD_SUFFIXES:
+        found = read_usd_skeleton(file, control)
+        if found is None:
+            raise FormatError(
+                f"{file}: expected a mesh bound to a skeleton, it is bound to none. Export it with its rig."
+            )
+        return found
     try:
         stated = json.loads(read_text(file, "a skeleton"))
         joints = stated["joints"] if isinstance(stated, dict) else stated
@@ -54,6 +57,8 @@ def read_skeleton(path: str | Path) -> Skeleton:
         heads, tails = (
             np.array([joint[end] for joint in joints], dtype=np.float64).reshape(-1, 3) for end in ("head", "tail")
         )
+        has_axes = bool(joints) and all("axes" in joint for joint in joints)
+        axes = np.array([joint["axes"] for joint in joints], dtype=np.float64).reshape(-1, 3, 3) if has_axes else None
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise FormatError(
             f'{file}: expected a list of joints such as {{"name": "spine", "parent": null, "head": [0, 1, 0], '
@@ -66,7 +71,9 @@ def read_skeleton(path: str | Path) -> Skeleton:
         raise FormatError(f"{file}: parents {', '.join(missing)} are no joints of the file. Export the whole skeleton.")
     if not (np.isfinite(heads).all() and np.isfinite(tails).all()):
         raise FormatError(f"{file}: expected finite positions of heads and tails.")
-    return Skeleton(names, parents, heads, tails)
+    if axes is not None and not np.isfinite(axes).all():
+        raise FormatError(f"{file}: expected finite axes of joints.")
+    return Skeleton(names, parents, heads, tails, axes)
 
 
 def write_skeleton(path: str | Path, skeleton: Skeleton, *, force: bool = False) -> None:
@@ -77,6 +84,8 @@ def write_skeleton(path: str | Path, skeleton: Skeleton, *, force: bool = False)
             skeleton.names, skeleton.parents, skeleton.heads.tolist(), skeleton.tails.tolist(), strict=True
         )
     ]
+    if skeleton.axes is not None:
+        joints = [{**joint, "axes": axes} for joint, axes in zip(joints, skeleton.axes.tolist(), strict=True)]
     with atomic_path(path, force=force) as temporary:
         temporary.write_text(json.dumps({"written_by": mark(), "joints": joints}, indent=1) + "\n", encoding="utf-8")
 
@@ -87,7 +96,7 @@ def read_shapes(paths: Sequence[Path], rest: ControlMesh) -> dict[str, FloatArra
     Parameters
     ----------
     paths : sequence of Path
-        OBJ or PLY files with the cage's faces, ``.npz`` files of named displacements, or folders of these.
+        OBJ or PLY files with the cage's faces, ``.npz`` files of named displacements, or folders of these; USD files.
     rest : ControlMesh
 
     Raises
@@ -101,7 +110,7 @@ def read_shapes(paths: Sequence[Path], rest: ControlMesh) -> dict[str, FloatArra
         files += sorted(file for file in path.iterdir() if file.suffix.lower() in known) if path.is_dir() else [path]
     shapes: dict[str, FloatArray] = {}
     for file in files:
-        found = _read_offsets(file, rest) if file.suffix.lower() == ".npz" else {file.stem: _read_shape(file, rest)}
+        found = _shapes_of(file, rest)
         twice = sorted(set(found) & set(shapes))
         if twice:
             raise FormatError(f"{file}: a shape named {twice[0]} was read before. Rename one of them.")
@@ -109,6 +118,17 @@ def read_shapes(paths: Sequence[Path], rest: ControlMesh) -> dict[str, FloatArra
     if not shapes:
         raise FormatError(f"expected shapes in {', '.join(map(str, paths))}, found none (.obj, .ply or .npz)")
     return shapes
+
+
+def _shapes_of(file: Path, rest: ControlMesh) -> dict[str, FloatArray]:
+    if file.suffix.lower() == ".npz":
+        return _read_offsets(file, rest)
+    if file.suffix.lower() not in USD_SUFFIXES:
+        return {file.stem: _read_shape(file, rest)}
+    own = {n: values for n, values in read_attributes(file, rest).items() if n.startswith(BLEND_SHAPE)}
+    if any(values.shape != (rest.n_vertices, 3) for values in own.values()):
+        raise FormatError(f"{file}: expected blend shapes of {rest.n_vertices} vertices, as {rest.name} has.")
+    return {name.removeprefix(BLEND_SHAPE): np.asarray(values, dtype=np.float64) for name, values in own.items()}
 
 
 def _read_shape(file: Path, rest: ControlMesh) -> FloatArray:

@@ -153,13 +153,39 @@ def read_usd(path: str | Path) -> ControlMesh:
     return replace(join_meshes([in_world(mesh) for mesh in meshes]), name=file.name)
 
 
+def one_mesh(path: str | Path, meshes: tuple[UsdMesh, ...], control: ControlMesh | None) -> UsdMesh:
+    """The mesh of a file that a control mesh was read from: its only one, or the one that all its faces belong to.
+
+    Raises
+    ------
+    FormatError
+        If there are several and it is of none or of several of them.
+    """
+    if len(meshes) == 1:
+        return meshes[0]
+    objects = None if control is None else control.face_objects
+    numbers = [] if control is None or objects is None else np.unique(objects).tolist()
+    words = {control.object_names[number] for number in numbers} if control is not None else set()
+    chosen = [mesh for mesh in meshes if mesh.path in words]
+    if len(chosen) != 1:
+        raise FormatError(
+            f"{path}: expected one mesh, got {', '.join(mesh.path for mesh in meshes)}. Match one by --part, or make "
+            "what is meant a file of its own."
+        )
+    return chosen[0]
+
+
+def moved(points: FloatArray, matrix: FloatArray) -> FloatArray:
+    """(n, 3) points through a (4, 4) matrix of USD, which takes rows."""
+    return np.asarray(points @ matrix[:3, :3] + matrix[3, :3])
+
+
 def in_world(mesh: UsdMesh) -> ControlMesh:
     """The mesh in world space, with its prim's path as object."""
     control = mesh.control
-    positions = control.positions @ mesh.to_world[:3, :3] + mesh.to_world[3, :3]
     return replace(
         control,
-        positions=positions,
+        positions=moved(control.positions, mesh.to_world),
         face_objects=np.zeros(control.n_faces, dtype=np.int64),
         object_names=(mesh.path,),
     )
@@ -197,8 +223,13 @@ def _read_prim(file: Path, prim: Any) -> UsdMesh:
         control = replace(control, vertex_colors=np.asarray(colors, dtype=np.float64))
     if mesh.GetOrientationAttr().Get() == "leftHanded":
         control, attributes = _turned_round(control, attributes)
-    world = np.array(pxr.UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(pxr.Usd.TimeCode.Default()))
-    return UsdMesh(str(prim.GetPath()), control, attributes, world)
+    return UsdMesh(str(prim.GetPath()), control, attributes, local_to_world(prim))
+
+
+def local_to_world(prim: Any) -> FloatArray:
+    """(4, 4) from a prim's own space to the world's."""
+    pxr = usd_modules()
+    return np.array(pxr.UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(pxr.Usd.TimeCode.Default()))
 
 
 def _integers(values: Any) -> IndexArray:

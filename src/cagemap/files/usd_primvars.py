@@ -11,6 +11,10 @@ from cagemap.errors import FormatError
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
+# Attributes that become skinning and blend shapes.
+JOINT_WEIGHTS = "skel:jointWeights"
+BLEND_SHAPE = "blendShape:"
+
 
 def uv_primvars(prim: Any) -> list[Any]:
     """Primvars that hold texture coordinates: pairs of floats in that role, or named as the first set is by custom."""
@@ -78,7 +82,7 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
         if len(numbers) != expected:
             _refuse(where, primvar, f"got {len(numbers)} values where {expected} belong")
         arrays[name] = values[numbers]
-    return arrays | _weights(where, control, api) | _blend_shapes(where, control, prim)
+    return arrays | _weights(where, control, api, prim) | _blend_shapes(where, control, prim)
 
 
 def _values(where: str, primvar: Any) -> tuple[NDArray[Any], IndexArray, str]:
@@ -104,8 +108,8 @@ def _refuse(where: str, primvar: Any, found: str) -> None:
     )
 
 
-def _weights(where: str, control: ControlMesh, api: Any) -> dict[str, NDArray[Any]]:
-    """``skel:jointWeights`` as a dense table, (n, joints)."""
+def _weights(where: str, control: ControlMesh, api: Any, prim: Any) -> dict[str, NDArray[Any]]:
+    """``skel:jointWeights`` as a dense table, (n, joints), in the order of the skeleton's joints where there is one."""
     indices, weights = api.GetPrimvar("skel:jointIndices"), api.GetPrimvar("skel:jointWeights")
     if not (indices and weights and indices.HasValue() and weights.HasValue()):
         return {}
@@ -116,9 +120,26 @@ def _weights(where: str, control: ControlMesh, api: Any) -> dict[str, NDArray[An
         joints, values = (np.repeat(table[:1], control.n_vertices, axis=0) for table in (joints, values))
     if joints.shape != values.shape or len(joints) != control.n_vertices or (joints.size and joints.min() < 0):
         _refuse(where, weights, f"got tables of {joints.shape} joints and {values.shape} weights")
-    table = np.zeros((control.n_vertices, int(joints.max(initial=0)) + 1))
+    joints, count = _in_skeleton_order(where, weights, joints, prim)
+    table = np.zeros((control.n_vertices, count))
     np.add.at(table, (np.arange(len(joints))[:, None], joints), values)
-    return {"skel:jointWeights": table}
+    return {JOINT_WEIGHTS: table}
+
+
+def _in_skeleton_order(where: str, weights: Any, joints: NDArray[Any], prim: Any) -> tuple[NDArray[Any], int]:
+    """Numbers of joints among those of the skeleton that the mesh is bound to, and how many it has."""
+    from pxr import UsdSkel
+
+    binding = UsdSkel.BindingAPI(prim)
+    skeleton = binding.GetInheritedSkeleton()
+    every = list(skeleton.GetJointsAttr().Get() or []) if skeleton else []
+    own = list(binding.GetJointsAttr().Get() or []) or every
+    highest = int(joints.max(initial=0))
+    if not every:
+        return joints, highest + 1
+    if highest >= len(own) or any(joint not in every for joint in own):
+        _refuse(where, weights, f"got joint {highest} of {len(own)}, or joints that the skeleton has not")
+    return np.array([every.index(joint) for joint in own], dtype=np.int64)[joints], len(every)
 
 
 def _blend_shapes(where: str, control: ControlMesh, prim: Any) -> dict[str, NDArray[Any]]:
@@ -142,5 +163,5 @@ def _blend_shapes(where: str, control: ControlMesh, prim: Any) -> dict[str, NDAr
             )
         table = np.zeros((control.n_vertices, 3))
         table[numbers] = offsets
-        arrays[f"blendShape:{name}"] = table
+        arrays[f"{BLEND_SHAPE}{name}"] = table
     return arrays

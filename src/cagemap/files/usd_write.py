@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.marks import mark
-from cagemap.files.usd import open_stage, usd_modules
+from cagemap.files.usd import local_to_world, moved, open_stage, usd_modules
 from cagemap.files.usd_material import bind_textures
+from cagemap.files.usd_primvars import BLEND_SHAPE, JOINT_WEIGHTS
+from cagemap.files.usd_skeleton import write_usd_skeleton
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
+from cagemap.mesh.skeleton import Skeleton
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 _SCHEMES = {CatmullClark: "catmullClark", Loop: "loop", Bilinear: "bilinear"}
 _BOUNDARIES = {"none": "none", "edge_only": "edgeOnly", "edge_and_corner": "edgeAndCorner"}
 _TRIANGLES = {"catmull_clark": "catmullClark", "smooth": "smooth"}
 _JOINTS_KEPT = 8
-# Attributes that become skinning and blend shapes.
-JOINT_WEIGHTS = "skel:jointWeights"
-BLEND_SHAPE = "blendShape:"
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +44,27 @@ class UsdResults:
         New places of the vertices.
     uvs : (name, values, indices) or None
         A new UV set.
+    skeleton : Skeleton or None
+        That the weights are of; in the order of their columns.
     """
 
     textures: Mapping[str, str] = field(default_factory=dict)
     attributes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     points: FloatArray | None = None
     uvs: tuple[str, FloatArray, IndexArray] | None = None
+    skeleton: Skeleton | None = None
+
+    def through(self, matrix: FloatArray) -> UsdResults:
+        """The same in another space: all that has places or directions taken through a (4, 4) matrix of USD."""
+        turn = matrix[:3, :3]
+        attributes = {n: v @ turn if n.startswith(BLEND_SHAPE) else v for n, v in self.attributes.items()}
+        skeleton = self.skeleton
+        if skeleton is not None:
+            axes = None if skeleton.axes is None else skeleton.axes @ turn
+            heads, tails = (moved(ends, matrix) for ends in (skeleton.heads, skeleton.tails))
+            skeleton = replace(skeleton, heads=heads, tails=tails, axes=axes)
+        points = None if self.points is None else moved(self.points, matrix)
+        return replace(self, attributes=attributes, points=points, skeleton=skeleton)
 
 
 def write_usd(path: str | Path, mesh: ControlMesh, results: UsdResults = UsdResults(), *, force: bool = False) -> None:
@@ -89,6 +104,7 @@ def write_usd_over(
     mesh: ControlMesh,
     results: UsdResults,
     *,
+    world: bool = False,
     force: bool = False,
 ) -> None:
     """Write results as a new layer over the target's file, which stays as it is; pipelines compose the two.
@@ -104,6 +120,8 @@ def write_usd_over(
     mesh : ControlMesh
         The mesh as it was read.
     results : UsdResults
+    world : bool
+        Whether the mesh was read in world space, and not in the prim's own.
 
     Raises
     ------
@@ -128,8 +146,15 @@ def write_usd_over(
     stage.GetRootLayer().defaultPrim = (below.GetDefaultPrim() or below.GetPrimAtPath(top)).GetName()
     if _needs_skeleton(results) and not any(p.IsA(pxr.UsdSkel.Root) for p in _ancestors(prims[0])):
         stage.OverridePrim(top).SetTypeName("SkelRoot")
-    for prim_path in prim_paths:
-        _write_results(stage, stage.OverridePrim(prim_path), mesh, results)
+    for prim, prim_path in zip(prims, prim_paths, strict=True):
+        to_world = local_to_world(prim)
+        inside = (
+            results.through(np.asarray(np.linalg.inv(to_world), dtype=np.float64))
+            if world and len(prim_paths) == 1
+            else results
+        )
+        to_root = to_world @ np.linalg.inv(local_to_world(below.GetPrimAtPath(top)))
+        _write_results(stage, stage.OverridePrim(prim_path), mesh, inside, to_root)
     written = stage.GetRootLayer()
     written.subLayerPaths = list(layer.subLayerPaths)
     _save(written, file, force=force)
@@ -235,7 +260,9 @@ def _named_faces(mesh: ControlMesh) -> list[tuple[str, IndexArray, FloatArray | 
     return [(name, faces, color) for name, faces, color in found if name and len(faces)]
 
 
-def _write_results(stage: Any, prim: Any, mesh: ControlMesh, results: UsdResults) -> None:
+def _write_results(
+    stage: Any, prim: Any, mesh: ControlMesh, results: UsdResults, to_root: FloatArray | None = None
+) -> None:
     pxr = usd_modules()
     geometry = pxr.UsdGeom.Mesh(prim)
     if results.points is not None:
@@ -256,6 +283,8 @@ def _write_results(stage: Any, prim: Any, mesh: ControlMesh, results: UsdResults
             shapes[name.removeprefix(BLEND_SHAPE)] = np.asarray(values, dtype=np.float64)
         else:
             _write_primvar(prim, mesh, name, np.asarray(values))
+    if results.skeleton is not None:
+        write_usd_skeleton(stage, prim, results.skeleton, np.eye(4) if to_root is None else to_root)
     if shapes:
         _write_blend_shapes(stage, prim, shapes)
     if results.textures:

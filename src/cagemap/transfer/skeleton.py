@@ -13,7 +13,7 @@ _POWER = 2.0
 _CLOSEST = 1e-3
 
 
-def carry_joints(point_map: PointMap, joints: FloatArray) -> FloatArray:
+def carry_joints(point_map: PointMap, joints: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Where points inside or near the source belong in the target.
 
     Every joint gets the affine map that suits the surface around it best (moving least squares, Schaefer et al. 2006),
@@ -27,14 +27,16 @@ def carry_joints(point_map: PointMap, joints: FloatArray) -> FloatArray:
 
     Returns
     -------
-    (j, 3) float64
+    places : (j, 3) float64
         In the target's file units.
+    turns : (j, 3, 3) float64
+        Rotation of each map: directions as rows, times it, point in the target as they do in the source.
     """
     source = point_map.images.positions
     target = point_map.target.positions
     areas = np.zeros(point_map.target.n)
     np.add.at(areas, point_map.target.triangles.ravel(), np.repeat(point_map.target.areas / 3, 3))
-    carried = np.empty((len(joints), 3))
+    carried, linear = np.empty((len(joints), 3)), np.empty((len(joints), 3, 3))
     for row, joint in enumerate(np.asarray(joints, dtype=np.float64) * point_map.source.scale):
         offsets = source - joint
         squared = np.einsum("nd,nd->n", offsets, offsets) + _CLOSEST**2
@@ -46,5 +48,8 @@ def carry_joints(point_map: PointMap, joints: FloatArray) -> FloatArray:
         # A flat neighbourhood says nothing across it: there, the map is a scaled rotation's.
         moments += 1e-9 * np.trace(moments) * np.eye(3)
         mixed = np.einsum("n,na,nb->ab", weights, moved, target - after)
-        carried[row] = after + (joint - before) @ np.linalg.solve(moments, mixed)
-    return carried / point_map.target.scale
+        linear[row] = np.linalg.solve(moments, mixed)
+        carried[row] = after + (joint - before) @ linear[row]
+    u, _, vt = np.linalg.svd(linear)
+    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
+    return carried / point_map.target.scale, u @ vt

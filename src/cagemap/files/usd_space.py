@@ -1,0 +1,84 @@
+"""Units and axes of USD files: results are in the target's own, whatever the source's are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cagemap.files.usd import USD_SUFFIXES, one_mesh, open_stage, read_usd_meshes, usd_modules
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray
+
+# Z up to Y up, for rows.
+_Z_TO_Y = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+
+
+@dataclass(frozen=True)
+class StageUnits:
+    """What a USD file says about lengths and directions.
+
+    Attributes
+    ----------
+    up_axis : str
+        "Y" or "Z".
+    meters_per_unit : float
+    """
+
+    up_axis: str
+    meters_per_unit: float
+
+    def __str__(self) -> str:
+        return f"{self.meters_per_unit:g} m a unit, {self.up_axis} up"
+
+
+def stage_units(path: str | Path) -> StageUnits | None:
+    """Units of a USD file; None where the file is another one, which says nothing about them.
+
+    Raises
+    ------
+    FormatError
+        If it cannot be read.
+    """
+    if Path(path).suffix.lower() not in USD_SUFFIXES:
+        return None
+    pxr, stage = usd_modules(), open_stage(path)
+    return StageUnits(str(pxr.UsdGeom.GetStageUpAxis(stage)), float(pxr.UsdGeom.GetStageMetersPerUnit(stage)))
+
+
+def unit_notes(target: Path, source: Path) -> tuple[str, ...]:
+    """A sentence about USD files of different units or axes."""
+    units = stage_units(target), stage_units(source)
+    if None in units or units[0] == units[1]:
+        return ()
+    return (f"{target.name} has {units[0]}, {source.name} {units[1]}: results are in the target's own",)
+
+
+def to_standard(path: Path, control: ControlMesh) -> FloatArray:
+    """(4, 4) from the space of a file's control mesh to metres in world space with Y up.
+
+    Raises
+    ------
+    FormatError
+        If it cannot be read, or has several meshes and the control mesh is of none of them.
+    """
+    units = stage_units(path)
+    assert units is not None
+    meshes = read_usd_meshes(path)
+    # Several meshes are read in world space.
+    placed = one_mesh(path, meshes, control).to_world if len(meshes) == 1 else np.eye(4)
+    turned = placed @ (_Z_TO_Y if units.up_axis == "Z" else np.eye(4))
+    turned[:, :3] *= units.meters_per_unit
+    return np.asarray(turned, dtype=np.float64)
+
+
+def between_spaces(
+    target_file: Path | None, target: ControlMesh, source_file: Path | None, source: ControlMesh
+) -> FloatArray:
+    """(4, 4) from the source's space to the target's; the identity unless both are USD files, which alone say it."""
+    files = [path for path in (target_file, source_file) if path is not None and path.suffix.lower() in USD_SUFFIXES]
+    if len(files) < 2:
+        return np.eye(4)
+    there, here = to_standard(files[1], source), to_standard(files[0], target)
+    return np.asarray(there @ np.linalg.inv(here), dtype=np.float64)
