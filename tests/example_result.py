@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from cagemap.files.result import Result, Side
+from cagemap.basis import BasisConfig, Surface
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.quality import QualityFigures
+from cagemap.maps.result import MatchResult, SpectralMap
 from cagemap.mesh import ControlMesh, cube
-from cagemap.refinement import CatmullClark, refine, triangles
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.refinement import CatmullClark, refine
 
 
 def textured_cube(name: str, scale: float = 1.0) -> ControlMesh:
@@ -30,47 +33,37 @@ def textured_cube(name: str, scale: float = 1.0) -> ControlMesh:
     )
 
 
-def identity_result(level: int = 3, **changes: Any) -> Result:
+def identity_result(level: int = 3) -> MatchResult:
     """Target and source are the same cube, the target twice as large; every vertex maps to itself."""
-    sides = []
-    for name, scale in (("large.obj", 2.0), ("small.obj", 1.0)):
-        control = textured_cube(name, scale)
-        finest = refine(control, level, CatmullClark()).finest
-        assert finest.faces is not None
-        landmarks = np.array([0, 3, 5, 6])
-        sides.append(Side(control, CatmullClark(), level, finest.positions, finest.faces, np.arange(5.0), landmarks))
-    split = triangles(sides[1].faces)
-    n = len(sides[0].vertices)
+    target, source = (
+        Surface(refine(textured_cube(name, scale), level, CatmullClark()), BasisConfig(count=5))
+        for name, scale in (("large.obj", 2.0), ("small.obj", 1.0))
+    )
+    vertices = np.array([0, 3, 5, 6])
+    places = target.triangles(level), source.triangles(level)
+    split, n = places[1].triangles, places[0].n
     triangle = np.zeros(n, np.int64)
     triangle[split.ravel()] = np.repeat(np.arange(len(split)), 3)
     barycentric = (split[triangle] == np.arange(n)[:, None]).astype(np.float64)
     quality = {
-        "landmark_error_mean": 0.0,
-        "landmark_error_worst": 0.0,
         "flipped_area": 0.001,
         "coverage": 1.0,
         "dirichlet": 1.0,
         "aspect_ratio_percentiles": {"50": 1.0},
         "trusted_area": 1.0,
-        "warnings": [],
     }
-    result = Result(
-        target=sides[0],
-        source=sides[1],
-        source_triangles=split,
-        triangle=triangle,
-        barycentric=barycentric,
-        functional_map=np.eye(5),
-        trust=np.ones(n),
-        landmark_errors=np.zeros(4),
-        landmark_names=("a <b>", "c", "d", "e"),
-        manifest={
-            "quality": quality,
-            "timings": {"map": 1.5, "write": 0.25},
+    return MatchResult(
+        target,
+        source,
+        Landmarks(("a <b>", "c", "d", "e"), vertices, vertices, "large.obj", "small.obj"),
+        PointMap.from_arrays(*places, triangle, barycentric),
+        QualityFigures.of_summary(quality, np.zeros(4), np.ones(n)),
+        {"map": 1.5, "write": 0.25},
+        known_spectral=SpectralMap(np.eye(5), np.arange(5.0), np.arange(5.0)),
+        provenance={
             "peak_memory_bytes": 3 * 2**29,
             "notes": ["made for other poses"],
             "parameters": {"k": 5},
             "inputs": {"target": {"file": "large.obj", "sha256": "0" * 64}},
         },
     )
-    return replace(result, **changes)

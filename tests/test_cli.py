@@ -256,7 +256,7 @@ def test_attributes_arrive_at_the_same_kind_of_place(run: Run, result_folder: Pa
 
 def test_a_target_without_uvs_needs_unwrap(run: Run, result_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     place, result = result_folder.parent, read_result(result_folder)
-    bare = replace(result.target, control=result.target.control.with_uvs(None, None))
+    bare = result.target.with_control(result.target.control.with_uvs(None, None))
     write_result(result_folder, replace(result, target=bare))
     refused = run("transfer", "R", "--texture", "t.png", "--size", 32, "-o", "b.png")
     assert refused.code == 2
@@ -316,7 +316,7 @@ def test_one_thing_at_a_time(run: Run, result_folder: Path) -> None:
 def test_islands_outside_the_square_are_warned_of(run: Run, result_folder: Path) -> None:
     result = read_result(result_folder)
     moved = result.target.control.with_uvs(result.target.control.uvs - [0.4, 0.0], result.target.control.uv_indices)
-    write_result(result_folder, replace(result, target=replace(result.target, control=moved)))
+    write_result(result_folder, replace(result, target=result.target.with_control(moved)))
     outcome = run("transfer", "R", "--texture", "t.png", "--size", 32, "-o", "b.png")
     assert outcome.code == 0
     assert "outside the unit square" in outcome.err
@@ -363,7 +363,7 @@ def test_landmarks_come_from_one_file_for_each_mesh(run: Run, pair_files: Path) 
     assert "only deer" in outcome.err
     found = read_result(pair_files / "R")
     assert found.landmark_names == landmarks.names
-    np.testing.assert_array_equal(found.target.landmarks, landmarks.target)
+    np.testing.assert_array_equal(found.landmarks.target, landmarks.target)
     assert run("match", *MATCH, *files, "-o", "S").code == 2
     assert run("match", *MATCH[:4], *files[:2], "-o", "S").code == 2
 
@@ -373,7 +373,7 @@ def test_match_from_files_to_a_result(run: Run, pair_files: Path) -> None:
     assert outcome.code == 0, outcome.err
     assert "deer.obj" in outcome.out
     result = read_result(pair_files / "R")
-    assert (result.target.level, result.functional_map.shape) == (1, (20, 20))
+    assert (result.target.finest, result.functional_map.shape) == (1, (20, 20))
     assert (result.barycentric >= -1e-12).all()
     np.testing.assert_allclose(result.barycentric.sum(1), 1.0, atol=1e-12)
     manifest = result.manifest
@@ -460,7 +460,7 @@ def test_demo_runs_and_the_readme_block_does(
     exec(compile(block, "README.md", "exec"), {})  # the block as a reader runs it
     assert "flipped_area" in capsys.readouterr().out
     assert read_image("deer.png").pixels.shape == (1024, 1024, 3)
-    assert read_result("RESULT").target.level == 3
+    assert read_result("RESULT").target.finest == 3
 
 
 def test_a_broken_mesh_is_refused_before_any_work(run: Run, pair_files: Path) -> None:

@@ -18,8 +18,7 @@ from cagemap.errors import FormatError, InvalidLandmarksError
 from cagemap.files.landmark_points import read_points, write_points
 from cagemap.files.landmarks import read_landmarks, write_landmarks
 from cagemap.files.meshes import write_mesh
-from cagemap.files.result import read_result, result_of, write_result
-from cagemap.files.resume import resume
+from cagemap.files.result import ARRAYS, read_result, write_result
 from cagemap.geometry.polylines import Polyline
 from cagemap.maps.curves import curve_pairs, edge_vertices, refined_edges
 from cagemap.maps.elastic.anchors import Anchors
@@ -147,14 +146,13 @@ def test_a_result_keeps_its_curves(with_curves: MatchResult, tmp_path: Path) -> 
         np.testing.assert_array_equal(kept.starts, given_.starts)
         np.testing.assert_array_equal(kept.closed, given_.closed)
     assert stored.manifest["curves"][0]["mean"] == pytest.approx(with_curves.curve_misses[0].mean)
-    assert resume(stored).curve_misses[0].mean == pytest.approx(with_curves.curve_misses[0].mean, abs=1e-9)
+    assert stored.curve_misses[0].mean == pytest.approx(with_curves.curve_misses[0].mean, abs=1e-9)
 
 
 def test_a_damaged_curve_in_a_result_is_refused(with_curves: MatchResult, tmp_path: Path) -> None:
-    result = result_of(with_curves)
-    lines = result.curves.target
-    far = replace(lines, points=replace(lines.points, corners=lines.points.corners + 1000))
-    write_result(tmp_path / "RESULT", replace(result, curves=replace(result.curves, target=far)))
+    write_result(tmp_path / "RESULT", with_curves)
+    arrays = dict(np.load(tmp_path / "RESULT" / ARRAYS))
+    np.savez(tmp_path / "RESULT" / ARRAYS, **arrays | {"target_curve_corners": arrays["target_curve_corners"] + 1000})
     with pytest.raises(FormatError, match="target_curve_corners"):
         read_result(tmp_path / "RESULT")
 
@@ -163,8 +161,9 @@ def test_a_report_shows_curves(with_curves: MatchResult) -> None:
     pytest.importorskip("embreex")
     from cagemap.report import build_page, draw_gallery
 
-    result = result_of(with_curves)
-    plain = draw_gallery(replace(result, curves=Curves.none()), size=(120, 90))
+    result = with_curves
+    bare = replace(result, landmarks=replace(result.landmarks, curves=Curves.none()))
+    plain = draw_gallery(bare, size=(120, 90))
     drawn = draw_gallery(result, size=(120, 90))
     page = build_page(result, drawn)
     assert "ring 3" in page

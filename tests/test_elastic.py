@@ -66,7 +66,7 @@ def graph_of(refinement: Refinement, scale: float, level: int) -> tuple[ElasticG
 def surface_of(refinement: Refinement) -> Surface:
     """A surface with few basis functions: the fit does not ask for any."""
     operators = build_operators(refinement)
-    return Surface(refinement, operators, hierarchical_basis(refinement, operators, BasisConfig(count=4)))
+    return Surface.of(refinement, operators, hierarchical_basis(refinement, operators, BasisConfig(count=4)))
 
 
 def prepared_at(target: Surface, source: Surface, level: int, config: ElasticConfig) -> PreparedPair:

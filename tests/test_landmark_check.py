@@ -9,7 +9,7 @@ import pytest
 
 from cagemap import BasisConfig, Landmarks, MatchConfig, MatchResult, Surface, match, prepare_surface, update_match
 from cagemap.example import example_pair
-from cagemap.files.result import landmark_messages, result_of
+from cagemap.files.result import landmark_messages
 from cagemap.maps.elastic.config import ElasticConfig, Stage
 from cagemap.maps.elastic.graph import ElasticGraph, cluster_graph
 from cagemap.maps.elastic.prepared import level_graph
@@ -205,7 +205,7 @@ def misled(pair) -> tuple[int, Landmarks, MatchResult]:
 def test_correct_pairs_are_all_met(followed):
     assert followed.suspects == ()
     assert followed.quality.landmark_errors.max() < 1e-12
-    assert landmark_messages(result_of(followed).manifest) == []
+    assert landmark_messages(followed.manifest) == []
 
 
 def test_a_wrong_pair_is_named_and_not_followed(pair, followed, misled):
@@ -227,10 +227,9 @@ def test_a_wrong_pair_is_named_and_not_followed(pair, followed, misled):
 
 def test_the_result_tells_of_it(misled):
     number, wrong, found = misled
-    stored = result_of(found)
-    assert len(stored.landmark_errors) == len(wrong)
-    assert stored.landmark_errors[number] == found.suspects[0].distance
-    (message,) = landmark_messages(stored.manifest)
+    assert len(found.landmark_errors) == len(wrong)
+    assert found.landmark_errors[number] == found.suspects[0].distance
+    (message,) = landmark_messages(found.manifest)
     assert wrong.names[number] in message
     assert "--trust-landmarks" in message
 

@@ -11,7 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cagemap.files.result import Result
+from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
+from cagemap.maps.quality import QualityFigures
+from cagemap.maps.result import MatchResult
 from cagemap.report import Gallery, build_page, draw_gallery, write_report
 from cagemap.report.figures import for_display
 from cagemap.report.merits import explain, overall
@@ -22,19 +24,19 @@ SIZE = (90, 70)
 
 
 @pytest.fixture(scope="module")
-def result() -> Result:
+def result() -> MatchResult:
     return identity_result()
 
 
 @pytest.fixture(scope="module")
-def gallery(result: Result) -> Gallery:
+def gallery(result: MatchResult) -> Gallery:
     texture = np.zeros((60, 90, 3), np.uint8)
     texture[:, :, 2] = 255
     return draw_gallery(result, texture=texture, baked=texture, size=SIZE)
 
 
 @pytest.fixture(scope="module")
-def page(result: Result, gallery: Gallery) -> str:
+def page(result: MatchResult, gallery: Gallery) -> str:
     return build_page(result, gallery)
 
 
@@ -101,7 +103,7 @@ def test_identity_draws_source_and_target_alike(gallery: Gallery) -> None:
         assert np.mean(np.abs(figure.source.astype(int) - figure.target)) < 0.5
 
 
-def test_texture_is_shown_where_it_is_given(result: Result, gallery: Gallery) -> None:
+def test_texture_is_shown_where_it_is_given(result: MatchResult, gallery: Gallery) -> None:
     def tint(picture: np.ndarray) -> np.ndarray:
         return np.diff(picture[25:45, 35:55].reshape(-1, 3).mean(0))
 
@@ -114,13 +116,14 @@ def test_texture_is_shown_where_it_is_given(result: Result, gallery: Gallery) ->
     assert tint(pulled.looks[0].target)[1] < -60
 
 
-def test_without_a_texture_material_colours_are_shown_and_without_those_a_checker(result: Result) -> None:
+def test_without_a_texture_material_colours_are_shown_and_without_those_a_checker(result: MatchResult) -> None:
     assert draw_gallery(result, size=SIZE).appearance == "material colours"
-    plain = replace(result.source, control=replace(result.source.control, face_materials=None, material_colors=None))
+    bare = replace(result.source.control, face_materials=None, material_colors=None)
+    plain = result.source.with_control(bare)
     assert draw_gallery(replace(result, source=plain), size=SIZE).appearance == "checker"
 
 
-def test_progress_names_every_picture(result: Result) -> None:
+def test_progress_names_every_picture(result: MatchResult) -> None:
     said: list[str] = []
     draw_gallery(result, size=(30, 20), progress=said.append)
     assert said == [f"picture {i} of 7" for i in range(1, 8)]
@@ -152,20 +155,22 @@ def test_verdicts_follow_the_figures() -> None:
     assert explain({"flipped_area": None, "coverage": "many"}) == []
 
 
-def test_report_without_figures_is_still_a_page(result: Result, gallery: Gallery) -> None:
-    outline(build_page(replace(result, manifest={}, landmark_names=()), gallery))
+def test_report_without_figures_is_still_a_page(result: MatchResult, gallery: Gallery) -> None:
+    bare = replace(result, quality=QualityFigures.of_summary({}, np.zeros(4), result.trust), timings={}, provenance={})
+    outline(build_page(bare, gallery))
 
 
-def test_pairs_that_were_left_out_are_named(result: Result, gallery: Gallery) -> None:
-    check = {"suspects": [{"pair": 2, "message": "landmark 'd' looks wrong"}], "notes": ["five pairs are few"]}
-    page = build_page(replace(result, manifest=result.manifest | {"landmark_check": check}), gallery)
+def test_pairs_that_were_left_out_are_named(result: MatchResult, gallery: Gallery) -> None:
+    check = LandmarkCheck((LandmarkSuspect("d", 2, 0.2, 7, 5, "distances"),), ("five pairs are few",))
+    quality = replace(result.quality, landmark_errors=np.zeros(3))
+    page = build_page(replace(result, landmark_check=check, quality=quality), gallery)
     assert "landmark &#x27;d&#x27; looks wrong" in page
     assert "five pairs are few" in page
     assert page.count("left out</td>") == 1
     assert "left out</td>" not in build_page(result, gallery)
 
 
-def test_written_whole(result: Result, tmp_path: Path) -> None:
+def test_written_whole(result: MatchResult, tmp_path: Path) -> None:
     write_report(tmp_path / "r.html", result, size=(40, 30))
     assert (tmp_path / "r.html").read_text(encoding="utf-8").endswith("</html>\n")
     assert [path.name for path in tmp_path.iterdir()] == ["r.html"]

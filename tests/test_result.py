@@ -9,32 +9,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cagemap.basis import BasisConfig, Surface
 from cagemap.errors import FormatError
 from cagemap.files.result import (
     ARRAYS,
     MANIFEST,
-    Result,
-    Side,
     file_hash,
     mesh_hash,
     note_transfer,
     read_result,
     write_result,
 )
-from cagemap.mesh import ControlMesh, cube, icosahedron
-from cagemap.refinement import CatmullClark, Loop, refine, triangles
-
-
-def side(control: ControlMesh, scheme: CatmullClark | Loop, level: int, k: int) -> Side:
-    finest = refine(control, level, scheme).finest
-    assert finest.faces is not None
-    return Side(
-        control, scheme, level, finest.positions, finest.faces, np.linspace(0, 9, k), np.array([0, 3, 5], np.int64)
-    )
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.quality import QualityFigures
+from cagemap.maps.result import MatchResult, SpectralMap
+from cagemap.mesh import cube, icosahedron
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.refinement import CatmullClark, Loop, refine
 
 
 @pytest.fixture(scope="module")
-def result() -> Result:
+def result() -> MatchResult:
     rng = np.random.default_rng(17)
     textured = replace(
         cube(),
@@ -45,30 +40,29 @@ def result() -> Result:
         material_colors=np.array([[0.1, 0.2, 0.3], [np.nan] * 3]),
         name="box.obj",
     )
-    target, source = side(textured, CatmullClark("edge_only"), 2, 4), side(icosahedron(), Loop(), 1, 6)
-    split = triangles(source.faces)
-    n1 = len(target.vertices)
-    return Result(
-        target=target,
-        source=source,
-        source_triangles=split,
-        triangle=rng.integers(0, len(split), n1),
-        barycentric=rng.dirichlet([1, 1, 1], n1),
-        functional_map=rng.normal(size=(4, 6)),
-        trust=rng.random(n1),
-        landmark_errors=rng.random(3),
-        landmark_names=("nose", "tail", "toe"),
-        manifest={"timings": {"map": 1.25}, "quality": {"coverage": np.float64(0.5), "worst": np.nan}},
+    target = Surface(refine(textured, 2, CatmullClark("edge_only")), BasisConfig(count=4))
+    source = Surface(refine(icosahedron(), 1, Loop()), BasisConfig(count=6))
+    places = target.triangles(2), source.triangles(1)
+    n1 = places[0].n
+    vertices = np.array([0, 3, 5], np.int64)
+    return MatchResult(
+        target,
+        source,
+        Landmarks(("nose", "tail", "toe"), vertices, vertices, textured.name, source.control.name),
+        PointMap.from_arrays(*places, rng.integers(0, len(places[1].triangles), n1), rng.dirichlet([1, 1, 1], n1)),
+        QualityFigures.of_summary({"coverage": 0.5}, rng.random(3), rng.random(n1)),
+        {"map": 1.25},
+        known_spectral=SpectralMap(rng.normal(size=(4, 6)), np.linspace(0, 9, 4), np.linspace(0, 9, 6)),
     )
 
 
 @pytest.fixture
-def folder(result: Result, tmp_path: Path) -> Path:
+def folder(result: MatchResult, tmp_path: Path) -> Path:
     write_result(tmp_path / "R", result)
     return tmp_path / "R"
 
 
-def test_everything_comes_back_bit_for_bit(result: Result, folder: Path) -> None:
+def test_everything_comes_back_bit_for_bit(result: MatchResult, folder: Path) -> None:
     back = read_result(folder)
     for name in ("source_triangles", "triangle", "barycentric", "functional_map", "trust", "landmark_errors"):
         np.testing.assert_array_equal(getattr(back, name), getattr(result, name))
@@ -76,19 +70,34 @@ def test_everything_comes_back_bit_for_bit(result: Result, folder: Path) -> None
         assert mesh_hash(ours.control) == mesh_hash(theirs.control)
         assert ours.control.name == theirs.control.name
         assert ours.control.material_names == theirs.control.material_names
-        assert (ours.scheme, ours.level) == (theirs.scheme, theirs.level)
-        for name in ("vertices", "faces", "eigenvalues", "landmarks"):
+        assert (ours.refinement.scheme, ours.finest) == (theirs.refinement.scheme, theirs.finest)
+        assert ours.config == theirs.config
+        for name in ("vertices", "faces"):
             np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
     assert back.landmark_names == result.landmark_names
+    np.testing.assert_array_equal(back.landmarks.source, result.landmarks.source)
+    for name in ("target_eigenvalues", "source_eigenvalues"):
+        np.testing.assert_array_equal(getattr(back.spectral, name), getattr(result.spectral, name))
+    assert back.manifest == result.manifest
 
 
-def test_refining_again_gives_the_stored_vertices(folder: Path) -> None:
-    back = read_result(folder)
-    for stored in (back.target, back.source):
-        np.testing.assert_array_equal(stored.refinement.finest.positions, stored.vertices)
+def test_a_surface_that_refines_otherwise_is_refused(folder: Path) -> None:
+    with np.load(folder / ARRAYS) as stored:
+        arrays = dict(stored)
+    arrays["source_vertices"] = arrays["source_vertices"] + 1e-3
+    np.savez(folder / ARRAYS, **arrays)
+    with pytest.raises(FormatError, match="source_vertices or faces are not those"):
+        read_result(folder)
 
 
-def test_map_file_has_the_documented_arrays(result: Result, folder: Path) -> None:
+def test_without_a_functional_map_the_folder_is_read(result: MatchResult, tmp_path: Path) -> None:
+    write_result(tmp_path / "R", replace(result, known_spectral=None))
+    back = read_result(tmp_path / "R")
+    assert not back.has_spectral
+    assert back.functional_map.shape == (4, 6)  # made now
+
+
+def test_map_file_has_the_documented_arrays(result: MatchResult, folder: Path) -> None:
     n1, n2 = len(result.target.vertices), len(result.source.vertices)
     with np.load(folder / ARRAYS, allow_pickle=False) as stored:
         shapes = {name: stored[name].shape for name in stored.files}
@@ -107,7 +116,8 @@ def test_manifest_is_plain_json_with_versions_and_figures(folder: Path) -> None:
         raise AssertionError(constant)
 
     manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"), parse_constant=refuse)
-    assert manifest["quality"] == {"coverage": 0.5, "worst": None}
+    assert manifest["quality"]["coverage"] == 0.5
+    assert manifest["quality"]["dirichlet"] is None
     assert manifest["timings"] == {"map": 1.25}
     assert {"cagemap", "python", "numpy"} <= set(manifest["versions"])
     assert manifest["target"]["scheme"] == {
@@ -120,7 +130,7 @@ def test_manifest_is_plain_json_with_versions_and_figures(folder: Path) -> None:
     assert manifest["source"]["vertices"] == 42
 
 
-def test_transfers_are_noted_once_per_output(result: Result, folder: Path) -> None:
+def test_transfers_are_noted_once_per_output(result: MatchResult, folder: Path) -> None:
     for source in ("old.png", "new.png"):
         note_transfer(folder, {"kind": "texture", "image": source, "output": "baked.png"})
     note_transfer(folder, {"kind": "texture", "image": "new.png", "output": "other.png"})
@@ -134,13 +144,15 @@ def test_transfers_are_noted_once_per_output(result: Result, folder: Path) -> No
     assert "transfers" not in read_result(folder).manifest
 
 
-def test_image_is_on_the_source(result: Result) -> None:
+def test_image_is_on_the_source(result: MatchResult) -> None:
     corners = result.source.vertices[result.source_triangles[result.triangle]]
     np.testing.assert_allclose(result.image()[7], result.barycentric[7] @ corners[7])
 
 
-def test_an_older_result_is_replaced_and_other_folders_are_not(result: Result, folder: Path, tmp_path: Path) -> None:
-    write_result(folder, replace(result, landmark_names=("a", "b", "c")))
+def test_an_older_result_is_replaced_and_other_folders_are_not(
+    result: MatchResult, folder: Path, tmp_path: Path
+) -> None:
+    write_result(folder, replace(result, landmarks=replace(result.landmarks, names=("a", "b", "c"))))
     assert read_result(folder).landmark_names == ("a", "b", "c")
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "cat.txt").write_text("meow")
@@ -149,8 +161,10 @@ def test_an_older_result_is_replaced_and_other_folders_are_not(result: Result, f
     assert (tmp_path / "photos" / "cat.txt").read_text() == "meow"
 
 
-def test_nothing_is_left_behind_when_writing_fails(result: Result, tmp_path: Path) -> None:
-    broken = replace(result, trust=np.array([object()]))  # cannot be stored without pickling
+def test_nothing_is_left_behind_when_writing_fails(result: MatchResult, tmp_path: Path) -> None:
+    broken = replace(
+        result, quality=replace(result.quality, trust=np.array([object()]))
+    )  # cannot be stored without pickling
     with pytest.raises(ValueError, match="allow_pickle"):
         write_result(tmp_path / "R", broken)
     assert list(tmp_path.iterdir()) == []
@@ -200,7 +214,7 @@ def test_flipped_bits_are_noticed(folder: Path) -> None:
         read_result(folder)
 
 
-def test_arrays_of_another_result_are_refused(result: Result, folder: Path) -> None:
+def test_arrays_of_another_result_are_refused(result: MatchResult, folder: Path) -> None:
     arrays = dict(np.load(folder / ARRAYS))
     for name, value, words in (
         ("triangle", result.triangle[:-1], "triangle has shape"),

@@ -10,9 +10,11 @@ import pytest
 
 import cagemap
 from cagemap import BasisConfig, Landmarks, MatchResult
+from cagemap.errors import ParameterError
 from cagemap.example import example_pair
-from cagemap.files.result import Result
+from cagemap.maps.hypotheses.confidence import Confidence, Reading
 from cagemap.mesh.landmarks import CagePoints
+from cagemap.pipeline import other_answer
 from cagemap.report import write_report
 
 CONFIG = BasisConfig(count=40)
@@ -37,18 +39,20 @@ def matched(landmarks: Landmarks) -> MatchResult:
 
 
 @pytest.fixture(scope="module")
-def read(matched: MatchResult, tmp_path_factory: pytest.TempPathFactory) -> Result:
+def read(matched: MatchResult, tmp_path_factory: pytest.TempPathFactory) -> MatchResult:
     folder = tmp_path_factory.mktemp("r") / "RESULT"
     cagemap.write_result(folder, matched)
     return cagemap.read_result(folder)
 
 
-def test_bakes_are_those_of_the_match(matched: MatchResult, read: Result) -> None:
+def test_bakes_are_those_of_the_match(matched: MatchResult, read: MatchResult) -> None:
     texture = example_pair(64).texture
     np.testing.assert_array_equal(cagemap.bake(read, texture, size=48), cagemap.bake(matched, texture, size=48))
 
 
-def test_both_are_reported(matched: MatchResult, read: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_both_are_reported(
+    matched: MatchResult, read: MatchResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(write_report.__kwdefaults__, "size", (16, 12))
     cagemap.write_report(tmp_path / "read.html", read)
     cagemap.write_report(tmp_path / "fresh.html", matched)
@@ -56,27 +60,45 @@ def test_both_are_reported(matched: MatchResult, read: Result, tmp_path: Path, m
     assert "left out" in (tmp_path / "read.html").read_text()
 
 
-def test_a_resumed_match_is_the_one_that_was_stored(matched: MatchResult, read: Result) -> None:
-    again = cagemap.resume(read)
-    assert again.suspects == matched.suspects
-    assert len(again.suspects) == 1
-    assert again.trusted.names == matched.trusted.names
-    np.testing.assert_array_equal(again.point_map.barycentric, matched.point_map.barycentric)
+def test_what_is_read_is_the_match_that_was_stored(matched: MatchResult, read: MatchResult) -> None:
+    assert read.suspects == matched.suspects
+    assert len(read.suspects) == 1
+    assert read.trusted.names == matched.trusted.names
+    np.testing.assert_array_equal(read.point_map.barycentric, matched.point_map.barycentric)
+    np.testing.assert_array_equal(read.functional_map, matched.functional_map)
+    np.testing.assert_array_equal(read.trust, matched.trust)
+    assert read.quality.summary() == matched.quality.summary()
+    assert not read.target.is_prepared
+
+
+def test_a_functional_map_that_is_not_stored_is_made(matched: MatchResult, read: MatchResult) -> None:
+    bare = replace(read, known_spectral=None)
     # Eigenvectors are found again from the same start, to rounding.
-    np.testing.assert_allclose(again.functional_map, matched.functional_map, atol=1e-9)
-    for name, value in matched.quality.summary().items():
-        if isinstance(value, float):
-            assert again.quality.summary()[name] == pytest.approx(value, abs=1e-12), name
+    np.testing.assert_allclose(bare.functional_map, matched.functional_map, atol=1e-9)
 
 
 def test_an_update_of_what_was_read_is_that_of_the_match(
-    matched: MatchResult, read: Result, landmarks: Landmarks
+    matched: MatchResult, read: MatchResult, landmarks: Landmarks
 ) -> None:
     updated = cagemap.update_match(matched, landmarks)
     assert updated.suspects == ()
-    resumed = cagemap.update_match(cagemap.resume(read), landmarks)
-    assert resumed.suspects == ()
-    np.testing.assert_allclose(resumed.point_map.images.positions, updated.point_map.images.positions, atol=1e-9)
+    again = cagemap.update_match(read, landmarks)
+    assert again.suspects == ()
+    np.testing.assert_allclose(again.point_map.images.positions, updated.point_map.images.positions, atol=1e-9)
+
+
+def test_without_landmarks_other_answers_are_read(matched: MatchResult, tmp_path: Path) -> None:
+    count = matched.target.control.n_vertices
+    places = matched.point_map.images.positions
+    readings = tuple(Reading(name, 2e-3 + i, places + i) for i, name in enumerate(("as it lies", "turned")))
+    confidence = Confidence.of(readings, count)
+    cagemap.write_result(tmp_path / "R", replace(matched, confidence=confidence))
+    read = cagemap.read_result(tmp_path / "R")
+    assert read.confidence is not None
+    assert read.confidence.message == confidence.message
+    np.testing.assert_allclose(read.confidence.readings[1].positions, places[:count] + 1)
+    with pytest.raises(ParameterError, match="match again"):
+        other_answer(read, 1)
 
 
 def test_landmarks_between_vertices_stay_where_they_are(matched: MatchResult, tmp_path: Path) -> None:
@@ -92,16 +114,9 @@ def test_landmarks_between_vertices_stay_where_they_are(matched: MatchResult, tm
     assert between.target[0] == -1
     updated = cagemap.update_match(matched, between)
     cagemap.write_result(tmp_path / "R", updated)
-    again = cagemap.resume(cagemap.read_result(tmp_path / "R"))
+    again = cagemap.read_result(tmp_path / "R")
     assert again.landmarks.target[0] == -1
     np.testing.assert_allclose(again.landmarks.target_points.weights, weights)
     for name, value in updated.quality.summary().items():
         if isinstance(value, float):
             assert again.quality.summary()[name] == pytest.approx(value, abs=1e-12), name
-
-
-def test_a_stored_surface_is_taken_from_the_cache(read: Result, tmp_path: Path) -> None:
-    before = cagemap.resume(read, cache=tmp_path)
-    assert len(list(tmp_path.iterdir())) == 2
-    again = cagemap.resume(read, cache=tmp_path)
-    np.testing.assert_array_equal(again.functional_map, before.functional_map)

@@ -99,7 +99,9 @@ def test_a_folder_with_a_foreign_manifest_is_left_alone(place: Path) -> None:
 def test_a_rerun_keeps_the_users_files_in_the_result_folder(place: Path) -> None:
     shutil.copytree(place / "R", place / "R" / "older")
     shutil.copy(place / "thesis.tex", place / "R" / "notes.tex")
-    write_result(place / "R", replace(identity_result(), landmark_names=("new", "c", "d", "e")))
+    result = identity_result()
+    renamed = replace(result.landmarks, names=("new", "c", "d", "e"))
+    write_result(place / "R", replace(result, landmarks=renamed))
     assert read_result(place / "R").landmark_names[0] == "new"
     assert read_result(place / "R" / "older").landmark_names[0] == "a <b>"
     assert (place / "R" / "notes.tex").read_text() == "years"
@@ -156,7 +158,7 @@ def unwrapped(place: Path, folder: str) -> tuple[str, list[str]]:
     control = read_mesh(place / "models" / "box.obj")
     assert control.face_indices.tolist() == target.face_indices.tolist()
     entry = {"file": "box.obj", "path": "../models/box.obj", "sha256": file_hash(place / "models" / "box.obj")}
-    write_result(place / "R", replace(result, manifest={**result.manifest, "inputs": {"target": entry}}))
+    write_result(place / "R", replace(result, provenance={**result.provenance, "inputs": {"target": entry}}))
     _, warnings = texture_of(place, f"{folder}/skin.png", unwrap=True)
     return (place / folder / "skin_unwrapped.obj").read_text(), warnings
 

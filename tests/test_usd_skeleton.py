@@ -132,7 +132,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     inputs = {
         side: {"file": name, "path": f"../{name}", "sha256": file_hash(tmp_path / name)} for side, name in files.items()
     }
-    write_result(tmp_path / "RESULT", replace(result, manifest={**result.manifest, "inputs": inputs}))
+    write_result(tmp_path / "RESULT", replace(result, provenance={**result.provenance, "inputs": inputs}))
     return tmp_path
 
 

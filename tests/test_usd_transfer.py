@@ -35,8 +35,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     write_usd(tmp_path / "large.usda", target)
     result = identity_result()
     entry = {"file": "large.usda", "path": "../large.usda", "sha256": file_hash(tmp_path / "large.usda")}
-    manifest = {**result.manifest, "inputs": {"target": entry}}
-    write_result(tmp_path / "RESULT", replace(result, target=replace(result.target, control=target), manifest=manifest))
+    provenance = {**result.provenance, "inputs": {"target": entry}}
+    result = replace(result, target=result.target.with_control(target), provenance=provenance)
+    write_result(tmp_path / "RESULT", result)
     rng = np.random.default_rng(1)
     write_image(tmp_path / "skin.png", (rng.random((64, 64, 4)) * 255).astype(np.uint8))
     write_image(tmp_path / "rough.exr", rng.random((32, 32, 1)).astype(np.float32))

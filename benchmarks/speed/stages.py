@@ -37,7 +37,7 @@ def measure_stages(control: Any, level: int, count: int, run: Callable[[Any], An
     """
     from cagemap.basis import hierarchical_basis
     from cagemap.basis.surface import Surface
-    from cagemap.files.result import result_of, write_result
+    from cagemap.files.result import write_result
     from cagemap.files.surface_store import load_surface, save_surface
     from cagemap.numerics.threads import one_blas_thread
     from cagemap.operators import build_operators
@@ -53,7 +53,7 @@ def measure_stages(control: Any, level: int, count: int, run: Callable[[Any], An
             operators = build_operators(refinement)
         with timed(times, "basis"):
             basis = hierarchical_basis(refinement, operators, replace(MAP_BASIS, count=count))
-        surface, place = Surface(refinement, operators, basis), Path(folder) / "surface.npz"
+        surface, place = Surface.of(refinement, operators, basis), Path(folder) / "surface.npz"
         with timed(times, "store a surface"):
             save_surface(place, surface)
         with timed(times, "load a surface"):
@@ -62,7 +62,7 @@ def measure_stages(control: Any, level: int, count: int, run: Callable[[Any], An
         with timed(times, "quality"):
             judge(result.target, result.point_map)
         with timed(times, "write the result"):
-            write_result(Path(folder) / "RESULT", result_of(result))
+            write_result(Path(folder) / "RESULT", result)
         written = sum(file.stat().st_size for file in (Path(folder) / "RESULT").iterdir())
         matrices = sum(map(_sparse_bytes, refinement.matrices))
         levels = sum(array.nbytes for mesh in refinement.levels for array in vars(mesh).values() if array is not None)

@@ -107,12 +107,14 @@ def check_map(pair: str, result: str) -> Figures:
     from cagemap.files.result import read_result
 
     stored = read_result(result)
-    return _assert_accurate(PAIRS[pair], stored.target.level, stored.source.level, stored.triangle, stored.barycentric)
+    return _assert_accurate(
+        PAIRS[pair], stored.target.finest, stored.source.finest, stored.triangle, stored.barycentric
+    )
 
 
 def prepared_match(pair: str, level: int, count: int, cache: str, output: str) -> Figures:
     """A match of two prepared surfaces, read from where they are stored (the first call stores them)."""
-    from cagemap.files.result import result_of, write_result
+    from cagemap.files.result import write_result
 
     figures: Figures = {}
     _surfaces(PAIRS[pair], level, count, cache)
@@ -122,7 +124,7 @@ def prepared_match(pair: str, level: int, count: int, cache: str, output: str) -
         with timed(figures, "match"):
             result = _match(PAIRS[pair], surfaces)
         with timed(figures, "write"):
-            write_result(output, result_of(result))
+            write_result(output, result)
     return figures | {"vertices": _sizes(surfaces)}
 
 

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from cagemap.files.meshes import write_mesh as write_mesh
     from cagemap.files.result import read_result as read_result
     from cagemap.files.result import write_result as write_result
-    from cagemap.files.resume import resume as resume
     from cagemap.geometry.points import SurfacePoints as SurfacePoints
     from cagemap.geometry.surface import TriangleSurface as TriangleSurface
     from cagemap.maps.elastic.config import ElasticConfig as ElasticConfig
@@ -40,6 +39,7 @@ if TYPE_CHECKING:
     from cagemap.maps.projection.project import project as project
     from cagemap.maps.projection.project import unfold as unfold
     from cagemap.maps.quality import QualityFigures as QualityFigures
+    from cagemap.maps.result import MatchResult as MatchResult
     from cagemap.mesh import ControlMesh as ControlMesh
     from cagemap.mesh.checks import check_mesh as check_mesh
     from cagemap.mesh.landmarks import Landmarks as Landmarks
@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from cagemap.operators import Operators as Operators
     from cagemap.operators import build_operators as build_operators
     from cagemap.pipeline import MatchConfig as MatchConfig
-    from cagemap.pipeline import MatchResult as MatchResult
     from cagemap.pipeline import choose_level as choose_level
     from cagemap.pipeline import default_basis as default_basis
     from cagemap.pipeline import judge as judge
@@ -95,7 +94,6 @@ _ROOMS = {
         "read_result",
         "write_result",
     ),
-    "files.resume": ("resume",),
     "geometry.points": ("SurfacePoints",),
     "geometry.surface": ("TriangleSurface",),
     "maps.elastic.config": ("ElasticConfig",),
@@ -120,6 +118,7 @@ _ROOMS = {
         "unfold",
     ),
     "maps.quality": ("QualityFigures",),
+    "maps.result": ("MatchResult",),
     "mesh": ("ControlMesh",),
     "mesh.checks": ("check_mesh",),
     "mesh.landmarks": ("Landmarks",),
@@ -130,7 +129,6 @@ _ROOMS = {
     ),
     "pipeline": (
         "MatchConfig",
-        "MatchResult",
         "choose_level",
         "default_basis",
         "judge",

@@ -6,35 +6,32 @@ import logging
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from cagemap.basis import Surface
 from cagemap.basis.prepare import ENOUGH as ENOUGH
-from cagemap.basis.prepare import MAP_BASIS as MAP_BASIS
 from cagemap.basis.prepare import choose_level as choose_level
 from cagemap.basis.prepare import default_basis as default_basis
 from cagemap.basis.prepare import prepare_surface as prepare_surface
 from cagemap.basis.prepare import prepare_surfaces as prepare_surfaces
 from cagemap.basis.prepare import silent as silent
+from cagemap.basis.schedule import MAP_BASIS as MAP_BASIS
 from cagemap.errors import InvalidLandmarksError, ParameterError
-from cagemap.maps.curves import CurveMiss, curve_miss, curve_pairs
 from cagemap.maps.elastic.config import ElasticConfig
-from cagemap.maps.elastic.method import elastic_map, functional_map_of, updated_map
+from cagemap.maps.elastic.method import elastic_map, updated_map
 from cagemap.maps.elastic.prepared import PreparedPair
-from cagemap.maps.hypotheses.confidence import Confidence
 from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS, hypothesis_map, map_of_reading
-from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect, checked_changes, checked_map
+from cagemap.maps.landmarks.check import LandmarkCheck, checked_changes, checked_map
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import Pair, PointPairs, Progress, SymmetryPair, point_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import COVERAGE_SAMPLES, QualityFigures, measure_quality
+from cagemap.maps.result import MatchResult as MatchResult
 from cagemap.maps.spectral.constraints import paired_mirrors
 from cagemap.maps.spectral.hierarchical import HierarchyConfig, hierarchical_map
-from cagemap.maps.spectral.levels import LevelMap
 from cagemap.maps.spectral.paper import PaperConfig, paper_map
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
-from cagemap.numerics.arrays import FloatArray
-from cagemap.numerics.threads import ThreadPool, one_blas_thread
+from cagemap.numerics.threads import in_threads, one_blas_thread
 
 logger = logging.getLogger(__name__)
 
@@ -84,66 +81,6 @@ class MatchConfig:
             raise ParameterError(f"masks: expected the method elastic, which alone knows them, got {self.method!r}")
 
 
-@dataclass(frozen=True, eq=False)
-class MatchResult:
-    """A dense map from target to source, and how it came about.
-
-    Attributes
-    ----------
-    target, source : Surface
-    landmarks : Landmarks
-        As given.
-    functional_map : (k1, k2) array
-        C12, takes source coefficients to target coefficients.
-    point_map : PointMap
-        T12: finest target vertices -> points of the finest source triangles.
-    quality : QualityFigures
-        What can be said about the map without knowing the true one.
-        Its landmark errors are those of the trusted pairs.
-    timings : dict of str to float
-        Seconds of every stage.
-    landmark_check : LandmarkCheck
-        Pairs that look wrong and were left out, and notes.
-    level_maps : tuple of LevelMap
-        Functional map and vertex matches of every level, of the methods that go from level to level.
-    confidence : Confidence or None
-        How sure the answer is, and the other answers, where fewer than three landmarks had to do.
-    prepared : PreparedPair or None
-        What `update_match` and `match_pair` need of the two surfaces ("elastic" only).
-    masks : Masks
-        What of both surfaces was matched.
-    """
-
-    target: Surface
-    source: Surface
-    landmarks: Landmarks
-    functional_map: FloatArray
-    point_map: PointMap
-    quality: QualityFigures
-    timings: dict[str, float] = field(repr=False)
-    landmark_check: LandmarkCheck = field(default_factory=LandmarkCheck)
-    level_maps: tuple[LevelMap, ...] = field(default=(), repr=False)
-    confidence: Confidence | None = None
-    prepared: PreparedPair | None = field(default=None, repr=False)
-    masks: Masks = field(default=WHOLE, repr=False)
-
-    @property
-    def suspects(self) -> tuple[LandmarkSuspect, ...]:
-        """Landmark pairs that were left out of the map."""
-        return self.landmark_check.suspects
-
-    @property
-    def trusted(self) -> Landmarks:
-        """The landmarks that the map meets."""
-        return self.landmark_check.trusted(self.landmarks)
-
-    @property
-    def curve_misses(self) -> tuple[CurveMiss, ...]:
-        """How far the map leads each of the curves from the one that it belongs to."""
-        pairs = curve_pairs(self.target, self.source, self.landmarks.curves)
-        return tuple(curve_miss(pair, self.point_map) for pair in pairs)
-
-
 def prepare_pair(target: Surface, source: Surface, config: MatchConfig = MatchConfig()) -> PreparedPair:
     """All of an elastic match that no landmark changes: keep it, and further landmarks cost only what they must.
 
@@ -154,6 +91,7 @@ def prepare_pair(target: Surface, source: Surface, config: MatchConfig = MatchCo
     """
     config.masks.require_fit(*(side.refinement.finest.n_vertices for side in (target, source)))
     with one_blas_thread():
+        in_threads(lambda surface: surface.basis, [target, source])  # those of a result that was read are not made yet
         return PreparedPair.build(target, source, config.hierarchy, config.elastic, config.masks)
 
 
@@ -210,8 +148,7 @@ def match(
         progress("quality")
         with _timed(timings, "quality"):
             quality = judge(target, point_map, pair.landmarks, landmarks.names)
-    functional_map = level_maps[-1].functional_map
-    return MatchResult(target, source, landmarks, functional_map, point_map, quality, timings, level_maps=level_maps)
+    return MatchResult(target, source, landmarks, point_map, quality, timings, level_maps=level_maps)
 
 
 def match_pair(
@@ -329,6 +266,10 @@ def other_answer(
         raise ParameterError(f"answer {index}: expected one of the {len(readings)} that the match found, from 0")
     config, landmarks = replace(config, masks=before.masks), before.landmarks
     prepared = before.prepared or prepare_pair(before.target, before.source, config)
+    if len(readings[index].positions) < prepared.mesh.n:
+        raise ParameterError(
+            f"answer {index}: a result that was read knows it at the control vertices only; match again to have it"
+        )
     pair = Pair(before.target, before.source, point_pairs(before.target, before.source, landmarks))
     timings: dict[str, float] = {}
     with one_blas_thread():
@@ -381,15 +322,13 @@ def _judged(
     timings: dict[str, float],
     progress: Progress,
 ) -> MatchResult:
-    """The result of an elastic match: its quality and, at the same time, its functional map."""
+    """The result of an elastic match, with its quality."""
     target, source, trusted = prepared.target, prepared.source, check.trusted(landmarks)
-    points = point_pairs(target, source, trusted)
-    progress("functional map of the fit, quality")
-    with _timed(timings, "quality"), ThreadPool(1) as aside:
-        functional_map = aside.submit(functional_map_of, target, source, point_map)
-        quality = judge(target, point_map, points, trusted.names, prepared.rest.masks)
-        made = target, source, landmarks, functional_map.result(), point_map, quality, timings, check
-    return MatchResult(*made, prepared=prepared, masks=prepared.rest.masks)
+    points, masks = point_pairs(target, source, trusted), prepared.rest.masks
+    progress("quality")
+    with _timed(timings, "quality"):
+        quality = judge(target, point_map, points, trusted.names, masks)
+    return MatchResult(target, source, landmarks, point_map, quality, timings, check, prepared=prepared, masks=masks)
 
 
 @contextmanager

@@ -207,4 +207,4 @@ def result_of_map(pair: Pair, found: PointMap, names: Sequence[str] = ()) -> Mat
         labels, pair.target_landmarks, pair.source_landmarks, pair.target.control.name, pair.source.control.name
     )
     quality = judge(pair.target, found, pair.landmarks, labels)
-    return MatchResult(pair.target, pair.source, landmarks, functional_map_of(pair, found), found, quality, {})
+    return MatchResult(pair.target, pair.source, landmarks, found, quality)

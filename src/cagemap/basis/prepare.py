@@ -6,7 +6,7 @@ from collections.abc import Callable
 from itertools import islice
 
 from cagemap.basis.construction import hierarchical_basis
-from cagemap.basis.schedule import BasisConfig
+from cagemap.basis.schedule import MAP_BASIS, BasisConfig
 from cagemap.basis.surface import Surface
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
@@ -18,8 +18,6 @@ from cagemap.refinement.counts import vertex_counts
 
 Progress = Callable[[str], None]
 
-# What the elastic method reads of a basis (`HierarchyConfig.searched_functions`); `default_basis` knows the others.
-MAP_BASIS = BasisConfig(count=150)
 # A level counts as having the vertices asked for from this share on; the next one has four times as many.
 ENOUGH = 0.75
 MOST_LEVELS = 12
@@ -92,7 +90,7 @@ def prepare_surface(
         progress(f"operators of {control.name}")
         operators = build_operators(refinement)
         progress(f"basis of {control.name}")
-        return Surface(refinement, operators, hierarchical_basis(refinement, operators, config))
+        return Surface.of(refinement, operators, hierarchical_basis(refinement, operators, config), config)
 
 
 def prepare_surfaces(

@@ -80,6 +80,10 @@ class BasisConfig:
         return self.count if self.schedule is None else sum(self.schedule)
 
 
+# What the elastic method reads of a basis (`HierarchyConfig.searched_functions`).
+MAP_BASIS = BasisConfig(count=150)
+
+
 def certain_count(vertices: int, tolerance: float) -> int:
     """How many eigenpairs of a level meet a tolerance on all surfaces measured."""
     return int(LEAST_REACH * tolerance ** (1.0 / 3.0) * vertices)

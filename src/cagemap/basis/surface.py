@@ -1,28 +1,70 @@
-"""A prepared surface: everything that depends on one control mesh only."""
+"""A surface as matches know it: everything that depends on one control mesh only."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
+
+from cagemap.basis.construction import hierarchical_basis
 from cagemap.basis.hierarchical_basis import HierarchicalBasis
+from cagemap.basis.schedule import MAP_BASIS, BasisConfig
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.mesh import ControlMesh
-from cagemap.operators import Operators
-from cagemap.refinement import Refinement, level_triangles
+from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
+from cagemap.numerics.threads import one_blas_thread
+from cagemap.operators import Operators, build_operators, vertex_areas
+from cagemap.refinement import Refinement, level_triangles, refine, triangulate_control
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Surface:
-    """One subdivision surface, refined, with its operators and its basis.
+    """One subdivision surface with what follows from it: its operators, its basis, the triangles of its levels.
 
-    Expensive to make and worth keeping: it serves every pair that the surface is part of. So do its triangles, made
-    once when they are first asked for, with all that they keep (areas, normals, the tree for closest points).
+    They are made when they are first asked for, and kept: a surface serves every pair that it is part of.
+    `cagemap.prepare_surface` makes operators and basis at once; those of a result that was read are made if a new
+    match, or the functional map, needs them.
+
+    Attributes
+    ----------
+    refinement : Refinement
+    config : BasisConfig
+        Of the basis.
     """
 
     refinement: Refinement
-    operators: Operators
-    basis: HierarchicalBasis
+    config: BasisConfig = MAP_BASIS
+
+    @classmethod
+    def of(
+        cls, refinement: Refinement, operators: Operators, basis: HierarchicalBasis, config: BasisConfig | None = None
+    ) -> Surface:
+        """A surface whose operators and basis are there already."""
+        surface = cls(refinement, BasisConfig(schedule=basis.schedule) if config is None else config)
+        vars(surface).update(operators=operators, basis=basis, scale=operators.scale)  # where cached properties look
+        return surface
+
+    @cached_property
+    def operators(self) -> Operators:
+        """Mass and stiffness of every level (paper, section 4.1)."""
+        return build_operators(self.refinement)
+
+    @cached_property
+    def basis(self) -> HierarchicalBasis:
+        """The hierarchical basis (paper, section 4)."""
+        with one_blas_thread():
+            return hierarchical_basis(self.refinement, self.operators, self.config)
+
+    @property
+    def is_prepared(self) -> bool:
+        """Whether the basis has been made."""
+        return "basis" in vars(self)
+
+    @cached_property
+    def scale(self) -> float:
+        """Factor from the file's lengths to those at unit area; that of the operators."""
+        return 1.0 / float(np.sqrt(vertex_areas(self.vertices, self.faces).sum()))
 
     @property
     def control(self) -> ControlMesh:
@@ -34,6 +76,17 @@ class Surface:
         """Number of the finest level."""
         return len(self.refinement.levels) - 1
 
+    @property
+    def vertices(self) -> FloatArray:
+        """(n, 3) vertices of the finest level, in the file's lengths; those of coarser levels come first."""
+        return read_only(self.refinement.finest.positions)
+
+    @property
+    def faces(self) -> IndexArray:
+        """(m, 4) or (m, 3) faces of the finest level; triangles where the mesh is not refined and has others."""
+        faces = self.refinement.finest.faces
+        return read_only(triangulate_control(self.control) if faces is None else faces)
+
     def triangles(self, level: int) -> TriangleSurface:
         """The triangles of a level between its vertices' places on the finest surface, at unit area.
 
@@ -43,12 +96,16 @@ class Surface:
 
     @cached_property
     def _levels(self) -> tuple[TriangleSurface, ...]:
-        scale = self.operators.scale
-        places = scale * self.refinement.finest.positions
+        places = self.scale * self.vertices
         return tuple(
-            TriangleSurface(places[: mesh.n_vertices], level_triangles(self.refinement, level), scale)
+            TriangleSurface(places[: mesh.n_vertices], level_triangles(self.refinement, level), self.scale)
             for level, mesh in enumerate(self.refinement.levels)
         )
 
+    def with_control(self, control: ControlMesh) -> Surface:
+        """The same surface from a control mesh with another layout or other materials."""
+        return replace(self, refinement=refine(control, self.finest, self.refinement.scheme))
+
     def __repr__(self) -> str:
-        return f"Surface({self.control.name}, levels 0 to {self.finest}, {self.basis})"
+        basis = self.basis if self.is_prepared else "not prepared"
+        return f"Surface({self.control.name}, levels 0 to {self.finest}, {basis})"

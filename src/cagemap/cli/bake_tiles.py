@@ -98,7 +98,7 @@ def prepare_bake(
         stages("unwrap")
         control = unwrap(result.target.control)
         mesh = unwrapped_name(request.output)
-        result = replace(result, target=replace(result.target, control=control))
+        result = replace(result, target=result.target.with_control(control))
     elif result.target.control.uvs is None:
         raise ParameterError(
             f"{result.target.control.name}: expected texture coordinates to bake into, the mesh has none. Add --unwrap "

@@ -48,7 +48,7 @@ from cagemap.library import (
     spanning_tree,
     write_library,
 )
-from cagemap.library.consistency import read_consistency, stored_map, write_consistency
+from cagemap.library.consistency import read_consistency, write_consistency
 from cagemap.library.plan import STATE
 from cagemap.library.ways import composed_result, has_ways_round, matches_only, with_ways
 from cagemap.mesh.checks import require_valid
@@ -166,7 +166,7 @@ def collection_verdict(plan: Plan, outcomes: dict[str, Outcome]) -> Consistency:
     maps = {}
     for task in matches:
         assert task.pair is not None
-        maps[task.pair[1], task.pair[0]] = stored_map(read_result((plan.root / task.outputs[0]).parent))
+        maps[task.pair[1], task.pair[0]] = read_result((plan.root / task.outputs[0]).parent).point_map
     verdict = measure_consistency(maps)
     write_consistency(place, keys, verdict)
     return verdict

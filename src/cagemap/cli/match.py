@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -28,12 +28,10 @@ from cagemap.files.meshes import read_mesh
 from cagemap.files.result import (
     ARRAYS,
     MANIFEST,
-    Result,
     check_result_folder,
     file_hash,
     landmark_messages,
     peak_memory,
-    result_of,
     stated_path,
     write_result,
 )
@@ -45,6 +43,7 @@ from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.pipeline import (
     MAP_BASIS,
     MatchConfig,
+    MatchResult,
     choose_level,
     default_basis,
     match,
@@ -130,6 +129,31 @@ class Inputs:
     masks: GivenMasks = (None, None)
 
 
+@dataclass(frozen=True, eq=False)
+class MatchSettings:
+    """How meshes are matched.
+
+    Attributes
+    ----------
+    bases : (BasisConfig, BasisConfig)
+        Of target and source, like ``levels``.
+    levels : (int, int)
+        The finest ones.
+    config : MatchConfig
+        But for masks, which depend on the surfaces.
+    cache : Path or None
+        Folder of prepared surfaces.
+    entries : dict
+        For the manifest: parameters, inputs.
+    """
+
+    bases: tuple[BasisConfig, BasisConfig]
+    levels: tuple[int, int]
+    config: MatchConfig
+    cache: Path | None = None
+    entries: dict[str, Any] = field(default_factory=dict)
+
+
 def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     """Match two mesh files and write the RESULT folder; returns a summary and warnings."""
     if request.level is not None and request.vertices is not None:
@@ -182,15 +206,8 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
         "source_mask": request.source_mask,
         "mask_edge": request.mask_edge,
     }
-    result = match_inputs(
-        inputs,
-        bases,
-        config,
-        stages,
-        levels=levels,
-        cache=request.cache,
-        entries={"parameters": parameters, "inputs": hashes},
-    )
+    entries = {"parameters": parameters, "inputs": hashes}
+    result = match_inputs(inputs, MatchSettings(bases, levels, config, request.cache, entries), stages)
     stages("write")
     write_result(request.output, result, force=request.force)
     note_match(request)
@@ -293,59 +310,39 @@ def read_control(path: Path, request: MatchRequest, side: str) -> ControlMesh:
     return control if uv_set is None else control.with_uv_set(uv_set)
 
 
-def match_inputs(
-    inputs: Inputs,
-    bases: tuple[BasisConfig, BasisConfig],
-    config: MatchConfig,
-    stages: Stages,
-    *,
-    levels: tuple[int, int],
-    cache: Path | None = None,
-    entries: dict[str, Any] | None = None,
-) -> Result:
+def match_inputs(inputs: Inputs, settings: MatchSettings, stages: Stages) -> MatchResult:
     """Match the whole of both meshes, or every pair of parts, all at the same levels, as one result."""
     if not inputs.parts:
-        return match_meshes(inputs, bases, config, stages, levels=levels, cache=cache, entries=entries)
+        return match_meshes(inputs, settings, stages)
     results = []
     for part in inputs.parts:
         own = Inputs(part.target, part.source, part.landmarks, inputs.notes, masks=inputs.masks)
-        results.append(match_meshes(own, bases, config, stages, levels=levels, cache=cache, entries=entries))
+        results.append(match_meshes(own, settings, stages))
     stages("merge parts")
     faces = [[len(side.control.face_sizes) for side in (one.target, one.source)] for one in results]
     return merge_results(results, {"parts": [{"target_faces": t, "source_faces": s} for t, s in faces]})
 
 
-def match_meshes(
-    inputs: Inputs,
-    bases: tuple[BasisConfig, BasisConfig],
-    config: MatchConfig,
-    stages: Stages,
-    *,
-    levels: tuple[int, int],
-    cache: Path | None = None,
-    entries: dict[str, Any] | None = None,
-) -> Result:
-    """Prepare both surfaces, match them, and gather what is stored."""
-    for control, level in zip((inputs.target, inputs.source), levels, strict=True):
+def match_meshes(inputs: Inputs, settings: MatchSettings, stages: Stages) -> MatchResult:
+    """Prepare both surfaces, match them, and say how."""
+    controls = inputs.target, inputs.source
+    for control, level in zip(controls, settings.levels, strict=True):
         require_size(control, level)
         _log.info("%s: level %d", control.name, level)
-    prepare = prepare_surface if cache is None else partial(prepared, cache)
-    target, source = prepare_surfaces(inputs.target, inputs.source, levels, bases, prepare=prepare, progress=stages)
-    config = replace(config, masks=masks_on(inputs.masks, (target, source)))
+    prepare = prepare_surface if settings.cache is None else partial(prepared, settings.cache)
+    target, source = prepare_surfaces(*controls, settings.levels, settings.bases, prepare=prepare, progress=stages)
+    config = replace(settings.config, masks=masks_on(inputs.masks, (target, source)))
     found = match(target, source, inputs.landmarks, config, progress=stages)
-    stages("gather")
-    manifest = {
+    provenance = {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        **(entries or {}),
-        "bases": {side: asdict(basis) for side, basis in zip(("target", "source"), bases, strict=True)},
+        **settings.entries,
         "notes": list(inputs.notes),
-        "timings": dict(stages.timings),
         "peak_memory_bytes": peak_memory(),
     }
-    return result_of(found, manifest)
+    return replace(found, timings=dict(stages.timings), provenance=provenance)
 
 
-def summary(result: Result, folder: Path, seconds: float) -> str:
+def summary(result: MatchResult, folder: Path, seconds: float) -> str:
     """A few lines for the terminal."""
     quality = result.manifest["quality"]
     lines = [
@@ -358,10 +355,9 @@ def summary(result: Result, folder: Path, seconds: float) -> str:
     return "\n".join(lines)
 
 
-def landmark_summary(result: Result) -> str:
+def landmark_summary(result: MatchResult) -> str:
     """How well landmarks are met; how many were left out, and by how much they are missed."""
-    suspects = (result.manifest.get("landmark_check") or {}).get("suspects", [])
-    left_out = sorted({int(suspect["pair"]) for suspect in suspects})
+    left_out = sorted({suspect.pair for suspect in result.suspects})
     errors = 100 * np.delete(result.landmark_errors, left_out)
     parts = []
     if len(errors):
@@ -371,15 +367,15 @@ def landmark_summary(result: Result) -> str:
     if left_out:
         missed = ", ".join(f"{100 * result.landmark_errors[pair]:.0f} %" for pair in left_out)
         parts.append(f"{len(left_out)} left out, which the map misses by {missed}")
-    curves = result.manifest.get("curves") or []
+    curves = result.curve_misses
     if curves:
-        miss, most = (100 * np.array([curve[key] for curve in curves]) for key in ("mean", "worst"))
+        miss, most = 100 * np.array([[curve.mean, curve.worst] for curve in curves]).T
         counted = f"{len(curves)} curves" if len(curves) > 1 else "1 curve"
         parts.append(f"{counted} missed by {miss.mean():.2f} % (at most {most.max():.2f} %)")
     return "; ".join(parts) or "no landmarks"
 
 
-def warnings(result: Result) -> list[str]:
+def warnings(result: MatchResult) -> list[str]:
     """Notes and warnings of a result."""
     manifest = result.manifest
     return [*manifest["notes"], *landmark_messages(manifest), *manifest["quality"]["warnings"]]

@@ -65,4 +65,4 @@ def _baked(folder: Path, result: Result, entry: dict[str, Any]) -> tuple[Result,
         return result, pixels
     laid_out = read_mesh(folder / entry["mesh"])
     control = result.target.control.with_uvs(laid_out.uvs, laid_out.uv_indices)
-    return replace(result, target=replace(result.target, control=control)), pixels
+    return replace(result, target=result.target.with_control(control)), pixels

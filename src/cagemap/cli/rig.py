@@ -16,8 +16,7 @@ from cagemap.files.atomic import check_outputs
 from cagemap.files.attributes import Attributes, read_attributes, write_attributes
 from cagemap.files.maps import write_map
 from cagemap.files.mhclo import bind, write_mhclo
-from cagemap.files.result import note_transfer, stated_path
-from cagemap.files.result_values import Result
+from cagemap.files.result import Result, note_transfer, stated_path
 from cagemap.files.rigs import read_shapes, read_skeleton, write_shapes, write_skeleton
 from cagemap.files.usd import USD_SUFFIXES
 from cagemap.files.usd_primvars import BLEND_SHAPE, JOINT_WEIGHTS

@@ -37,17 +37,20 @@ def suggested_landmarks(result: Result, count: int) -> Landmarks:
     """
     target, source = result.point_map.target, result.point_map.source
     vertices = result.target.control.n_vertices
-    images, known = result.point_map.images.positions[:vertices], np.unique(result.target.landmarks)
+    pairs = result.landmarks
+    known, partnered = pairs.target_points.nearest_vertices, pairs.source_points.nearest_vertices
+    images = result.point_map.images.positions[:vertices]
     others = result.runner_up_images.reshape(-1, vertices, 3) * source.scale
-    chosen = suggested_vertices(target.positions[:vertices], images, others, result.trust[:vertices], known, count)
+    trust = result.trust[:vertices]
+    chosen = suggested_vertices(target.positions[:vertices], images, others, trust, np.unique(known), count)
     places = source.positions[: result.source.control.n_vertices]
-    partners = free_partners(places, images[chosen], result.source.landmarks)
+    partners = free_partners(places, images[chosen], partnered)
     taken = set(result.landmark_names)
     free = [name for i in range(1, count + len(taken) + 1) if (name := f"suggested {i}") not in taken]
     return Landmarks(
         (*result.landmark_names, *free[:count]),
-        np.concatenate([result.target.landmarks, chosen]),
-        np.concatenate([result.source.landmarks, partners]),
+        np.concatenate([known, chosen]),
+        np.concatenate([partnered, partners]),
         result.target.control.name,
         result.source.control.name,
     )

@@ -105,7 +105,7 @@ def _carry_attribute(request: TransferRequest, result: Result, stages: Stages) -
             raise ParameterError(
                 f"{request.attribute}: {name} has {len(array)} rows; expected one for each of the source's "
                 f"{source.n_vertices} control vertices, {source.n_faces} control faces, {len(source.face_indices)} "
-                f"face corners, or {len(result.source.vertices)} vertices of level {result.source.level}."
+                f"face corners, or {len(result.source.vertices)} vertices of level {result.source.finest}."
             )
     carried, notes = keep_base(request, result, carried)
     write_attributes(request.output, carried, force=request.force)

@@ -14,7 +14,7 @@ from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs
 from cagemap.files.images import udim_path
 from cagemap.files.meshes import read_mesh
-from cagemap.files.result_values import Result
+from cagemap.files.result import Result
 from cagemap.transfer.vectors import Green, Space
 from cagemap.wrap import Wrapped, missing_detail, wrapped_transfer
 

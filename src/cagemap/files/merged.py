@@ -9,18 +9,21 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
+from cagemap.basis import Surface
 from cagemap.errors import ParameterError
-from cagemap.files.result import Result, Side
-from cagemap.geometry.surface import TriangleSurface
+from cagemap.maps.hypotheses.confidence import Confidence
+from cagemap.maps.landmarks.check import LandmarkCheck
 from cagemap.maps.masks import Masks
-from cagemap.maps.pair import PointPairs
+from cagemap.maps.pair import point_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import measure_quality
+from cagemap.maps.result import MatchResult, SpectralMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.curves import Curves
 from cagemap.mesh.join import join_meshes
+from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.refinement import Loop, refine, triangles
+from cagemap.refinement import Loop, refine
 from cagemap.refinement.topology import control_topology
 
 # Verdicts about maps found without landmarks, from the surest on.
@@ -37,62 +40,95 @@ class _Numbers:
     corners: IndexArray
 
 
-def merge_results(parts: Sequence[Result], manifest: dict[str, Any]) -> Result:
+def merge_results(parts: Sequence[MatchResult], provenance: dict[str, Any]) -> MatchResult:
     """One result of several, whose meshes become pieces of one.
 
     Parameters
     ----------
-    parts : sequence of Result
+    parts : sequence of MatchResult
         All of one level and scheme a side.
-    manifest : dict
-        Entries of the manifest beside those that follow from the parts.
+    provenance : dict
+        Entries beside those of the first part.
 
     Raises
     ------
     ParameterError
         If levels or schemes differ.
     """
+    first, provenance = parts[0], parts[0].provenance | provenance
     if len(parts) == 1:
-        return replace(parts[0], manifest=parts[0].manifest | manifest)
+        return replace(first, provenance=provenance)
     target, target_numbers = _merge_sides([part.target for part in parts])
     source, source_numbers = _merge_sides([part.source for part in parts])
-    source_triangles = triangles(source.faces)
+    mine, theirs = target.triangles(target.finest), source.triangles(source.finest)
     split = 2 if source.faces.shape[1] == 4 else 1
-    triangle = np.empty(len(target.vertices), dtype=np.int64)
-    barycentric, trust = np.empty((len(triangle), 3)), np.empty(len(triangle))
+    triangle, barycentric = np.empty(mine.n, dtype=np.int64), np.empty((mine.n, 3))
     for part, here, there in zip(parts, target_numbers, source_numbers, strict=True):
         faces, halves = np.divmod(part.triangle, split)
         triangle[here.vertices] = split * there.faces[faces] + halves
         barycentric[here.vertices] = part.barycentric
+    point_map = PointMap.from_arrays(mine, theirs, triangle, barycentric)
+    landmarks, check = _merged_landmarks(parts), _merged_checks(parts)
+    trusted = check.trusted(landmarks)
+    masks = Masks(
+        _merged_mask([part.masks.target for part in parts], target_numbers),
+        _merged_mask([part.masks.source for part in parts], source_numbers),
+    )
+    quality = measure_quality(point_map, point_pairs(target, source, trusted), trusted.names, masks=masks)
+    trust = np.empty(mine.n)
+    for part, here in zip(parts, target_numbers, strict=True):
         trust[here.vertices] = part.trust
-    names = tuple(name for part in parts for name in part.landmark_names)
-    mine, theirs = (TriangleSurface.from_faces(side.vertices, side.faces) for side in (target, source))
-    landmarks = PointPairs.of_vertices(mine, theirs, target.landmarks, source.landmarks)
-    masks = Masks(target.mask, source.mask)
-    quality = measure_quality(PointMap.from_arrays(mine, theirs, triangle, barycentric), landmarks, names, masks=masks)
-    return Result(
-        target=target,
-        source=source,
-        source_triangles=source_triangles,
-        triangle=triangle,
-        barycentric=barycentric,
-        functional_map=block_diag(*(part.functional_map for part in parts)),
-        trust=trust,
-        landmark_errors=np.concatenate([part.landmark_errors for part in parts]),
-        landmark_names=names,
-        curves=_merged_curves(parts),
-        manifest=parts[0].manifest
-        | {
-            "quality": quality.summary(),
-            "landmark_check": _landmark_checks(parts),
-            "confidence": _least_confidence(parts),
-            "curves": [entry for part in parts for entry in part.manifest.get("curves") or []],
-        }
-        | manifest,
+    return MatchResult(
+        target,
+        source,
+        landmarks,
+        point_map,
+        replace(quality, trust=trust),
+        first.timings,
+        check,
+        confidence=_least_confidence(parts),
+        masks=masks,
+        known_spectral=_merged_spectral(parts),
+        provenance=provenance,
     )
 
 
-def _merged_curves(parts: Sequence[Result]) -> Curves:
+def _merged_spectral(parts: Sequence[MatchResult]) -> SpectralMap:
+    """Functional maps of the parts as blocks of one."""
+    return SpectralMap(
+        block_diag(*(part.functional_map for part in parts)),
+        np.concatenate([part.spectral.target_eigenvalues for part in parts]),
+        np.concatenate([part.spectral.source_eigenvalues for part in parts]),
+    )
+
+
+def _merged_mask(masks: Sequence[FloatArray | None], numbers: Sequence[_Numbers]) -> FloatArray | None:
+    """Masks of all parts side by side; a part without one counts whole."""
+    if all(mask is None for mask in masks):
+        return None
+    merged = np.ones(sum(len(own.vertices) for own in numbers))
+    for mask, own in zip(masks, numbers, strict=True):
+        if mask is not None:
+            merged[own.vertices] = mask
+    return merged
+
+
+def _merged_landmarks(parts: Sequence[MatchResult]) -> Landmarks:
+    """Landmarks of all parts, on the meshes of all parts."""
+    sides = []
+    for side in ("target", "source"):
+        counts = [getattr(part, side).control.n_vertices for part in parts]
+        points = [getattr(part.landmarks, f"{side}_points") for part in parts]
+        starts = np.cumsum([0, *counts[:-1]])
+        corners = [own.corners + start for own, start in zip(points, starts, strict=True)]
+        sides.append(CagePoints(np.concatenate(corners), np.concatenate([own.weights for own in points])))
+    names = tuple(name for part in parts for name in part.landmark_names)
+    first = parts[0].landmarks
+    landmarks = Landmarks.of_points(names, sides[0], sides[1], first.target_name, first.source_name)
+    return replace(landmarks, curves=_merged_curves(parts))
+
+
+def _merged_curves(parts: Sequence[MatchResult]) -> Curves:
     """The curves of all parts, in the numbers of all."""
     every, starts = Curves.none(), [0, 0]
     for part in parts:
@@ -103,60 +139,43 @@ def _merged_curves(parts: Sequence[Result]) -> Curves:
     return every
 
 
-def _least_confidence(parts: Sequence[Result]) -> dict[str, Any] | None:
-    """The confidence of the part that is least sure of its map; None where landmarks decided all of them."""
+def _least_confidence(parts: Sequence[MatchResult]) -> Confidence | None:
+    """The confidence of the part that is least sure of its map; None where landmarks decided all of them.
+
+    Where its readings put the vertices of that part is left out.
+    """
     known, start = [], 0
     for part in parts:
-        entry = part.manifest.get("confidence")
-        if entry is not None:
-            deciding = entry.get("deciding")
-            known.append({**entry, "deciding": None if deciding is None else int(deciding) + start})
+        if part.confidence is not None:
+            deciding = part.confidence.deciding
+            known.append(
+                replace(
+                    part.confidence,
+                    deciding=None if deciding is None else deciding + start,
+                    readings=tuple(replace(one, positions=one.positions[:0]) for one in part.confidence.readings),
+                )
+            )
         start += part.target.control.n_vertices
-    return max(known, key=lambda entry: _DOUBT.index(entry["verdict"]), default=None)
+    return max(known, key=lambda one: _DOUBT.index(one.verdict), default=None)
 
 
-def _landmark_checks(parts: Sequence[Result]) -> dict[str, Any]:
+def _merged_checks(parts: Sequence[MatchResult]) -> LandmarkCheck:
     """What was found out about landmarks, pairs numbered among those of all parts."""
-    suspects, notes, start = [], [], 0
+    suspects, start = [], 0
     for part in parts:
-        check = part.manifest.get("landmark_check") or {}
-        suspects += [{**entry, "pair": int(entry["pair"]) + start} for entry in check.get("suspects", [])]
-        notes += check.get("notes", [])
-        start += len(part.landmark_names)
-    return {"suspects": suspects, "notes": notes}
+        suspects += [replace(suspect, pair=suspect.pair + start) for suspect in part.suspects]
+        start += len(part.landmarks)
+    return LandmarkCheck(tuple(suspects), tuple(note for part in parts for note in part.landmark_check.notes))
 
 
-def _merge_sides(sides: Sequence[Side]) -> tuple[Side, list[_Numbers]]:
-    first = sides[0]
-    if any((side.level, side.scheme) != (first.level, first.scheme) for side in sides):
+def _merge_sides(sides: Sequence[Surface]) -> tuple[Surface, list[_Numbers]]:
+    refinements = [side.refinement for side in sides]
+    level, scheme = sides[0].finest, refinements[0].scheme
+    if any((one.n_levels, one.scheme) != (level, scheme) for one in refinements):
         raise ParameterError("parts: expected all to have the same level and scheme, got different ones; match again")
-    control = join_meshes([side.control for side in sides])
-    finest = refine(control, first.level, first.scheme).finest
-    numbers = part_numbers([side.control for side in sides], first.level, loop=isinstance(first.scheme, Loop))
-    starts = np.cumsum([0, *(side.control.n_vertices for side in sides)])
-    landmarks = [side.landmarks + start for side, start in zip(sides, starts, strict=False)]
-    merged = Side(
-        control=replace(control, scheme=first.scheme),
-        scheme=first.scheme,
-        level=first.level,
-        vertices=finest.positions,
-        faces=np.asarray(finest.faces),
-        eigenvalues=np.concatenate([side.eigenvalues for side in sides]),
-        landmarks=np.concatenate(landmarks),
-        mask=_merge_masks(sides, numbers),
-    )
-    return merged, numbers
-
-
-def _merge_masks(sides: Sequence[Side], numbers: Sequence[_Numbers]) -> FloatArray | None:
-    """Masks of all parts side by side; a part without one counts whole."""
-    if all(side.mask is None for side in sides):
-        return None
-    mask = np.ones(sum(len(side.vertices) for side in sides))
-    for side, own in zip(sides, numbers, strict=True):
-        if side.mask is not None:
-            mask[own.vertices] = side.mask
-    return mask
+    control = replace(join_meshes([side.control for side in sides]), scheme=scheme)
+    numbers = part_numbers([side.control for side in sides], level, loop=isinstance(scheme, Loop))
+    return Surface(refine(control, level, scheme), sides[0].config), numbers
 
 
 def part_numbers(controls: Sequence[ControlMesh], level: int, *, loop: bool) -> list[_Numbers]:

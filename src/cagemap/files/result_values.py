@@ -1,183 +1,77 @@
-"""What a RESULT folder holds, as values: two surfaces, the map between them, and what is known about it."""
+"""What the manifest of a RESULT folder says of a map, as the values that a match has."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from cagemap.geometry.surface import TriangleSurface
-from cagemap.maps.masks import Masks
-from cagemap.maps.point_map import PointMap
-from cagemap.mesh import ControlMesh
-from cagemap.mesh.curves import Curves
-from cagemap.mesh.landmarks import CagePoints
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.refinement import Refinement, Scheme, refine, triangles
-
-if TYPE_CHECKING:  # reading a result needs no solvers
-    from cagemap.pipeline import MatchResult
+from cagemap.basis import BasisConfig
+from cagemap.basis.schedule import MAP_BASIS
+from cagemap.files.schema import BasisRecord, ConfidenceRecord, LandmarkCheckRecord, QualityRecord
+from cagemap.geometry.points import SurfacePoints
+from cagemap.maps.hypotheses.confidence import Confidence, Reading
+from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
+from cagemap.maps.quality import QualityFigures
+from cagemap.mesh.landmarks import CagePoints, Landmarks
+from cagemap.numerics.arrays import FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class Side:
-    """One of the two surfaces of a result.
-
-    Attributes
-    ----------
-    control : ControlMesh
-        In the file's own units, like ``vertices``.
-    scheme : CatmullClark or Loop
-    level : int
-        Level of ``vertices`` and ``faces``; vertex i of a level is vertex i of every finer one.
-    vertices : (n, 3) float64
-    faces : (m, 4) or (m, 3) int64
-    eigenvalues : (k,) float64
-        Of the unit-area surface.
-    landmarks : (p,) int64
-        Control vertices, in the order of the other side's; the nearest where a landmark lies between them.
-    landmark_points : CagePoints, optional
-        Where the landmarks lie, if some lie between control vertices.
-    mask : (n,) float64, optional
-        How much every vertex counts, where not all of the surface does.
-    """
-
-    control: ControlMesh
-    scheme: Scheme
-    level: int
-    vertices: FloatArray
-    faces: IndexArray
-    eigenvalues: FloatArray
-    landmarks: IndexArray
-    landmark_points: CagePoints | None = None
-    mask: FloatArray | None = None
-
-    @cached_property
-    def refinement(self) -> Refinement:
-        """Every level again, with UVs: cheap, the same numbers as in the match, and made when it is first asked for."""
-        return refine(self.control, self.level, self.scheme)
+def stored_basis(record: BasisRecord | None, count: int | None) -> BasisConfig:
+    """How a surface was prepared; of a result that does not say, with as many functions as it has eigenvalues."""
+    if record is None:
+        return MAP_BASIS if not count else BasisConfig(count=count)
+    schedule = None if record.schedule is None else tuple(record.schedule)
+    return BasisConfig(record.count, record.tolerance, schedule, record.accuracy, record.literal)
 
 
-@dataclass(frozen=True, eq=False)
-class Result:
-    """A dense map between two refined surfaces, as it is stored.
-
-    Attributes
-    ----------
-    target, source : Side
-        The surface that receives, and the one that gives.
-    source_triangles : (t2, 3) int64
-        Source vertices of every triangle that ``triangle`` counts.
-    triangle : (n1,) int64
-        Target vertex i maps to the point ``barycentric[i]`` of source triangle ``triangle[i]``.
-    barycentric : (n1, 3) float64
-    functional_map : (k1, k2) float64
-        C12: source coefficients to target coefficients.
-    trust : (n1,) float64
-        1 where the map is locally unfolded and stretches little, 0 at folds.
-    landmark_errors : (p,) float64
-        Of sqrt(source area); also of pairs that the map left out, which the manifest's ``landmark_check`` names.
-    landmark_names : tuple of str
-    runner_up_images : (r, n_0, 3) float64
-        Where the r other answers of a match without landmarks put the target's control vertices, about, in the source
-        file's units; the manifest's ``confidence`` names them.
-    curves : Curves
-        Lines that correspond; the manifest's ``curves`` says how far the map leads one from the other.
-    manifest : dict
-        What ``manifest.json`` holds: versions, parameters, input hashes, timings in seconds, quality figures.
-    """
-
-    target: Side
-    source: Side
-    source_triangles: IndexArray
-    triangle: IndexArray
-    barycentric: FloatArray
-    functional_map: FloatArray
-    trust: FloatArray
-    landmark_errors: FloatArray
-    landmark_names: tuple[str, ...] = ()
-    runner_up_images: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 3)))
-    curves: Curves = field(default_factory=Curves.none)
-    manifest: dict[str, Any] = field(default_factory=dict)
-
-    @cached_property
-    def point_map(self) -> PointMap:
-        """The map as a value that knows both surfaces."""
-        target, source = (TriangleSurface.from_faces(side.vertices, side.faces) for side in (self.target, self.source))
-        return PointMap.from_arrays(target, source, self.triangle, self.barycentric)
-
-    @property
-    def masks(self) -> Masks:
-        """What of both surfaces was matched, and is transferred."""
-        return Masks(self.target.mask, self.source.mask)
-
-    def image(self) -> FloatArray:
-        """(n1, 3) where every target vertex maps to, in the source file's units."""
-        corners = self.source.vertices[self.source_triangles[self.triangle]]
-        return np.einsum("nc,ncd->nd", self.barycentric, corners)
+def stored_landmarks(names: list[str], points: tuple[CagePoints, CagePoints], meshes: tuple[str, str]) -> Landmarks:
+    """Landmarks at points of both meshes; without names they are numbered."""
+    titles = tuple(names) or tuple(f"pair {i}" for i in range(len(points[0].corners)))
+    return Landmarks.of_points(titles, *points, *meshes)
 
 
-def result_of(match: MatchResult, manifest: dict[str, Any] | None = None) -> Result:
-    """What of a match is stored.
+def stored_check(record: LandmarkCheckRecord | None, errors: FloatArray) -> LandmarkCheck:
+    """What was found about landmarks, whose errors (p,) are those of all pairs."""
+    if record is None:
+        return LandmarkCheck()
+    suspects = tuple(
+        LandmarkSuspect(s.name, s.pair, float(errors[s.pair]), s.nearest_vertex, s.source_vertex, s.evidence)
+        for s in record.suspects
+    )
+    return LandmarkCheck(suspects, tuple(record.notes))
+
+
+def stored_quality(
+    record: QualityRecord | None, check: LandmarkCheck, errors: FloatArray, trust: FloatArray
+) -> QualityFigures:
+    """Figures of a map, whose landmark errors (p,) are those of all pairs."""
+    trusted = np.setdiff1d(np.arange(len(errors)), [suspect.pair for suspect in check.suspects])
+    summary: dict[str, Any] = {} if record is None else record.model_dump()
+    return QualityFigures.of_summary(summary, errors[trusted], trust)
+
+
+def stored_confidence(record: ConfidenceRecord | None, answer: SurfacePoints, others: FloatArray) -> Confidence | None:
+    """How sure an answer is.
 
     Parameters
     ----------
-    manifest : dict, optional
-        More entries for the manifest, such as input hashes, parameters and further timings.
+    record : ConfidenceRecord or None
+    answer : SurfacePoints
+        Where the map puts the target's control vertices.
+    others : (r, n_0, 3) float64
+        Where the other answers put them, in the file's lengths.
     """
-    quality = match.quality
-    left_out = [suspect.pair for suspect in match.suspects]
-    errors = np.zeros(len(match.landmarks))
-    errors[np.setdiff1d(np.arange(len(errors)), left_out)] = quality.landmark_errors
-    errors[left_out] = [suspect.distance for suspect in match.suspects]
-    sides = [
-        Side(
-            control=surface.control,
-            scheme=surface.refinement.scheme,
-            level=surface.finest,
-            vertices=surface.refinement.finest.positions,
-            faces=np.asarray(surface.refinement.finest.faces),
-            eigenvalues=surface.basis.eigenvalues,
-            landmarks=landmarks.nearest_vertices,
-            landmark_points=landmarks if np.any(landmarks.vertices < 0) else None,
-            mask=mask,
-        )
-        for surface, landmarks, mask in (
-            (match.target, match.landmarks.target_points, match.masks.target),
-            (match.source, match.landmarks.source_points, match.masks.source),
-        )
-    ]
-    return Result(
-        target=sides[0],
-        source=sides[1],
-        source_triangles=triangles(sides[1].faces),
-        triangle=match.point_map.triangle,
-        barycentric=match.point_map.barycentric,
-        functional_map=match.functional_map,
-        trust=quality.trust,
-        landmark_errors=errors,
-        landmark_names=match.landmarks.names,
-        runner_up_images=_runner_up_images(match),
-        curves=match.landmarks.curves,
-        manifest={
-            "quality": quality.summary(),
-            "landmark_check": match.landmark_check.summary(),
-            "confidence": None if match.confidence is None else match.confidence.summary(),
-            "curves": [asdict(miss) for miss in match.curve_misses],
-            "timings": dict(match.timings),
-        }
-        | (manifest or {}),
+    if record is None:
+        return None
+    places = [answer.positions, *(answer.surface.scale * other for other in others)]
+    nowhere = np.zeros((0, 3))
+    readings = tuple(
+        Reading(reading.name, 1e-4 * reading.cost, places[i] if i < len(places) else nowhere)
+        for i, reading in enumerate(record.readings)
     )
-
-
-def _runner_up_images(match: MatchResult) -> FloatArray:
-    """(r, n_0, 3) see `Result`."""
-    count = match.target.control.n_vertices
-    others = match.confidence.readings[1:] if match.confidence else ()
-    scale = match.source.operators.scale
-    return np.array([other.positions[:count] / scale for other in others]).reshape(len(others), count, 3)
+    gap = np.inf if record.gap is None else record.gap
+    return Confidence(record.verdict, record.cost, gap, readings, record.deciding)
 
 
 # Mean distance, of sqrt(area), from which a curve counts as missed.

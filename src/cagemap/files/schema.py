@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -51,13 +51,22 @@ class LandmarkCheckRecord(Record):
     notes: list[str] = []
 
 
+class ReadingRecord(Record):
+    """One of the answers of a match without landmarks."""
+
+    name: str
+    cost: float
+
+
 class ConfidenceRecord(Record):
     """How sure a map without landmarks is."""
 
-    verdict: str
+    verdict: Literal["sure", "look at it", "two answers"]
     message: str
+    cost: float
     gap: float | None = None
-    deciding: int | None = None
+    deciding: Annotated[int, Field(ge=0)] | None = None
+    readings: Annotated[list[ReadingRecord], Field(min_length=1)]
 
 
 class InputRecord(Record):
@@ -87,8 +96,14 @@ class CurveRecord(Record):
 
 
 class QualityRecord(Record):
-    """Figures of a map; those that a page shows are looked up by name."""
+    """Figures of a map, see `cagemap.QualityFigures`; percentiles by number."""
 
+    flipped_area: float | None = None
+    coverage: float | None = None
+    dirichlet: float | None = None
+    trusted_area: float | None = None
+    area_ratio_percentiles: dict[str, float | None] = {}
+    aspect_ratio_percentiles: dict[str, float | None] = {}
     warnings: list[str] = []
 
 
@@ -99,6 +114,7 @@ class BasisRecord(Record):
     tolerance: Annotated[float, Field(gt=0, lt=1)]
     schedule: list[Annotated[int, Field(ge=0)]] | None = None
     accuracy: float | None = None
+    literal: bool = False
 
 
 class ResultRecord(Record):

@@ -117,7 +117,7 @@ def load_surface(path: str | Path) -> Surface:
     FormatError
         If the file is missing, damaged, no stored surface, or of another format version.
     """
-    return _load(Path(path), None)
+    return _load(Path(path))
 
 
 def prepared(
@@ -161,7 +161,7 @@ def prepared(
         progress(f"read prepared {control.name}")
         try:
             if is_own(place):
-                return _load(place, control)
+                return _load(place, control, config)
             problem = "it was changed since it was written"
         except FormatError as error:
             problem = str(error)
@@ -173,7 +173,7 @@ def prepared(
     return surface
 
 
-def _load(path: Path, control: ControlMesh | None) -> Surface:
+def _load(path: Path, control: ControlMesh | None = None, config: BasisConfig | None = None) -> Surface:
     """Read a surface; a control mesh known to be equal to the stored one takes its place, name and all."""
     if not path.is_file():
         raise FormatError(f"{path}: expected a prepared surface, found no such file. Prepare and save it first.")
@@ -199,7 +199,7 @@ def _load(path: Path, control: ControlMesh | None) -> Surface:
         raise FormatError(f"{path}: its arrays do not belong to one surface ({error}). {_REMEDY}") from error
     if sum(basis.schedule) != basis.count:
         raise FormatError(f"{path}: its arrays do not belong to one surface. {_REMEDY}")
-    return Surface(refinement, operators, basis)
+    return Surface.of(refinement, operators, basis, config)
 
 
 def _header(path: Path, arrays: dict[str, Any]) -> SurfaceRecord:

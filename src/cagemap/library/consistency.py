@@ -18,8 +18,6 @@ from scipy.sparse.csgraph import dijkstra
 
 from cagemap.files.atomic import atomic_path
 from cagemap.files.marks import mark
-from cagemap.files.result import Result
-from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.point_map import PointMap
 
 Pair = tuple[str, str]  # target, source: the direction of T12
@@ -52,12 +50,6 @@ class Consistency:
     triples: int
     doubtful: tuple[Pair, ...]
     ways: dict[Pair, tuple[str, ...]]
-
-
-def stored_map(result: Result) -> PointMap:
-    """The point map of a stored result."""
-    target, source = (TriangleSurface.from_faces(side.vertices, side.faces) for side in (result.target, result.source))
-    return PointMap.from_arrays(target, source, result.triangle, result.barycentric)
 
 
 def measure_consistency(maps: Mapping[Pair, PointMap]) -> Consistency:

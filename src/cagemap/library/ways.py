@@ -5,16 +5,19 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 
-from cagemap.files.result import ARRAYS, Result
+from cagemap.files.result import ARRAYS
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.triangles import normalized
-from cagemap.library.consistency import Pair, stored_map
+from cagemap.library.consistency import Pair
 from cagemap.library.plan import Plan, Task, task_key
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import measure_quality
+from cagemap.maps.result import MatchResult, SpectralMap
+from cagemap.mesh.landmarks import Landmarks
 
 AROUND = "RESULT-around"
 # Weight of normals beside positions at unit area in the search for the composed map's points: as in the elastic fit,
@@ -44,36 +47,33 @@ def composed_map(way: Sequence[PointMap]) -> PointMap:
     return PointMap(way[0].target, images)
 
 
-def composed_result(way: Sequence[Result], names: Sequence[str]) -> Result:
+def composed_result(way: Sequence[MatchResult], names: Sequence[str]) -> MatchResult:
     """Results along a way as one: point maps composed, functional maps multiplied, judged without landmarks.
 
     Parameters
     ----------
-    way : sequence of Result
+    way : sequence of MatchResult
         The source of each is the target of the next.
     names : sequence of str
         What is passed, from target to source, for the manifest's note.
     """
     first, last = way[0], way[-1]
-    found = composed_map([stored_map(result) for result in way])
-    nothing = np.zeros(0, dtype=np.int64)
+    found = composed_map([result.point_map for result in way])
     quality = measure_quality(found)
-    functional_map = way[0].functional_map
-    for result in way[1:]:
-        functional_map = functional_map @ result.functional_map
+    spectral = None
+    if all(result.has_spectral for result in way):
+        product = reduce(np.matmul, [result.functional_map for result in way])
+        spectral = SpectralMap(product, first.spectral.target_eigenvalues, last.spectral.source_eigenvalues)
     note = f"composed of the maps {' -> '.join(reversed(names))}, since the direct one disagrees with the ways round it"
-    return replace(
-        first,
-        target=replace(first.target, landmarks=nothing),
-        source=replace(last.source, landmarks=nothing),
-        source_triangles=last.source_triangles,
-        triangle=found.triangle,
-        barycentric=found.barycentric,
-        functional_map=functional_map,
-        trust=quality.trust,
-        landmark_errors=np.zeros(0),
-        landmark_names=(),
-        manifest={"quality": quality.summary(), "notes": [note], "way": list(names)},
+    provenance = {"notes": [note], "way": list(names)}
+    return MatchResult(
+        first.target,
+        last.source,
+        Landmarks.none(),
+        found,
+        quality,
+        known_spectral=spectral,
+        provenance=provenance,
     )
 
 

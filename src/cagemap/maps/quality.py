@@ -6,8 +6,9 @@ all shares are shares of area, whatever the mesh.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,9 @@ FLIPPED_TOLERANCE = 5e-3  # of the target's area
 COVERAGE_TOLERANCE = 0.98  # of the source's area
 TRUSTED_STRETCH = 2.0  # up to this stretch or compression (relative to isometry) a map is fully trusted
 COVERAGE_SAMPLES = 50_000
+# Figures that are one number, and percentiles of those that are a distribution, by target area.
+FIGURES = ("flipped_area", "coverage", "dirichlet", "trusted_area")
+PERCENTILES = {"area_ratio": ("1", "5", "50", "95", "99"), "aspect_ratio": ("50", "95", "99")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,16 +75,23 @@ class QualityFigures:
         return {
             "landmark_error_mean": float(errors.mean()) if len(errors) else None,
             "landmark_error_worst": float(errors.max()) if len(errors) else None,
-            "flipped_area": self.flipped_area,
-            "coverage": self.coverage,
-            "dirichlet": self.dirichlet,
-            "area_ratio_percentiles": dict(
-                zip(("1", "5", "50", "95", "99"), map(float, self.area_ratios), strict=True)
-            ),
-            "aspect_ratio_percentiles": dict(zip(("50", "95", "99"), map(float, self.aspect_ratios), strict=True)),
-            "trusted_area": self.trusted_area,
+            **{name: _known(getattr(self, name)) for name in FIGURES},
+            **{
+                f"{name}_percentiles": dict(zip(percents, map(_known, getattr(self, f"{name}s").tolist()), strict=True))
+                for name, percents in PERCENTILES.items()
+            },
             "warnings": list(self.warnings),
         }
+
+    @classmethod
+    def of_summary(cls, summary: Mapping[str, Any], landmark_errors: FloatArray, trust: FloatArray) -> QualityFigures:
+        """Figures from what `summary` said of them; NaN where it did not say."""
+        figures: dict[str, Any] = {name: _number(summary.get(name)) for name in FIGURES}
+        for name, percents in PERCENTILES.items():
+            known = summary.get(f"{name}_percentiles") or {}
+            figures[f"{name}s"] = np.array([_number(known.get(percent)) for percent in percents])
+        figures["warnings"] = tuple(summary.get("warnings") or ())
+        return cls(landmark_errors=landmark_errors, trust=trust, **figures)
 
 
 def flipped_triangles(images: SurfacePoints, triangles: IndexArray) -> NDArray[np.bool_]:
@@ -237,7 +248,10 @@ def measure_quality(
         aspect = largest / np.maximum(smallest, 1e-9)
         trust = trust_field(target, (largest, smallest), flipped)
         coverage = covered.result()
-    asked_about = (largest * smallest, areas, (1, 5, 50, 95, 99)), (aspect, areas, (50, 95, 99))
+    asked_about = [
+        (values, areas, [float(p) for p in PERCENTILES[name]])
+        for name, values in (("area_ratio", largest * smallest), ("aspect_ratio", aspect))
+    ]
     area_ratios, aspect_ratios = in_threads(lambda asked: weighted_percentiles(*asked), asked_about)
     errors = np.zeros(0) if landmarks is None else landmark_errors(point_map, landmarks)
     flipped_area = float(areas[flipped].sum() / areas.sum())
@@ -264,6 +278,14 @@ def weighted_percentiles(values: FloatArray, weights: FloatArray, percents: Sequ
     return np.asarray(
         values[order][np.minimum(np.searchsorted(cumulative, np.asarray(percents) / 100), len(values) - 1)]
     )
+
+
+def _known(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _number(value: float | None) -> float:
+    return np.nan if value is None else float(value)
 
 
 def _first_form(positions: FloatArray, triangles: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray]:

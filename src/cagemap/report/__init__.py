@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from cagemap.files.atomic import atomic_path
-from cagemap.files.result import Result, result_of
+from cagemap.maps.result import MatchResult
 from cagemap.report.figures import HEIGHT, WIDTH, Figure, Gallery, Pixels, Progress, draw_gallery, draw_thumbnail
 from cagemap.report.page import build_page
-
-if TYPE_CHECKING:
-    from cagemap.pipeline import MatchResult
 
 __all__ = ["Figure", "Gallery", "build_page", "draw_gallery", "draw_thumbnail", "write_report"]
 
 
 def write_report(
     path: str | Path,
-    result: Result | MatchResult,
+    result: MatchResult,
     *,
     texture: Pixels | None = None,
     baked: Pixels | None = None,
@@ -32,7 +28,7 @@ def write_report(
     ----------
     path : path
         The HTML file.
-    result : Result or MatchResult
+    result : MatchResult
     texture, baked : (H, W, c) array, optional
         The source's texture, and the same baked into the target's layout.
     size : (int, int)
@@ -45,8 +41,6 @@ def write_report(
     FormatError
         If the file cannot be written, or cagemap did not write the one that is there and ``force`` is not given.
     """
-    if not isinstance(result, Result):
-        result = result_of(result)
     page = build_page(result, draw_gallery(result, texture=texture, baked=baked, size=size, progress=progress))
     with atomic_path(path, force=force) as temporary:
         temporary.write_text(page, encoding="utf-8", errors="xmlcharrefreplace")

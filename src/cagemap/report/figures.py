@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.files.result import Result, Side
+from cagemap.basis import Surface
 from cagemap.geometry.polylines import Polyline
-from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.curves import surface_curves
+from cagemap.maps.result import MatchResult
+from cagemap.mesh.cage_points import CagePoints
 from cagemap.mesh.curves import CageCurves
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import ThreadPool
@@ -89,7 +90,7 @@ class Gallery:
 class _Stage:
     """Both surfaces, ready to draw; ``turn`` more degrees of azimuth show the source from where the target is seen."""
 
-    result: Result
+    result: MatchResult
     target: TexturedSurface
     source: TexturedSurface
     target_model: Model
@@ -98,7 +99,7 @@ class _Stage:
 
 
 def draw_gallery(
-    result: Result,
+    result: MatchResult,
     *,
     texture: Pixels | None = None,
     baked: Pixels | None = None,
@@ -109,7 +110,7 @@ def draw_gallery(
 
     Parameters
     ----------
-    result : Result
+    result : MatchResult
     texture : (H, W, c) array, optional
         The source's texture; integers stand for 0 to 1. Without one, material colours or a checker are shown.
     baked : (H, W, c) array, optional
@@ -135,7 +136,7 @@ def draw_gallery(
     return Gallery(appearance, figures[:3], figures[3:5], figures[5:7], figures[7:])
 
 
-def _mask_jobs(result: Result) -> list[_Job]:
+def _mask_jobs(result: MatchResult) -> list[_Job]:
     """What counts of both surfaces, from the front and from behind; nothing where all of it does."""
     masks = result.masks
     if not masks.any:
@@ -145,7 +146,7 @@ def _mask_jobs(result: Result) -> list[_Job]:
     return [(view, skins[0], skins[1], False) for view in (FRONT, BACK)]
 
 
-def draw_thumbnail(result: Result, size: tuple[int, int] = (220, 190)) -> Image:
+def draw_thumbnail(result: MatchResult, size: tuple[int, int] = (220, 190)) -> Image:
     """One small picture of a map: equal colours correspond; the source on the left, the target on the right."""
     stage = _stage(result)
     own = Skin(vertex_colors=position_colors(result.source.vertices, result.source.vertices))
@@ -154,7 +155,7 @@ def draw_thumbnail(result: Result, size: tuple[int, int] = (220, 190)) -> Image:
     return figure.target if figure.source is None else np.hstack([figure.source, figure.target])
 
 
-def _stage(result: Result) -> _Stage:
+def _stage(result: MatchResult) -> _Stage:
     target, source = (TexturedSurface.from_level(side.refinement.finest) for side in (result.target, result.source))
     turn = turn_between(target.positions, result.image())
     return _Stage(
@@ -229,9 +230,13 @@ def _figure(stage: _Stage, job: _Job, size: tuple[int, int]) -> Figure:
     view, source_skin, target_skin, dotted = job
     result = stage.result
     turned = replace(view, azimuth=view.azimuth + stage.turn)
+    pairs = result.landmarks
     marks = [
-        _marks(side, lines) if dotted else None
-        for side, lines in ((result.target, result.curves.target), (result.source, result.curves.source))
+        _marks(side, points, lines) if dotted else None
+        for side, points, lines in (
+            (result.target, pairs.target_points, pairs.curves.target),
+            (result.source, pairs.source_points, pairs.curves.source),
+        )
     ]
     source = None if source_skin is None else _draw(stage.source_model, source_skin, turned, size, marks[1])
     return Figure(view.name, source, _draw(stage.target_model, target_skin, view, size, marks[0]))
@@ -245,13 +250,11 @@ class _Marks:
     curves: tuple[Polyline, ...]
 
 
-def _marks(side: Side, lines: CageCurves) -> _Marks:
-    curves: tuple[Polyline, ...] = ()
-    if len(lines):
-        finest = TriangleSurface.from_faces(side.vertices, side.faces)
-        found = surface_curves(side.refinement, finest, lines)
-        curves = tuple(Polyline(curve.line.positions / finest.scale, curve.closed) for curve in found)
-    return _Marks(side.vertices[side.landmarks], curves)
+def _marks(surface: Surface, points: CagePoints, lines: CageCurves) -> _Marks:
+    finest = surface.triangles(surface.finest)
+    found = surface_curves(surface.refinement, finest, lines) if len(lines) else ()
+    curves = tuple(Polyline(curve.line.positions / finest.scale, curve.closed) for curve in found)
+    return _Marks(surface.vertices[points.nearest_vertices], curves)
 
 
 def _draw(model: Model, skin: Skin, view: View, size: tuple[int, int], marks: _Marks | None) -> Image:

@@ -109,8 +109,7 @@ def _header(result: Result, title: str, verdict: str) -> str:
     chips = [
         f"{len(result.target.vertices):,} target vertices",
         f"{len(result.source.vertices):,} source vertices",
-        f"{len(result.target.eigenvalues)} × {len(result.source.eigenvalues)} functional map",
-        f"{len(result.target.landmarks)} landmarks",
+        f"{len(result.landmarks)} landmarks",
     ]
     seconds = _total(manifest.get("timings") or {})
     chips += [f"{seconds:.1f} s"] if seconds else []
@@ -151,17 +150,16 @@ def _merits(merits: list[Any]) -> str:
 
 
 def _landmarks(result: Result) -> str:
-    count = len(result.target.landmarks)
-    names = result.landmark_names or tuple(f"pair {i}" for i in range(count))
-    check = result.manifest.get("landmark_check") or {}
-    left_out = {suspect["pair"] for suspect in check.get("suspects", [])}
+    count, names = len(result.landmarks), result.landmark_names
+    left_out = {suspect.pair for suspect in result.suspects}
+    vertices = [points.nearest_vertices for points in (result.landmarks.source_points, result.landmarks.target_points)]
     rows = []
     for number, color in enumerate(distinct_colors(count)):
         red, green, blue = np.round(color * 255).astype(int)
         error = 100 * float(result.landmark_errors[number])
         rows.append(
             f'<tr><td><span class="dot" style="background:rgb({red},{green},{blue})"></span>'
-            f"{escape(names[number])}</td><td>{result.source.landmarks[number]}</td><td>{result.target.landmarks[number]}</td>"
+            f"{escape(names[number])}</td><td>{vertices[0][number]}</td><td>{vertices[1][number]}</td>"
             f"<td>{error:.2f} %{', left out' if number in left_out else ''}</td></tr>"
         )
     head = "<tr><th>landmark</th><th>source vertex</th><th>target vertex</th><th>miss</th></tr>"
@@ -207,7 +205,7 @@ def _provenance(result: Result) -> str:
     for side_name, side in (("source", result.source), ("target", result.target)):
         entries[side_name] = (
             f"{side.control.name}: {side.control.n_vertices} control vertices, {side.control.n_faces} faces, "
-            f"{side.scheme} to level {side.level}"
+            f"{side.refinement.scheme} to level {side.finest}"
         )
     for group in ("parameters", "versions", "inputs"):
         entries |= _flat(group, manifest.get(group) or {})

@@ -1,0 +1,193 @@
+"""What a match gives: one value that is written, read, updated, baked from and reported."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from cagemap.basis import Surface
+from cagemap.maps.curves import CurveMiss, curve_miss, curve_pairs
+from cagemap.maps.elastic.method import functional_map_of
+from cagemap.maps.elastic.prepared import PreparedPair
+from cagemap.maps.hypotheses.confidence import Confidence
+from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
+from cagemap.maps.masks import WHOLE, Masks
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.quality import QualityFigures
+from cagemap.maps.spectral.levels import LevelMap
+from cagemap.mesh.curves import Curves
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import in_threads, one_blas_thread
+
+
+@dataclass(frozen=True, eq=False)
+class SpectralMap:
+    """A map as the bases see it.
+
+    Attributes
+    ----------
+    functional_map : (k1, k2) float64
+        C12, takes source coefficients to target coefficients.
+    target_eigenvalues, source_eigenvalues : (k1,), (k2,) float64
+        Of the unit-area surfaces.
+    """
+
+    functional_map: FloatArray
+    target_eigenvalues: FloatArray
+    source_eigenvalues: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class MatchResult:
+    """A dense map from target to source, and how it came about.
+
+    Attributes
+    ----------
+    target, source : Surface
+        The surface that receives, and the one that gives.
+    landmarks : Landmarks
+        As given.
+    point_map : PointMap
+        T12: finest target vertices -> points of the finest source triangles.
+    quality : QualityFigures
+        What can be said about the map without knowing the true one.
+        Its landmark errors are those of the trusted pairs.
+    timings : dict of str to float
+        Seconds of every stage.
+    landmark_check : LandmarkCheck
+        Pairs that look wrong and were left out, and notes.
+    level_maps : tuple of LevelMap
+        Functional map and vertex matches of every level, of the methods that go from level to level.
+    confidence : Confidence or None
+        How sure the answer is, and the other answers, where fewer than three landmarks had to do.
+    prepared : PreparedPair or None
+        What `update_match` and `match_pair` need of the two surfaces, of a match of this process ("elastic" only).
+    masks : Masks
+        What of both surfaces was matched, and is transferred.
+    known_spectral : SpectralMap or None
+        What `spectral` gives, where it was read or follows from other maps.
+    provenance : dict
+        What else the manifest says: parameters, inputs, notes, what was transferred.
+    """
+
+    target: Surface
+    source: Surface
+    landmarks: Landmarks
+    point_map: PointMap
+    quality: QualityFigures
+    timings: dict[str, float] = field(default_factory=dict, repr=False)
+    landmark_check: LandmarkCheck = field(default_factory=LandmarkCheck)
+    level_maps: tuple[LevelMap, ...] = field(default=(), repr=False)
+    confidence: Confidence | None = None
+    prepared: PreparedPair | None = field(default=None, repr=False)
+    masks: Masks = field(default=WHOLE, repr=False)
+    known_spectral: SpectralMap | None = field(default=None, repr=False)
+    provenance: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def spectral(self) -> SpectralMap:
+        """The functional map and the eigenvalues of both bases: the method's, what was stored, or read off the map."""
+        if self.known_spectral is not None:
+            return self.known_spectral
+        with one_blas_thread():
+            bases = in_threads(lambda surface: surface.basis, [self.target, self.source])
+            if self.level_maps:
+                functional_map = self.level_maps[-1].functional_map
+            else:
+                functional_map = functional_map_of(self.target, self.source, self.point_map)
+        return SpectralMap(functional_map, *(basis.eigenvalues for basis in bases))
+
+    @property
+    def has_spectral(self) -> bool:
+        """Whether `spectral` costs next to nothing, since nothing must be prepared for it."""
+        return self.known_spectral is not None or (self.target.is_prepared and self.source.is_prepared)
+
+    @property
+    def functional_map(self) -> FloatArray:
+        """(k1, k2) C12, takes source coefficients to target coefficients; made when it is first asked for."""
+        return self.spectral.functional_map
+
+    @property
+    def suspects(self) -> tuple[LandmarkSuspect, ...]:
+        """Landmark pairs that were left out of the map."""
+        return self.landmark_check.suspects
+
+    @property
+    def trusted(self) -> Landmarks:
+        """The landmarks that the map meets."""
+        return self.landmark_check.trusted(self.landmarks)
+
+    @property
+    def curves(self) -> Curves:
+        """Lines that correspond."""
+        return self.landmarks.curves
+
+    @cached_property
+    def curve_misses(self) -> tuple[CurveMiss, ...]:
+        """How far the map leads each of the curves from the one that it belongs to."""
+        pairs = curve_pairs(self.target, self.source, self.curves)
+        return tuple(curve_miss(pair, self.point_map) for pair in pairs)
+
+    @property
+    def landmark_names(self) -> tuple[str, ...]:
+        """One per pair."""
+        return self.landmarks.names
+
+    @property
+    def landmark_errors(self) -> FloatArray:
+        """(p,) by how much every landmark is missed, of sqrt(source area); also those that were left out."""
+        left_out = [suspect.pair for suspect in self.suspects]
+        errors = np.zeros(len(self.landmarks))
+        errors[np.setdiff1d(np.arange(len(errors)), left_out)] = self.quality.landmark_errors
+        errors[left_out] = [suspect.distance for suspect in self.suspects]
+        return errors
+
+    @property
+    def source_triangles(self) -> IndexArray:
+        """(t2, 3) source vertices of every triangle that `triangle` counts."""
+        return self.point_map.source.triangles
+
+    @property
+    def triangle(self) -> IndexArray:
+        """(n1,) target vertex i maps to the point ``barycentric[i]`` of source triangle ``triangle[i]``."""
+        return self.point_map.triangle
+
+    @property
+    def barycentric(self) -> FloatArray:
+        """(n1, 3) see `triangle`."""
+        return self.point_map.barycentric
+
+    @property
+    def trust(self) -> FloatArray:
+        """(n1,) 1 where the map is locally unfolded and stretches little, 0 at folds."""
+        return self.quality.trust
+
+    @property
+    def runner_up_images(self) -> FloatArray:
+        """(r, n_0, 3) where other answers put the target's control vertices, about, in the source file's lengths."""
+        count = self.target.control.n_vertices
+        others = self.confidence.readings[1:] if self.confidence else ()
+        known = [other.positions[:count] / self.source.scale for other in others if len(other.positions) >= count]
+        return np.array(known).reshape(len(known), count, 3)
+
+    def image(self) -> FloatArray:
+        """(n1, 3) where every target vertex maps to, in the source file's lengths."""
+        corners = self.source.vertices[self.source_triangles[self.triangle]]
+        return np.einsum("nc,ncd->nd", self.barycentric, corners)
+
+    @property
+    def manifest(self) -> dict[str, Any]:
+        """What a manifest says of the map, for people and pages."""
+        return {
+            "quality": self.quality.summary(),
+            "landmark_check": self.landmark_check.summary(),
+            "confidence": None if self.confidence is None else self.confidence.summary(),
+            "curves": [asdict(miss) for miss in self.curve_misses],
+            "timings": dict(self.timings),
+            "bases": {"target": asdict(self.target.config), "source": asdict(self.source.config)},
+            **self.provenance,
+        }
