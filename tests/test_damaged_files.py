@@ -139,6 +139,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_mesh(place / "box.obj", textured_cube("box.obj"))
     write_ply(place / "text.ply", textured_cube("box.obj"), text=True)
     write_ply(place / "binary.ply", textured_cube("box.obj"))
+    write_mesh(place / "box.off", textured_cube("box.obj"))
     write_landmarks(place / "l.json", example_pair(4).landmarks)
     for suffix in (".npz", ".csv", ".npy"):
         write_attributes(place / f"v{suffix}", {"a": rng.random(20)})
@@ -152,6 +153,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "box.mtl": lambda path: read_mesh(path.with_name("box.obj")),
     "text.ply": read_mesh,
     "binary.ply": read_mesh,
+    "box.off": read_mesh,
     "l.json": lambda path: read_landmarks(path, "deer.obj", "pony.obj"),
     "v.npz": read_attributes,
     "v.npy": read_attributes,

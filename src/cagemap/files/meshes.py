@@ -10,18 +10,19 @@ import numpy as np
 from cagemap.errors import FormatError
 from cagemap.files.gltf import write_glb
 from cagemap.files.obj import obj_files, read_obj, write_obj
+from cagemap.files.off import read_off, write_off
 from cagemap.files.ply import read_ply, write_ply
 from cagemap.files.usd import USD_SUFFIXES, read_usd
 from cagemap.files.usd_write import write_usd
 from cagemap.mesh import ControlMesh
 
-_READERS = {".obj": read_obj, ".ply": read_ply, **dict.fromkeys(USD_SUFFIXES, read_usd)}
-_WRITERS = {".obj": write_obj, ".ply": write_ply, ".glb": write_glb}
+_READERS = {".obj": read_obj, ".ply": read_ply, ".off": read_off, **dict.fromkeys(USD_SUFFIXES, read_usd)}
+_WRITERS = {".obj": write_obj, ".ply": write_ply, ".off": write_off, ".glb": write_glb}
 _WRITERS |= dict.fromkeys((".usd", ".usda", ".usdc"), write_usd)
 
 
 def read_mesh(path: str | Path) -> ControlMesh:
-    """Read a control mesh from an ``.obj``, ``.ply`` or USD file, in its own numbering; its arrays are read-only.
+    """Read a control mesh of an ``.obj``, ``.ply``, ``.off`` or USD file, as numbered there; its arrays are read-only.
 
     Raises
     ------
@@ -36,7 +37,7 @@ def read_mesh(path: str | Path) -> ControlMesh:
 
 
 def write_mesh(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> None:
-    """Write a mesh to an ``.obj``, ``.ply`` or USD file, or export it as ``.glb``.
+    """Write a mesh to an ``.obj``, ``.ply``, ``.off`` or USD file, or export it as ``.glb``.
 
     Raises
     ------

@@ -1,0 +1,119 @@
+"""`benchmarks.public` on miniatures of our own in the layout of the public sets."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from cagemap.files.meshes import write_mesh
+from cagemap.mesh import ControlMesh, creature, triangulated
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from benchmarks.public import sets
+from benchmarks.public.__main__ import main
+from benchmarks.public.sets import SETS, more_landmarks
+
+IDS = (0, 11, 17, 40, 60, 77)
+
+
+def bodies() -> dict[str, ControlMesh]:
+    """A creature, the same one bent, and the same one with its vertices in another order."""
+    mesh = triangulated(creature())
+    x, y, z = mesh.positions.T
+    bent = replace(mesh, positions=np.column_stack([x + 0.05 * z**2, y, 1.2 * z]))
+    order = np.random.default_rng(5).permutation(mesh.n_vertices)  # new vertex i is old vertex order[i]
+    place = np.argsort(order)
+    shuffled = replace(bent, positions=bent.positions[order], face_indices=place[bent.face_indices])
+    return {"one": mesh, "two": shuffled}
+
+
+def numbers(name: str, mesh: ControlMesh) -> np.ndarray:
+    """Vertex of every template point of a shape."""
+    if name == "one":
+        return np.arange(mesh.n_vertices)
+    return np.argsort(np.random.default_rng(5).permutation(mesh.n_vertices))
+
+
+@pytest.fixture
+def faust_r(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    root = tmp_path / "FAUST_r"
+    for folder in ("corres", "vtx_5k"):
+        (root / folder).mkdir(parents=True)
+    for name, mesh in zip(("tr_reg_080", "tr_reg_091"), bodies().items(), strict=True):
+        write_mesh(root / "vtx_5k" / f"{name}.off", mesh[1])
+        np.savetxt(root / "corres" / f"{name}.vts", numbers(*mesh) + 1, fmt="%d")
+    write_mesh(root / "vtx_5k" / "tr_reg_000.off", bodies()["one"])  # a training shape: not tested
+    monkeypatch.setitem(sets.SETS, "faust_r", replace(SETS["faust_r"], landmarks={6: IDS}))
+    return root
+
+
+@pytest.fixture
+def shrec(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    root = tmp_path / "SHREC20"
+    for folder in ("models", "test-sets", "FULL_gts"):
+        (root / folder).mkdir(parents=True)
+    for name, mesh in bodies().items():
+        write_mesh(root / "models" / f"{name}.obj", mesh)
+        vertices = numbers(name, mesh)[: 60 if name == "one" else 80]
+        faces = np.array([np.flatnonzero(mesh.face_indices == vertex)[0] // 3 for vertex in vertices])
+        weights = (mesh.face_indices.reshape(-1, 3)[faces] == vertices[:, None]).astype(float)
+        points = np.arange(len(vertices))[::-1] + 1
+        tables = {"points": points[:, None], "verts": vertices[::-1][:, None] + 1}
+        savemat(root / "FULL_gts" / f"{name}.mat", tables | {"baryc": np.column_stack([faces + 1, weights])[::-1]})
+    (root / "test-sets" / "test-set0.txt").write_text("one.obj, two.obj\n\n")
+    monkeypatch.setitem(sets.SETS, "shrec20", replace(SETS["shrec20"], landmarks={6: (1, 12, 18, 41, 50, 58)}))
+    return root
+
+
+def run(name: str, root: Path, output: Path, *more: str) -> list[dict]:
+    main([name, str(root), "--scheme", "loop", "--vertices", "600", "--points", "60", "--output", str(output), *more])
+    return json.loads((output / "public.json").read_text())
+
+
+def test_only_the_shapes_of_the_test_are_paired(faust_r: Path) -> None:
+    public = sets.SETS["faust_r"]
+    assert public.pairs(faust_r, None) == [("tr_reg_080", "tr_reg_091"), ("tr_reg_091", "tr_reg_080")]
+    assert len(public.pairs(faust_r, 1)) == 1
+    with pytest.raises(SystemExit, match="found none"):
+        public.pairs(faust_r / "corres", None)
+
+
+def test_points_of_shrec_are_barycentric_and_pairs_go_both_ways(shrec: Path) -> None:
+    public = sets.SETS["shrec20"]
+    assert public.pairs(shrec, None) == [("one", "two"), ("two", "one")]
+    for name, mesh in bodies().items():
+        marks = public.marks(shrec, name, mesh)
+        vertices = numbers(name, mesh)[: len(marks.ids)]
+        assert marks.ids.tolist() == list(range(1, len(vertices) + 1))
+        # Point 1 of the miniature is the last of the table.
+        np.testing.assert_allclose(marks.points.of(mesh.positions), mesh.positions[vertices], atol=1e-12)
+    one, two = (public.marks(shrec, name, mesh) for name, mesh in bodies().items())
+    positions = two.points.of(bodies()["two"].positions)
+    ids = more_landmarks(public, two, one, positions, 20)
+    assert ids[:6] == [1, 12, 18, 41, 50, 58]
+    assert len(set(ids)) == 20
+    assert max(ids) <= 60
+
+
+@pytest.mark.slow
+def test_rows_are_measured_once_and_one_table_is_written(
+    faust_r: Path, shrec: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    rows = run("faust_r", faust_r, tmp_path / "out")
+    assert len(rows) == 2
+    assert max(row["mean"] for row in rows) < 4.0  # the body is bent by half its width
+    assert all(0 < row["of_largest"] < row["mean"] for row in rows)
+    capsys.readouterr()
+    assert run("faust_r", faust_r, tmp_path / "out") == rows
+    assert " landmarks: " not in capsys.readouterr().out.split("|")[0]
+    both = run("shrec20", shrec, tmp_path / "out", "--landmarks", "6", "10")
+    assert len(both) == 6
+    table = (tmp_path / "out" / "public.md").read_text()
+    assert table.count("\n| ") == 2 + 3
+    assert "SHREC'20" in table
