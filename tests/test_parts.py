@@ -23,7 +23,7 @@ from cagemap.files.result import read_result
 from cagemap.mesh import CatmullClark, ControlMesh, Loop, creature, cube, grid, icosahedron, poles, pyramid, torus
 from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import CagePoints, Landmarks
-from cagemap.mesh.parts import components, extract, find_part, list_parts, pair_parts
+from cagemap.mesh.parts import components, extract, find_part, list_parts, material_pieces, pair_parts
 from cagemap.refinement import refine
 
 
@@ -110,6 +110,44 @@ def test_components_are_paired_by_landmarks_then_names_then_what_is_left() -> No
     assert {part.name for part in alone} == {"eye", "hat"}
     assert others == ()
     assert len(components(target)) == 3
+
+
+def test_materials_are_paired_by_name_and_their_pieces_by_landmarks() -> None:
+    eyes = [
+        replace(_named(icosahedron(), name, x), face_materials=np.zeros(20, np.int64), material_names=("eye",))
+        for name, x in (("l", 5), ("r", -5))
+    ]
+    body = replace(
+        _named(cube(), "body"), face_materials=np.array([0, 0, 0, 1, 1, 1]), material_names=("skin", "cloth")
+    )
+    scene = join_meshes([body, *eyes])
+    assert [(part.name, len(part.faces)) for part in material_pieces(scene)] == [
+        ("skin", 3),
+        ("cloth", 3),
+        ("eye 0", 20),
+        ("eye 1", 20),
+    ]
+    pairs, alone, _ = pair_parts(scene, scene, np.zeros((0, 2), np.int64), material_pieces)
+    assert {(pair.target.name, pair.source.name) for pair in pairs} == {("skin", "skin"), ("cloth", "cloth")}
+    assert [part.name for part in alone] == ["eye 0", "eye 1"]  # which is which, no name says
+    crossed = np.array([[8, 20], [20, 8]])
+    pairs, alone, _ = pair_parts(scene, scene, crossed, material_pieces)
+    assert ("eye 0", "eye 1") in {(pair.target.name, pair.source.name) for pair in pairs}
+    assert alone == ()
+    found, _ = chosen_parts(scene, scene, _landmarks(crossed), "material", "material")
+    assert sorted(part.target.n_faces for part in found) == [3, 3, 20, 20]
+    with pytest.raises(ParameterError, match="expected material on both sides"):
+        chosen_parts(scene, scene, _landmarks(crossed), "material", "eye")
+
+
+def test_objects_that_are_subdivided_differently_are_taken_one_at_a_time() -> None:
+    scene = replace(_scene(), object_schemes=(CatmullClark("edge_only"), Loop(), CatmullClark()))
+    (inputs,), _ = chosen_parts(scene, scene, Landmarks.none(), "body", "eye_left")
+    assert inputs.target.scheme == CatmullClark("edge_only")
+    assert inputs.source.scheme == Loop()
+    assert inputs.source.object_schemes == ()
+    with pytest.raises(ParameterError, match="expected a part that is subdivided in one way"):
+        chosen_parts(scene, scene, Landmarks.none(), None, "body")
 
 
 @pytest.mark.parametrize("level", [1, 2, 3])

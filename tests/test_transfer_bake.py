@@ -52,6 +52,18 @@ def test_identity_gives_the_texture_back(dtype: str, channels: int) -> None:
         np.testing.assert_allclose(baked, texture, rtol=0, atol=1e-3 if dtype == "float16" else 1e-6)
 
 
+def test_holes_get_no_texels() -> None:
+    level = plane(4, 4)
+    holes = np.zeros(16, dtype=bool)
+    holes[[5, 6, 9, 10]] = True  # the middle
+    transfer = prepare_transfer(level, level, identity_map(level), holes=holes)
+    baked = bake_texture(transfer, np.full((64, 64, 1), 200, np.uint8), size=64, options=BARE)
+    # Their rim is a border of the island: a gutter lies around it, and nothing further in.
+    assert np.all(baked[19:45, 19:45] == 0)
+    assert np.all(np.delete(baked.reshape(64, 64), np.s_[16:48], axis=0) == 200)
+    assert np.all(baked[30, 16] == 200)
+
+
 @pytest.mark.parametrize(("dtype", "value"), [("uint8", 201), ("uint16", 50001), ("float16", 0.1), ("float32", 1 / 3)])
 @pytest.mark.parametrize("size", [40, 150])
 def test_a_constant_stays_the_same_to_the_last_bit(dtype: str, value: float, size: int) -> None:

@@ -12,6 +12,7 @@ from cagemap.errors import FormatError
 from cagemap.files.meshes import read_mesh, write_mesh
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, cube, grid, icosahedron
 from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.parts import extract, find_part
 from cagemap.refinement import finest_mesh, refine
 
 pxr = pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
@@ -298,3 +299,22 @@ def test_meshes_that_do_not_fit_together_are_refused(change: object, message: st
     stage.Save()
     with pytest.raises(FormatError, match=message):
         read_usd(tmp_path / "mesh.usda")
+
+
+def test_meshes_of_different_schemes_are_read_for_their_parts(tmp_path: Path) -> None:
+    path = tmp_path / "mixed.usda"
+    write_usd(path, replace(cube(), scheme=CatmullClark("edge_only")))
+    stage = Usd.Stage.Open(str(path))
+    eye = UsdGeom.Mesh.Define(stage, "/Asset/eye")
+    ball = icosahedron()
+    eye.CreatePointsAttr([tuple(map(float, point)) for point in ball.positions + np.array([9.0, 0, 0])])
+    eye.CreateFaceVertexCountsAttr(ball.face_sizes.tolist())
+    eye.CreateFaceVertexIndicesAttr(ball.face_indices.tolist())
+    eye.CreateSubdivisionSchemeAttr("loop")
+    stage.Save()
+    with pytest.raises(FormatError, match="--part NAME"):
+        read_usd(path)
+    mixed = read_usd(path, mixed=True)
+    part = extract(mixed, find_part(mixed, "eye").faces)
+    assert isinstance(part.scheme, Loop)
+    assert extract(mixed, find_part(mixed, "mesh").faces).scheme == CatmullClark("edge_only")

@@ -36,6 +36,7 @@ from cagemap.files.result import (
     write_result,
 )
 from cagemap.files.surface_store import prepared
+from cagemap.files.usd import USD_SUFFIXES, read_usd
 from cagemap.files.usd_space import unit_notes
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
@@ -305,7 +306,9 @@ def read_inputs(request: MatchRequest) -> Inputs:
 def read_control(path: Path, request: MatchRequest, side: str) -> ControlMesh:
     """Read the control mesh of one side, and what was asked for about its subdivision and its UVs."""
     subdivision = SubdivisionRequest(request.scheme, request.boundary, request.uv_interpolation, request.creasing)
-    control = subdivision.applied(replace(read_mesh(path), name=path.name))
+    parts = getattr(request, f"{side}_part") or request.part
+    mixed = parts is not None and path.suffix.lower() in USD_SUFFIXES
+    control = subdivision.applied(replace(read_usd(path, mixed=True) if mixed else read_mesh(path), name=path.name))
     uv_set = getattr(request, f"{side}_uv_set")
     return control if uv_set is None else control.with_uv_set(uv_set)
 

@@ -147,8 +147,8 @@ def match(
         str | None,
         typer.Option(
             "--part",
-            help="Match only this object, group, material or component of both files, the largest, or each with its "
-            "counterpart; `cagemap check` lists them.",
+            help="Match only this object, group, material or component of both files, the largest, or each piece, or "
+            "each material, with its counterpart; `cagemap check` lists them.",
             show_default=False,
         ),
     ] = None,

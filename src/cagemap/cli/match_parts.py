@@ -9,11 +9,12 @@ import numpy as np
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import CagePoints, Landmarks
-from cagemap.mesh.parts import Part, extract, find_part, pair_parts
+from cagemap.mesh.parts import Part, components, extract, find_part, material_pieces, pair_parts
 from cagemap.numerics.arrays import IndexArray
 from cagemap.refinement import default_scheme
 
 EACH = "each"
+MATERIAL = "material"
 
 
 @dataclass(frozen=True)
@@ -37,22 +38,23 @@ def chosen_parts(
     landmarks : Landmarks
         In the files' numbers.
     target_part, source_part : str or None
-        A part's name, ``largest``, or ``each`` on both sides; None for the whole mesh.
+        A part's name, ``largest``, or on both sides ``each`` (connected pieces) or ``material``; None for the whole.
 
     Raises
     ------
     ParameterError
-        If there is no such part, no parts go together, or ``each`` is asked for on one side only.
+        If there is no such part, no parts go together, or ``each`` or ``material`` is asked for on one side only.
     """
     # A part is subdivided as the whole file is, also where all its faces happen to be triangles.
     target, source = (replace(mesh, scheme=default_scheme(mesh)) for mesh in (target, source))
-    if (target_part == EACH) != (source_part == EACH):
+    every = next((word for word in (EACH, MATERIAL) if word in (target_part, source_part)), None)
+    if every is not None and target_part != source_part:
         raise ParameterError(
-            f"--part: expected {EACH} on both sides, got {target_part!r} for the target and {source_part!r} for the "
-            "source. Use --part each, or name a part of each side."
+            f"--part: expected {every} on both sides, got {target_part!r} for the target and {source_part!r} for the "
+            f"source. Use --part {every}, or name a part of each side."
         )
-    if target_part == EACH:
-        return _each(target, source, landmarks)
+    if every is not None:
+        return _each(target, source, landmarks, every)
     sides = [(target, target_part), (source, source_part)]
     parts = [None if name is None else find_part(mesh, name) for mesh, name in sides]
     inputs = _inputs(target, source, landmarks, *parts)
@@ -67,20 +69,22 @@ def chosen_parts(
 
 
 def _each(
-    target: ControlMesh, source: ControlMesh, landmarks: Landmarks
+    target: ControlMesh, source: ControlMesh, landmarks: Landmarks, word: str
 ) -> tuple[tuple[PartInputs, ...], tuple[str, ...]]:
     pairs, *alone = pair_parts(
         target,
         source,
         np.column_stack([landmarks.target_points.nearest_vertices, landmarks.source_points.nearest_vertices]),
+        material_pieces if word == MATERIAL else components,
     )
     notes = []
     for side, parts in zip(("target", "source"), alone, strict=True):
         notes += [
-            f"{_titled(part)} of the {side} is left alone: nothing on the other side goes with it" for part in parts
+            f"{_titled(part)} of the {side} is left alone: nothing there goes with it, by name or by landmarks"
+            for part in parts
         ]
     if not pairs:
-        raise ParameterError(f"--part each: expected parts that go together, found none: {'; '.join(notes)}.")
+        raise ParameterError(f"--part {word}: expected parts that go together, found none: {'; '.join(notes)}.")
     return tuple(_inputs(target, source, landmarks, pair.target, pair.source) for pair in pairs), tuple(notes)
 
 
@@ -117,6 +121,12 @@ def _inputs(
         source_points=points_inside[1],
         curves=landmarks.curves.renumbered(*curve_corners),
     )
+    for mesh in meshes:
+        if mesh.object_schemes:
+            words = ", ".join(f"{name} {own}" for name, own in zip(mesh.object_names, mesh.object_schemes, strict=True))
+            raise ParameterError(
+                f"{mesh.name}: expected a part that is subdivided in one way, got {words}. Name one of these objects."
+            )
     return PartInputs(meshes[0], meshes[1], kept)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -62,4 +62,7 @@ class SubdivisionRequest:
         boundary, uvs, creasing = (None if word is None else word.replace("-", "_") for word in words)
         if (self.scheme, boundary, uvs, creasing) == (None,) * 4:
             return control
-        return with_options(control, self.scheme, boundary, uvs, creasing)
+        options = self.scheme, boundary, uvs, creasing
+        objects = (with_options(replace(control, scheme=own), *options).scheme for own in control.object_schemes)
+        schemes = tuple(scheme for scheme in objects if scheme is not None)
+        return replace(with_options(control, *options), object_schemes=schemes)

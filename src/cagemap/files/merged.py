@@ -172,7 +172,9 @@ def _merge_sides(sides: Sequence[Surface]) -> tuple[Surface, list[_Numbers]]:
     refinements = [side.refinement for side in sides]
     level, scheme = sides[0].finest, refinements[0].scheme
     if any((one.n_levels, one.scheme) != (level, scheme) for one in refinements):
-        raise ParameterError("parts: expected all to have the same level and scheme, got different ones; match again")
+        raise ParameterError(
+            "parts: expected all to have the same level and scheme, got different ones; match one by one"
+        )
     control = replace(join_meshes([side.control for side in sides]), scheme=scheme)
     numbers = part_numbers([side.control for side in sides], level, loop=isinstance(scheme, Loop))
     return Surface(refine(control, level, scheme), sides[0].config), numbers

@@ -18,6 +18,7 @@ from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Scheme
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.join import join_meshes
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.refinement import default_scheme
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 _SCHEMES: dict[str, type[CatmullClark] | type[Loop] | type[Bilinear]] = {
@@ -132,8 +133,10 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
     return meshes
 
 
-def read_usd(path: str | Path) -> ControlMesh:
+def read_usd(path: str | Path, *, mixed: bool = False) -> ControlMesh:
     """Read a control mesh from a USD file; several mesh prims become objects of one mesh, in world space.
+
+    With ``mixed``, meshes that are subdivided in different ways come with their ``object_schemes``, to take parts of.
 
     Raises
     ------
@@ -145,12 +148,15 @@ def read_usd(path: str | Path) -> ControlMesh:
     if len(meshes) == 1:
         return replace(meshes[0].control, name=file.name)
     schemes = {str(mesh.control.scheme): mesh.path for mesh in meshes}
+    joined = replace(join_meshes([in_world(mesh) for mesh in meshes]), name=file.name)
+    if len(schemes) > 1 and mixed:
+        return replace(joined, object_schemes=tuple(default_scheme(mesh.control) for mesh in meshes))
     if len(schemes) > 1:
         raise FormatError(
             f"{file}: expected meshes that are all subdivided alike, got {' and '.join(schemes)} (of "
-            f"{', '.join(schemes.values())}). Save the one that is meant as a file of its own."
+            f"{', '.join(schemes.values())}). Name the one that is meant, --part NAME."
         )
-    return replace(join_meshes([in_world(mesh) for mesh in meshes]), name=file.name)
+    return joined
 
 
 def one_mesh(path: str | Path, meshes: tuple[UsdMesh, ...], control: ControlMesh | None) -> UsdMesh:

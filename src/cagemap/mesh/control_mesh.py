@@ -61,6 +61,8 @@ class ControlMesh:
         Index into ``object_names`` and ``group_names`` for every face.
     object_names, group_names : tuple of str
         A face above the first name of a file has the name ''.
+    object_schemes : tuple of Scheme
+        How each object is to be subdivided, where a file's objects differ in it; such a mesh is no surface as a whole.
     crease_edges, crease_sharpness : (k, 2) int64 and (k,) float64, or None
         Edges that are creases, by their two vertices; from sharpness 10 on they stay sharp for ever.
     corner_vertices, corner_sharpness : (k,) int64 and (k,) float64, or None
@@ -88,6 +90,7 @@ class ControlMesh:
     vertex_colors: FloatArray | None = None
     face_objects: IndexArray | None = None
     object_names: tuple[str, ...] = ()
+    object_schemes: tuple[Scheme, ...] = ()
     face_groups: IndexArray | None = None
     group_names: tuple[str, ...] = ()
     crease_edges: IndexArray | None = None

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +62,19 @@ def components(mesh: ControlMesh) -> tuple[Part, ...]:
     return tuple(Part("component", name, faces) for name, faces in zip(names, pieces, strict=True))
 
 
+def material_pieces(mesh: ControlMesh) -> tuple[Part, ...]:
+    """Faces of every named material; one that lies in several connected pieces gives a numbered part for each."""
+    pieces: list[Part] = []
+    for part in list_parts(mesh):
+        if part.kind != "material":
+            continue
+        labels = face_components(keep_faces(mesh, part.faces))
+        found = [part.faces[labels == label] for label in range(int(labels.max(initial=-1)) + 1)]
+        names = [part.name] if len(found) == 1 else [f"{part.name} {number}" for number in range(len(found))]
+        pieces += [Part("material", name, faces) for name, faces in zip(names, found, strict=True)]
+    return tuple(pieces)
+
+
 def find_part(mesh: ControlMesh, name: str) -> Part:
     """The part of that name: of an object, group, material or component, ``KIND:NAME``, or ``largest``.
 
@@ -114,9 +129,18 @@ def extract(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
         crease_edges=None if kept.crease_edges is None else number[kept.crease_edges],
         corner_vertices=None if corners is None else number[corners[inside]],
         corner_sharpness=None if kept.corner_sharpness is None else kept.corner_sharpness[inside],
+        **_own_scheme(kept),
         file_vertices=vertices if earlier[0] is None else earlier[0][vertices],
         file_faces=np.asarray(faces) if earlier[1] is None else earlier[1][faces],
     )
+
+
+def _own_scheme(part: ControlMesh) -> dict[str, Any]:
+    """How a part is subdivided, where the objects of its file differ in it."""
+    if not part.object_schemes or part.face_objects is None:
+        return {}
+    own = {part.object_schemes[number] for number in np.unique(part.face_objects).tolist()}
+    return {"scheme": own.pop(), "object_schemes": ()} if len(own) == 1 else {}
 
 
 def _used(values: FloatArray | None, indices: IndexArray | None) -> tuple[FloatArray | None, IndexArray | None]:
@@ -144,14 +168,20 @@ class PartPair:
 
 
 def pair_parts(
-    target: ControlMesh, source: ControlMesh, landmarks: IndexArray
+    target: ControlMesh,
+    source: ControlMesh,
+    landmarks: IndexArray,
+    pieces: Callable[[ControlMesh], tuple[Part, ...]] = components,
 ) -> tuple[tuple[PartPair, ...], tuple[Part, ...], tuple[Part, ...]]:
-    """Pair the components of two meshes: by landmarks that lie on both, else by name, else if just one is left over.
+    """Pair the pieces of two meshes: by landmarks that lie on both, else by name, else if just one is left over.
 
     Parameters
     ----------
+    target, source : ControlMesh
     landmarks : (p, 2) int64
         Target and source vertex of every pair.
+    pieces : callable
+        What is paired: `components` or `material_pieces`. Numbers are no names.
 
     Returns
     -------
@@ -160,10 +190,11 @@ def pair_parts(
     alone_target, alone_source : tuple of Part
         Components that are left alone.
     """
-    mine = sorted(components(target), key=lambda part: -len(part.faces))
-    theirs = list(components(source))
+    mine = sorted(pieces(target), key=lambda part: -len(part.faces))
+    theirs = list(pieces(source))
     votes = np.zeros((len(mine), len(theirs)), dtype=np.int64)
-    np.add.at(votes, (_owners(target, mine)[landmarks[:, 0]], _owners(source, theirs)[landmarks[:, 1]]), 1)
+    ends = np.column_stack([_owners(target, mine)[landmarks[:, 0]], _owners(source, theirs)[landmarks[:, 1]]])
+    np.add.at(votes, tuple(ends[(ends >= 0).all(axis=1)].T), 1)
     chosen: dict[int, int] = {}
 
     def pair(row: int, column: int) -> None:
@@ -174,7 +205,7 @@ def pair_parts(
         if votes[row, column]:
             pair(int(row), int(column))
     for row, part in enumerate(mine):
-        if not part.name.isdigit():
+        if not part.name.rpartition(" ")[2].isdigit():
             for column, other in enumerate(theirs):
                 if part.name == other.name or part.name.rpartition("/")[2] == other.name.rpartition("/")[2]:
                     pair(row, column)
@@ -190,10 +221,10 @@ def pair_parts(
 
 
 def _owners(mesh: ControlMesh, parts: list[Part]) -> IndexArray:
-    """(n,) part that every vertex belongs to; components share none."""
-    of_face = np.empty(mesh.n_faces, dtype=np.int64)
+    """(n,) part that every vertex belongs to, -1 for none; the last of those that share it (components do not)."""
+    of_face = np.full(mesh.n_faces, -1, dtype=np.int64)
     for number, part in enumerate(parts):
         of_face[part.faces] = number
-    owners = np.zeros(mesh.n_vertices, dtype=np.int64)
-    owners[mesh.face_indices] = of_face[mesh.corner_faces]
+    owners = np.full(mesh.n_vertices, -1, dtype=np.int64)
+    np.maximum.at(owners, mesh.face_indices, of_face[mesh.corner_faces])
     return owners

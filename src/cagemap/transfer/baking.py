@@ -85,7 +85,13 @@ class BakeOptions:
     threads: int | None = None
 
 
-def prepare_transfer(target: Level, source: Level, point_map: PointMap, masks: Masks = WHOLE) -> Transfer:
+def prepare_transfer(
+    target: Level,
+    source: Level,
+    point_map: PointMap,
+    masks: Masks = WHOLE,
+    holes: NDArray[np.bool_] | None = None,
+) -> Transfer:
     """Put a match into the form that bakes need.
 
     Parameters
@@ -95,13 +101,15 @@ def prepare_transfer(target: Level, source: Level, point_map: PointMap, masks: M
     point_map : PointMap
     masks : Masks
         What of both surfaces is transferred.
+    holes : (m1,) bool, optional
+        Target faces that get no texels, see `Refinement.holes`.
 
     Raises
     ------
     ParameterError
         If the map or the masks do not fit the two levels.
     """
-    target_surface, source_surface = TexturedSurface.from_level(target), TexturedSurface.from_level(source)
+    target_surface, source_surface = TexturedSurface.from_level(target, holes), TexturedSurface.from_level(source)
     expected, sides = (target_surface, source_surface), (point_map.target, point_map.source)
     sizes = [[(len(side.positions), len(side.triangles)) for side in both] for both in (expected, sides)]
     if sizes[0] != sizes[1]:
@@ -193,11 +201,15 @@ def lay_canvas(target: TexturedSurface, size: int | tuple[int, int], options: Ba
     if not (0 < height <= LARGEST_SIDE and 0 < width <= LARGEST_SIDE):
         raise ParameterError(f"size: expected 1 to {LARGEST_SIDE} texels a side, got {height} x {width}")
     corner_uvs = target.corner_uvs() - udim_origin(options.tile)
+    neighbors = triangle_neighbors(target.layout()[1])
+    if target.holes is not None:
+        # Shrunk to a point, a triangle holds no texel; the rim of a hole is a border of its island.
+        corner_uvs[target.holes] = corner_uvs[target.holes, :1]
+        neighbors = np.where(target.holes[neighbors], -1, neighbors)
     finer = options.supersample or _supersample(target, height, width)
     if not 1 <= finer <= 16:
         raise ParameterError(f"supersample: expected 1 to 16 samples along a texel's side, got {finer}")
     band_rows = max(1, _BAND_TEXELS // (width * finer * finer)) * finer
-    neighbors = triangle_neighbors(target.layout()[1])
     layout = lay_out(
         corner_uvs, neighbors, height * finer, width * finer, band_rows=band_rows, gutter=GUTTER_RADIUS * finer
     )

@@ -18,8 +18,9 @@ def transfer_of(result: MatchResult) -> Transfer:
     ----------
     result : MatchResult
     """
-    levels = result.target.refinement.finest, result.source.refinement.finest
-    return prepare_transfer(*levels, result.point_map, result.masks)
+    target = result.target.refinement
+    holes = target.holes(target.n_levels)
+    return prepare_transfer(target.finest, result.source.refinement.finest, result.point_map, result.masks, holes)
 
 
 def bake(

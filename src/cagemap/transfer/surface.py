@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -28,6 +29,8 @@ class TexturedSurface:
         Refined face that each triangle is a part of.
     face_parents : (m,) int64
         Control face that each refined face came from.
+    holes : (t,) bool or None
+        Triangles that shape the surface but are no part of it: nothing is baked there.
     """
 
     positions: FloatArray
@@ -36,10 +39,11 @@ class TexturedSurface:
     uv_triangles: IndexArray | None
     triangle_faces: IndexArray
     face_parents: IndexArray
+    holes: NDArray[np.bool_] | None = None
 
     @classmethod
-    def from_level(cls, level: Level) -> TexturedSurface:
-        """Split the faces of a refined level into triangles.
+    def from_level(cls, level: Level, holes: NDArray[np.bool_] | None = None) -> TexturedSurface:
+        """Split the faces of a refined level into triangles; ``holes`` (m,) are faces that are no part of it.
 
         Raises
         ------
@@ -52,7 +56,8 @@ class TexturedSurface:
         per_face = len(split) // len(level.faces)
         uv_split = None if level.uv_indices is None else triangles(level.uv_indices)
         faces = np.repeat(np.arange(len(level.faces)), per_face)
-        return cls(level.positions, split, level.uvs, uv_split, faces, level.face_parents)
+        hollow = None if holes is None or not holes.any() else holes[faces]
+        return cls(level.positions, split, level.uvs, uv_split, faces, level.face_parents, hollow)
 
     def layout(self) -> tuple[FloatArray, IndexArray]:
         """Texture coordinates (p, 2), and those of every triangle corner (t, 3).
