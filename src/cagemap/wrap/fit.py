@@ -13,7 +13,7 @@ the flow of edge loops, stops faces from crossing, and carries what has no count
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +26,12 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import factor
 from cagemap.operators.laplacian import vertex_areas
 from cagemap.refinement import level_triangles
-from cagemap.wrap.net import ControlNet, folded_faces
+from cagemap.wrap.net import ControlNet
 
 # Levels below the net whose vertices the fit looks at: about 16 for every point of the net.
 _SAMPLED_BELOW = 2
+# ... but no level that has more vertices than this, where the next one has 4 for every point.
+_MOST_SAMPLES = 60_000
 # Neighbouring differentials are as alike as this, relative to the energy of the edges between them.
 _SMOOTHING = 0.01
 # A closest point on the other side of a thin part is further away than one with the right normal, by this length.
@@ -40,8 +42,6 @@ _REACH = 2.0
 _CARRYING_ROUNDS = 30
 # Points of the net that samples pull at by less than this share of the largest pull are free.
 _FREE = 1e-6
-# Where faces fold, the net is made this much stiffer, so many times at most.
-_STIFFENING, _MENDINGS = 10.0, 8
 
 
 @dataclass(frozen=True)
@@ -61,9 +61,9 @@ class WrapConfig:
     """
 
     level: int = 0
-    fairness: float = 1e-4
-    anchor: float = 0.01
-    rounds: int = 4
+    fairness: float = 3e-5
+    anchor: float = 1e-3
+    rounds: int = 3
 
     def __post_init__(self) -> None:
         if self.level < 0 or self.rounds < 0:
@@ -110,7 +110,11 @@ def fit_data(net: ControlNet, images: SurfacePoints, follow: FloatArray, held: N
     held : (n_f,) bool
     """
     refinement, graph = net.refinement, net.graph
-    seen = min(net.level + _SAMPLED_BELOW, refinement.n_levels)
+    seen = min(net.level + 1, refinement.n_levels)
+    while seen < min(net.level + _SAMPLED_BELOW, refinement.n_levels):
+        if refinement.levels[seen + 1].n_vertices > _MOST_SAMPLES:
+            break
+        seen += 1
     level = refinement.levels[seen]
     count = level.n_vertices
     rows = sparse.csr_array(refinement.product(refinement.n_levels, net.level)[:count])
@@ -147,17 +151,9 @@ def fit_net(
     (n_l, 3) float64
         At unit area of the source.
     """
-    before = folded_faces(net, net.graph.positions)
-    stiffness = np.ones(net.graph.n)
-    positions = start(net, data, config)
-    positions = _rounds(net, data, config, stiffness, adjust(positions), config.rounds, adjust)
-    for _ in range(_MENDINGS):
-        folded = folded_faces(net, positions) & ~before
-        if not folded.any() or config.rounds == 0:
-            break
-        stiffness[np.unique(net.mesh.face_indices[folded[net.mesh.corner_faces]])] *= _STIFFENING
-        positions = _rounds(net, data, config, stiffness, positions, 1, adjust)
-    return positions
+    positions = adjust(start(net, data, config))
+    unpulled = free_points(data)
+    return rounds(net.graph, data, config, positions, config.rounds, unpulled, adjust)
 
 
 def start(net: ControlNet, data: FitData, config: WrapConfig) -> FloatArray:
@@ -199,22 +195,38 @@ def _differentials(
     return maps
 
 
-def _rounds(
-    net: ControlNet,
+def rounds(
+    graph: ElasticGraph,
     data: FitData,
     config: WrapConfig,
-    stiffness: FloatArray,
     positions: FloatArray,
     count: int,
-    adjust: Callable[[FloatArray], FloatArray],
+    unpulled: IndexArray,
+    adjust: Callable[[FloatArray], FloatArray] = lambda positions: positions,
+    moving: IndexArray | None = None,
 ) -> FloatArray:
-    """Alternate closest points and differentials with the net's positions."""
-    graph = net.graph
-    stiff = replace(graph, weights=graph.weights * np.sqrt(stiffness[graph.heads] * stiffness[graph.tails]))
-    laplacian = stiff.laplacian()
-    field = DifferentialField.build(stiff, laplacian, _SMOOTHING)
-    energy = config.fairness * sparse.block_diag([laplacian] * 3)
-    guess, free = data.images, free_points(data)
+    """Alternate closest points and differentials with the net's positions.
+
+    Parameters
+    ----------
+    graph : ElasticGraph
+        Of the net, or of a part of it.
+    data : FitData
+        What pulls at that.
+    config : WrapConfig
+    positions : (n, 3) float64
+    count : int
+    unpulled : (k,) int64
+        Points that nothing pulls at.
+    adjust : callable
+    moving : (m,) int64, optional
+        Points that move; by default all.
+    """
+    laplacian = graph.laplacian()
+    field = DifferentialField.build(graph, laplacian, _SMOOTHING)
+    system = _NormalSystem.build(data.samples, laplacian)
+    guess, factors = data.images, None
+    rows = None if moving is None else (moving + graph.n * np.arange(3)[:, None]).ravel()
     for _ in range(count):
         feet = SurfacePoints.nearest(
             data.images.surface,
@@ -229,21 +241,70 @@ def _rounds(
         across[held] = 0.0
         along = data.weights * np.where(held, 1.0, config.anchor)
         tensors = data.weights[:, None, None] * across
-        matrix = sparse.csc_array(_normal_matrix(data.samples, tensors, along) + energy)
+        matrix = system.matrix(tensors + along[:, None, None] * np.eye(3), config.fairness)
         pulls = np.einsum("sab,sb->sa", tensors, feet.positions) + along[:, None] * data.images.positions
-        maps = _differentials(field, graph, positions, free)
-        right = data.samples.T @ pulls + config.fairness * field.divergence(maps)
-        positions = adjust(factor(matrix).solve(right.T.ravel()).reshape(3, -1).T)
+        maps = _differentials(field, graph, positions, unpulled)
+        right = (data.samples.T @ pulls + config.fairness * field.divergence(maps)).T.ravel()
+        solution = positions.T.ravel()
+        if rows is None:
+            factors = factor(matrix, like=factors)
+            solution = factors.solve(right)
+        else:
+            solution = solution.copy()
+            solution[rows] = 0.0
+            factors = factor(sparse.csc_array(matrix[rows][:, rows]), like=factors)
+            solution[rows] = factors.solve((right - matrix @ solution)[rows])
+        positions = adjust(solution.reshape(3, -1).T)
     return positions
 
 
-def _normal_matrix(samples: sparse.csr_array, tensors: FloatArray, weights: FloatArray) -> sparse.csc_array:
-    """(3 n, 3 n) ``S^T (tensors + weights I) S``, coordinate by coordinate."""
-    transposed = sparse.csr_array(samples.T)
+@dataclass(frozen=True, eq=False)
+class _NormalSystem:
+    """(3 n, 3 n) matrices ``S^T (tensors) S + fairness L``, coordinate by coordinate, with one pattern for all rounds.
 
-    def block(a: int, b: int) -> sparse.csr_array:
-        values = tensors[:, a, b] + (weights if a == b else 0.0)
-        return sparse.csr_array(transposed @ (sparse.diags_array(values) @ samples))
+    Attributes
+    ----------
+    samples, transposed : (s, n), (n, s) csr_array
+    pattern : (n, n) csr_array
+        Of S^T S and L together; its values are not read.
+    keys : (nnz,) int64
+        Of its entries.
+    elastic : (nnz,) float64
+        L in it.
+    """
 
-    upper = {(a, b): block(a, b) for a in range(3) for b in range(a, 3)}
-    return sparse.csc_array(sparse.block_array([[upper[min(a, b), max(a, b)] for b in range(3)] for a in range(3)]))
+    samples: sparse.csr_array
+    transposed: sparse.csr_array
+    pattern: sparse.csr_array
+    keys: IndexArray
+    elastic: FloatArray
+
+    @classmethod
+    def build(cls, samples: sparse.csr_array, laplacian: sparse.csr_array) -> _NormalSystem:
+        transposed = sparse.csr_array(samples.T)
+        pattern = sparse.csr_array(abs(transposed) @ abs(samples) + abs(laplacian))
+        pattern.sort_indices()
+        keys = _keys(pattern)
+        elastic = np.zeros(pattern.nnz)
+        elastic[np.searchsorted(keys, _keys(laplacian))] = laplacian.data
+        return cls(samples, transposed, pattern, keys, elastic)
+
+    def matrix(self, tensors: FloatArray, fairness: float) -> sparse.csc_array:
+        """The matrix for tensors (s, 3, 3)."""
+
+        def block(a: int, b: int) -> sparse.csr_array:
+            product = sparse.csr_array(self.transposed @ (sparse.diags_array(tensors[:, a, b]) @ self.samples))
+            values = fairness * self.elastic if a == b else np.zeros(self.pattern.nnz)
+            # SciPy leaves zeros out of its products: these have fewer entries than the pattern.
+            values[np.searchsorted(self.keys, _keys(product))] += product.data
+            return sparse.csr_array((values, self.pattern.indices, self.pattern.indptr), shape=self.pattern.shape)
+
+        upper = {(a, b): block(a, b) for a in range(3) for b in range(a, 3)}
+        blocks = [[upper[min(a, b), max(a, b)] for b in range(3)] for a in range(3)]
+        return sparse.csc_array(sparse.block_array(blocks))
+
+
+def _keys(matrix: sparse.csr_array) -> IndexArray:
+    """(nnz,) a number for the place of every entry, ascending where the indices are sorted."""
+    rows = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+    return rows * matrix.shape[1] + matrix.indices

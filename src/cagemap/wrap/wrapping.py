@@ -18,6 +18,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Refinement
 from cagemap.wrap.fit import WrapConfig, fit_data, fit_net
 from cagemap.wrap.follow import boundary_vertices, counterpart
+from cagemap.wrap.mend import mend
 from cagemap.wrap.net import control_net, face_aspects, folded_faces
 
 # A vertex that follows less than this has no counterpart, and its distance to the source is no error.
@@ -123,7 +124,8 @@ def wrap(
     weights = counterpart(point_map) * _follow(target, follow)
     net = control_net(target, config.level, point_map.target.scale)
     data = fit_data(net, point_map.images, weights, boundary_vertices(point_map.target))
-    positions = fit_net(net, data, config, partial(mirrored, symmetry) if symmetry is not None else _as_it_is)
+    adjust = partial(mirrored, symmetry) if symmetry is not None else _as_it_is
+    positions = mend(net, data, config, fit_net(net, data, config, adjust), adjust)
     source = point_map.source
     surface = net.surface(positions)
     triangle, barycentric, distance = closest_points(source.tree, surface, guess=point_map.triangle)
