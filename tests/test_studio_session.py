@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -210,6 +211,53 @@ def test_errors_are_messages_and_paths_outside_are_refused(opened: Session, tmp_
     assert opened.state.messages[-1].kind == "error"
     opened.finish(FinishOptions(displacement=tmp_path / "secret.png"))
     assert opened.state.finish_job is None
+
+
+@pytest.mark.parametrize("path", ["../x.json", "/etc/passwd", "a/../../x.json", "bad\0name", "~/../../x"])
+def test_no_word_of_the_page_reaches_outside(opened: Session, folder: Path, path: str) -> None:
+    def listed() -> set[Path]:
+        return set(folder.parent.rglob("*"))
+
+    before, files, history = listed(), opened.state.files, opened.state.history
+    opened.save_as(path)
+    opened.load(Path(path))
+    opened.load(files.target, Path(path))
+    opened.finish(FinishOptions(weights=Path(path)))
+    for name in ("target", "source", "texture", "landmarks", "result"):
+        opened.open(replace(files, **{name: Path(path)}))
+    assert opened.state.messages[-1].kind == "error"
+    assert opened.state.files == files
+    assert opened.state.history == history
+    assert opened.state.finish_job is None
+    assert listed() == before
+
+
+def test_a_cancelled_finish_leaves_nothing_and_the_next_one_runs(opened: Session, folder: Path) -> None:
+    def files() -> set[Path]:
+        return {path for path in folder.rglob("*") if path.is_file()}
+
+    def at_work() -> bool:
+        job = opened.state.finish_job
+        return job is not None and ":" in job.stage and job.fraction > 0
+
+    def said(text: str) -> bool:
+        return any(text in message.text for message in opened.state.messages)
+
+    before = files()
+    options = FinishOptions(vertices=300, report=False, size=8)
+    opened.finish(options)
+    until(at_work, opened)
+    opened.finish(options)
+    assert said("no finish to be running")
+    opened.cancel_finish()
+    until(lambda: said("finish: cancelled"), opened)
+    assert opened.state.finish_job is None
+    assert files() == before
+    opened.finish(replace(options, texture=False))
+    until(lambda: said("finish: done"), opened)
+    assert [output.what for output in opened.state.outputs] == ["the map"]
+    for path in files() - before:
+        path.unlink()
 
 
 def test_the_view_is_drawn_anew_only_where_it_changes(opened: Session) -> None:

@@ -1,4 +1,4 @@
-"""The studio's landmark list, its history, its files and its door, without a browser."""
+"""The studio's landmark list, its history and its files, without a browser."""
 
 from __future__ import annotations
 
@@ -8,15 +8,12 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from websockets.datastructures import Headers
-from websockets.http11 import Request
 
 from cagemap.errors import FormatError, ParameterError
+from cagemap.files.result import file_hash
 from cagemap.studio import landmarks as edit
-from cagemap.studio.finish import FinishOptions, Runner, commands, stage_of
 from cagemap.studio.landmarks import History, LandmarkList, Place
-from cagemap.studio.opening import chosen_files, default_files
-from cagemap.studio.page.door import COOKIE, admits
+from cagemap.studio.opening import chosen_files
 from cagemap.studio.state import with_message
 from cagemap.studio.workspace import Workspace, autosave_path, read_autosave, write_autosave
 
@@ -141,51 +138,25 @@ def test_an_autosave_keeps_everything_and_is_checked(tmp_path: Path) -> None:
         assert file.with_name(f"{file.name}.{k + 1}").read_text() == damaged
 
 
-def request(path: str = "/", **headers: str) -> Request:
-    return Request(
-        path, Headers({"Host": "127.0.0.1:8765"} | {name.replace("_", "-"): v for name, v in headers.items()})
-    )
-
-
-def test_the_door_refuses_pages_of_other_sites() -> None:
-    assert admits(request(), None)
-    assert admits(request(Origin="http://127.0.0.1:8765"), None)
-    assert not admits(request(Origin="http://elsewhere.example"), None)
-    assert not admits(request(Origin="http://127.0.0.1:9999"), None)
-    # A name of someone else's that resolves to this machine.
-    assert not admits(Request("/", Headers({"Host": "rebound.example:8765"})), None)
-
-
-def test_the_door_asks_for_the_token() -> None:
-    token = "right"
-    assert admits(request("/?token=right"), token)
-    assert admits(request(Cookie=f"{COOKIE}=right"), token)
-    for refused in (request(), request("/?token="), request("/?token=wrong"), request(Cookie=f"{COOKIE}=wrong")):
-        assert not admits(refused, token)
-
-
-def test_a_finish_is_the_commands_that_one_would_type(tmp_path: Path) -> None:
-    files = default_files(tmp_path, tmp_path / "cow.obj", tmp_path / "spot.obj", tmp_path / "spot.png")
-    todo = commands(files, FinishOptions(vertices=5000, size=256, unwrap=True), landmarks=True)
-    assert [command.title for command in todo] == ["match", "texture", "report"]
-    assert "--landmarks" in todo[0].arguments
-    assert "--landmarks" not in commands(files, FinishOptions(), landmarks=False)[0].arguments
-    assert str(todo[1]).startswith(
-        f"cagemap transfer {files.result} --texture {tmp_path / 'spot.png'} --size 256 --unwrap"
-    )
-
-
-def test_a_failing_command_gives_its_own_words(tmp_path: Path) -> None:
-    files = default_files(tmp_path, tmp_path / "cow.obj", tmp_path / "spot.obj", None)
-    words = Runner().run(commands(files, FinishOptions(), landmarks=True), lambda *_: None, lambda _: None)
-    assert words is not None
-    assert words.startswith("match:")
-    assert "error" in words
-
-
-def test_stages_are_read_from_verbose_commands() -> None:
-    assert stage_of("cagemap: stage: functional map\n") == "functional map"
-    assert stage_of("wrote stage: nothing") is None
+def test_a_result_names_its_models(tmp_path: Path) -> None:
+    for name in ("cow.obj", "spot.obj", "l.json"):
+        (tmp_path / name).write_text(name)
+    result = tmp_path / "RESULT"
+    result.mkdir()
+    inputs = {
+        side: {"path": f"../{name}", "sha256": file_hash(tmp_path / name)}
+        for side, name in (("target", "cow.obj"), ("source", "spot.obj"), ("landmarks", "l.json"))
+    }
+    with pytest.raises(ParameterError, match="RESULT folder"):
+        chosen_files(None, None, None, None, result)
+    (result / "manifest.json").write_text(json.dumps({"inputs": inputs}))
+    files = chosen_files(None, None, None, None, result)
+    assert files is not None
+    names = (files.target, files.source, files.landmarks, files.result)
+    assert names == tuple(tmp_path / name for name in ("cow.obj", "spot.obj", "l.json", "RESULT"))
+    (tmp_path / "cow.obj").write_text("edited")
+    with pytest.raises(ParameterError, match="unchanged"):
+        chosen_files(None, None, None, None, result)
 
 
 def test_files_are_named_as_a_pair_or_not_at_all(tmp_path: Path) -> None:

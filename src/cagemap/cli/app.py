@@ -222,7 +222,8 @@ def studio(
         Path | None, typer.Option("--texture", help="Image over the source's UVs.", show_default=False)
     ] = None,
     result: Annotated[
-        Path | None, typer.Option("--result", help="RESULT folder of the finish.", show_default=False)
+        Path | None,
+        typer.Option("--result", help="RESULT folder of the finish; alone, the one to open.", show_default=False),
     ] = None,
     folder: Annotated[
         list[Path] | None,

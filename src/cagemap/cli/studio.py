@@ -47,9 +47,11 @@ def run_studio(request: StudioRequest, tell: Callable[[str], None]) -> None:
             raise ParameterError(f"--folder {path}: expected a folder, found none. Check the name.")
     files = chosen_files(*named, request.result)
     if files is None:
-        folders = request.folder or (BUILT_IN_FOLDER,)
+        folders = request.folder or (BUILT_IN_FOLDER, Path.cwd())
         if not request.folder:
-            tell(f"No models named: the built-in pair opens; its files and yours are in {BUILT_IN_FOLDER}.")
+            tell(
+                f"No models named: the built-in pair opens (in {BUILT_IN_FOLDER}); choose yours from here on the left."
+            )
         files = built_in_files(folders[0]) if not request.folder else None
     else:
         for model in (files.target, files.source):

@@ -1,19 +1,27 @@
-"""The finish: the package's own commands at full resolution, one after the other, each in its own process."""
+"""The finish: what to make of a pair, and the package's own commands that make it at full resolution."""
 
 from __future__ import annotations
 
 import shlex
-import subprocess
-import sys
-import threading
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
+from cagemap.files.images import texture_files
 from cagemap.studio.state import Files, Output
 
 DEFAULT_VERTICES = 200_000
+
+
+@dataclass(frozen=True)
+class WrapOptions:
+    """How the target's cage is given the source's shape, in the words of `cagemap wrap`."""
+
+    fit_level: int = 0
+    amount: float = 1.0
+    fairness: float = 1e-4
+    symmetric: bool = False
+    displacement: bool = False
+    vector_displacement: bool = False
 
 
 @dataclass(frozen=True)
@@ -24,13 +32,26 @@ class FinishOptions:
     ----------
     vertices : int
         Of each surface, about.
-    size : int or None
-        Texels a side; None: as the source image.
+    size, bits : int or None
+        Texels a side, bits a channel; None: as the source image.
     texture : bool
         Bake the open texture.
-    displacement, attribute : Path or None
+    as_color : bool
+        Although it looks like a normal map.
+    displacement, normal_map, vector_displacement, attribute : Path or None
         Files of the source to carry.
-    material_colors : bool
+    scale, midlevel : float, float or None
+        What the displacement's values mean.
+    space, green : str
+        Of normals and vectors.
+    material_colors, source_uvs : bool
+    weights, joints, blend_shapes : Path or None
+        Of the source's rig.
+    influences : int
+        Joints a vertex at most; 0: all.
+    write_map : str
+        Ending of the file for the map itself; '' for none.
+    wrap : WrapOptions or None
     unwrap : bool
         Lay out a target without UVs.
     report : bool
@@ -38,12 +59,33 @@ class FinishOptions:
 
     vertices: int = DEFAULT_VERTICES
     size: int | None = None
+    bits: int | None = None
     texture: bool = True
+    as_color: bool = False
     displacement: Path | None = None
+    scale: float = 1.0
+    midlevel: float | None = None
+    normal_map: Path | None = None
+    vector_displacement: Path | None = None
+    space: str = "tangent"
+    green: str = "up"
     attribute: Path | None = None
     material_colors: bool = False
+    source_uvs: bool = False
+    weights: Path | None = None
+    influences: int = 4
+    joints: Path | None = None
+    blend_shapes: Path | None = None
+    write_map: str = ""
+    wrap: WrapOptions | None = None
     unwrap: bool = False
     report: bool = True
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """Files that are named."""
+        values = (getattr(self, field.name) for field in fields(self))
+        return tuple(value for value in values if isinstance(value, Path))
 
 
 @dataclass(frozen=True)
@@ -55,16 +97,23 @@ class Command:
     title : str
     arguments : tuple of str
         After ``cagemap``.
-    output : Output
-        What it writes.
+    outputs : tuple of Output
+        What it may write; the first one always.
     """
 
     title: str
     arguments: tuple[str, ...]
-    output: Output
+    outputs: tuple[Output, ...]
 
     def __str__(self) -> str:
         return shlex.join(("cagemap", *self.arguments))
+
+    def written(self) -> tuple[Output, ...]:
+        """What is there of it; every tile of a layout of several."""
+        found = []
+        for output in self.outputs:
+            found += [replace(output, path=file) for file in texture_files(output.path) if file.exists()]
+        return tuple(found)
 
 
 def commands(files: Files, options: FinishOptions, *, landmarks: bool) -> tuple[Command, ...]:
@@ -79,95 +128,72 @@ def commands(files: Files, options: FinishOptions, *, landmarks: bool) -> tuple[
     match = ["match", "--target", str(files.target), "--source", str(files.source)]
     match += ["--landmarks", str(files.landmarks)] if landmarks else []
     match += ["--vertices", str(options.vertices), "-o", str(result)]
-    size = [] if options.size is None else ["--size", str(options.size)]
-    bake = [*size, *(["--unwrap"] if options.unwrap else [])]
-    made = [Command("match", tuple(match), Output(result, "the map"))]
+    made = [Command("match", tuple(match), (Output(result, "the map"),))]
 
-    def transfer(title: str, kind: list[str], output: Path, more: list[str]) -> None:
-        arguments = ("transfer", str(result), *kind, *more, "-o", str(output))
-        made.append(Command(title, arguments, Output(output, title)))
+    def carried(source: Path, *, name: str | None = None) -> Path:
+        return folder / f"{stem}_from_{source.stem if name is None else name}{source.suffix}"
+
+    def transfer(title: str, kind: list[str], output: Path, *, bake: bool = False) -> None:
+        arguments = ["transfer", str(result), *kind, *(_bake_words(options) if bake else []), "-o", str(output)]
+        unwrapped = Output(output.with_name(f"{output.stem}_unwrapped.obj"), "the target with a layout")
+        outputs = (Output(output, title), *([unwrapped] if bake and options.unwrap else []))
+        made.append(Command(title, tuple(arguments), outputs))
 
     if options.texture and files.texture is not None:
-        output = folder / f"{stem}_from_{files.texture.stem}{files.texture.suffix}"
-        transfer("texture", ["--texture", str(files.texture)], output, bake)
+        kind = ["--texture", str(files.texture), *(["--as-color"] if options.as_color else [])]
+        transfer("texture", kind, carried(files.texture), bake=True)
+    if options.normal_map is not None:
+        kind = ["--normal-map", str(options.normal_map), "--space", options.space, "--green", options.green]
+        transfer("normal map", kind, carried(options.normal_map), bake=True)
     if options.displacement is not None:
-        output = folder / f"{stem}_from_{options.displacement.stem}{options.displacement.suffix}"
-        transfer("displacement", ["--displacement", str(options.displacement)], output, bake)
+        kind = ["--displacement", str(options.displacement), "--scale", str(options.scale)]
+        kind += [] if options.midlevel is None else ["--midlevel", str(options.midlevel)]
+        transfer("displacement", kind, carried(options.displacement), bake=True)
+    if options.vector_displacement is not None:
+        kind = ["--vector-displacement", str(options.vector_displacement), "--space", options.space]
+        transfer("vector displacement", kind, carried(options.vector_displacement), bake=True)
     if options.material_colors:
-        transfer("material colours", ["--material-colors"], folder / f"{stem}_material_colors.png", bake)
+        transfer("material colours", ["--material-colors"], folder / f"{stem}_material_colors.png", bake=True)
     if options.attribute is not None:
-        output = folder / f"{stem}_from_{options.attribute.stem}{options.attribute.suffix}"
-        transfer("attribute", ["--attribute", str(options.attribute)], output, [])
+        transfer("attribute", ["--attribute", str(options.attribute)], carried(options.attribute))
+    if options.source_uvs:
+        transfer("UVs of the source", ["--source-uvs"], folder / f"{stem}_with_uvs_of_{files.source.stem}.obj")
+    if options.weights is not None:
+        kind = ["--weights", str(options.weights), "--influences", str(options.influences)]
+        kind += [] if options.joints is None else ["--joints", str(options.joints)]
+        transfer("skin weights", kind, carried(options.weights))
+    elif options.joints is not None:
+        transfer("joints", ["--joints", str(options.joints)], carried(options.joints))
+    if options.blend_shapes is not None:
+        transfer("blend shapes", ["--blend-shapes", str(options.blend_shapes)], folder / f"{stem}_blend_shapes.npz")
+    if options.write_map:
+        transfer(
+            "map for other programs", ["--write-map"], folder / f"{stem}_on_{files.source.stem}{options.write_map}"
+        )
+    if options.wrap is not None:
+        made.append(_wrap_command(files, options.wrap, options.size))
     if options.report:
         report = folder / f"{result.name}.html"
-        made.append(Command("report", ("report", str(result), "-o", str(report)), Output(report, "report")))
+        made.append(Command("report", ("report", str(result), "-o", str(report)), (Output(report, "report"),)))
     return tuple(made)
 
 
-class Runner:
-    """Runs commands one after the other; one run at a time."""
-
-    def __init__(self) -> None:
-        self._process: subprocess.Popen[str] | None = None
-        self._ended = threading.Event()
-
-    def run(
-        self,
-        todo: tuple[Command, ...],
-        on_stage: Callable[[int, str], None],
-        on_output: Callable[[Output], None],
-    ) -> str | None:
-        """Run to the end; blocks, so call it from a thread of its own.
-
-        Parameters
-        ----------
-        on_stage : callable
-            Number of the command and what it does now.
-        on_output : callable
-            Told of everything that was written.
-
-        Returns
-        -------
-        str or None
-            What went wrong, with the command's own words.
-        """
-        self._ended.clear()
-        for number, command in enumerate(todo):
-            on_stage(number, command.title)
-            words = self._run_one(command, partial(on_stage, number))
-            if words is not None:
-                return words
-            on_output(command.output)
-        return None
-
-    def cancel(self) -> None:
-        """End the running command; what it has not finished writing leaves no trace."""
-        self._ended.set()
-        process = self._process
-        if process is not None and process.poll() is None:
-            process.terminate()
-
-    def _run_one(self, command: Command, on_stage: Callable[[str], None]) -> str | None:
-        if self._ended.is_set():
-            return "cancelled"
-        call = [sys.executable, "-c", "from cagemap.cli import main; main()", "-v", *command.arguments]
-        self._process = subprocess.Popen(call, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-        lines: list[str] = []
-        assert self._process.stdout is not None
-        for line in self._process.stdout:
-            lines.append(line.rstrip())
-            if (stage := stage_of(line)) is not None:
-                on_stage(stage)
-        code = self._process.wait()
-        if self._ended.is_set():
-            return "cancelled"
-        if code == 0:
-            return None
-        errors = [line for line in lines if "error" in line] or lines[-3:] or [f"exit code {code}"]
-        return f"{command.title}: " + "\n".join(errors)
+def _bake_words(options: FinishOptions) -> list[str]:
+    words = [] if options.size is None else ["--size", str(options.size)]
+    words += [] if options.bits is None else ["--bits", str(options.bits)]
+    return [*words, *(["--unwrap"] if options.unwrap else [])]
 
 
-def stage_of(line: str) -> str | None:
-    """The stage that a line of a verbose command announces."""
-    head, separator, stage = line.partition("stage:")
-    return stage.strip() if separator and head.startswith("cagemap") else None
+def _wrap_command(files: Files, wrap: WrapOptions, size: int | None) -> Command:
+    folder, name = files.result.parent, f"{files.target.stem}_as_{files.source.stem}"
+    mesh = folder / f"{name}{files.target.suffix if files.target.suffix.lower() in ('.obj', '.ply') else '.obj'}"
+    words = ["wrap", str(files.result), "--fit-level", str(wrap.fit_level), "--amount", str(wrap.amount)]
+    words += ["--fairness", str(wrap.fairness), *(["--symmetric"] if wrap.symmetric else [])]
+    outputs = [Output(mesh, "the target in the source's shape")]
+    for kind, wanted in (("displacement", wrap.displacement), ("vector-displacement", wrap.vector_displacement)):
+        if wanted:
+            image = folder / f"{name}_{kind.replace('-', '_')}.exr"
+            words += [f"--{kind}", str(image)]
+            outputs.append(Output(image, f"what is still missing, as {kind.replace('-', ' ')}"))
+    words += ["--size", str(size)] if size is not None and len(outputs) > 1 else []
+    return Command("wrap", (*words, "-o", str(mesh)), tuple(outputs))

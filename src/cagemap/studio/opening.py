@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
-from cagemap.errors import ParameterError
+from cagemap.errors import CagemapError, ParameterError
 from cagemap.example import example_pair
 from cagemap.files.images import write_image
 from cagemap.files.landmarks import write_landmarks
 from cagemap.files.meshes import write_mesh
+from cagemap.files.result import MANIFEST, input_file
+from cagemap.files.text import read_text
 from cagemap.studio.state import Files
 
 BUILT_IN_FOLDER = Path("cagemap-studio")
@@ -24,26 +27,54 @@ def default_files(folder: Path, target: Path, source: Path, texture: Path | None
 def chosen_files(
     target: Path | None, source: Path | None, landmarks: Path | None, texture: Path | None, result: Path | None
 ) -> Files | None:
-    """Files named on the command line; None if there are no models among them.
+    """Files named on the command line; None if there are none. A RESULT folder alone names the models it was made of.
 
     Raises
     ------
     ParameterError
-        If only one model is named, or other files without models.
+        If only one model is named, other files without models, or a RESULT whose models are gone.
     """
     if target is None and source is None:
-        if landmarks or texture or result:
+        if result is not None:
+            return result_files(result, landmarks, texture)
+        if landmarks or texture:
             raise ParameterError("expected --target and --source beside the other files. Name both models.")
         return None
     if target is None or source is None:
         raise ParameterError("expected --target and --source, got one of them. Name both models, or none.")
-    files = default_files(target.resolve().parent, target.resolve(), source.resolve(), None)
+    return _named(target, source, landmarks, texture, result)
+
+
+def result_files(result: Path, landmarks: Path | None, texture: Path | None) -> Files:
+    """Files that a RESULT folder was made of.
+
+    Raises
+    ------
+    ParameterError
+        If the folder is no RESULT, or a model is not where it was or has changed.
+    """
+    try:
+        manifest = json.loads(read_text(result / MANIFEST, "a RESULT folder"))
+    except (ValueError, CagemapError) as error:
+        raise ParameterError(f"--result {result}: expected a RESULT folder of `cagemap match` ({error}).") from None
+    manifest = manifest if isinstance(manifest, dict) else {}
+    target, source, pairs = (input_file(result, manifest, name) for name in ("target", "source", "landmarks"))
+    if target is None or source is None:
+        raise ParameterError(
+            f"--result {result}: expected its models where they were, and unchanged; they are not. "
+            "Name them with --target and --source."
+        )
+    return _named(target, source, landmarks or pairs, texture, result)
+
+
+def _named(target: Path, source: Path, landmarks: Path | None, texture: Path | None, result: Path | None) -> Files:
+    usual = default_files(target.resolve().parent, target.resolve(), source.resolve(), None)
     return Files(
-        files.target,
-        files.source,
+        usual.target,
+        usual.source,
         None if texture is None else texture.resolve(),
-        files.landmarks if landmarks is None else landmarks.resolve(),
-        files.result if result is None else result.resolve(),
+        usual.landmarks if landmarks is None else landmarks.resolve(),
+        usual.result if result is None else result.resolve(),
     )
 
 

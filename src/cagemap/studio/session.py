@@ -13,14 +13,15 @@ from cagemap.errors import CagemapError, ParameterError
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
 from cagemap.studio.bench import Dressed, Found, Opened, Task
-from cagemap.studio.finish import Command, FinishOptions, Runner, commands
+from cagemap.studio.finish import Command, FinishOptions, commands
 from cagemap.studio.landmark_files import load_landmarks, save_landmarks
 from cagemap.studio.landmarks import History, Landmark, LandmarkList, Place, Side
 from cagemap.studio.places import place_of, vertex_place
 from cagemap.studio.preview import Preview
+from cagemap.studio.runner import CANCELLED, Runner
 from cagemap.studio.scene import Scene, mirrored, probed, proposed
 from cagemap.studio.shape import pick
-from cagemap.studio.state import Files, Job, MapState, Output, Studio, View, with_message
+from cagemap.studio.state import Files, MapState, Output, Studio, View, with_message
 from cagemap.studio.worker import STOPPED, Failure
 from cagemap.studio.workspace import Workspace, autosave_path, read_autosave, write_autosave
 
@@ -46,7 +47,7 @@ class Session:
         self._scene: Scene | None = None
         self._listeners: list[Listener] = []
         self._cancelled = False
-        self._runner = Runner()
+        self._runner = Runner(lambda job: self._change(finish_job=job), self._written, self._ended)
         self._preview = Preview(vertices, self._wanted, lambda job: self._change(preview_job=job), self._receive)
 
     # What pages read
@@ -72,9 +73,7 @@ class Session:
     def open(self, files: Files) -> None:
         """Open two models; landmarks come from the autosave where there is one, else from their file."""
         with self._guarded():
-            for path in (files.target, files.source, files.texture, files.landmarks, files.result):
-                if path is not None:
-                    self.workspace.require(path)
+            files = self.workspace.within(files)
             with self._lock:
                 self._scene = None
                 self._change(
@@ -241,10 +240,7 @@ class Session:
     def plan(self, options: FinishOptions) -> tuple[Command, ...]:
         """The commands that a finish would run."""
         files, _ = self._open()
-        for path in (options.displacement, options.attribute):
-            if path is not None:
-                self.workspace.require(path)
-        return commands(files, options, landmarks=bool(self._state.history.present.complete))
+        return commands(files, self.workspace.within(options), landmarks=bool(self._state.history.present.complete))
 
     def finish(self, options: FinishOptions) -> None:
         """Map at full resolution, bake and report; saves the landmarks first."""
@@ -254,8 +250,8 @@ class Session:
             todo = self.plan(options)
             if self._state.history.present.complete:
                 self.save()
-            self._change(finish_job=Job("finish", "starting", 0.0, can_cancel=True), outputs=())
-            threading.Thread(target=self._finish, args=(todo,), name="studio finish", daemon=True).start()
+            self._change(outputs=())
+            self._runner.start(todo)
 
     def cancel_finish(self) -> None:
         """End the finish; what was written whole stays."""
@@ -268,20 +264,15 @@ class Session:
 
     # Inside
 
-    def _finish(self, todo: tuple[Command, ...]) -> None:
-        def on_stage(number: int, stage: str) -> None:
-            self._change(finish_job=Job("finish", stage, number / len(todo), can_cancel=True))
+    def _written(self, output: Output) -> None:
+        with self._lock:
+            self._change(outputs=(*self._state.outputs, output))
 
-        def on_output(output: Output) -> None:
-            with self._lock:
-                self._change(outputs=(*self._state.outputs, output))
-
-        words = self._runner.run(todo, on_stage, on_output)
-        self._change(finish_job=None)
-        if words is not None:
-            self._say("error", words)
+    def _ended(self, words: str | None) -> None:
+        if words in (None, CANCELLED):
+            self._say("note", f"finish: {words or 'done'}")
         else:
-            self._say("note", "finished")
+            self._say("error", str(words))
 
     def _wanted(self) -> tuple[tuple[Landmark, ...], View]:
         state = self._state

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import itertools
 import json
-from dataclasses import dataclass
+import os
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import atomic_path
@@ -14,14 +15,18 @@ from cagemap.files.marks import mark
 from cagemap.files.text import read_text
 from cagemap.studio.landmarks import Landmark, LandmarkList, Place
 
-MESHES = (".obj", ".ply")
+MESHES = (".obj", ".ply", ".usd", ".usda", ".usdc", ".usdz")
 IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
 LANDMARKS = (".json", ".pp", ".fcsv", ".csv", ".txt")
+TABLES = (".npy", ".npz", ".csv")
 # What may be added through the page.
-ADDED = (*MESHES, ".mtl", *IMAGES, *LANDMARKS)
+ADDED = tuple(dict.fromkeys((*MESHES, ".mtl", *IMAGES, *LANDMARKS, *TABLES)))
+Named = TypeVar("Named")
 _AUTOSAVE = "cagemap-studio-autosave"
 # A listing longer than this helps nobody.
 _LONGEST_LISTING = 500
+# Entries of a folder that are looked at: somebody may start in a folder of everything.
+_MOST_ENTRIES = 20_000
 
 
 @dataclass(frozen=True)
@@ -49,7 +54,10 @@ class Workspace:
         ParameterError
             If it lies outside the folders, also by way of links.
         """
-        resolved = (self.folders[0] / path).resolve()
+        try:
+            resolved = (self.folders[0] / path).resolve()
+        except (OSError, RuntimeError, ValueError) as error:  # a loop of links, a character that no name has
+            raise ParameterError(f"{str(path)!r}: expected the name of a file, got none ({error}).") from None
         if not any(resolved.is_relative_to(folder) for folder in self.folders):
             listed = ", ".join(map(str, self.folders))
             raise ParameterError(
@@ -57,16 +65,28 @@ class Workspace:
             )
         return resolved
 
+    def within(self, value: Named) -> Named:
+        """A dataclass with every path of its fields resolved.
+
+        Raises
+        ------
+        ParameterError
+            If one lies outside the folders.
+        """
+        given = {field.name: getattr(value, field.name) for field in fields(value)}  # type: ignore[arg-type]
+        paths = {name: self.require(path) for name, path in given.items() if isinstance(path, Path)}
+        return replace(value, **paths)  # type: ignore[type-var]
+
     def listing(self, suffixes: tuple[str, ...]) -> tuple[str, ...]:
         """Names of the files with these suffixes, two folders deep, as `require` takes them."""
-        found: list[str] = []
-        for number, folder in enumerate(self.folders):
-            files = [path for pattern in ("*", "*/*") for path in folder.glob(pattern)]
-            for path in sorted(files):
+        found: dict[Path, None] = {}
+        for folder in self.folders:
+            entries = itertools.chain(folder.glob("*"), folder.glob("*/*"))
+            for path in sorted(itertools.islice(entries, _MOST_ENTRIES)):
                 hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
                 if path.suffix.lower() in suffixes and not hidden and path.is_file():
-                    found.append(str(path.relative_to(folder)) if number == 0 else str(path))
-        return tuple(found[:_LONGEST_LISTING])
+                    found.setdefault(path)
+        return tuple(self.show(path) for path in itertools.islice(found, _LONGEST_LISTING))
 
     def add(self, name: str, content: bytes) -> Path:
         """Put a file into the first folder, under its name or, where that is taken, with a number behind it.
@@ -88,9 +108,11 @@ class Workspace:
         return free
 
     def show(self, path: Path) -> str:
-        """Name of a path as `listing` gives it."""
-        first = self.folders[0]
-        return str(path.relative_to(first)) if path.is_relative_to(first) else str(path)
+        """Name of a path as `listing` gives it: from the first folder on."""
+        try:
+            return os.path.relpath(path, self.folders[0])
+        except ValueError:  # another drive
+            return str(path)
 
 
 def autosave_path(landmarks: Path) -> Path:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import threading
 import webbrowser
 from collections.abc import Callable
@@ -10,8 +12,12 @@ from pathlib import Path
 
 import viser
 
+from cagemap.studio.downloads import content
+from cagemap.studio.landmarks import SIDES
 from cagemap.studio.page.cameras import Cameras
+from cagemap.studio.page.choices import Choices
 from cagemap.studio.page.door import LOOPBACK, Door, new_token
+from cagemap.studio.page.guard import guarded, require_guarded
 from cagemap.studio.page.panels import SetupPanel, WorkPanel
 from cagemap.studio.page.view import FIRST_VIEW, ModelView
 from cagemap.studio.scene import Scene
@@ -57,20 +63,33 @@ class StudioApp:
 
     def __init__(self, request: StudioRequest) -> None:
         self.session = Session(Workspace.of(*request.folders), request.vertices)
-        self._servers = {side: viser.ViserServer("127.0.0.1", 0, verbose=False) for side in ("target", "source")}
+        secret = new_token()
+        # viser prints the addresses of its own ports, which answer nobody.
+        with guarded(secret), contextlib.redirect_stdout(io.StringIO()):
+            self._servers = {side: viser.ViserServer("127.0.0.1", 0, verbose=False) for side in SIDES}
         for server in self._servers.values():
             server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)
         target, source = self._servers["target"], self._servers["source"]
         cameras = Cameras(self.session, (target, source))
         self._views = (ModelView(target, "target", self.session), ModelView(source, "source", self.session))
-        self._setup = SetupPanel(target, self.session, lambda: cameras.frame(FIRST_VIEW))
-        self._work = WorkPanel(source, self.session)
+        choices = Choices(self.session.workspace)
+        self._setup = SetupPanel(target, self.session, choices, lambda: cameras.frame(FIRST_VIEW))
+        self._work = WorkPanel(source, self.session, choices)
         self._changed, self._closed = threading.Event(), False
         self.session.subscribe(lambda *_: self._changed.set())
         threading.Thread(target=self._follow, name="studio page", daemon=True).start()
         token = None if request.host in LOOPBACK else new_token()
         ports = {side: server.get_port() for side, server in self._servers.items()}
-        self._door = Door(ports, request.host, request.port, token)
+        for port in ports.values():
+            require_guarded(port)
+        self._door = Door(
+            {str(side): port for side, port in ports.items()},
+            request.host,
+            request.port,
+            token,
+            secret,
+            lambda name: content(self.session.state.outputs, name),
+        )
         self.address = self._door.address
         if request.files is not None:
             self.session.open(request.files)

@@ -1,7 +1,8 @@
 """One address for the whole page: serves the frame around both views and passes their connections on to viser.
 
 viser has neither tokens nor a check of who asks, so both are here: a connection must come from a page of this very
-address (another site open in the same browser is refused) and, where other machines may connect, show the token.
+address (another site open in the same browser is refused) and, where other machines may connect, show the token. Its
+own ports let nobody in but this door (`guard`).
 """
 
 from __future__ import annotations
@@ -11,10 +12,11 @@ import hmac
 import http
 import secrets
 import threading
+from collections.abc import Callable
 from http.cookies import SimpleCookie
 from importlib import resources
 from pathlib import Path
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, quote, unquote, urlsplit
 
 import viser
 import websockets.asyncio.client
@@ -25,11 +27,15 @@ from websockets.typing import Subprotocol
 
 from cagemap.errors import ParameterError
 from cagemap.studio.landmarks import SIDES
+from cagemap.studio.page.guard import HEADER, refusal
 
 COOKIE = "cagemap_studio"
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 # The page asks nothing of other machines, whatever viser's scripts would.
 _POLICY = "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; frame-ancestors 'self'"
+# What a finish wrote is looked at alone: a page of its own origin, which can reach nothing.
+_SANDBOX = "sandbox allow-scripts; default-src 'unsafe-inline' data: blob:"
+FILES = "/files/"
 # Ports tried after the first one that is taken.
 _PORTS = 20
 
@@ -64,10 +70,23 @@ class Door:
         The first one tried.
     token : str or None
         None only on loopback.
+    secret : str
+        What viser's ports ask for.
+    given_out : callable
+        Content and media type of a file to download, by its name; None where there is no such file.
     """
 
-    def __init__(self, ports: dict[str, int], host: str, port: int, token: str | None) -> None:
+    def __init__(
+        self,
+        ports: dict[str, int],
+        host: str,
+        port: int,
+        token: str | None,
+        secret: str,
+        given_out: Callable[[str], tuple[bytes, str] | None],
+    ) -> None:
         self._ports, self._host, self._token = ports, host, token
+        self._secret, self._given_out = secret, given_out
         self._files = _pages()
         self._loop = asyncio.new_event_loop()
         self._ready = threading.Event()
@@ -117,14 +136,18 @@ class Door:
             return
         self._ready.set()
 
-    def _answer(self, _: websockets.asyncio.server.ServerConnection, request: Request) -> Response | None:
+    async def _answer(self, _: websockets.asyncio.server.ServerConnection, request: Request) -> Response | None:
         """Serve a page; None lets a web socket through."""
         if not admits(request, self._token):
-            return _response(http.HTTPStatus.FORBIDDEN, b"open the address that `cagemap studio` printed")
+            return refusal()
         path = urlsplit(request.path).path
         if request.headers.get("Upgrade", "").lower() == "websocket":
             known = path.strip("/") in self._ports
             return None if known else _response(http.HTTPStatus.NOT_FOUND, b"not found")
+        if path.startswith(FILES):
+            name = unquote(path.removeprefix(FILES))
+            found = await asyncio.to_thread(self._given_out, name)
+            return _response(http.HTTPStatus.NOT_FOUND, b"not found") if found is None else _file(name, *found)
         if path not in self._files:
             return _response(http.HTTPStatus.NOT_FOUND, b"not found")
         cookie = f"{COOKIE}={self._token}; Path=/; HttpOnly; SameSite=Strict" if self._token else None
@@ -136,7 +159,11 @@ class Door:
         port = self._ports[urlsplit(page.request.path).path.strip("/")]
         offered = None if page.subprotocol is None else [Subprotocol(page.subprotocol)]
         async with websockets.asyncio.client.connect(
-            f"ws://127.0.0.1:{port}/", subprotocols=offered, compression=None, max_size=None
+            f"ws://127.0.0.1:{port}/",
+            subprotocols=offered,
+            compression=None,
+            max_size=None,
+            additional_headers={HEADER: self._secret},
         ) as inside:
             both = [asyncio.create_task(_pump(page, inside)), asyncio.create_task(_pump(inside, page))]
             await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
@@ -157,6 +184,21 @@ def _pages() -> dict[str, bytes]:
     frame = resources.files("cagemap.studio.page").joinpath("frame.html").read_bytes()
     client = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_bytes()
     return {"/": frame} | {f"/{side}/": client for side in SIDES}
+
+
+def _file(name: str, body: bytes, kind: str) -> Response:
+    """A file to keep; a page to look at."""
+    response = _response(http.HTTPStatus.OK, body)
+    shown = kind == "text/html"
+    for header, value in (
+        ("Content-Type", f"{kind}; charset=utf-8" if shown else kind),
+        ("Content-Disposition", "inline" if shown else f"attachment; filename*=UTF-8''{quote(name)}"),
+        ("Content-Security-Policy", _SANDBOX),
+        ("X-Content-Type-Options", "nosniff"),
+    ):
+        response.headers.pop(header, None)
+        response.headers[header] = value
+    return response
 
 
 def _response(status: http.HTTPStatus, body: bytes, cookie: str | None = None) -> Response:

@@ -1,0 +1,91 @@
+"""What answers on the network: the door, the ports behind it, and the files it gives out."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import http.client
+import queue
+import threading
+
+import pytest
+import websockets.asyncio.server
+from websockets.datastructures import Headers
+from websockets.http11 import Request
+
+from cagemap.errors import CagemapError
+from cagemap.studio.page.door import COOKIE, Door, admits
+from cagemap.studio.page.guard import guarded, require_guarded
+
+
+def request(path: str = "/", **headers: str) -> Request:
+    return Request(
+        path, Headers({"Host": "127.0.0.1:8765"} | {name.replace("_", "-"): v for name, v in headers.items()})
+    )
+
+
+def test_the_door_refuses_pages_of_other_sites() -> None:
+    assert admits(request(), None)
+    assert admits(request(Origin="http://127.0.0.1:8765"), None)
+    assert not admits(request(Origin="http://elsewhere.example"), None)
+    assert not admits(request(Origin="http://127.0.0.1:9999"), None)
+    # A name of someone else's that resolves to this machine.
+    assert not admits(Request("/", Headers({"Host": "rebound.example:8765"})), None)
+
+
+def test_the_door_asks_for_the_token() -> None:
+    token = "right"
+    assert admits(request("/?token=right"), token)
+    assert admits(request(Cookie=f"{COOKIE}=right"), token)
+    for refused in (request(), request("/?token="), request("/?token=wrong"), request(Cookie=f"{COOKIE}=wrong")):
+        assert not admits(refused, token)
+
+
+def answer(port: int, path: str, **headers: str) -> http.client.HTTPResponse:
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection.request("GET", path, headers={name.replace("_", "-"): value for name, value in headers.items()})
+    return connection.getresponse()
+
+
+def test_the_door_gives_out_only_what_is_offered() -> None:
+    offered = {"cow.png": (b"png", "image/png"), "RESULT.html": (b"<b>", "text/html")}
+    door = Door({}, "127.0.0.1", 0, None, "secret", offered.get)
+    try:
+        got = answer(door.port, "/files/cow.png")
+        assert (got.status, got.read()) == (200, b"png")
+        assert got.headers["Content-Disposition"].startswith("attachment")
+        assert "sandbox" in answer(door.port, "/files/RESULT.html").headers["Content-Security-Policy"]
+        for path in ("/files/../cow.png", "/files/%2e%2e%2fcow.png", "/../etc/passwd", "//etc/passwd", "/files/", "/x"):
+            assert answer(door.port, path).status == 404
+        for stranger in ({"Host": "rebound.example"}, {"Origin": "http://elsewhere.example"}):
+            assert answer(door.port, "/files/cow.png", **stranger).status == 403
+    finally:
+        door.close()
+
+
+def test_ports_behind_the_door_answer_nobody_else() -> None:
+    def serve() -> None:
+        async def until_stopped() -> None:
+            nonlocal stop
+            stop = asyncio.Event()
+            async with websockets.asyncio.server.serve(lambda _: None, "127.0.0.1", 0) as server:
+                ports.put((server.sockets[0].getsockname()[1], asyncio.get_running_loop()))
+                await stop.wait()
+
+        asyncio.run(until_stopped())
+
+    ports: queue.Queue[tuple[int, asyncio.AbstractEventLoop]] = queue.Queue()
+    stop = asyncio.Event()
+    for secret in ("right", None):
+        with contextlib.nullcontext() if secret is None else guarded(secret):
+            threading.Thread(target=serve, daemon=True).start()
+            port, loop = ports.get(timeout=10)
+        if secret is None:
+            with pytest.raises(CagemapError, match="refuse strangers"):
+                require_guarded(port)
+        else:
+            require_guarded(port)
+            assert answer(port, "/", X_Cagemap_Door="wrong").status == 403
+            # Let in, where it is told that it should have asked for a web socket.
+            assert answer(port, "/", X_Cagemap_Door="right").status == 426
+        loop.call_soon_threadsafe(stop.set)
