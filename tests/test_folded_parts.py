@@ -115,6 +115,12 @@ def test_vertices_that_depend_on_each_other_alone_are_refused() -> None:
         combined(itself, places, disc.inside)
 
 
+def test_a_disc_that_is_all_rim_stays_as_it_is() -> None:
+    disc = Disc(np.arange(3), np.array([0]), np.array([[0, 1, 2]]), np.array([0, 1, 2]))
+    plane = flat_disc(disc)
+    np.testing.assert_array_equal(combined(convex_weights(plane, disc), plane, disc.inside), plane)
+
+
 def test_landmarks_move_to_their_places_and_carry_the_disc_with_them() -> None:
     disc, places = round_disc()
     chosen, goals = np.array([0, 3]), np.array([[2.5, 1.0], [-2.0, -3.0]])

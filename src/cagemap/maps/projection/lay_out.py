@@ -214,6 +214,8 @@ def combined(weights: sparse.csr_array, places: FloatArray, inside: BoolArray) -
     SolverError
         If some vertices are combinations of each other alone.
     """
+    if not inside.any():  # a disc so small that all its vertices are on the rim
+        return places
     held = np.where(inside[:, None], 0.0, places)
     matrix = sparse.csc_array(sparse.eye_array(weights.shape[0]) - weights[:, np.flatnonzero(inside)])
     result = places.copy()
