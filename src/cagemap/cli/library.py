@@ -48,6 +48,7 @@ from cagemap.library import (
     spanning_tree,
     write_library,
 )
+from cagemap.library.carry import carried_notes, carry_landmarks, with_carried
 from cagemap.library.consistency import read_consistency, write_consistency
 from cagemap.library.plan import STATE
 from cagemap.library.ways import composed_result, has_ways_round, matches_only, with_ways
@@ -113,7 +114,7 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
     stages("read job")
     job = read_job(request.job, COMMANDS)
     version = code_version()
-    plan = plan_job(job, version, spanning_tree)
+    plan = with_carried(plan_job(job, version, spanning_tree), job, version)
     if request.dry_run:
         return dry_run(job, plan, request.workers or core_count()), True
     started = time.perf_counter()
@@ -128,7 +129,8 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
             stages("run tasks")
         outcomes = run_plan(plan, run_task, crew, Ticker(stages))
     stages("page")
-    notes = [*plan.left_out, *cycle_notes(verdict)]
+    carried = [outcomes[task.name] for task in plan.tasks if task.kind == "carry" and outcomes[task.name].usable]
+    notes = [*plan.left_out, *cycle_notes(verdict), *carried_notes([outcome.figures for outcome in carried])]
     page = write_library(plan.root, job.path.stem, pair_rows(plan, outcomes, verdict.errors), notes)[0]
     seconds = time.perf_counter() - started
     return summary(plan, outcomes, notes, page, seconds), all(outcome.usable for outcome in outcomes.values())
@@ -229,6 +231,8 @@ def run_task(task: Task) -> dict[str, Any]:
     if task.kind == "picture":
         write_image(task.request["output"], draw_thumbnail(read_result(task.request["result"])))
         return {}
+    if task.kind == "carry":
+        return carry_landmarks(task.request)
     if task.kind == "compose":
         way = [read_result(folder) for folder in task.request["way"]]
         result = composed_result(way, task.request["names"])

@@ -21,6 +21,10 @@ A job file is TOML. Options have the names of the command line's options, with u
     command = "transfer"
     texture = "{source.color}"
     output = "{target}.png"
+
+    [carry]                              # landmarks of one model travel to all others, see `cagemap.library.carry`
+    source = "zebra"
+    folder = "landmarks"                 # NAME.json for every other model, beside the job file
 """
 
 from __future__ import annotations
@@ -35,6 +39,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from cagemap.errors import FormatError
+from cagemap.files.marks import is_own
 
 ALL = "all"
 _PLACEHOLDER = re.compile(r"\{(source|target)(?:\.([A-Za-z0-9_-]+))?\}")
@@ -80,6 +85,13 @@ class PairRule(_Strict):
     options: dict[str, Any] = {}
 
 
+class CarryRule(_Strict):
+    """Whose landmarks travel to the other models, and the folder of the files that are made for those."""
+
+    source: str
+    folder: Path
+
+
 class OutputRule(BaseModel):
     """What to write for every pair: a command of cagemap with its options."""
 
@@ -94,6 +106,7 @@ class _File(_Strict):
     assets: list[Asset] = Field(min_length=1)
     pairs: list[PairRule] = Field(min_length=1)
     outputs: list[OutputRule] = []
+    carry: CarryRule | None = None
 
 
 @dataclass(frozen=True)
@@ -110,6 +123,7 @@ class Job:
     pairs : tuple of PairRule
         Their options include those of the whole job.
     outputs : tuple of OutputRule
+    carry : CarryRule or None
     kinds : dict of str to dict
         Type of every option of every command.
     """
@@ -120,6 +134,7 @@ class Job:
     pairs: tuple[PairRule, ...]
     outputs: tuple[OutputRule, ...]
     kinds: dict[str, dict[str, Any]]
+    carry: CarryRule | None = None
 
 
 def read_job(path: str | Path, commands: Mapping[str, type]) -> Job:
@@ -265,6 +280,8 @@ def _problems(job: _File, folder: Path, schemas: Mapping[str, type[BaseModel]]) 
     for i, pair in enumerate(job.pairs):
         yield from _pair_problems(pair, i, names, folder)
         yield from _option_problems(pair.options, schemas["match"], ("pairs", i, "options"))
+    if job.carry is not None:
+        yield from _carry_problems(job.carry, job.assets)
     for i, output in enumerate(job.outputs):
         options = {"output": output.output or "", **(output.model_extra or {})}
         known = {key for asset in job.assets for key in asset.files}
@@ -292,6 +309,15 @@ def _pair_problems(pair: PairRule, i: int, names: list[str], folder: Path) -> It
         yield ("pairs", i, "landmarks"), f"pairs.{i}.landmarks: {pair.landmarks} does not exist. Check the path."
 
 
+def _carry_problems(carry: CarryRule, assets: list[Asset]) -> Iterator[Problem]:
+    named = [asset for asset in assets if asset.name == carry.source]
+    if not named:
+        yield ("carry", "source"), f"carry.source: no asset is called {carry.source!r}. Check the name, or add it."
+    elif named[0].landmarks is None:
+        message = f"carry.source: {carry.source!r} has no landmarks. Give it a file: landmarks = ..."
+        yield ("carry", "source"), message
+
+
 def _option_problems(options: dict[str, Any], schema: type[BaseModel], place: Place) -> Iterator[Problem]:
     try:
         schema.model_validate(options)
@@ -317,11 +343,19 @@ def _resolved(path: Path, job: _File, kinds: dict[str, dict[str, Any]]) -> Job:
         merged = {**job.options, **pair.options}
         return {name: absolute(value, kinds["match"][name], folder) for name, value in merged.items()}
 
+    carry = None if job.carry is None else job.carry.model_copy(update={"folder": folder / job.carry.folder})
+
+    def landmarks(asset: Asset) -> Path | None:
+        """Those given, or those that were carried to the model and corrected by somebody."""
+        carried = None if carry is None or asset.name == carry.source else carry.folder / f"{asset.name}.json"
+        corrected = carried is not None and carried.is_file() and not is_own(carried)
+        return carried if corrected and asset.landmarks is None else placed(asset.landmarks)
+
     assets = {
         asset.name: asset.model_copy(
             update={
                 "file": folder / asset.file,
-                "landmarks": placed(asset.landmarks),
+                "landmarks": landmarks(asset),
                 "files": {name: folder / file for name, file in asset.files.items()},
             }
         )
@@ -330,4 +364,4 @@ def _resolved(path: Path, job: _File, kinds: dict[str, dict[str, Any]]) -> Job:
     pairs = tuple(
         pair.model_copy(update={"landmarks": placed(pair.landmarks), "options": options(pair)}) for pair in job.pairs
     )
-    return Job(path.resolve(), folder / job.output, assets, pairs, tuple(job.outputs), kinds)
+    return Job(path.resolve(), folder / job.output, assets, pairs, tuple(job.outputs), kinds, carry)

@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
+from typing import Any
 
 import numpy as np
 
@@ -114,10 +115,29 @@ def with_ways(plan: Plan, ways: Mapping[Pair, Sequence[str]], version: str) -> P
             request = {**task.request, "result": around.request["output"]}
             key = task_key(version, task.kind, task.key, around.key)
             task = replace(task, key=key, needs=(around.name,), request=request)
-        tasks.append(task)
+        tasks.append(_carried_around(task, matches, composed, version) if task.kind == "carry" else task)
     ordered = [task for task in tasks if task.kind in ("prepare", "match")]
     others = [task for task in tasks if task.kind not in ("prepare", "match")]
     return replace(plan, tasks=(*ordered, *composed.values(), *others))
+
+
+def _carried_around(task: Task, matches: Mapping[Any, Task], composed: Mapping[Pair, Task], version: str) -> Task:
+    """A task that carries landmarks, with the way round in place of every map that has one."""
+    other = {matches[pair].request["output"]: around for pair, around in composed.items()}
+    others_names = {matches[pair].name: around.name for pair, around in composed.items()}
+    used = [other[folder] for folder, _ in task.request["steps"] if folder in other]
+    if not used:
+        return task
+    steps = [
+        [other[folder].request["output"] if folder in other else folder, forward]
+        for folder, forward in task.request["steps"]
+    ]
+    return replace(
+        task,
+        key=task_key(version, "carry", task.key, [around.key for around in used]),
+        needs=tuple(others_names.get(name, name) for name in task.needs),
+        request={**task.request, "steps": steps},
+    )
 
 
 def matches_only(plan: Plan) -> Plan:

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cagemap.basis import Surface
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import normalized
 from cagemap.mesh.landmarks import CagePoints
+from cagemap.mesh.measures import fan_triangles
 
 # Length, of sqrt(area), that opposite normals count when a landmark is put on the surface: thin parts have two sides.
 LANDMARK_NORMAL_WEIGHT = 0.01
 # Closest points that put a landmark on the surface; each comes nearer to the line by the square of the slope.
 LANDMARK_STEPS = 4
+# Corrections that find a point of the control mesh for one of the surface.
+INVERSE_STEPS = 8
 
 
 def located(surface: Surface, points: CagePoints) -> SurfacePoints:
@@ -43,3 +47,39 @@ def on_surface(finest: TriangleSurface, points: CagePoints) -> SurfacePoints:
         along = np.einsum("qd,qd->q", near.positions - places, normals)
         aim = places + along[:, None] * normals
     return found.replaced(between, near)
+
+
+def cage_points_of(surface: Surface, points: SurfacePoints) -> CagePoints:
+    """The inverse of `located`: points of the control mesh that lie at, or very near, points of the finest surface.
+
+    The control mesh is laid through its vertices' places on the surface; its nearest point is corrected by what
+    `located` misses with it, and the nearest of all steps is kept.
+
+    Parameters
+    ----------
+    surface : Surface
+    points : SurfacePoints
+        Of the finest surface.
+    """
+    finest = surface.triangles(surface.finest)
+    triangles, _ = fan_triangles(surface.control)
+    cage = TriangleSurface(finest.positions[: surface.control.n_vertices], triangles, finest.scale)
+    aims = points.positions
+    best, least = None, np.full(len(points), np.inf)
+    for _ in range(INVERSE_STEPS):
+        near = SurfacePoints.nearest(cage, aims, points.normals, normal_weight=LANDMARK_NORMAL_WEIGHT)
+        tried = CagePoints(near.corners, near.barycentric)
+        missed = points.positions - located(surface, tried).positions
+        distance = np.linalg.norm(missed, axis=1)
+        better = distance < least
+        best = tried if best is None else _chosen(better, tried, best)
+        least, aims = np.minimum(distance, least), near.positions + missed
+    assert best is not None
+    return best
+
+
+def _chosen(better: NDArray[np.bool_], one: CagePoints, other: CagePoints) -> CagePoints:
+    """Points of one set where it is better, of the other elsewhere."""
+    return CagePoints(
+        np.where(better[:, None], one.corners, other.corners), np.where(better[:, None], one.weights, other.weights)
+    )
