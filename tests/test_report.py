@@ -14,9 +14,10 @@ import pytest
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.result import MatchResult
-from cagemap.report import Gallery, build_page, draw_gallery, write_report
+from cagemap.report import Gallery, Rides, Shape, Weights, build_page, draw_gallery, draw_rides, write_report
 from cagemap.report.figures import for_display
 from cagemap.report.merits import explain, overall
+from cagemap.report.rides import _edges, _net
 
 from example_result import identity_result
 
@@ -174,3 +175,34 @@ def test_written_whole(result: MatchResult, tmp_path: Path) -> None:
     write_report(tmp_path / "r.html", result, size=(40, 30))
     assert (tmp_path / "r.html").read_text(encoding="utf-8").endswith("</html>\n")
     assert [path.name for path in tmp_path.iterdir()] == ["r.html"]
+
+
+def test_what_was_wrapped_and_what_rides_on_the_map_is_shown(result: MatchResult, gallery: Gallery) -> None:
+    control, source = result.target.control, result.source.control
+    rng = np.random.default_rng(1)
+    skins = [rng.dirichlet(np.ones(3), size=mesh.n_vertices) for mesh in (source, control)]
+    moves = [np.zeros((mesh.n_vertices, 3)) for mesh in (source, control)]
+    for move in moves:
+        move[:5] = 0.2
+    rides = Rides(
+        wrapped=control.with_positions(source.positions),
+        weights=Weights(*skins),
+        shapes=tuple(Shape(name, *moves) for name in ("smile", "blink")),
+    )
+    panels = draw_rides(result, rides, SIZE)
+    assert [len(panel.pictures) for panel in panels] == [8, 4, 4]
+    page = build_page(result, gallery, panels)
+    assert len([tag for tag, _ in outline(page).tags if tag == "img"]) == 12 + 16
+    assert all(title in page for title in ("Wrapped", "Skinning weights", "Blend shapes", "smile, target"))
+    # The identity: the wrapped surface and the source are one, so their pictures differ by the net alone.
+    (bare, _), (netted, _) = panels[0].pictures[:2]
+    assert 0.01 < np.mean(np.abs(bare.astype(int) - netted.astype(int)).max(axis=2) > 60) < 0.6
+
+
+def test_a_net_is_the_edges_between_control_faces() -> None:
+    result = identity_result()
+    refinement = result.target.refinement
+    segments = _net(refinement)
+    edges = _edges(refinement.control)
+    assert len(segments) == len(edges) * 2**refinement.n_levels
+    assert draw_rides(result, Rides(), SIZE) == ()

@@ -246,3 +246,14 @@ def test_the_command_refuses_and_writes_nothing(run: Run, result_folder: Path) -
         assert refused.code == 2, (arguments, refused.err)
         assert message in refused.err, refused.err
     assert sorted(place.rglob("*")) == before
+
+
+def test_the_report_shows_the_wrapped_cage_while_it_is_there(run: Run, result_folder: Path) -> None:  # noqa: F811
+    pytest.importorskip("embreex")
+    assert not run("wrap", "R", "-o", "new.obj").code
+    assert not run("report", "R", "-o", "page.html").code
+    page = result_folder.parent / "page.html"
+    assert "wrapped cage, not smoothed" in page.read_text()
+    (result_folder.parent / "new.obj").unlink()
+    assert not run("report", "R", "-o", "page.html").code
+    assert "wrapped cage" not in page.read_text()

@@ -8,13 +8,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cagemap.cli.progress import Stages
-from cagemap.errors import FormatError
+from cagemap.errors import CagemapError, FormatError
 from cagemap.files.atomic import check_outputs
+from cagemap.files.attributes import read_attributes
 from cagemap.files.images import Image, Pixels, read_image, read_texture
 from cagemap.files.meshes import read_mesh
 from cagemap.files.result import ARRAYS, MANIFEST, Result, read_result
-from cagemap.report import write_report
+from cagemap.files.rigs import read_shapes
+from cagemap.files.usd_primvars import JOINT_WEIGHTS
+from cagemap.report import Rides, Shape, Weights, write_report
+from cagemap.wrap import level_mesh
 
 _log = logging.getLogger(__name__)
 
@@ -42,8 +48,59 @@ def run_report(folder: Path, output: Path, texture: Path | None, stages: Stages,
             except FormatError as error:
                 _log.info("the texture is shown vertex by vertex, what was baked is not there any more: %s", error)
                 continue
+    rides = rides_of(folder, result)
     stages("draw")
-    write_report(output, result, texture=pixels, baked=baked, force=force)
+    write_report(output, result, texture=pixels, baked=baked, rides=rides, force=force)
+
+
+def rides_of(folder: Path, result: Result) -> Rides:
+    """The last wrapped cage, weights and shapes that the result knows of, as far as their files are still there."""
+    last = {entry["kind"]: entry for entry in result.manifest.get("transfers", [])}
+    rides = Rides()
+    for kind, add in (("wrap", _wrapped), ("weights", _weights), ("blend-shapes", _shapes)):
+        if kind not in last:
+            continue
+        try:
+            rides = add(rides, folder, last[kind], result)
+        except CagemapError as error:
+            _log.info("%s of %s are not shown: %s", kind, folder, error)
+    return rides
+
+
+def _wrapped(rides: Rides, folder: Path, entry: dict[str, Any], result: Result) -> Rides:
+    cage = read_mesh(folder / entry["output"])
+    level = int(entry.get("fit_level", 0))
+    if entry.get("amount", 1.0) != 1.0 or cage.n_vertices != result.target.refinement.levels[level].n_vertices:
+        raise FormatError(f"{entry['output']}: is not the wrapped cage (any more)")
+    return replace(rides, wrapped=level_mesh(result.target.refinement, level).with_positions(cage.positions))
+
+
+def _weights(rides: Rides, folder: Path, entry: dict[str, Any], result: Result) -> Rides:
+    sides = []
+    for file, side in ((entry.get("file"), result.source), (entry["output"], result.target)):
+        if file is None:
+            raise FormatError("the file that they were carried from is not known")
+        given = read_attributes(folder / file, side.control)
+        given = {JOINT_WEIGHTS: given[JOINT_WEIGHTS]} if JOINT_WEIGHTS in given else given
+        table = np.column_stack(
+            [np.asarray(column, dtype=np.float64).reshape(len(column), -1) for column in given.values()]
+        )
+        if len(table) != side.control.n_vertices:
+            raise FormatError(f"{file}: expected {side.control.n_vertices} rows, got {len(table)}")
+        sides.append(table)
+    if sides[0].shape[1] != sides[1].shape[1]:
+        raise FormatError(f"{entry['output']}: has other joints than {entry['file']}")
+    return replace(rides, weights=Weights(*sides))
+
+
+def _shapes(rides: Rides, folder: Path, entry: dict[str, Any], result: Result) -> Rides:
+    files = [folder / file for file in entry.get("files", [])]
+    given, carried = (
+        read_shapes(files, result.source.control),
+        read_shapes([folder / entry["output"]], result.target.control),
+    )
+    both = [name for name in given if name in carried]
+    return replace(rides, shapes=tuple(Shape(name, given[name], carried[name]) for name in both))
 
 
 def _single(path: Path) -> Pixels | None:

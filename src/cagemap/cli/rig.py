@@ -71,7 +71,8 @@ def carry_weights(request: TransferRequest, result: Result, stages: Stages) -> O
     }
     columns, notes = keep_base(request, result, columns)
     write_attributes(request.output, columns, force=request.force)
-    entry = {"kind": "weights", "output": stated_path(request.output, request.result)}
+    files = {"file": request.weights, "output": request.output}
+    entry = {"kind": "weights"} | {name: stated_path(path, request.result) for name, path in files.items()}
     note_transfer(request.result, entry)
     most = int((carried > 0).sum(axis=1).max())
     filled = int(np.count_nonzero(~trusted))
@@ -145,7 +146,14 @@ def carry_blend_shapes(request: TransferRequest, result: Result, stages: Stages)
     files = write_shapes(
         request.output, carried, result.target.control, list(request.blend_shapes), force=request.force
     )
-    note_transfer(request.result, {"kind": "blend-shapes", "output": stated_path(request.output, request.result)})
+    note_transfer(
+        request.result,
+        {
+            "kind": "blend-shapes",
+            "files": [stated_path(path, request.result) for path in request.blend_shapes],
+            "output": stated_path(request.output, request.result),
+        },
+    )
     text = f"wrote {len(carried)} shapes to {request.output} ({len(files)} files)"
     if request.usd is not None:
         shaped = UsdResults(attributes={f"{BLEND_SHAPE}{name}": offsets for name, offsets in carried.items()})

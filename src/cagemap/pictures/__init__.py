@@ -11,7 +11,7 @@ from cagemap.pictures.colors import (
     to_display,
     to_linear,
 )
-from cagemap.pictures.overlay import draw_dots, draw_line
+from cagemap.pictures.overlay import draw_dots, draw_line, draw_segments
 from cagemap.pictures.render import Image, Model, Skin, render, sample_texture, visible
 
 __all__ = [
@@ -30,6 +30,7 @@ __all__ = [
     "distinct_colors",
     "draw_dots",
     "draw_line",
+    "draw_segments",
     "frame",
     "position_colors",
     "render",

@@ -58,15 +58,49 @@ def draw_line(
     width : float
         Pixels.
     """
+    return _stroke(image, model, camera, line.finer(DOTS_A_PIECE), color, width, rim=1.0)
+
+
+def draw_segments(
+    image: Image, model: Model, camera: Camera, segments: FloatArray, color: FloatArray, *, width: float = 1.0
+) -> Image:
+    """Return the picture with a thin line along what the camera sees of straight pieces on the surface: a wireframe.
+
+    Parameters
+    ----------
+    segments : (s, 2, 3) float64
+        In the surface's own unit.
+    color : (3,) sRGB in [0, 1]
+    width : float
+        Pixels.
+    """
     height, across = image.shape[:2]
-    dense = line.finer(DOTS_A_PIECE)
+    ends = camera.project(segments.reshape(-1, 3), across, height).reshape(-1, 2, 2)
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    # Dots less than a pixel apart; all pieces take as many as the one of the next power of two.
+    counts = 2 ** np.ceil(np.log2(np.maximum(2.0 * np.nan_to_num(lengths, posinf=1.0), 2.0))).astype(np.int64)
+    dense = []
+    for count in np.unique(np.minimum(counts, 1024)).tolist():
+        at = ((np.arange(count) + 0.5) / count)[:, None]
+        piece = segments[np.minimum(counts, 1024) == count]
+        dense.append((piece[:, None, 0] * (1 - at) + piece[:, None, 1] * at).reshape(-1, 3))
+    return _stroke(image, model, camera, np.concatenate(dense), color, width, rim=0.0) if dense else image
+
+
+def _stroke(
+    image: Image, model: Model, camera: Camera, dense: FloatArray, color: FloatArray, width: float, rim: float
+) -> Image:
+    """A line of a width through points that lie close together, where the camera sees them; with a white rim."""
+    height, across = image.shape[:2]
     spots = camera.project(dense, across, height)[visible(model, camera, dense)]
     if not len(spots):
         return image
     shown = image.astype(np.float64)
     y, x = np.mgrid[:height, :across] + 0.5
-    distance = cKDTree(spots).query(np.column_stack([x.ravel(), y.ravel()]), distance_upper_bound=width + 3.0)[0]
-    for reach, paint in ((0.5 * width + 1.5, np.full(3, 255.0)), (0.5 * width, np.asarray(color) * 255)):
-        cover = np.clip(reach - distance + 0.5, 0.0, 1.0).reshape(height, across, 1)
+    reach = 0.5 * width + rim + 1.5
+    distance = cKDTree(spots).query(np.column_stack([x.ravel(), y.ravel()]), distance_upper_bound=reach)[0]
+    rims = ((0.5 * width + rim + 0.5, np.full(3, 255.0)),) if rim else ()
+    for radius, paint in (*rims, (0.5 * width, np.asarray(color) * 255)):
+        cover = np.clip(radius - distance + 0.5, 0.0, 1.0).reshape(height, across, 1)
         shown = shown * (1 - cover) + paint * cover
     return np.round(shown).astype(np.uint8)

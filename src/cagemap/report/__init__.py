@@ -8,8 +8,21 @@ from cagemap.files.atomic import atomic_path
 from cagemap.maps.result import MatchResult
 from cagemap.report.figures import HEIGHT, WIDTH, Figure, Gallery, Pixels, Progress, draw_gallery, draw_thumbnail
 from cagemap.report.page import build_page
+from cagemap.report.rides import NOTHING, Panel, Rides, Shape, Weights, draw_rides
 
-__all__ = ["Figure", "Gallery", "build_page", "draw_gallery", "draw_thumbnail", "write_report"]
+__all__ = [
+    "Figure",
+    "Gallery",
+    "Panel",
+    "Rides",
+    "Shape",
+    "Weights",
+    "build_page",
+    "draw_gallery",
+    "draw_rides",
+    "draw_thumbnail",
+    "write_report",
+]
 
 
 def write_report(
@@ -18,6 +31,7 @@ def write_report(
     *,
     texture: Pixels | None = None,
     baked: Pixels | None = None,
+    rides: Rides = NOTHING,
     size: tuple[int, int] = (WIDTH, HEIGHT),
     progress: Progress | None = None,
     force: bool = False,
@@ -31,6 +45,8 @@ def write_report(
     result : MatchResult
     texture, baked : (H, W, c) array, optional
         The source's texture, and the same baked into the target's layout.
+    rides : Rides
+        The wrapped cage, weights and shapes to show.
     size : (int, int)
         Width and height of each picture, in pixels.
     progress : callable, optional
@@ -41,6 +57,7 @@ def write_report(
     FormatError
         If the file cannot be written, or cagemap did not write the one that is there and ``force`` is not given.
     """
-    page = build_page(result, draw_gallery(result, texture=texture, baked=baked, size=size, progress=progress))
+    gallery = draw_gallery(result, texture=texture, baked=baked, size=size, progress=progress)
+    page = build_page(result, gallery, draw_rides(result, rides, size))
     with atomic_path(path, force=force) as temporary:
         temporary.write_text(page, encoding="utf-8", errors="xmlcharrefreplace")

@@ -45,7 +45,7 @@ Progress = Callable[[str], None]
 
 WIDTH, HEIGHT = 600, 460
 _LARGEST_TEXTURE = 2048  # a picture shows no more than this
-_PAPER = np.array([0.962, 0.966, 0.970])
+PAPER = np.array([0.962, 0.966, 0.970])
 
 
 @dataclass(frozen=True)
@@ -259,7 +259,7 @@ def _marks(surface: Surface, points: CagePoints, lines: CageCurves) -> _Marks:
 
 def _draw(model: Model, skin: Skin, view: View, size: tuple[int, int], marks: _Marks | None) -> Image:
     camera = frame(model.positions, view, aspect=size[0] / size[1])
-    image = render(model, skin, camera, width=size[0], height=size[1], background=_PAPER)
+    image = render(model, skin, camera, width=size[0], height=size[1], background=PAPER)
     if marks is None:
         return image
     for line, color in zip(marks.curves, distinct_colors(len(marks.curves)), strict=True):

@@ -18,6 +18,7 @@ from cagemap.files.result import Result, landmark_messages
 from cagemap.pictures import Image, distinct_colors
 from cagemap.report.figures import Figure, Gallery
 from cagemap.report.merits import explain, overall
+from cagemap.report.rides import Panel
 
 _VERDICTS = {
     "good": "The map looks sound.",
@@ -27,8 +28,8 @@ _VERDICTS = {
 _STYLE = "style.css"
 
 
-def build_page(result: Result, gallery: Gallery) -> str:
-    """HTML text of the report."""
+def build_page(result: Result, gallery: Gallery, panels: tuple[Panel, ...] = ()) -> str:
+    """HTML text of the report; panels show what was made with the map."""
     manifest = result.manifest
     quality = manifest.get("quality") or {}
     warnings = landmark_messages(manifest) + [str(text) for text in (quality.get("warnings") or [])]
@@ -62,6 +63,7 @@ def build_page(result: Result, gallery: Gallery) -> str:
         )
         if gallery.masks
         else "",
+        *(_section(escape(panel.title), escape(panel.lead), _panel(panel)) for panel in panels),
         _section("Quality", "Measured on this map, without knowing the true one.", _merits(merits)),
         _section("Landmarks", "Miss as a share of the model's size.", _landmarks(result)),
         _section("Curves", "Distance between a curve and its counterpart, both ways.", _curves(result))
@@ -131,6 +133,10 @@ def _picture(image: Image, caption: str) -> str:
         f'<figure><img src="{data_uri(image)}" width="{image.shape[1]}" height="{image.shape[0]}" '
         f'alt="{escape(caption)}"><figcaption>{escape(caption)}</figcaption></figure>'
     )
+
+
+def _panel(panel: Panel) -> str:
+    return '<div class="pair">' + "".join(_picture(image, caption) for image, caption in panel.pictures) + "</div>"
 
 
 def _pair(figure: Figure, result: Result) -> str:
