@@ -15,7 +15,7 @@ from cagemap.basis import BasisConfig
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.surface_store import SUFFIX, load_surface, prepared, save_surface, surface_key
 from cagemap.mesh import shapes
-from cagemap.pipeline import prepare_surface
+from cagemap.pipeline import MatchConfig, match, prepare_surface
 from cagemap.refinement import CatmullClark
 
 CONFIG = BasisConfig(count=20)
@@ -65,6 +65,27 @@ def test_loop_surfaces_and_boundaries_come_back(mesh, tmp_path):
     surface = prepare_surface(mesh, LEVEL, CONFIG)
     save_surface(tmp_path / "s.npz", surface)
     assert_same(load_surface(tmp_path / "s.npz"), surface)
+
+
+def test_operators_may_end_below_the_finest_level(surface, tmp_path):
+    """The basis is that of the coarser surface, and functions of it refine to the finest level."""
+    config = replace(CONFIG, vertices=300)
+    short = prepare_surface(shapes.creature(), LEVEL, config)
+    level = short.operators.finest
+    assert level < LEVEL
+    assert short.refinement.levels[level].n_vertices >= 300
+    coarse = prepare_surface(shapes.creature(), level, CONFIG)
+    np.testing.assert_allclose(short.basis.eigenvalues, coarse.basis.eigenvalues, rtol=1e-12)
+    np.testing.assert_allclose(short.basis.eigenvalues[1:], surface.basis.eigenvalues[1:], rtol=0.05)
+    assert short.basis.at(LEVEL).shape == (short.refinement.finest.n_vertices, CONFIG.count)
+    # Lengths are those of the finest surface all the same.
+    assert short.scale == pytest.approx(surface.scale, rel=1e-14)
+    save_surface(tmp_path / "short.npz", short)
+    assert_same(load_surface(tmp_path / "short.npz"), short)
+    with pytest.raises(ParameterError, match="last with operators"):
+        short.basis.project(np.ones(short.refinement.finest.n_vertices), LEVEL)
+    with pytest.raises(ParameterError, match="needs operators of all levels"):
+        match(short, short, config=MatchConfig(method="paper"))
 
 
 def test_the_second_time_it_is_read(surface, tmp_path):

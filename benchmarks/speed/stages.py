@@ -36,24 +36,23 @@ def measure_stages(control: Any, level: int, count: int, run: Callable[[Any], An
         Surface -> MatchResult, with that surface as target.
     """
     from cagemap.basis import hierarchical_basis
-    from cagemap.basis.surface import Surface
+    from cagemap.basis.surface import Surface, operators_for
     from cagemap.files.result import write_result
     from cagemap.files.surface_store import load_surface, save_surface
     from cagemap.numerics.threads import one_blas_thread
-    from cagemap.operators import build_operators
     from cagemap.pipeline import MAP_BASIS, judge
     from cagemap.refinement import refine
 
     with one_blas_thread(), tempfile.TemporaryDirectory() as folder:
         times: Figures = {}
-        rates = machine_rates()
+        rates, config = machine_rates(), replace(MAP_BASIS, count=count)
         with timed(times, "refine"):
             refinement = refine(control, level)
         with timed(times, "operators"):
-            operators = build_operators(refinement)
+            operators = operators_for(refinement, config)
         with timed(times, "basis"):
-            basis = hierarchical_basis(refinement, operators, replace(MAP_BASIS, count=count))
-        surface, place = Surface.of(refinement, operators, basis), Path(folder) / "surface.npz"
+            basis = hierarchical_basis(refinement, operators, config)
+        surface, place = Surface.of(refinement, operators, basis, config), Path(folder) / "surface.npz"
         with timed(times, "store a surface"):
             save_surface(place, surface)
         with timed(times, "load a surface"):

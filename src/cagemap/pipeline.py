@@ -133,6 +133,9 @@ def match(
             "pairs, or use the method elastic, which needs none."
         )
     timings: dict[str, float] = {}
+    if config.method != "elastic":
+        for surface in (target, source):
+            surface.require_all_operators(config.method)
     if config.method == "elastic":
         with _timed(timings, "pair"):
             prepared = prepare_pair(target, source, config)

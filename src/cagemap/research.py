@@ -6,6 +6,7 @@ Everything here is a short name for what the rooms do; docs/researchers.md walks
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -51,6 +52,10 @@ __all__ = [
 ]
 
 
+# As many functions as a match reads, and operators of every level.
+EVERY_LEVEL = replace(MAP_BASIS, vertices=None)
+
+
 def control_mesh(mesh: Any, name: str = "mesh") -> ControlMesh:
     """A control mesh from what one has.
 
@@ -72,7 +77,7 @@ def control_mesh(mesh: Any, name: str = "mesh") -> ControlMesh:
     )
 
 
-def prepare(mesh: Any, level: int, basis: BasisConfig = MAP_BASIS, name: str = "mesh") -> Surface:
+def prepare(mesh: Any, level: int, basis: BasisConfig = EVERY_LEVEL, name: str = "mesh") -> Surface:
     """Refine a mesh, build its operators and its basis, see `control_mesh` and `cagemap.prepare_surface`."""
     return prepare_surface(control_mesh(mesh, name), level, basis)
 

@@ -29,7 +29,7 @@ class HierarchicalBasis:
     ----------
     refinement : Refinement
     operators : Operators
-        Of the surface that the functions live on.
+        Of the surface that the functions live on: of all its levels, or of the first ones.
     bands : tuple of (n_l, k_l) arrays
         New eigenvectors of every level from 0 to the last that has any, each M^l-orthonormal.
     eigenvalues : (k,) array
@@ -57,7 +57,8 @@ class HierarchicalBasis:
         """Check that the bands are functions of these levels; nobody changes them from here on."""
         sizes = [level.n_vertices for level in self.refinement.levels]
         found = [band.shape[0] for band in self.bands]
-        if found != sizes[: len(found)] or [mass.shape[0] for mass in self.operators.mass] != sizes:
+        known = [mass.shape[0] for mass in self.operators.mass]
+        if found != sizes[: len(found)] or known != sizes[: len(known)] or len(found) > len(known):
             raise ParameterError(
                 f"expected bands and operators of levels with {sizes} vertices, got bands with {found} rows; give the "
                 "refinement and the operators that the basis was computed from"
@@ -225,6 +226,11 @@ class HierarchicalBasis:
         if functions.shape[0] != n:
             raise ParameterError(
                 f"expected functions with {n} rows, one for each vertex of level {level}, got {functions.shape}"
+            )
+        if level > self.operators.finest:
+            raise ParameterError(
+                f"expected functions of a level up to {self.operators.finest}, the last with operators, got level "
+                f"{level}; prepare the surface with a basis without `vertices`"
             )
         columns = functions.reshape(n, -1)
         needed = int(self.band_levels[:size].max())

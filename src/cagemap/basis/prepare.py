@@ -7,12 +7,11 @@ from itertools import islice
 
 from cagemap.basis.construction import hierarchical_basis
 from cagemap.basis.schedule import MAP_BASIS, BasisConfig
-from cagemap.basis.surface import Surface
+from cagemap.basis.surface import Surface, operators_for
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.numerics.threads import in_threads, one_blas_thread
-from cagemap.operators import build_operators
 from cagemap.refinement import Scheme, refine
 from cagemap.refinement.counts import vertex_counts
 
@@ -88,7 +87,7 @@ def prepare_surface(
         progress(f"refine {control.name}")
         refinement = refine(control, level, scheme)
         progress(f"operators of {control.name}")
-        operators = build_operators(refinement)
+        operators = operators_for(refinement, config)
         progress(f"basis of {control.name}")
         return Surface.of(refinement, operators, hierarchical_basis(refinement, operators, config), config)
 

@@ -10,12 +10,23 @@ import numpy as np
 from cagemap.basis.construction import hierarchical_basis
 from cagemap.basis.hierarchical_basis import HierarchicalBasis
 from cagemap.basis.schedule import MAP_BASIS, BasisConfig
+from cagemap.errors import ParameterError
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 from cagemap.numerics.threads import one_blas_thread
 from cagemap.operators import Operators, build_operators, vertex_areas
 from cagemap.refinement import Refinement, level_triangles, refine, triangulate_control
+
+
+def operators_for(refinement: Refinement, config: BasisConfig) -> Operators:
+    """Operators that a basis is made from: those of all levels, or of the first ones that have enough vertices."""
+    if config.vertices is None:
+        return build_operators(refinement)
+    level = refinement.coarsest_level(config.vertices)
+    if config.schedule is not None:
+        level = min(max(level, len(config.schedule) - 1), refinement.n_levels)
+    return build_operators(refinement.up_to(level))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -42,13 +53,13 @@ class Surface:
     ) -> Surface:
         """A surface whose operators and basis are there already."""
         surface = cls(refinement, BasisConfig(schedule=basis.schedule) if config is None else config)
-        vars(surface).update(operators=operators, basis=basis, scale=operators.scale)  # where cached properties look
+        vars(surface).update(operators=operators, basis=basis)  # where cached properties look
         return surface
 
     @cached_property
     def operators(self) -> Operators:
-        """Mass and stiffness of every level (paper, section 4.1)."""
-        return build_operators(self.refinement)
+        """Mass and stiffness of every level (paper, section 4.1), up to the one that ``config.vertices`` says."""
+        return operators_for(self.refinement, self.config)
 
     @cached_property
     def basis(self) -> HierarchicalBasis:
@@ -63,7 +74,10 @@ class Surface:
 
     @cached_property
     def scale(self) -> float:
-        """Factor from the file's lengths to those at unit area; that of the operators."""
+        """Factor from the file's lengths to those at unit area; that of the operators if they are the finest ones."""
+        operators: Operators | None = vars(self).get("operators")
+        if operators is not None and operators.finest == self.finest:
+            return operators.scale
         return 1.0 / float(np.sqrt(vertex_areas(self.vertices, self.faces).sum()))
 
     @property
@@ -105,6 +119,19 @@ class Surface:
     def with_control(self, control: ControlMesh) -> Surface:
         """The same surface from a control mesh with another layout or other materials."""
         return replace(self, refinement=refine(control, self.finest, self.refinement.scheme))
+
+    def require_all_operators(self, method: str) -> None:
+        """Refuse a surface whose operators end below its finest level, which a method needs.
+
+        Raises
+        ------
+        ParameterError
+        """
+        if self.operators.finest < self.finest:
+            raise ParameterError(
+                f"{self.control.name}: the method {method} needs operators of all levels, expected a basis without "
+                f"`vertices`, got {self.config}; prepare the surface with cagemap.default_basis({method!r})"
+            )
 
     def __repr__(self) -> str:
         basis = self.basis if self.is_prepared else "not prepared"

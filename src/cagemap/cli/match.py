@@ -218,8 +218,9 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
 def basis_config(request: MatchRequest) -> BasisConfig:
     """Parameters of both surfaces' bases, where nothing else is asked for on one side."""
     schedule = None if request.schedule is None else parse_schedule(request.schedule)
-    count = default_basis(request.method).count if request.k is None else request.k
-    return BasisConfig(count=count, tolerance=request.tolerance, schedule=schedule)
+    usual = default_basis(request.method)
+    count = usual.count if request.k is None else request.k
+    return _asked_basis(request, count, request.tolerance, schedule)
 
 
 def side_bases(request: MatchRequest) -> tuple[BasisConfig, BasisConfig]:
@@ -231,13 +232,21 @@ def side_bases(request: MatchRequest) -> tuple[BasisConfig, BasisConfig]:
         if k is not None or tolerance is not None:  # asked for on this side, so a schedule of both does not hold here
             basis = replace(basis, schedule=None)
         found.append(
-            BasisConfig(
-                count=basis.count if k is None else k,
-                tolerance=basis.tolerance if tolerance is None else tolerance,
-                schedule=basis.schedule if schedule is None else parse_schedule(schedule, f"--{side}-schedule"),
+            _asked_basis(
+                request,
+                basis.count if k is None else k,
+                basis.tolerance if tolerance is None else tolerance,
+                basis.schedule if schedule is None else parse_schedule(schedule, f"--{side}-schedule"),
             )
         )
     return found[0], found[1]
+
+
+def _asked_basis(request: MatchRequest, count: int, tolerance: float, schedule: tuple[int, ...] | None) -> BasisConfig:
+    """Who asks for exact eigenvalues, or for the paper's levels, gets the operators of the finest level."""
+    usual = default_basis(request.method)
+    exact = schedule is not None or tolerance < usual.tolerance
+    return BasisConfig(count, tolerance, schedule, vertices=None if exact else usual.vertices)
 
 
 def side_levels(request: MatchRequest, inputs: Inputs) -> tuple[int, int]:

@@ -115,6 +115,7 @@ class BasisRecord(Record):
     schedule: list[Annotated[int, Field(ge=0)]] | None = None
     accuracy: float | None = None
     literal: bool = False
+    vertices: Annotated[int, Field(ge=1)] | None = None
 
 
 class ResultRecord(Record):
@@ -148,6 +149,7 @@ class SurfaceRecord(Record):
     level: Annotated[int, Field(ge=1, le=MOST_LEVELS)]
     scale: Annotated[float, Field(gt=0, lt=1e100)]
     bands: Annotated[int, Field(ge=1, le=MOST_LEVELS + 1)]
+    operators: Annotated[int, Field(ge=1, le=MOST_LEVELS + 1)]
 
 
 RecordType = TypeVar("RecordType", bound=Record)

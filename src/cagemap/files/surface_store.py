@@ -38,7 +38,7 @@ from cagemap.refinement import Refinement, Scheme, default_scheme, refine
 from cagemap.refinement.counts import vertex_counts
 
 FORMAT = "cagemap-surface"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 SUFFIX = ".surface.npz"
 
 _BASIS_ARRAYS = ("eigenvalues", "residuals", "indices", "gram", "errors")
@@ -98,6 +98,7 @@ def save_surface(path: str | Path, surface: Surface, *, force: bool = False) -> 
         "level": surface.finest,
         "scale": operators.scale,
         "bands": len(basis.bands),
+        "operators": len(operators.mass),
     }
     arrays: dict[str, Any] = {"header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)}
     arrays |= control_to_arrays(control, "control_")
@@ -183,16 +184,16 @@ def _load(path: Path, control: ControlMesh | None = None, config: BasisConfig | 
     if control is None:
         names = header.material_names
         control = control_from_arrays(path, arrays, "control_", names, header.name, _REMEDY, scheme)
-    if header.bands > header.level + 1:
-        raise FormatError(f"{path}: has bands of more levels than there are. {_REMEDY}")
+    if not header.bands <= header.operators <= header.level + 1:
+        raise FormatError(f"{path}: has bands or operators of more levels than there are. {_REMEDY}")
     sizes = dict(zip(_level_sizes(header.level), vertex_counts(control, scheme), strict=False))
-    sizes["n_finest"] = sizes[f"n{header.level}"]
+    sizes["n_finest"] = sizes[f"n{header.operators - 1}"]
     checked = check_arrays(path, arrays, _forms(header), sizes, _REMEDY)
-    for level in range(header.level + 1):
+    for level in range(header.operators):
         check_offsets(path, f"indptr_{level}", checked[f"indptr_{level}"], sizes[f"z{level}"], _REMEDY)
     try:
         refinement = refine(control, header.level, scheme)
-        operators = _operators(checked, refinement, header.scale)
+        operators = _operators(checked, refinement.up_to(header.operators - 1), header.scale)
         bands = tuple(checked[f"band_{level}"] for level in range(header.bands))
         basis = HierarchicalBasis(refinement, operators, bands, *(checked[name] for name in _BASIS_ARRAYS))
     except (CagemapError, ValueError) as error:
@@ -225,12 +226,12 @@ def _level_sizes(finest: int) -> list[str]:
 def _forms(header: SurfaceRecord) -> dict[str, Form]:
     """What the arrays beside the control mesh must be: z nonzeros a level, k functions in all."""
     forms = {}
-    for level, n in enumerate(_level_sizes(header.level)):
+    for level, n in enumerate(_level_sizes(header.operators - 1)):
         z = f"z{level}"
         forms[f"indices_{level}"] = Form((z,), below=n)
         forms[f"indptr_{level}"] = Form((f"{n}+1",), below=f"{z}+1")
         forms[f"stiffness_{level}"] = Form((z,))
-        forms[f"mass_{level}"] = Form((n,) if level == header.level else (z,))
+        forms[f"mass_{level}"] = Form((n,) if level == header.operators - 1 else (z,))
     for level in range(header.bands):
         forms[f"band_{level}"] = Form((f"n{level}", f"k{level}"))
     return forms | {

@@ -105,6 +105,10 @@ class Refinement:
         enough = (number for number, level in enumerate(self.levels) if level.n_vertices >= vertices)
         return next(enough, self.n_levels)
 
+    def up_to(self, level: int) -> Refinement:
+        """The levels from 0 to this one."""
+        return replace(self, matrices=self.matrices[:level], levels=self.levels[: level + 1])
+
     def holes(self, level: int) -> BoolArray:
         """(m_level,) whether a face shapes the surface but is no part of it; see `control_holes`."""
         return control_holes(self.control, self.scheme)[self.levels[level].face_parents]
