@@ -18,7 +18,7 @@ from cagemap.mesh.shapes import creature, cube
 from cagemap.refinement import refine
 from cagemap.studio.bench import Bench, ChooseAnswer, Dress, FindMap, Found, Opening, OpenModels, perform
 from cagemap.studio.glb import Primitive, glb
-from cagemap.studio.landmarks import Landmark
+from cagemap.studio.landmarks import Landmark, LandmarkList
 from cagemap.studio.places import place_at, place_of, vertex_place
 from cagemap.studio.scene import Scene, carried_place, mirrored, part_name
 from cagemap.studio.shape import Hit, pick, shape_of
@@ -138,10 +138,11 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> tuple[Bench, OpenModels]
     return bench, task
 
 
-def landmarks(bench: Bench, *vertices: int) -> tuple[Landmark, ...]:
+def landmarks(bench: Bench, *vertices: int) -> LandmarkList:
     assert bench.models is not None
     shapes = bench.models.target.shape, bench.models.source.shape
-    return tuple(Landmark(v + 1, f"v{v}", *(vertex_place(shape, v) for shape in shapes)) for v in vertices)
+    pairs = (Landmark(v + 1, f"v{v}", *(vertex_place(shape, v) for shape in shapes)) for v in vertices)
+    return LandmarkList(tuple(pairs))
 
 
 def test_the_bench_maps_and_follows_landmarks(opened: tuple[Bench, OpenModels]) -> None:
@@ -175,21 +176,21 @@ def test_the_bench_maps_and_follows_landmarks(opened: tuple[Bench, OpenModels]) 
 def test_without_landmarks_the_bench_has_answers_to_choose_from(opened: tuple[Bench, OpenModels]) -> None:
     bench, task = opened
     with pytest.raises(ParameterError, match="answer 99"):
-        perform(bench, ChooseAnswer(task.opening, (), 99, View()), lambda _: None)
-    bench, first = perform(bench, FindMap(task.opening, (), View()), lambda _: None)
+        perform(bench, ChooseAnswer(task.opening, LandmarkList(), 99, View()), lambda _: None)
+    bench, first = perform(bench, FindMap(task.opening, LandmarkList(), View()), lambda _: None)
     assert isinstance(first, Found)
     # A box on a box: each half turn is an answer.
     assert len(first.answers) > 1
     assert first.confidence
-    bench, second = perform(bench, ChooseAnswer(task.opening, (), 1, View()), lambda _: None)
+    bench, second = perform(bench, ChooseAnswer(task.opening, LandmarkList(), 1, View()), lambda _: None)
     assert isinstance(second, Found)
     assert second.chosen == 1
     assert not np.array_equal(first.images.triangle, second.images.triangle)
     # One landmark moves that answer, and taking it away gives it back.
-    bench, third = perform(bench, FindMap(task.opening, landmarks(bench, 0)[:1], View()), lambda _: None)
+    bench, third = perform(bench, FindMap(task.opening, landmarks(bench, 0), View()), lambda _: None)
     assert isinstance(third, Found)
     assert set(third.strain) == {"v0"}
-    bench, fourth = perform(bench, FindMap(task.opening, (), View()), lambda _: None)
+    bench, fourth = perform(bench, FindMap(task.opening, LandmarkList(), View()), lambda _: None)
     assert isinstance(fourth, Found)
     np.testing.assert_array_equal(fourth.images.triangle, second.images.triangle)
 
@@ -241,6 +242,6 @@ def test_a_failing_task_is_a_named_failure_and_the_worker_lives_on(opened: tuple
 
 def test_a_vertex_cannot_be_named_twice(opened: tuple[Bench, OpenModels]) -> None:
     bench, task = opened
-    one = landmarks(bench, 0)[0]
+    one = landmarks(bench, 0).items[0]
     with pytest.raises(ValueError, match="one pair only"):
-        perform(bench, FindMap(task.opening, (one, replace(one, name="again")), View()), lambda _: None)
+        perform(bench, FindMap(task.opening, LandmarkList((one, replace(one, name="again"))), View()), lambda _: None)

@@ -22,7 +22,7 @@ from cagemap.studio.scene import carried
 from cagemap.studio.session import Session
 from cagemap.studio.shape import pick
 from cagemap.studio.state import Studio, View
-from cagemap.studio.workspace import Workspace, autosave_path
+from cagemap.studio.workspace import Workspace, autosave_path, read_autosave
 
 PATIENCE = 60.0
 
@@ -145,6 +145,27 @@ def test_a_click_between_vertices_stays_where_it_was(opened: Session, folder: Pa
         np.testing.assert_allclose(again.on(side).position, item.on(side).position, atol=1e-6)
     opened.save_as("refused.txt")
     assert not (folder / "refused.txt").exists()
+
+
+def test_curves_of_a_file_are_used_and_saved_again(opened: Session, folder: Path) -> None:
+    curve = {"name": "rim", "source": [0, 1, 2, 3], "target": [0, 1, 2, 3], "closed": True}
+    corners = opened.scene.target.control.face_indices[:4].tolist()
+    curve |= {"source": corners, "target": corners}
+    given = {"source": "b.obj", "target": "a.obj", "pairs": [], "curves": [curve]}
+    (folder / "rim.json").write_text(json.dumps(given))
+    revision = opened.state.map.revision
+    opened.load(Path("rim.json"))
+    until(lambda: opened.state.map.revision > revision, opened)
+    opened.click("target", np.array([0.0, 0.0, 5.0]), np.array([0.0, 0.0, -1.0]))
+    assert opened.state.history.present.curves.names == ("rim",)
+    kept = read_autosave(autosave_path(opened.state.files.landmarks), (8, 8))
+    assert kept.curves.names == ("rim",)
+    np.testing.assert_array_equal(kept.curves.target.points.vertices, corners)
+    for name in ("other.json", "both.points.json"):
+        opened.save_as(name)
+    assert json.loads((folder / "other.json").read_text())["curves"] == [curve]
+    opened.load(Path("both.target.points.json"), Path("both.source.points.json"))
+    np.testing.assert_array_equal(opened.state.history.present.curves.source.points.vertices, corners)
 
 
 def test_the_next_landmark_is_proposed_on_both_models(opened: Session) -> None:

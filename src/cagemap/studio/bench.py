@@ -32,7 +32,7 @@ from cagemap.pipeline import (
 )
 from cagemap.refinement import refine
 from cagemap.studio.landmark_files import landmarks_of
-from cagemap.studio.landmarks import Landmark
+from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.shape import Shape, shape_of
 from cagemap.studio.skins import Images, Look, source_skin, target_skin
 from cagemap.studio.state import View
@@ -75,7 +75,7 @@ class FindMap:
     """Map target to source; from the map before where there is one and ``fresh`` is not asked for."""
 
     opening: Opening
-    landmarks: tuple[Landmark, ...]
+    landmarks: LandmarkList
     view: View
     fresh: bool = False
 
@@ -85,7 +85,7 @@ class ChooseAnswer:
     """Go on from another of the landmark-free answers."""
 
     opening: Opening
-    landmarks: tuple[Landmark, ...]
+    landmarks: LandmarkList
     index: int
     view: View
 
@@ -256,7 +256,7 @@ def find_map(bench: Bench, task: FindMap, progress: Progress) -> tuple[Bench, Fo
     started = time.perf_counter()
     bench, prepared = _prepared(bench, progress)
     landmarks = _landmarks(_opened(bench), task.landmarks)
-    if not len(landmarks):
+    if not len(landmarks) + len(landmarks.curves):
         free = bench.free or match_pair(prepared, progress=progress)
         bench = replace(bench, free=free, result=other_answer(free, bench.chosen) if bench.chosen else free)
     elif bench.result is None or (task.fresh and len(landmarks) >= FEWEST_LANDMARKS):
@@ -279,7 +279,7 @@ def choose_answer(bench: Bench, task: ChooseAnswer, progress: Progress) -> tuple
     free = bench.free or match_pair(prepared, progress=progress)
     result = other_answer(free, task.index, progress=progress)
     landmarks = _landmarks(_opened(bench), task.landmarks)
-    if len(landmarks):
+    if len(landmarks) + len(landmarks.curves):
         result = update_match(result, landmarks, progress=progress)
     after = replace(bench, free=free, chosen=task.index, result=result)
     return after, _found(after, task.view, started)
@@ -323,8 +323,8 @@ def _model(path: Path, vertices: int) -> Model:
     return Model(level, shape_of(refine(control, level)), Look(colors=colors), mirror)
 
 
-def _landmarks(models: Models, items: tuple[Landmark, ...]) -> Landmarks:
-    return landmarks_of(items, models.target.control, models.source.control)
+def _landmarks(models: Models, landmarks: LandmarkList) -> Landmarks:
+    return landmarks_of(landmarks, models.target.control, models.source.control)
 
 
 def _opened(bench: Bench) -> Models:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,8 @@ from cagemap.files.landmark_points import read_points, write_points
 from cagemap.files.landmarks import read_landmarks, write_landmarks
 from cagemap.files.marks import is_own
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.cage_points import NamedCurve
+from cagemap.mesh.curves import Curves
 from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, check_landmarks, paired
 from cagemap.studio.landmarks import Landmark, LandmarkList
 from cagemap.studio.places import cage_points, places_of
@@ -53,10 +56,16 @@ def load_landmarks(
         places_of(scene.source, read.source_points),
         strict=True,
     )
-    return LandmarkList(tuple(Landmark(number, *end) for number, end in enumerate(ends, 1))), list(notes)
+    items = tuple(Landmark(number, *end) for number, end in enumerate(ends, 1))
+    curves = read.curves
+    between = [name for k, name in enumerate(curves.names) if _has_points_between(curves.only([k]))]
+    if between:
+        notes = (*notes, f"curves through points between vertices are left out here: {', '.join(between)}")
+        curves = curves.only([k for k, name in enumerate(curves.names) if name not in between])
+    return LandmarkList(items, curves if len(curves) else None), list(notes)
 
 
-def save_landmarks(path: Path, items: tuple[Landmark, ...], scene: Scene, files: Files) -> tuple[Path, ...]:
+def save_landmarks(path: Path, landmarks: LandmarkList, scene: Scene, files: Files) -> tuple[Path, ...]:
     """Write complete landmarks; returns what was written.
 
     One file of pairs; a name that ends in ``.pp`` or ``.points.json`` asks for one file a mesh, NAME.target.pp and
@@ -68,14 +77,22 @@ def save_landmarks(path: Path, items: tuple[Landmark, ...], scene: Scene, files:
     FormatError
         If a file cannot be written, or another file of that name is there that cagemap did not write.
     """
-    landmarks = landmarks_of(items, scene.target.control, scene.source.control)
+    complete = landmarks_of(landmarks, scene.target.control, scene.source.control)
     ending = next((ending for ending in PER_MESH if path.name.lower().endswith(ending)), None)
     if ending is not None:
         stem = path.name[: -len(ending)]
         paths = tuple(path.with_name(f"{stem}.{side}{ending}") for side in ("target", "source"))
-        sides = ((landmarks.target_points, scene.target), (landmarks.source_points, scene.source))
-        for file, (points, shape) in zip(paths, sides, strict=True):
-            write_points(file, _named(landmarks.names, points, shape.control), shape.control)
+        sides = (
+            (complete.target_points, complete.curves.target, scene.target.control),
+            (complete.source_points, complete.curves.source, scene.source.control),
+        )
+        for file, (points, curves, control) in zip(paths, sides, strict=True):
+            named = _named(complete.names, points, control)
+            lines = tuple(
+                NamedCurve(name, vertices := curves.at([k]).points.vertices, control.positions[vertices], bool(closed))
+                for k, (name, closed) in enumerate(zip(complete.curves.names, curves.closed, strict=True))
+            )
+            write_points(file, replace(named, curves=lines), control)
         return paths
     if path.suffix.lower() != ".json":
         known = ", ".join((".json", *PER_MESH))
@@ -83,19 +100,25 @@ def save_landmarks(path: Path, items: tuple[Landmark, ...], scene: Scene, files:
     is_open = path == files.landmarks
     if is_open and path.is_file() and not is_own(path):
         shutil.copy2(path, next(name for name in _aside(path) if not name.exists()))
-    write_landmarks(path, landmarks, force=is_open)
+    write_landmarks(path, complete, force=is_open)
     return (path,)
 
 
-def landmarks_of(items: tuple[Landmark, ...], target: ControlMesh, source: ControlMesh) -> Landmarks:
-    """Landmarks of the package from complete landmarks of the studio."""
-    return Landmarks.of_points(
+def landmarks_of(landmarks: LandmarkList, target: ControlMesh, source: ControlMesh) -> Landmarks:
+    """Landmarks of the package from the complete ones of the studio, and its curves."""
+    items = landmarks.complete
+    made = Landmarks.of_points(
         tuple(item.name for item in items),
         cage_points([item.target for item in items if item.target]),
         cage_points([item.source for item in items if item.source]),
         target.name,
         source.name,
     )
+    return made if landmarks.curves is None else replace(made, curves=landmarks.curves)
+
+
+def _has_points_between(curves: Curves) -> bool:
+    return any(bool((side.points.vertices < 0).any()) for side in (curves.target, curves.source))
 
 
 def _named(names: tuple[str, ...], points: CagePoints, control: ControlMesh) -> NamedPoints:

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from cagemap.mesh.curves import Curves
+
 Side = Literal["target", "source"]
 SIDES: tuple[Side, Side] = ("target", "source")
 # Steps that undo can walk back.
@@ -70,9 +72,17 @@ class Landmark:
 
 @dataclass(frozen=True)
 class LandmarkList:
-    """All landmarks in the order of their making; at most one is incomplete, the one being placed."""
+    """All landmarks in the order of their making; at most one is incomplete, the one being placed.
+
+    Attributes
+    ----------
+    items : tuple of Landmark
+    curves : Curves or None
+        Of the file that they came from; shown, used and saved again as they are.
+    """
 
     items: tuple[Landmark, ...] = ()
+    curves: Curves | None = None
 
     def __len__(self) -> int:
         return len(self.items)
@@ -81,6 +91,11 @@ class LandmarkList:
     def complete(self) -> tuple[Landmark, ...]:
         """Landmarks that both models have."""
         return tuple(item for item in self.items if item.complete)
+
+    @property
+    def decides(self) -> bool:
+        """Whether there is anything for a map to go by."""
+        return bool(self.complete) or self.curves is not None
 
     @property
     def open(self) -> Landmark | None:
@@ -92,7 +107,7 @@ class LandmarkList:
         return next((item for item in self.items if item.number == number), None)
 
     def _with(self, changed: Landmark) -> LandmarkList:
-        return LandmarkList(tuple(changed if item.number == changed.number else item for item in self.items))
+        return replace(self, items=tuple(changed if item.number == changed.number else item for item in self.items))
 
 
 def place(landmarks: LandmarkList, side: Side, where: Place) -> LandmarkList:
@@ -102,7 +117,7 @@ def place(landmarks: LandmarkList, side: Side, where: Place) -> LandmarkList:
         return landmarks._with(waiting.at(side, where))
     number = 1 + max((item.number for item in landmarks.items), default=0)
     name = _free_name(landmarks, f"landmark {number}")
-    return LandmarkList((*landmarks.items, Landmark(number, name).at(side, where)))
+    return replace(landmarks, items=(*landmarks.items, Landmark(number, name).at(side, where)))
 
 
 def move(landmarks: LandmarkList, number: int, side: Side, where: Place) -> LandmarkList:
@@ -113,7 +128,7 @@ def move(landmarks: LandmarkList, number: int, side: Side, where: Place) -> Land
 
 def remove(landmarks: LandmarkList, number: int) -> LandmarkList:
     """Leave a landmark out."""
-    return LandmarkList(tuple(item for item in landmarks.items if item.number != number))
+    return replace(landmarks, items=tuple(item for item in landmarks.items if item.number != number))
 
 
 def rename(landmarks: LandmarkList, number: int, name: str) -> LandmarkList:
@@ -141,7 +156,7 @@ def mirror(landmarks: LandmarkList, number: int, across: Callable[[Side, Place],
         return landmarks
     new = 1 + max(entry.number for entry in landmarks.items)
     name = _free_name(landmarks, mirrored_name(item.name))
-    return LandmarkList((*landmarks.items, Landmark(new, name, target, source)))
+    return replace(landmarks, items=(*landmarks.items, Landmark(new, name, target, source)))
 
 
 def mirrored_name(name: str) -> str:

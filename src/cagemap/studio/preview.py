@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 
 from cagemap.studio.bench import ChooseAnswer, Dress, FindMap, Opening, OpenModels, Task
-from cagemap.studio.landmarks import Landmark
+from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.state import Files, Job, View
 from cagemap.studio.worker import Worker
 
@@ -36,7 +36,7 @@ class Preview:
     def __init__(
         self,
         vertices: int,
-        wanted: Callable[[], tuple[tuple[Landmark, ...], View]],
+        wanted: Callable[[], tuple[LandmarkList, View]],
         on_job: Callable[[Job | None], None],
         on_answer: Callable[[Task, object], None],
     ) -> None:

@@ -15,7 +15,7 @@ from cagemap.studio import landmarks as edit
 from cagemap.studio.bench import Dressed, Found, Opened, Task
 from cagemap.studio.finish import Command, FinishOptions, commands
 from cagemap.studio.landmark_files import load_landmarks, save_landmarks
-from cagemap.studio.landmarks import History, Landmark, LandmarkList, Place, Side
+from cagemap.studio.landmarks import History, LandmarkList, Place, Side
 from cagemap.studio.places import place_of, vertex_place
 from cagemap.studio.preview import Preview
 from cagemap.studio.runner import CANCELLED, Runner
@@ -93,7 +93,7 @@ class Session:
         with self._guarded(), self._lock:
             files, scene = self._open()
             target = files.landmarks if path is None else self.workspace.require(path)
-            written = save_landmarks(target, self._state.history.present.complete, scene, files)
+            written = save_landmarks(target, self._state.history.present, scene, files)
             self._say("note", f"saved {', '.join(map(self.workspace.show, written))}")
             if written == (target,):  # a file a mesh is for other programs; the file of pairs stays the open one
                 self._change(files=replace(files, landmarks=target), saved=True)
@@ -240,7 +240,7 @@ class Session:
     def plan(self, options: FinishOptions) -> tuple[Command, ...]:
         """The commands that a finish would run."""
         files, _ = self._open()
-        return commands(files, self.workspace.within(options), landmarks=bool(self._state.history.present.complete))
+        return commands(files, self.workspace.within(options), landmarks=self._state.history.present.decides)
 
     def finish(self, options: FinishOptions) -> None:
         """Map at full resolution, bake and report; saves the landmarks first."""
@@ -248,7 +248,7 @@ class Session:
             if self._state.finish_job is not None:
                 raise ParameterError("expected no finish to be running; cancel it or wait for its end")
             todo = self.plan(options)
-            if self._state.history.present.complete:
+            if self._state.history.present.decides:
                 self.save()
             self._change(outputs=())
             self._runner.start(todo)
@@ -274,9 +274,9 @@ class Session:
         else:
             self._say("error", str(words))
 
-    def _wanted(self) -> tuple[tuple[Landmark, ...], View]:
+    def _wanted(self) -> tuple[LandmarkList, View]:
         state = self._state
-        return state.history.present.complete, state.view
+        return state.history.present, state.view
 
     def _receive(self, task: Task, answer: object) -> None:
         """Take in what the worker gave."""
@@ -350,7 +350,7 @@ class Session:
         if self._state.files is not None:
             with self._guarded():
                 write_autosave(autosave_path(self._state.files.landmarks), history.present)
-        if history.present.complete != before.complete:
+        if (history.present.complete, history.present.curves) != (before.complete, before.curves):
             self._find(fresh=False)
 
     def _find(self, *, fresh: bool) -> None:

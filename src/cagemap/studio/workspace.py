@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import atomic_path
+from cagemap.files.curves import pair_curves, pair_entries
 from cagemap.files.marks import mark
 from cagemap.files.text import read_text
 from cagemap.studio.landmarks import Landmark, LandmarkList, Place
@@ -126,10 +127,10 @@ def write_autosave(path: Path, landmarks: LandmarkList) -> None:
         {"number": item.number, "name": item.name, "target": _entry(item.target), "source": _entry(item.source)}
         for item in landmarks.items
     ]
+    curves = [] if landmarks.curves is None else list(map(json.loads, pair_entries(path, landmarks.curves)))
+    kept = {"format": _AUTOSAVE, "mark": mark(), "items": items, "curves": curves}
     with atomic_path(path) as temporary:
-        temporary.write_text(
-            json.dumps({"format": _AUTOSAVE, "mark": mark(), "items": items}, indent=1), encoding="utf-8"
-        )
+        temporary.write_text(json.dumps(kept, indent=1), encoding="utf-8")
 
 
 def read_autosave(path: Path, vertices: tuple[int, int]) -> LandmarkList:
@@ -158,14 +159,18 @@ def read_autosave(path: Path, vertices: tuple[int, int]) -> LandmarkList:
             )
             for entry in data["items"]
         )
-    except (ValueError, KeyError, TypeError) as error:
+        curves = pair_curves(path, data["curves"])
+        for side, count in ((curves.target, vertices[0]), (curves.source, vertices[1])):
+            if side.points.corners.max(initial=-1) >= count:
+                raise ValueError(f"a curve of a model that has more than {count} control vertices")
+    except (ValueError, KeyError, TypeError, FormatError) as error:
         aside = next(name for k in itertools.count(1) if not (name := path.with_name(f"{path.name}.{k}")).exists())
         path.rename(aside)
         raise FormatError(
             f"{path}: expected an autosave of the studio for these models, found something else ({error!r}). "
             f"It was moved to {aside.name}."
         ) from None
-    return LandmarkList(items)
+    return LandmarkList(items, curves if len(curves) else None)
 
 
 def _entry(place: Place | None) -> dict[str, Any] | None:

@@ -28,7 +28,9 @@ def landmark_table(state: Studio) -> str:
             f"<td>{html.escape(item.name)}{' &#9888;' if wrong else ''}</td>"
             f'<td style="text-align:right">{shown}</td></tr>'
         )
-    head = f"{len(state.history.present.complete)} landmarks" + ("" if state.saved else " · not saved yet")
+    curves = state.history.present.curves
+    head = f"{len(state.history.present.complete)} landmarks" + ("" if curves is None else f", {len(curves)} curves")
+    head += "" if state.saved else " · not saved yet"
     return (
         f'<div id="list" style="font-size:12px;padding:0 8px"><div>{head}</div>'
         f'<div style="max-height:{LIST_HEIGHT}px;overflow-y:auto"><table style="width:100%;border-spacing:2px">'

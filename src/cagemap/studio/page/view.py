@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import viser
 
+from cagemap.mesh.curves import Curves
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio.landmarks import Side
 from cagemap.studio.page.colors import Color, landmark_color
@@ -28,6 +29,7 @@ FIRST_VIEW = (0.95, 0.65, 3.1)
 PROBE = 0.02
 # Seconds that a skin stays under the one that replaces it.
 LINGER = 0.5
+CURVE_LIFT = 0.004
 PROBE_COLOR: Color = (255, 255, 255)
 CAGE_COLOR = (90, 170, 255)
 CONTRADICTED: Color = (255, 30, 30)
@@ -90,6 +92,9 @@ class ModelView:
         self._shape: Shape | None = None
         self._cage: Any = None
         self._probe: Any = None
+        self._lines: Any = None
+        self._curves: Curves | None = None
+        self._curved: Shape | None = None
         self._markers: dict[int, tuple[Marker, Any, Any]] = {}
         server.scene.set_up_direction("+y")
         server.scene.world_axes.visible = False
@@ -112,7 +117,28 @@ class ModelView:
             self._show_skin(scene.skins[0 if self.side == "target" else 1])
             self._cage.visible = state.view.cages
             self._show_markers(markers_of(state, shape, self.side))
+            self._show_curves(state.history.present.curves, shape)
             self._show_probe(state.probe, shape)
+
+    def _show_curves(self, curves: Curves | None, shape: Shape) -> None:
+        """Lines on the model, coloured alike on both."""
+        if curves is self._curves and shape is self._curved:
+            return
+        self._curves, self._curved = curves, shape
+        if self._lines is not None:
+            self._lines.remove()
+            self._lines = None
+        if curves is None:
+            return
+        side = curves.target if self.side == "target" else curves.source
+        points = shape.positions[side.points.vertices] + CURVE_LIFT * shape.radius * shape.normals[side.points.vertices]
+        colors = np.array([landmark_color(number + 1) for number in side.curve_of], dtype=np.uint8)
+        self._lines = self.server.scene.add_line_segments(
+            "/curves",
+            shape.to_view(points)[side.segments].astype(np.float32),
+            colors=colors[side.segments],
+            thickness=3.0,
+        )
 
     def _show_probe(self, probe: Probe | None, shape: Shape) -> None:
         """A white ball where the probe is on this model."""
@@ -209,8 +235,8 @@ class ModelView:
                 best = away, number
         return None if best is None else best[1]
 
-    def _dragger(self, number: int) -> Callable[[viser.SceneNodeDragEvent[Any]], None]:
-        def dragged(event: viser.SceneNodeDragEvent[Any]) -> None:
+    def _dragger(self, number: int) -> Callable[[viser.SceneNodeDragEvent[Any]], Coroutine[Any, Any, None]]:
+        async def dragged(event: viser.SceneNodeDragEvent[Any]) -> None:  # awaited one by one: their order is kept
             origin = np.array(event.client.camera.position)
             direction = np.array(event.end_position) - origin
             place = self._session.place_under(self.side, origin, direction / np.linalg.norm(direction))
