@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import re
 import shutil
 import subprocess
@@ -17,7 +18,7 @@ import pytest
 
 # A loaded machine without a graphics card needs long for what takes a user's machine a moment.
 PATIENCE = 150.0
-WINDOW = (1600, 900)
+WINDOW = (1280, 720)
 
 
 @contextmanager
@@ -92,8 +93,8 @@ class Page:
         self.browser.switch_to.frame(side)
 
     def text(self, name: str) -> str:
-        """Text of one of the right panel's blocks."""
-        self.into("source")
+        """Text of one of the panels' blocks."""
+        self.into("target" if name == "outputs" else "source")
         return str(self.browser.execute_script("return document.getElementById(arguments[0])?.innerText ?? ''", name))
 
     def texts(self) -> dict[str, str]:
@@ -134,6 +135,28 @@ class Page:
         size = canvas.size
         x, y = round(point[0] * size["width"] / 2), round(-point[1] * size["height"] / 2)
         ActionChains(self.browser, duration=10).move_to_element_with_offset(canvas, x, y).click().perform()
+
+    def drag(self, side: str, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Press at one point of a model's canvas, move to another, release; points as in `click`."""
+        from selenium.webdriver import ActionChains
+
+        self.into(side)
+        canvas = self.browser.find_element("css selector", "canvas")
+        half = np.array([canvas.size["width"], -canvas.size["height"]]) / 2
+        path = [np.rint(half * point).astype(int).tolist() for point in np.linspace(start, end, 6)]
+        actions = ActionChains(self.browser, duration=40).move_to_element_with_offset(canvas, *path[0]).click_and_hold()
+        for x, y in path[1:]:
+            actions = actions.move_to_element_with_offset(canvas, x, y).pause(0.1)
+        actions.release().perform()
+
+    def link(self, name: str) -> bytes:
+        """What a link of the outputs leads to, fetched as the page would."""
+        self.into("target")
+        script = """const done = arguments[1], at = [...document.querySelectorAll('#outputs a')].find(
+            a => a.innerText == arguments[0]);
+            fetch(at.href).then(r => r.blob()).then(b => { const reader = new FileReader();
+                reader.onload = () => done(reader.result.split(',')[1]); reader.readAsDataURL(b); });"""
+        return base64.b64decode(self.browser.execute_async_script(script, name))
 
     def picture(self, side: str) -> np.ndarray:
         """What a frame shows, as pixels."""

@@ -8,6 +8,7 @@ own ports let nobody in but this door (`guard`).
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hmac
 import http
 import secrets
@@ -36,6 +37,8 @@ _POLICY = "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; frame-a
 # What a finish wrote is looked at alone: a page of its own origin, which can reach nothing.
 _SANDBOX = "sandbox allow-scripts; default-src 'unsafe-inline' data: blob:"
 FILES = "/files/"
+# Seconds that open pages are given to close.
+_FAREWELL = 3.0
 # Ports tried after the first one that is taken.
 _PORTS = 20
 
@@ -133,6 +136,8 @@ class Door:
             self._ready.set()
             await self._stop.wait()
             server.close()
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(server.wait_closed(), _FAREWELL)
             return
         self._ready.set()
 
