@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from cagemap.errors import ParameterError
 from cagemap.geometry.surface import TriangleSurface
@@ -21,6 +23,7 @@ from cagemap.transfer import (
 )
 from cagemap.transfer import baking as bake_module
 from cagemap.transfer.locate import Samples
+from cagemap.transfer.mip_maps import halved
 from transfer_reference import look_up_slowly
 from transfer_scenes import crossed_cube, face_texture, identity_map, plane, plane_map
 
@@ -62,6 +65,39 @@ def test_holes_get_no_texels() -> None:
     assert np.all(baked[19:45, 19:45] == 0)
     assert np.all(np.delete(baked.reshape(64, 64), np.s_[16:48], axis=0) == 200)
     assert np.all(baked[30, 16] == 200)
+
+
+@pytest.mark.parametrize("size", [32, 64])
+def test_identity_is_exact_where_triangles_are_smaller_than_texels(size: int) -> None:
+    """Finer rasters find small triangles; they do not blur what is not shrunk."""
+    level = plane(64, 64)
+    texture = noise(size, size, 3, "uint8")
+    transfer = prepare_transfer(level, level, identity_map(level))
+    assert bake_module.make_canvas(transfer, size, BakeOptions()).supersample > 1
+    np.testing.assert_array_equal(bake_texture(transfer, texture, size=size), texture)
+
+
+def test_a_texel_that_spans_more_than_samples_can_see_reads_a_smaller_image() -> None:
+    """Stripes one texel wide, shrunk by 64: grey, where 16 samples a side would hit them by chance."""
+    level = plane(2, 2)
+    texture = np.zeros((2048, 2048, 1), dtype=np.uint8)
+    texture[:, ::2] = 255
+    texture[::3] //= 2
+    baked = bake_texture(prepare_transfer(level, level, identity_map(level)), texture, size=32)
+    assert np.abs(baked[1:-1, 1:-1].astype(float) - texture.mean()).max() <= 1
+
+
+@settings(deadline=None)
+@given(height=st.integers(1, 40), width=st.integers(1, 40), seed=st.integers(0, 99))
+def test_halving_keeps_the_mean_and_what_is_constant(height: int, width: int, seed: int) -> None:
+    pixels = noise(height, width, 2, "float32", seed)
+    half = halved(pixels)
+    assert half.shape == (-(-height // 2), -(-width // 2), 2)
+    np.testing.assert_allclose(half.mean(axis=(0, 1)), pixels.mean(axis=(0, 1)), atol=1e-5)
+    np.testing.assert_allclose(halved(np.full_like(pixels, 0.7)), 0.7, atol=1e-6)
+    if height % 2 == width % 2 == 0:
+        blocks = pixels.reshape(height // 2, 2, width // 2, 2, 2).mean(axis=(1, 3))
+        np.testing.assert_allclose(half, blocks, atol=1e-6)
 
 
 @pytest.mark.parametrize(("dtype", "value"), [("uint8", 201), ("uint16", 50001), ("float16", 0.1), ("float32", 1 / 3)])
@@ -236,7 +272,9 @@ def test_triangles_smaller_than_texels_are_averaged() -> None:
     texture = np.zeros((64, 64, 1), dtype=np.float32)
     texture[::2, ::2] = 1
     baked = bake_texture(prepare_transfer(level, level, identity_map(level)), texture, size=16)
-    np.testing.assert_allclose(baked, 0.25, rtol=0, atol=1e-6)
+    # At the image's edge there is nothing beyond to average with.
+    np.testing.assert_allclose(baked[1:-1, 1:-1], 0.25, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(baked, 0.25, rtol=0, atol=0.03)
 
 
 def test_neither_bands_nor_threads_change_a_texel(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,10 +24,19 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool, core_count
 from cagemap.refinement import Level
 from cagemap.transfer.dilation import LARGEST_SIDE, dilate
-from cagemap.transfer.locate import MappedSurface, Samples, locate_samples, map_surface, plan_samples
+from cagemap.transfer.locate import (
+    UNSCALED,
+    MappedSurface,
+    Samples,
+    locate_samples,
+    map_surface,
+    samples_for,
+    texel_spans,
+)
+from cagemap.transfer.mip_maps import MipMaps
 from cagemap.transfer.surface import TexturedSurface
-from cagemap.transfer.texels import GUTTER_RADIUS, Layout, lay_out, rasterize_band
-from cagemap.transfer.texture import Pixels, Wrap, lay_texture, look_up, tile_cells, udim_of, udim_origin
+from cagemap.transfer.texels import GUTTER_RADIUS, Layout, TriangleImage, lay_out, rasterize_band
+from cagemap.transfer.texture import Pixels, Wrap, lay_texture, tile_cells, udim_of, udim_origin
 
 Shade = Callable[[Samples], FloatArray]
 ShadeCells = Callable[[NDArray[np.int32], IndexArray, int], FloatArray]
@@ -69,7 +78,8 @@ class BakeOptions:
     tile : int
         UDIM number of the tile to bake, or 0 for the unit square of a plain layout.
     supersample : int, optional
-        Raster samples along a texel's side. By default 1, and 2 or 4 where triangles are smaller than texels.
+        Raster samples along a texel's side. By default 1, and 3 or 5 where triangles are smaller than texels: of odd
+        numbers the middle one is the texel's centre, which stands for texels that span no more than one of the source.
     dilation : int, optional
         Width in texels of the filled border around islands; the whole background by default.
     wrap : "repeat" or "clamp"
@@ -162,11 +172,27 @@ def bake_texture(
     laid = lay_texture(texture, *transfer.source.layout(), wrap=options.wrap)
     kept = laid.dtype if dtype is None else np.dtype(dtype)
     canvas = make_canvas(transfer, size, options)
-    samples = plan_samples(transfer.mapped, canvas.corners, laid.corner_texels())
+    spans = texel_spans(transfer.mapped, canvas.corners, laid.corner_texels())
+    mips = MipMaps.build(laid, spans)
     scale = unit(kept) / unit(laid.dtype)
-    if scale == 1.0:
-        return bake(transfer, canvas, samples, lambda s: look_up(laid, s), laid.channels, kept, options)
-    return bake(transfer, canvas, samples, lambda s: look_up(laid, s) * scale, laid.channels, kept, options)
+
+    def shade(samples: Samples) -> FloatArray:
+        return mips.look_up(samples) if scale == 1.0 else mips.look_up(samples) * scale
+
+    crisp = crisp_triangles(spans, canvas)
+    return bake(transfer, canvas, samples_for(spans), shade, laid.channels, kept, options, crisp)
+
+
+def crisp_triangles(spans: FloatArray, canvas: Canvas) -> NDArray[np.bool_]:
+    """(t1,) target triangles in which a texel spans no more than one of the source: its centre stands for all of it.
+
+    Parameters
+    ----------
+    spans : (t1, 2) float64
+        Of raster cells, see `cagemap.transfer.locate.texel_spans`.
+    canvas : Canvas
+    """
+    return np.asarray((spans * canvas.supersample <= UNSCALED).all(axis=1))
 
 
 @dataclass(frozen=True)
@@ -224,6 +250,7 @@ def bake(
     channels: int,
     dtype: DTypeLike,
     options: BakeOptions,
+    crisp: NDArray[np.bool_] | None = None,
 ) -> Pixels:
     """Run the bake: rasterise, locate and shade band by band, then fill the background.
 
@@ -239,15 +266,24 @@ def bake(
     dtype
         Number type of the result; integers are rounded and clipped.
     options : BakeOptions
+    crisp : (t1,) bool, optional
+        See `crisp_triangles`.
     """
 
     def shade_cells(triangle: NDArray[np.int32], cells: IndexArray, top: int) -> FloatArray:
         return _shade_cells(transfer, canvas, samples_per_axis, shade, triangle, cells, top)
 
-    return paint(canvas, shade_cells, channels, dtype, options)
+    return paint(canvas, shade_cells, channels, dtype, options, crisp)
 
 
-def paint(canvas: Canvas, shade_cells: ShadeCells, channels: int, dtype: DTypeLike, options: BakeOptions) -> Pixels:
+def paint(
+    canvas: Canvas,
+    shade_cells: ShadeCells,
+    channels: int,
+    dtype: DTypeLike,
+    options: BakeOptions,
+    crisp: NDArray[np.bool_] | None = None,
+) -> Pixels:
     """Fill an image: rasterise and shade band by band in threads, then fill the background.
 
     Parameters
@@ -260,6 +296,8 @@ def paint(canvas: Canvas, shade_cells: ShadeCells, channels: int, dtype: DTypeLi
     dtype
         Number type of the result; integers are rounded and clipped.
     options : BakeOptions
+    crisp : (t1,) bool, optional
+        See `crisp_triangles`.
     """
     image = np.zeros((canvas.height, canvas.width, channels), dtype=dtype)
     covered = np.zeros((canvas.height, canvas.width), dtype=np.bool_)
@@ -268,6 +306,8 @@ def paint(canvas: Canvas, shade_cells: ShadeCells, channels: int, dtype: DTypeLi
 
     def bake_band(band: int) -> None:
         cells = rasterize_band(canvas.layout, band)
+        if crisp is not None and canvas.supersample % 2 == 1:
+            _keep_centres(cells, canvas.supersample, crisp)
         part = slice(band * rows, band * rows + cells.shape[0] // canvas.supersample)
         texels = np.flatnonzero(cells.ravel() >= 0)
         if len(texels) == 0:
@@ -312,6 +352,15 @@ def _shade_cells(
     return np.concatenate(values) if len(values) > 1 else values[0]
 
 
+def _keep_centres(cells: TriangleImage, finer: int, crisp: NDArray[np.bool_]) -> None:
+    """Leave only the middle cell of every texel that lies in a crisp triangle there."""
+    blocks = cells.reshape(cells.shape[0] // finer, finer, -1, finer)
+    middle = blocks[:, finer // 2, :, finer // 2].copy()
+    enough = (middle >= 0) & crisp[middle]
+    blocks[np.broadcast_to(enough[:, None, :, None], blocks.shape)] = -1
+    blocks[:, finer // 2, :, finer // 2] = middle
+
+
 def _average_cells(
     cells: IndexArray, values: FloatArray, shape: tuple[int, ...], finer: int
 ) -> tuple[IndexArray, FloatArray]:
@@ -342,4 +391,4 @@ def _supersample(target: TexturedSurface, height: int, width: int) -> int:
     areas = width * height * triangle_areas(*target.layout())
     areas = areas[areas > 0]
     typical = float(np.median(areas)) if len(areas) else 1.0
-    return 1 if typical >= 1.0 else 2 if typical >= 0.25 else 4
+    return 1 if typical >= 1.0 else 3 if typical >= 1.0 / 9.0 else 5

@@ -15,9 +15,10 @@ from numpy.typing import DTypeLike
 from cagemap.errors import ParameterError
 from cagemap.geometry.triangles import triangle_areas
 from cagemap.numerics.arrays import FloatArray
-from cagemap.transfer.baking import BakeOptions, Transfer, bake, make_canvas, unit
-from cagemap.transfer.locate import Samples, plan_samples, target_barycentric
-from cagemap.transfer.texture import Pixels, lay_texture, look_up
+from cagemap.transfer.baking import BakeOptions, Transfer, bake, crisp_triangles, make_canvas, unit
+from cagemap.transfer.locate import Samples, samples_for, target_barycentric, texel_spans
+from cagemap.transfer.mip_maps import MipMaps
+from cagemap.transfer.texture import Pixels, lay_texture
 
 # Channels of a grey image that was saved in colour differ by no more than rounding, as a part of the whole range.
 _GREY = 1e-3
@@ -89,9 +90,11 @@ def bake_displacement(
     constant = bool(np.all(factors == factors[0]))
 
     canvas = make_canvas(transfer, size, options)
+    spans = texel_spans(transfer.mapped, canvas.corners, laid.corner_texels())
+    mips = MipMaps.build(laid, spans)
 
     def shade(samples: Samples) -> FloatArray:
-        values = look_up(laid, samples) / unit(laid.dtype)
+        values = mips.look_up(samples) / unit(laid.dtype)
         if constant:
             factor = factors[0]
         else:
@@ -101,8 +104,7 @@ def bake_displacement(
             return np.asarray(values * unit(kept))
         return np.asarray((middle + (values - middle) * factor) * unit(kept))
 
-    counts = plan_samples(transfer.mapped, canvas.corners, laid.corner_texels())
-    pixels = bake(transfer, canvas, counts, shade, 1, kept, options)
+    pixels = bake(transfer, canvas, samples_for(spans), shade, 1, kept, options, crisp_triangles(spans, canvas))
     return Displacement(pixels, middle, out_scale)
 
 

@@ -26,8 +26,10 @@ _LONGEST_WALK = 512
 _EXTENSION = 2.0
 # Triangles that one thread plans at a time: 300 bytes each.
 _PLANNED_AT_ONCE = 1 << 15
-# No texel takes more than this many samples along each axis.
+# No texel takes more than this many samples along each axis; beyond, it reads a smaller image of the texture.
 MAX_SAMPLES_PER_AXIS = 16
+# A span up to this many texels is left to the bilinear filter: an unscaled texture then comes through unblurred.
+UNSCALED = 1.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +109,21 @@ class Samples:
     first: IndexArray
     triangle: IndexArray
     barycentric: FloatArray
+
+    def part(self, texels: IndexArray) -> Samples:
+        """Those of some texels, given by their place among these."""
+        counts = np.diff(self.first)[texels]
+        first = np.concatenate([[0], np.cumsum(counts)])
+        own = np.repeat(self.first[texels] - first[:-1], counts) + np.arange(first[-1])
+        return Samples(
+            self.target_triangle[texels],
+            self.cells[texels],
+            self.width,
+            self.top,
+            first,
+            self.triangle[own],
+            self.barycentric[own],
+        )
 
     def mean(self, values: FloatArray) -> FloatArray:
         """(k, c) mean over every texel's samples of their (s, c) values."""
@@ -200,9 +217,22 @@ def walk_from(
 def plan_samples(surface: MappedSurface, layout_corners: FloatArray, source_texels: FloatArray) -> NDArray[np.int32]:
     """(t1, 2) samples along x and y that a texel of each target triangle needs, so that the source does not alias.
 
+    One for each texel of the source that it spans, see `texel_spans`.
+    """
+    return samples_for(texel_spans(surface, layout_corners, source_texels))
+
+
+def samples_for(spans: FloatArray) -> NDArray[np.int32]:
+    """(t1, 2) samples along x and y for spans (t1, 2) in texels of the source."""
+    return np.clip(np.ceil(spans - UNSCALED + 1.0), 1, MAX_SAMPLES_PER_AXIS).astype(np.int32)
+
+
+def texel_spans(surface: MappedSurface, layout_corners: FloatArray, source_texels: FloatArray) -> FloatArray:
+    """(t1, 2) texels of the source that a texel of each target triangle spans along x and along y.
+
     With ``G`` the (2, 3) gradient of the source's texel coordinates on its triangle and ``Q`` the (3, 2) differential
     of the map from target texels to space, the columns of ``G Q`` say how many source texels a target texel spans
-    along x and along y. One sample for each of them.
+    along x and along y.
 
     Parameters
     ----------
@@ -213,7 +243,7 @@ def plan_samples(surface: MappedSurface, layout_corners: FloatArray, source_texe
         Texel coordinates of the source triangles' corners in the source texture.
     """
     source = locate_centers(surface)
-    planned = np.empty((len(source), 2), dtype=np.int32)
+    found = np.empty((len(source), 2))
 
     def plan(part: slice) -> None:
         mapped = surface.mapped[surface.target_triangles[part]]
@@ -227,12 +257,10 @@ def plan_samples(surface: MappedSurface, layout_corners: FloatArray, source_texe
         scale = 1.0 / np.where(area == 0, np.inf, area)
         along_x = (texels[:, 0] * y2[:, None] - texels[:, 1] * y1[:, None]) * scale[:, None]
         along_y = (texels[:, 1] * x1[:, None] - texels[:, 0] * x2[:, None]) * scale[:, None]
-        spans = np.sqrt(np.stack([(along_x**2).sum(axis=1), (along_y**2).sum(axis=1)], axis=1))
-        # A span up to 1.25 is left to the bilinear filter: an unscaled texture then comes through unblurred.
-        planned[part] = np.clip(np.ceil(spans - 0.25), 1, MAX_SAMPLES_PER_AXIS)
+        found[part] = np.sqrt(np.stack([(along_x**2).sum(axis=1), (along_y**2).sum(axis=1)], axis=1))
 
     in_threads(plan, parts(len(source), _PLANNED_AT_ONCE))
-    return planned
+    return found
 
 
 def target_barycentric(layout_corners: FloatArray, samples: Samples) -> FloatArray:
