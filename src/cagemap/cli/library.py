@@ -131,9 +131,14 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
     stages("page")
     carried = [outcomes[task.name] for task in plan.tasks if task.kind == "carry" and outcomes[task.name].usable]
     notes = [*plan.left_out, *cycle_notes(verdict), *carried_notes([outcome.figures for outcome in carried])]
-    page = write_library(plan.root, job.path.stem, pair_rows(plan, outcomes, verdict.errors), notes)[0]
+    page = None
+    try:  # where the disk is full the outcomes are still told
+        page = write_library(plan.root, job.path.stem, pair_rows(plan, outcomes, verdict.errors), notes)[0]
+    except (CagemapError, OSError) as error:
+        notes.append(f"the page could not be written: {error}")
     seconds = time.perf_counter() - started
-    return summary(plan, outcomes, notes, page, seconds), all(outcome.usable for outcome in outcomes.values())
+    whole = page is not None and all(outcome.usable for outcome in outcomes.values())
+    return summary(plan, outcomes, notes, page, seconds), whole
 
 
 def dry_run(job: Job, plan: Plan, workers: int) -> str:
@@ -187,7 +192,7 @@ def cycle_notes(verdict: Consistency) -> list[str]:
     return notes
 
 
-def summary(plan: Plan, outcomes: dict[str, Outcome], notes: list[str], page: Path, seconds: float) -> str:
+def summary(plan: Plan, outcomes: dict[str, Outcome], notes: list[str], page: Path | None, seconds: float) -> str:
     """A few lines for the terminal: what was done, what failed and why."""
     states = {
         state: sum(o.state == state for o in outcomes.values()) for state in ("done", "kept", "failed", "skipped")
@@ -199,7 +204,7 @@ def summary(plan: Plan, outcomes: dict[str, Outcome], notes: list[str], page: Pa
             f"{len(plan.pairs)} pairs, tasks: {counted}, in {seconds:.1f} s",
             *failures,
             *(f"  {note}" for note in notes),
-            f"Open {page} in a browser.",
+            *([] if page is None else [f"Open {page} in a browser."]),
         ]
     )
 
