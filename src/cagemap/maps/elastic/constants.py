@@ -8,6 +8,23 @@ from __future__ import annotations
 START_SAMPLES = 3000
 # Factor by which the number of basis functions grows there from one full search to the next.
 START_GROWTH = 1.5
+# What a fit makes of a start: basis functions trusted of it, and where spectral upsampling of its match ends.
+TRUSTED_FUNCTIONS = (8, 20)
+LAST_FUNCTIONS = 100
+# Source points that it is matched with, and how far apart, of sqrt(area), opposite normals count there.
+PLACES = 3000
+NORMAL_LENGTH = 0.1
+
+# Where it ends
+
+# Mean distance, of sqrt(area), of the coarse fits from the landmarks and from the spectral map above which it is not
+# known which way limbs turn, so that further starts are tried. Unposed bodies measured 0.002 to 0.004.
+DOUBTFUL = 0.004
+# Mean distance of two coarse fits from which on both are finished, and how many are at most.
+ENDS_APART = 0.002
+MOST_ENDS = 3
+# One that costs this many times the cheapest is not.
+HOPELESS_END = 1.5
 
 # What it lies on
 

@@ -5,18 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from cagemap.basis import Surface
-from cagemap.maps.elastic.constants import START_GROWTH, START_SAMPLES
+from cagemap.maps.elastic.constants import DOUBTFUL
+from cagemap.maps.elastic.ends import cheapest_end, mean_distance
 from cagemap.maps.elastic.fit import coarse_fit, fine_fit
 from cagemap.maps.elastic.prepared import PreparedPair
+from cagemap.maps.elastic.starts import SpectralSides, spectral_starts, start_map
 from cagemap.maps.elastic.update import respond
 from cagemap.maps.pair import Pair, Progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import held_vertices, project, unfold
-from cagemap.maps.spectral.constraints import gather_constraints
-from cagemap.maps.spectral.hierarchical import Growth, grown_map
-from cagemap.maps.spectral.landmark_coordinates import landmark_coordinates
 from cagemap.maps.spectral.samples import FIT_SAMPLES, Samples, fit_functional_map, spread
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import ThreadPool, in_threads
 
 
@@ -45,7 +44,8 @@ def fit(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: N
 
     The functional map starts as the paper's (eqs. 13-16) and grows on the search levels beside harmonic and biharmonic
     landmark coordinates; from where it sends some vertices, and from the landmarks alone, the coarse stage of the
-    elastic fit starts; the fine stage goes on from the cheaper end.
+    elastic fit starts. Where these two end apart, limbs may be turned: spectral upsampling makes further starts of the
+    spectral map's end. The fine stage goes on from the ends, and the cheapest of its own is kept.
 
     Parameters
     ----------
@@ -61,7 +61,12 @@ def fit(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: N
         match = start_map(prepared, pair, shape.vertices, shape.rest.graph.areas)
         progress("elastic fit")
         guided = coarse_fit(shape, sheet, prepared.on_source.positions[match], places, elastic)
-        return fine_fit(prepared, shape, (guided, blind.result()), pair.landmarks)
+        ends = [guided, blind.result()]
+    if mean_distance(ends[0].positions, ends[1].positions, shape.rest.graph.areas) > DOUBTFUL:
+        starts = spectral_starts(shape, guided, SpectralSides.build(prepared, shape))
+        ends += in_threads(lambda start: coarse_fit(shape, sheet, start, places, elastic), starts)
+        return cheapest_end(prepared, shape, ends, pair.landmarks).positions
+    return fine_fit(prepared, shape, ends, pair.landmarks)
 
 
 def updated_map(
@@ -84,37 +89,6 @@ def updated_map(
     return unfold(project(prepared, moved, pair.landmarks), held_vertices(pair.landmarks), prepared.elastic)
 
 
-def start_map(prepared: PreparedPair, pair: Pair, vertices: IndexArray, areas: FloatArray) -> IndexArray:
-    """Where the spectral map sends some vertices: all that the elastic fit needs to know of it.
-
-    Parameters
-    ----------
-    prepared : PreparedPair
-    pair : Pair
-    vertices : (q,) int64
-        Target vertices of the level that is deformed.
-    areas : (q,) float64
-        Share of the surface that each stands for.
-
-    Returns
-    -------
-    (q,) int64
-        Source vertices.
-    """
-    levels, config = prepared.levels, prepared.hierarchy
-    areas = areas * prepared.rest.masks.for_vertices(vertices).of_target(len(vertices))
-    constraints = gather_constraints(pair, config.descriptors)
-    candidates = spread(len(pair.source.refinement.levels[levels[1]].positions), START_SAMPLES)
-    candidates = np.union1d(candidates, pair.source_landmarks)
-    sides = [
-        (pair.target, levels[0], pair.target_landmarks, vertices, areas),
-        (pair.source, levels[1], pair.source_landmarks, candidates, np.ones(len(candidates))),
-    ]
-    target, source = in_threads(lambda side: _samples(*side), sides)
-    _, match = grown_map(constraints, target, source, config, Growth(factor=START_GROWTH, coordinate_weight=1.0))
-    return candidates[match]
-
-
 def functional_map_of(target: Surface, source: Surface, point_map: PointMap) -> FloatArray:
     """C12 = Phi~1^+ P12 Phi~2 of a point map of the finest levels, on a sample of its vertices (paper, 2.1.2)."""
     chosen = spread(len(point_map.images), FIT_SAMPLES)
@@ -128,10 +102,3 @@ def functional_map_of(target: Surface, source: Surface, point_map: PointMap) -> 
     pulled = sum(weights[:, i, None] * at_corners[places.reshape(-1, 3)[:, i]] for i in range(3))
     samples = Samples(at_vertices, target.triangles(target.finest).vertex_areas[chosen], np.zeros((len(chosen), 0)))
     return fit_functional_map(samples, pulled, target.basis.count)
-
-
-def _samples(surface: Surface, level: int, landmarks: IndexArray, vertices: IndexArray, areas: FloatArray) -> Samples:
-    """Some vertices of a level, with their landmark coordinates."""
-    operators = surface.operators
-    coordinates = landmark_coordinates(operators.stiffness[level], operators.mass[level], landmarks)
-    return Samples(surface.basis.rows(level, vertices), areas, coordinates[vertices])

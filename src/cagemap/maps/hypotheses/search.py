@@ -4,29 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
 
 import numpy as np
 
-from cagemap.geometry.closest import build_tree, closest_points
 from cagemap.maps.elastic.config import Stage
-from cagemap.maps.elastic.constants import PULLERS, SHEET_VERTICES
+from cagemap.maps.elastic.constants import MOST_ENDS
 from cagemap.maps.elastic.curves import CurvePull
-from cagemap.maps.elastic.data import Pullers, deformed_normals
-from cagemap.maps.elastic.fit import CoarseFit, coarse_cost, coarse_fit, fine_fit
+from cagemap.maps.elastic.ends import cheapest_end, different, mean_distance
+from cagemap.maps.elastic.fit import CoarseFit, coarse_fit
 from cagemap.maps.elastic.graph import ElasticGraph, extrapolate
 from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair
+from cagemap.maps.elastic.starts import SpectralSides, spectral_starts
 from cagemap.maps.hypotheses.confidence import Reading
-from cagemap.maps.hypotheses.starts import SourcePlaces, Start, rigid_starts, spectral_starts
+from cagemap.maps.hypotheses.starts import Start, rigid_starts
 from cagemap.maps.pair import Pair
-from cagemap.maps.spectral.samples import Samples, spread
-from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import in_threads, thread_limit
-
-One = TypeVar("One")
-
-# Source vertices that rough fits are matched with.
-PLACES = 3000
 
 
 @dataclass(frozen=True)
@@ -60,9 +52,15 @@ class HypothesesConfig:
 
 @dataclass(frozen=True)
 class _Candidate:
+    """Where a start ended, and where others of the same name did; cheapest first."""
+
     name: str
     doubt: float
-    fit: CoarseFit
+    fits: tuple[CoarseFit, ...]
+
+    @property
+    def fit(self) -> CoarseFit:
+        return self.fits[0]
 
     @property
     def rank(self) -> float:
@@ -93,26 +91,14 @@ def found_readings(
     progress("coarse fits")
     candidates = _coarse_fits(prepared, pair, shape, rough, config)
     progress("elastic fits")
-    pullers = Pullers.choose(prepared.sheet, int(PULLERS * prepared.rest.graph.n), prepared.rest.masks)
 
     def finish(candidate: _Candidate) -> Reading:
-        ended = fine_fit(prepared, shape, [candidate.fit], pair.landmarks)
-        return Reading(candidate.name, reading_cost(prepared, pullers, ended), ended, candidate.doubt)
+        most = MOST_ENDS if candidate is candidates[0] else 1
+        ended = cheapest_end(prepared, shape, candidate.fits, pair.landmarks, most)
+        return Reading(candidate.name, ended.cost, ended.positions, candidate.doubt)
 
     readings = sorted(in_threads(finish, candidates), key=lambda reading: reading.doubt * reading.cost)
-    return tuple(_different(readings, lambda reading: reading.positions, prepared.rest.graph.areas, config.different))
-
-
-def reading_cost(prepared: PreparedPair, pullers: Pullers, positions: FloatArray) -> float:
-    """What a fitted mesh costs: `coarse_cost`, and the mean squared distance of source points from the mesh.
-
-    The last tells a limb that lies beside its counterpart, or a body squeezed into a part of the other.
-    """
-    rest, config = prepared.rest, prepared.elastic
-    cost = coarse_cost(rest, prepared.sheet, positions, rest.field.solve(positions), config)
-    tree = build_tree(positions, prepared.mesh.triangles)
-    _, _, distance = closest_points(tree, pullers.points, pullers.planes, normal_weight=config.normal_weight)
-    return cost + float(pullers.areas @ distance**2)
+    return tuple(different(readings, lambda reading: reading.positions, prepared.rest.graph.areas, config.different))
 
 
 def _rough_fits(prepared: PreparedPair, pair: Pair, shape: CoarseShape, config: HypothesesConfig) -> list[_Candidate]:
@@ -124,19 +110,20 @@ def _rough_fits(prepared: PreparedPair, pair: Pair, shape: CoarseShape, config: 
 
     def trial(start: Start) -> _Candidate:
         with thread_limit(1):  # the starts are spread over the cores: a step of one is too short to be
-            return _Candidate(start.name, start.doubt, coarse_fit(rough, sheet, start.positions, places, staged))
+            ended = coarse_fit(rough, sheet, start.positions, places, staged)
+            return _Candidate(start.name, start.doubt, (ended,))
 
     starts = rigid_starts(small.positions, sheet.positions)
-    tried = in_threads(trial, _different(starts, lambda start: start.positions, small.areas, config.alike))
+    tried = in_threads(trial, different(starts, lambda start: start.positions, small.areas, config.alike))
     ranked = sorted(tried, key=lambda one: one.rank)
-    kept = _different(ranked, lambda one: one.fit.positions, small.areas, config.different)[: config.coarse]
+    kept = different(ranked, lambda one: one.fit.positions, small.areas, config.different)[: config.coarse]
     # What starts of several names lead to has the first one's, which is the simplest.
     firsts = [
-        next(t for t in tried if _apart(t.fit.positions, one.fit.positions, small.areas) < config.different)
+        next(t for t in tried if mean_distance(t.fit.positions, one.fit.positions, small.areas) < config.different)
         for one in kept
     ]
     return [
-        _Candidate(first.name, first.doubt, _on(small, one.fit, shape.rest.graph))
+        _Candidate(first.name, first.doubt, (_on(small, one.fit, shape.rest.graph),))
         for first, one in zip(firsts, kept, strict=True)
     ]
 
@@ -144,57 +131,20 @@ def _rough_fits(prepared: PreparedPair, pair: Pair, shape: CoarseShape, config: 
 def _coarse_fits(
     prepared: PreparedPair, pair: Pair, shape: CoarseShape, rough: Sequence[_Candidate], config: HypothesesConfig
 ) -> list[_Candidate]:
-    """The cheapest coarse fit of each rough one: from where it is, or from what spectral upsampling makes of it."""
+    """Coarse fits of each rough one: from where it is, and from what spectral upsampling makes of that."""
     graph, sheet, places, elastic = shape.rest.graph, prepared.sheet, pair.landmarks.source.positions, prepared.elastic
-    target, source, on_source = _spectral_samples(prepared, shape)
+    sides = SpectralSides.build(prepared, shape)
 
     def improve(candidate: _Candidate) -> _Candidate:
         with thread_limit(1):
-            return _cheapest(candidate)
-
-    def _cheapest(candidate: _Candidate) -> _Candidate:
-        own = coarse_fit(shape, sheet, candidate.fit.positions, places, elastic)
-        normals = deformed_normals(graph, own.maps)
-        starts = spectral_starts(candidate.name, own.positions, normals, target, source, on_source)
-        others = [coarse_fit(shape, sheet, start.positions, places, elastic) for start in starts]
-        return replace(candidate, fit=min([own, *others], key=lambda ended: ended.cost))
+            own = coarse_fit(shape, sheet, candidate.fit.positions, places, elastic)
+            others = [coarse_fit(shape, sheet, start, places, elastic) for start in spectral_starts(shape, own, sides)]
+        return replace(candidate, fits=tuple(sorted([own, *others], key=lambda ended: ended.cost)))
 
     improved = sorted(in_threads(improve, rough), key=lambda one: one.rank)
-    kept = _different(improved, lambda one: one.fit.positions, graph.areas, config.different)
+    kept = different(improved, lambda one: one.fit.positions, graph.areas, config.different)
     hopeful = [one for one in kept if one.fit.cost <= config.hopeless * kept[0].fit.cost]
     return hopeful[: config.finished]
-
-
-def _spectral_samples(prepared: PreparedPair, shape: CoarseShape) -> tuple[Samples, Samples, SourcePlaces]:
-    """Basis rows of the coarse graph's vertices and of some vertices of the source, and where the latter lie."""
-    sheet_level = prepared.source.refinement.coarsest_level(SHEET_VERTICES)
-    vertices = spread(prepared.sheet.n, PLACES)
-    at = SourcePlaces.build(prepared.sheet.positions, prepared.sheet.vertex_normals, vertices)
-    sides = (
-        (prepared.target, prepared.levels[0], shape.vertices, shape.rest.graph.areas),
-        (prepared.source, sheet_level, vertices, np.ones(len(vertices))),
-    )
-    target, source = (
-        Samples(surface.basis.rows(level, chosen), areas, np.zeros((len(chosen), 0)))
-        for surface, level, chosen, areas in sides
-    )
-    return target, source, at
-
-
-def _different(
-    ranked: Sequence[One], positions_of: Callable[[One], FloatArray], areas: FloatArray, least: float
-) -> list[One]:
-    """Those that are at a mean distance of at least ``least`` from every better one."""
-    kept: list[One] = []
-    for one in ranked:
-        if all(_apart(positions_of(one), positions_of(better), areas) >= least for better in kept):
-            kept.append(one)
-    return kept
-
-
-def _apart(first: FloatArray, second: FloatArray, areas: FloatArray) -> float:
-    """Mean distance of two placements of the same vertices."""
-    return float(areas @ np.linalg.norm(first - second, axis=1))
 
 
 def _on(small: ElasticGraph, ended: CoarseFit, graph: ElasticGraph) -> CoarseFit:

@@ -1,4 +1,4 @@
-"""Ways in which one shape may lie on another, before anything is known: rigid, by boxes, principal axes and numbers.
+"""Ways in which one shape may lie on another, before anything is known: rigid, by boxes and principal axes.
 
 A start is a rough position on the source for every vertex of the target's coarse graph. All are orientation-preserving:
 the elastic energy cannot turn a mirrored start over, so that left stays left.
@@ -10,24 +10,15 @@ from dataclasses import dataclass
 from itertools import permutations, product
 
 import numpy as np
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from cagemap.maps.spectral.hierarchical import search_samples
-from cagemap.maps.spectral.samples import Samples, fit_functional_map, sizes_between
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray
 
 AS_FILED = "as the files stand"
 # Doubt of a start, see `Start`: turned about the vertical, and turned otherwise.
 TURNED_DOUBT, OTHER_DOUBT = 1.1, 1.3
 # A box that is flat along an axis is not stretched along it.
 LEAST_EXTENT = 1e-6
-# Spectral starts: basis functions trusted of a rough fit, and where spectral upsampling of its match ends.
-TRUSTED_FUNCTIONS = (8, 20)
-LAST_FUNCTIONS = 100
-GROWTH = 1.5
-# How far apart, of sqrt(area), opposite normals count when a rough fit is matched with source points.
-NORMAL_LENGTH = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,61 +93,6 @@ def rigid_starts(points: FloatArray, source_points: FloatArray) -> list[Start]:
             Start("by its principal axes", (points - centre) @ (frame * flips) @ source_frame.T + source_centre)
         )
     return starts
-
-
-def spectral_starts(
-    name: str, positions: FloatArray, normals: FloatArray, target: Samples, source: Samples, places: SourcePlaces
-) -> list[Start]:
-    """What spectral upsampling makes of a rough fit: limbs find limbs wherever they are posed.
-
-    Parameters
-    ----------
-    name : str
-        Of the rough fit.
-    positions, normals : (k, 3) float64
-        Where the fit has brought the vertices of the coarse graph.
-    target, source : Samples
-        Basis rows of those vertices, and of the source's places.
-    places : SourcePlaces
-    """
-    match = places.nearest(positions, normals)
-    found = []
-    for start in TRUSTED_FUNCTIONS:
-        better = match
-        for k in sizes_between(start, LAST_FUNCTIONS, GROWTH):
-            k1, k2 = min(k, target.rows.shape[1]), min(k, source.rows.shape[1])
-            functional_map = fit_functional_map(target, source.rows[better][:, :k2], k1)
-            better = search_samples(target, source, functional_map)
-        found.append(Start(name, places.positions[better]))
-    return found
-
-
-@dataclass(frozen=True, eq=False)
-class SourcePlaces:
-    """Some points of the source that a rough fit is matched with.
-
-    Attributes
-    ----------
-    vertices : (m,) int64
-    positions, normals : (m, 3) float64
-    tree : cKDTree
-        Over position and normal.
-    """
-
-    vertices: IndexArray
-    positions: FloatArray
-    normals: FloatArray
-    tree: cKDTree
-
-    @classmethod
-    def build(cls, positions: FloatArray, normals: FloatArray, vertices: IndexArray) -> SourcePlaces:
-        """Prepare some vertices of a surface."""
-        chosen, planes = positions[vertices], normals[vertices]
-        return cls(vertices, chosen, planes, cKDTree(np.hstack([chosen, NORMAL_LENGTH * planes])))
-
-    def nearest(self, positions: FloatArray, normals: FloatArray) -> IndexArray:
-        """(k,) nearest place of every point in position and normal."""
-        return np.asarray(self.tree.query(np.hstack([positions, NORMAL_LENGTH * normals]))[1], dtype=np.int64)
 
 
 def _boxed(points: FloatArray, source_points: FloatArray, stretched: bool) -> FloatArray:

@@ -15,8 +15,9 @@ import numpy as np
 
 from cagemap.maps.elastic.fit import coarse_fit
 from cagemap.maps.elastic.graph import ElasticGraph
-from cagemap.maps.elastic.method import elastic_map, start_map
+from cagemap.maps.elastic.method import elastic_map
 from cagemap.maps.elastic.prepared import PreparedPair
+from cagemap.maps.elastic.starts import start_map
 from cagemap.maps.landmarks.distances import (
     FEWEST_JUDGED,
     MOST_SUSPECTS,

@@ -1,0 +1,152 @@
+"""Where the coarse stage of the elastic fit starts: the spectral map of the landmarks, and what a fit makes of one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from cagemap.basis import Surface
+from cagemap.maps.elastic.constants import (
+    LAST_FUNCTIONS,
+    NORMAL_LENGTH,
+    PLACES,
+    SHEET_VERTICES,
+    START_GROWTH,
+    START_SAMPLES,
+    TRUSTED_FUNCTIONS,
+)
+from cagemap.maps.elastic.data import deformed_normals
+from cagemap.maps.elastic.fit import CoarseFit
+from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair
+from cagemap.maps.pair import Pair
+from cagemap.maps.spectral.constraints import gather_constraints
+from cagemap.maps.spectral.hierarchical import Growth, grown_map, search_samples
+from cagemap.maps.spectral.landmark_coordinates import landmark_coordinates
+from cagemap.maps.spectral.samples import Samples, fit_functional_map, sizes_between, spread
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import in_threads
+
+
+def start_map(prepared: PreparedPair, pair: Pair, vertices: IndexArray, areas: FloatArray) -> IndexArray:
+    """Where the spectral map sends some vertices: all that the elastic fit needs to know of it.
+
+    Parameters
+    ----------
+    prepared : PreparedPair
+    pair : Pair
+    vertices : (q,) int64
+        Target vertices of the level that is deformed.
+    areas : (q,) float64
+        Share of the surface that each stands for.
+
+    Returns
+    -------
+    (q,) int64
+        Source vertices.
+    """
+    levels, config = prepared.levels, prepared.hierarchy
+    areas = areas * prepared.rest.masks.for_vertices(vertices).of_target(len(vertices))
+    constraints = gather_constraints(pair, config.descriptors)
+    candidates = spread(len(pair.source.refinement.levels[levels[1]].positions), START_SAMPLES)
+    candidates = np.union1d(candidates, pair.source_landmarks)
+    sides = [
+        (pair.target, levels[0], pair.target_landmarks, vertices, areas),
+        (pair.source, levels[1], pair.source_landmarks, candidates, np.ones(len(candidates))),
+    ]
+    target, source = in_threads(lambda side: _samples(*side), sides)
+    _, match = grown_map(constraints, target, source, config, Growth(factor=START_GROWTH, coordinate_weight=1.0))
+    return candidates[match]
+
+
+@dataclass(frozen=True, eq=False)
+class SourcePlaces:
+    """Some points of the source that a rough fit is matched with.
+
+    Attributes
+    ----------
+    vertices : (m,) int64
+    positions, normals : (m, 3) float64
+    tree : cKDTree
+        Over position and normal.
+    """
+
+    vertices: IndexArray
+    positions: FloatArray
+    normals: FloatArray
+    tree: cKDTree
+
+    @classmethod
+    def build(cls, positions: FloatArray, normals: FloatArray, vertices: IndexArray) -> SourcePlaces:
+        """Prepare some vertices of a surface."""
+        chosen, planes = positions[vertices], normals[vertices]
+        return cls(vertices, chosen, planes, cKDTree(np.hstack([chosen, NORMAL_LENGTH * planes])))
+
+    def nearest(self, positions: FloatArray, normals: FloatArray) -> IndexArray:
+        """(k,) nearest place of every point in position and normal."""
+        return np.asarray(self.tree.query(np.hstack([positions, NORMAL_LENGTH * normals]))[1], dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class SpectralSides:
+    """Basis rows of the coarse graph's vertices and of some places of the source, for `spectral_starts`.
+
+    Attributes
+    ----------
+    target, source : Samples
+    places : SourcePlaces
+    """
+
+    target: Samples
+    source: Samples
+    places: SourcePlaces
+
+    @classmethod
+    def build(cls, prepared: PreparedPair, shape: CoarseShape) -> SpectralSides:
+        """Evaluate the bases."""
+        sheet_level = prepared.source.refinement.coarsest_level(SHEET_VERTICES)
+        vertices = spread(prepared.sheet.n, PLACES)
+        at = SourcePlaces.build(prepared.sheet.positions, prepared.sheet.vertex_normals, vertices)
+        sides = (
+            (prepared.target, prepared.levels[0], shape.vertices, shape.rest.graph.areas),
+            (prepared.source, sheet_level, vertices, np.ones(len(vertices))),
+        )
+        target, source = (
+            Samples(surface.basis.rows(level, chosen), areas, np.zeros((len(chosen), 0)))
+            for surface, level, chosen, areas in sides
+        )
+        return cls(target, source, at)
+
+
+def spectral_starts(shape: CoarseShape, fitted: CoarseFit, sides: SpectralSides) -> list[FloatArray]:
+    """(k, 3) places on the source that spectral upsampling makes of a fit: limbs find limbs wherever they are posed.
+
+    The fit's closest points are trusted as far as few basis functions see them, and grown from there (Melzi et al.
+    2019).
+
+    Parameters
+    ----------
+    shape : CoarseShape
+    fitted : CoarseFit
+        Of the shape.
+    sides : SpectralSides
+    """
+    target, source, places = sides.target, sides.source, sides.places
+    match = places.nearest(fitted.positions, deformed_normals(shape.rest.graph, fitted.maps))
+    found = []
+    for start in TRUSTED_FUNCTIONS:
+        better = match
+        for k in sizes_between(start, LAST_FUNCTIONS, START_GROWTH):
+            k1, k2 = min(k, target.rows.shape[1]), min(k, source.rows.shape[1])
+            functional_map = fit_functional_map(target, source.rows[better][:, :k2], k1)
+            better = search_samples(target, source, functional_map)
+        found.append(places.positions[better])
+    return found
+
+
+def _samples(surface: Surface, level: int, landmarks: IndexArray, vertices: IndexArray, areas: FloatArray) -> Samples:
+    """Some vertices of a level, with their landmark coordinates."""
+    operators = surface.operators
+    coordinates = landmark_coordinates(operators.stiffness[level], operators.mass[level], landmarks)
+    return Samples(surface.basis.rows(level, vertices), areas, coordinates[vertices])
