@@ -41,8 +41,11 @@ if TYPE_CHECKING:
     from cagemap.maps.quality import QualityFigures as QualityFigures
     from cagemap.maps.result import MatchResult as MatchResult
     from cagemap.mesh import ControlMesh as ControlMesh
+    from cagemap.mesh import Plain as Plain
     from cagemap.mesh.checks import check_mesh as check_mesh
     from cagemap.mesh.landmarks import Landmarks as Landmarks
+    from cagemap.mesh.plain import PlainMesh as PlainMesh
+    from cagemap.mesh.plain import plain_mesh as plain_mesh
     from cagemap.numerics.threads import thread_limit as thread_limit
     from cagemap.operators import Operators as Operators
     from cagemap.operators import build_operators as build_operators
@@ -119,9 +122,16 @@ _ROOMS = {
     ),
     "maps.quality": ("QualityFigures",),
     "maps.result": ("MatchResult",),
-    "mesh": ("ControlMesh",),
+    "mesh": (
+        "ControlMesh",
+        "Plain",
+    ),
     "mesh.checks": ("check_mesh",),
     "mesh.landmarks": ("Landmarks",),
+    "mesh.plain": (
+        "PlainMesh",
+        "plain_mesh",
+    ),
     "numerics.threads": ("thread_limit",),
     "operators": (
         "Operators",

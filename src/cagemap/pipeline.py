@@ -21,6 +21,7 @@ from cagemap.maps.elastic.config import ElasticConfig
 from cagemap.maps.elastic.method import elastic_map, updated_map
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS, hypothesis_map, map_of_reading
+from cagemap.maps.inner import inner_map, inner_masks
 from cagemap.maps.landmarks.check import LandmarkCheck, checked_changes, checked_map
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import Pair, PointPairs, Progress, SymmetryPair, point_pairs
@@ -91,8 +92,10 @@ def prepare_pair(target: Surface, source: Surface, config: MatchConfig = MatchCo
     """
     config.masks.require_fit(*(side.refinement.finest.n_vertices for side in (target, source)))
     with one_blas_thread():
-        in_threads(lambda surface: surface.basis, [target, source])  # those of a result that was read are not made yet
-        return PreparedPair.build(target, source, config.hierarchy, config.elastic, config.masks)
+        # Those of a result that was read are not made yet.
+        in_threads(lambda surface: surface.inner.basis, [target, source])
+        masks = inner_masks(config.masks, target, source)
+        return PreparedPair.build(target.inner, source.inner, config.hierarchy, config.elastic, masks)
 
 
 def match(
@@ -140,6 +143,7 @@ def match(
         with _timed(timings, "pair"):
             prepared = prepare_pair(target, source, config)
         return match_pair(prepared, landmarks, config, progress=progress, timings=timings)
+    target, source = target.inner, source.inner
     with _timed(timings, "symmetry"):
         pair = pair_of(target, source, landmarks, config)
     with one_blas_thread():
@@ -151,7 +155,7 @@ def match(
         progress("quality")
         with _timed(timings, "quality"):
             quality = judge(target, point_map, pair.landmarks, landmarks.names)
-    return MatchResult(target, source, landmarks, point_map, quality, timings, level_maps=level_maps)
+    return MatchResult(target, source, landmarks, point_map, quality, timings, level_maps=level_maps).outer()
 
 
 def match_pair(
@@ -229,6 +233,8 @@ def update_match(
     target, source = before.target, before.source
     check_landmarks(landmarks, target.control, source.control)
     prepared = before.prepared or prepare_pair(target, source, replace(config, masks=before.masks))
+    point_map = inner_map(before.point_map, target, source)
+    target, source = prepared.target, prepared.source
     check = before.landmark_check.still(before.landmarks, landmarks)
     timings: dict[str, float] = {}
     with one_blas_thread():
@@ -236,10 +242,10 @@ def update_match(
             if config.check_landmarks:
                 every = Pair(target, source, point_pairs(target, source, landmarks))
                 changed = landmarks.new_since(before.landmarks)
-                check = checked_changes(prepared, every, landmarks.names, changed, check, before.point_map)
+                check = checked_changes(prepared, every, landmarks.names, changed, check, point_map)
             trusted = check.trusted(landmarks)
             pair = Pair(target, source, point_pairs(target, source, trusted))
-            point_map = updated_map(prepared, pair, before.point_map, progress)
+            point_map = updated_map(prepared, pair, point_map, progress)
         return _judged(prepared, point_map, landmarks, check, timings, progress)
 
 
@@ -273,7 +279,8 @@ def other_answer(
         raise ParameterError(
             f"answer {index}: a result that was read knows it at the control vertices only; match again to have it"
         )
-    pair = Pair(before.target, before.source, point_pairs(before.target, before.source, landmarks))
+    target, source = prepared.target, prepared.source
+    pair = Pair(target, source, point_pairs(target, source, landmarks))
     timings: dict[str, float] = {}
     with one_blas_thread():
         with _timed(timings, "map"):
@@ -284,6 +291,8 @@ def other_answer(
 
 def pair_of(target: Surface, source: Surface, landmarks: Landmarks, config: MatchConfig = MatchConfig()) -> Pair:
     """Two surfaces with their landmarks, and with the symmetries that are given or found (paper, 5.2)."""
+    if config.symmetries and (target.refinement.is_plain or source.refinement.is_plain):
+        raise ParameterError("symmetries: expected none with a plain mesh (scheme none), whose vertices mirror none")
     pair = Pair(target, source, point_pairs(target, source, landmarks), config.symmetries)
     if not config.use_symmetry or config.symmetries:
         return pair
@@ -325,13 +334,14 @@ def _judged(
     timings: dict[str, float],
     progress: Progress,
 ) -> MatchResult:
-    """The result of an elastic match, with its quality."""
+    """The result of an elastic match, with its quality, in the meshes' own numbers."""
     target, source, trusted = prepared.target, prepared.source, check.trusted(landmarks)
     points, masks = point_pairs(target, source, trusted), prepared.rest.masks
     progress("quality")
     with _timed(timings, "quality"):
         quality = judge(target, point_map, points, trusted.names, masks)
-    return MatchResult(target, source, landmarks, point_map, quality, timings, check, prepared=prepared, masks=masks)
+    found = MatchResult(target, source, landmarks, point_map, quality, timings, check, prepared=prepared, masks=masks)
+    return found.outer()
 
 
 @contextmanager

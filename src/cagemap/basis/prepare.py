@@ -7,12 +7,14 @@ from itertools import islice
 
 from cagemap.basis.construction import hierarchical_basis
 from cagemap.basis.schedule import MAP_BASIS, BasisConfig
-from cagemap.basis.surface import Surface, operators_for
+from cagemap.basis.surface import Surface, on_levels, operators_for
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
+from cagemap.mesh.schemes import Plain
 from cagemap.numerics.threads import in_threads, one_blas_thread
-from cagemap.refinement import Scheme, refine
+from cagemap.operators.plain import refined
+from cagemap.refinement import Scheme, default_scheme
 from cagemap.refinement.counts import vertex_counts
 
 Progress = Callable[[str], None]
@@ -29,6 +31,8 @@ def silent(stage: str) -> None:
 def choose_level(control: ControlMesh, vertices: int, scheme: Scheme | None = None) -> int:
     """Coarsest level of at least 1 with about this many vertices or more (three quarters count as enough).
 
+    A plain mesh (scheme none) has level 0 only.
+
     Parameters
     ----------
     control : ControlMesh
@@ -43,6 +47,8 @@ def choose_level(control: ControlMesh, vertices: int, scheme: Scheme | None = No
     """
     if not 1 <= vertices <= 20_000_000:
         raise ParameterError(f"vertices: expected a number from 1 to 20 000 000, got {vertices}")
+    if isinstance(default_scheme(control) if scheme is None else scheme, Plain):
+        return 0
     counts = islice(vertex_counts(control, scheme), 1, MOST_LEVELS)
     return next((level for level, n in enumerate(counts, 1) if n >= ENOUGH * vertices), MOST_LEVELS)
 
@@ -66,10 +72,10 @@ def prepare_surface(
     ----------
     control : ControlMesh
     level : int
-        Number of the finest level, at least 1.
+        Number of the finest level, at least 1; 0 of a plain mesh (scheme none), which is not refined.
     config : BasisConfig
     scheme : Scheme, optional
-        Default: Loop for triangle meshes, Catmull-Clark for all others.
+        Default: what the mesh says; else Loop for triangle meshes, Catmull-Clark for all others.
     progress : callable
         Called with the name of each stage.
 
@@ -80,16 +86,24 @@ def prepare_surface(
     ParameterError
         If the level or the number of basis functions is out of range.
     """
-    if not 1 <= level <= MOST_LEVELS:
-        raise ParameterError(f"level: expected 1 to {MOST_LEVELS}, got {level}; level 0 is the control mesh")
+    scheme = default_scheme(control) if scheme is None else scheme
+    if isinstance(scheme, Plain) and level:
+        raise ParameterError(f"level: expected 0 of a plain mesh (scheme none), got {level}; bilinear refines it")
+    if not isinstance(scheme, Plain) and not 1 <= level <= MOST_LEVELS:
+        raise ParameterError(
+            f"level: expected 1 to {MOST_LEVELS}, got {level}; level 0 is the control mesh, and only a plain mesh "
+            "(scheme none) is matched as it is"
+        )
     require_valid(control)
     with one_blas_thread():
         progress(f"refine {control.name}")
-        refinement = refine(control, level, scheme)
+        refinement = refined(control, level, scheme)
         progress(f"operators of {control.name}")
         operators = operators_for(refinement, config)
         progress(f"basis of {control.name}")
-        return Surface.of(refinement, operators, hierarchical_basis(refinement, operators, config), config)
+        return Surface.of(
+            refinement, operators, hierarchical_basis(refinement, operators, on_levels(refinement, config)), config
+        )
 
 
 def prepare_surfaces(

@@ -16,7 +16,11 @@ from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 from cagemap.numerics.threads import one_blas_thread
 from cagemap.operators import Operators, build_operators, vertex_areas
+from cagemap.operators.plain import coarsened
 from cagemap.refinement import Refinement, level_triangles, refine, triangulate_control
+
+# The basis of a plain mesh is that of its coarsest level with so many vertices for each function.
+VERTICES_A_FUNCTION = 40
 
 
 def operators_for(refinement: Refinement, config: BasisConfig) -> Operators:
@@ -42,19 +46,44 @@ class Surface:
     refinement : Refinement
     config : BasisConfig
         Of the basis.
+    given : Surface or None
+        The plain mesh as it was given, where this surface has coarse levels below one (`inner`).
     """
 
     refinement: Refinement
     config: BasisConfig = MAP_BASIS
+    given: Surface | None = None
 
     @classmethod
     def of(
         cls, refinement: Refinement, operators: Operators, basis: HierarchicalBasis, config: BasisConfig | None = None
     ) -> Surface:
-        """A surface whose operators and basis are there already."""
-        surface = cls(refinement, BasisConfig(schedule=basis.schedule) if config is None else config)
+        """A surface whose operators and basis are there already; of a plain mesh, on the levels below it."""
+        config = BasisConfig(schedule=basis.schedule) if config is None else config
+        given = None
+        if refinement.places is not None:
+            given = cls(refine(refinement.control, 0, refinement.scheme), config)
+        surface = cls(refinement, config, given)
         vars(surface).update(operators=operators, basis=basis)  # where cached properties look
-        return surface
+        if given is None:
+            return surface
+        vars(given)["inner"] = surface
+        return given
+
+    @cached_property
+    def inner(self) -> Surface:
+        """The surface that maps are found on: this one, or that of a plain mesh with coarse levels below it.
+
+        Vertices of the finest level then stand in another order, see `cagemap.operators.plain.coarsened`.
+        """
+        if self.refinement.is_plain and self.given is None:
+            return Surface(coarsened(self.refinement), self.config, self)
+        return self
+
+    @property
+    def outer(self) -> Surface:
+        """Undo `inner`."""
+        return self if self.given is None else self.given
 
     @cached_property
     def operators(self) -> Operators:
@@ -65,12 +94,12 @@ class Surface:
     def basis(self) -> HierarchicalBasis:
         """The hierarchical basis (paper, section 4)."""
         with one_blas_thread():
-            return hierarchical_basis(self.refinement, self.operators, self.config)
+            return hierarchical_basis(self.refinement, self.operators, on_levels(self.refinement, self.config))
 
     @property
     def is_prepared(self) -> bool:
-        """Whether the basis has been made."""
-        return "basis" in vars(self)
+        """Whether the basis has been made, of a plain mesh that of the levels below it."""
+        return "basis" in vars(self.inner if "inner" in vars(self) else self)
 
     @cached_property
     def scale(self) -> float:
@@ -134,5 +163,20 @@ class Surface:
             )
 
     def __repr__(self) -> str:
-        basis = self.basis if self.is_prepared else "not prepared"
+        basis = self.inner.basis if self.is_prepared else "not prepared"
         return f"Surface({self.control.name}, levels 0 to {self.finest}, {basis})"
+
+
+def on_levels(refinement: Refinement, config: BasisConfig) -> BasisConfig:
+    """What a basis is made by: as asked, but below a plain mesh one level for all functions instead of a tolerance.
+
+    Its coarse levels approximate it less well than those of a subdivision approximate the finest: a tolerance would
+    move nearly all functions to the finest level, where they take long, and maps are no better for it.
+    """
+    if config.schedule is not None or refinement.places is None:
+        return config
+    level = refinement.coarsest_level(VERTICES_A_FUNCTION * config.count)
+    if level == 0:
+        return replace(config, schedule=(config.count,))
+    # A schedule begins at level 0: with the constant function, which all levels have in common.
+    return replace(config, schedule=(1, *(0 for _ in range(1, level)), config.count - 1))

@@ -54,6 +54,8 @@ from cagemap.library.plan import STATE
 from cagemap.library.ways import composed_result, has_ways_round, matches_only, with_ways
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.plain import plain_mesh
+from cagemap.mesh.schemes import Plain
 from cagemap.numerics.threads import core_count
 from cagemap.pipeline import choose_level
 from cagemap.report import draw_thumbnail
@@ -217,7 +219,7 @@ def _sizes(job: Job, name: str, plan: Plan) -> tuple[int, int]:
         options = {} if task is None else task.request["options"]
         wanted = options.get("vertices", DEFAULT_VERTICES)
         level = options.get("level") or choose_level(control, wanted)
-        return control.n_vertices, len(control.face_indices) * 4 ** (level - 1)
+        return control.n_vertices, len(control.face_indices) * 4 ** max(level - 1, 0)
     except CagemapError:
         return 0, 0
 
@@ -268,7 +270,10 @@ def _prepare(task: Task) -> dict[str, Any]:
     given = {"target": file, "source": file, "landmarks": None, "output": file, **task.request["options"]}
     request: MatchRequest = TypeAdapter(MatchRequest).validate_python(given)
     control = read_control(file, request, task.request["side"])
-    require_valid(control)
+    if isinstance(control.scheme, Plain):
+        control = plain_mesh(control).mesh
+    else:
+        require_valid(control)
     level = side_levels(request, Inputs(control, control, Landmarks.none()))[side]
     require_size(control, level)
     surface = prepared(task.request["cache"], control, level, side_bases(request)[side])

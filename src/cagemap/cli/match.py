@@ -17,6 +17,7 @@ from cagemap.cli.given_landmarks import read_given_landmarks
 from cagemap.cli.job_file import note_match
 from cagemap.cli.masks import GivenMasks, MaskOptions, mask_files, masks_on, read_masks
 from cagemap.cli.match_parts import PartInputs, chosen_parts
+from cagemap.cli.match_plain import ready_inputs
 from cagemap.cli.mesh_commands import require_size
 from cagemap.cli.method import read_symmetries, used_parameters, with_parameters
 from cagemap.cli.progress import Stages
@@ -38,9 +39,8 @@ from cagemap.files.result import (
 from cagemap.files.surface_store import prepared
 from cagemap.files.usd import USD_SUFFIXES, read_usd
 from cagemap.files.usd_space import unit_notes
-from cagemap.mesh import ControlMesh
-from cagemap.mesh.checks import require_valid
-from cagemap.mesh.landmarks import Landmarks, check_landmarks
+from cagemap.mesh import ControlMesh, Plain
+from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import (
     MAP_BASIS,
     MatchConfig,
@@ -90,6 +90,8 @@ class MatchRequest:
     source_points: Path | None = None
     curves: Path | None = None
     scheme: str | None = None
+    target_scheme: str | None = None
+    source_scheme: str | None = None
     boundary: str | None = None
     uv_interpolation: str | None = None
     creasing: str | None = None
@@ -112,7 +114,7 @@ class Inputs:
     Attributes
     ----------
     target, source : ControlMesh
-        As in their files.
+        As in their files; plain meshes made ready where all of both is matched.
     landmarks : Landmarks
     notes : tuple of str
         What the user is to know.
@@ -120,6 +122,8 @@ class Inputs:
         What is matched of them; nothing where it is the whole of both.
     masks : (GivenMask or None, GivenMask or None)
         What counts of target and source.
+    repairs : tuple of dict
+        What was done to plain meshes, of every part, or of the whole.
     """
 
     target: ControlMesh
@@ -128,6 +132,7 @@ class Inputs:
     notes: tuple[str, ...] = ()
     parts: tuple[PartInputs, ...] = ()
     masks: GivenMasks = (None, None)
+    repairs: tuple[dict[str, dict[str, float]], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,6 +201,8 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
         "exchange_landmarks": request.exchange_landmarks,
         "trust_landmarks": request.trust_landmarks,
         "scheme": request.scheme,
+        "target_scheme": request.target_scheme,
+        "source_scheme": request.source_scheme,
         "boundary": request.boundary,
         "uv_interpolation": request.uv_interpolation,
         "creasing": request.creasing,
@@ -250,10 +257,11 @@ def _asked_basis(request: MatchRequest, count: int, tolerance: float, schedule: 
 
 
 def side_levels(request: MatchRequest, inputs: Inputs) -> tuple[int, int]:
-    """Finest level of the target and of the source."""
+    """Finest level of the target and of the source; 0 of a plain mesh, whatever is asked for both."""
     found = []
     for side, control in zip(SIDES, (inputs.target, inputs.source), strict=True):
-        level = getattr(request, f"{side}_level") or request.level
+        shared = None if isinstance(control.scheme, Plain) else request.level
+        level = getattr(request, f"{side}_level") or shared
         found.append(choose_level(control, request.vertices or DEFAULT_VERTICES) if level is None else level)
     return found[0], found[1]
 
@@ -300,21 +308,20 @@ def read_inputs(request: MatchRequest) -> Inputs:
     masks = read_masks(options, (target, source), (request.target, request.source))
     names = request.target_part or request.part, request.source_part or request.part
     if names == (None, None):
-        require_valid(target)
-        require_valid(source)
-        check_landmarks(landmarks, target, source)
-        return Inputs(target, source, landmarks, notes, masks=masks)
+        ready = ready_inputs(PartInputs(target, source, landmarks))
+        whole, notes = ready.inputs, (*notes, *ready.notes)
+        return Inputs(whole.target, whole.source, whole.landmarks, notes, masks=masks, repairs=(ready.repairs,))
     parts, left_alone = chosen_parts(target, source, landmarks, *names)
-    for part in parts:
-        require_valid(part.target)
-        require_valid(part.source)
-        check_landmarks(part.landmarks, part.target, part.source)
-    return Inputs(target, source, landmarks, (*notes, *left_alone), parts, masks)
+    made = [ready_inputs(part) for part in parts]
+    notes = (*notes, *left_alone, *(note for one in made for note in one.notes))
+    parts = tuple(one.inputs for one in made)
+    return Inputs(target, source, landmarks, notes, parts, masks, tuple(one.repairs for one in made))
 
 
 def read_control(path: Path, request: MatchRequest, side: str) -> ControlMesh:
     """Read the control mesh of one side, and what was asked for about its subdivision and its UVs."""
-    subdivision = SubdivisionRequest(request.scheme, request.boundary, request.uv_interpolation, request.creasing)
+    scheme = getattr(request, f"{side}_scheme") or request.scheme
+    subdivision = SubdivisionRequest(scheme, request.boundary, request.uv_interpolation, request.creasing)
     parts = getattr(request, f"{side}_part") or request.part
     mixed = parts is not None and path.suffix.lower() in USD_SUFFIXES
     control = subdivision.applied(replace(read_usd(path, mixed=True) if mixed else read_mesh(path), name=path.name))
@@ -328,7 +335,7 @@ def match_inputs(inputs: Inputs, settings: MatchSettings, stages: Stages) -> Mat
         return match_meshes(inputs, settings, stages)
     results = []
     for part in inputs.parts:
-        own = Inputs(part.target, part.source, part.landmarks, inputs.notes, masks=inputs.masks)
+        own = replace(inputs, target=part.target, source=part.source, landmarks=part.landmarks, parts=())
         results.append(match_meshes(own, settings, stages))
     stages("merge parts")
     faces = [[len(side.control.face_sizes) for side in (one.target, one.source)] for one in results]
@@ -349,6 +356,7 @@ def match_meshes(inputs: Inputs, settings: MatchSettings, stages: Stages) -> Mat
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         **settings.entries,
         "notes": list(inputs.notes),
+        "repairs": inputs.repairs[0] if len(inputs.repairs) == 1 else list(inputs.repairs),
         "peak_memory_bytes": peak_memory(),
     }
     return replace(found, timings=dict(stages.timings), provenance=provenance)

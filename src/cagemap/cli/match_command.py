@@ -7,13 +7,22 @@ from typing import Annotated
 
 import typer
 
-from cagemap.cli.options import BoundaryOption, CreasingOption, Force, Method, SchemeOption, UvOption
+from cagemap.cli.options import (
+    BoundaryOption,
+    CreasingOption,
+    Force,
+    Method,
+    SchemeOption,
+    SourceSchemeOption,
+    TargetSchemeOption,
+    UvOption,
+)
 from cagemap.cli.words import say, warn
 
 
 def match(
-    target: Annotated[Path, typer.Option("--target", "-t", help="Control mesh that receives, .obj, .ply or USD.")],
-    source: Annotated[Path, typer.Option("--source", "-s", help="Control mesh that gives, .obj, .ply or USD.")],
+    target: Annotated[Path, typer.Option("--target", "-t", help="Mesh that receives, .obj, .ply, .off, .stl or USD.")],
+    source: Annotated[Path, typer.Option("--source", "-s", help="Mesh that gives, .obj, .ply, .off, .stl or USD.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="RESULT folder to write.")],
     landmarks: Annotated[
         Path | None,
@@ -140,6 +149,8 @@ def match(
         ),
     ] = None,
     scheme: SchemeOption = None,
+    target_scheme: TargetSchemeOption = None,
+    source_scheme: SourceSchemeOption = None,
     boundary: BoundaryOption = None,
     uv_interpolation: UvOption = None,
     creasing: CreasingOption = None,
@@ -235,6 +246,8 @@ def match(
         source_points=source_points,
         curves=curves,
         scheme=scheme,
+        target_scheme=target_scheme,
+        source_scheme=source_scheme,
         boundary=boundary,
         uv_interpolation=uv_interpolation,
         creasing=creasing,

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.landmarks import CagePoints, Landmarks
+from cagemap.mesh.landmarks import Landmarks, Renumbering
 from cagemap.mesh.parts import Part, components, extract, find_part, material_pieces, pair_parts
 from cagemap.numerics.arrays import IndexArray
 from cagemap.refinement import default_scheme
@@ -95,39 +96,23 @@ def _titled(part: Part) -> str:
 def _inputs(
     target: ControlMesh, source: ControlMesh, landmarks: Landmarks, target_part: Part | None, source_part: Part | None
 ) -> PartInputs:
-    meshes: list[ControlMesh] = []
-    corners: list[IndexArray] = []
-    curve_corners: list[IndexArray] = []
-    for mesh, part, points, curves in (
-        (target, target_part, landmarks.target_points, landmarks.curves.target),
-        (source, source_part, landmarks.source_points, landmarks.curves.source),
-    ):
-        whole = part is None or len(part.faces) == mesh.n_faces
-        taken = mesh if part is None or whole else extract(mesh, part.faces)
-        meshes.append(taken)
-        for found, numbers in ((corners, points.corners), (curve_corners, curves.points.corners)):
-            found.append(numbers if whole else _renumbered(taken, mesh, numbers))
-    inside = np.flatnonzero(np.all([numbers >= 0 for numbers in corners], axis=(0, 2)))
-    points_inside = [
-        CagePoints(numbers[inside], points.weights[inside])
-        for numbers, points in zip(corners, (landmarks.target_points, landmarks.source_points), strict=True)
-    ]
-    kept = replace(
-        landmarks,
-        names=tuple(landmarks.names[pair] for pair in inside.tolist()),
-        target=points_inside[0].vertices,
-        source=points_inside[1].vertices,
-        target_points=points_inside[0],
-        source_points=points_inside[1],
-        curves=landmarks.curves.renumbered(*curve_corners),
-    )
-    for mesh in meshes:
+    sides = [_taken(mesh, part) for mesh, part in ((target, target_part), (source, source_part))]
+    for mesh, _ in sides:
         if mesh.object_schemes:
             words = ", ".join(f"{name} {own}" for name, own in zip(mesh.object_names, mesh.object_schemes, strict=True))
             raise ParameterError(
                 f"{mesh.name}: expected a part that is subdivided in one way, got {words}. Name one of these objects."
             )
-    return PartInputs(meshes[0], meshes[1], kept)
+    kept = landmarks.renumbered(*(renumbering for _, renumbering in sides))
+    return PartInputs(sides[0][0], sides[1][0], kept)
+
+
+def _taken(mesh: ControlMesh, part: Part | None) -> tuple[ControlMesh, Renumbering]:
+    """A part as a mesh, and what numbers the whole's vertices have on it."""
+    if part is None or len(part.faces) == mesh.n_faces:
+        return mesh, lambda vertices: vertices
+    taken = extract(mesh, part.faces)
+    return taken, partial(_renumbered, taken, mesh)
 
 
 def _renumbered(part: ControlMesh, mesh: ControlMesh, vertices: IndexArray) -> IndexArray:

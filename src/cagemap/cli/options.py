@@ -24,6 +24,14 @@ SchemeOption = Annotated[
         show_default=False,
     ),
 ]
+TargetSchemeOption = Annotated[
+    SchemeName | None,
+    typer.Option("--target-scheme", help="The target's own scheme, where it differs.", show_default=False),
+]
+SourceSchemeOption = Annotated[
+    SchemeName | None,
+    typer.Option("--source-scheme", help="The source's own scheme, such as none for a scan.", show_default=False),
+]
 BoundaryOption = Annotated[
     BoundaryName | None,
     typer.Option(

@@ -172,7 +172,7 @@ def curves_from_arrays(
 
 def scheme_to_entry(scheme: Scheme) -> dict[str, Any]:
     """Name and settings of a scheme, for JSON."""
-    name = next(name for name, kind in SCHEMES.items() if isinstance(scheme, kind))
+    name = next(name for name, kind in SCHEMES.items() if type(scheme) is kind)
     return {"name": name, **asdict(scheme)}
 
 

@@ -12,17 +12,19 @@ from cagemap.files.gltf import write_glb
 from cagemap.files.obj import obj_files, read_obj, write_obj
 from cagemap.files.off import read_off, write_off
 from cagemap.files.ply import read_ply, write_ply
+from cagemap.files.stl import read_stl
 from cagemap.files.usd import USD_SUFFIXES, read_usd
 from cagemap.files.usd_write import write_usd
 from cagemap.mesh import ControlMesh
 
-_READERS = {".obj": read_obj, ".ply": read_ply, ".off": read_off, **dict.fromkeys(USD_SUFFIXES, read_usd)}
+_READERS = {".obj": read_obj, ".ply": read_ply, ".off": read_off, ".stl": read_stl}
+_READERS |= dict.fromkeys(USD_SUFFIXES, read_usd)
 _WRITERS = {".obj": write_obj, ".ply": write_ply, ".off": write_off, ".glb": write_glb}
 _WRITERS |= dict.fromkeys((".usd", ".usda", ".usdc"), write_usd)
 
 
 def read_mesh(path: str | Path) -> ControlMesh:
-    """Read a control mesh of an ``.obj``, ``.ply``, ``.off`` or USD file, as numbered there; its arrays are read-only.
+    """Read a mesh of an ``.obj``, ``.ply``, ``.off``, ``.stl`` or USD file, as numbered there; arrays are read-only.
 
     Raises
     ------

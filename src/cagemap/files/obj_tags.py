@@ -9,7 +9,7 @@
 1/0/0 n``                           3 ``corners_plus2``, 4 ``boundaries``, 5 ``all``
 ``t creasemethod 0/0/1 word``       ``normal`` or ``chaikin``
 ``t smoothtriangles 0/0/1 word``    ``normal`` or ``smooth``
-``t scheme 0/0/1 word``             ours: ``catmull-clark``, ``loop`` or ``bilinear``
+``t scheme 0/0/1 word``             ours: ``catmull-clark``, ``loop``, ``bilinear`` or ``none``
 =================================== ==========================================================
 """
 
@@ -146,7 +146,7 @@ def format_tags(tags: Tags, scheme: Scheme | None) -> str:
             for tag, (option, choices) in _CHOICES.items()
             if option in stated
         ]
-        stated["scheme"] = next(name for name, kind in SCHEMES.items() if isinstance(scheme, kind))
+        stated["scheme"] = next(name for name, kind in SCHEMES.items() if type(scheme) is kind)
         for tag, (option, meanings) in _WORDS.items():
             words = [word for word, meaning in meanings.items() if meaning == stated.get(option)]
             lines += [f"t {tag} 0/0/1 {word}" for word in words]

@@ -146,7 +146,7 @@ class SurfaceRecord(Record):
     name: Name
     material_names: list[str]
     scheme: dict[str, Any]
-    level: Annotated[int, Field(ge=1, le=MOST_LEVELS)]
+    level: Annotated[int, Field(ge=0, le=MOST_LEVELS)]
     scale: Annotated[float, Field(gt=0, lt=1e100)]
     bands: Annotated[int, Field(ge=1, le=MOST_LEVELS + 1)]
     operators: Annotated[int, Field(ge=1, le=MOST_LEVELS + 1)]

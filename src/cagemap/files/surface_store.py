@@ -31,10 +31,11 @@ from cagemap.files.mesh_arrays import control_from_arrays, control_to_arrays, sc
 from cagemap.files.npz import read_npz, write_npz
 from cagemap.files.result import mesh_hash
 from cagemap.files.schema import SurfaceRecord, checked_record, parse_json
-from cagemap.mesh import ControlMesh
+from cagemap.mesh import ControlMesh, Plain
 from cagemap.operators import Operators
+from cagemap.operators.plain import refined
 from cagemap.pipeline import MAP_BASIS, prepare_surface
-from cagemap.refinement import Refinement, Scheme, default_scheme, refine
+from cagemap.refinement import Refinement, Scheme, default_scheme
 from cagemap.refinement.counts import vertex_counts
 
 FORMAT = "cagemap-surface"
@@ -87,7 +88,8 @@ def save_surface(path: str | Path, surface: Surface, *, force: bool = False) -> 
     FormatError
         If the file cannot be written.
     """
-    control, operators, basis = surface.control, surface.operators, surface.basis
+    control, inner = surface.control, surface.inner
+    operators, basis = inner.operators, inner.basis
     header = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
@@ -95,7 +97,7 @@ def save_surface(path: str | Path, surface: Surface, *, force: bool = False) -> 
         "name": control.name,
         "material_names": list(control.material_names),
         "scheme": scheme_to_entry(surface.refinement.scheme),
-        "level": surface.finest,
+        "level": inner.finest,
         "scale": operators.scale,
         "bands": len(basis.bands),
         "operators": len(operators.mass),
@@ -186,13 +188,18 @@ def _load(path: Path, control: ControlMesh | None = None, config: BasisConfig | 
         control = control_from_arrays(path, arrays, "control_", names, header.name, _REMEDY, scheme)
     if not header.bands <= header.operators <= header.level + 1:
         raise FormatError(f"{path}: has bands or operators of more levels than there are. {_REMEDY}")
-    sizes = dict(zip(_level_sizes(header.level), vertex_counts(control, scheme), strict=False))
+    # Levels of a subdivision have sizes that are known before it is refined, those below a plain mesh have not.
+    below = refined(control, 0, scheme) if isinstance(scheme, Plain) else None
+    if below is not None and below.n_levels != header.level:
+        raise FormatError(f"{path}: its plain mesh has {below.n_levels} coarse levels, not {header.level}. {_REMEDY}")
+    counts = vertex_counts(control, scheme) if below is None else (mesh.n_vertices for mesh in below.levels)
+    sizes = dict(zip(_level_sizes(header.level), counts, strict=False))
     sizes["n_finest"] = sizes[f"n{header.operators - 1}"]
     checked = check_arrays(path, arrays, _forms(header), sizes, _REMEDY)
     for level in range(header.operators):
         check_offsets(path, f"indptr_{level}", checked[f"indptr_{level}"], sizes[f"z{level}"], _REMEDY)
     try:
-        refinement = refine(control, header.level, scheme)
+        refinement = refined(control, header.level, scheme) if below is None else below
         operators = _operators(checked, refinement.up_to(header.operators - 1), header.scale)
         bands = tuple(checked[f"band_{level}"] for level in range(header.bands))
         basis = HierarchicalBasis(refinement, operators, bands, *(checked[name] for name in _BASIS_ARRAYS))

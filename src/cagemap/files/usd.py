@@ -14,7 +14,7 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files.usd_primvars import corner_values, primvar_arrays, uv_primvars
-from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Scheme
+from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Plain, Scheme
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.join import join_meshes
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -25,7 +25,7 @@ _SCHEMES: dict[str, type[CatmullClark] | type[Loop] | type[Bilinear]] = {
     "catmullClark": CatmullClark,
     "loop": Loop,
     "bilinear": Bilinear,
-    "none": Bilinear,
+    "none": Plain,
 }
 _BOUNDARIES = {"none": "none", "edgeOnly": "edge_only", "edgeAndCorner": "edge_and_corner"}
 _UVS = {

@@ -18,11 +18,11 @@ from cagemap.files.usd import local_to_world, moved, open_stage, usd_modules
 from cagemap.files.usd_material import bind_textures
 from cagemap.files.usd_primvars import BLEND_SHAPE, JOINT_WEIGHTS
 from cagemap.files.usd_skeleton import write_usd_skeleton
-from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
+from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Plain
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
-_SCHEMES = {CatmullClark: "catmullClark", Loop: "loop", Bilinear: "bilinear"}
+_SCHEMES = {CatmullClark: "catmullClark", Loop: "loop", Bilinear: "bilinear", Plain: "none"}
 _BOUNDARIES = {"none": "none", "edge_only": "edgeOnly", "edge_and_corner": "edgeAndCorner"}
 _TRIANGLES = {"catmull_clark": "catmullClark", "smooth": "smooth"}
 _JOINTS_KEPT = 8

@@ -11,7 +11,7 @@ from cagemap.basis import Surface
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.polylines import Polyline
 from cagemap.geometry.surface import TriangleSurface
-from cagemap.maps.places import on_surface
+from cagemap.maps.places import inner_points, on_surface
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.topology import edge_table
@@ -101,9 +101,10 @@ def surface_curves(refinement: Refinement, finest: TriangleSurface, curves: Cage
     vertices = curves.points.vertices
     segments = curves.segments
     ends = vertices[segments]
-    chains = refined_edges(refinement, ends, level)
+    # An edge of a plain mesh is straight already.
+    chains = np.full((len(ends), 1), -1) if refinement.is_plain else refined_edges(refinement, ends, level)
     on_edge = chains[:, -1] >= 0
-    at_ends = on_surface(finest, curves.points)
+    at_ends = on_surface(finest, inner_points(refinement, curves.points))
     found = []
     for i, closed in enumerate(curves.closed.tolist()):
         own = np.flatnonzero(curves.curve_of[segments[:, 0]] == i)

@@ -133,7 +133,7 @@ def near_vertices(points: SurfacePoints, surface: Surface) -> IndexArray:
         If there are more points than vertices.
     """
     vertices = vertices_at(points)
-    if ((vertices >= 0) & (vertices < surface.control.n_vertices)).all():
+    if ((vertices >= 0) & (vertices < surface.refinement.levels[0].n_vertices)).all():
         return vertices
     level = surface.triangles(min(surface.basis.last_level, surface.refinement.coarsest_level(NEAR_VERTICES)))
     between = np.flatnonzero((vertices < 0) | (vertices >= level.n))

@@ -11,6 +11,7 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import normalized
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.mesh.measures import fan_triangles
+from cagemap.refinement import Refinement
 
 # Length, of sqrt(area), that opposite normals count when a landmark is put on the surface: thin parts have two sides.
 LANDMARK_NORMAL_WEIGHT = 0.01
@@ -22,7 +23,12 @@ INVERSE_STEPS = 8
 
 def located(surface: Surface, points: CagePoints) -> SurfacePoints:
     """Points of a control mesh on the finest surface, see `on_surface`."""
-    return on_surface(surface.triangles(surface.finest), points)
+    return on_surface(surface.triangles(surface.finest), inner_points(surface.refinement, points))
+
+
+def inner_points(refinement: Refinement, points: CagePoints) -> CagePoints:
+    """Points of a control mesh between finest vertices."""
+    return points if refinement.places is None else CagePoints(refinement.inner(points.corners), points.weights)
 
 
 def on_surface(finest: TriangleSurface, points: CagePoints) -> SurfacePoints:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -13,6 +13,7 @@ from cagemap.maps.curves import CurveMiss, curve_miss, curve_pairs
 from cagemap.maps.elastic.method import functional_map_of
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.confidence import Confidence
+from cagemap.maps.inner import inner_map, outer_map, outer_masks
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.point_map import PointMap
@@ -94,12 +95,28 @@ class MatchResult:
         if self.known_spectral is not None:
             return self.known_spectral
         with one_blas_thread():
-            bases = in_threads(lambda surface: surface.basis, [self.target, self.source])
+            target, source = self.target.inner, self.source.inner
+            bases = in_threads(lambda surface: surface.basis, [target, source])
             if self.level_maps:
                 functional_map = self.level_maps[-1].functional_map
             else:
-                functional_map = functional_map_of(self.target, self.source, self.point_map)
+                inside = inner_map(self.point_map, self.target, self.source)
+                functional_map = functional_map_of(target, source, inside)
         return SpectralMap(functional_map, *(basis.eigenvalues for basis in bases))
+
+    def outer(self) -> MatchResult:
+        """The same in the plain meshes' own numbers, where it was found on levels below them."""
+        target, source = self.target, self.source
+        if target.outer is target and source.outer is source:
+            return self
+        return replace(
+            self,
+            target=target.outer,
+            source=source.outer,
+            point_map=outer_map(self.point_map, target, source),
+            quality=replace(self.quality, trust=target.refinement.outer_rows(self.quality.trust)),
+            masks=outer_masks(self.masks, target, source),
+        )
 
     @property
     def has_spectral(self) -> bool:

@@ -1,7 +1,7 @@
 """Control meshes: the value, its checks, and small named shapes."""
 
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.schemes import Bilinear, CatmullClark, Loop, Scheme, SubdivisionOptions
+from cagemap.mesh.schemes import Bilinear, CatmullClark, Loop, Plain, Scheme, SubdivisionOptions
 from cagemap.mesh.shapes import (
     bipyramid,
     creature,
@@ -22,6 +22,7 @@ __all__ = [
     "CatmullClark",
     "ControlMesh",
     "Loop",
+    "Plain",
     "Scheme",
     "SubdivisionOptions",
     "bipyramid",

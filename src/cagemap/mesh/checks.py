@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cagemap.errors import InvalidMeshError
-from cagemap.mesh.control_mesh import ControlMesh
+from cagemap.mesh.control_mesh import ControlMesh, UvSet
 from cagemap.mesh.edge_checks import edge_manifold_problem, slit_notes
 from cagemap.mesh.geometry_checks import extent_problem, inside_out_problem, zero_area_problem
 from cagemap.mesh.mesh_report import MeshReport, Problem, first_few
+from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
 from cagemap.mesh.topology import (
     EdgeTable,
@@ -43,7 +44,7 @@ def check_mesh(mesh: ControlMesh) -> MeshReport:
     broken = structure_problems(mesh)
     if broken:
         return replace(blank, problems=broken)
-    degenerate = _repeated_corners(mesh)
+    degenerate = repeated_corners(mesh)
     duplicates = duplicate_faces(mesh)
     kept = np.delete(np.arange(mesh.n_faces), duplicates)
     parts = _connect(keep_faces(mesh, kept) if len(duplicates) else mesh)
@@ -55,7 +56,7 @@ def check_mesh(mesh: ControlMesh) -> MeshReport:
             _orientation_problem(parts, kept),
         ]
     problems += [_components_problem(mesh, face_components(mesh)), extent_problem(mesh)]
-    if problems[-1] is None:
+    if problems[-1] is None and not isinstance(mesh.scheme, Plain):  # slivers of a scan are points of its surface
         problems.append(zero_area_problem(mesh, np.delete(np.arange(mesh.n_faces), degenerate)))
     if parts.loops is not None and not any(problems):
         problems.append(inside_out_problem(mesh, parts.loops))
@@ -108,6 +109,22 @@ def keep_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
     sizes = mesh.face_sizes[faces]
     offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
     corners = np.repeat(mesh.face_offsets[faces] - offsets[:-1], sizes) + np.arange(offsets[-1])
+    return with_corners_of(mesh, faces, offsets, corners)
+
+
+def with_corners_of(mesh: ControlMesh, faces: IndexArray, offsets: IndexArray, corners: IndexArray) -> ControlMesh:
+    """Return the mesh with other faces, made of its own face corners.
+
+    Parameters
+    ----------
+    mesh : ControlMesh
+    faces : (k,) int64
+        Face that every new one comes from; ascending where there are hole faces.
+    offsets : (k + 1,) int64
+        Where each new face starts in ``corners``.
+    corners : (c,) int64
+        Corner of the mesh that every new one is.
+    """
     indices = mesh.face_indices[corners]
     creases, sharpness = _creases_left(mesh, indices, offsets)
 
@@ -119,9 +136,11 @@ def keep_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
         face_offsets=offsets,
         face_indices=indices,
         uv_indices=None if mesh.uv_indices is None else mesh.uv_indices[corners],
+        uv_sets=tuple(UvSet(one.name, one.uvs, one.uv_indices[corners]) for one in mesh.uv_sets),
         face_materials=of_faces(mesh.face_materials),
         face_objects=of_faces(mesh.face_objects),
         face_groups=of_faces(mesh.face_groups),
+        file_faces=of_faces(mesh.file_faces),
         hole_faces=None if mesh.hole_faces is None else np.flatnonzero(np.isin(faces, mesh.hole_faces)),
         crease_edges=creases,
         crease_sharpness=sharpness,
@@ -181,7 +200,7 @@ def _counts(parts: _Parts, blank: MeshReport) -> MeshReport:
     )
 
 
-def _repeated_corners(mesh: ControlMesh) -> IndexArray:
+def repeated_corners(mesh: ControlMesh) -> IndexArray:
     """Faces of fewer than three corners, or that visit a vertex twice."""
     faces = mesh.corner_faces
     order = np.lexsort([mesh.face_indices, faces])

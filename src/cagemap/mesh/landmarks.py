@@ -5,7 +5,7 @@ A point is a control vertex, or lies anywhere on the control mesh: three vertice
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,6 +18,8 @@ from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.curves import Curves, curve_faults, paired_curves
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import IndexArray
+
+Renumbering = Callable[[IndexArray], IndexArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +70,33 @@ class Landmarks:
 
     def __len__(self) -> int:
         return len(self.names)
+
+    def renumbered(self, target: Renumbering, source: Renumbering) -> Landmarks:
+        """Return the pairs on meshes made of parts of these ones, without those that do not lie on both.
+
+        Parameters
+        ----------
+        target, source : callable
+            New numbers of vertices, -1 for those that are gone.
+        """
+        sides = [
+            (CagePoints(number(points.corners), points.weights), number(curves.points.corners))
+            for number, points, curves in (
+                (target, self.target_points, self.curves.target),
+                (source, self.source_points, self.curves.source),
+            )
+        ]
+        inside = np.flatnonzero(np.all([points.corners >= 0 for points, _ in sides], axis=(0, 2)))
+        target_points, source_points = (points.at(inside) for points, _ in sides)
+        return replace(
+            self,
+            names=tuple(self.names[pair] for pair in inside.tolist()),
+            target=target_points.vertices,
+            source=source_points.vertices,
+            target_points=target_points,
+            source_points=source_points,
+            curves=self.curves.renumbered(*(corners for _, corners in sides)),
+        )
 
     def reversed(self) -> Landmarks:
         """Return the same pairs for the map the other way round."""

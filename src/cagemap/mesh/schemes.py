@@ -229,10 +229,15 @@ class Loop(SubdivisionOptions):
 
 @dataclass(frozen=True)
 class Bilinear(SubdivisionOptions):
-    """No smoothing: vertices stay, edges get midpoints, faces centroids; what USD calls ``bilinear`` and ``none``.
+    """No smoothing: vertices stay, edges get midpoints, faces centroids; what USD calls ``bilinear``.
 
     The options change nothing here but what is a hole.
     """
+
+
+@dataclass(frozen=True)
+class Plain(Bilinear):
+    """A mesh as it is, such as a scan: its faces are the surface, and it is never refined; USD's ``none``."""
 
 
 Scheme = CatmullClark | Loop | Bilinear
@@ -241,4 +246,5 @@ SCHEMES: dict[str, type[CatmullClark] | type[Loop] | type[Bilinear]] = {
     "catmull-clark": CatmullClark,
     "loop": Loop,
     "bilinear": Bilinear,
+    "none": Plain,
 }

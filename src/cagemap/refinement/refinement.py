@@ -11,8 +11,8 @@ from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.geometry.triangles import fan_triangles
 from cagemap.geometry.triangles import triangles as triangles
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.schemes import SCHEMES, Bilinear, CatmullClark, Loop, Scheme
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.mesh.schemes import SCHEMES, CatmullClark, Loop, Plain, Scheme
+from cagemap.numerics.arrays import Array, FloatArray, IndexArray
 from cagemap.refinement.face_varying import (
     UvLayout,
     control_layout,
@@ -77,18 +77,22 @@ class Refinement:
     Attributes
     ----------
     control : ControlMesh
-    scheme : CatmullClark, Loop or Bilinear
+    scheme : CatmullClark, Loop, Bilinear or Plain
     matrices : tuple of (n_{l+1}, n_l) csr_array
         ``matrices[l]`` is S^l. Rows sum to 1 and stand in the order vertices, edges, faces (Loop: vertices, edges), so
         vertex i of a level is vertex i of every finer one.
     levels : tuple of Level
         ``levels[0]`` is the control mesh, ``levels[-1]`` the finest.
+    places : (n,) int64 or None
+        Finest vertex of every control vertex, where the levels were not made by subdivision but below a plain mesh
+        (`cagemap.operators.plain`); None where control vertices keep their numbers.
     """
 
     control: ControlMesh
     scheme: Scheme
     matrices: tuple[csr_array, ...]
     levels: tuple[Level, ...]
+    places: IndexArray | None = None
 
     @property
     def finest(self) -> Level:
@@ -108,6 +112,27 @@ class Refinement:
     def up_to(self, level: int) -> Refinement:
         """The levels from 0 to this one."""
         return replace(self, matrices=self.matrices[:level], levels=self.levels[: level + 1])
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the finest level is the control mesh itself."""
+        return isinstance(self.scheme, Plain)
+
+    def inner(self, vertices: IndexArray) -> IndexArray:
+        """Finest vertices that control vertices are."""
+        return vertices if self.places is None else self.places[vertices]
+
+    def outer(self, vertices: IndexArray) -> IndexArray:
+        """Control vertices that finest vertices are: undoes `inner`. Of a subdivision, the first ones are."""
+        return vertices if self.places is None else np.argsort(self.places)[vertices]
+
+    def inner_rows(self, values: Array) -> Array:
+        """Rows of the finest vertices from rows as they are stored, which of a plain mesh follow the control mesh."""
+        return values if self.places is None else values[np.argsort(self.places)]  # type: ignore[return-value]
+
+    def outer_rows(self, values: Array) -> Array:
+        """Undo `inner_rows`."""
+        return values if self.places is None else values[self.places]  # type: ignore[return-value]
 
     def holes(self, level: int) -> BoolArray:
         """(m_level,) whether a face shapes the surface but is no part of it; see `control_holes`."""
@@ -205,7 +230,7 @@ def with_options(
     Parameters
     ----------
     scheme : {"catmull-clark", "loop", "bilinear", "none"}, optional
-        "none" is the mesh as it is, which is what bilinear subdivision leaves it.
+        "none" is the mesh as it is.
     boundary, uv_interpolation, creasing : str, optional
         See `SubdivisionOptions`.
 
@@ -217,9 +242,9 @@ def with_options(
     before = default_scheme(control)
     kind = type(before)
     if scheme is not None:
-        if scheme not in (*SCHEMES, "none"):
-            raise ParameterError(f"scheme: expected one of {', '.join(SCHEMES)}, none, got {scheme!r}")
-        kind = SCHEMES.get(scheme, Bilinear)
+        if scheme not in SCHEMES:
+            raise ParameterError(f"scheme: expected one of {', '.join(SCHEMES)}, got {scheme!r}")
+        kind = SCHEMES[scheme]
     asked = {"boundary": boundary, "uv_interpolation": uv_interpolation, "creasing": creasing}
     options = asdict(before) | {name: value for name, value in asked.items() if value is not None}
     return replace(control, scheme=kind(**options))
@@ -336,6 +361,11 @@ def _next_uvs(layout: UvLayout, uvs: FloatArray, state: MeshState, scheme: Schem
 def _check(control: ControlMesh, levels: int, scheme: Scheme) -> None:
     if levels < 0:
         raise ParameterError(f"levels: expected 0 or more refinement steps, got {levels}")
+    if isinstance(scheme, Plain) and levels:
+        raise ParameterError(
+            f"levels: {control.name} is a plain mesh (scheme none) and is never refined, expected 0, got {levels}; "
+            "ask for bilinear to split its faces"
+        )
     if isinstance(scheme, Loop) and not control.is_triangle_mesh:
         others = np.flatnonzero(control.face_sizes != 3)
         shown = ", ".join(str(face) for face in others[:5]) + (", ..." if len(others) > 5 else "")

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
+
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.confidence import Confidence, Reading
 from cagemap.maps.hypotheses.search import HypothesesConfig, found_readings
@@ -32,7 +36,11 @@ def hypothesis_map(
     """
     readings = found_readings(prepared, pair, config, progress)
     progress("projection")
-    return map_of_reading(prepared, pair, readings[0]), Confidence.of(readings, pair.target.control.n_vertices)
+    confidence = Confidence.of(readings, pair.target.control.n_vertices)
+    if confidence.deciding is not None:
+        vertex = pair.target.refinement.outer(np.array([confidence.deciding]))
+        confidence = replace(confidence, deciding=int(vertex[0]))
+    return map_of_reading(prepared, pair, readings[0]), confidence
 
 
 def map_of_reading(prepared: PreparedPair, pair: Pair, reading: Reading) -> PointMap:

@@ -27,7 +27,7 @@ from cagemap.maps.landmarks.distances import (
     typical_misfit,
 )
 from cagemap.maps.landmarks.strain import ReducedEnergy, reduced_energy, strained_pair
-from cagemap.maps.pair import Pair, Progress
+from cagemap.maps.pair import Pair, Progress, vertices_at
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import landmark_errors
 from cagemap.mesh.landmarks import Landmarks
@@ -250,7 +250,8 @@ def _distances(prepared: PreparedPair, pair: Pair) -> tuple[LandmarkDistances, L
 
 def _suspect(pair: Pair, found: PointMap, names: Sequence[str], place: int, evidence: str) -> LandmarkSuspect:
     """A pair that a map was made without, and where that map puts it."""
-    given = int(pair.source_landmarks[place])
+    at_vertex, near = vertices_at(pair.landmarks.source), pair.source_landmarks
+    given = int(pair.source.refinement.outer(np.where(at_vertex < 0, near, at_vertex))[place])
     return LandmarkSuspect(names[place], place, *miss(pair, found, place), source_vertex=given, evidence=evidence)
 
 
@@ -259,8 +260,8 @@ def miss(pair: Pair, point_map: PointMap, landmark: int) -> tuple[float, int]:
     only = pair.landmarks.only([landmark])
     place = only.target.interpolate(point_map.images.positions)
     control = pair.source.triangles(pair.source.finest).positions[: pair.source.control.n_vertices]
-    nearest = int(np.argmin(np.linalg.norm(control - place, axis=1)))
-    return float(landmark_errors(point_map, only)[0]), nearest
+    nearest = np.argmin(np.linalg.norm(control - place, axis=1, keepdims=True), axis=0)
+    return float(landmark_errors(point_map, only)[0]), int(pair.source.refinement.outer(nearest)[0])
 
 
 def strain(pair: Pair, graph: ElasticGraph, point_map: PointMap) -> tuple[ReducedEnergy, FloatArray]:

@@ -36,7 +36,7 @@ def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -
         Of the finest levels; it may fold.
     """
     target = prepared.target.triangles(prepared.target.finest)
-    positions = refined_positions(prepared.target.refinement, prepared.levels[0], fitted)
+    positions = carried(prepared, fitted)
     normals = vertex_normals(positions, target.triangles)
     found = facing_points(prepared.on_source, positions, normals, prepared.elastic.projection_normal_weights)
     return PointMap(target, meet(found, landmarks))
@@ -90,6 +90,24 @@ def unfold(point_map: PointMap, held: IndexArray, config: ElasticConfig = Elasti
     weight = config.projection_normal_weights[0]
     images, flipped = relax_folds(point_map.images, point_map.target.triangles, held, normal_weight=weight)
     return PointMap(point_map.target, lay_out_parts(images, flipped, point_map.target, held))
+
+
+def carried(prepared: PreparedPair, fitted: FloatArray) -> FloatArray:
+    """(n_f, 3) places of the target's finest vertices where those of the level that is deformed are fitted.
+
+    A subdivision surface passes through the fitted points (`refined_positions`). A plain mesh has details of its own,
+    which its coarse levels lack: they are carried by the deformation's differentials, blended by the rows of S^{f,l},
+    ``y_v = sum_k S_vk (x_k + A_k (p_v - p_k))``. Exact for affine deformations, and close to smooth ones to the second
+    order.
+    """
+    refinement, level = prepared.target.refinement, prepared.levels[0]
+    if not refinement.is_plain:
+        return refined_positions(refinement, level, fitted)
+    maps, _ = prepared.rest.differentials(fitted)
+    rest = prepared.target.triangles(refinement.n_levels).positions
+    shifts = fitted - np.einsum("nab,nb->na", maps, rest[: len(fitted)])
+    blended = refinement.prolong(np.hstack([shifts, maps.reshape(-1, 9)]), level, refinement.n_levels)
+    return np.asarray(blended[:, :3] + np.einsum("nab,nb->na", blended[:, 3:].reshape(-1, 3, 3), rest))
 
 
 def refined_positions(refinement: Refinement, level: int, points: FloatArray) -> FloatArray:

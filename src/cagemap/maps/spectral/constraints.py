@@ -107,8 +107,10 @@ def paired_mirrors(pair: Pair) -> tuple[SymmetryPair, ...]:
     """Mirror planes that both control meshes have and that the landmarks agree with.
 
     A plane takes landmark i near landmark j on either side, or it is another plane. Where each side has one plane only
-    and no landmarks tell, these two belong together.
+    and no landmarks tell, these two belong together. A plain mesh has none.
     """
+    if pair.target.refinement.is_plain or pair.source.refinement.is_plain:
+        return ()  # the vertices of a scan mirror no vertices
     sides = [(pair.target.control, pair.landmarks.target), (pair.source.control, pair.landmarks.source)]
     partners = []
     for control, landmarks in sides:

@@ -1,0 +1,69 @@
+"""STL: triangles without vertex numbers, binary or text."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from cagemap.errors import FormatError
+from cagemap.files.text import read_bytes
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray
+
+_REMEDY = "Export the mesh again as STL, PLY or OBJ."
+_TRIANGLE = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_HEAD = 84
+_NUMBER = rb"[-+.0-9eEinfaINFA]+"
+_VERTEX = re.compile(rb"\bvertex\s+(%s)\s+(%s)\s+(%s)" % (_NUMBER, _NUMBER, _NUMBER))
+
+
+def read_stl(path: str | Path) -> ControlMesh:
+    """Read a triangle mesh from an STL file; corners at the very same place are one vertex.
+
+    Vertices are numbered as they first appear in the file; normals and attributes are ignored.
+
+    Raises
+    ------
+    FormatError
+        If the file is no STL, is cut short, or has no triangles.
+    """
+    file = Path(path)
+    content = read_bytes(file, "an STL file")
+    corners = _binary(content)
+    if corners is None:
+        corners = _text(file, content)
+    if not len(corners) or not np.isfinite(corners).all():
+        raise FormatError(f"{file}: expected triangles with finite corners, got {len(corners) // 3}. {_REMEDY}")
+    places = corners + 0.0  # of two zeros, one
+    order = np.lexsort(places.T)  # stable: of equal corners the first in the file comes first
+    fresh = np.concatenate([[True], np.any(places[order][1:] != places[order][:-1], axis=1)])
+    first = order[fresh]
+    number = np.empty(len(corners), dtype=np.int64)
+    number[order] = np.argsort(np.argsort(first))[np.cumsum(fresh) - 1]
+    offsets = np.arange(0, len(corners) + 1, 3)
+    return ControlMesh(places[np.sort(first)], offsets, number, name=file.name)
+
+
+def _binary(content: bytes) -> FloatArray | None:
+    """(3 t, 3) corners of a binary file, None if its length is not that of one."""
+    if len(content) < _HEAD:
+        return None
+    count = int.from_bytes(content[_HEAD - 4 : _HEAD], "little")
+    if len(content) != _HEAD + count * _TRIANGLE.itemsize:
+        return None
+    return np.frombuffer(content, _TRIANGLE, count, _HEAD)["corners"].reshape(-1, 3).astype(np.float64)
+
+
+def _text(file: Path, content: bytes) -> FloatArray:
+    """(3 t, 3) corners of a text file."""
+    if not content.lstrip().startswith(b"solid") or b"endsolid" not in content:
+        raise FormatError(f"{file}: expected an STL file, got something else, or one that is cut short. {_REMEDY}")
+    found = _VERTEX.findall(content)
+    if len(found) % 3 or len(found) != content.count(b"vertex"):
+        raise FormatError(f"{file}: expected three vertices of three numbers a triangle, got {len(found)}. {_REMEDY}")
+    try:
+        return np.array(found, dtype=np.float64).reshape(-1, 3)
+    except ValueError as error:
+        raise FormatError(f"{file}: expected numbers, got others ({error}). {_REMEDY}") from None

@@ -1,0 +1,52 @@
+"""Maps of plain meshes in their own numbers, and in those of the levels below them (`cagemap.basis.Surface.inner`)."""
+
+from __future__ import annotations
+
+from cagemap.basis import Surface
+from cagemap.maps.masks import Masks
+from cagemap.maps.point_map import PointMap
+
+
+def inner_map(point_map: PointMap, target: Surface, source: Surface) -> PointMap:
+    """A map between finest surfaces as one between those that maps are found on; itself where nothing is plain.
+
+    Triangles keep their order and their corners, so that only target vertices change places.
+
+    Parameters
+    ----------
+    point_map : PointMap
+    target, source : Surface
+        Those that it was made for.
+    """
+    if target.inner is target and source.inner is source:
+        return point_map
+    rows = target.inner.refinement.inner_rows
+    mine, theirs = (side.inner.triangles(side.inner.finest) for side in (target, source))
+    return PointMap.from_arrays(mine, theirs, rows(point_map.triangle), rows(point_map.barycentric))
+
+
+def outer_map(point_map: PointMap, target: Surface, source: Surface) -> PointMap:
+    """Undo `inner_map`; the surfaces are the inner ones."""
+    if target.outer is target and source.outer is source:
+        return point_map
+    rows = target.refinement.outer_rows
+    mine, theirs = (side.outer.triangles(side.outer.finest) for side in (target, source))
+    return PointMap.from_arrays(mine, theirs, rows(point_map.triangle), rows(point_map.barycentric))
+
+
+def inner_masks(masks: Masks, target: Surface, source: Surface) -> Masks:
+    """Masks of finest vertices as those of the surfaces that maps are found on."""
+    target_rows, source_rows = target.inner.refinement.inner_rows, source.inner.refinement.inner_rows
+    return Masks(
+        None if masks.target is None else target_rows(masks.target),
+        None if masks.source is None else source_rows(masks.source),
+    )
+
+
+def outer_masks(masks: Masks, target: Surface, source: Surface) -> Masks:
+    """Undo `inner_masks`; the surfaces are the inner ones."""
+    target_rows, source_rows = target.refinement.outer_rows, source.refinement.outer_rows
+    return Masks(
+        None if masks.target is None else target_rows(masks.target),
+        None if masks.source is None else source_rows(masks.source),
+    )

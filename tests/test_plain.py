@@ -1,0 +1,300 @@
+"""Plain meshes (scheme none): mended and set aside by name, coarse levels below them, matched as they are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cagemap.cli.match import MatchRequest, run_match
+from cagemap.cli.progress import Stages
+from cagemap.errors import InvalidMeshError, ParameterError
+from cagemap.files.meshes import write_mesh
+from cagemap.files.result import read_result
+from cagemap.files.surface_store import prepared
+from cagemap.geometry.closest import build_tree, closest_points
+from cagemap.geometry.triangles import closest_barycentric
+from cagemap.mesh import ControlMesh, Loop, Plain, creature, cube, grid, icosahedron, torus
+from cagemap.mesh.checks import check_mesh, require_valid
+from cagemap.mesh.join import join_meshes
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.parts import extract
+from cagemap.mesh.plain import plain_mesh
+from cagemap.operators import build_operators
+from cagemap.operators.plain import coarsened, refined
+from cagemap.pipeline import choose_level, match, prepare_surface, update_match
+from cagemap.refinement import finest_mesh, level_triangles, refine
+
+
+def _ball(level: int = 3) -> ControlMesh:
+    return finest_mesh(refine(icosahedron(), level, Loop()))
+
+
+def _animal(level: int) -> ControlMesh:
+    """A creature as triangles, as a scanner would give it."""
+    refinement = refine(creature(), level)
+    triangles = level_triangles(refinement, level)
+    offsets = np.arange(0, triangles.size + 1, 3)
+    return ControlMesh(refinement.finest.positions, offsets, triangles.ravel(), scheme=Plain(), name="animal")
+
+
+def _soup(mesh: ControlMesh) -> ControlMesh:
+    """Every triangle with vertices of its own."""
+    return ControlMesh(mesh.positions[mesh.face_indices], mesh.face_offsets, np.arange(len(mesh.face_indices)))
+
+
+def _far_apart(positions: np.ndarray, count: int) -> np.ndarray:
+    chosen = [0]
+    for _ in range(count - 1):
+        distance = np.linalg.norm(positions[:, None] - positions[chosen], axis=2).min(axis=1)
+        chosen.append(int(distance.argmax()))
+    return np.array(chosen)
+
+
+def test_a_sound_mesh_keeps_its_numbers() -> None:
+    ball = _ball()
+    plain = plain_mesh(ball)
+    assert plain.notes == ()
+    assert plain.repairs.summary() == {}
+    assert np.array_equal(plain.mesh.positions, ball.positions)
+    assert np.array_equal(plain.mesh.face_indices, ball.face_indices)
+    assert np.array_equal(plain.vertex_of, np.arange(ball.n_vertices))
+    assert isinstance(plain.mesh.scheme, Plain)
+    assert plain.mesh.file_vertices is None
+
+
+def test_vertices_that_a_file_repeats_are_joined() -> None:
+    ball = _ball()
+    plain = plain_mesh(_soup(ball))
+    assert plain.mesh.n_vertices == ball.n_vertices
+    assert plain.repairs.joined_vertices == 3 * ball.n_faces - ball.n_vertices
+    assert np.array_equal(plain.mesh.positions[plain.vertex_of], ball.positions[ball.face_indices])
+    require_valid(plain.mesh)
+
+
+def test_what_scans_have_is_mended_or_set_aside_and_said() -> None:
+    ball = _ball()
+    faces = ball.face_indices.reshape(-1, 3)
+    n = ball.n_vertices
+    away = ball.positions.max() + 1.0
+    positions = np.vstack([ball.positions, [[0, 0, away]], away + np.eye(3), [[9 * away] * 3]])
+    fin, stray, copy, twice = [*faces[0, :2], n], [n + 1, n + 2, n + 3], faces[5], [*faces[9, :2], faces[9, 0]]
+    broken = np.vstack([faces, [fin], [stray], [copy], [twice]])
+    broken[20] = broken[20, ::-1]
+    plain = plain_mesh(replace(ControlMesh.from_faces(positions, broken), name="scan"))
+    found = plain.repairs
+    assert (found.fins, found.pieces, found.pieces_vertices, found.dropped_faces) == (1, 1, 3, 2)
+    assert (found.turned_faces, found.loose_vertices) == (1, 1)
+    assert np.array_equal(plain.mesh.positions, ball.positions)
+    assert np.array_equal(plain.vertex_of, [*range(n), -1, -1, -1, -1, -1])
+    assert np.array_equal(np.unique(plain.mesh.file_faces), plain.mesh.file_faces)
+    assert all(note.startswith("scan: ") for note in plain.notes)
+    assert len(plain.notes) == 5
+    require_valid(plain.mesh)
+
+
+def test_sheets_that_share_an_edge_or_a_point_are_cut_apart() -> None:
+    one, other = _ball(), _ball(2)
+    other = other.with_positions(0.5 * other.positions)
+    rows = one.face(0)
+    # The smaller ball touches the larger one in two vertices of an edge, then in one.
+    for shared in (2, 1):
+        faces = other.face_indices.reshape(-1, 3) + one.n_vertices
+        glued = other.face(0)[:shared] + one.n_vertices
+        for vertex, own in zip(glued, rows[:shared], strict=True):
+            faces = np.where(faces == vertex, own, faces)
+        both = ControlMesh.from_faces(
+            np.vstack([one.positions, other.positions]), np.vstack([one.face_indices.reshape(-1, 3), faces])
+        )
+        plain = plain_mesh(both)
+        assert plain.repairs.cut_vertices == shared
+        assert plain.repairs.pieces == 1
+        assert plain.mesh.n_faces == one.n_faces
+        require_valid(plain.mesh)
+
+
+def test_inwards_is_turned_and_faces_of_all_sizes_are_split() -> None:
+    ball = _ball()
+    corners = ball.face_indices.reshape(-1, 3)[:, ::-1]
+    plain = plain_mesh(ControlMesh.from_faces(ball.positions, corners))
+    assert plain.repairs.turned_faces == ball.n_faces
+    assert np.array_equal(plain.mesh.face_indices, ball.face_indices)
+    mixed = cube()
+    lids = [mixed.face(0)[[0, 1, 2]], mixed.face(0)[[0, 2, 3]], *(mixed.face(i) for i in range(1, 6))]
+    split = plain_mesh(ControlMesh.from_faces(mixed.positions, lids))
+    assert split.mesh.is_triangle_mesh
+    assert split.mesh.n_faces == 12
+    assert split.repairs.split_faces == 2
+    quads = plain_mesh(mixed)
+    assert quads.mesh.n_faces == 6
+    assert quads.notes == ()
+
+
+def test_holes_stay_and_uv_sets_come_along() -> None:
+    sheet = grid(6, 5)
+    sheet = sheet.with_uvs(sheet.positions[:, :2] / 6.0, sheet.face_indices)
+    plain = plain_mesh(extract(sheet, np.delete(np.arange(sheet.n_faces), [7, 8])))
+    assert plain.repairs.openings == 2
+    assert plain.mesh.uvs is not None
+    pair = plain_mesh(join_meshes([sheet, replace(sheet, positions=sheet.positions + 9.0)]))
+    assert pair.repairs.pieces == 1
+    assert pair.repairs.pieces_share == pytest.approx(0.5)
+    assert np.array_equal(pair.mesh.uvs[pair.mesh.uv_indices], sheet.uvs[sheet.uv_indices])
+
+
+@pytest.mark.parametrize(
+    ("faces", "message"),
+    [
+        ([[0, 1, 9]], "vertex numbers"),
+        ([[0, 0, 1], [1, 1, 2]], "visit a vertex twice"),
+        ([[0, 1, 3], [1, 4, 3], [1, 2, 4], [2, 5, 4], [2, 3, 5], [3, 0, 5]], "inside and an outside"),
+    ],
+)
+def test_what_is_no_surface_is_refused_by_name(faces: list[list[int]], message: str) -> None:
+    positions = np.random.default_rng(0).normal(size=(6, 3))
+    with pytest.raises(InvalidMeshError, match=message):
+        plain_mesh(ControlMesh.from_faces(positions, faces))
+    positions[2] = np.nan
+    with pytest.raises(InvalidMeshError, match="finite positions"):
+        plain_mesh(ControlMesh.from_faces(positions, [[0, 1, 2]]))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_whatever_comes_out_can_be_matched_or_is_refused(data: st.DataObject) -> None:
+    """Random damage: faces on random vertices, moved onto each other, dropped and repeated."""
+    mesh = data.draw(st.sampled_from([_ball(1), torus(6, 4), grid(5, 4), cube()]))
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
+    faces = [mesh.face(i) for i in range(mesh.n_faces)]
+    faces += [rng.integers(mesh.n_vertices, size=rng.integers(3, 5)) for _ in range(data.draw(st.integers(0, 6)))]
+    faces += [faces[i] for i in rng.integers(len(faces), size=data.draw(st.integers(0, 2)))]
+    faces = [faces[i] for i in rng.permutation(len(faces))[data.draw(st.integers(0, 4)) :]]
+    positions = mesh.positions.copy()
+    onto = rng.integers(mesh.n_vertices, size=(data.draw(st.integers(0, 3)), 2))
+    positions[onto[:, 0]] = positions[onto[:, 1]]
+    given_mesh = ControlMesh.from_faces(positions, faces)
+    try:
+        plain = plain_mesh(given_mesh)
+    except InvalidMeshError:
+        return
+    ready = plain.mesh
+    kept = plain.vertex_of >= 0
+    assert np.array_equal(ready.positions[plain.vertex_of[kept]], positions[kept])
+    faults = {problem.kind for problem in check_mesh(ready).problems}
+    assert faults <= {"no volume", "no area"}  # what is folded flat or a line is not mended, and refused later
+
+
+def test_closest_points_of_single_triangles_are_those_of_the_search() -> None:
+    rng = np.random.default_rng(1)
+    corners, points = rng.normal(size=(200, 3, 3)), rng.normal(size=(200, 3))
+    corners[:20, 2] = 0.3 * corners[:20, 0] + 0.7 * corners[:20, 1]  # without area
+    barycentric, squared = closest_barycentric(corners, points)
+    places = np.einsum("mk,mkd->md", barycentric, corners)
+    assert np.allclose(np.linalg.norm(places - points, axis=1) ** 2, squared)
+    assert barycentric.min() >= 0
+    assert np.allclose(barycentric.sum(axis=1), 1)
+    for i in range(20, 200):
+        found = closest_points(build_tree(corners[i], np.array([[0, 1, 2]])), points[i : i + 1])
+        assert np.allclose(found[1][0], barycentric[i], atol=1e-9)
+
+
+def test_levels_below_a_plain_mesh_are_nested() -> None:
+    mesh = _animal(3)
+    found = refined(mesh, 0)
+    assert found.is_plain
+    assert found.n_levels >= 1
+    assert [level.n_vertices for level in found.levels] == sorted(level.n_vertices for level in found.levels)
+    assert np.array_equal(found.finest.positions[found.places], mesh.positions)
+    assert np.array_equal(found.outer(found.finest.faces), mesh.face_indices.reshape(-1, 3))
+    numbers = np.arange(mesh.n_vertices)
+    assert np.array_equal(found.outer(found.inner(numbers)), numbers)
+    assert np.array_equal(found.outer_rows(found.inner_rows(numbers)), numbers)
+    size = np.ptp(mesh.positions, axis=0).max()
+    for coarse, fine, matrix in zip(found.levels, found.levels[1:], found.matrices, strict=False):
+        assert np.array_equal(fine.positions[: coarse.n_vertices], coarse.positions)
+        assert np.allclose(matrix.sum(axis=1), 1.0)
+        # Coarse levels lie near the mesh: within a fifth of their edges' length, on average.
+        miss = np.linalg.norm(matrix @ coarse.positions - fine.positions, axis=1)
+        assert miss.mean() < 0.2 * size / np.sqrt(coarse.n_vertices)
+
+
+def test_coarse_levels_know_the_mesh_s_low_frequencies() -> None:
+    """Rayleigh quotients of coordinates, which vary slowly: prolonging them from a coarse level adds little energy."""
+    found = refined(_animal(3), 0)
+    operators = build_operators(found)
+    for level, mesh in enumerate(found.levels[:-1]):
+        for column in mesh.positions.T:
+            top = found.finest.positions[:, list(mesh.positions.T.tolist()).index(column.tolist())]
+            exact = (top @ operators.stiffness[-1] @ top) / (top @ operators.mass[-1] @ top)
+            coarse = (column @ operators.stiffness[level] @ column) / (column @ operators.mass[level] @ column)
+            assert coarse == pytest.approx(exact, rel=0.1)
+
+
+def test_only_level_0_of_a_plain_mesh_exists() -> None:
+    mesh = _animal(1)
+    assert choose_level(mesh, 100_000) == 0
+    for wrong in (lambda: prepare_surface(mesh, 1), lambda: refine(mesh, 1)):
+        with pytest.raises(ParameterError, match="plain mesh"):
+            wrong()
+    mixed = ControlMesh.from_faces(cube().positions, [[0, 1, 2], *(cube().face(i) for i in range(1, 6))])
+    with pytest.raises(InvalidMeshError, match="different sizes"):
+        coarsened(refine(replace(mixed, scheme=Plain()), 0))
+
+
+def test_a_plain_mesh_lies_on_itself() -> None:
+    """Shuffled numbers change nothing: rows of the result are those of the meshes given."""
+    mesh = _animal(2)
+    order = np.random.default_rng(3).permutation(mesh.n_vertices)
+    shuffled = replace(mesh, positions=mesh.positions[order], face_indices=np.argsort(order)[mesh.face_indices])
+    target, source = prepare_surface(mesh, 0), prepare_surface(shuffled, 0)
+    marks = _far_apart(creature().positions, 8)
+    landmarks = Landmarks(tuple(map(str, marks)), marks, np.argsort(order)[marks])
+    found = match(target, source, landmarks)
+    result = found
+    assert result.target is target
+    assert np.array_equal(result.target.vertices, mesh.positions)
+    size = np.ptp(mesh.positions, axis=0).max()
+    assert np.linalg.norm(result.image() - mesh.positions, axis=1).mean() < 0.004 * size
+    met = result.image()[landmarks.target]
+    assert np.allclose(met, shuffled.positions[landmarks.source], atol=1e-9 * size)
+    fewer = update_match(found, landmarks.without([0]))
+    assert np.linalg.norm(fewer.image() - mesh.positions, axis=1).mean() < 0.005 * size
+
+
+def test_files_to_result_and_back(tmp_path: Path) -> None:
+    """A scan with a stray piece and a cage: one plain side, one refined; the result goes on after it was read."""
+    scan = join_meshes([_animal(2), replace(_ball(0), positions=_ball(0).positions * 1e-3 + 5.0)])
+    write_mesh(tmp_path / "scan.ply", _soup(scan))
+    write_mesh(tmp_path / "cage.obj", creature())
+    request = MatchRequest(
+        target=tmp_path / "cage.obj",
+        source=tmp_path / "scan.ply",
+        landmarks=None,
+        output=tmp_path / "RESULT",
+        vertices=2000,
+        source_scheme="none",
+        cache=tmp_path / "cache",
+    )
+    _, warnings = run_match(request, Stages())
+    assert any("1 smaller pieces" in text for text in warnings)
+    result = read_result(tmp_path / "RESULT")
+    assert result.source.finest == 0
+    assert result.target.finest > 0
+    assert result.manifest["repairs"]["source"]["pieces"] == 1
+    places = np.linalg.norm(result.image() - result.target.vertices, axis=1)
+    assert places.mean() < 0.01 * np.ptp(scan.positions, axis=0).max()
+    again = update_match(result, result.landmarks)
+    assert np.linalg.norm(again.image() - result.image(), axis=1).max() < 0.01 * np.ptp(scan.positions, axis=0).max()
+    assert result.functional_map.shape == (150, 150)
+
+
+def test_a_stored_plain_surface_is_the_prepared_one(tmp_path: Path) -> None:
+    mesh = _animal(2)
+    first, second = (prepared(tmp_path, mesh, 0) for _ in range(2))
+    assert len(list(tmp_path.iterdir())) == 1
+    assert np.array_equal(first.inner.basis.eigenvalues, second.inner.basis.eigenvalues)
+    assert np.array_equal(first.inner.refinement.places, second.inner.refinement.places)
