@@ -16,6 +16,8 @@ MOST_WITHIN, ALL_WITHIN = 1e-3, 2e-2
 MOST = 0.95
 # Vertices that the search for a plane looks at, and how often it moves the plane.
 SAMPLES, STEPS = 2000, 10
+# Share of these vertices' mirror images that lie on vertices from which all vertices are asked.
+PROMISING = 0.8
 # Planes whose normals are closer than this (cosine) are one.
 SAME_PLANE = 0.99
 
@@ -69,7 +71,10 @@ def mirror_symmetries(control: ControlMesh, tolerance: float = MOST_WITHIN) -> t
         normal, offset = _settled_plane(sample, tree, start, float(start @ centre), diagonal)
         if any(abs(mirror.normal @ normal) > SAME_PLANE for mirror in found):
             continue
-        distances, nearest = _query(tree, Mirror(np.zeros(0, np.int64), normal, offset, False).reflect(positions))
+        plane = Mirror(np.zeros(0, np.int64), normal, offset, False)
+        if np.mean(_query(tree, plane.reflect(sample))[0] <= tolerance * diagonal) < PROMISING:
+            continue
+        distances, nearest = _query(tree, plane.reflect(positions))
         image, own = nearest, np.arange(len(positions))
         near = np.mean(distances <= tolerance * diagonal) >= MOST and distances.max() <= ALL_WITHIN * diagonal
         # A flat mesh mirrored onto itself says nothing.

@@ -9,10 +9,10 @@ import csv
 import io
 import json
 import math
+from html import escape
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -88,7 +88,7 @@ def write_points(path: str | Path, points: NamedPoints, mesh: ControlMesh, *, fo
         places = mesh.positions[np.maximum(points.vertices, 0)]
         places = np.where(points.vertices[:, None] >= 0, places, points.positions)
         lines = [
-            f'<point name={quoteattr(name)} x="{x!r}" y="{y!r}" z="{z!r}" active="1"/>'
+            f'<point name="{_attribute(name)}" x="{x!r}" y="{y!r}" z="{z!r}" active="1"/>'
             for name, (x, y, z) in zip(points.names, places.tolist(), strict=True)
         ]
         body = "\n ".join(lines)
@@ -252,3 +252,8 @@ def _place(path: Path, name: str, values: Any) -> tuple[float, float, float]:
     if not all(map(math.isfinite, (x, y, z))):
         raise FormatError(f"{path}: '{name}': expected finite numbers, got {values}.")
     return x, y, z
+
+
+def _attribute(text: str) -> str:
+    """Text as the value of an XML attribute."""
+    return escape(text).replace("\n", "&#10;").replace("\r", "&#13;").replace("\t", "&#9;")

@@ -270,7 +270,10 @@ def _read_names(statements: _Statements, face_rows: IndexArray, kind: int) -> tu
 
 def _read_vertex_colors(statements: _Statements) -> FloatArray | None:
     """(n, 3) the three numbers after a position, where a line has six; None if no line has."""
-    lines = [statements.lines[row].partition("#")[0].split() for row in statements.rows(_POSITION)]
+    texts = [statements.lines[row] for row in statements.rows(_POSITION)]
+    if max((text.count(" ") for text in texts), default=0) < 6:
+        return None
+    lines = [text.partition("#")[0].split() for text in texts]
     if not any(len(fields) == 7 for fields in lines):
         return None
     unknown = (np.nan, np.nan, np.nan)

@@ -20,7 +20,8 @@ Level = Annotated[int, Field(ge=0, le=MOST_LEVELS)]
 class Record(BaseModel):
     """No conversions between types, no NaN; what it does not know is kept for newer versions."""
 
-    model_config = ConfigDict(strict=True, extra="allow", allow_inf_nan=False, frozen=True)
+    # Built when first used: a match writes records, and reads none.
+    model_config = ConfigDict(strict=True, extra="allow", allow_inf_nan=False, frozen=True, defer_build=True)
 
 
 class SideRecord(Record):

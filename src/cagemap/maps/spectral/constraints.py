@@ -112,10 +112,11 @@ def paired_mirrors(pair: Pair) -> tuple[SymmetryPair, ...]:
     if pair.target.refinement.is_plain or pair.source.refinement.is_plain:
         return ()  # the vertices of a scan mirror no vertices
     sides = [(pair.target.control, pair.landmarks.target), (pair.source.control, pair.landmarks.source)]
-    partners = []
-    for control, landmarks in sides:
-        places = landmarks.positions / landmarks.surface.scale
-        partners.append([(mirror, _partners(mirror, places)) for mirror in mirror_symmetries(control)])
+    mirrors = in_threads(lambda side: mirror_symmetries(side[0]), sides)
+    partners = [
+        [(mirror, _partners(mirror, landmarks.positions / landmarks.surface.scale)) for mirror in planes]
+        for planes, (_, landmarks) in zip(mirrors, sides, strict=True)
+    ]
     found: list[SymmetryPair] = []
     taken: set[int] = set()
     for target, at_target in partners[0]:
