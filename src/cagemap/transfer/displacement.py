@@ -15,9 +15,8 @@ from numpy.typing import DTypeLike
 from cagemap.errors import ParameterError
 from cagemap.geometry.triangles import triangle_areas
 from cagemap.numerics.arrays import FloatArray
-from cagemap.transfer.baking import BakeOptions, Transfer, bake, crisp_triangles, make_canvas, unit
-from cagemap.transfer.locate import Samples, samples_for, target_barycentric, texel_spans
-from cagemap.transfer.mip_maps import MipMaps
+from cagemap.transfer.baking import BakeOptions, Transfer, bake, make_canvas, plan_lookups, unit
+from cagemap.transfer.locate import Samples, target_barycentric
 from cagemap.transfer.texture import Pixels, lay_texture
 
 # Channels of a grey image that was saved in colour differ by no more than rounding, as a part of the whole range.
@@ -90,8 +89,7 @@ def bake_displacement(
     constant = bool(np.all(factors == factors[0]))
 
     canvas = make_canvas(transfer, size, options)
-    spans = texel_spans(transfer.mapped, canvas.corners, laid.corner_texels())
-    mips = MipMaps.build(laid, spans)
+    mips, counts, crisp = plan_lookups(transfer, canvas, laid)
 
     def shade(samples: Samples) -> FloatArray:
         values = mips.look_up(samples) / unit(laid.dtype)
@@ -104,7 +102,7 @@ def bake_displacement(
             return np.asarray(values * unit(kept))
         return np.asarray((middle + (values - middle) * factor) * unit(kept))
 
-    pixels = bake(transfer, canvas, samples_for(spans), shade, 1, kept, options, crisp_triangles(spans, canvas))
+    pixels = bake(transfer, canvas, counts, shade, 1, kept, options, crisp)
     return Displacement(pixels, middle, out_scale)
 
 
