@@ -34,7 +34,7 @@ def wrap(
     amount: Annotated[float, typer.Option("--amount", help="From 0, the target, to 1, the source's shape.")] = 1.0,
     fairness: Annotated[
         float, typer.Option("--fairness", help="Larger keeps the net smoother, smaller lies closer.")
-    ] = 3e-5,
+    ] = 1e-4,
     weights: Annotated[
         Path | None,
         typer.Option(

@@ -1,8 +1,8 @@
 """Tangent frames as MikkTSpace defines them: what most programs read and write normal maps in.
 
-Every triangle corner has a normal, a tangent along u and a sign. Corners of one vertex with one texture coordinate and
-one handedness share their tangent: the mean over their triangles of the direction of u, laid into the plane of the
-normal and weighted by the triangle's angle there (Mikkelsen 2008). Inside a triangle, normal and tangent are
+Every triangle corner has a normal, a tangent along u and a sign. Corners of one vertex whose triangles hang together in
+the layout, with one handedness, share their tangent: the mean over their triangles of the direction of u, laid into the
+plane of the normal and weighted by the angle there (Mikkelsen 2008). Inside a triangle, normal and tangent are
 interpolated linearly and not normalised; the bitangent is ``sign (n x t)``.
 """
 
@@ -11,6 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 
 from cagemap.geometry.triangles import normalized, vertex_normals
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -68,9 +71,7 @@ def tangent_frames(surface: TexturedSurface) -> TangentFrames:
     area = u1 * v2 - u2 * v1
     signs = np.where(area < 0, -1.0, 1.0)
     along = normalized(signs[:, None] * (v2[:, None] * (b - a) - v1[:, None] * (c - a)))
-    keys = np.stack([triangles, uv_triangles, np.repeat((area < 0)[:, None], 3, axis=1)], axis=2).reshape(-1, 3)
-    _, groups = np.unique(keys, axis=0, return_inverse=True)
-    groups = groups.reshape(-1, 3)
+    groups = _groups(triangles, uvs, uv_triangles, area < 0)
     sums = np.zeros((int(groups.max()) + 1, 3))
     own = np.zeros((len(sums), 3))
     corners = (a, b, c)
@@ -88,6 +89,35 @@ def tangent_frames(surface: TexturedSurface) -> TangentFrames:
     lost = np.linalg.norm(tangents, axis=1) < 0.5
     tangents[lost] = _any_tangent(own[lost])
     return TangentFrames(normals, triangles, tangents, groups, signs)
+
+
+def _groups(
+    triangles: IndexArray, uvs: FloatArray, uv_triangles: IndexArray, mirrored: NDArray[np.bool_]
+) -> IndexArray:
+    """(t, 3) group of every corner: corners of one vertex, joined across edges that the layout does not cut or mirror.
+
+    Texture coordinates are told apart by their values, since a layout may number one place twice; and two fans around a
+    vertex that share its place, but no edge, keep their own tangents.
+    """
+    _, places = np.unique(uvs @ np.array([1.0, 1.0j]), return_inverse=True)
+    places = places.ravel().astype(np.int64)
+    _, corner = np.unique(triangles * (int(places.max()) + 1) + places[uv_triangles], return_inverse=True)
+    corner = 2 * corner.reshape(-1, 3).astype(np.int64) + mirrored[:, None]
+    following = np.roll(corner, -1, axis=1)
+    low, high = np.minimum(corner, following).ravel(), np.maximum(corner, following).ravel()
+    edges = low * (int(corner.max()) + 1) + high
+    order = np.argsort(edges, kind="stable")
+    joined = np.flatnonzero(edges[order[1:]] == edges[order[:-1]])
+    one, two = order[joined], order[joined + 1]  # half edges: 3 * triangle + first corner
+    ends = [(3 * (half // 3) + (half % 3 + 1) % 3) for half in (one, two)]
+    # Neighbours run along their edge in opposite directions; where they do not, they turn it the same way.
+    opposite = corner.ravel()[one] != corner.ravel()[two]
+    pairs = [(one, np.where(opposite, ends[1], two)), (ends[0], np.where(opposite, two, ends[1]))]
+    heads, tails = (np.concatenate([pair[side] for pair in pairs]) for side in (0, 1))
+    count = corner.size
+    links = sparse.coo_array((np.ones(len(heads), dtype=np.int8), (heads, tails)), shape=(count, count))
+    _, groups = connected_components(links.tocsr(), directed=False)
+    return np.asarray(groups.reshape(-1, 3).astype(np.int64))
 
 
 def _projected(vectors: FloatArray, normals: FloatArray) -> FloatArray:

@@ -61,8 +61,8 @@ class WrapConfig:
     """
 
     level: int = 0
-    fairness: float = 3e-5
-    anchor: float = 1e-3
+    fairness: float = 1e-4
+    anchor: float = 0.01
     rounds: int = 3
 
     def __post_init__(self) -> None:
