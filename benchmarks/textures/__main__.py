@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 
 import cagemap
+from cagemap.cli.map_command import MapRequest
 from cagemap.cli.match import MatchRequest, run_match
-from cagemap.cli.own_map import MapRequest, run_map
+from cagemap.cli.own_map import run_map
 from cagemap.cli.progress import Stages
 from cagemap.cli.transfer import run_transfer
 from cagemap.cli.transfer_request import TransferRequest

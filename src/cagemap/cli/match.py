@@ -18,6 +18,7 @@ from cagemap.cli.job_file import note_match
 from cagemap.cli.masks import GivenMasks, MaskOptions, mask_files, masks_on, read_masks
 from cagemap.cli.match_parts import PartInputs, chosen_parts
 from cagemap.cli.match_plain import ready_inputs
+from cagemap.cli.match_request import MatchRequest as MatchRequest
 from cagemap.cli.mesh_commands import require_size
 from cagemap.cli.method import read_symmetries, used_parameters, with_parameters
 from cagemap.cli.progress import Stages
@@ -42,7 +43,6 @@ from cagemap.files.usd_space import unit_notes
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import (
-    MAP_BASIS,
     MatchConfig,
     MatchResult,
     choose_level,
@@ -56,55 +56,6 @@ _log = logging.getLogger(__name__)
 
 DEFAULT_VERTICES = 200_000
 SIDES = ("target", "source")
-
-
-@dataclass(frozen=True)
-class MatchRequest:
-    """What the user asked for, as said on the command line."""
-
-    target: Path
-    source: Path
-    landmarks: Path | None
-    output: Path
-    level: int | None = None
-    vertices: int | None = None
-    k: int | None = None
-    tolerance: float = MAP_BASIS.tolerance
-    schedule: str | None = None
-    target_level: int | None = None
-    source_level: int | None = None
-    target_k: int | None = None
-    source_k: int | None = None
-    target_tolerance: float | None = None
-    source_tolerance: float | None = None
-    target_schedule: str | None = None
-    source_schedule: str | None = None
-    method: str = "elastic"
-    parameter: tuple[str, ...] = ()
-    symmetry: bool = True
-    target_symmetry: tuple[Path, ...] = ()
-    source_symmetry: tuple[Path, ...] = ()
-    exchange_landmarks: bool = False
-    trust_landmarks: bool = False
-    target_points: Path | None = None
-    source_points: Path | None = None
-    curves: Path | None = None
-    scheme: str | None = None
-    target_scheme: str | None = None
-    source_scheme: str | None = None
-    boundary: str | None = None
-    uv_interpolation: str | None = None
-    creasing: str | None = None
-    part: str | None = None
-    target_part: str | None = None
-    source_part: str | None = None
-    target_uv_set: str | None = None
-    source_uv_set: str | None = None
-    target_mask: str | None = None
-    source_mask: str | None = None
-    mask_edge: float | None = None
-    cache: Path | None = None
-    force: bool = False
 
 
 @dataclass(frozen=True)

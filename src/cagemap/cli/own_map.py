@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 from cagemap.basis import Surface
+from cagemap.cli.map_command import MapRequest
 from cagemap.cli.progress import Stages
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import require_no_input
@@ -20,18 +20,6 @@ from cagemap.pipeline import choose_level
 from cagemap.refinement import refine
 
 DEFAULT_VERTICES = 50_000
-
-
-@dataclass(frozen=True)
-class MapRequest:
-    """What the user asked for, as said on the command line."""
-
-    map: Path
-    target: Path
-    source: Path
-    output: Path
-    level: int | None = None
-    force: bool = False
 
 
 def run_map(request: MapRequest, stages: Stages) -> tuple[str, list[str]]:
