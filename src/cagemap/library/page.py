@@ -120,7 +120,7 @@ def build_library_page(title: str, rows: Sequence[PairRow], notes: Sequence[str]
         f'<header>\n<p class="brand">cagemap</p>\n<h1>{escape(title)}</h1>\n<ul class="chips">{"".join(chips)}</ul>\n'
         f'</header>\n{f"<ul class=notes>{listed}</ul>" if listed else ""}\n<section>\n<p class="lead">Equal colours '
         "correspond: the source on the left, the target on the right. Worst pairs first; click a heading to sort."
-        '</p>\n<table class="library"><thead><tr>'
+        f'</p>\n<table class="library" style="--figures: {len(heads) - 3}"><thead><tr>'
         + "".join(f"<th>{escape(head)}</th>" for head in heads)
         + "</tr></thead>\n<tbody>\n"
         + "\n".join(_row(row, with_cycles) for row in rows)
@@ -206,7 +206,7 @@ def _badness(row: PairRow) -> tuple[float, ...]:
 def _row(row: PairRow, with_cycles: bool) -> str:
     encoded = base64.b64encode(row.picture).decode("ascii")
     name = f"{row.source} → {row.target}"
-    image = f'<img loading="lazy" src="data:image/jpeg;base64,{encoded}" alt="{escape(name)}">' if encoded else ""
+    image = f'<img loading="lazy" decoding="async" src="data:image/jpeg;base64,{encoded}" alt="{escape(name)}">' if encoded else ""
     links = " ".join(f'<a href="{escape(file)}">{escape(Path(file).name)}</a>' for file in row.files)
     said = "".join(f"<li>{escape(text)}</li>" for text in row.messages)
     cells = [
