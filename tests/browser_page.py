@@ -113,16 +113,20 @@ class Page:
         found = self.until(lambda: self.browser.execute_script(press, label), f"a button {label!r}")
         self.browser.execute_script("arguments[0].scrollIntoView(); arguments[0].click()", found)
 
-    def fill(self, side: str, label: str, value: str) -> None:
-        """Type into a field."""
-        from selenium.webdriver.common.keys import Keys
-
+    def field(self, side: str, label: str) -> Any:
+        """The input beside a label."""
         self.into(side)
         look = """const name = [...document.querySelectorAll('label, p, span, div')].find(
             e => e.children.length == 0 && e.innerText?.trim() == arguments[0]);
             for (let at = name; at; at = at.parentElement) {
                 const field = at.querySelector('input'); if (field) return field; }"""
-        field = self.until(lambda: self.browser.execute_script(look, label), f"a field {label!r}")
+        return self.until(lambda: self.browser.execute_script(look, label), f"a field {label!r}")
+
+    def fill(self, side: str, label: str, value: str) -> None:
+        """Type into a field."""
+        from selenium.webdriver.common.keys import Keys
+
+        field = self.field(side, label)
         field.send_keys(Keys.CONTROL, "a")
         field.send_keys(value, Keys.TAB)
 

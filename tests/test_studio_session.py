@@ -253,6 +253,13 @@ def test_no_word_of_the_page_reaches_outside(opened: Session, folder: Path, path
     assert listed() == before
 
 
+def test_a_target_without_uvs_is_laid_out(opened: Session) -> None:
+    # The boxes have none.
+    assert opened.scene.target.uvs is None
+    bake = next(command for command in opened.plan(FinishOptions()) if command.title == "texture")
+    assert "--unwrap" in bake.arguments
+
+
 def test_a_cancelled_finish_leaves_nothing_and_the_next_one_runs(opened: Session, folder: Path) -> None:
     def files() -> set[Path]:
         return {path for path in folder.rglob("*") if path.is_file()}

@@ -8,16 +8,15 @@ from __future__ import annotations
 import argparse
 import io
 import os
-import resource
 import statistics
 import tempfile
-import time
 from pathlib import Path
 
 import imageio.v3 as imageio
 import numpy as np
 from tests.browser_page import chromium
 
+from benchmarks.processor import children_time
 from cagemap.library.page import PairRow, build_library_page
 
 RESULTS = Path(__file__).resolve().parents[1] / "results" / "library_page.md"
@@ -88,36 +87,13 @@ def measure(count: int) -> list[str]:
     ]
 
 
-def children_time() -> float:
-    """Processor time of the processes that this one started and theirs, as far as they run."""
-    ticks = 0
-    ours = {os.getpid()}
-    parents = {}
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                fields = (entry / "stat").read_text().rpartition(")")[2].split()
-            except OSError:
-                continue
-            parents[int(entry.name)] = (int(fields[1]), int(fields[11]) + int(fields[12]))
-    grown = True
-    while grown:
-        more = {pid for pid, (parent, _) in parents.items() if parent in ours} - ours
-        ours |= more
-        grown = bool(more)
-    ticks = sum(parents[pid][1] for pid in ours - {os.getpid()} if pid in parents)
-    return ticks / os.sysconf("SC_CLK_TCK")
-
-
 def main() -> None:
     """Measure and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--pairs", type=int, default=500)
-    begin = time.perf_counter()
     text = "\n".join(["# The page of a library", "", *measure(parser.parse_args().pairs), ""])
     RESULTS.write_text(text, encoding="utf-8")
     print(text)
-    print(f"{time.perf_counter() - begin:.0f} s, {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB here")
 
 
 if __name__ == "__main__":

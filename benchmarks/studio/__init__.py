@@ -1,1 +1,1 @@
-"""How long the studio lets one wait, measured in a headless browser: `python -m benchmarks.studio [--triangles N]`."""
+"""Waits of the studio as its page shows them, and a new user's way from nothing to a baked texture."""

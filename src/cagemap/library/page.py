@@ -206,7 +206,11 @@ def _badness(row: PairRow) -> tuple[float, ...]:
 def _row(row: PairRow, with_cycles: bool) -> str:
     encoded = base64.b64encode(row.picture).decode("ascii")
     name = f"{row.source} → {row.target}"
-    image = f'<img loading="lazy" decoding="async" src="data:image/jpeg;base64,{encoded}" alt="{escape(name)}">' if encoded else ""
+    image = (
+        f'<img loading="lazy" decoding="async" src="data:image/jpeg;base64,{encoded}" alt="{escape(name)}">'
+        if encoded
+        else ""
+    )
     links = " ".join(f'<a href="{escape(file)}">{escape(Path(file).name)}</a>' for file in row.files)
     said = "".join(f"<li>{escape(text)}</li>" for text in row.messages)
     cells = [

@@ -53,7 +53,7 @@ class FinishOptions:
         Ending of the file for the map itself; '' for none.
     wrap : WrapOptions or None
     unwrap : bool
-        Lay out a target without UVs.
+        Lay out the target, which has no UVs.
     report : bool
     """
 

@@ -239,8 +239,9 @@ class Session:
 
     def plan(self, options: FinishOptions) -> tuple[Command, ...]:
         """The commands that a finish would run."""
-        files, _ = self._open()
-        return commands(files, self.workspace.within(options), landmarks=self._state.history.present.decides)
+        files, scene = self._open()
+        named = replace(self.workspace.within(options), unwrap=scene.target.uvs is None)
+        return commands(files, named, landmarks=self._state.history.present.decides)
 
     def finish(self, options: FinishOptions) -> None:
         """Map at full resolution, bake and report; saves the landmarks first."""

@@ -75,7 +75,6 @@ class FinishPanel:
                 blend_shapes=chosen(self._blend_shapes),
                 write_map="" if self._map.value == NO_MAP else self._map.value,
                 wrap=self._wrap_options(),
-                unwrap=self._unwrap.value,
             )
         except ValueError as error:
             if isinstance(error, CagemapError):
@@ -101,7 +100,6 @@ class FinishPanel:
         self._colors = gui.add_checkbox("Material colours", usual.material_colors)
         self._as_color = gui.add_checkbox("As a picture", usual.as_color, hint="texture that looks like a normal map")
         self._bits = gui.add_dropdown("Bits", (AS_IMAGE, "8", "16", "32"))
-        self._unwrap = gui.add_checkbox("Unwrap target", usual.unwrap, hint="for a target without UVs")
         self._source_uvs = gui.add_checkbox("UVs of the source", usual.source_uvs, hint="so that its own image fits")
         forms = (NO_MAP, ".npy", ".npz", ".mtx", ".vts", ".mhclo")
         self._map = gui.add_dropdown("Map file", forms, hint="the map itself, for other programs")

@@ -1,0 +1,174 @@
+"""Start, first map, landmark to preview, answers while computing, frames: each in a headless Chromium."""
+
+from __future__ import annotations
+
+import json
+import statistics
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from tests.browser_page import Page, chromium, studio
+
+from benchmarks.processor import children_time
+from cagemap.files.landmarks import write_landmarks
+from cagemap.files.meshes import read_mesh
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.studio.state import Files
+
+Rows = list[tuple[str, str]]
+
+# Ends when a text has changed and, where asked for, so many pictures later the other frame has drawn what came with it.
+PRESSED = """
+const [label, block, pattern, frames, done] = arguments, text = () => document.getElementById(block)?.innerText ?? '';
+const before = text(), other = parent.document.getElementById('target').contentWindow;
+const changed = () => pattern ? new RegExp(pattern).test(text()) : text() != before;
+const begin = performance.now();
+[...document.querySelectorAll('button')].find(b => b.innerText.trim() == label).click();
+const look = () => {
+    const drawn = left => left ? other.requestAnimationFrame(() => drawn(left - 1)) : done(performance.now() - begin);
+    if (changed()) drawn(frames);
+    else if (performance.now() - begin > 120000) done(-1);
+    else setTimeout(look, 4);
+};
+look();
+"""
+FRAMES = """
+const done = arguments[arguments.length - 1], canvas = document.querySelector('canvas');
+const box = canvas.getBoundingClientRect();
+const at = x => ({bubbles: true, pointerId: 1, button: 0, buttons: 1, clientX: box.left + x, clientY: box.top + 5,
+    pointerType: 'mouse', isPrimary: true});
+const send = (kind, x) => canvas.dispatchEvent(new PointerEvent(kind, at(x)));
+let count = 0, begin = performance.now();
+send('pointerdown', 20);
+const turn = () => {
+    count += 1;
+    document.dispatchEvent(new PointerEvent('pointermove', at(20 + 4 * count)));
+    if (performance.now() - begin < 4000) requestAnimationFrame(turn);
+    else { send('pointerup', 20); done(1000 * count / (performance.now() - begin)); }
+};
+requestAnimationFrame(turn);
+"""
+
+
+@dataclass(frozen=True)
+class Started:
+    """A page with both models on screen.
+
+    Attributes
+    ----------
+    page : Page
+    seconds, processor : float
+        From the command to the models, and of the processor, the browser's drawing included.
+    """
+
+    page: Page
+    seconds: float
+    processor: float
+
+
+@contextmanager
+def started(files: Files, vertices: int, *, landmarks: bool = True) -> Iterator[Started]:
+    """A studio of its own, from the command until both models are on screen; the browser runs already."""
+    named = ["--target", files.target, "--source", files.source, "--vertices", vertices, "--result", files.result]
+    named += ["--texture", files.texture] if files.texture is not None else []
+    named += ["--landmarks", files.landmarks] if landmarks else []
+    with chromium() as browser:
+        begin, before = time.perf_counter(), children_time()
+        with studio(*map(str, named)) as (_, address):
+            page = Page(browser, address)
+            page.until(lambda: all(shown(page, side) for side in ("target", "source")), "models")
+            yield Started(page, time.perf_counter() - begin, children_time() - before)
+
+
+def shown(page: Page, side: str) -> bool:
+    """Whether a model is in the middle of a frame."""
+    picture = page.picture(side)
+    height, width = picture.shape[:2]
+    return bool(picture[height // 3 : 2 * height // 3, width // 3 : 2 * width // 3].std() > 8)
+
+
+def start_rows(files: Files, displayed: int) -> Rows:
+    """From the command to the models, with half of the displayed vertices each."""
+    with started(files, displayed // 2) as begun:
+        return [
+            (f"command to both models on screen, {displayed:,} vertices displayed", f"{begun.seconds:.1f} s"),
+            ("processor time of that, the drawing included", f"{begun.processor:.1f} s"),
+        ]
+
+
+def map_rows(files: Files, vertices: int) -> Rows:
+    """The first map without landmarks, and what changes it: `vertices` a model."""
+    with started(files, vertices, landmarks=False) as begun:
+        page, begin = begun.page, time.perf_counter()
+        page.until(lambda: page.revision() == 1, "the first map")
+        wait = time.perf_counter() - begin
+        rows = [
+            (f"command to both models on screen, {vertices:,} vertices each", f"{begun.seconds:.1f} s"),
+            ("from there to the first landmark-free map", f"{wait:.1f} s"),
+            ("of that the map's own computation", computed(page)),
+        ]
+        return rows + live_rows(page)
+
+
+def live_rows(page: Page) -> Rows:
+    """Landmark to preview, answers while computing, frames."""
+    updates, own = [], []
+    for k in range(6):
+        page.click("target", (-0.2, 0.05 * k - 0.1))
+        page.until(lambda: "accept the proposal" in page.text("status"), "half a landmark")
+        updates.append(pressed(page, "Accept proposal", "map", f"^map {page.revision() + 1},", frames=2))
+        own.append(float(computed(page).split()[0]))
+    answers = []
+    pressed(page, "Match again", "status", "finding the map")
+    for _ in range(6):
+        answers.append(pressed(page, "Undo", "list"))
+    page.until(lambda: "finding" not in page.text("status"), "the end of the computation")
+    page.into("target")
+    frames = page.browser.execute_async_script(FRAMES)
+    # The first one is not counted: it comes to compiled code that was not loaded yet.
+    return [
+        ("landmark to updated preview in the browser, median of 5", f"{statistics.median(updates[1:]):.2f} s"),
+        ("the same, best", f"{min(updates[1:]):.2f} s"),
+        ("of that the map's own computation, median", f"{statistics.median(own[1:]):.2f} s"),
+        ("answer to a button while a map is computed, median of 6", f"{1000 * statistics.median(answers):.0f} ms"),
+        ("the same, worst", f"{1000 * max(answers):.0f} ms"),
+        ("frames a second while turning", f"{frames:.0f}"),
+    ]
+
+
+def many_rows(files: Files, vertices: int, count: int) -> Rows:
+    """A model beside itself with many landmarks: `vertices` each."""
+    target = files.target
+    control = read_mesh(target)
+    chosen = np.unique(np.linspace(0, control.n_vertices - 1, count).astype(np.int64))
+    names = tuple(f"v{vertex}" for vertex in chosen)
+    path = files.landmarks.with_name("many.json")
+    write_landmarks(path, Landmarks(names, chosen, chosen, target.name, target.name))
+    alike = Files(target, target, None, path, files.result)
+    with started(alike, vertices) as begun:
+        page, begin = begun.page, time.perf_counter()
+        size = page.browser.execute_script  # the panel names the sizes
+        page.into("target")
+        sizes = size("return [...document.body.innerText.matchAll(/([\\d,]+) vertices/g)].map(m => m[1])")
+        title = f"{len(chosen)} landmarks, {' and '.join(sizes)} vertices"
+        rows = [(f"{title}: command to both models", f"{begun.seconds:.1f} s")]
+        page.until(lambda: page.revision() == 1, "the first map")
+        rows.append((f"{title}: from there to the map", f"{time.perf_counter() - begin:.1f} s"))
+        return rows + [(f"{title}: {name}", value) for name, value in live_rows(page)]
+
+
+def pressed(page: Page, label: str, block: str, pattern: str = "", frames: int = 0) -> float:
+    """Seconds from pressing a button to a block's new text, and some pictures more, as the page's own clock tells."""
+    page.into("source")
+    waited = page.browser.execute_async_script(PRESSED, label, block, pattern, frames)
+    if waited < 0:
+        raise TimeoutError(f"{label}: {json.dumps(page.texts())}")
+    return float(waited) / 1000
+
+
+def computed(page: Page) -> str:
+    """What the page says that the last map took."""
+    return page.text("map").split("\n")[0].split(",")[1].strip()

@@ -1,0 +1,96 @@
+"""Tried as a new user would: spot and cow in a folder, `cagemap studio` there, and on to a baked texture."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from tests.browser_page import Page, chromium, studio
+
+from benchmarks.accuracy.data import DATA
+
+# A hand and an eye need about this long for a click.
+HAND = 2.0
+
+
+@dataclass
+class Walk:
+    """Steps so far.
+
+    Attributes
+    ----------
+    lines : list of str
+        Rows of the table.
+    clicks : int
+    begin : float
+    """
+
+    lines: list[str] = field(default_factory=list)
+    clicks: int = 0
+    begin: float = field(default_factory=time.perf_counter)
+
+    def step(self, what: str, clicks: int) -> None:
+        """Note a step that is done."""
+        self.clicks += clicks
+        self.lines.append(f"| {what} | {clicks} | {time.perf_counter() - self.begin:.1f} |")
+
+
+def choose(page: Page, label: str, value: str) -> None:
+    """Open a dropdown of the left panel and take an entry: two clicks."""
+    from selenium.webdriver.common.by import By
+
+    page.field("target", label).click()
+
+    def entry() -> Any:
+        options = page.browser.find_elements(By.CSS_SELECTOR, "[role=option]")
+        return next((option for option in options if option.is_displayed() and option.text == value), None)
+
+    page.until(entry, f"{value} among {label}").click()
+
+
+def value(page: Page, label: str) -> str:
+    """What a dropdown shows."""
+    return str(page.field("target", label).get_attribute("value"))
+
+
+def walk(vertices: int | None, picture: Path | None = None) -> list[str]:
+    """Walk; rows of the table. ``vertices``: of the finish, its own default if None."""
+    with tempfile.TemporaryDirectory() as temporary, chromium() as browser:
+        folder = Path(temporary)
+        for name in ("spot.obj", "spot.mtl", "cow.obj", "cow.mtl", "spot_texture.png"):
+            shutil.copy(DATA / "animals" / name, folder / name)
+        steps = Walk()
+        with studio("--folder", str(folder)) as (_, address):
+            steps.step("`cagemap studio` in the folder of the models; the address is printed", 0)
+            page = Page(browser, address)
+            page.until(lambda: "Choose a target" in page.text("status"), "the page")
+            steps.step("the page is there (it opens by itself)", 0)
+            choose(page, "Target", "cow.obj")
+            choose(page, "Source", "spot.obj")
+            page.until(lambda: value(page, "Texture") == "spot_texture.png", "the guessed texture")
+            steps.step("*Target* cow.obj, *Source* spot.obj; the texture is guessed", 4)
+            page.button("target", "Open")
+            page.until(lambda: page.revision() == 1, "the first map")
+            steps.step("*Open*; the first map is shown", 1)
+            if vertices is not None:
+                page.fill("target", "Vertices", str(vertices))
+            page.button("target", "Bake")
+            page.until(lambda: "all as one zip" in page.text("outputs"), "the bake")
+            steps.step("*Bake*; map, texture and report are written", 1)
+            (baked,) = folder.glob("cow_from_*.png")
+            if page.link(baked.name) != baked.read_bytes():
+                raise AssertionError("the download is not the file")
+            steps.step(f"the link {baked.name}; it is downloaded", 1)
+            if picture is not None:
+                page.screenshot(picture)
+    waiting = time.perf_counter() - steps.begin
+    return [
+        "| step | clicks | seconds since the start |",
+        "| --- | --- | --- |",
+        *steps.lines,
+        f"| together, with {HAND:.0f} s for each click | {steps.clicks} | {waiting + HAND * steps.clicks:.0f} |",
+    ]
