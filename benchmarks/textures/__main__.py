@@ -59,6 +59,15 @@ def enlarged(pixels: np.ndarray, size: int) -> np.ndarray:
     return np.rint((rows[low] * (1 - share) + rows[high] * share).transpose(1, 0, 2)).astype(np.uint8)
 
 
+def grained(pixels: np.ndarray, contrast: float) -> np.ndarray:
+    """An 8-bit image with noise of about three texels' size over it, so that it has detail of its own size."""
+    noise = np.random.default_rng(0).standard_normal(pixels.shape[:2])
+    for axis in (0, 1):
+        noise = (np.roll(noise, 1, axis) + 2 * noise + np.roll(noise, -1, axis)) / 4
+    grain = contrast * noise / noise.std()
+    return np.rint(np.clip(pixels + grain[..., None], 0, 255)).astype(np.uint8)
+
+
 def identity(data: Path, size: int) -> str:
     """Share of covered texels that come back within 1 level, spot and blub, at three densities."""
     lines = []
@@ -76,10 +85,11 @@ def identity(data: Path, size: int) -> str:
     return "\n".join(lines)
 
 
-def back(data: Path, size: int, name: str, kind: str) -> str:
+def back(data: Path, size: int, name: str, kind: str, grain: float) -> str:
     """PSNR of a texture after two real matches: onto another cage of the same shape with new UVs, and back."""
     mesh = read_mesh(data / "animals" / f"{name}.obj")
     texture = enlarged(read_image(data / "animals" / f"{name}_texture.png").pixels[..., :3], size)
+    texture = grained(texture, grain)
     other = unwrap(replace(finest_mesh(refine(mesh, 1)), uvs=None, uv_indices=None))
     if kind == "turned":  # quads along the diagonals of the old ones
         other = unwrap(requadded(mesh))
@@ -104,7 +114,8 @@ def back(data: Path, size: int, name: str, kind: str) -> str:
         result = cagemap.read_result(root / "back")
         where = touched(cagemap.transfer_of(result), size)
         quality = result.manifest["quality"]
-    return f"{name} {kind} {size}: {psnr(returned, texture, where):.2f} dB, folded {quality['flipped_area']:.5f}"
+    decibels = psnr(returned, texture, where)
+    return f"{name} {kind} {size}, grain {grain:g}: {decibels:.2f} dB, folded {quality['flipped_area']:.5f}"
 
 
 def requadded(mesh: ControlMesh) -> ControlMesh:
@@ -189,11 +200,12 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--name", default="spot")
     parser.add_argument("--kind", default="refined", choices=("refined", "turned"))
+    parser.add_argument("--grain", type=float, default=0.0)
     parser.add_argument("--data", type=Path, default=DATA)
     given = parser.parse_args()
     measures = {
         "identity": lambda: identity(given.data, given.size),
-        "back": lambda: back(given.data, given.size, given.name, given.kind),
+        "back": lambda: back(given.data, given.size, given.name, given.kind, given.grain),
         "tiles": lambda: tiles(given.size, given.count),
         "large": lambda: large(given.size),
     }
