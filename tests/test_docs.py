@@ -107,3 +107,15 @@ def test_every_command_option_is_documented_and_exists(document: Path) -> None:
         assert missing <= {"--symmetry", "--version"}, missing
         written = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", text))
         assert written <= options, written - options
+
+
+def test_the_architecture_names_every_file_of_the_maps_room() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").split("## Inside the maps room")[1]
+    rooms = {path.parent.name for path in (ROOT / "src" / "cagemap" / "maps").glob("*/__init__.py")}
+    for room in rooms:
+        row = next(line for line in text.splitlines() if line.startswith(f"| `maps.{room}`"))
+        files = {path.stem for path in (ROOT / "src" / "cagemap" / "maps" / room).glob("*.py")} - {"__init__"}
+        assert files <= set(re.findall(r"`(\w+)`", row)), room
+    above = text.split("| room |")[0]
+    files = {path.stem for path in (ROOT / "src" / "cagemap" / "maps").glob("*.py")} - {"__init__"}
+    assert files <= set(re.findall(r"`(\w+)`", above))

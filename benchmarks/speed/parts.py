@@ -154,7 +154,7 @@ def _match(pair: str, level: int, result: str, *more: str | float) -> Figures:
     chosen = PAIRS[pair]
     process = cagemap(
         *("match", "--target", chosen.target_file, "--source", chosen.source_file, "--landmarks", chosen.landmarks),
-        *("--level", level, "-k", 300, "-o", result, *more),
+        *("--level", level, "-o", result, *more),
     )
     process.pop("output")
     manifest = json.loads((Path(result) / "manifest.json").read_text())
