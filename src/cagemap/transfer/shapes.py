@@ -35,8 +35,8 @@ _ANCHOR = 100.0
 _UNFELT = 1e-7
 # What touches in a shape of the source is to touch in the target's: weight against the anchor.
 _CONTACT = 100.0
-# Surfaces touch where they are closer than this part of a sample's edge, and face each other.
-_TOUCHING, _FACING = 0.5, -0.5
+# Surfaces touch where they are closer than this many edges of samples, and face each other.
+_TOUCHING, _FACING = 1.0, -0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,20 +167,21 @@ def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
     unfelt = given.scale * (carrier.own @ np.asarray(displacement, dtype=np.float64))
     right = right + carrier.ridge @ np.einsum("nba,nb->na", carrier.vertex_turns[: len(unfelt)], unfelt)
     factors = carrier.factors
-    first, second, gap = contacts(carrier, moved)
+    first, second, closing = contacts(carrier, moved)
     if len(first):
         rows = carrier.samples[first] - carrier.samples[second]
         weights = sparse.diags_array(_ANCHOR * _CONTACT * carrier.masses[first])
-        apart = maps.target.positions[first] - maps.target.positions[second]
         factors = factor(sparse.csc_array(carrier.matrix + rows.T @ weights @ rows))
-        right = right + rows.T @ (weights @ (gap - apart))
+        right = right + rows.T @ (weights @ closing)
     return np.asarray(factors.solve(np.ascontiguousarray(right))) / maps.target.scale
 
 
 def contacts(carrier: ShapeCarrier, moved: FloatArray) -> tuple[IndexArray, IndexArray, FloatArray]:
-    """Samples (k,), (k,) whose images touch in a shape of the source, and the gap (k, 3) that it leaves the target.
+    """Samples (k,), (k,) whose images touch in a shape of the source, and how (k, 3) they are to move past each other.
 
-    Touching are points that are close, face each other, and are not neighbours: closed lips and eyelids.
+    Touching are points that are close, face each other, and are not neighbours: closed lips and eyelids. What closes in
+    the shape is left the gap that the source has then; what touches at rest already keeps what is between it, as far as
+    it does so in the source, so that nothing moves where the source does not.
 
     Parameters
     ----------
@@ -208,8 +209,12 @@ def contacts(carrier: ShapeCarrier, moved: FloatArray) -> tuple[IndexArray, Inde
     second = nearest[first, np.argmax(touching[first], axis=1)]
     once = first < second
     first, second = first[once], second[once]
-    gap = np.einsum("kba,kb->ka", carrier.vertex_turns[first], places[first] - places[second])
-    return first, second, gap
+    before = images.positions[first] - images.positions[second]
+    gap = places[first] - places[second]
+    at_rest = np.linalg.norm(before, axis=1) < _TOUCHING * edges[first]
+    turned = np.einsum("kba,kb->ka", carrier.vertex_turns[first], np.where(at_rest[:, None], gap - before, gap))
+    own = carrier.point_map.target.positions[first] - carrier.point_map.target.positions[second]
+    return first, second, np.where(at_rest[:, None], turned, turned - own)
 
 
 def _gradients(places: FloatArray, triangles: IndexArray) -> tuple[sparse.csr_array, FloatArray]:
