@@ -12,7 +12,8 @@ from cagemap.maps.point_map import PointMap
 from cagemap.mesh import torus
 from cagemap.refinement import refine
 from cagemap.transfer.dilation import dilate
-from cagemap.transfer.locate import Samples, locate_samples, map_surface, plan_samples, target_barycentric
+from cagemap.transfer.locate import Samples, locate_samples, map_surface, target_barycentric
+from cagemap.transfer.lookups import plan_samples
 from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.texels import lay_out, rasterize_band
 from cagemap.transfer.texture import lay_texture, look_up

@@ -25,18 +25,15 @@ from cagemap.numerics.threads import ThreadPool, core_count
 from cagemap.refinement import Level
 from cagemap.transfer.dilation import LARGEST_SIDE, dilate
 from cagemap.transfer.locate import (
-    UNSCALED,
     MappedSurface,
     Samples,
     locate_samples,
     map_surface,
-    samples_for,
-    texel_spans,
 )
-from cagemap.transfer.mip_maps import MipMaps, mip_levels
+from cagemap.transfer.lookups import plan_lookups
 from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.texels import GUTTER_RADIUS, Layout, TriangleImage, lay_out, rasterize_band
-from cagemap.transfer.texture import Pixels, Texture, Wrap, lay_texture, tile_cells, udim_of, udim_origin
+from cagemap.transfer.texture import Pixels, Wrap, lay_texture, tile_cells, udim_of, udim_origin
 
 Shade = Callable[[Samples], FloatArray]
 ShadeCells = Callable[[NDArray[np.int32], IndexArray, int], FloatArray]
@@ -172,54 +169,14 @@ def bake_texture(
     laid = lay_texture(texture, *transfer.source.layout(), wrap=options.wrap)
     kept = laid.dtype if dtype is None else np.dtype(dtype)
     canvas = make_canvas(transfer, size, options)
-    mips, counts, crisp = plan_lookups(transfer, canvas, laid)
+    lookups = plan_lookups(transfer.mapped, transfer.source, canvas.corners, canvas.supersample, laid)
     scale = unit(kept) / unit(laid.dtype)
 
     def shade(samples: Samples) -> FloatArray:
-        return mips.look_up(samples) if scale == 1.0 else mips.look_up(samples) * scale
+        values = lookups.mips.look_up(samples)
+        return values if scale == 1.0 else values * scale
 
-    return bake(transfer, canvas, counts, shade, laid.channels, kept, options, crisp)
-
-
-def plan_lookups(
-    transfer: Transfer, canvas: Canvas, laid: Texture
-) -> tuple[MipMaps, NDArray[np.int32], NDArray[np.bool_]]:
-    """How each target triangle reads a texture of the source, so that it neither aliases nor blurs.
-
-    Returns
-    -------
-    mips : MipMaps
-    counts : (t1, 2) int32
-        Samples along x and y in a raster cell.
-    crisp : (t1,) bool
-        Where a texel spans no more than one of the source: its centre stands for all of it.
-    """
-    spans = texel_spans(transfer.mapped, canvas.corners, laid.corner_texels())
-    levels = mip_levels(spans)
-    coverage = source_coverage(transfer.source, laid) if levels.any() else {}
-    counts = samples_for(spans / 2.0 ** levels[:, None])
-    crisp = np.asarray((spans * canvas.supersample <= UNSCALED).all(axis=1))
-    return MipMaps.build(laid, levels, coverage), counts, crisp
-
-
-def source_coverage(surface: TexturedSurface, laid: Texture) -> dict[int, NDArray[np.float32]]:
-    """(h, w) which texels of each tile of a texture the surface's layout, and a border of one texel, covers: 1 or 0."""
-    neighbors = triangle_neighbors(surface.layout()[1])
-    found = {}
-    for tile, pixels in laid.tiles.items():
-        height, width = pixels.shape[:2]
-        own = laid.triangle_tiles == tile
-        corners = surface.corner_uvs() - udim_origin(tile)
-        if tile == 0:  # a plain image repeats: each triangle where it lies in it
-            corners = corners - tile_cells(corners)[:, None]
-        corners[~own] = 0.0
-        rows = max(1, _BAND_TEXELS // width)
-        layout = lay_out(corners, neighbors, height, width, band_rows=rows)
-        covered = np.empty((height, width), dtype=np.float32)
-        for band in range(len(layout.band_triangles)):
-            covered[band * rows : (band + 1) * rows] = rasterize_band(layout, band) >= 0
-        found[tile] = covered
-    return found
+    return bake(transfer, canvas, lookups.counts, shade, laid.channels, kept, options, lookups.crisp)
 
 
 @dataclass(frozen=True)
@@ -294,7 +251,7 @@ def bake(
         Number type of the result; integers are rounded and clipped.
     options : BakeOptions
     crisp : (t1,) bool, optional
-        See `plan_lookups`.
+        See `cagemap.transfer.lookups.Lookups`.
     """
 
     def shade_cells(triangle: NDArray[np.int32], cells: IndexArray, top: int) -> FloatArray:
@@ -324,7 +281,7 @@ def paint(
         Number type of the result; integers are rounded and clipped.
     options : BakeOptions
     crisp : (t1,) bool, optional
-        See `plan_lookups`.
+        See `cagemap.transfer.lookups.Lookups`.
     """
     image = np.zeros((canvas.height, canvas.width, channels), dtype=dtype)
     covered = np.zeros((canvas.height, canvas.width), dtype=np.bool_)

@@ -24,7 +24,8 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Level
 from cagemap.transfer.baking import BakeOptions, Canvas, Transfer, bake, make_canvas, prepare_transfer, unit
 from cagemap.transfer.displacement import Displacement, scale_ratio
-from cagemap.transfer.locate import Samples, plan_samples
+from cagemap.transfer.locate import Samples
+from cagemap.transfer.lookups import plan_samples
 from cagemap.transfer.texture import Pixels
 from cagemap.transfer.vectors import Green, Space, bake_turned, check_space, displacement_order, normal_encoder
 

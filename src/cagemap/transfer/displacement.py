@@ -15,8 +15,9 @@ from numpy.typing import DTypeLike
 from cagemap.errors import ParameterError
 from cagemap.geometry.triangles import triangle_areas
 from cagemap.numerics.arrays import FloatArray
-from cagemap.transfer.baking import BakeOptions, Transfer, bake, make_canvas, plan_lookups, unit
+from cagemap.transfer.baking import BakeOptions, Transfer, bake, make_canvas, unit
 from cagemap.transfer.locate import Samples, target_barycentric
+from cagemap.transfer.lookups import plan_lookups
 from cagemap.transfer.texture import Pixels, lay_texture
 
 # Channels of a grey image that was saved in colour differ by no more than rounding, as a part of the whole range.
@@ -89,10 +90,10 @@ def bake_displacement(
     constant = bool(np.all(factors == factors[0]))
 
     canvas = make_canvas(transfer, size, options)
-    mips, counts, crisp = plan_lookups(transfer, canvas, laid)
+    lookups = plan_lookups(transfer.mapped, transfer.source, canvas.corners, canvas.supersample, laid)
 
     def shade(samples: Samples) -> FloatArray:
-        values = mips.look_up(samples) / unit(laid.dtype)
+        values = lookups.mips.look_up(samples) / unit(laid.dtype)
         if constant:
             factor = factors[0]
         else:
@@ -102,7 +103,7 @@ def bake_displacement(
             return np.asarray(values * unit(kept))
         return np.asarray((middle + (values - middle) * factor) * unit(kept))
 
-    pixels = bake(transfer, canvas, counts, shade, 1, kept, options, crisp)
+    pixels = bake(transfer, canvas, lookups.counts, shade, 1, kept, options, lookups.crisp)
     return Displacement(pixels, middle, out_scale)
 
 

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from cagemap.geometry.triangles import triangle_centres, triangle_neighbors
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.threads import in_threads, parts
 from cagemap.transfer.surface import TexturedSurface
 
 _INSIDE = -1e-9
@@ -24,12 +23,6 @@ _INSIDE = -1e-9
 _LONGEST_WALK = 512
 # How far, in units of its own barycentric coordinates, a triangle is extended outside (gutter, slivers).
 _EXTENSION = 2.0
-# Triangles that one thread plans at a time: 300 bytes each.
-_PLANNED_AT_ONCE = 1 << 15
-# No texel takes more than this many samples along each axis; beyond, it reads a smaller image of the texture.
-MAX_SAMPLES_PER_AXIS = 16
-# A span up to this many texels is left to the bilinear filter: an unscaled texture then comes through unblurred.
-UNSCALED = 1.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,55 +205,6 @@ def walk_from(
     # A corner stays one, whatever the rounding.
     barycentric[np.abs(barycentric) < -_INSIDE] = 0.0
     return found, barycentric / barycentric.sum(axis=1, keepdims=True)
-
-
-def plan_samples(surface: MappedSurface, layout_corners: FloatArray, source_texels: FloatArray) -> NDArray[np.int32]:
-    """(t1, 2) samples along x and y that a texel of each target triangle needs, so that the source does not alias.
-
-    One for each texel of the source that it spans, see `texel_spans`.
-    """
-    return samples_for(texel_spans(surface, layout_corners, source_texels))
-
-
-def samples_for(spans: FloatArray) -> NDArray[np.int32]:
-    """(t1, 2) samples along x and y for spans (t1, 2) in texels of the source."""
-    return np.clip(np.ceil(spans - UNSCALED + 1.0), 1, MAX_SAMPLES_PER_AXIS).astype(np.int32)
-
-
-def texel_spans(surface: MappedSurface, layout_corners: FloatArray, source_texels: FloatArray) -> FloatArray:
-    """(t1, 2) texels of the source that a texel of each target triangle spans along x and along y.
-
-    With ``G`` the (2, 3) gradient of the source's texel coordinates on its triangle and ``Q`` the (3, 2) differential
-    of the map from target texels to space, the columns of ``G Q`` say how many source texels a target texel spans
-    along x and along y.
-
-    Parameters
-    ----------
-    surface : MappedSurface
-    layout_corners : (t1, 3, 2) float64
-        Texel coordinates of the target triangles' corners.
-    source_texels : (t2, 3, 2) float64
-        Texel coordinates of the source triangles' corners in the source texture.
-    """
-    source = locate_centers(surface)
-    found = np.empty((len(source), 2))
-
-    def plan(part: slice) -> None:
-        mapped = surface.mapped[surface.target_triangles[part]]
-        sides = source_texels[source[part]]
-        # Row i of the first product: source's barycentric coordinates 1 and 2 along the target triangle's edge i.
-        slopes = np.einsum("tij,tkj->tik", mapped[:, 1:] - mapped[:, :1], surface.frames[source[part], 1:])
-        texels = np.einsum("tik,tkj->tij", slopes, sides[:, 1:] - sides[:, :1])  # source texels along the edges
-        corners = layout_corners[part]
-        (x1, y1), (x2, y2) = (corners[:, 1:] - corners[:, :1]).transpose(1, 2, 0)
-        area = x1 * y2 - x2 * y1
-        scale = 1.0 / np.where(area == 0, np.inf, area)
-        along_x = (texels[:, 0] * y2[:, None] - texels[:, 1] * y1[:, None]) * scale[:, None]
-        along_y = (texels[:, 1] * x1[:, None] - texels[:, 0] * x2[:, None]) * scale[:, None]
-        found[part] = np.sqrt(np.stack([(along_x**2).sum(axis=1), (along_y**2).sum(axis=1)], axis=1))
-
-    in_threads(plan, parts(len(source), _PLANNED_AT_ONCE))
-    return found
 
 
 def target_barycentric(layout_corners: FloatArray, samples: Samples) -> FloatArray:

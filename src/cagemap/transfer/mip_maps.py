@@ -18,11 +18,9 @@ from scipy import sparse
 
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import in_threads, parts
-from cagemap.transfer.locate import MAX_SAMPLES_PER_AXIS, Samples
+from cagemap.transfer.locate import Samples
 from cagemap.transfer.texture import Pixels, Texture, look_up
 
-# A span of 2^l texels, less this share of an octave, reads level l.
-_SLACK = 0.1
 _LOBES = 3
 # Where covered texels have less than this share of the kernel, its negative lobes would amplify: plain means there.
 _ENOUGH = 0.75
@@ -59,7 +57,7 @@ class MipMaps:
         ----------
         texture : Texture
         of_triangle : (t1,) int64
-            See `mip_levels`.
+            See `cagemap.transfer.lookups.mip_levels`.
         coverage : dict of int to (h, w) float32
             How much of each texel lies in the source's layout, by tile; nothing where no level is asked for.
         """
@@ -85,16 +83,6 @@ class MipMaps:
             texels = np.flatnonzero(own == level)
             values[texels] = look_up(self.levels[level], samples.part(texels))
         return values
-
-
-def mip_levels(spans: FloatArray) -> NDArray[np.int64]:
-    """(t1,) how often to halve a texture for triangles of spans (t1, 2) in its texels.
-
-    As often as the shorter span allows, so that nothing blurs along it; samples see to the longer one, up to a limit.
-    """
-    shorter = np.floor(np.log2(np.maximum(spans.min(axis=1), 1.0)) + _SLACK)
-    longer = np.ceil(np.log2(np.maximum(spans.max(axis=1), 1.0) / MAX_SAMPLES_PER_AXIS) - _SLACK)
-    return np.asarray(np.maximum(shorter, longer), dtype=np.int64)
 
 
 def halved(pixels: Pixels, coverage: Coverage) -> tuple[Pixels, Coverage]:

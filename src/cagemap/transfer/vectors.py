@@ -19,7 +19,8 @@ from cagemap.geometry.triangles import normalized, vertex_normals
 from cagemap.numerics.arrays import FloatArray
 from cagemap.transfer.baking import BakeOptions, Canvas, Transfer, bake, make_canvas, unit
 from cagemap.transfer.displacement import Displacement, scale_ratio
-from cagemap.transfer.locate import Samples, plan_samples, target_barycentric
+from cagemap.transfer.locate import Samples, target_barycentric
+from cagemap.transfer.lookups import plan_samples
 from cagemap.transfer.tangents import plane_basis, tangent_frames
 from cagemap.transfer.texture import Pixels, Texture, lay_texture, look_up
 

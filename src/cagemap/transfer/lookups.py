@@ -1,0 +1,147 @@
+"""How each target triangle reads a texture of the source, so that it neither aliases nor blurs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.geometry.triangles import triangle_neighbors
+from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.threads import in_threads, parts
+from cagemap.transfer.locate import MappedSurface, locate_centers
+from cagemap.transfer.mip_maps import MipMaps
+from cagemap.transfer.surface import TexturedSurface
+from cagemap.transfer.texels import lay_out, rasterize_band
+from cagemap.transfer.texture import Texture, tile_cells, udim_origin
+
+# No texel takes more than this many samples along each axis; beyond, it reads a smaller image of the texture.
+MAX_SAMPLES_PER_AXIS = 16
+# A span up to this many texels is left to the bilinear filter: an unscaled texture then comes through unblurred.
+UNSCALED = 1.25
+# A span of 2^l texels, less this share of an octave, reads level l.
+_SLACK = 0.1
+# Triangles that one thread plans at a time: 300 bytes each.
+_PLANNED_AT_ONCE = 1 << 15
+# Texels that are rasterised at a time.
+_BAND_TEXELS = 1 << 18
+
+
+@dataclass(frozen=True, eq=False)
+class Lookups:
+    """What target triangles read, and how often.
+
+    Attributes
+    ----------
+    mips : MipMaps
+    counts : (t1, 2) int32
+        Samples along x and y in a raster cell.
+    crisp : (t1,) bool
+        Where a texel spans no more than one of the source: its centre stands for all of it.
+    """
+
+    mips: MipMaps
+    counts: NDArray[np.int32]
+    crisp: NDArray[np.bool_]
+
+
+def plan_lookups(
+    mapped: MappedSurface, source: TexturedSurface, layout_corners: FloatArray, supersample: int, laid: Texture
+) -> Lookups:
+    """Plan how a raster of the target's layout reads a texture.
+
+    Parameters
+    ----------
+    mapped : MappedSurface
+    source : TexturedSurface
+    layout_corners : (t1, 3, 2) float64
+        Corners of the target's triangles in raster cells.
+    supersample : int
+        Raster cells along a texel's side.
+    laid : Texture
+    """
+    spans = texel_spans(mapped, layout_corners, laid.corner_texels())
+    levels = mip_levels(spans)
+    coverage = source_coverage(source, laid) if levels.any() else {}
+    crisp = np.asarray((spans * supersample <= UNSCALED).all(axis=1))
+    return Lookups(MipMaps.build(laid, levels, coverage), samples_for(spans / 2.0 ** levels[:, None]), crisp)
+
+
+def mip_levels(spans: FloatArray) -> NDArray[np.int64]:
+    """(t1,) how often to halve a texture for triangles of spans (t1, 2) in its texels.
+
+    As often as the shorter span allows, so that nothing blurs along it; samples see to the longer one, up to a limit.
+    """
+    shorter = np.floor(np.log2(np.maximum(spans.min(axis=1), 1.0)) + _SLACK)
+    longer = np.ceil(np.log2(np.maximum(spans.max(axis=1), 1.0) / MAX_SAMPLES_PER_AXIS) - _SLACK)
+    return np.asarray(np.maximum(shorter, longer), dtype=np.int64)
+
+
+def source_coverage(surface: TexturedSurface, laid: Texture) -> dict[int, NDArray[np.float32]]:
+    """(h, w) which texels of each tile of a texture the surface's layout, and a border of one texel, covers: 1 or 0."""
+    neighbors = triangle_neighbors(surface.layout()[1])
+    found = {}
+    for tile, pixels in laid.tiles.items():
+        height, width = pixels.shape[:2]
+        own = laid.triangle_tiles == tile
+        corners = surface.corner_uvs() - udim_origin(tile)
+        if tile == 0:  # a plain image repeats: each triangle where it lies in it
+            corners = corners - tile_cells(corners)[:, None]
+        corners[~own] = 0.0
+        rows = max(1, _BAND_TEXELS // width)
+        layout = lay_out(corners, neighbors, height, width, band_rows=rows)
+        covered = np.empty((height, width), dtype=np.float32)
+        for band in range(len(layout.band_triangles)):
+            covered[band * rows : (band + 1) * rows] = rasterize_band(layout, band) >= 0
+        found[tile] = covered
+    return found
+
+
+def plan_samples(surface: MappedSurface, layout_corners: FloatArray, source_texels: FloatArray) -> NDArray[np.int32]:
+    """(t1, 2) samples along x and y that a texel of each target triangle needs, so that the source does not alias.
+
+    One for each texel of the source that it spans, see `texel_spans`.
+    """
+    return samples_for(texel_spans(surface, layout_corners, source_texels))
+
+
+def samples_for(spans: FloatArray) -> NDArray[np.int32]:
+    """(t1, 2) samples along x and y for spans (t1, 2) in texels of the source."""
+    return np.clip(np.ceil(spans - UNSCALED + 1.0), 1, MAX_SAMPLES_PER_AXIS).astype(np.int32)
+
+
+def texel_spans(surface: MappedSurface, layout_corners: FloatArray, source_texels: FloatArray) -> FloatArray:
+    """(t1, 2) texels of the source that a texel of each target triangle spans along x and along y.
+
+    With ``G`` the (2, 3) gradient of the source's texel coordinates on its triangle and ``Q`` the (3, 2) differential
+    of the map from target texels to space, the columns of ``G Q`` say how many source texels a target texel spans
+    along x and along y.
+
+    Parameters
+    ----------
+    surface : MappedSurface
+    layout_corners : (t1, 3, 2) float64
+        Texel coordinates of the target triangles' corners.
+    source_texels : (t2, 3, 2) float64
+        Texel coordinates of the source triangles' corners in the source texture.
+    """
+    source = locate_centers(surface)
+    found = np.empty((len(source), 2))
+
+    def plan(part: slice) -> None:
+        mapped = surface.mapped[surface.target_triangles[part]]
+        sides = source_texels[source[part]]
+        # Row i of the first product: source's barycentric coordinates 1 and 2 along the target triangle's edge i.
+        slopes = np.einsum("tij,tkj->tik", mapped[:, 1:] - mapped[:, :1], surface.frames[source[part], 1:])
+        texels = np.einsum("tik,tkj->tij", slopes, sides[:, 1:] - sides[:, :1])  # source texels along the edges
+        corners = layout_corners[part]
+        (x1, y1), (x2, y2) = (corners[:, 1:] - corners[:, :1]).transpose(1, 2, 0)
+        area = x1 * y2 - x2 * y1
+        scale = 1.0 / np.where(area == 0, np.inf, area)
+        along_x = (texels[:, 0] * y2[:, None] - texels[:, 1] * y1[:, None]) * scale[:, None]
+        along_y = (texels[:, 1] * x1[:, None] - texels[:, 0] * x2[:, None]) * scale[:, None]
+        found[part] = np.sqrt(np.stack([(along_x**2).sum(axis=1), (along_y**2).sum(axis=1)], axis=1))
+
+    in_threads(plan, parts(len(source), _PLANNED_AT_ONCE))
+    return found
