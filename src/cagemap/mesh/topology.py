@@ -41,11 +41,27 @@ class EdgeTable:
 def edge_table(mesh: ControlMesh) -> EdgeTable:
     """Find the edges of a mesh; two corners share an edge where they join the same two vertices."""
     tails = mesh.face_indices
-    heads = tails[mesh.next_corners]
-    keys = np.minimum(tails, heads) * mesh.n_vertices + np.maximum(tails, heads)
-    edges, corner_edges, counts = np.unique(keys, return_inverse=True, return_counts=True)
-    vertices = np.column_stack(np.divmod(edges, max(mesh.n_vertices, 1)))
-    return EdgeTable(vertices, corner_edges.astype(np.int64), counts.astype(np.int64))
+    first, corner_edges, counts = numbered_edges(tails, tails[mesh.next_corners], mesh.n_vertices)
+    vertices = np.sort(np.column_stack([tails[first], tails[mesh.next_corners[first]]]), axis=1)
+    return EdgeTable(vertices, corner_edges, counts)
+
+
+def numbered_edges(tails: IndexArray, heads: IndexArray, n_vertices: int) -> tuple[IndexArray, IndexArray, IndexArray]:
+    """Number the edges of half-edges (c,) between vertices, ascending by (smaller, larger) vertex.
+
+    Returns
+    -------
+    first : (e,) int64
+        The first half-edge of every edge.
+    edges : (c,) int64
+        Edge of every half-edge.
+    counts : (e,) int64
+        Half-edges of every edge.
+    """
+    keys = np.minimum(tails, heads) * n_vertices + np.maximum(tails, heads)
+    _, *numbers = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
+    first, edges, counts = (array.astype(np.int64) for array in numbers)
+    return first, edges, counts
 
 
 def adjacent_corners(edges: EdgeTable) -> tuple[IndexArray, IndexArray]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.topology import numbered_edges
 from cagemap.numerics.arrays import IndexArray
 
 IntArray: TypeAlias = NDArray[np.int32]
@@ -111,15 +112,13 @@ def table_of(
 ) -> CornerTable:
     """Corner table of faces on any vertex numbers.
 
-    Edges are numbered ascending by (smaller, larger) vertex; their direction is that of their first corner.
+    Edges are numbered as by `numbered_edges`; their direction is that of their first corner.
     """
     indices = vertices.astype(np.int64)
-    ends = indices[following]
-    keys = np.minimum(indices, ends) * n_vertices + np.maximum(indices, ends)
-    unique, first, edges = np.unique(keys, return_index=True, return_inverse=True)
+    first, edges, _ = numbered_edges(indices, indices[following], n_vertices)
     return CornerTable(
         n_vertices=n_vertices,
-        n_edges=len(unique),
+        n_edges=len(first),
         n_faces=int(faces[-1]) + 1,
         vertices=indices.astype(np.int32),
         edges=edges.astype(np.int32),
