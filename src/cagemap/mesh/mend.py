@@ -176,6 +176,8 @@ def largest_piece(mesh: ControlMesh) -> tuple[ControlMesh, int, float, int]:
 
 def outwards(mesh: ControlMesh) -> tuple[ControlMesh, bool]:
     """With all faces turned round where they look inwards, and whether they did."""
+    if not face_areas(mesh).sum() > 0.0:
+        raise InvalidMeshError(f"{mesh.name}: expected a surface with an area, got {mesh.n_faces} faces without")
     problem = inside_out_problem(mesh, openings(mesh))
     if problem is None or problem.kind != "inside out":
         return mesh, False
