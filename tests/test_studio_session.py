@@ -207,6 +207,24 @@ def test_a_killed_computation_keeps_the_map_and_the_next_click_works(opened: Ses
     assert opened.scene.images is not None
 
 
+def test_a_fault_of_ours_is_a_message_and_the_next_click_works(
+    opened: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("a slip")
+
+    revision = opened.state.map.revision
+    with monkeypatch.context() as patch:
+        patch.setattr("cagemap.studio.session.proposed", broken)
+        click(opened, "target", 2)  # here, and where the answer of the computation is taken in
+        opened.match_again()
+        until(lambda: opened.state.preview_job is None, opened)
+    assert "internal error, ZeroDivisionError: a slip" in opened.state.messages[-1].text
+    click(opened, "target", 2)
+    opened.accept()
+    until(lambda: opened.state.map.revision > revision and opened.state.map.strain, opened)
+
+
 def test_cancelling_ends_what_runs(opened: Session) -> None:
     def cancel(state: Studio, _: object) -> None:
         if state.preview_job is not None and state.preview_job.stage:

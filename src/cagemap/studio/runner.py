@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from cagemap.studio.finish import Command
 from cagemap.studio.state import Job, Output
@@ -53,15 +53,20 @@ class Runner:
                 self._process.terminate()
 
     def _work(self, todo: tuple[Command, ...]) -> None:
-        words = None
+        try:
+            words = next((words for words in self._all(todo) if words is not None), None)
+        except Exception as error:  # whatever happens, the finish has an end
+            words = f"finish: {type(error).__name__}: {error}"
+        self._on_job(None)
+        self._on_end(words)
+
+    def _all(self, todo: tuple[Command, ...]) -> Iterator[str | None]:
+        """What went wrong with each command."""
         for number, command in enumerate(todo):
             words = self._run(command, number, len(todo))
             for output in command.written() if words is None else ():
                 self._on_output(output)
-            if words is not None:
-                break
-        self._on_job(None)
-        self._on_end(words)
+            yield words
 
     def _run(self, command: Command, number: int, count: int) -> str | None:
         """Run one command to its end; what went wrong."""

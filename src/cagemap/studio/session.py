@@ -137,7 +137,7 @@ class Session:
 
     def probe(self, side: Side, origin: FloatArray, direction: FloatArray) -> None:
         """Ask where the map takes the point of a model that a ray meets; a ray beside it ends the asking."""
-        with self._lock:
+        with self._guarded(), self._lock:
             scene = self._scene
             hit = None if scene is None else pick(scene.shape(side), origin, direction)
             self._change(probe=None if scene is None or hit is None else probed(scene, side, hit))
@@ -195,12 +195,12 @@ class Session:
 
     def undo(self) -> None:
         """One step back."""
-        with self._lock:
+        with self._guarded(), self._lock:
             self._set_history(self._state.history.undo())
 
     def redo(self) -> None:
         """One step forward again."""
-        with self._lock:
+        with self._guarded(), self._lock:
             self._set_history(self._state.history.redo())
 
     def select(self, number: int | None) -> None:
@@ -336,7 +336,7 @@ class Session:
         self._find(fresh=True)
 
     def _edit(self, landmarks: LandmarkList, *, select: bool = False) -> None:
-        with self._lock:
+        with self._guarded(), self._lock:
             self._set_history(self._state.history.then(landmarks))
             if select and landmarks.items:
                 self._change(selected=(landmarks.open or landmarks.items[-1]).number)
@@ -382,3 +382,6 @@ class Session:
             self.report(error)
         except OSError as error:
             self._say("error", f"{error.filename or 'file'}: {error.strerror or error}")
+        except Exception as error:  # a fault of ours must not end the studio
+            log.exception("internal error")
+            self._say("error", f"internal error, {type(error).__name__}: {error}")

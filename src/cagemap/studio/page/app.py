@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import logging
 import threading
 import webbrowser
 from collections.abc import Callable
@@ -24,6 +25,8 @@ from cagemap.studio.scene import Scene
 from cagemap.studio.session import Session
 from cagemap.studio.state import Files, Studio
 from cagemap.studio.workspace import Workspace
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -110,11 +113,16 @@ class StudioApp:
             self._changed.clear()
             if self._closed:
                 return
-            state, scene = self.session.state, self.session.scene
-            for view in self._views:
-                view.refresh(state, scene)
-            self._setup.refresh(state, parts_text(state, scene))
-            self._work.refresh(state)
+            try:
+                self._refresh(self.session.state, self.session.scene)
+            except Exception:  # the next change is another try
+                log.exception("the page could not be brought up to date")
+
+    def _refresh(self, state: Studio, scene: Scene | None) -> None:
+        for view in self._views:
+            view.refresh(state, scene)
+        self._setup.refresh(state, parts_text(state, scene))
+        self._work.refresh(state)
 
 
 def parts_text(state: Studio, scene: Scene | None) -> str:
