@@ -265,3 +265,27 @@ def test_refused_rigs_write_nothing(run: Run, result_folder: Path) -> None:  # n
         assert refused.code == 2, (words, refused.err)
         assert message in refused.err, refused.err
     assert sorted(place.rglob("*")) == before
+
+
+def test_vertex_groups_come_back_under_the_identity(run: Run, result_folder: Path) -> None:  # noqa: F811
+    place = result_folder.parent
+    given = {"groups": [{"name": "left", "vertices": [0, 3], "weights": [0.25, 1.0]}, {"name": "top", "vertices": [1]}]}
+    (place / "g.json").write_text(json.dumps(given))
+    done = run("transfer", "R", "--attribute", "g.json", "-o", "out.json")
+    assert not done.code, done.err
+    groups = json.loads((place / "out.json").read_text())["groups"]
+    assert [(group["name"], group["vertices"]) for group in groups] == [("left", [0, 3]), ("top", [1])]
+    np.testing.assert_allclose(groups[0]["weights"], [0.25, 1.0], rtol=0, atol=1e-9)
+    again = run("transfer", "R", "--attribute", "g.json", "-o", "out.json")  # our own file may be replaced
+    assert not again.code, again.err
+    for bad, words in (
+        ({"groups": [{"name": "a", "vertices": [99]}]}, "another mesh"),
+        ({"groups": [{"name": "a", "vertices": [0, 0]}]}, "every vertex once"),
+        ({"groups": [{"name": "a", "vertices": [0], "weights": [1.0, 2.0]}]}, "a weight for each"),
+        ({"parts": []}, "groups"),
+    ):
+        (place / "bad.json").write_text(json.dumps(bad))
+        refused = run("transfer", "R", "--attribute", "bad.json", "-o", "never.json")
+        assert refused.code
+        assert words in refused.err
+        assert not (place / "never.json").exists()

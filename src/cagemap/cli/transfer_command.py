@@ -55,7 +55,7 @@ def transfer(
         Path | None,
         typer.Option(
             "--attribute",
-            help="Values at the source's control vertices, faces or face corners: .npy, .npz or .csv.",
+            help="Values at the source's control vertices, faces or corners: .npy, .npz, .csv; groups in .json.",
             show_default=False,
         ),
     ] = None,

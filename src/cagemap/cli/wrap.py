@@ -121,7 +121,7 @@ def _run(request: WrapRequest, stages: Stages) -> Outcome:
 
 
 def _wrap(request: WrapRequest, result: Result, config: WrapConfig, stages: Stages) -> Wrapped:
-    follow = None if request.weights is None else _follow(request.weights)
+    follow = None if request.weights is None else _follow(request.weights, result.target.control)
     if result.masks.any:
         follow = _masked_follow(result, follow)
     stages(f"wrap {result.source.control.name}")
@@ -139,8 +139,8 @@ def _masked_follow(result: Result, follow: FloatArray | None) -> FloatArray:
     return np.asarray(counts * np.clip(refinement.prolong(follow, 0, refinement.n_levels), 0.0, 1.0))
 
 
-def _follow(path: Path) -> FloatArray:
-    values = read_attributes(path)
+def _follow(path: Path, control: ControlMesh) -> FloatArray:
+    values = read_attributes(path, control)
     if len(values) != 1:
         raise ParameterError(f"{path}: expected one column of weights from 0 to 1, got {', '.join(values)}")
     return np.asarray(next(iter(values.values())), dtype=np.float64)

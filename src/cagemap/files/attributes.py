@@ -1,4 +1,4 @@
-"""Per-vertex and per-face values in files: .npy, .npz and .csv."""
+"""Per-vertex and per-face values in files: .npy, .npz, .csv, and vertex groups in .json."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from cagemap.files.atomic import atomic_path
 from cagemap.files.npz import read_npy, read_npz, write_npz
 from cagemap.files.usd import USD_SUFFIXES, one_mesh, read_usd_meshes
 from cagemap.files.usd_primvars import BLEND_SHAPE
+from cagemap.files.vertex_groups import groups_text, read_groups
 from cagemap.mesh import ControlMesh
 
-SUFFIXES = (".npy", ".npz", ".csv")
+SUFFIXES = (".npy", ".npz", ".csv", ".json")
 
 Attributes = dict[str, NDArray[Any]]
 
@@ -26,7 +27,8 @@ def read_attributes(path: str | Path, control: ControlMesh | None = None) -> Att
     """Read named arrays, one row a vertex or face.
 
     An ``.npy`` holds one array, named like the file; an ``.npz`` any number; a ``.csv`` one column each, with names in
-    its first line, or one array of all columns, named like the file, without. A USD file holds the primvars of its
+    its first line, or one array of all columns, named like the file, without. A ``.json`` holds vertex groups
+    (`cagemap.files.vertex_groups`), each a weight for every vertex of the mesh. A USD file holds the primvars of its
     mesh, skinning and blend shapes (`cagemap.files.usd_primvars`).
 
     Parameters
@@ -51,6 +53,11 @@ def read_attributes(path: str | Path, control: ControlMesh | None = None) -> Att
     if file.suffix.lower() in USD_SUFFIXES:
         return _read_usd(file, control)
     check_attribute_path(file)
+    if file.suffix.lower() == ".json":
+        if control is None:
+            raise FormatError(f"{file}: vertex groups are not taken here. Write a .csv or .npz with a row a vertex.")
+        groups = read_groups(file, control.n_vertices)
+        return {name: _check(file, name, array) for name, array in groups.items()}
     try:
         arrays = _read_csv(file) if file.suffix.lower() == ".csv" else _read_numpy(file)
     except FormatError:
@@ -75,7 +82,8 @@ def _read_usd(file: Path, control: ControlMesh | None) -> Attributes:
 def write_attributes(path: str | Path, attributes: Mapping[str, NDArray[Any]], *, force: bool = False) -> None:
     """Write named arrays; ``.npy`` takes one array only, ``.csv`` names columns ``name`` or ``name_0``, ``name_1``, ...
 
-    Only ``.npz`` has a place for cagemap's mark: an existing ``.npy`` or ``.csv`` is replaced with ``force`` alone.
+    A ``.json`` holds vertex groups. An ``.npy`` or ``.csv`` has no place for cagemap's mark: an existing one is
+    replaced with ``force`` alone.
 
     Raises
     ------
@@ -96,6 +104,8 @@ def write_attributes(path: str | Path, attributes: Mapping[str, NDArray[Any]], *
             np.save(temporary, next(iter(attributes.values())))
         elif suffix == ".npz":
             write_npz(temporary, attributes, compressed=True)
+        elif suffix == ".json":
+            temporary.write_text(groups_text(attributes, file), encoding="utf-8")
         else:
             _write_csv(temporary, attributes)
 
