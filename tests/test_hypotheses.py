@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from cagemap.errors import InvalidLandmarksError
-from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence, Reading
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence, MapShape, Reading
 from cagemap.maps.hypotheses.starts import AS_FILED, axis_rotations, rigid_starts, rotation_name
+from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.shapes import creature, cube
 from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_surface
+from cagemap.refinement import refine
 
 
 def bent(control: ControlMesh) -> ControlMesh:
@@ -94,13 +97,25 @@ def test_the_paper_s_method_asks_for_landmarks() -> None:
 
 def test_verdicts_follow_cost_and_gap() -> None:
     at = np.zeros((4, 3))
-    best = Reading("a", 1e-3, at)
-    other = Reading("b", 1.05e-3, at + np.outer([0.0, 2.0, 0.0, 9.0], [0, 1, 0]))
+    best = Reading("a", 1e-4, at)
+    other = Reading("b", 1.05e-4, at + np.outer([0.0, 2.0, 0.0, 9.0], [0, 1, 0]))
     two = Confidence.of((best, other), 3)
     assert (two.verdict, two.deciding) == (TWO, 1)  # the fourth vertex is not one of the control mesh
     assert "vertex 1" in two.message
-    assert Confidence.of((best, replace(other, cost=5e-3)), 3).verdict == SURE
+    assert Confidence.of((best, replace(other, cost=5e-4)), 3).verdict == SURE
     alone = Confidence.of((best,), 3)
     assert (alone.verdict, alone.gap, alone.deciding) == (SURE, np.inf, None)
     assert alone.summary()["gap"] is None
     assert Confidence.of((replace(best, cost=1.0),), 3).verdict == LOOK
+    # Cheap and alone, but folded or sheared: an animal squeezed into a head.
+    assert Confidence.of((best,), 3, MapShape(folded=0.03)).verdict == LOOK
+    assert Confidence.of((best,), 3, MapShape(aspect=2.0)).verdict == LOOK
+
+
+def test_the_shape_of_a_map_counts_folds_and_shear() -> None:
+    surface = TriangleSurface.from_faces(refine(creature(), 1).finest.positions, refine(creature(), 1).finest.faces)
+    same = PointMap.from_vertices(surface, surface, np.arange(surface.n))
+    assert MapShape.of(same) == MapShape(folded=0.0, aspect=pytest.approx(1.0))
+    crushed = PointMap.from_vertices(surface, surface, np.random.default_rng(1).permutation(surface.n))
+    assert MapShape.of(crushed).folded > 0.3
+    assert MapShape.of(crushed).aspect > 2.0

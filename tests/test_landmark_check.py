@@ -258,9 +258,11 @@ def test_a_suspect_stays_out_only_while_its_pair_is_the_same() -> None:
     names = ("a", "b", "c")
     before = Landmarks(names, np.array([3, 5, 9]), np.array([1, 2, 4]), "t.obj", "s.obj")
     suspect = LandmarkSuspect("b", 1, 0.2, nearest_vertex=7, source_vertex=2, evidence=DISTANCES)
-    judged = LandmarkCheck((suspect,))
-    moved_up = Landmarks(("b", "d"), np.array([5, 3]), np.array([2, 1]), "t.obj", "s.obj")
+    judged = LandmarkCheck((suspect,), strains=np.array([0.3, 0.0, 0.1]))
+    moved_up = Landmarks(("b", "d", "c"), np.array([5, 3, 9]), np.array([2, 1, 6]), "t.obj", "s.obj")
     assert [s.pair for s in judged.still(before, moved_up).suspects] == [0]
+    # Strains go with their pairs, whatever these are called; what moved has none.
+    np.testing.assert_array_equal(judged.still(before, moved_up).strains, [0.0, 0.3, 0.0])
     corrected = Landmarks(names, np.array([3, 5, 9]), np.array([1, 7, 4]), "t.obj", "s.obj")
     assert judged.still(before, corrected).suspects == ()
 

@@ -6,6 +6,11 @@ from pathlib import Path
 
 import pytest
 from benchmarks.accuracy.posed import Bodies, row
+from benchmarks.truth import compare_with_truth
+
+from cagemap.files.landmarks import read_landmarks
+from cagemap.maps.hypotheses.confidence import TWO
+from cagemap.pipeline import MatchConfig, match
 
 
 @pytest.mark.slow
@@ -16,3 +21,26 @@ def test_limbs_keep_their_turn_about_their_axis_in_strong_poses(shared_data: Pat
     assert figures["left_out"] == []
     assert figures["mean"] < 1.0
     assert figures["flipped"] < 0.5
+
+
+@pytest.mark.slow
+def test_mirrored_landmarks_are_met_and_the_other_reading_is_offered(shared_data: Path) -> None:
+    source, target = ("female1605", "male_young", ""), ("male1591", "female_old_heavy", "")
+    bodies = Bodies(3000)
+    path = shared_data / "humans" / "landmarks" / "female1605__male1591.json"
+    landmarks = read_landmarks(path, "male1591_neutral.obj", "female1605_neutral.obj")[0]
+    swap = {"left": "right", "right": "left"}
+    other = [
+        landmarks.names.index("_".join(swap.get(word, word) for word in name.split("_"))) for name in landmarks.names
+    ]
+    mirrored = landmarks.exchanged(list(enumerate(other)))
+    surfaces = bodies.surface(target), bodies.surface(source)
+    found = match(*surfaces, mirrored)
+    assert found.quality.landmark_errors.max() < 1e-9
+    assert found.confidence is not None
+    assert found.confidence.verdict == TWO
+    assert "--answer 1" in found.confidence.message
+    chosen = match(*surfaces, mirrored, MatchConfig(answer=1))
+    assert len(chosen.landmarks) >= 20
+    assert chosen.confidence is None
+    assert 100 * compare_with_truth(chosen.point_map, bodies.truth(target, source)).mean < 1.0

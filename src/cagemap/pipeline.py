@@ -22,7 +22,8 @@ from cagemap.maps.elastic.method import elastic_map, updated_map
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS, hypothesis_map, map_of_reading
 from cagemap.maps.inner import inner_map, inner_masks
-from cagemap.maps.landmarks.check import LandmarkCheck, checked_changes, checked_map
+from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck, checked_changes, checked_map
+from cagemap.maps.landmarks.mirrored import mirrored_readings
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import Pair, PointPairs, Progress, SymmetryPair, point_pairs
 from cagemap.maps.point_map import PointMap
@@ -60,6 +61,8 @@ class MatchConfig:
         symmetries are given.
     symmetries : tuple of ((n_0 target,), (n_0 source,)) arrays
         Self-maps of the control meshes that correspond, see `cagemap.maps.pair.Pair`.
+    answer : int
+        Which of the answers, where there are several: few landmarks decide, or they are mirrored as a whole. 0 is best.
     check_landmarks : bool
         Leave out landmark pairs that look wrong ("elastic" only); otherwise all are met exactly.
     masks : Masks
@@ -72,12 +75,17 @@ class MatchConfig:
     elastic: ElasticConfig = ElasticConfig()
     use_symmetry: bool = True
     symmetries: tuple[SymmetryPair, ...] = ()
+    answer: int = 0
     check_landmarks: bool = True
     masks: Masks = WHOLE
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise ParameterError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
+        if self.answer < 0:
+            raise ParameterError(f"answer: expected 0 or more, got {self.answer}")
+        if self.answer and self.method != "elastic":
+            raise ParameterError(f"answer: expected the method elastic, which alone finds several, got {self.method!r}")
         if self.masks.any and self.method != "elastic":
             raise ParameterError(f"masks: expected the method elastic, which alone knows them, got {self.method!r}")
 
@@ -196,10 +204,13 @@ def match_pair(
                 point_map, confidence = hypothesis_map(prepared, pair, progress=progress)
             elif config.check_landmarks:
                 point_map, check = checked_map(prepared, pair, landmarks.names, progress)
+                if MIRRORED_NOTE in check.notes:
+                    confidence = mirrored_readings(prepared, pair, point_map, progress)
             else:
                 point_map = elastic_map(prepared, pair, progress)
         judged = _judged(prepared, point_map, landmarks, check, timings, progress)
-    return replace(judged, confidence=confidence)
+    found = replace(judged, confidence=confidence)
+    return other_answer(found, config.answer, config, progress=progress) if config.answer else found
 
 
 def update_match(
@@ -252,7 +263,7 @@ def update_match(
 def other_answer(
     before: MatchResult, index: int, config: MatchConfig = MatchConfig(), *, progress: Progress = silent
 ) -> MatchResult:
-    """Another of the answers that a match with too few landmarks found, in place of the first.
+    """Another of the answers of a match with too few landmarks, or with mirrored ones, in place of the first.
 
     Parameters
     ----------
@@ -268,13 +279,15 @@ def other_answer(
     Raises
     ------
     ParameterError
-        If there is no such answer.
+        If there is no such answer, or only the match itself knew it.
     """
     readings = () if before.confidence is None else before.confidence.readings
     if not 0 <= index < len(readings):
         raise ParameterError(f"answer {index}: expected one of the {len(readings)} that the match found, from 0")
-    config, landmarks = replace(config, masks=before.masks), before.landmarks
+    config, landmarks = replace(config, masks=before.masks, answer=0), before.landmarks
     prepared = before.prepared or prepare_pair(before.target, before.source, config)
+    if readings[index].exchange:
+        return match_pair(prepared, landmarks.exchanged(readings[index].exchange), config, progress=progress)
     if len(readings[index].positions) < prepared.mesh.n:
         raise ParameterError(
             f"answer {index}: a result that was read knows it at the control vertices only; match again to have it"

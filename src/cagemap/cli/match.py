@@ -151,6 +151,7 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
         "symmetry": request.symmetry,
         "exchange_landmarks": request.exchange_landmarks,
         "trust_landmarks": request.trust_landmarks,
+        "answer": request.answer,
         "scheme": request.scheme,
         "target_scheme": request.target_scheme,
         "source_scheme": request.source_scheme,
@@ -231,6 +232,7 @@ def match_config(request: MatchRequest) -> MatchConfig:
         use_symmetry=request.symmetry,
         symmetries=read_symmetries(request.target_symmetry, request.source_symmetry),
         check_landmarks=not request.trust_landmarks,
+        answer=request.answer,
     )
     return with_parameters(config, request.parameter)
 

@@ -131,6 +131,14 @@ class MatchRequest:
         bool,
         typer.Option("--trust-landmarks", help="Meet every landmark; otherwise pairs that look wrong are left out."),
     ] = False
+    answer: Annotated[
+        int,
+        typer.Option(
+            "--answer",
+            min=0,
+            help="Take another of the answers that a match named: 1 is the runner-up, or the mirrored reading.",
+        ),
+    ] = 0
     target_points: Annotated[
         Path | None,
         typer.Option(

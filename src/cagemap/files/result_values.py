@@ -10,7 +10,7 @@ from cagemap.basis import BasisConfig
 from cagemap.basis.schedule import MAP_BASIS
 from cagemap.files.schema import BasisRecord, ConfidenceRecord, LandmarkCheckRecord, QualityRecord
 from cagemap.geometry.points import SurfacePoints
-from cagemap.maps.hypotheses.confidence import Confidence, Reading
+from cagemap.maps.hypotheses.confidence import Confidence, MapShape, Reading
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.quality import QualityFigures
 from cagemap.mesh.landmarks import CagePoints, Landmarks
@@ -67,11 +67,17 @@ def stored_confidence(record: ConfidenceRecord | None, answer: SurfacePoints, ot
     places = [answer.positions, *(answer.surface.scale * other for other in others)]
     nowhere = np.zeros((0, 3))
     readings = tuple(
-        Reading(reading.name, 1e-4 * reading.cost, places[i] if i < len(places) else nowhere)
+        Reading(
+            reading.name,
+            1e-4 * reading.cost,
+            places[i] if i < len(places) else nowhere,
+            exchange=tuple(reading.exchange),
+        )
         for i, reading in enumerate(record.readings)
     )
     gap = np.inf if record.gap is None else record.gap
-    return Confidence(record.verdict, record.cost, gap, readings, record.deciding)
+    shape = MapShape(record.folded, record.aspect)
+    return Confidence(record.verdict, record.cost, gap, readings, record.deciding, shape)
 
 
 # Mean distance, of sqrt(area), from which a curve counts as missed.

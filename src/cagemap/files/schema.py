@@ -57,6 +57,7 @@ class ReadingRecord(Record):
 
     name: str
     cost: float
+    exchange: list[tuple[int, int]] = []
 
 
 class ConfidenceRecord(Record):
@@ -68,6 +69,8 @@ class ConfidenceRecord(Record):
     gap: float | None = None
     deciding: Annotated[int, Field(ge=0)] | None = None
     readings: Annotated[list[ReadingRecord], Field(min_length=1)]
+    folded: float = 0.0
+    aspect: float = 1.0
 
 
 class InputRecord(Record):

@@ -121,6 +121,18 @@ class Landmarks:
         """What tells pairs apart: the points that each joins, whatever its name."""
         return list(zip(self.target_points.keys, self.source_points.keys, strict=True))
 
+    def exchanged(self, places: Collection[tuple[int, int]]) -> Landmarks:
+        """Return pairs of the target's point of one pair with the source's of another, with the former's name."""
+        target, source = (np.array([place[side] for place in places], dtype=np.int64) for side in (0, 1))
+        return replace(
+            self,
+            names=tuple(self.names[i] for i in target.tolist()),
+            target=self.target[target],
+            source=self.source[source],
+            target_points=self.target_points.at(target),
+            source_points=self.source_points.at(source),
+        )
+
     def without(self, left_out: Collection[int]) -> Landmarks:
         """Return the pairs whose places are not among those given."""
         kept = np.setdiff1d(np.arange(len(self)), list(left_out))

@@ -7,13 +7,43 @@ from typing import Any
 
 import numpy as np
 
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.quality import flipped_triangles, stretches, weighted_percentiles
 from cagemap.numerics.arrays import FloatArray
 
 SURE, LOOK, TWO = "sure", "look at it", "two answers"
-# Costs of right answers and of wrong ones, and their gaps, measured on pairs whose truth is known (docs/accuracy.md).
-SURE_COST = 2.5e-3
+# What right answers and wrong ones measure, on pairs whose truth is known and on absurd ones (docs/accuracy.md).
+SURE_COST = 5e-4
 SURE_GAP = 1.3
 TWO_GAP = 1.12
+# Shapes that truly correspond hardly fold, and most of the surface is not sheared much.
+SURE_FOLDED = 0.01
+SURE_ASPECT = 1.6
+
+
+@dataclass(frozen=True)
+class MapShape:
+    """How much a map bends its target out of shape, whatever the shapes are.
+
+    Attributes
+    ----------
+    folded : float
+        Share of the target's area that the map turns over.
+    aspect : float
+        Median ratio of the two stretches of the surface, by area.
+    """
+
+    folded: float = 0.0
+    aspect: float = 1.0
+
+    @classmethod
+    def of(cls, found: PointMap) -> MapShape:
+        """Measure a map."""
+        target, images = found.target, found.images
+        folded = target.areas @ flipped_triangles(images, target.triangles) / target.areas.sum()
+        largest, smallest = stretches(target.positions, images.positions, target.triangles)
+        aspect = weighted_percentiles(largest / np.maximum(smallest, 1e-9), target.areas, [50.0])
+        return cls(float(folded), float(aspect[0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,12 +60,15 @@ class Reading:
         Of the vertices of the target's fitted level, near the source at unit area.
     doubt : float
         See `Start`.
+    exchange : tuple of (int, int)
+        Places of landmarks whose target points belong to the source points of others, in this reading.
     """
 
     name: str
     cost: float
     positions: FloatArray
     doubt: float = 1.0
+    exchange: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +87,8 @@ class Confidence:
         The answer, then the different ones, by cost and doubt.
     deciding : int or None
         Control vertex of the target where the two best answers differ most: a landmark there decides.
+    shape : MapShape
+        Of the answer.
     """
 
     verdict: str
@@ -61,9 +96,10 @@ class Confidence:
     gap: float
     readings: tuple[Reading, ...]
     deciding: int | None
+    shape: MapShape = MapShape()
 
     @classmethod
-    def of(cls, readings: tuple[Reading, ...], control_vertices: int) -> Confidence:
+    def of(cls, readings: tuple[Reading, ...], control_vertices: int, shape: MapShape = MapShape()) -> Confidence:
         """Judge answers that are all different, best first."""
         best = readings[0]
         gap = min((other.cost for other in readings[1:]), default=float("inf")) / max(best.cost, 1e-12)
@@ -71,22 +107,29 @@ class Confidence:
         if len(readings) > 1:
             apart = (best.positions[:control_vertices] - readings[1].positions[:control_vertices]) ** 2
             deciding = int(np.argmax(apart.sum(axis=1)))
-        if best.cost <= SURE_COST and gap >= SURE_GAP:
+        fits = best.cost <= SURE_COST and shape.folded <= SURE_FOLDED and shape.aspect <= SURE_ASPECT
+        if fits and gap >= SURE_GAP:
             verdict = SURE
         else:
             verdict = TWO if gap < TWO_GAP else LOOK
-        return cls(verdict, 1e4 * best.cost, gap, readings, deciding)
+        return cls(verdict, 1e4 * best.cost, gap, readings, deciding, shape)
 
     @property
     def message(self) -> str:
         """One or two sentences for a user."""
+        if any(reading.exchange for reading in self.readings):
+            return (
+                "two answers: the landmarks surround each other in the opposite sense on the two surfaces. The map "
+                f"meets them {self.readings[0].name}; {self.readings[1].name} there is another: --answer 1 (in "
+                "Python MatchConfig(answer=1))"
+            )
         answer = f"without landmarks the target lies on the source {self.readings[0].name}"
         if self.verdict == SURE:
             return f"{answer}; no other way fits nearly as well: sure"
         if self.verdict == TWO:
             return (
-                f"two answers: {answer}, but {self.readings[1].name} fits as well. A landmark at target vertex "
-                f"{self.deciding} decides"
+                f"two answers: {answer}, but {self.readings[1].name} fits as well (--answer 1). A landmark at "
+                f"target vertex {self.deciding} decides"
             )
         hint = f", first at target vertex {self.deciding}" if self.deciding is not None else ""
         return f"look at it: {answer}, and the shapes differ much there. Landmarks make it better{hint}"
@@ -98,6 +141,15 @@ class Confidence:
             "message": self.message,
             "cost": self.cost,
             "gap": self.gap if np.isfinite(self.gap) else None,
-            "readings": [{"name": reading.name, "cost": 1e4 * reading.cost} for reading in self.readings],
+            "readings": [
+                {
+                    "name": reading.name,
+                    "cost": 1e4 * reading.cost,
+                    "exchange": [list(pair) for pair in reading.exchange],
+                }
+                for reading in self.readings
+            ],
             "deciding": self.deciding,
+            "folded": self.shape.folded,
+            "aspect": self.shape.aspect,
         }

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from cagemap.maps.elastic.prepared import PreparedPair
-from cagemap.maps.hypotheses.confidence import Confidence, Reading
+from cagemap.maps.hypotheses.confidence import Confidence, MapShape, Reading
 from cagemap.maps.hypotheses.search import HypothesesConfig, found_readings
 from cagemap.maps.pair import Pair, Progress
 from cagemap.maps.point_map import PointMap
@@ -36,11 +36,12 @@ def hypothesis_map(
     """
     readings = found_readings(prepared, pair, config, progress)
     progress("projection")
-    confidence = Confidence.of(readings, pair.target.control.n_vertices)
+    found = map_of_reading(prepared, pair, readings[0])
+    confidence = Confidence.of(readings, pair.target.control.n_vertices, MapShape.of(found))
     if confidence.deciding is not None:
         vertex = pair.target.refinement.outer(np.array([confidence.deciding]))
         confidence = replace(confidence, deciding=int(vertex[0]))
-    return map_of_reading(prepared, pair, readings[0]), confidence
+    return found, confidence
 
 
 def map_of_reading(prepared: PreparedPair, pair: Pair, reading: Reading) -> PointMap:

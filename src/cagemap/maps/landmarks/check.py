@@ -51,6 +51,11 @@ CONTRADICTION = (
     "the landmark file may belong to other meshes or to the other direction"
 )
 
+MIRRORED_NOTE = (
+    "the landmarks surround each other in the opposite sense on the two surfaces: left and right seem exchanged in all "
+    "pairs, or one mesh is mirrored. Exchange them in the landmark file, or mirror one of the meshes"
+)
+
 DISTANCES = "distances"
 
 
@@ -102,7 +107,8 @@ class LandmarkCheck:
     notes : tuple of str
         What else a user should know.
     strains : (p,) float64
-        How far every pair would move if it alone were let go, of sqrt(area); 0 for those left out. Empty if unknown.
+        How far every pair would move if it alone were let go, of sqrt(area); 0 for those left out, and for those that
+        an update added or moved. Empty if unknown.
     """
 
     suspects: tuple[LandmarkSuspect, ...] = ()
@@ -114,11 +120,17 @@ class LandmarkCheck:
         return landmarks.without([suspect.pair for suspect in self.suspects])
 
     def still(self, before: Landmarks, now: Landmarks) -> LandmarkCheck:
-        """What is left of the check of some landmarks for others: suspects that are still there as they were."""
+        """What is left of the check of some landmarks for others: of pairs that are still there as they were."""
         places = {pair: i for i, pair in enumerate(now.places)}
         found = [(suspect, places.get(before.places[suspect.pair])) for suspect in self.suspects]
         kept = tuple(replace(suspect, pair=place) for suspect, place in found if place is not None)
-        return LandmarkCheck(kept, self.notes)
+        if not len(self.strains):
+            return LandmarkCheck(kept, self.notes)
+        strains = np.zeros(len(now))
+        for pair, strain_before in zip(before.places, self.strains, strict=True):
+            if pair in places:
+                strains[places[pair]] = strain_before
+        return LandmarkCheck(kept, self.notes, strains)
 
     def summary(self) -> dict[str, Any]:
         """The check as plain values for a manifest; every suspect with its sentence as ``message``."""
@@ -235,10 +247,10 @@ def checked_changes(
     target, source = _distances(prepared, pair.without(out))
     wrong = kept[misplaced_pairs(target, source)]
     if len(wrong) > MOST_SUSPECTS * len(kept) or typical_misfit(target, source, np.arange(len(kept))) > UNRELATED:
-        return LandmarkCheck(check.suspects, tuple(dict.fromkeys((*check.notes, CONTRADICTION))))
+        return replace(check, notes=tuple(dict.fromkeys((*check.notes, CONTRADICTION))))
     found = [i for i in np.intersect1d(wrong, changed).tolist() if miss(pair, before, i)[0] >= CONFIRMED]
     new = tuple(_suspect(pair, before, names, i, DISTANCES) for i in found)
-    return LandmarkCheck(tuple(sorted((*check.suspects, *new), key=lambda suspect: suspect.pair)), check.notes)
+    return replace(check, suspects=tuple(sorted((*check.suspects, *new), key=lambda suspect: suspect.pair)))
 
 
 def _distances(prepared: PreparedPair, pair: Pair) -> tuple[LandmarkDistances, LandmarkDistances]:
@@ -278,7 +290,4 @@ def orientation_notes(pair: Pair, graphs: tuple[ElasticGraph, ElasticGraph]) -> 
     )
     if orientation_agreement(target, source) > MIRRORED:
         return ()
-    return (
-        "the landmarks surround each other in the opposite sense on the two surfaces: left and right seem exchanged in "
-        "all pairs, or one mesh is mirrored. Exchange them in the landmark file, or mirror one of the meshes",
-    )
+    return (MIRRORED_NOTE,)

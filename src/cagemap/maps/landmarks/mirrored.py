@@ -1,0 +1,67 @@
+"""Landmarks that are mirrored as a whole: the other reading, in which left and right are exchanged, is offered."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from cagemap.maps.elastic.prepared import PreparedPair
+from cagemap.maps.hypotheses.confidence import TWO, Confidence, MapShape, Reading
+from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS
+from cagemap.maps.hypotheses.search import found_readings
+from cagemap.maps.pair import Pair, PointPairs, Progress
+from cagemap.maps.point_map import PointMap
+from cagemap.numerics.arrays import IndexArray
+
+AS_GIVEN = "as the landmarks are given"
+EXCHANGED = "with left and right of the landmarks exchanged"
+# How far, of sqrt(area), shapes alone may put a landmark from the one that it is exchanged with.
+NEAR_ENOUGH = 0.08
+
+
+def mirrored_readings(
+    prepared: PreparedPair, pair: Pair, given: PointMap, progress: Progress = lambda stage: None
+) -> Confidence | None:
+    """Two answers: the map that meets landmarks as they are, and one with those exchanged that shapes alone suggest.
+
+    None where the shapes put too few landmarks near others.
+
+    Parameters
+    ----------
+    prepared : PreparedPair
+    pair : Pair
+        With the landmarks.
+    given : PointMap
+        Of these landmarks.
+    progress : callable
+    """
+    free = Pair(pair.target, pair.source, pair.landmarks.only(np.zeros(0, dtype=np.int64)))
+    best = found_readings(prepared, free, progress=progress)[0]
+    exchange = exchanged_pairs(prepared, pair.landmarks, best)
+    if len(exchange) < FEWEST_LANDMARKS:
+        return None
+    places = given.images.at(slice(0, prepared.rest.graph.n)).positions
+    # What the given map costs was never asked: mirrored, it fits as well as the other where bodies are symmetric.
+    readings = (
+        Reading(AS_GIVEN, best.cost, places),
+        Reading(EXCHANGED, best.cost, best.positions, exchange=tuple(map(tuple, exchange.tolist()))),
+    )
+    return Confidence(TWO, 1e4 * best.cost, 1.0, readings, None, MapShape.of(given))
+
+
+def exchanged_pairs(prepared: PreparedPair, landmarks: PointPairs, reading: Reading) -> IndexArray:
+    """(q, 2) places of landmarks whose target points a reading puts near the source points of others, one to one.
+
+    Parameters
+    ----------
+    prepared : PreparedPair
+    landmarks : PointPairs
+    reading : Reading
+    """
+    near = cKDTree(prepared.mesh.positions).query(landmarks.target.positions)[1]
+    images, wanted = reading.positions[near], landmarks.source.positions
+    distance, there = cKDTree(wanted).query(images)
+    back = np.asarray(cKDTree(images).query(wanted)[1])
+    there = np.asarray(there)
+    rows = np.flatnonzero((distance < NEAR_ENOUGH) & (back[there] == np.arange(len(there))))
+    return np.column_stack([rows, there[rows]]).astype(np.int64)
