@@ -24,6 +24,7 @@ from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS, hypothesis_map, map
 from cagemap.maps.inner import inner_map, inner_masks
 from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck, checked_changes, checked_map
 from cagemap.maps.landmarks.mirrored import mirrored_readings
+from cagemap.maps.landmarks.turned import turned_limbs
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import Pair, PointPairs, Progress, SymmetryPair, point_pairs
 from cagemap.maps.point_map import PointMap
@@ -203,7 +204,8 @@ def match_pair(
             if len(landmarks) < FEWEST_LANDMARKS:
                 point_map, confidence = hypothesis_map(prepared, pair, progress=progress)
             elif config.check_landmarks:
-                point_map, check = checked_map(prepared, pair, landmarks.names, progress)
+                point_map, check, ends = checked_map(prepared, pair, landmarks.names, progress)
+                confidence = turned_limbs(ends, point_map, target)
                 if MIRRORED_NOTE in check.notes:
                     confidence = mirrored_readings(prepared, pair, point_map, progress)
             else:

@@ -39,14 +39,14 @@ class FineFit:
     positions: FloatArray
 
 
-def cheapest_end(
+def finished_ends(
     prepared: PreparedPair,
     shape: CoarseShape,
     coarse: Sequence[CoarseFit],
     landmarks: PointPairs,
     most: int = MOST_ENDS,
-) -> FineFit:
-    """The fine stage from the cheapest coarse fits that lie apart, as far as it ends cheapest.
+) -> tuple[FineFit, ...]:
+    """The fine stage from the cheapest coarse fits that lie apart, by what their ends cost.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def cheapest_end(
         positions = fine_fit(prepared, shape, [ended], landmarks)
         return FineFit(end_cost(prepared, pullers, positions), positions)
 
-    return min(in_threads(finish, kept), key=lambda ended: ended.cost)
+    return tuple(sorted(in_threads(finish, kept), key=lambda ended: ended.cost))
 
 
 def end_cost(prepared: PreparedPair, pullers: Pullers, positions: FloatArray) -> float:

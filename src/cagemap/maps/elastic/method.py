@@ -6,7 +6,7 @@ import numpy as np
 
 from cagemap.basis import Surface
 from cagemap.maps.elastic.constants import DOUBTFUL
-from cagemap.maps.elastic.ends import cheapest_end, mean_distance
+from cagemap.maps.elastic.ends import FineFit, finished_ends, mean_distance
 from cagemap.maps.elastic.fit import coarse_fit, fine_fit
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.elastic.starts import SpectralSides, spectral_starts, start_map
@@ -34,18 +34,31 @@ def elastic_map(prepared: PreparedPair, pair: Pair, progress: Progress = lambda 
     InvalidLandmarksError
         If there are fewer than two landmarks.
     """
-    fitted = fit(prepared, pair, progress)
+    return elastic_answers(prepared, pair, progress)[0]
+
+
+def elastic_answers(
+    prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: None
+) -> tuple[PointMap, tuple[FineFit, ...]]:
+    """`elastic_map`, and where else the fit ended, see `fits`; the first of these is the map's own end."""
+    found = fits(prepared, pair, progress)
     progress("projection")
-    return unfold(project(prepared, fitted, pair.landmarks), held_vertices(pair.landmarks), prepared.elastic)
+    point_map = project(prepared, found[0].positions, pair.landmarks)
+    return unfold(point_map, held_vertices(pair.landmarks), prepared.elastic), found
 
 
 def fit(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: None) -> FloatArray:
-    """Places (n, 3) near the source of the target's vertices of the level that is deformed.
+    """Places (n, 3) near the source of the target's vertices of the level that is deformed: the first of `fits`."""
+    return fits(prepared, pair, progress)[0].positions
+
+
+def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: None) -> tuple[FineFit, ...]:
+    """Where the elastic fit ends, the cheapest end first; others only where it was not clear from the start.
 
     The functional map starts as the paper's (eqs. 13-16) and grows on the search levels beside harmonic and biharmonic
     landmark coordinates; from where it sends some vertices, and from the landmarks alone, the coarse stage of the
     elastic fit starts. Where these two end apart, limbs may be turned: spectral upsampling makes further starts of the
-    spectral map's end. The fine stage goes on from the ends, and the cheapest of its own is kept.
+    spectral map's end, and the fine stage goes on from all that lie apart.
 
     Parameters
     ----------
@@ -65,8 +78,9 @@ def fit(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: N
     if mean_distance(ends[0].positions, ends[1].positions, shape.rest.graph.areas) > DOUBTFUL:
         starts = spectral_starts(shape, guided, SpectralSides.build(prepared, shape))
         ends += in_threads(lambda start: coarse_fit(shape, sheet, start, places, elastic), starts)
-        return cheapest_end(prepared, shape, ends, pair.landmarks).positions
-    return fine_fit(prepared, shape, ends, pair.landmarks)
+        return finished_ends(prepared, shape, ends, pair.landmarks)
+    best = min(ends, key=lambda ended: ended.cost)
+    return (FineFit(best.cost, fine_fit(prepared, shape, [best], pair.landmarks)),)
 
 
 def updated_map(

@@ -16,6 +16,10 @@ SURE, LOOK, TWO = "sure", "look at it", "two answers"
 SURE_COST = 5e-4
 SURE_GAP = 1.3
 TWO_GAP = 1.12
+# Names of answers that landmarks decide.
+AS_GIVEN = "as the landmarks are given"
+EXCHANGED = "with left and right of the landmarks exchanged"
+TURNED = "with a limb turned otherwise about its axis"
 # Shapes that truly correspond hardly fold, and most of the surface is not sheared much.
 SURE_FOLDED = 0.01
 SURE_ASPECT = 1.6
@@ -122,6 +126,11 @@ class Confidence:
                 "two answers: the landmarks surround each other in the opposite sense on the two surfaces. The map "
                 f"meets them {self.readings[0].name}; {self.readings[1].name} there is another: --answer 1 (in "
                 "Python MatchConfig(answer=1))"
+            )
+        if self.readings[0].name == AS_GIVEN:
+            return (
+                f"look at it: {self.readings[1].name} the landmarks are met nearly as cheaply ({self.gap:.2f} times "
+                f"the cost). A landmark at target vertex {self.deciding} decides; --answer 1 takes the other map"
             )
         answer = f"without landmarks the target lies on the source {self.readings[0].name}"
         if self.verdict == SURE:

@@ -10,7 +10,7 @@ import numpy as np
 from cagemap.maps.elastic.config import Stage
 from cagemap.maps.elastic.constants import MOST_ENDS
 from cagemap.maps.elastic.curves import CurvePull
-from cagemap.maps.elastic.ends import cheapest_end, different, mean_distance
+from cagemap.maps.elastic.ends import different, finished_ends, mean_distance
 from cagemap.maps.elastic.fit import CoarseFit, coarse_fit
 from cagemap.maps.elastic.graph import ElasticGraph, extrapolate
 from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair
@@ -94,7 +94,7 @@ def found_readings(
 
     def finish(candidate: _Candidate) -> Reading:
         most = MOST_ENDS if candidate is candidates[0] else 1
-        ended = cheapest_end(prepared, shape, candidate.fits, pair.landmarks, most)
+        ended = finished_ends(prepared, shape, candidate.fits, pair.landmarks, most)[0]
         return Reading(candidate.name, ended.cost, ended.positions, candidate.doubt)
 
     readings = sorted(in_threads(finish, candidates), key=lambda reading: reading.doubt * reading.cost)

@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from cagemap.maps.elastic.ends import FineFit
 from cagemap.maps.elastic.fit import coarse_fit
 from cagemap.maps.elastic.graph import ElasticGraph
-from cagemap.maps.elastic.method import elastic_map
+from cagemap.maps.elastic.method import elastic_answers
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.elastic.starts import start_map
 from cagemap.maps.landmarks.distances import (
@@ -143,19 +144,22 @@ class LandmarkCheck:
 
 def checked_map(
     prepared: PreparedPair, pair: Pair, names: Sequence[str], progress: Progress = lambda stage: None
-) -> tuple[PointMap, LandmarkCheck]:
-    """`elastic_map` without the landmark pairs that turn out to be wrong.
+) -> tuple[PointMap, LandmarkCheck, tuple[FineFit, ...]]:
+    """`elastic_answers` without the landmark pairs that turn out to be wrong.
 
     Returns
     -------
     point_map : PointMap
         Of the trusted pairs.
     check : LandmarkCheck
+    ends : tuple of FineFit
+        The map's own end, and others that were finished.
     """
     count = len(names)
     if count < FEWEST_JUDGED:
         note = f"{count} landmark pairs are too few to tell a wrong one; {FEWEST_JUDGED} or more are checked"
-        return elastic_map(prepared, pair, progress), LandmarkCheck(notes=(note,))
+        found, ends = elastic_answers(prepared, pair, progress)
+        return found, LandmarkCheck(notes=(note,)), ends
     progress("landmark distances")
     target, source = _distances(prepared, pair)
     misplaced = misplaced_pairs(target, source)
@@ -163,8 +167,8 @@ def checked_map(
     if len(misplaced) > MOST_SUSPECTS * count or typical_misfit(target, source, np.arange(count)) > UNRELATED:
         misplaced, notes = misplaced[:0], (CONTRADICTION,)
 
-    def solve(out: Collection[int]) -> PointMap:
-        return elastic_map(prepared, pair.without(out), progress)
+    def solve(out: Collection[int]) -> tuple[PointMap, tuple[FineFit, ...]]:
+        return elastic_answers(prepared, pair.without(out), progress)
 
     left_out = {int(i) for i in misplaced}
     if left_out:
@@ -172,11 +176,11 @@ def checked_map(
         costs = coarse_map_cost(prepared, pair), coarse_map_cost(prepared, pair.without(left_out))
         if costs[0] < SLIP * costs[1]:
             left_out, notes = set(), (kept_note([names[i] for i in sorted(left_out)]),)
-    current = solve(left_out)
+    current, ends = solve(left_out)
     confirmed = {i for i in left_out if miss(pair, current, i)[0] < CONFIRMED}
     if confirmed:
         left_out -= confirmed
-        current = solve(left_out)
+        current, ends = solve(left_out)
     progress("landmark strain")
     kept = np.setdiff1d(np.arange(count), list(left_out))
     energy, places = strain(pair.without(left_out), prepared.graphs[0], current)
@@ -187,7 +191,7 @@ def checked_map(
         notes += (strain_note(names[kept[strained]], float(strains[kept[strained]])),)
     suspects = tuple(_suspect(pair, current, names, i, DISTANCES) for i in sorted(left_out))
     notes += orientation_notes(pair.without(left_out), prepared.graphs)
-    return current, LandmarkCheck(suspects, notes, strains)
+    return current, LandmarkCheck(suspects, notes, strains), ends
 
 
 def coarse_map_cost(prepared: PreparedPair, pair: Pair) -> float:

@@ -6,15 +6,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cagemap.maps.elastic.prepared import PreparedPair
-from cagemap.maps.hypotheses.confidence import TWO, Confidence, MapShape, Reading
+from cagemap.maps.hypotheses.confidence import AS_GIVEN, EXCHANGED, TWO, Confidence, MapShape, Reading
 from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS
 from cagemap.maps.hypotheses.search import found_readings
 from cagemap.maps.pair import Pair, PointPairs, Progress
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import IndexArray
 
-AS_GIVEN = "as the landmarks are given"
-EXCHANGED = "with left and right of the landmarks exchanged"
 # How far, of sqrt(area), shapes alone may put a landmark from the one that it is exchanged with.
 NEAR_ENOUGH = 0.08
 
