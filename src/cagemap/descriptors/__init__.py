@@ -1,6 +1,7 @@
 """Spectral descriptors and self-symmetry operators, in the spectral domain."""
 
 from cagemap.descriptors.mirrors import Mirror, mirror_symmetries
+from cagemap.descriptors.products import multiplication_operator
 from cagemap.descriptors.spectral import (
     Filters,
     choose_filters,
@@ -29,6 +30,7 @@ __all__ = [
     "heat_times",
     "landmark_descriptors",
     "mirror_symmetries",
+    "multiplication_operator",
     "normalise_columns",
     "propagate_symmetry",
     "sends_faces_to_faces",

@@ -16,6 +16,7 @@ from cagemap.descriptors import (
     choose_filters,
     landmark_descriptors,
     mirror_symmetries,
+    multiplication_operator,
     normalise_columns,
     signatures,
     symmetry_at,
@@ -42,16 +43,27 @@ class DescriptorConfig:
         Filters of each kind, for landmarks and signatures alike.
     signature_weight : float
         Norm of a signature beside a landmark kernel's of 1; 0 leaves signatures out.
+    products : int
+        Descriptors, chosen at equal steps among all, whose multiplication the map shall commute with [NO17]; 0 for
+        none. Each is a dense operator.
+    product_weight : float
+        Norm of a multiplication beside that of a self-symmetry.
     """
 
     heat: int = 10
     wave: int = 20
     signature_weight: float = 3.0
+    products: int = 0
+    product_weight: float = 3.0
 
     def __post_init__(self) -> None:
         """Check the ranges."""
-        if not (np.isfinite(self.signature_weight) and self.signature_weight >= 0.0):
-            raise ParameterError(f"signature_weight: expected at least 0, got {self.signature_weight}")
+        for name in ("signature_weight", "product_weight"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise ParameterError(f"{name}: expected at least 0, got {value}")
+        if self.products < 0:
+            raise ParameterError(f"products: expected 0 or more descriptors, got {self.products}")
 
 
 def gather_constraints(pair: Pair, config: DescriptorConfig = DescriptorConfig()) -> Constraints:
@@ -71,7 +83,7 @@ def gather_constraints(pair: Pair, config: DescriptorConfig = DescriptorConfig()
         (pair.target, pair.target_landmarks, curves[0], tuple(target for target, _ in pair.symmetries)),
         (pair.source, pair.source_landmarks, curves[1], tuple(source for _, source in pair.symmetries)),
     ]
-    made = in_threads(lambda side: _spectral_data(*side, filters, config.signature_weight), sides)
+    made = in_threads(lambda side: _spectral_data(*side, filters, config), sides)
     return Constraints(*made)
 
 
@@ -140,7 +152,7 @@ def _spectral_data(
     curves: Sequence[SurfaceCurve],
     symmetries: tuple[IndexArray, ...],
     filters: Filters,
-    signature_weight: float,
+    config: DescriptorConfig,
 ) -> SpectralData:
     basis = surface.basis
     at_eigenvalues, level = filters.at(basis.eigenvalues), basis.last_level
@@ -148,11 +160,15 @@ def _spectral_data(
     columns = [normalise_columns(landmark_descriptors(basis.rows(level, landmarks), at_eigenvalues))]
     if curves:
         columns.append(normalise_columns(landmark_descriptors(curve_rows(surface, curves), at_eigenvalues)))
-    if signature_weight > 0.0:
+    if config.signature_weight > 0.0:
         projected = basis.project(signature_functions(surface, filters, level), level)
-        columns.append(signature_weight * normalise_columns(projected))
-    projections = []
+        columns.append(config.signature_weight * normalise_columns(projected))
+    descriptors, projections = np.hstack(columns), []
     for symmetry in symmetries:
         check_symmetry(symmetry, surface.control)
         projections.append(symmetry_operator(basis, symmetry_at(surface.refinement, symmetry, level)))
-    return SpectralData(basis.eigenvalues, np.hstack(columns), tuple(projections))
+    # The same descriptors on both surfaces, for both have as many.
+    steps = np.linspace(0, descriptors.shape[1], min(config.products, descriptors.shape[1]), endpoint=False)
+    products = [multiplication_operator(basis, descriptors[:, int(step)]) for step in steps]
+    projections += [config.product_weight * product for product in products]
+    return SpectralData(basis.eigenvalues, descriptors, tuple(projections))
