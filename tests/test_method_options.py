@@ -15,6 +15,7 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.meshes import write_mesh
 from cagemap.files.result import read_result
 from cagemap.files.symmetry import read_symmetry
+from cagemap.maps.spectral.hierarchical import Growth, HierarchyConfig
 from cagemap.mesh import shapes
 from cagemap.pipeline import MatchConfig
 
@@ -64,6 +65,15 @@ def test_parameters_reach_the_method_they_belong_to():
     assert used_parameters(with_parameters(MatchConfig(method="paper"), ["rounds=3"]))["rounds"] == 3
     hierarchy = with_parameters(MatchConfig(method="hfm"), ["searched_functions=80", "signature_weight=0"]).hierarchy
     assert (hierarchy.searched_functions, hierarchy.descriptors.signature_weight) == (80, 0.0)
+    hierarchy = with_parameters(
+        MatchConfig(method="hfm"), ["growths=15:1.35:0.33:0,20:1.5:1:0.3", "products=4"]
+    ).hierarchy
+    assert hierarchy.growths == (Growth(15, 1.35, 0.33, 0.0), Growth(20, 1.5, 1.0, 0.3))
+    assert hierarchy.descriptors.products == 4
+    used = used_parameters(MatchConfig(method="hfm", hierarchy=hierarchy))
+    assert used["growths"][0] == {"first": 15, "factor": 1.35, "coordinate_weight": 0.33, "normal_weight": 0.0}
+    unchanged = used_parameters(with_parameters(MatchConfig(method="hfm"), []))
+    assert len(unchanged["growths"]) == len(HierarchyConfig().growths)
 
 
 @pytest.mark.parametrize(
@@ -73,6 +83,12 @@ def test_parameters_reach_the_method_they_belong_to():
         ("paper", "laplacian", "expected NAME=VALUE"),
         ("paper", "rounds=2.5", "rounds: expected a whole number, got '2.5'"),
         ("paper", "decay=-1", "decay of at least 0"),
+        ("paper", "growths=20:1.5:1:0", "expected NAME=VALUE with one of .*rounds.* for paper"),
+        ("hfm", "growths=20:1.5:1", "growths: expected FIRST:FACTOR:COORDINATE_WEIGHT"),
+        ("hfm", "growths=20:1:1:0", "a factor above 1"),
+        ("hfm", "growths=20:1.5:1:-1", "weights of at least 0"),
+        ("hfm", "product_weight=-1", "product_weight: expected at least 0"),
+        ("hfm", "products=-1", "products: expected 0 or more descriptors"),
     ],
 )
 def test_wrong_parameters_are_refused(method, setting, said):

@@ -160,7 +160,7 @@ def test_growing_map_repairs_a_rough_start():
     constraints = Constraints(*sides)
     first = coarse_functional_map(constraints.leading(6, 6), config.weights)
     before = np.linalg.norm(points[search_samples(samples, samples, first)] - points, axis=1).mean()
-    functional_map, match = grown_map(constraints, samples, samples, config, Growth(6))
+    functional_map, match = grown_map(constraints, samples, samples, config.weights, Growth(6))
     after = np.linalg.norm(points[match] - points, axis=1).mean()
     assert after < 0.2 * before
     assert functional_map.shape == (36, 36)

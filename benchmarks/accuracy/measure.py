@@ -17,7 +17,7 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.pair import PointPairs
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.pipeline import ENOUGH, MatchConfig, choose_level, match, prepare_surfaces
+from cagemap.pipeline import ENOUGH, MatchConfig, choose_level, default_basis, match, prepare_surfaces
 from cagemap.refinement import Refinement, level_triangles, refine
 
 WORKER = Path(__file__).resolve().parents[1] / "speed" / "pyfm_worker.py"
@@ -37,7 +37,7 @@ def human_rows(
     pair: HumanPair, vertices: int, counts: list[int], method: str, pyfm: str | None, seconds: float
 ) -> list[dict]:
     """One row of figures for every number of landmarks and direction."""
-    sides = _refined_sides(pair, vertices) if method == "pyfm" else _prepared_sides(pair, vertices)
+    sides = _refined_sides(pair, vertices) if method == "pyfm" else _prepared_sides(pair, vertices, method)
     truths = [_truth(sides, direction) for direction in (0, 1)]
     rows = []
     for count in counts:
@@ -83,7 +83,7 @@ def animal_rows(key: str, vertices: int, method: str, left_out: int) -> list[dic
     """Both directions of a pair without truth; the leave-one-out error is over some evenly spaced landmarks."""
     source_mesh, target_mesh, forward = animal_pair(key)
     levels = (choose_level(target_mesh, vertices), choose_level(source_mesh, vertices))
-    target, source = prepare_surfaces(target_mesh, source_mesh, levels)
+    target, source = prepare_surfaces(target_mesh, source_mesh, levels, default_basis(method))
     rows = []
     for landmarks, to, of in ((forward, target, source), (forward.reversed(), source, target)):
         config = MatchConfig(method=method)
@@ -128,11 +128,11 @@ def _without(landmarks: Landmarks, index: int) -> Landmarks:
     return replace(landmarks, names=names, target=landmarks.target[keep], source=landmarks.source[keep])
 
 
-def _prepared_sides(pair: HumanPair, vertices: int) -> tuple[Side, Side]:
-    """First and second mesh of a pair, prepared at the level with about so many vertices."""
+def _prepared_sides(pair: HumanPair, vertices: int, method: str) -> tuple[Side, Side]:
+    """First and second mesh of a pair, prepared for a method at the level with about so many vertices."""
     meshes = pair.meshes()
     levels = tuple(choose_level(mesh, vertices) for mesh in meshes)
-    surfaces = prepare_surfaces(meshes[0], meshes[1], (levels[0], levels[1]))
+    surfaces = prepare_surfaces(meshes[0], meshes[1], (levels[0], levels[1]), default_basis(method))
     first, second = (
         _side(surface.refinement, neutral, surface) for surface, neutral in zip(surfaces, pair.neutrals(), strict=True)
     )

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -12,15 +12,20 @@ from cagemap.files.symmetry import read_symmetry
 from cagemap.functional_map import MapWeights
 from cagemap.maps.pair import SymmetryPair
 from cagemap.maps.spectral.constraints import DescriptorConfig
-from cagemap.maps.spectral.hierarchical import HierarchyConfig
+from cagemap.maps.spectral.hierarchical import Growth, HierarchyConfig
 from cagemap.maps.spectral.paper import PaperConfig
 from cagemap.pipeline import MatchConfig
+
+GROWTHS_FORM = (
+    "FIRST:FACTOR:COORDINATE_WEIGHT:NORMAL_WEIGHT for each growth, with commas between them, such as "
+    "15:1.35:0.33:0.1,20:1.5:1:0.3"
+)
 
 _PARTS = ("descriptors", "weights")
 
 
 def with_parameters(config: MatchConfig, settings: Sequence[str]) -> MatchConfig:
-    """Set parameters of the spectral methods from texts such as ``laplacian=0.01``.
+    """Set parameters of the spectral methods from texts such as ``laplacian=0.01`` or ``growths=20:1.5:1:0.3``.
 
     Raises
     ------
@@ -31,7 +36,13 @@ def with_parameters(config: MatchConfig, settings: Sequence[str]) -> MatchConfig
     values = _named_values(own)
     for setting in settings:
         name, given, text = setting.partition("=")
-        kind = {**_kinds(type(own)), **_kinds(DescriptorConfig), **_kinds(MapWeights)}.get(name)
+        kinds: dict[str, Callable[[str], Any]] = {
+            **_kinds(type(own)),
+            **_kinds(DescriptorConfig),
+            **_kinds(MapWeights),
+            "growths": _growths,
+        }
+        kind = kinds.get(name)
         if not given or name not in values or kind is None:
             raise ParameterError(
                 f"--parameter: expected NAME=VALUE with one of {', '.join(sorted(values))} for {config.method}, "
@@ -40,17 +51,19 @@ def with_parameters(config: MatchConfig, settings: Sequence[str]) -> MatchConfig
         try:
             values[name] = kind(text)
         except ValueError:
-            kinds = {int: "a whole number", float: "a number"}
-            raise ParameterError(f"--parameter {name}: expected {kinds[kind]}, got {text!r}.") from None
+            forms: dict[Any, str] = {int: "a whole number", float: "a number", _growths: GROWTHS_FORM}
+            raise ParameterError(f"--parameter {name}: expected {forms[kind]}, got {text!r}.") from None
     try:
         parts = {part: _filled(getattr(own, part), values) for part in _PARTS}
         own = replace(_filled(own, values), **parts)
+        if isinstance(own, HierarchyConfig):
+            own = replace(own, growths=tuple(Growth(**growth) for growth in values["growths"]))
     except CagemapError as error:
         raise ParameterError(f"--parameter: {error}") from None
     return replace(config, **{"paper" if config.method == "paper" else "hierarchy": own})
 
 
-def used_parameters(config: MatchConfig) -> dict[str, float]:
+def used_parameters(config: MatchConfig) -> dict[str, Any]:
     """All parameters of the spectral method that a match used, by the names of `with_parameters`."""
     return _named_values(config.paper if config.method == "paper" else config.hierarchy)
 
@@ -76,6 +89,21 @@ def _named_values(config: HierarchyConfig | PaperConfig) -> dict[str, Any]:
     for part in _PARTS:
         flat.update(flat.pop(part))
     return flat
+
+
+def _growths(text: str) -> list[dict[str, Any]]:
+    """Growths from texts such as ``15:1.35:0.33:0.1,20:1.5:1:0.3``.
+
+    Raises
+    ------
+    ValueError
+        If one is not four numbers, the first of them whole.
+    """
+    given = [growth.split(":") for growth in text.split(",")]
+    if any(len(values) != len(fields(Growth)) for values in given):
+        raise ValueError(text)
+    kinds = _kinds(Growth)
+    return [{name: kinds[name](value) for name, value in zip(kinds, values, strict=True)} for values in given]
 
 
 def _kinds(config: type) -> dict[str, type]:

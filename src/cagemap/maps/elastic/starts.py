@@ -56,7 +56,8 @@ def start_map(prepared: PreparedPair, pair: Pair, vertices: IndexArray, areas: F
         (pair.source, levels[1], pair.source_landmarks, candidates, np.ones(len(candidates))),
     ]
     target, source = in_threads(lambda side: _samples(*side), sides)
-    _, match = grown_map(constraints, target, source, config, Growth(factor=START_GROWTH, coordinate_weight=1.0))
+    growth = Growth(factor=START_GROWTH, coordinate_weight=1.0)
+    _, match = grown_map(constraints, target, source, config.weights, growth, config.searched_functions)
     return candidates[match]
 
 

@@ -1,13 +1,15 @@
 """The hierarchical functional map: each band of functions is found by the descriptors and by the map so far.
 
 Starts from eq. 13 on a few functions. Every further band extends C by eqs. 14-16, to which the map so far adds what it
-says about the new functions, C = Phi1^+ P12 Phi2; the new C gives a better map, with which C is solved for again. So it
-goes up the bands on one level, where all source vertices are searched, and then down the levels with the candidates of
-Fig. 9. `cagemap.maps.spectral.paper` is the paper's method without the map's part.
+says about the new functions; the new C gives a better map, with which C is solved for again. So it goes up the bands on
+one level, where all vertices of either surface search all of the other, and then down the levels with the candidates of
+Fig. 9. Beside the functions stand landmark coordinates and the normals of the target as C places it on the source.
+`cagemap.maps.spectral.paper` is the paper's method without the map's part.
 """
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,22 +20,28 @@ from cagemap.functional_map import Constraints, MapWeights, extend_functional_ma
 from cagemap.maps.pair import LevelPair, Pair, Progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.spectral.constraints import DescriptorConfig, gather_constraints
+from cagemap.maps.spectral.facing import LevelMesh, with_normals
 from cagemap.maps.spectral.landmark_coordinates import landmark_coordinates
-from cagemap.maps.spectral.levels import LevelMap, basis_sizes, ladder, recover_points, refit, search_level
+from cagemap.maps.spectral.levels import LevelMap, basis_sizes, down_the_levels, refit, search_level
 from cagemap.maps.spectral.samples import (
-    FIT_SAMPLES,
     Samples,
     embed_source,
     embed_target,
+    fit_both_ways,
     fit_functional_map,
     sizes_between,
     spread,
     subset,
 )
-from cagemap.maps.spectral.search import nearest_rows
+from cagemap.maps.spectral.search import nearest_both_ways, nearest_rows
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import in_threads
+
+logger = logging.getLogger(__name__)
 
 FEWEST_FUNCTIONS = 3
+# Samples of either surface for every function of the last band.
+SAMPLES = 20
 # The search levels have this many functions on both sides, where the bases do.
 ENOUGH_FUNCTIONS = 50
 # Landmarks that harmonic coordinates need.
@@ -52,28 +60,31 @@ class Growth:
         By which a band makes their number grow.
     coordinate_weight : float
         Weight of harmonic and biharmonic landmark coordinates beside the basis functions.
+    normal_weight : float
+        That of normals, per sqrt(k) functions: where the map turns a part inside out they disagree.
     """
 
     first: int = 20
     factor: float = 1.25
     coordinate_weight: float = 0.33
+    normal_weight: float = 0.1
 
     def __post_init__(self) -> None:
         """Check the ranges."""
-        if self.first < FEWEST_FUNCTIONS or self.factor <= 1.0 or self.coordinate_weight < 0.0:
+        weights = self.coordinate_weight, self.normal_weight
+        if self.first < FEWEST_FUNCTIONS or self.factor <= 1.0 or not min(weights) >= 0.0:
             raise ParameterError(
-                f"expected at least {FEWEST_FUNCTIONS} first functions, a factor above 1 and a weight of at least 0, "
+                f"expected at least {FEWEST_FUNCTIONS} first functions, a factor above 1 and weights of at least 0, "
                 f"got {self}"
             )
 
 
-# A map may settle with a limb half a turn off, and which growth avoids that differs from pair to pair.
-GROWTHS = (
-    Growth(15, 1.35, 0.33),
-    Growth(20, 1.5, 0.33),
-    Growth(20, 1.25, 1.0),
-    Growth(20, 1.5, 1.0),
-    Growth(30, 1.25, 0.33),
+# A map may settle with a limb half a turn off, and which growth avoids that differs from pair to pair. Bands this wide
+# are found by eqs. 14-16 as much as by the map.
+GROWTHS = tuple(
+    replace(growth, normal_weight=normal_weight)
+    for normal_weight in (0.1, 0.3, 0.6, 1.0)
+    for growth in (Growth(15, 1.35, 0.33), Growth(20, 1.5, 0.33), Growth(20, 1.5, 1.0))
 )
 
 
@@ -89,17 +100,20 @@ class HierarchyConfig:
     search_vertices : int
         The point map is searched in full at each side's coarsest level with at least this many vertices.
     searched_functions : int
-        Basis functions up to which bands are found with full searches; those above are found further down, where
+        Basis functions up to which all growths find bands with full searches.
+    further_functions : int
+        Those up to which the growth that is kept goes on; what the basis has beyond is found further down, where
         vertices move only among candidates.
     growths : tuple of Growth
-        Ways up to there. The map whose matches cover most of the source is kept: it folds least, and of the maps of one
-        pair it is nearly always the best (docs/accuracy.md).
+        Ways up to ``searched_functions``. The map whose matches cover most of the source is kept: it folds least, and
+        of the maps of one pair it is nearly always the best (docs/accuracy.md).
     """
 
     descriptors: DescriptorConfig = DescriptorConfig()
     weights: MapWeights = MapWeights()
     search_vertices: int = 3000
     searched_functions: int = 150
+    further_functions: int = 300
     growths: tuple[Growth, ...] = GROWTHS
 
     def __post_init__(self) -> None:
@@ -141,13 +155,26 @@ def hierarchical_map(
     searched = search_levels(pair.target, pair.source, config)
     target = level_samples(pair.target, searched[0], pair.target_landmarks)
     source = level_samples(pair.source, searched[1], pair.source_landmarks)
-    grown = [grown_map(constraints, target, source, config, growth, start) for growth in config.growths]
-    maps = [LevelMap(searched, *max(grown, key=lambda found: covered(found[1], source)))]
-    for levels in ladder(pair, searched):
-        progress(f"point map, levels {levels[0]} and {levels[1]}")
-        maps.append(descend(pair, constraints, maps[-1], levels, config))
-    progress("vertex to point")
-    return tuple(maps), recover_points(pair, maps[-1])
+    meshes = LevelMesh(pair.target, searched[0]), LevelMesh(pair.source, searched[1])
+
+    def grown(growth: Growth) -> tuple[FloatArray, IndexArray]:
+        return grown_map(constraints, target, source, config.weights, growth, config.searched_functions, start, meshes)
+
+    maps = in_threads(grown, config.growths)
+    kept = int(np.argmax([covered(match, source) for _, match in maps]))
+    logger.info("growth %d of %d covers most: %s", kept + 1, len(maps), config.growths[kept])
+    first = LevelMap(
+        searched,
+        *grown_map(
+            constraints, target, source, config.weights, config.growths[kept], config.further_functions, maps[kept][0],
+            meshes,
+        ),
+    )  # fmt: skip
+
+    def below(coarse: LevelMap, levels: LevelPair) -> LevelMap:
+        return descend(pair, constraints, coarse, levels, config)
+
+    return down_the_levels(pair, first, below, progress)
 
 
 def covered(match: IndexArray, source: Samples) -> float:
@@ -174,9 +201,11 @@ def grown_map(
     constraints: Constraints,
     target: Samples,
     source: Samples,
-    config: HierarchyConfig,
+    weights: MapWeights,
     growth: Growth = Growth(),
+    last: int = 150,
     start: FloatArray | None = None,
+    meshes: tuple[LevelMesh, LevelMesh] | None = None,
 ) -> tuple[FloatArray, IndexArray]:
     """Functional map and match of samples: eq. 13 on the first functions, then band after band with full searches.
 
@@ -186,10 +215,15 @@ def grown_map(
         Of the whole bases.
     target, source : Samples
         Their landmark coordinates are weighted by the growth.
-    config : HierarchyConfig
+    weights : MapWeights
     growth : Growth
-    start : (k, k) array, optional
+    last : int
+        Basis functions up to which it grows, where there are as many.
+    start : (k1, k2) array, optional
         Instead of the solution of eq. 13.
+    meshes : pair of LevelMesh, optional
+        Of the samples, where these are all vertices of a level: normals are then compared too, and the source's
+        samples searched for on the target.
 
     Returns
     -------
@@ -203,55 +237,49 @@ def grown_map(
     target, source = (
         replace(side, coordinates=growth.coordinate_weight * side.coordinates) for side in (target, source)
     )
-    few = subset(target, spread(len(target.areas), FIT_SAMPLES)), subset(source, spread(len(source.areas), FIT_SAMPLES))
-    first = min(growth.first, *most) if start is None else min(start.shape)
-    stop = max(first, min(config.searched_functions, max(most)))
+    chosen = spread(len(target.areas), SAMPLES * last), spread(len(source.areas), SAMPLES * last)
+    few = subset(target, chosen[0]), subset(source, chosen[1])
+
+    def matched(functional_map: FloatArray, sizes: tuple[int, int]) -> FloatArray:
+        """What the point map of C says about so many functions."""
+        if meshes is None:
+            match = search_samples(*few, functional_map)
+            return fit_functional_map(few[0], few[1].rows[match][:, : sizes[1]], sizes[0])
+        facing = with_normals((target, source), meshes, functional_map, growth.normal_weight)
+        matches = search_both_ways(subset(facing[0], chosen[0]), subset(facing[1], chosen[1]), functional_map)
+        return fit_both_ways(*few, matches, sizes)
+
     if start is None:
-        functional_map = solve_functional_map(constraints.leading(first, first), config.weights)
+        first = min(growth.first, *most)
+        functional_map = solve_functional_map(constraints.leading(first, first), weights)
     else:
-        functional_map = start
-    match = search_samples(*few, functional_map)
+        first, functional_map = max(start.shape), start
+    stop = max(first, min(last, max(most)))
     _, *further = sizes_between(first, stop, growth.factor)
     for k in further:
-        functional_map = extended(
-            constraints, *few, match, functional_map.shape, (min(k, most[0]), min(k, most[1])), config
-        )
-        match = search_samples(*few, functional_map)
-    functional_map = solved(constraints, *few, match, functional_map.shape, config)
+        of_match = matched(functional_map, (min(k, most[0]), min(k, most[1])))
+        functional_map = extended(constraints, functional_map.shape, of_match, weights)
+    of_match = matched(functional_map, functional_map.shape)
+    functional_map = solve_functional_map(constraints.leading(*functional_map.shape), weights, match=of_match)
+    if meshes is not None:
+        target, source = with_normals((target, source), meshes, functional_map, growth.normal_weight)
     return functional_map, search_samples(target, source, functional_map)
 
 
-def extended(
-    constraints: Constraints,
-    target: Samples,
-    source: Samples,
-    match: IndexArray,
-    low: tuple[int, int],
-    high: tuple[int, int],
-    config: HierarchyConfig,
-) -> FloatArray:
+def extended(constraints: Constraints, low: tuple[int, int], of_match: FloatArray, weights: MapWeights) -> FloatArray:
     """C_l by descriptors and map on the low functions, and beside it the blocks of the next band (eqs. 14-16)."""
-    of_match = fit_functional_map(target, source.rows[match][:, : high[1]], high[0])
-    coarse = solve_functional_map(constraints.leading(*low), config.weights, match=of_match[: low[0], : low[1]])
-    return extend_functional_map(coarse, constraints.leading(*high), config.weights, match=of_match)
-
-
-def solved(
-    constraints: Constraints,
-    target: Samples,
-    source: Samples,
-    match: IndexArray,
-    sizes: tuple[int, int],
-    config: HierarchyConfig,
-) -> FloatArray:
-    """C by the descriptors and the map together, eq. 13 with the map's part."""
-    of_match = fit_functional_map(target, source.rows[match][:, : sizes[1]], sizes[0])
-    return solve_functional_map(constraints.leading(*sizes), config.weights, match=of_match)
+    coarse = solve_functional_map(constraints.leading(*low), weights, match=of_match[: low[0], : low[1]])
+    return extend_functional_map(coarse, constraints.leading(*of_match.shape), weights, match=of_match)
 
 
 def search_samples(target: Samples, source: Samples, functional_map: FloatArray) -> IndexArray:
     """Nearest source sample of every target sample in the embedding (paper, 5.4)."""
     return nearest_rows(embed_target(target, functional_map.shape[0]), embed_source(source, functional_map))
+
+
+def search_both_ways(target: Samples, source: Samples, functional_map: FloatArray) -> tuple[IndexArray, IndexArray]:
+    """The same, and the nearest target sample of every source sample."""
+    return nearest_both_ways(embed_target(target, functional_map.shape[0]), embed_source(source, functional_map))
 
 
 def descend(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
 
 from cagemap.basis import Surface
-from cagemap.maps.pair import LevelPair, Pair
+from cagemap.maps.pair import LevelPair, Pair, Progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.spectral.row_blocks import SpectralRows, blocks, recover_in_blocks, search_candidates, spectral_rows
 from cagemap.maps.spectral.samples import Samples, fit_functional_map, spread
@@ -55,6 +56,27 @@ def ladder(pair: Pair, start: LevelPair) -> list[LevelPair]:
         l1, l2 = l1 + move_target, l2 + move_source
         steps.append((l1, l2))
     return steps
+
+
+def down_the_levels(
+    pair: Pair, first: LevelMap, below: Callable[[LevelMap, LevelPair], LevelMap], progress: Progress
+) -> tuple[tuple[LevelMap, ...], PointMap]:
+    """Maps of a first pair of levels and of all below, and the point map T12 of the finest ones.
+
+    Parameters
+    ----------
+    pair : Pair
+    first : LevelMap
+    below : callable
+        The map of the next pair of levels from the one above it.
+    progress : callable
+    """
+    maps = [first]
+    for levels in ladder(pair, first.levels):
+        progress(f"functional and point map, levels {levels[0]} and {levels[1]}")
+        maps.append(below(maps[-1], levels))
+    progress("vertex to point")
+    return tuple(maps), recover_points(pair, maps[-1])
 
 
 def basis_sizes(pair: Pair, levels: LevelPair) -> tuple[int, int]:

@@ -8,14 +8,13 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.functional_map import Constraints, MapWeights, coarse_functional_map, extend_functional_map
-from cagemap.maps.pair import Pair, Progress
+from cagemap.maps.pair import LevelPair, Pair, Progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.spectral.constraints import DescriptorConfig, gather_constraints
 from cagemap.maps.spectral.levels import (
     LevelMap,
     basis_sizes,
-    ladder,
-    recover_points,
+    down_the_levels,
     refit,
     search_full,
     search_level,
@@ -75,12 +74,11 @@ def paper_map(
     """
     progress("functional map, level 0")
     constraints = gather_constraints(pair, config.descriptors) if constraints is None else constraints
-    maps = [first_level(pair, constraints, config, start)]
-    for levels in ladder(pair, (0, 0)):
-        progress(f"functional map, levels {levels[0]} and {levels[1]}")
-        maps.append(next_level(pair, constraints, maps[-1], levels, config))
-    progress("vertex to point")
-    return tuple(maps), recover_points(pair, maps[-1])
+
+    def below(coarse: LevelMap, levels: LevelPair) -> LevelMap:
+        return next_level(pair, constraints, coarse, levels, config)
+
+    return down_the_levels(pair, first_level(pair, constraints, config, start), below, progress)
 
 
 def first_level(pair: Pair, constraints: Constraints, config: PaperConfig, start: FloatArray | None = None) -> LevelMap:
@@ -102,7 +100,7 @@ def first_level(pair: Pair, constraints: Constraints, config: PaperConfig, start
 
 
 def next_level(
-    pair: Pair, constraints: Constraints, coarse: LevelMap, levels: tuple[int, int], config: PaperConfig
+    pair: Pair, constraints: Constraints, coarse: LevelMap, levels: LevelPair, config: PaperConfig
 ) -> LevelMap:
     """Level l + 1: eqs. 14-16, and the search among the children of the parents' matches (5.3.2, Fig. 9)."""
     functional_map, sizes = coarse.functional_map, basis_sizes(pair, levels)

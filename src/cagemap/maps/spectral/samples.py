@@ -68,6 +68,33 @@ def fit_functional_map(target: Samples, source_rows: FloatArray, k1: int) -> Flo
     return np.asarray(linalg.solve(gram, weighted.T @ source_rows, assume_a="pos"))
 
 
+def fit_both_ways(
+    target: Samples, source: Samples, matches: tuple[IndexArray, IndexArray], sizes: tuple[int, int]
+) -> FloatArray:
+    """C12 of the pairs that two matches make, each surface's samples counting as much as the other's.
+
+    A limb of the source that no target sample is matched to says nothing to C12 = Phi~1^+ P12 Phi~2; its own samples,
+    matched to the target, do (docs/accuracy.md).
+
+    Parameters
+    ----------
+    target, source : Samples
+    matches : ((b1,), (b2,)) arrays
+        Source sample of every target sample, target sample of every source sample.
+    sizes : (int, int)
+        Leading basis functions (k1, k2).
+
+    Returns
+    -------
+    (k1, k2) array
+    """
+    forward, backward = matches
+    rows = np.vstack([target.rows[:, : sizes[0]], target.rows[backward, : sizes[0]]])
+    values = np.vstack([source.rows[forward, : sizes[1]], source.rows[:, : sizes[1]]])
+    areas = np.concatenate([target.areas / target.areas.sum(), source.areas / source.areas.sum()])
+    return fit_functional_map(Samples(rows, areas, np.zeros((len(rows), 0))), values, sizes[0])
+
+
 def spread(n: int, count: int) -> IndexArray:
     """Choose samples at equal steps of the numbering; all of them if there are no more than `count`.
 

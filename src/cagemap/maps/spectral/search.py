@@ -54,6 +54,34 @@ def nearest_rows(queries: Embedding, points: Embedding) -> IndexArray:
     return nearest
 
 
+def nearest_both_ways(queries: Embedding, points: Embedding) -> tuple[IndexArray, IndexArray]:
+    """Nearest point of every query, and nearest query of every point, from one set of products.
+
+    Parameters
+    ----------
+    queries : (b, k) array
+    points : (n, k) array
+
+    Returns
+    -------
+    forward, backward : (b,), (n,) arrays
+    """
+    query_norms, point_norms = (0.5 * np.einsum("ij,ij->i", rows, rows) for rows in (queries, points))
+    transposed = np.ascontiguousarray(points.T)
+    forward = np.empty(len(queries), dtype=np.int64)
+
+    def one_block(part: slice) -> tuple[IndexArray, NDArray[np.float32]]:
+        scores = queries[part] @ transposed
+        forward[part] = np.argmax(scores - point_norms, axis=1)
+        scores -= query_norms[part, None]
+        nearest = np.argmax(scores, axis=0)
+        return part.start + nearest, np.take_along_axis(scores, nearest[None], axis=0)[0]
+
+    found = in_threads(one_block, parts(len(queries), BLOCK))
+    best = np.argmax(np.stack([scores for _, scores in found]), axis=0)
+    return forward, np.stack([nearest for nearest, _ in found])[best, np.arange(len(points))]
+
+
 def strongest_parents(subdivision: sparse.csr_array) -> sparse.csr_array:
     """Entries of S_1^l that make a coarse vertex a parent: at least `PARENT_SHARE` of the row's largest.
 
