@@ -15,6 +15,7 @@ from cagemap.files.meshes import read_mesh
 from cagemap.geometry.points import SurfacePoints
 from cagemap.maps.places import located
 from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import SCHEMES
 from cagemap.pipeline import choose_level, match, prepare_surface
 
@@ -63,8 +64,13 @@ class Shapes:
     def _prepared(self, name: str) -> Shape:
         control = replace(read_mesh(self.files[name]), name=name)
         marks = self.public.marks(self.root, name, control)
-        control = replace(control, scheme=SCHEMES[self.scheme]())
-        surface = prepare_surface(control, choose_level(control, self.vertices))
+        if self.scheme == "none":
+            plain = plain_mesh(control)
+            marks, level, control = marks.renumbered(plain.vertex_of), 0, plain.mesh
+        else:
+            control = replace(control, scheme=SCHEMES[self.scheme]())
+            level = choose_level(control, self.vertices)
+        surface = prepare_surface(control, level)
         return Shape(surface, marks, located(surface, marks.points))
 
 

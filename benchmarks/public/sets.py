@@ -45,6 +45,12 @@ class Marks:
             raise SystemExit(f"expected points {list(ids)} on the shape, it lacks {missing.tolist()}")
         return self.points.at(known)
 
+    def renumbered(self, numbers: np.ndarray) -> Marks:
+        """The same points where vertices have other numbers, without those that have none (-1)."""
+        corners = numbers[self.points.corners]
+        kept = np.flatnonzero((corners >= 0).all(axis=1))
+        return Marks(self.ids[kept], CagePoints(corners[kept], self.points.weights[kept]))
+
 
 @dataclass(frozen=True)
 class PublicSet:

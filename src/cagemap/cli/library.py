@@ -9,8 +9,8 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
+from cagemap.cli.dry_run import dry_run
 from cagemap.cli.match import (
-    DEFAULT_VERTICES,
     SIDES,
     Inputs,
     MatchRequest,
@@ -29,17 +29,14 @@ from cagemap.cli.wrap_request import WrapRequest
 from cagemap.errors import CagemapError
 from cagemap.files.code_version import code_version
 from cagemap.files.images import write_image
-from cagemap.files.meshes import read_mesh
 from cagemap.files.result import landmark_messages, read_manifest, read_result, write_result
 from cagemap.files.surface_store import prepared
 from cagemap.library import (
     Consistency,
-    Job,
     Outcome,
     Plan,
     Task,
     measure_consistency,
-    missing_tasks,
     open_crew,
     pair_rows,
     plan_job,
@@ -57,7 +54,6 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.numerics.threads import core_count
-from cagemap.pipeline import choose_level
 from cagemap.report import draw_thumbnail
 
 
@@ -75,14 +71,6 @@ COMMANDS: dict[str, type] = {
     "transfer": TransferRequest,
     "wrap": WrapRequest,
     "report": ReportRequest,
-}
-# Processor seconds of a task on one core, from measured growth (docs/library.md): constant, per 1000 control vertices,
-# per 1000 finest vertices.
-COSTS = {
-    "prepare": (0.6, 0.35, 0.012),
-    "match": (2.0, 0.10, 0.035),
-    "transfer": (3.0, 0.0, 0.01),
-    "report": (6.0, 0.0, 0.02),
 }
 
 
@@ -143,27 +131,6 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
     return summary(plan, outcomes, notes, page, seconds), whole
 
 
-def dry_run(job: Job, plan: Plan, workers: int) -> str:
-    """The tasks of a job, which are done, how large they are, and about how long the others will take."""
-    sizes = {name: _sizes(job, name, plan) for name in job.assets}
-    lines, total = [], 0.0
-    missing = missing_tasks(plan)
-    waiting = {task.name for task in missing}
-    for task in plan.tasks:
-        if task.name not in waiting:
-            lines.append(f"  {task.name}: done")
-            continue
-        names = task.pair or (task.request["asset"],)
-        seconds = _estimate(task.kind, [sizes[name] for name in names])
-        total += seconds
-        size = " + ".join(f"{sizes[name][1]:,}" for name in names)
-        lines.append(f"  {task.name}: {size} vertices, about {seconds:.0f} s")
-    left_out = [f"  {text}" for text in plan.left_out]
-    head = f"{len(plan.tasks)} tasks for {len(plan.pairs)} pairs, {len(missing)} to do"
-    tail = f"about {total / 60:.1f} core minutes, {total / workers / 60:.1f} minutes with {workers} workers"
-    return "\n".join([head, *lines, *left_out, tail])
-
-
 def collection_verdict(plan: Plan, outcomes: dict[str, Outcome]) -> Consistency:
     """How the maps of a job agree with each other; kept beside them, and measured again when one of them changes."""
     matches = [task for task in plan.tasks if task.kind == "match" and outcomes[task.name].usable]
@@ -209,25 +176,6 @@ def summary(plan: Plan, outcomes: dict[str, Outcome], notes: list[str], page: Pa
             *([] if page is None else [f"Open {page} in a browser."]),
         ]
     )
-
-
-def _sizes(job: Job, name: str, plan: Plan) -> tuple[int, int]:
-    """Control vertices and finest vertices of an asset; zeros if its mesh cannot be read."""
-    task = next((t for t in plan.tasks if t.kind == "prepare" and t.request["asset"] == name), None)
-    try:
-        control = read_mesh(job.assets[name].file)
-        options = {} if task is None else task.request["options"]
-        wanted = options.get("vertices", DEFAULT_VERTICES)
-        level = options.get("level") or choose_level(control, wanted)
-        return control.n_vertices, len(control.face_indices) * 4 ** max(level - 1, 0)
-    except CagemapError:
-        return 0, 0
-
-
-def _estimate(kind: str, sizes: list[tuple[int, int]]) -> float:
-    """Seconds of a task on one core."""
-    fixed, by_control, by_finest = COSTS.get(kind, COSTS["transfer"])
-    return fixed + sum(by_control * control + by_finest * finest for control, finest in sizes) / 1000
 
 
 def run_task(task: Task) -> dict[str, Any]:

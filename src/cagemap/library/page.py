@@ -17,7 +17,7 @@ from typing import Any
 from cagemap.files.atomic import atomic_path
 from cagemap.files.marks import mark
 from cagemap.files.result import file_hash
-from cagemap.library.plan import PICTURE, STATE, Plan
+from cagemap.library.plan import PICTURE, STATE, Plan, Task
 from cagemap.library.run import Outcome
 from cagemap.report.merits import explain, overall
 
@@ -72,8 +72,11 @@ def pair_rows(
 ) -> list[PairRow]:
     """Rows of all pairs of a plan, worst first."""
     rows = []
+    of_pair: dict[Any, list[tuple[Task, Outcome | None]]] = {}
+    for task in plan.tasks:
+        of_pair.setdefault(task.pair, []).append((task, outcomes.get(task.name)))
     for pair in plan.pairs:
-        own = [(task, outcomes.get(task.name)) for task in plan.tasks if task.pair == pair]
+        own = of_pair.get(pair, [])
         # A way round replaces the direct map.
         maps = [outcome for kind in ("compose", "match") for task, outcome in own if task.kind == kind]
         match = next((outcome for outcome in maps if outcome is not None), None)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.sparse.csgraph import minimum_spanning_tree
+from scipy.spatial.distance import pdist, squareform
 
 from cagemap.errors import CagemapError, FormatError
 from cagemap.files.meshes import read_mesh
@@ -32,8 +33,7 @@ def spanning_tree(assets: Sequence[Asset]) -> list[tuple[str, str]]:
             signatures.append(shape_distribution(read_mesh(asset.file)))
         except CagemapError as error:
             raise FormatError(f"{asset.name}: a spanning tree needs every mesh, and this one: {error}") from error
-    stacked = np.array(signatures)
-    lengths = np.abs(stacked[:, None] - stacked[None]).mean(axis=2) + 1.0  # a length of 0 would be no edge
+    lengths = squareform(pdist(np.array(signatures), "cityblock")) / QUANTILES + 1.0  # a length of 0 would be no edge
     np.fill_diagonal(lengths, 0.0)
     edges = minimum_spanning_tree(lengths).tocoo()
     found = []
