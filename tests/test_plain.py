@@ -13,8 +13,12 @@ from scipy.spatial import Delaunay
 
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.progress import Stages
+from cagemap.cli.subdivision import SchemeName
+from cagemap.cli.wrap import run_wrap
+from cagemap.cli.wrap_request import WrapRequest
 from cagemap.errors import InvalidMeshError, ParameterError
-from cagemap.files.meshes import write_mesh
+from cagemap.files.images import read_image, write_image
+from cagemap.files.meshes import read_mesh, write_mesh
 from cagemap.files.result import read_result
 from cagemap.files.surface_store import prepared
 from cagemap.geometry.closest import build_tree, closest_points
@@ -292,6 +296,52 @@ def test_files_to_result_and_back(tmp_path: Path) -> None:
     again = update_match(result, result.landmarks)
     assert np.linalg.norm(again.image() - result.image(), axis=1).max() < 0.01 * np.ptp(scan.positions, axis=0).max()
     assert result.functional_map.shape == (150, 150)
+
+
+@pytest.mark.slow
+def test_a_cage_is_wrapped_onto_a_scan_with_its_colours_and_texture(tmp_path: Path) -> None:
+    """Colours and texture of the scan are its places, which the wrapped cage's own places must repeat."""
+    scan = _animal(2)
+    low, size = scan.positions.min(axis=0), np.ptp(scan.positions, axis=0)
+    rng = np.random.default_rng(5)
+    noisy = scan.positions + rng.normal(scale=1e-3 * size.max(), size=scan.positions.shape)
+    kept = np.linalg.norm(scan.positions[scan.face_indices.reshape(-1, 3)[:, 0]] - scan.positions[40], axis=1) > 0.4
+    faces = scan.face_indices.reshape(-1, 3)[kept]
+    colors = np.clip((scan.positions - low) / size, 0.0, 1.0)
+    open_scan = ControlMesh(noisy, np.arange(0, faces.size + 1, 3), faces.ravel(), vertex_colors=colors)
+    open_scan = open_scan.with_uvs(colors[:, :2] * 0.98 + 0.01, faces.ravel())
+    stray = replace(_ball(0), positions=_ball(0).positions * 0.05 + low - 2.0, vertex_colors=np.ones((12, 3)))
+    write_mesh(tmp_path / "scan.obj", join_meshes([open_scan, stray]))
+    cage = creature()
+    corners = np.tile([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], (cage.n_faces, 1))
+    side = int(np.ceil(np.sqrt(cage.n_faces)))
+    cells = np.repeat(np.column_stack(np.divmod(np.arange(cage.n_faces), side)), 4, axis=0)
+    write_mesh(tmp_path / "cage.obj", cage.with_uvs((0.1 + 0.8 * corners + cells) / side, np.arange(4 * cage.n_faces)))
+    ramp = np.linspace(0.0, 1.0, 256)
+    across, up = np.meshgrid(ramp, ramp[::-1])
+    write_image(tmp_path / "scan.png", np.rint(255 * np.stack([across, up, 0 * up], axis=2)).astype(np.uint8))
+    request = WrapRequest(
+        (),
+        tmp_path / "wrapped.obj",
+        tmp_path / "cage.obj",
+        tmp_path / "scan.obj",
+        source_scheme=SchemeName.NONE,
+        colors=tmp_path / "colors.png",
+        texture=tmp_path / "scan.png",
+        baked=tmp_path / "baked.png",
+        size=128,
+    )
+    _, warnings = run_wrap(request, Stages())
+    assert any("set aside" in text for text in warnings)
+    wrapped = read_mesh(tmp_path / "wrapped.obj")
+    assert np.array_equal(wrapped.face_indices, cage.face_indices)
+    found = refine(wrapped, 2).finest.positions
+    _, _, distance = closest_points(build_tree(scan.positions, faces), found)
+    assert np.sqrt(np.mean(distance**2)) < 0.02 * size.max()
+    painted, carried = (read_image(tmp_path / name).pixels[..., :2] / 255.0 for name in ("colors.png", "baked.png"))
+    inside = painted.sum(axis=2) > 0
+    # Two ways to the same places: interpolated colours, and a ramp of 256 levels.
+    assert np.abs(painted - (carried - 0.01) / 0.98)[inside].mean() < 0.02
 
 
 def test_a_stored_plain_surface_is_the_prepared_one(tmp_path: Path) -> None:

@@ -11,7 +11,8 @@ import numpy as np
 
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.progress import Stages
-from cagemap.cli.transfer_request import Outcome
+from cagemap.cli.transfer import run_transfer
+from cagemap.cli.transfer_request import Outcome, TransferRequest
 from cagemap.cli.usd_output import write_usd_results
 from cagemap.cli.wrap_bakes import bake_wrapped, wrap_bakes
 from cagemap.cli.wrap_request import WrapRequest
@@ -46,22 +47,47 @@ def run_wrap(request: WrapRequest, stages: Stages) -> Outcome:
     _check_request(request)
     given = (request.target, request.source, request.landmarks)
     if not any(given):
-        return _run(request, stages)
+        return _with_texture(request, *_run(request, stages), stages)
     if request.results or request.target is None or request.source is None:
         raise ParameterError("expected RESULT folders, or --target and --source together to match first")
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder) / "result"
-        _, warnings = run_match(MatchRequest(request.target, request.source, request.landmarks, result), stages)
-        summary, more = _run(replace(request, results=(result,)), stages)
+        asked = MatchRequest(
+            request.target,
+            request.source,
+            request.landmarks,
+            result,
+            scheme=request.scheme,
+            target_scheme=request.target_scheme,
+            source_scheme=request.source_scheme,
+        )
+        _, warnings = run_match(asked, stages)
+        request = replace(request, results=(result,))
+        summary, more = _with_texture(request, *_run(request, stages), stages)
         return summary, warnings + more
+
+
+def _with_texture(request: WrapRequest, summary: str, warnings: list[str], stages: Stages) -> Outcome:
+    """Carry the source's texture into the target's layout as well, if that was asked for."""
+    if request.texture is None or request.baked is None:
+        return summary, warnings
+    carry = TransferRequest(
+        request.results[0], request.baked, texture=request.texture, size=request.size, force=request.force
+    )
+    more, others = run_transfer(carry, stages)
+    return f"{summary}\n{more}", warnings + others
 
 
 def _check_request(request: WrapRequest) -> None:
     if not 0.0 <= request.amount <= 1.0:
         raise ParameterError(f"--amount: expected 0 (the target) to 1 (the source's shape), got {request.amount}")
+    if (request.texture is None) != (request.baked is None):
+        raise ParameterError("--texture and --baked: expected the source's image and the one to write, got one of them")
+    if not request.target and any((request.scheme, request.target_scheme, request.source_scheme)):
+        raise ParameterError("--scheme: expected with --target and --source; a RESULT has its schemes already")
     bakes = wrap_bakes(request)
     bakes.check()
-    images = [*bakes.images.values(), *([request.mhclo] if request.mhclo else [])]
+    images = [*bakes.images.values(), *(path for path in (request.mhclo, request.baked) if path)]
     many = len(request.results) > 1
     if many and not request.blend_shapes:
         raise ParameterError("expected one RESULT, or --blend-shapes with a folder as --output for several")

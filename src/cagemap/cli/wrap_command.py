@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from cagemap.cli.options import SchemeOption, SourceSchemeOption, TargetSchemeOption
 from cagemap.cli.words import say, warn
 
 
@@ -28,6 +29,9 @@ def wrap(
     landmarks: Annotated[
         Path | None, typer.Option("--landmarks", help="JSON file of corresponding vertices.", show_default=False)
     ] = None,
+    scheme: SchemeOption = None,
+    target_scheme: TargetSchemeOption = None,
+    source_scheme: SourceSchemeOption = None,
     fit_level: Annotated[
         int, typer.Option("--fit-level", min=0, help="0 moves the control points, l the refined net of level l.")
     ] = 0,
@@ -74,6 +78,13 @@ def wrap(
     colors: Annotated[
         Path | None, typer.Option("--colors", help="Image to write: the source's vertex colours.", show_default=False)
     ] = None,
+    texture: Annotated[
+        Path | None,
+        typer.Option("--texture", help="The source's image, to carry into the target's layout.", show_default=False),
+    ] = None,
+    baked: Annotated[
+        Path | None, typer.Option("--baked", help="Image to write: the texture carried.", show_default=False)
+    ] = None,
     detail: Annotated[
         Path | None,
         typer.Option("--detail", help="Bake a more detailed mesh in the source's place instead.", show_default=False),
@@ -114,6 +125,9 @@ def wrap(
         target=target,
         source=source,
         landmarks=landmarks,
+        scheme=scheme,
+        target_scheme=target_scheme,
+        source_scheme=source_scheme,
         fit_level=fit_level,
         amount=amount,
         fairness=fairness,
@@ -125,6 +139,8 @@ def wrap(
         normal_map=normal_map,
         occlusion=occlusion,
         colors=colors,
+        texture=texture,
+        baked=baked,
         detail=detail,
         space=space,
         green=green,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from cagemap.cli.subdivision import SchemeName
 from cagemap.wrap import WrapConfig
 
 
@@ -17,6 +18,9 @@ class WrapRequest:
     target: Path | None = None
     source: Path | None = None
     landmarks: Path | None = None
+    scheme: SchemeName | None = None
+    target_scheme: SchemeName | None = None
+    source_scheme: SchemeName | None = None
     fit_level: int = 0
     amount: float = 1.0
     fairness: float = WrapConfig.fairness
@@ -28,6 +32,8 @@ class WrapRequest:
     normal_map: Path | None = None
     occlusion: Path | None = None
     colors: Path | None = None
+    texture: Path | None = None
+    baked: Path | None = None
     detail: Path | None = None
     space: str = "tangent"
     green: str = "up"

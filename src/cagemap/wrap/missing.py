@@ -65,6 +65,6 @@ def _refined(refinement: Refinement, level: int) -> Refinement:
     size = refinement.finest.n_vertices
     while level > refinement.n_levels and size * 4 ** (level - refinement.n_levels) > _MOST_VERTICES:
         level -= 1
-    if level == refinement.n_levels:
+    if level == refinement.n_levels or refinement.is_plain:
         return refinement
     return refine(refinement.control, level, refinement.scheme)
