@@ -107,6 +107,9 @@ def test_verdicts_follow_cost_and_gap() -> None:
     assert (alone.verdict, alone.gap, alone.deciding) == (SURE, np.inf, None)
     assert alone.summary()["gap"] is None
     assert Confidence.of((replace(best, cost=1.0),), 3).verdict == LOOK
+    turned = replace(best, cost=3e-4, doubt=1.1)
+    assert Confidence.of((turned,), 3).verdict == LOOK
+    assert Confidence.of((replace(turned, doubt=1.0),), 3).verdict == SURE
     # Cheap and alone, but folded or sheared: an animal squeezed into a head.
     assert Confidence.of((best,), 3, MapShape(folded=0.03)).verdict == LOOK
     assert Confidence.of((best,), 3, MapShape(aspect=2.0)).verdict == LOOK
