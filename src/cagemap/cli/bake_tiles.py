@@ -28,7 +28,8 @@ from cagemap.files.images import (
 )
 from cagemap.files.meshes import write_mesh
 from cagemap.files.obj_layout import write_obj_layout
-from cagemap.files.result import Result, input_file, note_transfer, stated_path
+from cagemap.files.result import input_file, note_transfer, stated_path
+from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.threads import ThreadPool
 from cagemap.transfer import BakeOptions, Transfer, tile_cells, transfer_of, unwrap
@@ -75,7 +76,7 @@ class SourceImage:
 
 
 def read_source_image(
-    request: TransferRequest, result: Result, path: Path, channels: int | None = None, name: str = ""
+    request: TransferRequest, result: MatchResult, path: Path, channels: int | None = None, name: str = ""
 ) -> SourceImage:
     """Read an image of the source; with ``channels``, refuse an output that cannot hold so many."""
     texture = read_texture(path)
@@ -89,7 +90,7 @@ def read_source_image(
 
 
 def prepare_bake(
-    request: TransferRequest, result: Result, stages: Stages, outputs: Sequence[Path] | None = None
+    request: TransferRequest, result: MatchResult, stages: Stages, outputs: Sequence[Path] | None = None
 ) -> Prepared:
     """Lay the target out, with a new layout if asked for, and find its tiles."""
     mesh: Path | None = None
@@ -213,7 +214,7 @@ def _masked(image: Image, transfer: Transfer, base: Path | None, options: BakeOp
     return replace(image, pixels=blend(image.pixels, converted, weight))
 
 
-def written_channels(request: TransferRequest, result: Result, channels: int, name: str = "") -> int:
+def written_channels(request: TransferRequest, result: MatchResult, channels: int, name: str = "") -> int:
     """Channels of the image to write: one more where masks become alpha."""
     opaque = channels % 2 == 1
     return channels + 1 if result.masks.any and opaque and base_of(request, name) is None else channels

@@ -7,11 +7,11 @@ import numpy as np
 from cagemap.cli.transfer_request import TransferRequest, base_of
 from cagemap.errors import ParameterError
 from cagemap.files.attributes import Attributes, read_attributes
-from cagemap.files.result import Result
+from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray
 
 
-def keep_base(request: TransferRequest, result: Result, carried: Attributes) -> tuple[Attributes, list[str]]:
+def keep_base(request: TransferRequest, result: MatchResult, carried: Attributes) -> tuple[Attributes, list[str]]:
     """Carried values over the target's own ones outside the masks; and what is to be said where there are none.
 
     Raises
@@ -44,7 +44,7 @@ def keep_base(request: TransferRequest, result: Result, carried: Attributes) -> 
     return kept, []
 
 
-def _rows(result: Result, weight: FloatArray, count: int) -> FloatArray:
+def _rows(result: MatchResult, weight: FloatArray, count: int) -> FloatArray:
     """(count,) how much control vertices, control faces, face corners or refined vertices count."""
     control = result.target.control
     at_vertices = weight[: control.n_vertices]

@@ -22,12 +22,13 @@ from cagemap.cli.transfer_request import Outcome, TransferRequest
 from cagemap.errors import ParameterError
 from cagemap.files.images import udim_path
 from cagemap.files.meshes import read_mesh
-from cagemap.files.result import Result, note_transfer, stated_path
+from cagemap.files.result import note_transfer, stated_path
+from cagemap.maps.result import MatchResult
 from cagemap.transfer.detail import Detail
 from cagemap.transfer.vectors import Green, Space
 
 
-def carry_detail(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """Normals, displacement, ambient occlusion and colours of a detailed mesh, or of the source itself."""
     kinds = _kinds(request)
     images = {kind: map_path(request.output, kind if len(kinds) > 1 else "") for kind in kinds}

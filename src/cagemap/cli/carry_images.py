@@ -23,8 +23,9 @@ from cagemap.cli.transfer_request import Outcome, TransferRequest
 from cagemap.cli.usd_output import texture_reference, write_usd_results
 from cagemap.errors import ParameterError
 from cagemap.files.images import Image, check_writable, pixel_type, read_image_form, tile_pattern
-from cagemap.files.result import Result, stated_path
+from cagemap.files.result import stated_path
 from cagemap.files.usd_write import UsdResults
+from cagemap.maps.result import MatchResult
 from cagemap.transfer import BakeOptions, bake_displacement, bake_face_colors, bake_texture, face_colors
 from cagemap.transfer.displacement import Displacement
 from cagemap.transfer.normal_maps import looks_like_normal_map
@@ -32,7 +33,7 @@ from cagemap.transfer.texture import Pixels
 from cagemap.transfer.vectors import Green, Space, bake_normal_map, bake_vector_displacement
 
 
-def carry_texture(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """One image, or all maps of a material; the map is followed once for all of them."""
     maps = request.maps if request.texture is None else (("", request.texture),)
     outputs = [map_path(request.output, name) for name, _ in maps]
@@ -64,7 +65,7 @@ def carry_texture(request: TransferRequest, result: Result, stages: Stages) -> O
 
 
 def _bake_map(
-    request: TransferRequest, result: Result, prepared: Prepared, name: str, path: Path, stages: Stages
+    request: TransferRequest, result: MatchResult, prepared: Prepared, name: str, path: Path, stages: Stages
 ) -> int:
     """Bake one map into all tiles; returns the size in texels."""
     given = read_source_image(request, result, path, name=name)
@@ -86,7 +87,7 @@ def _bake_map(
     return given.size
 
 
-def carry_normal_map(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+def carry_normal_map(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """A normal map, in tangent or object space."""
     assert request.normal_map is not None
     given = read_source_image(request, result, request.normal_map, 3)
@@ -108,7 +109,7 @@ def carry_normal_map(request: TransferRequest, result: Result, stages: Stages) -
     return finish(request, prepared, {"kind": "normal-map", "image": image, "size": given.size, "space": request.space})
 
 
-def carry_displacement(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+def carry_displacement(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """Displacement along the normal."""
     assert request.displacement is not None
     given = read_source_image(request, result, request.displacement, 1)
@@ -130,7 +131,7 @@ def carry_displacement(request: TransferRequest, result: Result, stages: Stages)
     return _finish_displacement(request, prepared, entry, baked, "height")
 
 
-def carry_vector_displacement(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+def carry_vector_displacement(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """Vector displacement, in tangent or object space."""
     assert request.vector_displacement is not None
     given = read_source_image(request, result, request.vector_displacement, 3)
@@ -163,7 +164,7 @@ def _finish_displacement(
     return f"{summary}\n  {what} = (value - {baked.midlevel:g}) * {baked.scale:.6g} in the target's units", warnings
 
 
-def carry_material_colors(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+def carry_material_colors(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """Colours of the source's materials."""
     floats = request.output.suffix.lower() == ".exr"
     dtype = pixel_type(request.bits or (32 if floats else 8), request.output.suffix)

@@ -16,9 +16,10 @@ from cagemap.files.atomic import check_outputs
 from cagemap.files.attributes import read_attributes
 from cagemap.files.images import Image, Pixels, read_image, read_texture
 from cagemap.files.meshes import read_mesh
-from cagemap.files.result import ARRAYS, MANIFEST, Result, read_result
+from cagemap.files.result import ARRAYS, MANIFEST, read_result
 from cagemap.files.rigs import read_shapes
 from cagemap.files.usd_primvars import JOINT_WEIGHTS
+from cagemap.maps.result import MatchResult
 from cagemap.report import Rides, Shape, Weights, write_report
 from cagemap.wrap import level_mesh
 
@@ -53,7 +54,7 @@ def run_report(folder: Path, output: Path, texture: Path | None, stages: Stages,
     write_report(output, result, texture=pixels, baked=baked, rides=rides, force=force)
 
 
-def rides_of(folder: Path, result: Result) -> Rides:
+def rides_of(folder: Path, result: MatchResult) -> Rides:
     """The last wrapped cage, weights and shapes that the result knows of, as far as their files are still there."""
     last = {entry["kind"]: entry for entry in result.manifest.get("transfers", [])}
     rides = Rides()
@@ -67,7 +68,7 @@ def rides_of(folder: Path, result: Result) -> Rides:
     return rides
 
 
-def _wrapped(rides: Rides, folder: Path, entry: dict[str, Any], result: Result) -> Rides:
+def _wrapped(rides: Rides, folder: Path, entry: dict[str, Any], result: MatchResult) -> Rides:
     cage = read_mesh(folder / entry["output"])
     level = int(entry.get("fit_level", 0))
     if entry.get("amount", 1.0) != 1.0 or cage.n_vertices != result.target.refinement.levels[level].n_vertices:
@@ -75,7 +76,7 @@ def _wrapped(rides: Rides, folder: Path, entry: dict[str, Any], result: Result) 
     return replace(rides, wrapped=level_mesh(result.target.refinement, level).with_positions(cage.positions))
 
 
-def _weights(rides: Rides, folder: Path, entry: dict[str, Any], result: Result) -> Rides:
+def _weights(rides: Rides, folder: Path, entry: dict[str, Any], result: MatchResult) -> Rides:
     sides = []
     for file, side in ((entry.get("file"), result.source), (entry["output"], result.target)):
         if file is None:
@@ -93,7 +94,7 @@ def _weights(rides: Rides, folder: Path, entry: dict[str, Any], result: Result) 
     return replace(rides, weights=Weights(*sides))
 
 
-def _shapes(rides: Rides, folder: Path, entry: dict[str, Any], result: Result) -> Rides:
+def _shapes(rides: Rides, folder: Path, entry: dict[str, Any], result: MatchResult) -> Rides:
     files = [folder / file for file in entry.get("files", [])]
     given, carried = (
         read_shapes(files, result.source.control),
@@ -113,7 +114,7 @@ def _same(a: Path, b: Path) -> bool:
     return os.path.realpath(a) == os.path.realpath(b)
 
 
-def _baked(folder: Path, result: Result, entry: dict[str, Any]) -> tuple[Result, Pixels | None]:
+def _baked(folder: Path, result: MatchResult, entry: dict[str, Any]) -> tuple[MatchResult, Pixels | None]:
     """What was baked, and the result with the layout that it was baked into."""
     if len(entry.get("tiles", [0])) != 1:
         return result, None

@@ -16,7 +16,7 @@ from cagemap.files.atomic import check_outputs
 from cagemap.files.attributes import Attributes, read_attributes, write_attributes
 from cagemap.files.maps import write_map
 from cagemap.files.mhclo import bind, write_mhclo
-from cagemap.files.result import Result, note_transfer, stated_path
+from cagemap.files.result import note_transfer, stated_path
 from cagemap.files.rigs import read_shapes, read_skeleton, write_shapes, write_skeleton
 from cagemap.files.usd import USD_SUFFIXES
 from cagemap.files.usd_primvars import BLEND_SHAPE, JOINT_WEIGHTS
@@ -25,6 +25,7 @@ from cagemap.files.usd_write import UsdResults
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.elastic.graph import mesh_graph
 from cagemap.maps.point_map import PointMap
+from cagemap.maps.result import MatchResult
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.refinement import triangulate_control
 from cagemap.transfer import control_weights, prepare_transfer
@@ -39,7 +40,7 @@ _TRUSTED = 0.1
 _APART = 0.05
 
 
-def carry_weights(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+def carry_weights(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """Skinning weights: a column or array for each joint, or one array of all joints."""
     assert request.weights is not None
     check_outputs([request.output], [request.weights], force=request.force)
@@ -123,7 +124,7 @@ def _moved(skeleton: Skeleton, point_map: PointMap) -> Skeleton:
     return replace(skeleton, heads=ends[:count], tails=ends[count:], axes=axes)
 
 
-def carry_skeleton(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+def carry_skeleton(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """Heads and tails of joints."""
     assert request.joints is not None
     check_outputs([request.output], [request.joints], force=request.force)
@@ -135,7 +136,7 @@ def carry_skeleton(request: TransferRequest, result: Result, stages: Stages) -> 
     return f"wrote {request.output}: {count} joints", []
 
 
-def carry_blend_shapes(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+def carry_blend_shapes(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """Blend shapes of the source's cage for the target's."""
     shapes = read_shapes(request.blend_shapes, result.source.control)
     stages("prepare")
@@ -161,7 +162,7 @@ def carry_blend_shapes(request: TransferRequest, result: Result, stages: Stages)
     return text, []
 
 
-def write_point_map(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+def write_point_map(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """The map itself, for other programs."""
     check_outputs([request.output], [], force=request.force)
     stages("write map")

@@ -8,8 +8,9 @@ import numpy as np
 
 from cagemap.files.atomic import check_outputs
 from cagemap.files.landmarks import write_landmarks
-from cagemap.files.result import ARRAYS, MANIFEST, Result, read_result
+from cagemap.files.result import ARRAYS, MANIFEST, read_result
 from cagemap.maps.landmarks.suggest import free_partners, suggested_vertices
+from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
 
 
@@ -27,7 +28,7 @@ def run_suggest(folder: Path, output: Path, count: int, *, force: bool = False) 
     )
 
 
-def suggested_landmarks(result: Result, count: int) -> Landmarks:
+def suggested_landmarks(result: MatchResult, count: int) -> Landmarks:
     """The landmarks of a result, and ``count`` more where they would tell most, on the source where the map puts them.
 
     Raises

@@ -23,8 +23,9 @@ from cagemap.errors import ParameterError
 from cagemap.files.atomic import require_no_input, require_replaceable, require_writable_folder
 from cagemap.files.attributes import check_attribute_path, read_attributes, write_attributes
 from cagemap.files.meshes import write_mesh
-from cagemap.files.result import Result, note_transfer, read_result, stated_path
+from cagemap.files.result import note_transfer, read_result, stated_path
 from cagemap.files.usd_write import UsdResults
+from cagemap.maps.result import MatchResult
 from cagemap.transfer import (
     Transfer,
     carry_uvs,
@@ -51,7 +52,7 @@ def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
     return outcome
 
 
-def _carrier(request: TransferRequest) -> Callable[[TransferRequest, Result, Stages], Outcome]:
+def _carrier(request: TransferRequest) -> Callable[[TransferRequest, MatchResult, Stages], Outcome]:
     """Choose the one thing to carry."""
     options = {
         "--texture": (request.texture is not None or bool(request.maps), carry_texture),
@@ -75,7 +76,7 @@ def _carrier(request: TransferRequest) -> Callable[[TransferRequest, Result, Sta
     return options[chosen[0]][1]
 
 
-def _carry_attribute(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """Values at control vertices, control faces, face corners or refined vertices; each arrives at its own kind."""
     assert request.attribute is not None
     check_attribute_path(request.output)
@@ -120,7 +121,7 @@ def _carry_attribute(request: TransferRequest, result: Result, stages: Stages) -
     return "\n".join([f"wrote {request.output}: {shapes}", *lines]), warnings + notes
 
 
-def _carry_uvs(request: TransferRequest, result: Result, stages: Stages) -> Outcome:
+def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """The target's mesh with the source's texture coordinates, so that the source's own image fits it."""
     sides = result.target.refinement, result.source.refinement
     transfer = _prepare(result, stages)
@@ -138,6 +139,6 @@ def _carry_uvs(request: TransferRequest, result: Result, stages: Stages) -> Outc
     return f"wrote {request.output}: {len(carried.uvs)} texture coordinates of the source", warnings
 
 
-def _prepare(result: Result, stages: Stages) -> Transfer:
+def _prepare(result: MatchResult, stages: Stages) -> Transfer:
     stages("prepare")
     return transfer_of(result)

@@ -9,12 +9,13 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.files.images import UDIM_MARK
-from cagemap.files.result import Result, input_file
+from cagemap.files.result import input_file
 from cagemap.files.usd import USD_SUFFIXES, read_usd_meshes
 from cagemap.files.usd_write import UsdResults, write_usd, write_usd_over
+from cagemap.maps.result import MatchResult
 
 
-def write_usd_results(layer: Path, folder: Path, result: Result, results: UsdResults, *, force: bool) -> str:
+def write_usd_results(layer: Path, folder: Path, result: MatchResult, results: UsdResults, *, force: bool) -> str:
     """Write results for the target of a RESULT folder; returns a line for the terminal.
 
     Parameters
@@ -23,7 +24,7 @@ def write_usd_results(layer: Path, folder: Path, result: Result, results: UsdRes
         USD file to write.
     folder : path
         The RESULT folder.
-    result : Result
+    result : MatchResult
         What it holds.
     results : UsdResults
 

@@ -23,19 +23,11 @@ from cagemap.files.attributes import read_attributes
 from cagemap.files.meshes import check_mesh_path, mesh_files, write_mesh
 from cagemap.files.mhclo import bind, write_mhclo
 from cagemap.files.obj_layout import write_obj_positions
-from cagemap.files.result import (
-    ARRAYS,
-    MANIFEST,
-    Result,
-    input_file,
-    mesh_hash,
-    note_transfer,
-    read_result,
-    stated_path,
-)
+from cagemap.files.result import ARRAYS, MANIFEST, input_file, mesh_hash, note_transfer, read_result, stated_path
 from cagemap.files.usd import USD_SUFFIXES, moved
 from cagemap.files.usd_space import between_spaces
 from cagemap.files.usd_write import UsdResults
+from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import one_blas_thread
@@ -146,7 +138,7 @@ def _run(request: WrapRequest, stages: Stages) -> Outcome:
     return "\n".join(lines + more), warnings + outside + _warnings(wrapped)
 
 
-def _wrap(request: WrapRequest, result: Result, config: WrapConfig, stages: Stages) -> Wrapped:
+def _wrap(request: WrapRequest, result: MatchResult, config: WrapConfig, stages: Stages) -> Wrapped:
     follow = None if request.weights is None else _follow(request.weights, result.target.control)
     if result.masks.any:
         follow = _masked_follow(result, follow)
@@ -157,7 +149,7 @@ def _wrap(request: WrapRequest, result: Result, config: WrapConfig, stages: Stag
         return wrap(target, result.point_map, config, follow=follow, symmetry=symmetry)
 
 
-def _masked_follow(result: Result, follow: FloatArray | None) -> FloatArray:
+def _masked_follow(result: MatchResult, follow: FloatArray | None) -> FloatArray:
     """(n_f,) how far finest vertices may follow, where masks leave some of the surfaces out."""
     counts, refinement = result.masks.joint(result.point_map), result.target.refinement
     if follow is None or len(follow) == len(counts):
@@ -181,7 +173,9 @@ def _symmetry(control: ControlMesh, level: int) -> IndexArray:
     return found
 
 
-def _write(request: WrapRequest, wrapped: Wrapped, result: Result, original: Path | None, output: Path) -> list[str]:
+def _write(
+    request: WrapRequest, wrapped: Wrapped, result: MatchResult, original: Path | None, output: Path
+) -> list[str]:
     """Write the cage; all that the target's own file says but positions stays, where that file is still there."""
     rest = level_mesh(result.target.refinement, wrapped.level)
     mesh = wrapped.mesh
@@ -206,7 +200,7 @@ def _write(request: WrapRequest, wrapped: Wrapped, result: Result, original: Pat
     ]
 
 
-def _to_target(folder: Path, result: Result) -> FloatArray:
+def _to_target(folder: Path, result: MatchResult) -> FloatArray:
     """(4, 4) from the source's space to the target's, where two USD files say that they differ."""
     files = [input_file(folder, result.manifest, side) for side in ("target", "source")]
     return between_spaces(files[0], result.target.control, files[1], result.source.control)
@@ -217,7 +211,7 @@ def _through(wrapped: Wrapped, space: FloatArray) -> Wrapped:
     return replace(wrapped, mesh=wrapped.mesh.with_positions(moved(wrapped.mesh.positions, space)))
 
 
-def _write_shapes(request: WrapRequest, results: list[Result], config: WrapConfig, stages: Stages) -> Outcome:
+def _write_shapes(request: WrapRequest, results: list[MatchResult], config: WrapConfig, stages: Stages) -> Outcome:
     """A folder of OBJ files: the target at rest, and its cage in every source's shape."""
     names = [Path(result.source.control.name).stem for result in results]
     rest_name = Path(results[0].target.control.name).stem

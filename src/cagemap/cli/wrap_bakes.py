@@ -14,7 +14,7 @@ from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs
 from cagemap.files.images import udim_path
 from cagemap.files.meshes import read_mesh
-from cagemap.files.result import Result
+from cagemap.maps.result import MatchResult
 from cagemap.transfer.vectors import Green, Space
 from cagemap.wrap import Wrapped, missing_detail, wrapped_transfer
 
@@ -39,7 +39,9 @@ def wrap_bakes(request: WrapRequest) -> DetailBakes:
     )
 
 
-def bake_wrapped(request: WrapRequest, result: Result, wrapped: Wrapped, stages: Stages) -> tuple[list[str], list[str]]:
+def bake_wrapped(
+    request: WrapRequest, result: MatchResult, wrapped: Wrapped, stages: Stages
+) -> tuple[list[str], list[str]]:
     """Bake the images that were asked for; returns a line about each, and warnings."""
     bakes = wrap_bakes(request)
     if not bakes.images:

@@ -61,7 +61,6 @@ from cagemap.refinement.counts import vertex_counts
 __all__ = [
     "ARRAYS",
     "MANIFEST",
-    "Result",
     "check_result_folder",
     "file_hash",
     "input_file",
@@ -75,7 +74,6 @@ __all__ = [
     "write_result",
 ]
 
-Result = MatchResult
 ARRAYS = "map.npz"
 
 _FORMS = {

@@ -14,7 +14,8 @@ import OpenImageIO as oiio
 
 from cagemap.errors import FormatError
 from cagemap.files.marks import mark
-from cagemap.files.result import Result, landmark_messages
+from cagemap.files.result import landmark_messages
+from cagemap.maps.result import MatchResult
 from cagemap.pictures import Image, distinct_colors
 from cagemap.report.figures import Figure, Gallery
 from cagemap.report.merits import explain, overall
@@ -28,7 +29,7 @@ _VERDICTS = {
 _STYLE = "style.css"
 
 
-def build_page(result: Result, gallery: Gallery, panels: tuple[Panel, ...] = ()) -> str:
+def build_page(result: MatchResult, gallery: Gallery, panels: tuple[Panel, ...] = ()) -> str:
     """HTML text of the report; panels show what was made with the map."""
     manifest = result.manifest
     quality = manifest.get("quality") or {}
@@ -106,7 +107,7 @@ def _section(title: str, lead: str, body: str) -> str:
     return f"<section>\n<h2>{title}</h2>\n{lead_html}\n{body}\n</section>"
 
 
-def _header(result: Result, title: str, verdict: str) -> str:
+def _header(result: MatchResult, title: str, verdict: str) -> str:
     manifest = result.manifest
     chips = [
         f"{len(result.target.vertices):,} target vertices",
@@ -139,7 +140,7 @@ def _panel(panel: Panel) -> str:
     return '<div class="pair">' + "".join(_picture(image, caption) for image, caption in panel.pictures) + "</div>"
 
 
-def _pair(figure: Figure, result: Result) -> str:
+def _pair(figure: Figure, result: MatchResult) -> str:
     source = _stem(result.source.control.name)
     target = _stem(result.target.control.name)
     left = "" if figure.source is None else _picture(figure.source, f"{source} (source), {figure.view}")
@@ -155,7 +156,7 @@ def _merits(merits: list[Any]) -> str:
     return f'<div class="cards">{"".join(cards)}</div>' if cards else "<p>No figures were stored with this result.</p>"
 
 
-def _landmarks(result: Result) -> str:
+def _landmarks(result: MatchResult) -> str:
     count, names = len(result.landmarks), result.landmark_names
     left_out = {suspect.pair for suspect in result.suspects}
     vertices = [points.nearest_vertices for points in (result.landmarks.source_points, result.landmarks.target_points)]
@@ -172,7 +173,7 @@ def _landmarks(result: Result) -> str:
     return f'<table class="columns">{head}{"".join(rows)}</table>'
 
 
-def _curves(result: Result) -> str:
+def _curves(result: MatchResult) -> str:
     rows = []
     for entry, color in zip(result.manifest.get("curves") or [], distinct_colors(len(result.curves)), strict=True):
         red, green, blue = np.round(color * 255).astype(int)
@@ -205,7 +206,7 @@ def _timings(timings: dict[str, Any]) -> str:
     return f'<table class="bars">{"".join(rows)}</table>'
 
 
-def _provenance(result: Result) -> str:
+def _provenance(result: MatchResult) -> str:
     manifest = result.manifest
     entries: dict[str, Any] = {}
     for side_name, side in (("source", result.source), ("target", result.target)):
