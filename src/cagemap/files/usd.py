@@ -6,6 +6,8 @@ comes along.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -109,6 +111,18 @@ def _reason(error: Exception) -> str:
         return type(error).__name__
 
 
+@contextmanager
+def named_damage(file: str | Path) -> Iterator[None]:
+    """Values are unpacked when they are asked for, and may be damaged or of other types than the schema says."""
+    pxr = usd_modules()
+    try:
+        yield
+    except FormatError:
+        raise
+    except (pxr.Tf.ErrorException, UnicodeDecodeError, TypeError, ValueError) as error:
+        raise FormatError(f"{file}: holds values that are damaged ({_reason(error)}). Export it again.") from None
+
+
 def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
     """Every active mesh prim of a stage, in its order.
 
@@ -119,14 +133,9 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
     """
     file = Path(path)
     stage, pxr = open_stage(file), usd_modules()
-    try:
+    with named_damage(file):
         prims = [prim for prim in pxr.Usd.PrimRange.Stage(stage) if prim.IsA(pxr.UsdGeom.Mesh)]
         meshes = tuple(_read_prim(file, prim) for prim in prims if pxr.UsdGeom.Mesh(prim).GetPointsAttr().Get())
-    except FormatError:
-        raise
-    except (pxr.Tf.ErrorException, UnicodeDecodeError, TypeError, ValueError) as error:
-        # Values are unpacked when they are asked for, and may be damaged or of other types than the schema says.
-        raise FormatError(f"{file}: holds values that are damaged ({_reason(error)}). Export it again.") from None
     if not meshes:
         what = f"got {len(prims)} without points" if prims else "got none"
         raise FormatError(f"{file}: expected at least one mesh prim, {what}. Export the control mesh with its points.")

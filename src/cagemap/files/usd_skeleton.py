@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files.usd import moved, one_mesh, open_stage, read_usd_meshes, usd_modules
+from cagemap.files.usd import moved, named_damage, one_mesh, open_stage, read_usd_meshes, usd_modules
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.numerics.arrays import FloatArray
@@ -41,15 +41,16 @@ def read_usd_skeleton(path: str | Path, control: ControlMesh | None = None) -> S
     if not skeleton:
         return None
     where = f"{path}: {skeleton.GetPath()}"
-    joints = [str(joint) for joint in skeleton.GetJointsAttr().Get() or []]
-    binds = np.array(skeleton.GetBindTransformsAttr().Get() or [], dtype=np.float64).reshape(-1, 4, 4)
+    with named_damage(path):
+        joints = [str(joint) for joint in skeleton.GetJointsAttr().Get() or []]
+        binds = np.array(skeleton.GetBindTransformsAttr().Get() or [], dtype=np.float64).reshape(-1, 4, 4)
+        bound_at = np.array(binding.GetGeomBindTransformAttr().Get() or np.eye(4), dtype=np.float64)
     if not joints or len(binds) != len(joints) or len(set(joints)) != len(joints) or not np.isfinite(binds).all():
         raise FormatError(
             f"{where}: expected joints of different names with a finite bind transform each, got {len(joints)} "
             f"joints and {len(binds)} transforms. Export the skeleton again."
         )
-    bound_at = np.array(binding.GetGeomBindTransformAttr().Get() or np.eye(4), dtype=np.float64)
-    if abs(np.linalg.det(bound_at)) < 1e-12:
+    if not np.isfinite(bound_at).all() or abs(np.linalg.det(bound_at)) < 1e-12:
         raise FormatError(f"{where}: the mesh's bind transform has no inverse. Export the skeleton again.")
     placed = binds @ np.linalg.inv(bound_at) @ (chosen.to_world if len(meshes) > 1 else np.eye(4))
     return _named(joints, placed)

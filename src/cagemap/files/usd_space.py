@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cagemap.files.usd import USD_SUFFIXES, one_mesh, open_stage, read_usd_meshes, usd_modules
+from cagemap.errors import FormatError
+from cagemap.files.usd import USD_SUFFIXES, named_damage, one_mesh, open_stage, read_usd_meshes, usd_modules
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray
 
@@ -44,7 +45,11 @@ def stage_units(path: str | Path) -> StageUnits | None:
     if Path(path).suffix.lower() not in USD_SUFFIXES:
         return None
     pxr, stage = usd_modules(), open_stage(path)
-    return StageUnits(str(pxr.UsdGeom.GetStageUpAxis(stage)), float(pxr.UsdGeom.GetStageMetersPerUnit(stage)))
+    with named_damage(path):
+        axis, length = str(pxr.UsdGeom.GetStageUpAxis(stage)), float(pxr.UsdGeom.GetStageMetersPerUnit(stage))
+    if axis not in ("Y", "Z") or not 0.0 < length < float("inf"):
+        raise FormatError(f"{path}: expected the up axis Y or Z and a positive metersPerUnit, got {axis}, {length}.")
+    return StageUnits(axis, length)
 
 
 def unit_notes(target: Path, source: Path) -> tuple[str, ...]:
