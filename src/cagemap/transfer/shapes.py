@@ -35,6 +35,8 @@ _ANCHOR = 100.0
 _UNFELT = 1e-7
 # What touches in a shape of the source is to touch in the target's: weight against the anchor.
 _CONTACT = 100.0
+# Walks that end nearer than this to each other, in units of sqrt(area), end at the same place.
+_SAME = 1e-12
 # Surfaces touch where they are closer than this many edges of samples, and face each other.
 _TOUCHING, _FACING = 1.0, -0.5
 
@@ -98,8 +100,7 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
     masses = corner_sums(triangles, areas[:, None], count)[:, 0] / 3
     given = point_map.source
     frames = triangle_frames(given.positions, given.triangles)
-    starts = point_map.triangle[triangles[:, 0]]
-    found, _ = walk_from(frames, given.neighbors, starts, images[triangles].mean(axis=1))
+    found = _centre_images(point_map, frames, triangles, images)
     across = given.normals[found]
     turns = _rotations(gradient, places, images, triangles, across)
     around = corner_sums(triangles, (areas[:, None, None] * turns).reshape(-1, 9), count).reshape(-1, 3, 3)
@@ -126,6 +127,24 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
         sparse.csc_array(matrix),
         factor(sparse.csc_array(matrix)),
     )
+
+
+def _centre_images(point_map: PointMap, frames: FloatArray, triangles: IndexArray, images: FloatArray) -> IndexArray:
+    """(t,) source triangle at the image of every triangle's centre: the nearest that a walk from a corner finds.
+
+    Across a sharp fold, such as a lip's, a walk can end on the wrong side; not from every corner.
+    """
+    given, centres = point_map.source, images[triangles].mean(axis=1)
+    found = np.zeros(len(triangles), dtype=np.int64)
+    least = np.full(len(triangles), np.inf)
+    for corner in range(3):
+        starts = point_map.triangle[triangles[:, corner]]
+        triangle, barycentric = walk_from(frames, given.neighbors, starts, centres)
+        places = np.einsum("tc,tcd->td", barycentric, given.positions[given.triangles[triangle]])
+        distance = np.linalg.norm(places - centres, axis=1)
+        nearer = distance < least - _SAME
+        found[nearer], least[nearer] = triangle[nearer], distance[nearer]
+    return found
 
 
 def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
