@@ -223,6 +223,7 @@ def test_levels_below_a_plain_mesh_are_nested() -> None:
     for coarse, fine, matrix in zip(found.levels, found.levels[1:], found.matrices, strict=False):
         assert np.array_equal(fine.positions[: coarse.n_vertices], coarse.positions)
         assert np.allclose(matrix.sum(axis=1), 1.0)
+        assert matrix.data.min() >= 0.0
         # Coarse levels lie near the mesh: within a fifth of their edges' length, on average.
         miss = np.linalg.norm(matrix @ coarse.positions - fine.positions, axis=1)
         assert miss.mean() < 0.2 * size / np.sqrt(coarse.n_vertices)

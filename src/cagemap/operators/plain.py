@@ -181,16 +181,20 @@ def prolongation(positions: FloatArray, triangles: IndexArray, step: _Simplified
     rows = 3 * np.arange(len(positions) + 1)
     matrix = sparse.csr_array((weights.ravel(), vertices.ravel(), rows), shape=(len(positions), len(step.kept)))
     matrix.sum_duplicates()
-    return sparse.csr_array(matrix - smoothing(positions, triangles) @ matrix)
+    return sparse.csr_array(smoothing(positions, triangles) @ matrix)
 
 
 def smoothing(positions: FloatArray, triangles: IndexArray) -> sparse.csr_array:
-    """(n, n) matrix ``omega D^-1 W``; the Jacobi step ``1 - omega D^-1 W`` rounds the edges of linear functions.
+    """(n, n) means of every vertex and its neighbours by cotangent weights, which round the edges of linear functions.
 
-    Prolonged functions have less energy after it (smoothed aggregation, Vanek et al. 1996): eigenvalues of the coarse
-    levels come several times closer to those of the mesh.
+    A damped Jacobi step ``1 - omega D^-1 W`` without negative weights, so that no entry of a prolongation is negative.
+    Prolonged functions have less energy after it (smoothed aggregation, Vanek et al. 1996): eigenvalues of
+    the coarse levels come several times closer to those of the mesh.
     """
-    laplacian = stiffness(positions, triangles)
-    diagonal = laplacian.diagonal()
-    scale = np.divide(DAMPING, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0)
-    return sparse.csr_array(sparse.diags_array(scale) @ laplacian)
+    upper = sparse.triu(stiffness(positions, triangles), 1).tocoo()
+    rows, columns = (upper.coords[i].astype(np.int64) for i in (0, 1))
+    weights = sparse.coo_array((np.maximum(-upper.data, 0.0), (rows, columns)), shape=upper.shape)
+    neighbours = sparse.csr_array(weights + weights.T)
+    total = np.asarray(neighbours.sum(axis=1)).ravel()
+    share = np.divide(DAMPING, total, out=np.zeros_like(total), where=total > 0)
+    return sparse.csr_array(sparse.diags_array(np.where(total > 0, 1.0 - DAMPING, 1.0)) + share[:, None] * neighbours)
