@@ -19,6 +19,7 @@ from cagemap.errors import ParameterError
 from cagemap.functional_map import Constraints, MapWeights, extend_functional_map, solve_functional_map
 from cagemap.maps.pair import LevelPair, Pair, Progress
 from cagemap.maps.point_map import PointMap
+from cagemap.maps.quality import dirichlet_energy
 from cagemap.maps.spectral.constraints import DescriptorConfig, gather_constraints
 from cagemap.maps.spectral.facing import LevelMesh, with_normals
 from cagemap.maps.spectral.landmark_coordinates import landmark_coordinates
@@ -83,7 +84,7 @@ class Growth:
 # are found by eqs. 14-16 as much as by the map.
 GROWTHS = tuple(
     replace(growth, normal_weight=normal_weight)
-    for normal_weight in (0.1, 0.3, 0.6, 1.0)
+    for normal_weight in (0.1, 0.3, 0.6)
     for growth in (Growth(15, 1.35, 0.33), Growth(20, 1.5, 0.33), Growth(20, 1.5, 1.0))
 )
 
@@ -105,8 +106,8 @@ class HierarchyConfig:
         Those up to which the growth that is kept goes on; what the basis has beyond is found further down, where
         vertices move only among candidates.
     growths : tuple of Growth
-        Ways up to ``searched_functions``. The map whose matches cover most of the source is kept: it folds least, and
-        of the maps of one pair it is nearly always the best (docs/accuracy.md).
+        Ways up to ``searched_functions``. The map is kept whose coverage of the source over its Dirichlet energy is
+        largest: of the maps of one pair it is nearly always one of the best (docs/accuracy.md).
     """
 
     descriptors: DescriptorConfig = DescriptorConfig()
@@ -160,16 +161,26 @@ def hierarchical_map(
     def grown(growth: Growth) -> tuple[FloatArray, IndexArray]:
         return grown_map(constraints, target, source, config.weights, growth, config.searched_functions, start, meshes)
 
+    def merit(found: tuple[FloatArray, IndexArray]) -> float:
+        """Coverage over Dirichlet energy: a limb that is missed costs the one, parts torn off the other."""
+        images = pair.source.triangles(searched[1]).positions[found[1]]
+        placed = pair.target.triangles(searched[0])
+        return covered(found[1], source) / dirichlet_energy(placed.positions, images, placed.triangles)
+
     maps = in_threads(grown, config.growths)
-    kept = int(np.argmax([covered(match, source) for _, match in maps]))
-    logger.info("growth %d of %d covers most: %s", kept + 1, len(maps), config.growths[kept])
-    first = LevelMap(
-        searched,
-        *grown_map(
-            constraints, target, source, config.weights, config.growths[kept], config.further_functions, maps[kept][0],
-            meshes,
-        ),
-    )  # fmt: skip
+    kept = int(np.argmax([merit(found) for found in maps]))
+    logger.info("growth %d of %d is kept: %s", kept + 1, len(maps), config.growths[kept])
+    further = grown_map(
+        constraints,
+        target,
+        source,
+        config.weights,
+        config.growths[kept],
+        config.further_functions,
+        maps[kept][0],
+        meshes,
+    )
+    first = LevelMap(searched, *max(maps[kept], further, key=merit))
 
     def below(coarse: LevelMap, levels: LevelPair) -> LevelMap:
         return descend(pair, constraints, coarse, levels, config)
