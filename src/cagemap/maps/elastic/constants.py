@@ -21,7 +21,7 @@ NORMAL_LENGTH = 0.1
 # known which way limbs turn, so that further starts are tried. Unposed bodies measured 0.002 to 0.004.
 DOUBTFUL = 0.004
 # Mean distance of two coarse fits from which on both are finished, and how many are at most.
-ENDS_APART = 0.002
+ENDS_APART = 0.001
 MOST_ENDS = 3
 # One that costs this many times the cheapest is not.
 HOPELESS_END = 1.5
