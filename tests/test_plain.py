@@ -34,6 +34,7 @@ from cagemap.operators import build_operators, triangle_cotangents
 from cagemap.operators.plain import coarsened, refined
 from cagemap.pipeline import choose_level, match, prepare_surface, update_match
 from cagemap.refinement import finest_mesh, level_triangles, refine
+from cagemap.wrap import wrap
 
 
 def _ball(level: int = 3) -> ControlMesh:
@@ -268,6 +269,8 @@ def test_a_plain_mesh_lies_on_itself() -> None:
     assert np.linalg.norm(result.image() - mesh.positions, axis=1).mean() < 0.004 * size
     met = result.image()[landmarks.target]
     assert np.allclose(met, shuffled.positions[landmarks.source], atol=1e-9 * size)
+    with pytest.raises(ParameterError, match="expected a cage to wrap"):
+        wrap(target.refinement, found.point_map)
     fewer = update_match(found, landmarks.without([0]))
     assert np.linalg.norm(fewer.image() - mesh.positions, axis=1).mean() < 0.005 * size
 

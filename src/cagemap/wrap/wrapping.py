@@ -111,6 +111,11 @@ def wrap(
         If the map does not fit the levels, the net is as fine as the surface, or ``follow`` has another length.
     """
     finest = target.n_levels
+    if target.is_plain:
+        raise ParameterError(
+            f"{target.control.name}: expected a cage to wrap, got a plain mesh (scheme none), which has no control "
+            "points; give the cage as target and the scan as source"
+        )
     if config.level >= finest:
         raise ParameterError(
             f"fit level: expected a level below the map's own, 0 to {finest - 1}, got {config.level}; "
