@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cagemap.cli import main
+from cagemap.cli.suggest import suggested_landmarks
 from cagemap.errors import ParameterError
 from cagemap.files.landmarks import read_landmarks
 from cagemap.files.result import write_result
 from cagemap.maps.landmarks.suggest import free_partners, suggested_vertices
+from cagemap.mesh.cage_points import CagePoints
+from cagemap.mesh.curves import CageCurves, Curves
+from cagemap.mesh.landmarks import Landmarks
 
 from example_result import identity_result
 
@@ -57,3 +62,17 @@ def test_the_command_writes_a_landmark_file(tmp_path: Path, monkeypatch: pytest.
     assert found.names == (*result.landmark_names, "suggested 1", "suggested 2")
     assert len(set(found.target.tolist())) == len(found)
     np.testing.assert_array_equal(found.target, found.source)  # the map is the identity
+
+
+def test_points_between_vertices_and_curves_are_kept() -> None:
+    result = identity_result(2)
+    control = result.target.control
+    ring = control.face_indices[: int(control.face_sizes[0])]
+    between = CagePoints(ring[None, :3], np.array([[0.5, 0.25, 0.25]]))
+    curves = Curves(("rim",), *(CageCurves.of_vertices([ring], [True]) for _ in range(2)))
+    given = replace(Landmarks.of_points(("cheek",), between, between, "large.obj", "small.obj"), curves=curves)
+    more = suggested_landmarks(replace(result, landmarks=given), 1)
+    np.testing.assert_array_equal(more.target_points.weights[0], between.weights[0])
+    np.testing.assert_array_equal(more.source_points.corners[0], between.corners[0])
+    assert more.target[1] not in (-1, between.nearest_vertices[0])
+    assert more.curves.names == ("rim",)

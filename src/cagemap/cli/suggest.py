@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ from cagemap.files.landmarks import write_landmarks
 from cagemap.files.result import ARRAYS, MANIFEST, read_result
 from cagemap.maps.landmarks.suggest import free_partners, suggested_vertices
 from cagemap.maps.result import MatchResult
-from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.landmarks import CagePoints, Landmarks
+from cagemap.numerics.arrays import IndexArray
 
 
 def run_suggest(folder: Path, output: Path, count: int, *, force: bool = False) -> str:
@@ -48,10 +50,17 @@ def suggested_landmarks(result: MatchResult, count: int) -> Landmarks:
     partners = free_partners(places, images[chosen], partnered)
     taken = set(result.landmark_names)
     free = [name for i in range(1, count + len(taken) + 1) if (name := f"suggested {i}") not in taken]
-    return Landmarks(
+    more = Landmarks.of_points(
         (*result.landmark_names, *free[:count]),
-        np.concatenate([known, chosen]),
-        np.concatenate([partnered, partners]),
+        _beside(pairs.target_points, chosen),
+        _beside(pairs.source_points, partners),
         result.target.control.name,
         result.source.control.name,
     )
+    return replace(more, curves=pairs.curves)
+
+
+def _beside(points: CagePoints, vertices: IndexArray) -> CagePoints:
+    """Points, wherever they lie, and control vertices after them."""
+    new = CagePoints.of_vertices(vertices)
+    return CagePoints(np.vstack([points.corners, new.corners]), np.vstack([points.weights, new.weights]))

@@ -12,6 +12,7 @@ import contextlib
 import hmac
 import http
 import secrets
+import socket
 import threading
 from collections.abc import Callable
 from http.cookies import SimpleCookie
@@ -31,6 +32,7 @@ from cagemap.studio.landmarks import SIDES
 from cagemap.studio.page.guard import HEADER, refusal
 
 COOKIE = "cagemap_studio"
+EVERYWHERE = ("0.0.0.0", "::")
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 # The page asks nothing of other machines, whatever viser's scripts would.
 _POLICY = "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; frame-ancestors 'self'"
@@ -105,7 +107,8 @@ class Door:
     @property
     def address(self) -> str:
         """What to open in a browser."""
-        shown = f"[{self._host}]" if ":" in self._host else self._host
+        host = socket.gethostname() if self._host in EVERYWHERE else self._host
+        shown = f"[{host}]" if ":" in host else host
         return f"http://{shown}:{self.port}/" + (f"?token={self._token}" if self._token else "")
 
     def close(self) -> None:
