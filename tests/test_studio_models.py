@@ -152,7 +152,7 @@ def test_the_bench_maps_and_follows_landmarks(opened: tuple[Bench, OpenModels]) 
     bench, second = perform(bench, FindMap(task.opening, landmarks(bench, *range(7)), View()), lambda _: None)
     assert isinstance(second, Found)
     assert set(second.strain) == {f"v{v}" for v in range(7)}
-    _, dressed = perform(bench, Dress(task.opening, View("checker")), lambda _: None)
+    _, dressed = perform(bench, Dress(task.opening, View("checker"), second.images), lambda _: None)
     assert dressed.skins[0] != second.skin
     # The models are translates of each other: the map carries a point to the same point, five units to the right.
     models = bench.models

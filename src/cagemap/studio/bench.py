@@ -92,10 +92,11 @@ class ChooseAnswer:
 
 @dataclass(frozen=True)
 class Dress:
-    """Show the models in another way."""
+    """Show the models in another way, under the map that is shown; a bench that was killed has none of its own."""
 
     opening: Opening
     view: View
+    images: Images | None = None
 
 
 Task = OpenModels | FindMap | ChooseAnswer | Dress
@@ -231,13 +232,13 @@ def perform(bench: Bench, task: Task, progress: Progress) -> tuple[Bench, Answer
             models = _opened(bench)
             target, source = models.target, models.source
             mirrors = (target.mirror, source.mirror)
-            return bench, Opened(target.shape, source.shape, mirrors, _skins(bench, task.view))
+            return bench, Opened(target.shape, source.shape, mirrors, _skins(bench, task.view, None))
         case FindMap():
             return find_map(bench, task, progress)
         case ChooseAnswer():
             return choose_answer(bench, task, progress)
         case Dress():
-            return bench, Dressed(_skins(bench, task.view))
+            return bench, Dressed(_skins(bench, task.view, task.images))
 
 
 def open_models(opening: Opening, progress: Progress) -> Models:
@@ -381,9 +382,8 @@ def _strain(result: MatchResult) -> dict[str, float]:
     return missed | {suspect.name: suspect.distance for suspect in result.suspects}
 
 
-def _skins(bench: Bench, view: View) -> tuple[bytes, bytes]:
+def _skins(bench: Bench, view: View, images: Images | None) -> tuple[bytes, bytes]:
     models = _opened(bench)
-    images = None if bench.result is None else _images(bench.result)
     return _target_skin(models, images, view), source_skin(models.source.shape, models.source.look, view.mode)
 
 

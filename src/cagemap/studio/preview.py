@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from cagemap.studio.bench import ChooseAnswer, Dress, FindMap, Opening, OpenModels, Task
 from cagemap.studio.landmarks import LandmarkList
+from cagemap.studio.skins import Images
 from cagemap.studio.state import Files, Job, View
 from cagemap.studio.worker import Worker
 
@@ -26,7 +27,7 @@ class Preview:
     vertices : int
         Of each previewed surface, about.
     wanted : callable
-        The landmarks and the view as they are when a task begins.
+        The landmarks, the view and the map that is shown, as they are when a task begins.
     on_job : callable
         Told of every task and its stages, and None when there is none.
     on_answer : callable
@@ -36,7 +37,7 @@ class Preview:
     def __init__(
         self,
         vertices: int,
-        wanted: Callable[[], tuple[LandmarkList, View]],
+        wanted: Callable[[], tuple[LandmarkList, View, Images | None]],
         on_job: Callable[[Job | None], None],
         on_answer: Callable[[Task, object], None],
     ) -> None:
@@ -110,19 +111,19 @@ class Preview:
             if opening:
                 self._opening = False
             elif finding is not None:
-                self._finding, self._dressing = None, False
+                self._finding = None  # its answer dresses the target only: a wish to dress both stays
             elif choosing is not None:
-                self._choosing, self._dressing = None, False
+                self._choosing = None
             else:
                 self._dressing = False
         # Outside the lock: whoever answers has one of its own, and may be about to wish something.
-        landmarks, view = self._wanted()
+        landmarks, view, images = self._wanted()
         assert models is not None  # every other wish comes after the first `open`
         if opening:
             return OpenModels(models, view)
         if finding is not None:
             return FindMap(models, landmarks, view, fresh=finding)
-        return Dress(models, view) if choosing is None else ChooseAnswer(models, landmarks, choosing, view)
+        return Dress(models, view, images) if choosing is None else ChooseAnswer(models, landmarks, choosing, view)
 
     def _anything_wanted(self) -> bool:
         wished = self._opening or self._finding is not None or self._choosing is not None or self._dressing

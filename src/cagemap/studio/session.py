@@ -21,6 +21,7 @@ from cagemap.studio.preview import Preview
 from cagemap.studio.runner import CANCELLED, Runner
 from cagemap.studio.scene import Scene, mirrored, probed, proposed
 from cagemap.studio.shape import pick
+from cagemap.studio.skins import Images
 from cagemap.studio.state import Files, MapState, Output, Studio, View, with_message
 from cagemap.studio.worker import STOPPED, Failure
 from cagemap.studio.workspace import Workspace, autosave_path, read_autosave, write_autosave
@@ -275,9 +276,9 @@ class Session:
         else:
             self._say("error", str(words))
 
-    def _wanted(self) -> tuple[LandmarkList, View]:
-        state = self._state
-        return state.history.present, state.view
+    def _wanted(self) -> tuple[LandmarkList, View, Images | None]:
+        state, scene = self._state, self._scene
+        return state.history.present, state.view, None if scene is None else scene.images
 
     def _receive(self, task: Task, answer: object) -> None:
         """Take in what the worker gave."""
