@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.files.images import read_image, write_image
-from cagemap.files.result import Side, read_result
+from cagemap.basis.surface import Surface
+from cagemap.files.result import read_result
 from cagemap.pictures import FRONT, Image, Model, Skin, View, frame, render
 from cagemap.report.figures import for_display
 from cagemap.transfer.surface import TexturedSurface
@@ -17,7 +18,7 @@ from cagemap.transfer.surface import TexturedSurface
 WIDTH, HEIGHT = 460, 420
 
 
-def draw(side: Side, texture: Path, view: View) -> Image:
+def draw(side: Surface, texture: Path, view: View) -> Image:
     """One side of the result in its texture."""
     surface = TexturedSurface.from_level(side.refinement.finest)
     model = Model(surface.positions, surface.triangles)
