@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cagemap.errors import ParameterError
 from cagemap.files.images import write_image
 from cagemap.files.meshes import write_mesh
 from cagemap.mesh.shapes import cube
@@ -369,3 +370,13 @@ def test_files_are_added_under_free_names(session: Session, folder: Path) -> Non
     assert not session.add_file("x.sh", b"rm")
     for path in (first, second):
         path.unlink()
+
+
+@pytest.mark.parametrize("line", [b"mtllib ../out.mtl", b" mtllib own.mtl /etc/passwd\r", b"mtllib \\\n..\\out.mtl"])
+def test_an_added_mesh_names_no_file_outside_the_folders(session: Session, folder: Path, line: bytes) -> None:
+    before = sorted(folder.iterdir())
+    with pytest.raises(ParameterError, match="got one outside"):
+        session.workspace.add("x.obj", b"v 0 0 0\n" + line + b"\nv 1 0 0\n")
+    assert sorted(folder.iterdir()) == before
+    added = session.workspace.add("x.obj", b"mtllib my own.mtl\n")
+    added.unlink()

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cagemap.files.images import read_image, write_image
 from cagemap.basis.surface import Surface
+from cagemap.files.images import read_image, write_image
 from cagemap.files.result import read_result
 from cagemap.pictures import FRONT, Image, Model, Skin, View, frame, render
 from cagemap.report.figures import for_display

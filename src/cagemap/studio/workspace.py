@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import re
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -24,6 +25,7 @@ TABLES = (".npy", ".npz", ".csv")
 ADDED = tuple(dict.fromkeys((*MESHES, ".mtl", *IMAGES, *LANDMARKS, *TABLES)))
 Named = TypeVar("Named")
 _AUTOSAVE = "cagemap-studio-autosave"
+_MATERIAL_FILES = re.compile(rb"(?m)^[ \t]*mtllib[ \t]+(.*?)[ \t\r]*$")
 # A listing longer than this helps nobody.
 _LONGEST_LISTING = 500
 # Entries of a folder that are looked at: somebody may start in a folder of everything.
@@ -95,13 +97,17 @@ class Workspace:
         Raises
         ------
         ParameterError
-            If it is of no kind that the studio opens.
+            If it is of no kind that the studio opens, or an OBJ that names a material file outside the folders.
         FormatError
             If it cannot be written.
         """
         wanted = self.require(Path(name).name)
         if wanted.suffix.lower() not in ADDED:
             raise ParameterError(f"{wanted.name}: expected a file ending in {', '.join(ADDED)}. Add one of these.")
+        if wanted.suffix.lower() == ".obj":
+            for stated in _MATERIAL_FILES.findall(re.sub(rb"\\\r?\n", b" ", content)):
+                for file in (stated, *stated.split()):
+                    self.require(file.decode("utf-8", "replace").replace("\\", "/"))
         names = itertools.chain([wanted], (wanted.with_stem(f"{wanted.stem} ({k})") for k in itertools.count(2)))
         free = next(path for path in names if not path.exists())
         with atomic_path(free) as temporary:
