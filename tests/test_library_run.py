@@ -132,6 +132,19 @@ def test_dead_workers_and_bad_tasks_cost_only_what_needs_them(tmp_path: Path) ->
 
 
 @pytest.mark.slow
+def test_what_waits_on_a_worker_that_dies_is_not_blamed_for_it(tmp_path: Path) -> None:
+    tasks = (task(tmp_path, "deadly", trouble="die"), *(task(tmp_path, f"good-{k}") for k in range(3)))
+    with open_crew(workers=1) as crew:  # all wait on the one that dies
+        outcomes = run_plan(Plan(tmp_path, tasks, ()), write_name, crew)
+    assert {name: outcome.state for name, outcome in outcomes.items()} == {
+        "deadly": "failed",
+        "good-0": "done",
+        "good-1": "done",
+        "good-2": "done",
+    }
+
+
+@pytest.mark.slow
 def test_a_scheduler_elsewhere_is_reached_by_its_address(tmp_path: Path) -> None:
     from distributed import LocalCluster
 

@@ -8,7 +8,7 @@ import logging
 import shutil
 import time
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -167,28 +167,42 @@ def _run(
     known: dict[str, Outcome],
     report: Report,
 ) -> dict[str, Outcome]:
-    from distributed import as_completed
+    from distributed import as_completed, wait
 
     run = uuid.uuid4().hex[:8]
+
+    def submit(task: Task, before: Iterable[Any], trial: int) -> Any:
+        key = f"{task.kind}-{task.slug}-{run}-{trial}"
+        return client.submit(execute, task, plan.root, runner, *before, key=key, pure=False)
+
     futures: dict[str, Any] = {}
     for task in missing:
-        before = [futures.get(name, known.get(name)) for name in task.needs]
-        futures[task.name] = client.submit(
-            execute, task, plan.root, runner, *before, key=f"{task.kind}-{task.slug}-{run}", pure=False
-        )
+        futures[task.name] = submit(task, [futures.get(name, known.get(name)) for name in task.needs], 1)
     names = {future.key: name for name, future in futures.items()}
     outcomes: dict[str, Outcome] = {}
     tasks = {task.name: task for task in missing}
+    blamed = set()
     for future in as_completed(futures.values()):
         name = names[future.key]
-        if future.status == "finished":
-            outcome = future.result()
-            # Kept by a worker that had died with the news, or by another run meanwhile: done since this one began.
-            outcomes[name] = replace(outcome, state="done") if outcome.state == "kept" else outcome
-        else:
-            outcomes[name] = _lost(tasks[name], outcomes)
+        if future.status == "error":
+            blamed.add(name)
+            continue
+        outcomes[name] = _done_now(future.result()) if future.status == "finished" else _lost(tasks[name], outcomes)
         report(outcomes[name], len(outcomes), len(missing))
+    # A dead worker is held against every task that waited on it: alone, one after another, the guilty are told apart.
+    for task in missing:
+        if task.name in blamed:
+            future = submit(task, [outcomes.get(name, known.get(name)) for name in task.needs], 2)
+            wait(future)
+            finished = future.status == "finished"
+            outcomes[task.name] = _done_now(future.result()) if finished else _lost(task, outcomes)
+            report(outcomes[task.name], len(outcomes), len(missing))
     return outcomes
+
+
+def _done_now(outcome: Outcome) -> Outcome:
+    """Kept by a worker that had died with the news, or by another run meanwhile: done since this run began."""
+    return replace(outcome, state="done") if outcome.state == "kept" else outcome
 
 
 def _waited_for(outcome: Outcome) -> str:

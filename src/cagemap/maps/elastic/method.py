@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cagemap.basis import Surface
@@ -79,6 +81,10 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
         starts = spectral_starts(shape, guided, SpectralSides.build(prepared, shape))
         ends += in_threads(lambda start: coarse_fit(shape, sheet, start, places, elastic), starts)
         return finished_ends(prepared, shape, ends, pair.landmarks)
+    even = replace(elastic, coarse=elastic.settled)
+    ends = in_threads(
+        lambda start: coarse_fit(shape, sheet, start, places, even), [prepared.on_source.positions[match], None]
+    )
     best = min(ends, key=lambda ended: ended.cost)
     return (FineFit(best.cost, fine_fit(prepared, shape, [best], pair.landmarks)),)
 
