@@ -130,10 +130,21 @@ class Page:
         field.send_keys(Keys.CONTROL, "a")
         field.send_keys(value, Keys.TAB)
 
+    def settle(self, side: str) -> None:
+        """Wait until a frame stands still: panels and the first view arrive late on a loaded machine."""
+        before = self.picture(side)
+        for _ in range(20):
+            time.sleep(0.7)
+            now = self.picture(side)
+            if now.shape == before.shape and np.array_equal(now, before):
+                return
+            before = now
+
     def click(self, side: str, point: tuple[float, float]) -> None:
         """Click a model; (0, 0) is the middle of the frame's canvas, (1, 1) its upper right corner."""
         from selenium.webdriver import ActionChains
 
+        self.settle(side)
         self.into(side)
         canvas = self.browser.find_element("css selector", "canvas")
         size = canvas.size

@@ -60,7 +60,8 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
     The functional map starts as the paper's (eqs. 13-16) and grows on the search levels beside harmonic and biharmonic
     landmark coordinates; from where it sends some vertices, and from the landmarks alone, the coarse stage of the
     elastic fit starts. Where these two end apart, limbs may be turned: spectral upsampling makes further starts of the
-    spectral map's end, and the fine stage goes on from all that lie apart.
+    spectral map's end, and the fine stage goes on from all that lie apart. Where they end alike, no joint needs the
+    soft stage, and a stiffer one from the same starts spreads the strain more evenly.
 
     Parameters
     ----------
@@ -81,10 +82,9 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
         starts = spectral_starts(shape, guided, SpectralSides.build(prepared, shape))
         ends += in_threads(lambda start: coarse_fit(shape, sheet, start, places, elastic), starts)
         return finished_ends(prepared, shape, ends, pair.landmarks)
-    even = replace(elastic, coarse=elastic.settled)
-    ends = in_threads(
-        lambda start: coarse_fit(shape, sheet, start, places, even), [prepared.on_source.positions[match], None]
-    )
+    stiffer = replace(elastic, coarse=elastic.settled)
+    both: list[FloatArray | None] = [prepared.on_source.positions[match], None]
+    ends = in_threads(lambda start: coarse_fit(shape, sheet, start, places, stiffer), both)
     best = min(ends, key=lambda ended: ended.cost)
     return (FineFit(best.cost, fine_fit(prepared, shape, [best], pair.landmarks)),)
 
