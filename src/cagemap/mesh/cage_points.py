@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cagemap.errors import InvalidLandmarksError
 from cagemap.geometry.closest import build_tree, closest_points
@@ -146,3 +149,39 @@ def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
             )
         corners[free], weights[free] = triangles[held_by], barycentric
     return CagePoints(corners, weights)
+
+
+def shared_names(
+    target: Sequence[str], source: Sequence[str], *, what: str, noted: str
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names that both sides have, in the target's order, and notes on those of one side only.
+
+    Parameters
+    ----------
+    target, source : sequences of str
+    what, noted : str
+        What they are names of, in the error and in the notes.
+
+    Raises
+    ------
+    InvalidLandmarksError
+        If a name occurs twice on one side.
+    """
+    sides = ("target", target, frozenset(target)), ("source", source, frozenset(source))
+    for side, names, _ in sides:
+        again = [names[i] for i in repeats(np.array(names, dtype=object))]
+        if again:
+            raise InvalidLandmarksError(
+                f"{side} {what}: expected every name once, got these again: {first_few(again)}. Rename them."
+            )
+    notes = tuple(
+        f"{noted} only on the {side}, which were not used: {first_few(only)}"
+        for (side, own, _), (_, _, other) in (sides, sides[::-1])
+        if (only := [name for name in own if name not in other])
+    )
+    return tuple(name for name in target if name in sides[1][2]), notes
+
+
+def repeats(values: NDArray[Any]) -> IndexArray:
+    """Places whose value occurred before."""
+    return np.setdiff1d(np.arange(len(values)), np.unique(values, return_index=True)[1])

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cagemap.errors import InvalidLandmarksError
-from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, on_cage
+from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, on_cage, repeats, shared_names
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.topology import edge_table
@@ -176,20 +176,11 @@ def paired_curves(
     InvalidLandmarksError
         If a name occurs twice on one side, a vertex is out of range, or a place is far from its mesh.
     """
-    by_name = []
-    for side, points in (("target", target_points), ("source", source_points)):
-        names = [curve.name for curve in points.curves]
-        again = [name for i, name in enumerate(names) if name in names[:i]]
-        if again:
-            raise InvalidLandmarksError(
-                f"{side} curves: expected every name once, got these again: {first_few(again)}. Rename them."
-            )
-        by_name.append(dict(zip(names, points.curves, strict=True)))
-    shared = tuple(name for name in by_name[0] if name in by_name[1])
-    notes = tuple(
-        f"curves only on the {side}, which were not used: {first_few(only)}"
-        for side, own, other in (("target", *by_name), ("source", *by_name[::-1]))
-        if (only := [name for name in own if name not in other])
+    by_name = [{curve.name: curve for curve in points.curves} for points in (target_points, source_points)]
+    shared, notes = shared_names(
+        *([curve.name for curve in points.curves] for points in (target_points, source_points)),
+        what="curves",
+        noted="curves",
     )
     sides = [
         CageCurves.joined([on_cage_curve(own[name], mesh) for name in shared])
@@ -209,7 +200,7 @@ def curve_faults(curves: Curves, target: ControlMesh, source: ControlMesh) -> li
     """What is wrong with curves on two meshes, a sentence each."""
     faults = []
     names = list(curves.names)
-    again = [name for i, name in enumerate(names) if name in names[:i]]
+    again = [names[i] for i in repeats(np.array(names, dtype=object))]
     if again:
         faults.append(f"expected every name of a curve once, got these again: {first_few(again)}. Rename them.")
     for side, lines, mesh in (("target", curves.target, target), ("source", curves.source, source)):

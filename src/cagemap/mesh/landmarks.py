@@ -14,6 +14,7 @@ from cagemap.errors import InvalidLandmarksError
 from cagemap.mesh.cage_points import CagePoints as CagePoints
 from cagemap.mesh.cage_points import NamedPoints as NamedPoints
 from cagemap.mesh.cage_points import on_cage as on_cage
+from cagemap.mesh.cage_points import repeats, shared_names
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.curves import Curves, curve_faults, paired_curves
 from cagemap.mesh.mesh_report import first_few
@@ -157,21 +158,8 @@ def paired(
     InvalidLandmarksError
         If a name occurs twice on one side, a vertex is out of range, or a place is far from its mesh.
     """
-    places = []
-    for side, points in (("target", target_points), ("source", source_points)):
-        repeated = _repeated(np.array(points.names, dtype=object))
-        if len(repeated):
-            again = first_few(np.array(points.names, dtype=object)[repeated])
-            raise InvalidLandmarksError(
-                f"{side} points: expected every name once, got these again: {again}. Rename them."
-            )
-        places.append({name: i for i, name in enumerate(points.names)})
-    shared = tuple(name for name in target_points.names if name in places[1])
-    notes = tuple(
-        f"landmarks only on the {side}, which were not used: {first_few(only)}"
-        for side, points, other in (("target", target_points, places[1]), ("source", source_points, places[0]))
-        if (only := [name for name in points.names if name not in other])
-    )
+    shared, notes = shared_names(target_points.names, source_points.names, what="points", noted="landmarks")
+    places = [{name: i for i, name in enumerate(points.names)} for points in (target_points, source_points)]
     on_target, on_source = (
         on_cage(points, mesh).at(np.array([place[name] for name in shared], dtype=np.int64))
         for points, place, mesh in zip((target_points, source_points), places, (target, source), strict=True)
@@ -198,7 +186,7 @@ def check_landmarks(landmarks: Landmarks, target: ControlMesh, source: ControlMe
         )
     faults = []
     names = np.array(landmarks.names, dtype=object)
-    repeated = _repeated(names)
+    repeated = repeats(names)
     if len(repeated):
         faults.append(f"expected every name once, got these again: {first_few(names[repeated])}. Rename them.")
     sides = (("target", landmarks.target_points, target), ("source", landmarks.source_points, source))
@@ -221,13 +209,8 @@ def _side_faults(side: str, points: CagePoints, names: np.ndarray, mesh: Control
         )
     vertices = points.vertices
     at_vertices = np.flatnonzero(vertices >= 0)
-    repeated = at_vertices[_repeated(vertices[at_vertices])]
+    repeated = at_vertices[repeats(vertices[at_vertices])]
     if len(repeated):
         pairs = first_few(f"{names[i]} ({vertices[i]})" for i in repeated)
         faults.append(f"expected every {side} vertex in one pair only, got these again: {pairs}. Remove one of each.")
     return faults
-
-
-def _repeated(values: np.ndarray) -> IndexArray:
-    """Places whose value occurred before."""
-    return np.setdiff1d(np.arange(len(values)), np.unique(values, return_index=True)[1])

@@ -36,7 +36,6 @@ from cagemap.transfer.texels import GUTTER_RADIUS, Layout, TriangleImage, lay_ou
 from cagemap.transfer.texture import Pixels, Wrap, lay_texture, tile_cells, udim_of, udim_origin
 
 Shade = Callable[[Samples], FloatArray]
-ShadeCells = Callable[[NDArray[np.int32], IndexArray, int], FloatArray]
 
 # Texels that one thread works on at a time: about 100 bytes each.
 _BAND_TEXELS = 1 << 18
@@ -195,18 +194,14 @@ class Canvas:
 
 
 def make_canvas(transfer: Transfer, size: int | tuple[int, int], options: BakeOptions) -> Canvas:
-    """Lay the target's UV triangles of one tile on the raster of an image."""
-    return lay_canvas(transfer.target, size, options)
-
-
-def lay_canvas(target: TexturedSurface, size: int | tuple[int, int], options: BakeOptions) -> Canvas:
-    """Lay a surface's UV triangles of one tile on the raster of an image.
+    """Lay the target's UV triangles of one tile on the raster of an image.
 
     Raises
     ------
     ParameterError
         If it has no texture coordinates, or the size is out of range.
     """
+    target = transfer.target
     height, width = (size, size) if isinstance(size, int) else size
     if not (0 < height <= LARGEST_SIDE and 0 < width <= LARGEST_SIDE):
         raise ParameterError(f"size: expected 1 to {LARGEST_SIDE} texels a side, got {height} x {width}")
@@ -253,36 +248,6 @@ def bake(
     crisp : (t1,) bool, optional
         See `cagemap.transfer.lookups.Lookups`.
     """
-
-    def shade_cells(triangle: NDArray[np.int32], cells: IndexArray, top: int) -> FloatArray:
-        return _shade_cells(transfer, canvas, samples_per_axis, shade, triangle, cells, top)
-
-    return paint(canvas, shade_cells, channels, dtype, options, crisp)
-
-
-def paint(
-    canvas: Canvas,
-    shade_cells: ShadeCells,
-    channels: int,
-    dtype: DTypeLike,
-    options: BakeOptions,
-    crisp: NDArray[np.bool_] | None = None,
-) -> Pixels:
-    """Fill an image: rasterise and shade band by band in threads, then fill the background.
-
-    Parameters
-    ----------
-    canvas : Canvas
-    shade_cells : callable
-        Target triangle (k,) of raster cells, the cells (k,) as ``(row - top) * width + column``, and ``top`` -> their
-        values (k, channels) in the range of ``dtype``.
-    channels : int
-    dtype
-        Number type of the result; integers are rounded and clipped.
-    options : BakeOptions
-    crisp : (t1,) bool, optional
-        See `cagemap.transfer.lookups.Lookups`.
-    """
     image = np.zeros((canvas.height, canvas.width, channels), dtype=dtype)
     covered = np.zeros((canvas.height, canvas.width), dtype=np.bool_)
     threads = options.threads or core_count()
@@ -297,7 +262,8 @@ def paint(
         if len(texels) == 0:
             return
         top = band * canvas.layout.band_rows
-        values = shade_cells(cells.ravel()[texels], texels, top)
+        triangles = cells.ravel()[texels]
+        values = _shade_cells(transfer, canvas, samples_per_axis, shade, triangles, texels, top)
         if canvas.supersample > 1:
             texels, values = _average_cells(texels, values, cells.shape, canvas.supersample)
         image[part].reshape(-1, channels)[texels] = to_dtype(values, image.dtype)

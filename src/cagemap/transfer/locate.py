@@ -209,24 +209,9 @@ def walk_from(
 
 def target_barycentric(layout_corners: FloatArray, samples: Samples) -> FloatArray:
     """(k, 3) barycentric coordinates of the texels' centres in their target triangles; outside ones are clamped."""
-    return cell_barycentric(layout_corners, samples.target_triangle, samples.cells, samples.width, samples.top)
-
-
-def cell_barycentric(
-    layout_corners: FloatArray, triangle: NDArray[np.int32], cells: IndexArray, width: int, top: int
-) -> FloatArray:
-    """(k, 3) barycentric coordinates of raster cells' centres in triangles of a layout; outside ones are clamped.
-
-    Parameters
-    ----------
-    layout_corners : (t, 3, 2) float64
-    triangle : (k,) int32
-    cells : (k,) int64
-        As ``(row - top) * width + column``.
-    """
-    rows, columns = np.divmod(cells, width)
-    a, b, c = (layout_corners[triangle, corner] for corner in range(3))
-    p = np.column_stack([columns + 0.5, rows + top + 0.5]) - a
+    rows, columns = np.divmod(samples.cells, samples.width)
+    a, b, c = (layout_corners[samples.target_triangle, corner] for corner in range(3))
+    p = np.column_stack([columns + 0.5, rows + samples.top + 0.5]) - a
     u, v = b - a, c - a
     area = u[:, 0] * v[:, 1] - v[:, 0] * u[:, 1]
     b1 = (p[:, 0] * v[:, 1] - v[:, 0] * p[:, 1]) / area

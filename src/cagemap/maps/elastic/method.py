@@ -76,15 +76,16 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
         blind = aside.submit(coarse_fit, shape, sheet, None, places, elastic)
         match = start_map(prepared, pair, shape.vertices, shape.rest.graph.areas)
         progress("elastic fit")
-        guided = coarse_fit(shape, sheet, prepared.on_source.positions[match], places, elastic)
+        start = prepared.on_source.positions[match]
+        guided = coarse_fit(shape, sheet, start, places, elastic)
         ends = [guided, blind.result()]
     if mean_distance(ends[0].positions, ends[1].positions, shape.rest.graph.areas) > DOUBTFUL:
         starts = spectral_starts(shape, guided, SpectralSides.build(prepared, shape))
-        ends += in_threads(lambda start: coarse_fit(shape, sheet, start, places, elastic), starts)
+        ends += in_threads(lambda rough: coarse_fit(shape, sheet, rough, places, elastic), starts)
         return finished_ends(prepared, shape, ends, pair.landmarks)
     stiffer = replace(elastic, coarse=elastic.settled)
-    both: list[FloatArray | None] = [prepared.on_source.positions[match], None]
-    ends = in_threads(lambda start: coarse_fit(shape, sheet, start, places, stiffer), both)
+    both: list[FloatArray | None] = [start, None]
+    ends = in_threads(lambda rough: coarse_fit(shape, sheet, rough, places, stiffer), both)
     best = min(ends, key=lambda ended: ended.cost)
     return (FineFit(best.cost, fine_fit(prepared, shape, [best], pair.landmarks)),)
 
