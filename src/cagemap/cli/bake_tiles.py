@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from cagemap.cli.progress import Stages
-from cagemap.cli.transfer_request import Outcome, TransferRequest, base_of, inputs_of
+from cagemap.cli.transfer_request import Outcome, TransferRequest, base_of
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs
 from cagemap.files.images import (
@@ -28,7 +28,7 @@ from cagemap.files.images import (
 )
 from cagemap.files.meshes import write_mesh
 from cagemap.files.obj_layout import write_obj_layout
-from cagemap.files.result import input_file, note_transfer, stated_path
+from cagemap.files.result import ARRAYS, MANIFEST, input_file, note_transfer, stated_path
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.threads import ThreadPool
@@ -73,6 +73,24 @@ class SourceImage:
     first: Image
     dtype: np.dtype[Any]
     size: int
+
+
+def inputs_of(request: TransferRequest) -> list[Path]:
+    """Files that are read, as far as the command line names them."""
+    single = (request.texture, request.displacement, request.normal_map, request.vector_displacement)
+    others = (
+        request.attribute,
+        request.weights,
+        request.joints,
+        request.detail,
+        *(path for _, path in (*request.maps, *request.bases)),
+    )
+    given = [path for path in (*single, *others) if path is not None]
+    return [
+        request.result / MANIFEST,
+        request.result / ARRAYS,
+        *(file for path in given for file in texture_files(path)),
+    ]
 
 
 def read_source_image(

@@ -2,49 +2,75 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import MISSING, Field, fields
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, fields
 from functools import wraps
 from inspect import Parameter, Signature
+from types import MappingProxyType
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 Request = TypeVar("Request")
 
 
-def asks(kind: type[Request]) -> Callable[[Callable[[Request], None]], Callable[..., None]]:
+def asks(
+    kind: type[Request],
+    *,
+    said: Mapping[str, Any] = MappingProxyType({}),
+    read: Callable[..., Request] | None = None,
+) -> Callable[[Callable[[Request], None]], Callable[..., None]]:
     """Make a command of a function that takes a request: typer sees the request's fields as its parameters.
 
-    A field that may be None need not be given; a tuple of any length is an option that may be repeated.
+    A field without an option is none of the command line's. One that may be None need not be given; a tuple of any
+    length is an option that may be repeated, or left out.
+
+    Parameters
+    ----------
+    kind : type
+        The request's dataclass.
+    said : mapping of str to type
+        What some fields are on the command line, where words are not yet what the field holds.
+    read : callable, optional
+        Makes the request of the words, by the fields' names; ``kind`` itself where all words are values.
     """
     hints = get_type_hints(kind, include_extras=True)
-    shown = {field.name: _shown(hints[field.name]) for field in fields(kind)}  # type: ignore[arg-type]
     parameters = [
-        Parameter(field.name, Parameter.KEYWORD_ONLY, default=_default(field, hints), annotation=shown[field.name])
+        Parameter(
+            field.name,
+            Parameter.KEYWORD_ONLY,
+            default=_default(MISSING if field.name in said else field.default, said.get(field.name, own)),
+            annotation=Annotated[_shown(said.get(field.name, own)), *options],
+        )
         for field in fields(kind)  # type: ignore[arg-type]
+        if get_origin(hints[field.name]) is Annotated
+        for own, *options in [get_args(hints[field.name])]
     ]
 
     def command_of(run: Callable[[Request], None]) -> Callable[..., None]:
         @wraps(run)
         def command(**given: Any) -> None:
-            run(kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}))
+            words = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
+            run((read or kind)(**words))
 
         vars(command).update(__signature__=Signature(parameters))
-        command.__annotations__ = {**shown, "return": None}
+        command.__annotations__ = {one.name: one.annotation for one in parameters} | {"return": None}
         return command
 
     return command_of
 
 
-def _default(field: Field[Any], hints: dict[str, Any]) -> Any:
-    if field.default is not MISSING:
-        return list(field.default) if isinstance(field.default, tuple) else field.default
-    optional = type(None) in get_args(get_args(hints[field.name])[0])
-    return None if optional else Parameter.empty
+def _default(default: Any, kind: Any) -> Any:
+    """What typer takes where nothing is given."""
+    if default is MISSING:
+        if _is_many(kind):
+            return []
+        return None if type(None) in get_args(kind) else Parameter.empty
+    return list(default) if isinstance(default, tuple) else default
 
 
-def _shown(hint: Any) -> Any:
-    """A field's annotation as typer knows it: tuples of any length are lists."""
-    own, *options = get_args(hint)
-    if get_origin(own) is tuple and get_args(own)[-1] is ...:
-        own = list[get_args(own)[0]]  # type: ignore[misc]
-    return Annotated[own, *options]
+def _shown(kind: Any) -> Any:
+    """A type as typer knows it: tuples of any length are lists."""
+    return list[get_args(kind)[0]] if _is_many(kind) else kind  # type: ignore[misc]
+
+
+def _is_many(kind: Any) -> bool:
+    return get_origin(kind) is tuple and get_args(kind)[-1] is ...

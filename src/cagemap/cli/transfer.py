@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from cagemap.cli.bake_tiles import inputs_of
 from cagemap.cli.base_values import keep_base
 from cagemap.cli.carry_detail import carry_detail
 from cagemap.cli.carry_images import (
@@ -17,7 +18,7 @@ from cagemap.cli.carry_images import (
 from cagemap.cli.job_file import note_output
 from cagemap.cli.progress import Stages
 from cagemap.cli.rig import carry_blend_shapes, carry_skeleton, carry_weights, write_point_map
-from cagemap.cli.transfer_request import Outcome, TransferRequest, inputs_of
+from cagemap.cli.transfer_request import Outcome, TransferRequest
 from cagemap.cli.usd_output import write_usd_results
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import require_no_input, require_replaceable, require_writable_folder

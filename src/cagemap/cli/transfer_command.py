@@ -1,198 +1,34 @@
-"""The words of `cagemap transfer`; the work is in `cagemap.cli.transfer`."""
+"""`cagemap transfer` as a command; its options are in `transfer_request`, the work in `cagemap.cli.transfer`."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
+from typing import Any
 
-import typer
-
-from cagemap.cli.options import Force, ResultFolder
+from cagemap.cli.command import asks
+from cagemap.cli.transfer_request import TransferRequest
 from cagemap.cli.words import say, warn
 
 
-def transfer(
-    result: ResultFolder,
-    output: Annotated[
-        Path,
-        typer.Option(
-            "-o", "--output", help="Image to write; with --attribute a .npy, .npz or .csv, with --source-uvs a mesh."
-        ),
-    ],
-    texture: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--texture",
-            help="Source texture: colour, roughness, any image. Several as NAME=IMAGE, once each; -o gets their names.",
-            show_default=False,
-        ),
-    ] = None,
-    usd: Annotated[
-        Path | None,
-        typer.Option(
-            "--usd",
-            help="Also write a USD layer over the target that has the textures or attributes.",
-            show_default=False,
-        ),
-    ] = None,
-    displacement: Annotated[
-        Path | None, typer.Option("--displacement", help="Source displacement along the normal.", show_default=False)
-    ] = None,
-    normal_map: Annotated[
-        Path | None, typer.Option("--normal-map", help="Source normal map, turned with the map.", show_default=False)
-    ] = None,
-    vector_displacement: Annotated[
-        Path | None, typer.Option("--vector-displacement", help="Source vector displacement.", show_default=False)
-    ] = None,
-    space: Annotated[str, typer.Option("--space", help="Of normals and vectors: tangent (MikkTSpace) or object.")] = (
-        "tangent"
-    ),
-    green: Annotated[str, typer.Option("--green", help="Normal map: green up (OpenGL) or down (DirectX).")] = "up",
-    as_color: Annotated[
-        bool, typer.Option("--as-color", help="Texture: carry what looks like a normal map as a picture.")
-    ] = False,
-    attribute: Annotated[
-        Path | None,
-        typer.Option(
-            "--attribute",
-            help="Values at the source's control vertices, faces or corners: .npy, .npz, .csv; groups in .json.",
-            show_default=False,
-        ),
-    ] = None,
-    material_colors: Annotated[
-        bool, typer.Option("--material-colors", help="Bake the source's material colours.")
-    ] = False,
-    bake: Annotated[
-        str | None,
-        typer.Option(
-            "--bake",
-            help="From a detailed mesh: normal, displacement, vector-displacement, ao, colors; several with commas.",
-            show_default=False,
-        ),
-    ] = None,
-    detail: Annotated[
-        Path | None,
-        typer.Option(
-            "--detail",
-            help="Bake: mesh that lies on the source.  [default: the source, for ao and colors]",
-            show_default=False,
-        ),
-    ] = None,
-    rays: Annotated[int, typer.Option("--rays", min=1, help="Bake ao: rays for every vertex of the mesh.")] = 128,
-    source_uvs: Annotated[
-        bool,
-        typer.Option("--source-uvs", help="Give the target the source's UVs; -o names the mesh, and seams are listed."),
-    ] = False,
-    weights: Annotated[
-        Path | None,
-        typer.Option(
-            "--weights", help="Skinning weights of the source's cage, a column a joint: .csv, .npz.", show_default=False
-        ),
-    ] = None,
-    influences: Annotated[
-        int, typer.Option("--influences", min=0, help="Weights: at most so many joints a vertex; 0 for all.")
-    ] = 4,
-    joints: Annotated[
-        Path | None,
-        typer.Option("--joints", help="Skeleton of the source, .json; with --weights its names.", show_default=False),
-    ] = None,
-    blend_shapes: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--blend-shapes",
-            help="Shapes of the source's cage: .obj, .npz or a folder; repeat it for more.",
-            show_default=False,
-        ),
-    ] = None,
-    write_map: Annotated[
-        bool, typer.Option("--write-map", help="The map itself, for other programs: .npy, .npz, .mtx or .vts.")
-    ] = False,
-    size: Annotated[
-        int | None,
-        typer.Option(
-            "--size",
-            min=1,
-            max=65_536,
-            help="Width and height in texels.  [default: the source image's, or 2048]",
-            show_default=False,
-        ),
-    ] = None,
-    bits: Annotated[
-        int | None,
-        typer.Option(
-            "--bits", help="8, 16 or 32 (float) a channel.  [default: as the source image]", show_default=False
-        ),
-    ] = None,
-    scale: Annotated[
-        float, typer.Option("--scale", help="Displacement: source height between the values 0 and 1.")
-    ] = 1.0,
-    midlevel: Annotated[
-        float | None,
-        typer.Option(
-            "--midlevel",
-            help="Displacement: value that means none.  [default: 0.5 for integers, 0 for floats]",
-            show_default=False,
-        ),
-    ] = None,
-    base: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--base",
-            help="The target's own image (or values), which stays outside the masks of the match; for several maps as "
-            "NAME=IMAGE.  [default: alpha]",
-            show_default=False,
-        ),
-    ] = None,
-    unwrap: Annotated[
-        bool,
-        typer.Option(
-            "--unwrap", help="Give a target without UVs a layout, and write a mesh that has it beside the image."
-        ),
-    ] = False,
-    force: Force = False,
-) -> None:
+def _read(texture: tuple[str, ...], bases: tuple[str, ...], bake: str | None, **others: Any) -> TransferRequest:
+    """The request of a command line, where an image may have a name and kinds of bakes are listed with commas."""
+    from cagemap.cli.texture_maps import texture_and_maps
+
+    image, maps = texture_and_maps(texture)
+    whole, named = texture_and_maps(bases, "--base")
+    kinds = tuple(name.strip() for name in bake.split(",")) if bake else ()
+    under = named if whole is None else (("", whole),)
+    return TransferRequest(texture=image, maps=maps, bases=under, bake=kinds, **others)
+
+
+@asks(TransferRequest, said={"texture": tuple[str, ...], "bases": tuple[str, ...], "bake": str | None}, read=_read)
+def transfer(request: TransferRequest) -> None:
     """Carry something from source to target: textures, attributes, UVs, skinning weights, joints, blend shapes.
 
     Images are baked into the target's own UV layout, texel by texel, across the source's seams.
     """
     from cagemap.cli.progress import Stages
-    from cagemap.cli.texture_maps import texture_and_maps
     from cagemap.cli.transfer import run_transfer
-    from cagemap.cli.transfer_request import TransferRequest
 
-    image, maps = texture_and_maps(texture or [])
-    whole, named = texture_and_maps(base or [], "--base")
-    request = TransferRequest(
-        result=result,
-        output=output,
-        texture=image,
-        maps=maps,
-        usd=usd,
-        displacement=displacement,
-        normal_map=normal_map,
-        vector_displacement=vector_displacement,
-        space=space,
-        green=green,
-        as_color=as_color,
-        attribute=attribute,
-        material_colors=material_colors,
-        bake=tuple(name.strip() for name in bake.split(",")) if bake else (),
-        detail=detail,
-        rays=rays,
-        source_uvs=source_uvs,
-        weights=weights,
-        influences=influences,
-        joints=joints,
-        blend_shapes=tuple(blend_shapes or ()),
-        write_map=write_map,
-        size=size,
-        bits=bits,
-        bases=named if whole is None else (("", whole),),
-        unwrap=unwrap,
-        midlevel=midlevel,
-        scale=scale,
-        force=force,
-    )
     with Stages() as stages:
         summary, warnings = run_transfer(request, stages)
     warn(warnings)

@@ -1,12 +1,14 @@
-"""What `cagemap transfer` is asked for, as said on the command line or in a job file."""
+"""What `cagemap transfer` is asked for, as said on the command line or in a job file; each option said once."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from cagemap.files.images import texture_files
-from cagemap.files.result import ARRAYS, MANIFEST
+import typer
+
+from cagemap.cli.options import Force, ResultFolder
 
 # A summary, and warnings.
 Outcome = tuple[str, list[str]]
@@ -14,58 +16,150 @@ Outcome = tuple[str, list[str]]
 
 @dataclass(frozen=True)
 class TransferRequest:
-    """What the user asked for, as said on the command line."""
+    """What the user asked for; several images have names, and a base without one lies under all of them."""
 
-    result: Path
-    output: Path
-    texture: Path | None = None
-    maps: tuple[tuple[str, Path], ...] = ()
-    usd: Path | None = None
-    displacement: Path | None = None
-    normal_map: Path | None = None
-    vector_displacement: Path | None = None
-    space: str = "tangent"
-    green: str = "up"
-    as_color: bool = False
-    attribute: Path | None = None
-    material_colors: bool = False
-    bake: tuple[str, ...] = ()
-    detail: Path | None = None
-    rays: int = 128
-    source_uvs: bool = False
-    weights: Path | None = None
-    influences: int = 4
-    joints: Path | None = None
-    blend_shapes: tuple[Path, ...] = ()
-    write_map: bool = False
-    size: int | None = None
-    bits: int | None = None
-    bases: tuple[tuple[str, Path], ...] = ()
-    unwrap: bool = False
-    midlevel: float | None = None
-    scale: float = 1.0
-    force: bool = False
+    result: ResultFolder
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--output", help="Image to write; with --attribute a .npy, .npz or .csv, with --source-uvs a mesh."
+        ),
+    ]
+    texture: Annotated[
+        Path | None,
+        typer.Option(
+            "--texture",
+            help="Source texture: colour, roughness, any image. Several as NAME=IMAGE, once each; -o gets their names.",
+            show_default=False,
+        ),
+    ] = None
+    maps: tuple[tuple[str, Path], ...] = ()  # of --texture, where they have names
+    usd: Annotated[
+        Path | None,
+        typer.Option(
+            "--usd",
+            help="Also write a USD layer over the target that has the textures or attributes.",
+            show_default=False,
+        ),
+    ] = None
+    displacement: Annotated[
+        Path | None, typer.Option("--displacement", help="Source displacement along the normal.", show_default=False)
+    ] = None
+    normal_map: Annotated[
+        Path | None, typer.Option("--normal-map", help="Source normal map, turned with the map.", show_default=False)
+    ] = None
+    vector_displacement: Annotated[
+        Path | None, typer.Option("--vector-displacement", help="Source vector displacement.", show_default=False)
+    ] = None
+    space: Annotated[str, typer.Option("--space", help="Of normals and vectors: tangent (MikkTSpace) or object.")] = (
+        "tangent"
+    )
+    green: Annotated[str, typer.Option("--green", help="Normal map: green up (OpenGL) or down (DirectX).")] = "up"
+    as_color: Annotated[
+        bool, typer.Option("--as-color", help="Texture: carry what looks like a normal map as a picture.")
+    ] = False
+    attribute: Annotated[
+        Path | None,
+        typer.Option(
+            "--attribute",
+            help="Values at the source's control vertices, faces or corners: .npy, .npz, .csv; groups in .json.",
+            show_default=False,
+        ),
+    ] = None
+    material_colors: Annotated[bool, typer.Option("--material-colors", help="Bake the source's material colours.")] = (
+        False
+    )
+    bake: Annotated[
+        tuple[str, ...],
+        typer.Option(
+            "--bake",
+            help="From a detailed mesh: normal, displacement, vector-displacement, ao, colors; several with commas.",
+            show_default=False,
+        ),
+    ] = ()
+    detail: Annotated[
+        Path | None,
+        typer.Option(
+            "--detail",
+            help="Bake: mesh that lies on the source.  [default: the source, for ao and colors]",
+            show_default=False,
+        ),
+    ] = None
+    rays: Annotated[int, typer.Option("--rays", min=1, help="Bake ao: rays for every vertex of the mesh.")] = 128
+    source_uvs: Annotated[
+        bool,
+        typer.Option("--source-uvs", help="Give the target the source's UVs; -o names the mesh, and seams are listed."),
+    ] = False
+    weights: Annotated[
+        Path | None,
+        typer.Option(
+            "--weights", help="Skinning weights of the source's cage, a column a joint: .csv, .npz.", show_default=False
+        ),
+    ] = None
+    influences: Annotated[
+        int, typer.Option("--influences", min=0, help="Weights: at most so many joints a vertex; 0 for all.")
+    ] = 4
+    joints: Annotated[
+        Path | None,
+        typer.Option("--joints", help="Skeleton of the source, .json; with --weights its names.", show_default=False),
+    ] = None
+    blend_shapes: Annotated[
+        tuple[Path, ...],
+        typer.Option(
+            "--blend-shapes",
+            help="Shapes of the source's cage: .obj, .npz or a folder; repeat it for more.",
+            show_default=False,
+        ),
+    ] = ()
+    write_map: Annotated[
+        bool, typer.Option("--write-map", help="The map itself, for other programs: .npy, .npz, .mtx or .vts.")
+    ] = False
+    size: Annotated[
+        int | None,
+        typer.Option(
+            "--size",
+            min=1,
+            max=65_536,
+            help="Width and height in texels.  [default: the source image's, or 2048]",
+            show_default=False,
+        ),
+    ] = None
+    bits: Annotated[
+        int | None,
+        typer.Option(
+            "--bits", help="8, 16 or 32 (float) a channel.  [default: as the source image]", show_default=False
+        ),
+    ] = None
+    scale: Annotated[float, typer.Option("--scale", help="Displacement: source height between the values 0 and 1.")] = (
+        1.0
+    )
+    midlevel: Annotated[
+        float | None,
+        typer.Option(
+            "--midlevel",
+            help="Displacement: value that means none.  [default: 0.5 for integers, 0 for floats]",
+            show_default=False,
+        ),
+    ] = None
+    bases: Annotated[
+        tuple[tuple[str, Path], ...],
+        typer.Option(
+            "--base",
+            help="The target's own image (or values), which stays outside the masks of the match; for several maps as "
+            "NAME=IMAGE.  [default: alpha]",
+            show_default=False,
+        ),
+    ] = ()
+    unwrap: Annotated[
+        bool,
+        typer.Option(
+            "--unwrap", help="Give a target without UVs a layout, and write a mesh that has it beside the image."
+        ),
+    ] = False
+    force: Force = False
 
 
 def base_of(request: TransferRequest, name: str = "") -> Path | None:
     """What lies outside the masks of a map, or of all of them."""
     given = dict(request.bases)
     return given.get(name, given.get(""))
-
-
-def inputs_of(request: TransferRequest) -> list[Path]:
-    """Files that are read, as far as the command line names them."""
-    single = (request.texture, request.displacement, request.normal_map, request.vector_displacement)
-    others = (
-        request.attribute,
-        request.weights,
-        request.joints,
-        request.detail,
-        *(path for _, path in (*request.maps, *request.bases)),
-    )
-    given = [path for path in (*single, *others) if path is not None]
-    return [
-        request.result / MANIFEST,
-        request.result / ARRAYS,
-        *(file for path in given for file in texture_files(path)),
-    ]
