@@ -24,6 +24,8 @@ from cagemap.files.surface_store import prepared
 from cagemap.geometry.closest import build_tree, closest_points
 from cagemap.geometry.flips import delaunay
 from cagemap.geometry.triangles import closest_barycentric, triangle_normals
+from cagemap.maps.hypotheses.confidence import Confidence, Reading
+from cagemap.maps.inner import inner_reading, outer_confidence
 from cagemap.mesh import ControlMesh, Loop, Plain, creature, cube, grid, icosahedron, torus
 from cagemap.mesh.checks import check_mesh, require_valid
 from cagemap.mesh.join import join_meshes
@@ -32,7 +34,7 @@ from cagemap.mesh.parts import extract
 from cagemap.mesh.plain import plain_mesh
 from cagemap.operators import build_operators, triangle_cotangents
 from cagemap.operators.plain import coarsened, refined
-from cagemap.pipeline import choose_level, match, prepare_surface, update_match
+from cagemap.pipeline import choose_level, match, prepare_pair, prepare_surface, update_match
 from cagemap.refinement import finest_mesh, level_triangles, refine
 from cagemap.wrap import wrap
 
@@ -273,6 +275,18 @@ def test_a_plain_mesh_lies_on_itself() -> None:
         wrap(target.refinement, found.point_map)
     fewer = update_match(found, landmarks.without([0]))
     assert np.linalg.norm(fewer.image() - mesh.positions, axis=1).mean() < 0.005 * size
+
+
+def test_answers_for_a_plain_mesh_are_in_its_own_numbers() -> None:
+    mesh = _animal(3)
+    surface = prepare_surface(mesh, 0)
+    prepared = prepare_pair(surface, surface)
+    known = Reading("as the files stand", 1e-4, prepared.mesh.positions)
+    assert len(known.positions) < mesh.n_vertices
+    told = outer_confidence(Confidence("sure", 1.0, 2.0, (known,), None), prepared).readings[0]
+    apart = np.linalg.norm(told.positions - surface.scale * mesh.positions, axis=1)
+    assert apart.mean() < 0.01  # rounded by smooth prolongation; of sqrt(area)
+    np.testing.assert_array_equal(inner_reading(told, prepared).positions, known.positions)
 
 
 def test_files_to_result_and_back(tmp_path: Path) -> None:

@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, Confidence, Reading
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.result import MatchResult
 from cagemap.report import Gallery, Rides, Shape, Weights, build_page, draw_gallery, draw_rides, write_report
-from cagemap.report.figures import for_display
+from cagemap.report.figures import PAPER, for_display
 from cagemap.report.merits import explain, overall
 from cagemap.report.rides import _edges, _net
 
@@ -169,6 +170,29 @@ def test_pairs_that_were_left_out_are_named(result: MatchResult, gallery: Galler
     assert "five pairs are few" in page
     assert page.count("left out</td>") == 1
     assert "left out</td>" not in build_page(result, gallery)
+
+
+def test_two_answers_stand_side_by_side(result: MatchResult) -> None:
+    count = result.target.control.n_vertices
+    places = result.point_map.images.positions[:count]
+    exchanged = places * [-1.0, 1.0, 1.0]
+    answers = (Reading("as the files stand", 1e-4, places), Reading("mirrored & all", 1.1e-4, exchanged))
+    unsure = replace(result, confidence=Confidence(LOOK, 1.0, 1.1, answers, 0))
+    gallery = draw_gallery(unsure, size=SIZE)
+    page = build_page(unsure, gallery)
+    assert len([tag for tag, _ in outline(page).tags if tag == "img"]) == 12 + 8
+    assert "Two answers" in page
+    assert page.count("the other: mirrored &amp; all, ") == 4  # alt text and caption of two views
+
+    def drawn(picture: np.ndarray) -> np.ndarray:
+        return picture[np.abs(picture / 255.0 - PAPER).max(axis=2) > 0.02].astype(float)
+
+    # The same answer again differs nowhere, so all of it is clay; the mirrored one differs away from the plane x = 0.
+    same = replace(unsure, confidence=Confidence(LOOK, 1.0, 1.1, (answers[0], answers[0]), 0))
+    redness = [np.ptp(drawn(draw_gallery(one, size=SIZE).answers[0][1].target), axis=1).max() for one in (same, unsure)]
+    assert redness[0] < 20 < 60 < redness[1]
+    for sure in (result, replace(unsure, confidence=Confidence(SURE, 1.0, 2.0, answers, 0))):
+        assert not draw_gallery(sure, size=(30, 20)).answers
 
 
 def test_written_whole(result: MatchResult, tmp_path: Path) -> None:

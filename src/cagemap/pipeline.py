@@ -21,7 +21,7 @@ from cagemap.maps.elastic.config import ElasticConfig
 from cagemap.maps.elastic.method import elastic_map, updated_map
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS, hypothesis_map, map_of_reading
-from cagemap.maps.inner import inner_map, inner_masks
+from cagemap.maps.inner import inner_map, inner_masks, inner_reading, outer_confidence
 from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck, checked_changes, checked_map
 from cagemap.maps.landmarks.mirrored import mirrored_readings
 from cagemap.maps.landmarks.turned import turned_limbs
@@ -211,7 +211,7 @@ def match_pair(
             else:
                 point_map = elastic_map(prepared, pair, progress)
         judged = _judged(prepared, point_map, landmarks, check, timings, progress)
-    found = replace(judged, confidence=confidence)
+    found = replace(judged, confidence=None if confidence is None else outer_confidence(confidence, prepared))
     return other_answer(found, config.answer, config, progress=progress) if config.answer else found
 
 
@@ -299,7 +299,7 @@ def other_answer(
     timings: dict[str, float] = {}
     with one_blas_thread():
         with _timed(timings, "map"):
-            point_map = map_of_reading(prepared, pair, readings[index])
+            point_map = map_of_reading(prepared, pair, inner_reading(readings[index], prepared))
         judged = _judged(prepared, point_map, landmarks, before.landmark_check, timings, progress)
     return replace(judged, confidence=before.confidence)
 

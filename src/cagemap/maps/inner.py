@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from cagemap.basis import Surface
+from cagemap.maps.elastic.prepared import PreparedPair
+from cagemap.maps.hypotheses.confidence import Confidence, Reading
 from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 
@@ -50,3 +54,26 @@ def outer_masks(masks: Masks, target: Surface, source: Surface) -> Masks:
         None if masks.target is None else target_rows(masks.target),
         None if masks.source is None else source_rows(masks.source),
     )
+
+
+def outer_confidence(confidence: Confidence, prepared: PreparedPair) -> Confidence:
+    """Answers for the level that is deformed, as answers for all vertices of a plain target, in its own numbers."""
+    refinement = prepared.target.refinement
+    if prepared.target.outer is prepared.target:
+        return confidence
+
+    def outer(reading: Reading) -> Reading:
+        places = refinement.prolong(reading.positions, prepared.levels[0], refinement.n_levels)
+        places[: len(reading.positions)] = reading.positions  # prolonged, they would be smoothed
+        return replace(reading, positions=refinement.outer_rows(places))
+
+    return replace(confidence, readings=tuple(outer(reading) for reading in confidence.readings))
+
+
+def inner_reading(reading: Reading, prepared: PreparedPair) -> Reading:
+    """One answer for the level that is deformed: undoes `outer_confidence`.
+
+    Of a plain target it is known wherever it was kept; of a cage only where the match itself still has it.
+    """
+    positions = prepared.target.refinement.inner_rows(reading.positions)
+    return replace(reading, positions=positions[: prepared.mesh.n])

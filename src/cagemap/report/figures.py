@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from cagemap.basis import Surface
 from cagemap.geometry.polylines import Polyline
 from cagemap.maps.curves import surface_curves
+from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.cage_points import CagePoints
 from cagemap.mesh.curves import CageCurves
@@ -44,6 +45,8 @@ Pixels = NDArray[Any]
 Progress = Callable[[str], None]
 
 WIDTH, HEIGHT = 600, 460
+# Of sqrt(area): where two answers are so far apart they are drawn in the strongest colour.
+ELSEWHERE = 0.3
 _LARGEST_TEXTURE = 2048  # a picture shows no more than this
 PAPER = np.array([0.962, 0.966, 0.970])
 
@@ -77,6 +80,9 @@ class Gallery:
         The transferred look; the map as colours with landmarks; where the map is to be trusted.
     masks : tuple of Figure
         What was matched of both surfaces, where not all of them was.
+    answers : tuple of (Figure, Figure)
+        From the front and from behind, where a map is not sure: the runner-up beside the source, as colours, and how
+        far it is from the map.
     """
 
     appearance: str
@@ -84,6 +90,7 @@ class Gallery:
     maps: tuple[Figure, ...]
     trust: tuple[Figure, ...]
     masks: tuple[Figure, ...] = ()
+    answers: tuple[tuple[Figure, Figure], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,9 +138,12 @@ def draw_gallery(
         *((view, Skin(vertex_colors=own), Skin(vertex_colors=pulled), True) for view in (FRONT, BACK)),
         *((view, None, Skin(vertex_colors=trust), False) for view in (FRONT, BACK)),
     ]
-    jobs += _mask_jobs(result)
-    figures = tuple(_figures(stage, jobs, size, progress))
-    return Gallery(appearance, figures[:3], figures[3:5], figures[5:7], figures[7:])
+    masks, answers = _mask_jobs(result), _answer_jobs(result)
+    figures = tuple(_figures(stage, [*jobs, *masks, *answers], size, progress))
+    masked, other = figures[7 : 7 + len(masks)], figures[7 + len(masks) :]
+    return Gallery(
+        appearance, figures[:3], figures[3:5], figures[5:7], masked, tuple(zip(other[::2], other[1::2], strict=True))
+    )
 
 
 def _mask_jobs(result: MatchResult) -> list[_Job]:
@@ -144,6 +154,26 @@ def _mask_jobs(result: MatchResult) -> list[_Job]:
     own, joint = masks.of_source(len(result.source.vertices)), masks.joint(result.point_map)
     skins = [Skin(vertex_colors=scalar_colors(values, 0.0, 1.0)) for values in (own, joint)]
     return [(view, skins[0], skins[1], False) for view in (FRONT, BACK)]
+
+
+def _answer_jobs(result: MatchResult) -> list[_Job]:
+    """The runner-up as colours and its distance from the map; nothing where the answer is sure or none is known."""
+    others = result.runner_up_images
+    if result.confidence is None or result.confidence.verdict == SURE or not len(others):
+        return []
+    refinement, vertices = result.target.refinement, result.source.vertices
+    found = result.image()
+    moved = refinement.prolong(others[0] - found[: others.shape[1]], 0, refinement.n_levels)
+    image, apart = found + moved, np.linalg.norm(moved, axis=1) * result.source.scale
+    skins = [
+        Skin(vertex_colors=colors)
+        for colors in (
+            position_colors(vertices, vertices),
+            position_colors(image, vertices),
+            scalar_colors(apart, 0.0, ELSEWHERE, ENOUGH[::-1]),
+        )
+    ]
+    return [job for view in (FRONT, BACK) for job in ((view, skins[0], skins[1], True), (view, None, skins[2], False))]
 
 
 def draw_thumbnail(result: MatchResult, size: tuple[int, int] = (220, 190)) -> Image:

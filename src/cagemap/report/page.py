@@ -52,6 +52,7 @@ def build_page(result: MatchResult, gallery: Gallery, panels: tuple[Panel, ...] 
             "sit on equal places. Lines are curves: equal lines should lie on equal places.",
             "".join(_pair(figure, result) for figure in gallery.maps),
         ),
+        _answers(result, gallery),
         _section(
             "Where to trust it",
             "The target. Grey: unfolded and stretched little. Red: folded or stretched strongly; look there first.",
@@ -145,6 +146,27 @@ def _pair(figure: Figure, result: MatchResult) -> str:
     target = _stem(result.target.control.name)
     left = "" if figure.source is None else _picture(figure.source, f"{source} (source), {figure.view}")
     return f'<div class="pair">{left}{_picture(figure.target, f"{target} (target), {figure.view}")}</div>'
+
+
+def _answers(result: MatchResult, gallery: Gallery) -> str:
+    """The map and its runner-up side by side, where it is not sure which is right."""
+    if result.confidence is None or not gallery.answers:
+        return ""
+    best, other = result.confidence.readings[:2]
+    body = "".join(
+        '<div class="pair">'
+        + _picture(found.target, f"this map: {best.name}, {found.view}")
+        + _picture(runner.target, f"the other: {other.name}, {found.view}")
+        + ("" if runner.source is None else _picture(runner.source, f"the source's own colours, {found.view}"))
+        + _picture(apart.target, f"red: where the two differ, {found.view}")
+        + "</div>"
+        for found, (runner, apart) in zip(gallery.maps, gallery.answers, strict=True)
+    )
+    lead = (
+        "Colours say where on the source a point goes, as above: one of the two maps has the source's colours in the "
+        "right places. A landmark where they differ decides; <code>--answer 1</code> takes the other."
+    )
+    return _section("Two answers: which is right?", lead, body)
 
 
 def _merits(merits: list[Any]) -> str:

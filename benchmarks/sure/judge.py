@@ -1,0 +1,93 @@
+"""Whether a map is right: by the truth between humans, by named places between animals of a kind; else it is not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.accuracy.posed import Bodies
+from benchmarks.sure.models import Model
+from benchmarks.truth import compare_with_truth
+from cagemap.basis import Surface
+from cagemap.basis.prepare import choose_level, prepare_surface
+from cagemap.files.obj import read_obj
+from cagemap.maps.point_map import PointMap
+from cagemap.pipeline import match
+
+# Largest error of a right map, x100 of sqrt(area): the mean over a human, the median over an animal's named places.
+RIGHT = 5.0
+# Places that only a limb, a nose or a tail has: one that lands next to another's is exchanged.
+EXTREMITIES = ("foot", "fin_tip", "nose", "mouth_tip", "tail_tip", "upper_tip", "lower_tip")
+
+
+class Surfaces:
+    """Prepared surfaces, each made once."""
+
+    def __init__(self, vertices: int) -> None:
+        self.bodies = Bodies(vertices)
+        self.others: dict[str, Surface] = {}
+
+    def of(self, model: Model) -> Surface:
+        if model.kind == "human":
+            return self.bodies.surface(model.body)
+        if model.name not in self.others:
+            control = read_obj(model.path)
+            self.others[model.name] = prepare_surface(control, choose_level(control, self.bodies.vertices))
+        return self.others[model.name]
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What is known of a map.
+
+    Attributes
+    ----------
+    by : str
+        "truth", "places", or "kind" where the shapes are of different kinds and no map is right.
+    error : float or None
+        x100 of sqrt(area), see `RIGHT`.
+    exchanged : int
+        Extremities that land next to another one's place.
+    """
+
+    by: str
+    error: float | None = None
+    exchanged: int = 0
+
+    @property
+    def right(self) -> bool:
+        return self.error is not None and self.error <= RIGHT and not self.exchanged
+
+
+def judged(found: PointMap, target: Model, source: Model, surfaces: Surfaces) -> Judgement:
+    """Judge a map of two models."""
+    if target.kind == source.kind == "human":
+        truth = surfaces.bodies.truth(target.body, source.body)
+        return Judgement("truth", 100 * compare_with_truth(found, truth).mean)
+    shared = sorted(target.places.keys() & source.places.keys())
+    if not shared:
+        return Judgement("kind")
+    at, to = (np.array([side.places[name] for name in shared]) for side in (target, source))
+    images, places = found.images.positions[at], found.source.positions[to]
+    away = np.linalg.norm(images[:, None] - places, axis=2)
+    tips = [i for i, name in enumerate(shared) if any(part in name for part in EXTREMITIES)]
+    exchanged = int(np.sum(away[np.ix_(tips, tips)].argmin(axis=1) != np.arange(len(tips))))
+    return Judgement("places", 100 * float(np.median(away.diagonal())), exchanged)
+
+
+def row(surfaces: Surfaces, target: Model, source: Model) -> dict:
+    """What a match without landmarks says of itself, and what is true."""
+    found = match(surfaces.of(target), surfaces.of(source))
+    said = found.confidence
+    assert said is not None
+    verdict = judged(found.point_map, target, source, surfaces)
+    return {
+        "target": target.name, "source": source.name, "vertices": surfaces.bodies.vertices,
+        "said": said.verdict, "cost": said.cost, "gap": None if np.isinf(said.gap) else said.gap,
+        "folded": said.shape.folded, "aspect": said.shape.aspect,
+        "names": [reading.name for reading in said.readings],
+        "costs": [1e4 * reading.cost for reading in said.readings],
+        "doubt": said.readings[0].doubt,
+        "judged_by": verdict.by, "error": verdict.error, "exchanged": verdict.exchanged, "right": verdict.right,
+    }  # fmt: skip

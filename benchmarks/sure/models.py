@@ -1,0 +1,75 @@
+"""The meshes, what they show, and the order in which their pairs are asked."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from benchmarks.accuracy.data import DATA
+from benchmarks.accuracy.posed import POSES, Body
+from benchmarks.accuracy.posed_animals import landmarks_of
+
+QUADRUPEDS = ("zebra", "horse", "cow", "pig", "wolf", "red_fox", "spot")
+FISHES = ("fish1", "blub", "shark")
+# Places of the animals that no landmark file has: control vertices, picked by looking.
+PLACES = {
+    "pig": {
+        "nose_tip": 222, "fore_foot_left": 75, "fore_foot_right": 214, "hind_foot_left": 68, "hind_foot_right": 207,
+    },
+    "shark": {
+        "mouth_tip": 204, "dorsal_fin_tip": 48, "tail_upper_tip": 22, "tail_lower_tip": 31,
+        "pectoral_fin_tip_left": 77, "pectoral_fin_tip_right": 256,
+    },
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Model:
+    """A mesh of the shared data.
+
+    Attributes
+    ----------
+    name : str
+        Of its file, without the ending.
+    kind : str
+        "human", "quadruped", "fish", or its own where nothing else is of its kind.
+    path : Path
+    """
+
+    name: str
+    kind: str
+    path: Path
+
+    @property
+    def body(self) -> Body:
+        """Connectivity, identity and pose of a human."""
+        cage, _, rest = self.name.partition("_")
+        pose = next((pose for pose in POSES if pose and rest.endswith(f"_{pose}")), "")
+        return cage, rest.removesuffix(f"_{pose}"), pose
+
+    @property
+    def places(self) -> dict[str, int]:
+        """Named control vertices of an animal; none of others."""
+        if self.kind not in ("quadruped", "fish"):
+            return {}
+        return PLACES.get(self.name) or landmarks_of(self.name)
+
+
+@cache
+def models() -> tuple[Model, ...]:
+    """All meshes of the shared data."""
+    found = []
+    for path in sorted(DATA.glob("*/*.obj")) + sorted(DATA.glob("humans/posed/*.obj")):
+        name = path.stem
+        kind = "quadruped" if name in QUADRUPEDS else "fish" if name in FISHES else name
+        found.append(Model(name, "human" if "humans" in path.parts else kind, path))
+    return tuple(found)
+
+
+def ordered_pairs() -> list[tuple[Model, Model]]:
+    """All targets with all other sources, in a random order that is always the same; those without humans first."""
+    every = [(target, source) for target in models() for source in models() if target is not source]
+    random.Random(16).shuffle(every)
+    return sorted(every, key=lambda pair: "human" in (pair[0].kind, pair[1].kind))
