@@ -25,7 +25,7 @@ from cagemap.transfer import baking as bake_module
 from cagemap.transfer.locate import Samples
 from cagemap.transfer.mip_maps import halved, smoothed
 from transfer_reference import look_up_slowly
-from transfer_scenes import crossed_cube, face_texture, identity_map, plane, plane_map
+from transfer_scenes import crossed_cube, face_texture, identity_map, plane, plane_map, spectrum
 
 BARE = BakeOptions(dilation=0)
 
@@ -87,14 +87,6 @@ def test_a_texel_that_spans_more_than_samples_can_see_reads_a_smaller_image() ->
     assert np.abs(baked[1:-1, 1:-1].astype(float) - texture.mean()).max() <= 1
 
 
-def _spectrum(image: np.ndarray, size: int) -> np.ndarray:
-    """Amplitudes of the frequencies that an image of ``size`` texels can hold."""
-    window = np.hanning(len(image))[:, None] * np.hanning(len(image))
-    whole = np.abs(np.fft.fftshift(np.fft.fft2((image - 0.5) * window))) * (size / len(image)) ** 2
-    low = (len(image) - size) // 2 + (len(image) % 2 != size % 2)
-    return whole[low : low + size, low : low + size]
-
-
 @pytest.mark.parametrize("angle", [0.0, 10.0, 30.0])
 def test_a_checker_that_shrinks_by_four_does_not_alias(angle: float) -> None:
     """Squares of 8 texels become squares of 2, turned; beside their own frequencies there is next to nothing."""
@@ -106,10 +98,78 @@ def test_a_checker_that_shrinks_by_four_does_not_alias(angle: float) -> None:
     transfer = prepare_transfer(level, source, point_map)
     small, large = (bake_texture(transfer, checker, size=s)[..., 0] for s in (size, 16 * size))
     # 16 times larger nothing is lost: its low frequencies are what the small image should have.
-    expected, found = _spectrum(large, size), _spectrum(small, size)
+    expected, found = spectrum(large, size), spectrum(small, size)
     beside = found[expected < 0.01 * expected.max()]
     assert beside.max() < 0.025 * expected.max()  # 0.09 with a box of 16 samples
     assert found.max() > 0.6 * expected.max()
+
+
+def test_detail_of_three_texels_comes_through_a_shift() -> None:
+    level = plane(8, 8)
+    shifted = plane_map(level, 8, 8, lambda p: p + 0.5 / 96)
+    transfer = prepare_transfer(level, level, shifted)
+    rows, columns = np.indices((96, 96)) + 0.5
+    wave = lambda y, x: (0.5 + 0.2 * np.sin(1.4 * x) + 0.2 * np.cos(1.1 * y + 0.4 * x))[..., None]  # noqa: E731
+    texture, inside = wave(rows, columns).astype(np.float32), np.s_[6:-6, 6:-6]
+    kinds = ("linear", "smooth")
+    baked = [bake_texture(transfer, texture, size=96, options=BakeOptions(filter=kind)) for kind in kinds]
+    off = [np.sqrt(np.mean((image - wave(rows - 0.5, columns + 0.5))[inside] ** 2)) for image in baked]
+    assert off[1] < off[0] / 3  # 0.012 and 0.042
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "float32"])
+def test_hard_edges_get_no_rings_and_alpha_stays_linear(dtype: str) -> None:
+    level = plane(8, 8)
+    transfer = prepare_transfer(level, level, plane_map(level, 8, 8, lambda p: p * 0.61 + 0.2))
+    one = 255 if dtype == "uint8" else 1
+    texture = np.zeros((64, 64, 4), dtype=dtype)
+    texture[:, 30:] = one
+    texture[31:, :, 3] = one
+    kinds = ("smooth", "linear")
+    smooth, linear = (bake_texture(transfer, texture, size=96, options=BakeOptions(filter=kind)) for kind in kinds)
+    along = smooth[48, :, 0].astype(float)
+    assert (np.diff(along) >= 0).all()
+    assert (along.min(), along.max()) == (0, one)
+    assert np.abs(smooth[..., :3].astype(float) - linear[..., :3]).max() > 0
+    np.testing.assert_array_equal(smooth[..., 3], linear[..., 3])
+
+
+def test_noise_keeps_its_range() -> None:
+    level = plane(8, 8)
+    transfer = prepare_transfer(level, level, plane_map(level, 8, 8, lambda p: p * 0.61 + 0.2))
+    texture = (0.2 + 0.6 * noise(64, 64, 2, "float32")).astype(np.float32)
+    baked = bake_texture(transfer, texture, size=96)
+    assert texture.min() <= baked.min()
+    assert baked.max() <= texture.max()
+
+
+def test_smooth_lookups_see_nothing_beside_an_island() -> None:
+    """The layout covers the middle of the image; what is painted two texels beside it does not matter."""
+    level = plane(8, 8, lambda points: 0.25 + 0.5 * points)
+    transfer = prepare_transfer(level, level, plane_map(level, 8, 8, lambda p: 0.02 + 0.93 * p))
+    textures = [noise(64, 64, 3, "uint8", seed) for seed in (1, 2)]
+    inside = np.s_[15:49, 15:49]
+    textures[1][inside] = textures[0][inside]
+    baked = [bake_texture(transfer, texture, size=64) for texture in textures]
+    np.testing.assert_array_equal(*baked)
+
+
+def test_labels_are_never_mixed() -> None:
+    for cells in (8, 64):  # in the second, triangles are smaller than texels
+        level = plane(cells, cells)
+        transfer = prepare_transfer(level, level, plane_map(level, cells, cells, lambda p: 0.9 * p[:, ::-1] ** 1.3))
+        labels = np.array([[3], [40], [200]], dtype=np.uint8)[np.random.default_rng(3).integers(0, 3, (64, 64))]
+        for size in (20, 90):
+            baked = bake_texture(transfer, labels, size=size, options=BakeOptions(filter="nearest"))
+            assert set(np.unique(baked)) == {3, 40, 200}
+            if cells == 8 and size == 90:
+                # Every texel is the one that its centre lies in.
+                at = 0.9 * ((np.arange(90) + 0.5) / 90) ** 1.3
+                rows, columns = (64 * (1 - at)).astype(int), (64 * at[::-1]).astype(int)
+                expected = labels[np.ix_(rows, columns)].transpose(1, 0, 2)
+                assert np.mean(baked == expected) > 0.8  # the map is linear between its vertices
+    with pytest.raises(ParameterError, match="filter: expected smooth, linear, nearest"):
+        bake_texture(transfer, labels, size=9, options=BakeOptions(filter="cubic"))  # type: ignore[arg-type]
 
 
 @settings(deadline=None)

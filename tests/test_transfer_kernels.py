@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import transfer_reference as reference
 from cagemap.geometry.surface import TriangleSurface
@@ -16,7 +18,7 @@ from cagemap.transfer.locate import Samples, locate_samples, map_surface, target
 from cagemap.transfer.lookups import plan_samples
 from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.texels import lay_out, rasterize_band
-from cagemap.transfer.texture import lay_texture, look_up
+from cagemap.transfer.texture import SmoothTile, lay_texture, look_up, smooth_cells
 from cagemap.transfer.unwrap import unwrap
 
 
@@ -145,6 +147,36 @@ def test_lookup_is_bilinear(dtype: str) -> None:
     samples = Samples(none, none.astype(np.int64), 1, 0, np.arange(41), np.arange(40), weights)
     points = np.einsum("kc,kcd->kd", weights, uvs[corners])
     np.testing.assert_allclose(look_up(texture, samples), reference.look_up_slowly(pixels, points), rtol=0, atol=1e-9)
+
+
+def test_smooth_lookup_is_that_of_six_points_and_reproduces_cubics() -> None:
+    rng = np.random.default_rng(578)
+    uvs = 0.35 + 0.3 * rng.random((3 * 40, 2))
+    corners, weights, none = np.arange(120).reshape(40, 3), rng.dirichlet((1, 1, 1), 40), np.zeros(40, dtype=np.int32)
+    samples = Samples(none, none.astype(np.int64), 1, 0, np.arange(41), np.arange(40), weights)
+    points = np.einsum("kc,kcd->kd", weights, uvs[corners])
+    y, x = np.indices((20, 24)) + 0.5
+    cubic = (x**3 - 30 * x**2 + y**3 + x * y**2)[..., None]
+    wave = np.cos(0.7 * x + 0.4 * y)[..., None]  # no hard edges: the limits of a lookup are not met
+    for pixels, tolerance in ((cubic, 1e-9), (wave, 1e-12)):
+        fine = {0: SmoothTile.of(pixels, np.ones((20, 24), dtype=bool))}
+        found = look_up(lay_texture(pixels, uvs, corners), samples, fine)
+        expected = reference.smooth_slowly(pixels, points)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * np.abs(pixels).max())
+    at = points * (24, -20) + (0, 20)
+    exact = at[:, 0] ** 3 - 30 * at[:, 0] ** 2 + at[:, 1] ** 3 + at[:, 0] * at[:, 1] ** 2
+    np.testing.assert_allclose(reference.smooth_slowly(cubic, points)[:, 0], exact, rtol=1e-12)
+
+
+@given(height=st.integers(1, 12), width=st.integers(1, 12), seed=st.integers(0, 99))
+def test_smooth_cells_have_all_their_texels(height: int, width: int, seed: int) -> None:
+    covered = np.random.default_rng(seed).random((height, width)) < 0.98
+    expected = [
+        [r >= 2 and c >= 2 and r + 3 < height and c + 3 < width and covered[r - 2 : r + 4, c - 2 : c + 4].all()
+         for c in range(width)]
+        for r in range(height)
+    ]  # fmt: skip
+    np.testing.assert_array_equal(smooth_cells(covered), expected)
 
 
 @pytest.mark.parametrize("share", [0.002, 0.1, 0.9])

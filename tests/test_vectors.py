@@ -16,7 +16,7 @@ from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.tangents import tangent_frames
 from cagemap.transfer.vectors import bake_normal_map, bake_vector_displacement
 from test_cli import Run, result_folder, run  # noqa: F401
-from transfer_scenes import crossed_cube, identity_map, plane, plane_map
+from transfer_scenes import crossed_cube, identity_map, plane, plane_map, spectrum
 
 SIZE = 48
 # Texel by texel: where triangles are smaller than texels, a bake otherwise averages inside of them.
@@ -112,6 +112,47 @@ def test_vector_displacement_comes_back_and_scales(box: Level, space: str) -> No
     kept = bake_vector_displacement(double, whole, size=SIZE, space=space, scale=0.3, options=PLAIN)
     assert np.abs(kept.pixels.astype(int) - whole.astype(int)).max() <= 1
     assert kept.scale == pytest.approx(0.6, rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["normals", "vectors"])
+def test_fine_detail_that_shrinks_becomes_its_mean_and_no_moire(kind: str) -> None:
+    """Squares of 3 texels that lean to either side, shrunk by 40: 16 samples a side would hit them by chance."""
+    level = plane(4, 4)
+    transfer = prepare_transfer(level, level, identity_map(level))
+    squares = (np.arange(960) // 3) % 2
+    leaning = (squares[:, None] + squares) % 2 == 0
+    # Steep ones, whose mean is short: rounded to 8 bits it would be off by 0.02.
+    sides = [np.array([0.995, 0.0, 0.0999]), np.array([-0.975, 0.0, 0.2222])]
+    if kind == "vectors":
+        vectors = np.where(leaning[..., None], *sides)[..., [0, 2, 1]].astype(np.float32)
+        found = bake_vector_displacement(transfer, vectors, size=24).pixels[..., [0, 2, 1]]
+        expected = sum(sides) / 2
+    else:
+        stored = [np.rint((0.5 * side + 0.5) * 255).astype(np.uint8) for side in sides]
+        image = np.where(leaning[..., None], *stored)
+        found = 2 * (bake_normal_map(transfer, image, size=24, dtype=np.uint16) / 65535) - 1
+        mean = sum(side.astype(float) for side in stored) / 255 - 1
+        expected = mean / np.linalg.norm(mean)
+    np.testing.assert_allclose(found[2:-2, 2:-2], np.broadcast_to(expected, (20, 20, 3)), atol=0.004)
+
+
+def test_a_checker_of_normals_shrunk_by_four_does_not_alias() -> None:
+    """Squares of 8 texels become squares of 2, turned by a little; beside their own frequencies is next to nothing."""
+    squares = np.arange(512) // 8
+    sign = np.where((squares[:, None] + squares) % 2, 1.0, -1.0)
+    vectors = np.stack([0.3 * sign, 0.0 * sign, np.full_like(sign, np.sqrt(0.91))], axis=2)
+    texture = (0.5 * vectors + 0.5).astype(np.float32)
+    turn = np.array([[np.cos(0.17), -np.sin(0.17)], [np.sin(0.17), np.cos(0.17)]])
+    level, size = plane(32, 32), 84
+    point_map = plane_map(level, 32, 32, lambda p: 0.5 + (p - 0.5) @ turn.T * (4 * size / 512))
+    transfer = prepare_transfer(level, plane(32, 32), point_map)
+    small, large = (
+        bake_normal_map(transfer, texture, size=s, space="object").astype(float)[..., 0] for s in (size, 16 * size)
+    )
+    expected, found = spectrum(large, size), spectrum(small, size)
+    beside = found[expected < 0.01 * expected.max()]
+    assert beside.max() < 0.03 * expected.max()  # 0.09 with a box of 16 samples
+    assert found.max() > 0.6 * expected.max()
 
 
 def test_frames_are_those_of_mikktspace_on_a_plane() -> None:

@@ -71,3 +71,23 @@ def dilate_slowly(image: NDArray[Any], covered: NDArray[np.bool_]) -> tuple[NDAr
     """Image filled from the nearest covered texel, and every texel's distance to it: twin of `dilation.dilate`."""
     distance, (rows, columns) = distance_transform_edt(~covered, return_indices=True)
     return image[rows, columns], distance
+
+
+def smooth_slowly(pixels: NDArray[Any], uvs: FloatArray) -> FloatArray:
+    """(k, c) lookup by six points along each side, unlimited, of points with three texels on every side: slow twin."""
+    height, width = pixels.shape[:2]
+    found = []
+    for u, v in uvs:
+        x, y = u * width - 0.5, (1 - v) * height - 0.5
+        column, row = int(x), int(y)
+        window = pixels[row - 2 : row + 4, column - 2 : column + 4].astype(np.float64)
+        across, down = (_keys(np.abs(np.arange(-2, 4) - offset)) for offset in (x - column, y - row))
+        found.append(np.einsum("i,j,ijc->c", down, across, window))
+    return np.array(found)
+
+
+def _keys(s: FloatArray) -> FloatArray:
+    near = 4 / 3 * s**3 - 7 / 3 * s**2 + 1
+    middle = -7 / 12 * s**3 + 3 * s**2 - 59 / 12 * s + 5 / 2
+    far = s**3 / 12 - 2 / 3 * s**2 + 7 / 4 * s - 3 / 2
+    return np.asarray(np.select([s < 1, s < 2], [near, middle], far))

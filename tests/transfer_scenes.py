@@ -56,3 +56,11 @@ def face_texture(colors: np.ndarray, cell: int) -> np.ndarray:
     """(2 cell, 3 cell, c) texture that gives the six faces of ``crossed_cube`` their colours."""
     grid = colors.reshape(2, 3, -1)[::-1]  # row 0 of the image is the top
     return grid.repeat(cell, axis=0).repeat(cell, axis=1)
+
+
+def spectrum(image: np.ndarray, size: int) -> np.ndarray:
+    """Amplitudes of the frequencies that an image of ``size`` texels can hold."""
+    window = np.hanning(len(image))[:, None] * np.hanning(len(image))
+    whole = np.abs(np.fft.fftshift(np.fft.fft2((image - 0.5) * window))) * (size / len(image)) ** 2
+    low = (len(image) - size) // 2 + (len(image) % 2 != size % 2)
+    return whole[low : low + size, low : low + size]

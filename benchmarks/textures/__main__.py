@@ -1,7 +1,8 @@
 """``python -m benchmarks.textures WHAT [--size N] [--data DIR]``: one measure, printed as a line.
 
-identity, back (onto another cage of the same shape and back, by real matches), tiles (20 UDIM images, read, baked and
-written), large (one image of 8k or 16k).
+identity, back (onto another cage of the same shape and back, by real matches), bound (the same by the exact map),
+edges (what a renderer sees at islands' borders, level by level of its mip chain), tiles (20 UDIM images, read, baked
+and written), large (one image of 8k or 16k).
 """
 
 from __future__ import annotations
@@ -14,8 +15,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import cKDTree
 
 import cagemap
+from benchmarks.textures.edges import border_errors
 from cagemap.cli.map_command import MapRequest
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.own_map import run_map
@@ -25,12 +30,14 @@ from cagemap.cli.transfer_request import TransferRequest
 from cagemap.files.images import read_image, udim_path, write_image
 from cagemap.files.landmarks import write_landmarks
 from cagemap.files.meshes import read_mesh, write_mesh
+from cagemap.geometry.triangles import triangle_areas, triangles
 from cagemap.mesh import ControlMesh, torus
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.refinement import finest_mesh, refine
 from cagemap.transfer import BakeOptions, unwrap
 from cagemap.transfer.baking import make_canvas
 from cagemap.transfer.texels import rasterize_band
+from cagemap.transfer.texture import FILTERS, Filter
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 
@@ -85,14 +92,9 @@ def identity(data: Path, size: int) -> str:
     return "\n".join(lines)
 
 
-def back(data: Path, size: int, name: str, kind: str, grain: float) -> str:
+def back(data: Path, size: int, name: str, kind: str, grain: float, lookup: Filter) -> str:
     """PSNR of a texture after two real matches: onto another cage of the same shape with new UVs, and back."""
-    mesh = read_mesh(data / "animals" / f"{name}.obj")
-    texture = enlarged(read_image(data / "animals" / f"{name}_texture.png").pixels[..., :3], size)
-    texture = grained(texture, grain)
-    other = unwrap(replace(finest_mesh(refine(mesh, 1)), uvs=None, uv_indices=None))
-    if kind == "turned":  # quads along the diagonals of the old ones
-        other = unwrap(requadded(mesh))
+    mesh, texture, other = _scene(data, size, name, kind, grain)
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
         write_mesh(root / "one.obj", mesh)
@@ -109,13 +111,70 @@ def back(data: Path, size: int, name: str, kind: str, grain: float) -> str:
         )
         for target, source, word, image, output in steps:
             run_match(MatchRequest(root / target, root / source, root / f"{word}.json", root / word), Stages())
-            run_transfer(TransferRequest(root / word, root / output, texture=root / image, size=size), Stages())
+            request = TransferRequest(root / word, root / output, texture=root / image, size=size, filter=lookup)
+            run_transfer(request, Stages())
         returned = read_image(root / "returned.png").pixels
         result = cagemap.read_result(root / "back")
         where = touched(cagemap.transfer_of(result), size)
         quality = result.manifest["quality"]
     decibels = psnr(returned, texture, where)
-    return f"{name} {kind} {size}, grain {grain:g}: {decibels:.2f} dB, folded {quality['flipped_area']:.5f}"
+    return f"{name} {kind} {size}, grain {grain:g}, {lookup}: {decibels:.2f} dB, folded {quality['flipped_area']:.5f}"
+
+
+def bound(data: Path, size: int, name: str, grain: float, kind: Filter, between: int) -> str:
+    """PSNR of the same way by the exact map: what the other layout alone leaves, with no error of a match.
+
+    The other cage is the first refinement, so that its vertices lie where the cage's own of one level more do.
+    """
+    mesh, texture, other = _scene(data, size, name, "refined", grain)
+    levels = refine(other, 3).finest, refine(mesh, 4).finest
+    surfaces = [cagemap.TriangleSurface.from_faces(level.positions, level.faces) for level in levels]
+    image, options = texture, cagemap.transfer.BakeOptions(filter=kind)
+    for (target, source), texels in (((0, 1), between or size), ((1, 0), size)):
+        one, two = surfaces[target], surfaces[source]
+        same = cKDTree(levels[source].positions).query(levels[target].positions)[1]
+        exact = cagemap.maps.point_map.PointMap.from_vertices(one, two, same)
+        transfer = cagemap.prepare_transfer(levels[target], levels[source], exact)
+        image = cagemap.bake_texture(transfer, image, size=texels, options=options)
+    areas = [triangle_areas(level.uvs, triangles(level.uv_indices)).sum() for level in levels]
+    where = touched(transfer, size)
+    inner = ndimage.binary_erosion(where, iterations=4)
+    return (
+        f"{name}, exact map {size} -> {between or size} -> {size}, grain {grain:g}, {kind}: "
+        f"{psnr(image, texture, where):.2f} dB, {psnr(image, texture, inner):.2f} four texels inside; "
+        f"the other layout has {areas[0] / areas[1] * ((between or size) / size) ** 2:.2f} times the texels"
+    )
+
+
+def edges(data: Path, size: int) -> str:
+    """Errors at islands' borders, level by level of the mip chain a renderer makes, for ways to fill the background."""
+    lines = []
+    for name in ("spot", "blub"):
+        mesh, texture, other = _scene(data, size, name, "refined", 0.0)
+        for cage, title in ((mesh, "its own layout"), (other, "unwrapped")):
+            target, source = refine(cage, 3 if cage is mesh else 2).finest, refine(mesh, 3).finest
+            one, two = (cagemap.TriangleSurface.from_faces(level.positions, level.faces) for level in (target, source))
+            same = cKDTree(source.positions).query(target.positions)[1]
+            transfer = cagemap.prepare_transfer(
+                target, source, cagemap.maps.point_map.PointMap.from_vertices(one, two, same)
+            )
+            lines.append(f"{name} {size}, {title}: rms error of lookups near borders, 8-bit levels, by mip level")
+            for fill, errors in border_errors(transfer, texture, size, 8).items():
+                lines.append(f"  {fill:20s}" + " ".join(f"{error:6.2f}" for error in errors))
+    return "\n".join(lines)
+
+
+def _scene(
+    data: Path, size: int, name: str, kind: str, grain: float
+) -> tuple[ControlMesh, NDArray[np.uint8], ControlMesh]:
+    """A cage, its texture, and another cage of the same shape with a layout of its own."""
+    mesh = read_mesh(data / "animals" / f"{name}.obj")
+    texture = enlarged(read_image(data / "animals" / f"{name}_texture.png").pixels[..., :3], size)
+    texture = grained(texture, grain)
+    other = unwrap(replace(finest_mesh(refine(mesh, 1)), uvs=None, uv_indices=None))
+    if kind == "turned":  # quads along the diagonals of the old ones
+        other = unwrap(requadded(mesh))
+    return mesh, texture, other
 
 
 def requadded(mesh: ControlMesh) -> ControlMesh:
@@ -195,17 +254,21 @@ def peak() -> float:
 def main() -> None:
     """Run one measure."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("what", choices=("identity", "back", "tiles", "large"))
+    parser.add_argument("what", choices=("identity", "back", "bound", "edges", "tiles", "large"))
     parser.add_argument("--size", type=int, default=4096)
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--name", default="spot")
     parser.add_argument("--kind", default="refined", choices=("refined", "turned"))
     parser.add_argument("--grain", type=float, default=0.0)
+    parser.add_argument("--filter", default="smooth", choices=FILTERS)
+    parser.add_argument("--between", type=int, default=0)
     parser.add_argument("--data", type=Path, default=DATA)
     given = parser.parse_args()
     measures = {
         "identity": lambda: identity(given.data, given.size),
-        "back": lambda: back(given.data, given.size, given.name, given.kind, given.grain),
+        "back": lambda: back(given.data, given.size, given.name, given.kind, given.grain, given.filter),
+        "bound": lambda: bound(given.data, given.size, given.name, given.grain, given.filter, given.between),
+        "edges": lambda: edges(given.data, given.size),
         "tiles": lambda: tiles(given.size, given.count),
         "large": lambda: large(given.size),
     }

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -36,7 +36,7 @@ from cagemap.transfer import BakeOptions, Transfer, tile_cells, transfer_of, unw
 from cagemap.transfer.baking import to_dtype, unit
 from cagemap.transfer.displacement import Displacement
 from cagemap.transfer.masks import bake_mask, blend, with_alpha
-from cagemap.transfer.texture import Pixels, udim_of
+from cagemap.transfer.texture import Filter, Pixels, udim_of
 
 # Width and height of an image that no other one gives a size.
 DEFAULT_SIZE = 2048
@@ -167,7 +167,13 @@ def bake_tiles(
         Of the map, to be shown.
     """
     return write_tiles(
-        request.output, prepared.tiles, bake, stages, masking(request, prepared, name), force=request.force, name=name
+        request.output,
+        prepared.tiles,
+        lambda options: bake(replace(options, filter=cast(Filter, request.filter))),
+        stages,
+        masking(request, prepared, name),
+        force=request.force,
+        name=name,
     )
 
 

@@ -58,6 +58,14 @@ class TransferRequest:
     as_color: Annotated[
         bool, typer.Option("--as-color", help="Texture: carry what looks like a normal map as a picture.")
     ] = False
+    filter: Annotated[
+        str,
+        typer.Option(
+            "--filter",
+            help="Images: how one is read where it does not shrink: smooth, linear, or nearest for labels, which no "
+            "colour may mix.",
+        ),
+    ] = "smooth"
     attribute: Annotated[
         Path | None,
         typer.Option(

@@ -33,7 +33,7 @@ from cagemap.transfer.locate import (
 from cagemap.transfer.lookups import plan_lookups
 from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.texels import GUTTER_RADIUS, Layout, TriangleImage, lay_out, rasterize_band
-from cagemap.transfer.texture import Pixels, Wrap, lay_texture, tile_cells, udim_of, udim_origin
+from cagemap.transfer.texture import Filter, Pixels, Wrap, lay_texture, tile_cells, udim_of, udim_origin
 
 Shade = Callable[[Samples], FloatArray]
 
@@ -82,6 +82,8 @@ class BakeOptions:
         What lies outside a plain source texture.
     threads : int, optional
         By default as many as `cagemap.thread_limit` allows.
+    filter : "smooth", "linear" or "nearest"
+        How a texture is looked up where nothing shrinks; nearest, everywhere, is for labels: no colour is mixed.
     """
 
     tile: int = 0
@@ -89,6 +91,7 @@ class BakeOptions:
     dilation: int | None = None
     wrap: Wrap = "repeat"
     threads: int | None = None
+    filter: Filter = "smooth"
 
 
 def prepare_transfer(
@@ -168,7 +171,9 @@ def bake_texture(
     laid = lay_texture(texture, *transfer.source.layout(), wrap=options.wrap)
     kept = laid.dtype if dtype is None else np.dtype(dtype)
     canvas = make_canvas(transfer, size, options)
-    lookups = plan_lookups(transfer.mapped, transfer.source, canvas.corners, canvas.supersample, laid)
+    lookups = plan_lookups(
+        transfer.mapped, transfer.source, canvas.layout, canvas.supersample, laid, kind=options.filter
+    )
     scale = unit(kept) / unit(laid.dtype)
 
     def shade(samples: Samples) -> FloatArray:
@@ -211,7 +216,7 @@ def make_canvas(transfer: Transfer, size: int | tuple[int, int], options: BakeOp
         # Shrunk to a point, a triangle holds no texel; the rim of a hole is a border of its island.
         corner_uvs[target.holes] = corner_uvs[target.holes, :1]
         neighbors = np.where(target.holes[neighbors], -1, neighbors)
-    finer = options.supersample or _supersample(target, height, width)
+    finer = options.supersample or (1 if options.filter == "nearest" else _supersample(target, height, width))
     if not 1 <= finer <= 16:
         raise ParameterError(f"supersample: expected 1 to 16 samples along a texel's side, got {finer}")
     band_rows = max(1, _BAND_TEXELS // (width * finer * finer)) * finer

@@ -90,7 +90,9 @@ def bake_displacement(
     constant = bool(np.all(factors == factors[0]))
 
     canvas = make_canvas(transfer, size, options)
-    lookups = plan_lookups(transfer.mapped, transfer.source, canvas.corners, canvas.supersample, laid)
+    lookups = plan_lookups(
+        transfer.mapped, transfer.source, canvas.layout, canvas.supersample, laid, kind=options.filter
+    )
 
     def shade(samples: Samples) -> FloatArray:
         values = lookups.mips.look_up(samples) / unit(laid.dtype)

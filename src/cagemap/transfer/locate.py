@@ -118,6 +118,19 @@ class Samples:
             self.barycentric[own],
         )
 
+    def single(self) -> Samples:
+        """Every sample as a texel of its own."""
+        repeats, count = np.diff(self.first), len(self.triangle)
+        return Samples(
+            np.repeat(self.target_triangle, repeats),
+            np.repeat(self.cells, repeats),
+            self.width,
+            self.top,
+            np.arange(count + 1),
+            self.triangle,
+            self.barycentric,
+        )
+
     def mean(self, values: FloatArray) -> FloatArray:
         """(k, c) mean over every texel's samples of their (s, c) values."""
         return np.add.reduceat(values, self.first[:-1], axis=0) / np.diff(self.first)[:, None]

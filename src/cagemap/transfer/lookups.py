@@ -7,14 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cagemap.errors import ParameterError
 from cagemap.geometry.triangles import triangle_neighbors
-from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads, parts
 from cagemap.transfer.locate import MappedSurface, locate_centers
 from cagemap.transfer.mip_maps import MipMaps
 from cagemap.transfer.surface import TexturedSurface
-from cagemap.transfer.texels import lay_out, rasterize_band
-from cagemap.transfer.texture import Texture, tile_cells, udim_origin
+from cagemap.transfer.texels import Layout, lay_out, rasterize_band
+from cagemap.transfer.texture import FILTERS, Filter, Texture, tile_cells, udim_origin
 
 # No texel takes more than this many samples along each axis; beyond, it reads a smaller image of the texture.
 MAX_SAMPLES_PER_AXIS = 16
@@ -47,7 +48,14 @@ class Lookups:
 
 
 def plan_lookups(
-    mapped: MappedSurface, source: TexturedSurface, layout_corners: FloatArray, supersample: int, laid: Texture
+    mapped: MappedSurface,
+    source: TexturedSurface,
+    layout: Layout,
+    supersample: int,
+    laid: Texture,
+    *,
+    exact: bool = False,
+    kind: Filter = "smooth",
 ) -> Lookups:
     """Plan how a raster of the target's layout reads a texture.
 
@@ -55,17 +63,36 @@ def plan_lookups(
     ----------
     mapped : MappedSurface
     source : TexturedSurface
-    layout_corners : (t1, 3, 2) float64
-        Corners of the target's triangles in raster cells.
+    layout : Layout
+        The target's, in raster cells.
     supersample : int
         Raster cells along a texel's side.
     laid : Texture
+    exact : bool
+        See `MipMaps.build`.
+    kind : "smooth", "linear" or "nearest"
+        How the texture is looked up where nothing shrinks. Nearest takes the one texel in any case.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such kind.
     """
-    spans = texel_spans(mapped, layout_corners, laid.corner_texels())
-    levels = mip_levels(spans)
-    coverage = source_coverage(source, laid) if levels.any() else {}
+    if kind not in FILTERS:
+        raise ParameterError(f"filter: expected {', '.join(FILTERS)}, got {kind!r}")
+    centers = locate_centers(mapped)
+    if kind == "nearest":
+        ones = np.ones((len(centers), 2), dtype=np.int32)
+        return Lookups(MipMaps({0: laid}, np.zeros(len(centers), dtype=np.int64), {}, True), ones, ones[:, 0] > 0)
+    spans = _spans(mapped, layout.corners, laid.corner_texels(), centers)
+    near = np.unique(np.concatenate([*layout.band_triangles, *layout.border_triangles]))
+    levels = np.zeros(len(spans), dtype=np.int64)
+    levels[near] = mip_levels(spans[near])
+    met = np.concatenate([centers[near], mapped.start_triangles[mapped.target_triangles[near]].ravel()])
+    tiles = np.unique(laid.triangle_tiles[met]).tolist() if kind == "smooth" or levels.any() else []
     crisp = np.asarray((spans * supersample <= UNSCALED).all(axis=1))
-    return Lookups(MipMaps.build(laid, levels, coverage), samples_for(spans / 2.0 ** levels[:, None]), crisp)
+    mips = MipMaps.build(laid, levels, source_coverage(source, laid, tiles), exact=exact, smooth=kind == "smooth")
+    return Lookups(mips, samples_for(spans / 2.0 ** levels[:, None]), crisp)
 
 
 def mip_levels(spans: FloatArray) -> NDArray[np.int64]:
@@ -78,24 +105,31 @@ def mip_levels(spans: FloatArray) -> NDArray[np.int64]:
     return np.asarray(np.maximum(shorter, longer), dtype=np.int64)
 
 
-def source_coverage(surface: TexturedSurface, laid: Texture) -> dict[int, NDArray[np.float32]]:
-    """(h, w) which texels of each tile of a texture the surface's layout, and a border of one texel, covers: 1 or 0."""
-    neighbors = triangle_neighbors(surface.layout()[1])
+def source_coverage(surface: TexturedSurface, laid: Texture, tiles: list[int]) -> dict[int, NDArray[np.bool_]]:
+    """(h, w) which texels of some tiles of a texture the surface's layout, and a border of one texel, covers."""
+    neighbors = triangle_neighbors(surface.layout()[1]) if tiles else np.zeros((0, 3), dtype=np.int32)
     found = {}
-    for tile, pixels in laid.tiles.items():
-        height, width = pixels.shape[:2]
+    for tile in tiles:
+        height, width = laid.tiles[tile].shape[:2]
         own = laid.triangle_tiles == tile
         corners = surface.corner_uvs() - udim_origin(tile)
         if tile == 0:  # a plain image repeats: each triangle where it lies in it
             corners = corners - tile_cells(corners)[:, None]
         corners[~own] = 0.0
         rows = max(1, _BAND_TEXELS // width)
-        layout = lay_out(corners, neighbors, height, width, band_rows=rows)
-        covered = np.empty((height, width), dtype=np.float32)
-        for band in range(len(layout.band_triangles)):
-            covered[band * rows : (band + 1) * rows] = rasterize_band(layout, band) >= 0
-        found[tile] = covered
+        found[tile] = _covered(lay_out(corners, neighbors, height, width, band_rows=rows))
     return found
+
+
+def _covered(layout: Layout) -> NDArray[np.bool_]:
+    covered = np.empty((layout.height, layout.width), dtype=np.bool_)
+
+    def fill(bands: slice) -> None:
+        for band in range(bands.start, bands.stop):
+            covered[band * layout.band_rows : (band + 1) * layout.band_rows] = rasterize_band(layout, band) >= 0
+
+    in_threads(fill, parts(len(layout.band_triangles), 1))
+    return covered
 
 
 def plan_samples(surface: MappedSurface, layout_corners: FloatArray, source_texels: FloatArray) -> NDArray[np.int32]:
@@ -126,7 +160,13 @@ def texel_spans(surface: MappedSurface, layout_corners: FloatArray, source_texel
     source_texels : (t2, 3, 2) float64
         Texel coordinates of the source triangles' corners in the source texture.
     """
-    source = locate_centers(surface)
+    return _spans(surface, layout_corners, source_texels, locate_centers(surface))
+
+
+def _spans(
+    surface: MappedSurface, layout_corners: FloatArray, source_texels: FloatArray, source: IndexArray
+) -> FloatArray:
+    """`texel_spans`, with the source triangle (t1,) at the image of every target triangle's centre."""
     found = np.empty((len(source), 2))
 
     def plan(part: slice) -> None:

@@ -19,7 +19,7 @@ from scipy import sparse
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import in_threads, parts
 from cagemap.transfer.locate import Samples
-from cagemap.transfer.texture import Pixels, Texture, look_up
+from cagemap.transfer.texture import Pixels, SmoothTile, Texture, look_up
 
 _LOBES = 3
 # Where covered texels have less than this share of the kernel, its negative lobes would amplify: plain means there.
@@ -29,7 +29,7 @@ _ROWS = 128
 # What uncovered texels count: where there is nothing else, they decide.
 _UNCOVERED = 1e-5
 
-Coverage = NDArray[np.float32]
+Coverage = NDArray[np.float32] | NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,13 +42,27 @@ class MipMaps:
         By how often it was halved; only those that are read, and the texture itself.
     of_triangle : (t1,) int64
         Level for every target triangle.
+    smooth : dict of int to SmoothTile
+        Where the texture itself is looked up smoothly, by tile.
+    nearest : bool
+        Whether its texels are labels, which have nothing between them.
     """
 
     levels: dict[int, Texture]
     of_triangle: NDArray[np.int64]
+    smooth: dict[int, SmoothTile]
+    nearest: bool = False
 
     @classmethod
-    def build(cls, texture: Texture, of_triangle: NDArray[np.int64], coverage: dict[int, Coverage]) -> MipMaps:
+    def build(
+        cls,
+        texture: Texture,
+        of_triangle: NDArray[np.int64],
+        coverage: dict[int, NDArray[np.bool_]],
+        *,
+        exact: bool = False,
+        smooth: bool = True,
+    ) -> MipMaps:
         """Halve a texture as often as its triangles ask for.
 
         Level l has half the frequencies of level l - 1 at that one's size, where bilinear lookups see them well.
@@ -58,30 +72,36 @@ class MipMaps:
         texture : Texture
         of_triangle : (t1,) int64
             See `cagemap.transfer.lookups.mip_levels`.
-        coverage : dict of int to (h, w) float32
-            How much of each texel lies in the source's layout, by tile; nothing where no level is asked for.
+        coverage : dict of int to (h, w) bool
+            Which texels lie in the source's layout, by tile; only these tiles are halved.
+        exact : bool
+            Halve to floats, and not to the texture's own numbers: means of directions are short.
+        smooth : bool
+            Whether the texture itself is looked up smoothly, and not bilinearly.
         """
-        levels, tiles = {0: texture}, texture.tiles
+        fine = {tile: SmoothTile.of(texture.tiles[tile], share) for tile, share in coverage.items()} if smooth else {}
+        levels, tiles = {0: texture}, {tile: texture.tiles[tile] for tile in coverage}
+        shares: dict[int, Coverage] = dict(coverage)
         for level in range(1, int(of_triangle.max(initial=0)) + 1):
             if np.any(of_triangle == level):
-                smooth = {tile: smoothed(pixels, coverage[tile]) for tile, pixels in tiles.items()}
-                kept = {tile: _as_type(pixels, texture.tiles[tile]) for tile, pixels in smooth.items()}
-                levels[level] = replace(texture, tiles=kept)
+                soft = {tile: smoothed(pixels, shares[tile]) for tile, pixels in tiles.items()}
+                kept = soft if exact else {tile: _as_type(pixels, texture.tiles[tile]) for tile, pixels in soft.items()}
+                levels[level] = replace(texture, tiles=texture.tiles | kept)
             if level < of_triangle.max():
-                pairs = {tile: halved(pixels, coverage[tile]) for tile, pixels in tiles.items()}
+                pairs = {tile: halved(pixels, shares[tile]) for tile, pixels in tiles.items()}
                 tiles = {tile: pixels for tile, (pixels, _) in pairs.items()}
-                coverage = {tile: covered for tile, (_, covered) in pairs.items()}
-        return cls(levels, of_triangle)
+                shares = {tile: covered for tile, (_, covered) in pairs.items()}
+        return cls(levels, of_triangle, fine)
 
     def look_up(self, samples: Samples) -> FloatArray:
         """(k, c) as `cagemap.transfer.texture.look_up`, every texel in the image of its triangle's level."""
         if len(self.levels) == 1:
-            return look_up(self.levels[0], samples)
+            return look_up(self.levels[0], samples, self.smooth, nearest=self.nearest)
         own = self.of_triangle[samples.target_triangle]
         values = np.empty((len(own), self.levels[0].channels))
         for level in np.unique(own).tolist():
             texels = np.flatnonzero(own == level)
-            values[texels] = look_up(self.levels[level], samples.part(texels))
+            values[texels] = look_up(self.levels[level], samples.part(texels), self.smooth if level == 0 else None)
         return values
 
 
@@ -114,7 +134,7 @@ def _filtered(pixels: Pixels, coverage: Coverage, down: _Matrices, across: _Matr
     def fill(rows: slice) -> None:
         own = [matrix[rows] for matrix in down]
         first, last = int(own[0].indices.min()), int(own[0].indices.max()) + 1
-        weight = np.maximum(coverage[first:last], _UNCOVERED)
+        weight = np.maximum(coverage[first:last].astype(np.float32), np.float32(_UNCOVERED))
         table = np.dstack([pixels[first:last].astype(np.float32) * weight[..., None], weight])
         sharp, mean = (
             _separable(table, vertical[:, first:last], horizontal)

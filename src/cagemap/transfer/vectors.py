@@ -8,7 +8,6 @@ arrives as ``Q^T v``, so what is flat stays flat, and under the identity everyth
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -20,9 +19,9 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.transfer.baking import BakeOptions, Canvas, Transfer, bake, make_canvas, unit
 from cagemap.transfer.displacement import Displacement, scale_ratio
 from cagemap.transfer.locate import Samples, target_barycentric
-from cagemap.transfer.lookups import plan_samples
+from cagemap.transfer.lookups import plan_lookups
 from cagemap.transfer.tangents import plane_basis, tangent_frames
-from cagemap.transfer.texture import Pixels, Texture, lay_texture, look_up
+from cagemap.transfer.texture import Pixels, Texture, lay_texture
 
 Space = Literal["tangent", "object"]
 Green = Literal["up", "down"]
@@ -166,15 +165,19 @@ def _bake_texture_vectors(
     check_space(space)
     canvas = make_canvas(transfer, size, options)
     frames = None if space == "object" else tangent_frames(transfer.source)
+    # Means of directions are directions of the mean surface, and their lengths what it has lost: none is restored
+    # before the end, and none rounded.
+    lookups = plan_lookups(
+        transfer.mapped, transfer.source, canvas.layout, canvas.supersample, laid, exact=True, kind=options.filter
+    )
 
     def give(samples: Samples) -> FloatArray:
-        vectors = decode(look_up(laid, samples))[:, order]
+        vectors = decode(lookups.mips.look_up(samples))[:, order]
         if frames is None:
             return vectors
         return np.asarray(np.einsum("sab,sb->sa", frames.at(samples.triangle, samples.barycentric), vectors))
 
-    counts = plan_samples(transfer.mapped, canvas.corners, laid.corner_texels())
-    return bake_turned(transfer, canvas, counts, give, encode, space, order, kept, options)
+    return bake_turned(transfer, canvas, lookups.counts, give, encode, space, order, kept, options, lookups.crisp)
 
 
 def check_space(space: str) -> None:
@@ -193,6 +196,7 @@ def bake_turned(
     order: list[int],
     kept: np.dtype[Any],
     options: BakeOptions,
+    crisp: NDArray[np.bool_] | None = None,
 ) -> Pixels:
     """Run a bake of vectors: given sample by sample, turned, and averaged in the target's frame.
 
@@ -212,6 +216,8 @@ def bake_turned(
         Which channels hold tangent, bitangent and normal.
     kept : numpy.dtype
     options : BakeOptions
+    crisp : (t1,) bool, optional
+        As `bake` takes it.
     """
     target, source = transfer.target, transfer.source
     frames = None if space == "object" else tangent_frames(target)
@@ -224,7 +230,7 @@ def bake_turned(
         repeats = np.diff(samples.first)
         inside = np.repeat(target_barycentric(canvas.corners, samples), repeats, axis=0)
         triangle = np.repeat(samples.target_triangle.astype(np.int64), repeats)
-        vectors = give(replace(samples, first=np.arange(len(samples.triangle) + 1)))
+        vectors = give(samples.single())
         n1 = np.einsum("sc,scd->sd", inside, normals[0][target.triangles[triangle]])
         n2 = np.einsum("sc,scd->sd", samples.barycentric, normals[1][source.triangles[samples.triangle]])
         vectors = _turned_back(vectors, n1, n2, edges[triangle], images[triangle])
@@ -232,7 +238,7 @@ def bake_turned(
             vectors = _solve(frames.at(triangle, inside), vectors)
         return np.asarray(encode(samples.mean(vectors[:, np.argsort(order)])))
 
-    return bake(transfer, canvas, counts, shade, 3, kept, options)
+    return bake(transfer, canvas, counts, shade, 3, kept, options, crisp)
 
 
 def _turned_back(
