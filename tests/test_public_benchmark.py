@@ -80,7 +80,7 @@ def test_only_the_shapes_of_the_test_are_paired(faust_r: Path) -> None:
     public = sets.SETS["faust_r"]
     assert public.pairs(faust_r, None) == [("tr_reg_080", "tr_reg_091"), ("tr_reg_091", "tr_reg_080")]
     assert len(public.pairs(faust_r, 1)) == 1
-    with pytest.raises(SystemExit, match="found none"):
+    with pytest.raises(sets.SetError, match="found none"):
         public.pairs(faust_r / "corres", None)
 
 
@@ -119,3 +119,38 @@ def test_rows_are_measured_once_and_one_table_is_written(
     table = (tmp_path / "out" / "public.md").read_text()
     assert table.count("\n| ") == 2 + 3
     assert "SHREC'20" in table
+
+
+@pytest.mark.slow
+def test_a_broken_shape_costs_its_own_pairs_and_is_tried_again(
+    faust_r: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    good = (faust_r / "corres" / "tr_reg_080.vts").read_bytes()
+    for name in ("tr_reg_080", "tr_reg_082", "tr_reg_083"):
+        write_mesh(faust_r / "vtx_5k" / f"{name}.off", bodies()["one"], force=True)
+        (faust_r / "corres" / f"{name}.vts").write_bytes(good)
+    (faust_r / "vtx_5k" / "tr_reg_082.off").write_text("OFF\n3 1 0\n0 0 0\n")
+    (faust_r / "corres" / "tr_reg_083.vts").write_text("12\nnought\n")
+    (faust_r / "corres" / "tr_reg_091.vts").unlink()
+    with pytest.raises(SystemExit) as ended:
+        run("faust_r", faust_r, tmp_path / "out")
+    assert ended.value.code == 1
+    table = (tmp_path / "out" / "public.md").read_text()
+    for said in ("tr_reg_091.vts somewhere in it", "tr_reg_083.vts: expected a vertex number a line", "tr_reg_082.off"):
+        assert said in table
+    (faust_r / "corres" / "tr_reg_091.vts").write_bytes(good)
+    for name in ("tr_reg_082", "tr_reg_083"):
+        (faust_r / "vtx_5k" / f"{name}.off").unlink()
+    rows = run("faust_r", faust_r, tmp_path / "out")
+    assert len(rows) == 2
+    assert "Not measured" not in (tmp_path / "out" / "public.md").read_text()
+
+
+@pytest.mark.slow
+def test_rows_of_other_sizes_are_not_taken_for_measured(faust_r: Path, tmp_path: Path) -> None:
+    sizes = [len(run("faust_r", faust_r, tmp_path / "out", "--points", points)) for points in ("20", "20", "30")]
+    assert sizes == [2, 2, 4]
+    (tmp_path / "out" / "public.json").write_text("[{]")
+    with pytest.raises(SystemExit) as ended:
+        main(["faust_r", str(faust_r), "--output", str(tmp_path / "out")])
+    assert ended.value.code == 2

@@ -109,7 +109,7 @@ def measured(public: PublicSet, target: Shape, source: Shape, at: Receiver, coun
         "flipped": 100 * result.quality.flipped_area,
         "left_out": len(result.suspects),
         "seconds": seconds,
-        "vertices": [target.places.surface.n, source.places.surface.n],
+        "sizes": [target.places.surface.n, source.places.surface.n],
     }
 
 

@@ -21,6 +21,10 @@ from cagemap.mesh.landmarks import CagePoints
 FAUST_VERTICES = 6890
 
 
+class SetError(Exception):
+    """What is missing or wrong in the folder of a set."""
+
+
 @dataclass(frozen=True, eq=False)
 class Marks:
     """Points of a shape that are known on others of its set.
@@ -42,7 +46,7 @@ class Marks:
         known = np.minimum(places, len(self.ids) - 1)
         missing = np.asarray(ids)[self.ids[known] != np.asarray(ids)]
         if len(missing):
-            raise SystemExit(f"expected points {list(ids)} on the shape, it lacks {missing.tolist()}")
+            raise SetError(f"expected points {list(ids)} on the shape, it lacks {missing.tolist()}")
         return self.points.at(known)
 
     def renumbered(self, numbers: np.ndarray) -> Marks:
@@ -83,7 +87,7 @@ class PublicSet:
         files = [path for ending in ("off", "obj") for path in sorted(root.rglob(f"*.{ending}"))]
         named = {path.stem: path for path in files if re.fullmatch(patterns[self.name], path.stem, re.IGNORECASE)}
         if not named:
-            raise SystemExit(f"{root}: expected shapes of {self.name}, found none. Give the folder as it is unpacked.")
+            raise SetError(f"{root}: expected shapes of {self.name}, found none. Give the folder as it is unpacked.")
         return named
 
     def pairs(self, root: Path, count: int | None) -> list[tuple[str, str]]:
@@ -101,13 +105,17 @@ class PublicSet:
         if self.name == "faust":
             ids = np.arange(FAUST_VERTICES)
             if mesh.n_vertices < FAUST_VERTICES:
-                raise SystemExit(f"{shape}: expected {FAUST_VERTICES} vertices or more, got {mesh.n_vertices}")
+                raise SetError(f"{shape}: expected {FAUST_VERTICES} vertices or more, got {mesh.n_vertices}")
             return Marks(ids, CagePoints.of_vertices(ids))
         if self.name == "shrec20":
             return _barycentric(_only(root, shape, "mat"), mesh)
-        vertices = np.loadtxt(_only(root, shape, "vts"), dtype=np.int64, ndmin=1) - 1
-        if vertices.min() < 0 or vertices.max() >= mesh.n_vertices:
-            raise SystemExit(f"{shape}.vts: expected vertices from 1 to {mesh.n_vertices}, got others")
+        path = _only(root, shape, "vts")
+        try:
+            vertices = np.loadtxt(path, dtype=np.int64, ndmin=1) - 1
+        except ValueError as error:
+            raise SetError(f"{path}: expected a vertex number a line, got something else ({error})") from error
+        if vertices.ndim != 1 or not len(vertices) or vertices.min() < 0 or vertices.max() >= mesh.n_vertices:
+            raise SetError(f"{path}: expected a vertex from 1 to {mesh.n_vertices} a line, got others")
         return Marks(np.arange(len(vertices)), CagePoints.of_vertices(vertices))
 
 
@@ -177,7 +185,7 @@ def _listed(path: Path, shapes: dict[str, Path]) -> list[tuple[str, str]]:
         if len(names) >= 2 and not line.startswith("#"):
             unknown = [name for name in names[:2] if name not in shapes]
             if unknown:
-                raise SystemExit(f"{path}: expected names of shapes, got {', '.join(unknown)}")
+                raise SetError(f"{path}: expected names of shapes, got {', '.join(unknown)}")
             found.append((names[0], names[1]))
     return found
 
@@ -185,21 +193,29 @@ def _listed(path: Path, shapes: dict[str, Path]) -> list[tuple[str, str]]:
 def _only(root: Path, shape: str, ending: str) -> Path:
     files = sorted(root.rglob(f"{shape}.{ending}"))
     if not files:
-        raise SystemExit(f"{root}: expected {shape}.{ending} somewhere in it, found none")
+        raise SetError(f"{root}: expected {shape}.{ending} somewhere in it, found none")
     return files[0]
 
 
 def _barycentric(path: Path, mesh: ControlMesh) -> Marks:
     """SHREC's points: numbers, and a face (from 1) with three weights each; or a vertex where there is no face."""
-    data = loadmat(path)
-    ids, vertices = (np.asarray(data[name], dtype=np.int64).ravel() for name in ("points", "verts"))
+    try:
+        data = loadmat(path)
+        ids, vertices = (np.asarray(data[name], dtype=np.int64).ravel() for name in ("points", "verts"))
+    except (ValueError, KeyError, NotImplementedError) as error:
+        raise SetError(f"{path}: expected the tables `points` and `verts` (MATLAB 5 to 7), got {error!r}") from error
+    triangles = mesh.face_indices.reshape(-1, 3)
+    if len(ids) != len(vertices) or not len(ids) or vertices.min() < 1 or vertices.max() > mesh.n_vertices:
+        raise SetError(f"{path}: expected points and as many vertices from 1 to {mesh.n_vertices}, got others")
     order = np.argsort(ids)
     corners = np.repeat(vertices[:, None] - 1, 3, axis=1)
     weights = np.tile([1.0, 0.0, 0.0], (len(ids), 1))
     if "baryc" in data:
         faces = np.asarray(data["baryc"], dtype=np.float64).reshape(len(ids), 4)
         known = np.isfinite(faces).all(axis=1) & (faces[:, 0] >= 1)
-        corners[known] = mesh.face_indices.reshape(-1, 3)[faces[known, 0].astype(np.int64) - 1]
+        if (faces[known, 0] > len(triangles)).any():
+            raise SetError(f"{path}: expected faces from 1 to {len(triangles)}, got {faces[known, 0].max():.0f}")
+        corners[known] = triangles[faces[known, 0].astype(np.int64) - 1]
         inside = np.clip(faces[known, 1:], 0.0, None)
         weights[known] = inside / inside.sum(axis=1, keepdims=True)
     return Marks(ids[order], CagePoints(corners[order], weights[order]))
