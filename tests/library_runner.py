@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cagemap.errors import FormatError
+from cagemap.files.atomic import atomic_path
 from cagemap.library import Task
 
 
@@ -31,6 +32,7 @@ def write_name(task: Task) -> dict[str, Any]:
     if trouble == "die":
         os.kill(os.getpid(), signal.SIGKILL)
     time.sleep(float(task.request.get("sleep", 0)))
-    for output in task.outputs:
-        (Path(task.request["root"]) / output).write_text(task.name)
+    for output in task.request.get("files", task.outputs):
+        with atomic_path(Path(task.request["root"]) / output, force=True) as temporary:
+            temporary.write_text(task.name)
     return {"said": task.name}

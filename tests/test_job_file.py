@@ -44,7 +44,7 @@ def test_the_job_file_asks_for_just_what_was_asked_for(folder: Path) -> None:
     match, transfer = requests(folder)
     note_match(match)
     for _ in range(2):  # the same output replaces
-        note_output("transfer", transfer)
+        note_output("transfer", transfer.result, transfer)
     job = read_job(folder / "RESULT" / JOB, COMMANDS)
     tasks = plan_job(job, "1", spanning_tree).tasks
     asked = {task.kind: task.request for task in tasks}
@@ -62,7 +62,7 @@ def test_an_edited_job_file_is_left_alone(folder: Path) -> None:
     place = folder / "RESULT" / JOB
     edited = place.read_text() + "# mine\n"
     place.write_text(edited)
-    note_output("transfer", transfer)
+    note_output("transfer", transfer.result, transfer)
     assert place.read_text() == edited
 
 

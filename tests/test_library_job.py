@@ -7,10 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from cagemap.cli.job_file import WRITTEN
+from cagemap.cli.library import COMMANDS as REAL
 from cagemap.errors import FormatError
 from cagemap.files.meshes import write_mesh
 from cagemap.library import Job, Plan, plan_job, read_job, spanning_tree
-from cagemap.library.job import line_of
+from cagemap.library.job_checks import line_of
 from cagemap.library.tree import shape_distribution
 from cagemap.mesh import cube, icosahedron, torus
 
@@ -142,6 +144,50 @@ def test_every_surface_is_prepared_once_and_every_pair_matched_after(folder: Pat
         seen.add(task.name)
     assert len(seen) == len(plan.tasks)
     assert all(task.request["vertices"] == 500 for task in plan.tasks if task.kind == "match")
+
+
+def test_files_beside_an_output_go_to_the_pair_and_a_report_comes_last(folder: Path) -> None:
+    pair = '[[pairs]]\nsource = "a"\ntarget = "b"\n[[outputs]]\ncommand = "report"\n[[outputs]]\ncommand = "wrap"\n'
+    text = HEAD + ASSETS + pair + 'output = "w.obj"\ndisplacement = "{target}.exr"\n'
+    text += '[[outputs]]\ncommand = "wrap"\noutput = "v.obj"\n'
+
+    def plan(changed: str) -> Plan:
+        (folder / "job.toml").write_text(changed)
+        return plan_job(read_job(folder / "job.toml", REAL, WRITTEN), "1", spanning_tree)
+
+    tasks = [task for task in plan(text).tasks if task.kind in ("wrap", "report")]
+    assert [task.outputs for task in tasks] == [
+        ("a__b/w.obj", "a__b/b.exr"),
+        ("a__b/v.obj",),
+        ("a__b/report.html",),
+    ]
+    assert tasks[0].request["displacement"] == str(folder / "out" / "a__b" / "b.exr")
+    assert [task.after for task in tasks] == [(), (tasks[0].name,), (tasks[1].name,)]
+    with pytest.raises(FormatError, match=r"two outputs of a -> b write a__b/b\.exr"):
+        plan(text.replace("v.obj", "b.exr"))
+    with pytest.raises(FormatError, match="expected a name inside the pair"):
+        plan(text.replace("{target}.exr", "../b.exr"))
+
+
+def test_problems_of_form_and_of_content_are_told_together(folder: Path) -> None:
+    text = HEAD.replace("500", "-5") + ASSETS.replace("b.obj", "gone.obj") + PAIRS
+    text += 'landmark = "typo.json"\n[[outputs]]\ncommand = "transfer"\ntexture = "gone.png"\nsize = 0\n'
+    text += '[[outputs]]\ncommand = "transfer"\nresult = "elsewhere"\ntexture = "{source.colour}"\n'
+    (folder / "job.toml").write_text(text)
+    with pytest.raises(FormatError) as caught:
+        read_job(folder / "job.toml", REAL, WRITTEN)
+    said = str(caught.value)
+    for words in (
+        "line 3: options.vertices: input should be greater than or equal to 1, got -5",
+        "line 9: assets.1.file: gone.obj does not exist",
+        "line 16: pairs.0.landmark: there is no such entry",
+        "line 19: outputs.0.texture: gone.png does not exist",
+        "line 20: outputs.0.size: input should be greater than or equal to 1, got 0",
+        "line 23: outputs.1.result: there is no such entry",
+        "line 24: outputs.1.texture: no asset has a file 'colour'",
+    ):
+        assert words in said, said
+    assert said.count("\n") == 8
 
 
 def test_outputs_go_to_the_pairs_that_have_what_they_ask_for(folder: Path) -> None:

@@ -99,8 +99,8 @@ def test_rows_gather_what_the_tasks_of_a_pair_said(tmp_path: Path) -> None:
     pairs = (("a", "b"), ("b", "a"))
     tasks = tuple(task(kind, pair, f"{kind}.out") for pair in pairs for kind in ("match", "transfer"))
     outcomes = {
-        tasks[0].name: Outcome(tasks[0].name, "done", "", 2.0, {"quality": QUALITY, "warnings": []}),
-        tasks[1].name: Outcome(tasks[1].name, "kept", "", 1.0),
+        tasks[0].name: Outcome(tasks[0].name, "done", "", 2.0, {"quality": QUALITY, "warnings": []}, tasks[0].outputs),
+        tasks[1].name: Outcome(tasks[1].name, "kept", "", 1.0, {}, ("a__b/shapes/x.obj", "a__b/shapes/y.obj")),
         tasks[2].name: Outcome(tasks[2].name, "done", "", 2.0, {"quality": QUALITY, "warnings": []}),
         tasks[3].name: Outcome(tasks[3].name, "failed", "no texture"),
     }
@@ -108,5 +108,5 @@ def test_rows_gather_what_the_tasks_of_a_pair_said(tmp_path: Path) -> None:
     assert [(row.source, row.target, row.verdict) for row in rows] == [("b", "a", "failed"), ("a", "b", "good")]
     assert rows[1].seconds == 3.0
     assert rows[1].cycle_error == 0.5  # of target b and source a
-    assert rows[1].files == ("a__b/match.out", "a__b/transfer.out")
+    assert rows[1].files == ("a__b/match.out", "a__b/shapes")  # a folder is one link
     assert "no texture" in rows[0].messages[0]

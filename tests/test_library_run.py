@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,25 @@ def test_another_key_or_a_lost_output_means_that_it_is_done_again(tmp_path: Path
     assert kept_outcome(tmp_path, one) is None
 
 
+def test_what_a_pattern_or_a_folder_became_is_noted(tmp_path: Path) -> None:
+    """`skin.png` is written as several files, shapes as a folder; the notes of a RESULT are not the task's own."""
+    many = task(tmp_path, "one", files=["one/skin_a.png", "one/skin_b.png", "one/RESULT/manifest.json"])
+    (tmp_path / "one" / "RESULT").mkdir(parents=True)
+    assert execute(many, tmp_path, write_name).files == ("one/skin_a.png", "one/skin_b.png")
+    (tmp_path / "one" / "RESULT" / "manifest.json").write_text("another task's note")
+    assert execute(many, tmp_path, write_name).state == "kept"
+    (tmp_path / "one" / "skin_b.png").unlink()
+    assert execute(many, tmp_path, write_name).state == "done"
+    nothing = task(tmp_path, "none", files=[])
+    assert "none was written" in execute(nothing, tmp_path, write_name).message
+
+
+def test_a_task_that_only_comes_after_a_failed_one_is_done(tmp_path: Path) -> None:
+    failed = Outcome("one", "failed", "no texture")
+    assert execute(replace(task(tmp_path, "two"), after=("one",)), tmp_path, write_name, failed).state == "done"
+    assert execute(task(tmp_path, "three", ("one",)), tmp_path, write_name, failed).state == "skipped"
+
+
 @pytest.mark.parametrize(
     ("trouble", "words"),
     [("bad mesh", "expected a mesh"), ("bug", "internal error, KeyError"), ("full disk", "No space left")],
@@ -65,7 +85,7 @@ def test_a_failure_is_an_outcome_and_leaves_no_note(tmp_path: Path, trouble: str
     assert outcome.state == "failed"
     assert words in outcome.message
     assert kept_outcome(tmp_path, one) is None
-    after = execute(task(tmp_path, "two"), tmp_path, write_name, outcome)
+    after = execute(task(tmp_path, "two", needs=("one",)), tmp_path, write_name, outcome)
     assert after.state == "skipped"
     assert "one" in after.message
     assert ran(tmp_path) == ["one"]

@@ -17,7 +17,7 @@ from cagemap.cli.demo import run_demo
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.mesh_commands import refine_file
 from cagemap.cli.progress import Stages
-from cagemap.cli.report import run_report
+from cagemap.cli.report import ReportRequest, run_report
 from cagemap.cli.transfer import run_transfer
 from cagemap.cli.transfer_request import TransferRequest
 from cagemap.errors import FormatError
@@ -204,8 +204,8 @@ def test_outputs_are_no_inputs(place: Path, force: bool) -> None:
         lambda: texture_of(place, "t.png", force=force),
         lambda: texture_of(place, "link.png", force=force),
         lambda: refine_file(place / "box.obj", 1, place / "box.obj", force=force),
-        lambda: run_report(place / "R", place / "R" / MANIFEST, None, Stages(), force=force),
-        lambda: run_report(place / "R", place / "t.png", place / "t.png", Stages(), force=force),
+        lambda: run_report(ReportRequest(place / "R", place / "R" / MANIFEST, force=force), Stages()),
+        lambda: run_report(ReportRequest(place / "R", place / "t.png", place / "t.png", force), Stages()),
     ]
     for attempt in attempts:
         with pytest.raises(FormatError, match="is an input too"):
@@ -232,8 +232,8 @@ def test_no_command_overwrites_what_it_did_not_write(place: Path) -> None:
         lambda: texture_of(place, "mine.png"),
         lambda: texture_of(place, "painted.png"),
         lambda: refine_file(place / "box.obj", 1, place / "mine.obj"),
-        lambda: run_report(place / "R", place / "mine.html", None, Stages()),
-        lambda: run_report(place / "R", place / "mine.obj", None, Stages()),
+        lambda: run_report(ReportRequest(place / "R", place / "mine.html"), Stages()),
+        lambda: run_report(ReportRequest(place / "R", place / "mine.obj"), Stages()),
         lambda: run_transfer(attribute, Stages()),
     ]
     for attempt in attempts:

@@ -147,10 +147,10 @@ def report(
     The page needs nothing beside it: mail it, print it.
     """
     from cagemap.cli.progress import Stages
-    from cagemap.cli.report import run_report
+    from cagemap.cli.report import ReportRequest, run_report
 
     with Stages() as stages:
-        run_report(result, output, texture, stages, force=force)
+        run_report(ReportRequest(result, output, texture, force), stages)
     say(f"Open {output} in a browser.")
 
 

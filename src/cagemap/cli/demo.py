@@ -6,7 +6,7 @@ from pathlib import Path
 
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.progress import Stages
-from cagemap.cli.report import run_report
+from cagemap.cli.report import ReportRequest, run_report
 from cagemap.cli.transfer import run_transfer
 from cagemap.cli.transfer_request import TransferRequest
 from cagemap.errors import FormatError
@@ -38,7 +38,7 @@ def run_demo(folder: Path, stages: Stages, *, force: bool = False) -> tuple[Path
     write_image(texture, pair.texture, force=force)
     run_match(MatchRequest(target, source, landmarks, result, vertices=VERTICES, force=force), stages)
     run_transfer(TransferRequest(result, baked, texture=texture, force=force), stages)
-    run_report(result, report, None, stages, force=force)
+    run_report(ReportRequest(result, report, force=force), stages)
     by_hand = "\n".join(
         [
             f"  cagemap match --target {target} --source {source} --landmarks {landmarks} "

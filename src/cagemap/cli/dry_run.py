@@ -75,7 +75,7 @@ def dry_run(job: Job, plan: Plan, workers: int) -> str:
     minutes = (total / hired + STARTUP * bool(missing)) / 60
     return "\n".join(
         [
-            f"{len(plan.tasks)} tasks for {len(plan.pairs)} pairs, {len(missing)} to do",
+            f"{len(plan.tasks)} tasks for {len(plan.pairs)} pair{'s' * (len(plan.pairs) != 1)}, {len(missing)} to do",
             *lines,
             *(f"  {text}" for text in plan.left_out),
             f"about {total / 60:.1f} core minutes, {minutes:.1f} minutes with {workers} workers (within a factor of "

@@ -18,7 +18,20 @@ from cagemap.files.result import stated_path
 
 JOB = "job.toml"
 # Fields of requests that are no options of a job: where things are, and what may be overwritten.
-_PLACES = ("target", "source", "result", "output", "cache", "force")
+_PLACES = ("target", "source", "result", "results", "output", "cache", "force")
+# Options that name files to write beside the output.
+WRITTEN = {
+    "transfer": ("usd",),
+    "wrap": (
+        "displacement",
+        "vector_displacement",
+        "normal_map",
+        "occlusion",
+        "colors",
+        "baked",
+        "mhclo",
+    ),
+}
 _log = logging.getLogger(__name__)
 
 
@@ -44,15 +57,16 @@ def note_match(request: Any) -> None:
     _write(folder / JOB, {"output": "again", "options": options, "assets": assets, "pairs": [pair]})
 
 
-def note_output(command: str, request: Any) -> None:
+def note_output(command: str, folder: Path, request: Any) -> None:
     """Add an output to the job file of its RESULT folder; the same output replaces. A file that was edited stays."""
-    folder: Path = request.result
     place = folder / JOB
     if not place.is_file() or not is_own(place):
         _log.info("%s: is not there or was edited, so this %s is not noted in it", place, command)
         return
     data = tomllib.loads(place.read_text(encoding="utf-8"))
-    entry = {"command": command, "output": request.output.name, **stated_options(request, folder)}
+    options = stated_options(request, folder)
+    options |= {name: getattr(request, name).name for name in WRITTEN.get(command, ()) if name in options}
+    entry = {"command": command, "output": request.output.name, **options}
     kept = [other for other in data.get("outputs", []) if other.get("output") != entry["output"]]
     _write(place, {**data, "outputs": [*kept, entry]})
 

@@ -10,6 +10,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from cagemap.cli.dry_run import dry_run
+from cagemap.cli.job_file import WRITTEN
 from cagemap.cli.match import (
     SIDES,
     Inputs,
@@ -21,7 +22,7 @@ from cagemap.cli.match import (
 )
 from cagemap.cli.mesh_commands import require_size
 from cagemap.cli.progress import Stages
-from cagemap.cli.report import run_report
+from cagemap.cli.report import ReportRequest, run_report
 from cagemap.cli.transfer import run_transfer
 from cagemap.cli.transfer_request import TransferRequest
 from cagemap.cli.wrap import run_wrap
@@ -55,16 +56,6 @@ from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.numerics.threads import core_count
 from cagemap.report import draw_thumbnail
-
-
-@dataclass(frozen=True)
-class ReportRequest:
-    """What `cagemap report` is asked for."""
-
-    result: Path
-    output: Path
-    texture: Path | None = None
-
 
 COMMANDS: dict[str, type] = {
     "match": MatchRequest,
@@ -102,7 +93,7 @@ class Ticker:
 def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
     """Do what a job file says; returns a summary, and whether everything is there."""
     stages("read job")
-    job = read_job(request.job, COMMANDS)
+    job = read_job(request.job, COMMANDS, WRITTEN)
     version = code_version()
     plan = with_carried(plan_job(job, version, spanning_tree), job, version)
     if request.dry_run:
@@ -170,7 +161,7 @@ def summary(plan: Plan, outcomes: dict[str, Outcome], notes: list[str], page: Pa
     failures = [f"  {o.name}: {o.state}: {o.message}" for o in outcomes.values() if not o.usable]
     return "\n".join(
         [
-            f"{len(plan.pairs)} pairs, tasks: {counted}, in {seconds:.1f} s",
+            f"{len(plan.pairs)} pair{'s' * (len(plan.pairs) != 1)}, tasks: {counted}, in {seconds:.1f} s",
             *failures,
             *(f"  {note}" for note in notes),
             *([] if page is None else [f"Open {page} in a browser."]),
@@ -208,7 +199,7 @@ def run_task(task: Task) -> dict[str, Any]:
     if task.kind == "wrap":
         _, warnings = run_wrap(request, stages)
         return {"warnings": warnings}
-    run_report(request.result, request.output, request.texture, stages)
+    run_report(request, stages)
     return {}
 
 

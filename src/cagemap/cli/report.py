@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import logging
 import os
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cagemap.cli.job_file import note_output
 from cagemap.cli.progress import Stages
 from cagemap.errors import CagemapError, FormatError
 from cagemap.files.atomic import check_outputs
@@ -26,11 +27,27 @@ from cagemap.wrap import level_mesh
 _log = logging.getLogger(__name__)
 
 
-def run_report(folder: Path, output: Path, texture: Path | None, stages: Stages, *, force: bool = False) -> None:
-    """Write the report of a RESULT folder.
+@dataclass(frozen=True)
+class ReportRequest:
+    """What `cagemap report` is asked for.
 
-    Without ``texture`` the last baked texture that the result knows of is shown, if its files are still there.
+    Attributes
+    ----------
+    result, output : Path
+    texture : Path, optional
+        The texture to show; without it the last one that was baked from the result, if its files are still there.
+    force : bool
     """
+
+    result: Path
+    output: Path
+    texture: Path | None = None
+    force: bool = False
+
+
+def run_report(request: ReportRequest, stages: Stages) -> None:
+    """Write the report of a RESULT folder."""
+    folder, output, texture, force = request.result, request.output, request.texture, request.force
     stages("read result")
     check_outputs([output], [folder / MANIFEST, folder / ARRAYS], force=force)
     result = read_result(folder)
@@ -52,6 +69,7 @@ def run_report(folder: Path, output: Path, texture: Path | None, stages: Stages,
     rides = rides_of(folder, result)
     stages("draw")
     write_report(output, result, texture=pixels, baked=baked, rides=rides, force=force)
+    note_output("report", folder, request)
 
 
 def rides_of(folder: Path, result: MatchResult) -> Rides:

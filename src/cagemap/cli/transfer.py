@@ -49,7 +49,7 @@ def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
     require_writable_folder(request.output)
     stages("read result")
     outcome = carry(request, read_result(request.result), stages)
-    note_output("transfer", request)
+    note_output("transfer", request.result, request)
     return outcome
 
 

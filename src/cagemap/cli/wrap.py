@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from cagemap.cli.job_file import note_output
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.progress import Stages
 from cagemap.cli.transfer import run_transfer
@@ -117,6 +118,7 @@ def _run(request: WrapRequest, stages: Stages) -> Outcome:
     space = _to_target(folder, result)
     warnings = _write(request, _through(wrapped, space), result, original, request.output)
     note_transfer(folder, _entry(request, wrapped, folder))
+    note_output("wrap", folder, request)
     lines = [f"wrote {request.output}: {wrapped.mesh.n_vertices} vertices of level {wrapped.level}", _figures(wrapped)]
     if request.mhclo is not None:
         faces = result.source.refinement.finest.face_parents

@@ -13,6 +13,7 @@ import stat
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 
 from cagemap.errors import FormatError
@@ -22,6 +23,24 @@ from cagemap.files.marks import is_own, seal
 _STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
 
 Owned = Callable[[Path], bool]
+_written: ContextVar[list[Path] | None] = ContextVar("written", default=None)
+
+
+@contextmanager
+def files_written() -> Iterator[list[Path]]:
+    """Collect the files that the block writes, once they are in place; threads of `ThreadPool` count as the block."""
+    found: list[Path] = []
+    token = _written.set(found)
+    try:
+        yield found
+    finally:
+        _written.reset(token)
+
+
+def _tell(*files: Path) -> None:
+    listener = _written.get()
+    if listener is not None:
+        listener.extend(files)
 
 
 @contextmanager
@@ -56,6 +75,7 @@ def atomic_path(final: str | Path, *, force: bool = False, owned: Owned = is_own
         if target.exists():
             shutil.copymode(target, temporary)
         os.replace(temporary, target)
+        _tell(Path(final))
     except OSError as error:
         if error.errno in _STORAGE:
             raise _unwritable(target, error) from error
@@ -104,6 +124,7 @@ def atomic_folder(
                 os.replace(temporary / name, _real(target / name))
         else:
             os.replace(temporary, target)
+        _tell(*(Path(final) / name for name in names))
     except OSError as error:
         if error.errno in _STORAGE:
             raise _unwritable(target, error) from error

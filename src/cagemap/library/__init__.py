@@ -1,7 +1,8 @@
 """Many pairs: a job file says what is wanted, its tasks run side by side, and what is done is never done again."""
 
 from cagemap.library.consistency import Consistency, measure_consistency
-from cagemap.library.job import Asset, Job, OutputRule, PairRule, read_job
+from cagemap.library.job import Job, read_job
+from cagemap.library.job_schema import Asset, OutputRule, PairRule
 from cagemap.library.page import pair_rows, write_library
 from cagemap.library.plan import Plan, Task, plan_job
 from cagemap.library.run import Outcome, missing_tasks, open_crew, run_plan

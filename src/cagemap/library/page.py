@@ -17,7 +17,7 @@ from typing import Any
 from cagemap.files.atomic import atomic_path
 from cagemap.files.marks import mark
 from cagemap.files.result import file_hash
-from cagemap.library.plan import PICTURE, STATE, Plan, Task
+from cagemap.library.plan import PICTURE, RESULT, STATE, Plan, Task
 from cagemap.library.run import Outcome
 from cagemap.report.merits import explain, overall
 
@@ -85,7 +85,7 @@ def pair_rows(
         warnings = [str(text) for text in figures.get("warnings", [])]
         quality = dict(figures.get("quality") or {})
         verdict = "failed" if failures or match is None else overall(explain(quality), warnings)
-        files = [name for task, outcome in own if outcome is not None and outcome.usable for name in task.outputs]
+        files = [name for _, outcome in own if outcome is not None and outcome.usable for name in _shown(outcome.files)]
         picture = plan.root / f"{pair[0]}__{pair[1]}" / PICTURE
         rows.append(
             PairRow(
@@ -176,6 +176,11 @@ def write_library(folder: Path, title: str, rows: Sequence[PairRow], notes: Sequ
     with atomic_path(data) as temporary:
         pyarrow.parquet.write_table(pyarrow.table(arrays, metadata={"generator": mark()}), temporary)
     return page, table, data
+
+
+def _shown(files: Sequence[str]) -> list[str]:
+    """Files of a task as links: those of a folder inside the pair's own, such as shapes, are one."""
+    return list(dict.fromkeys("/".join(name.split("/")[:2]) if RESULT not in name else name for name in files))
 
 
 def _write_table(path: Path, text: str, note: Path) -> None:

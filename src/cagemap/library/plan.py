@@ -11,11 +11,15 @@ from typing import Any
 
 from cagemap.errors import FormatError
 from cagemap.files.result import ARRAYS, file_hash
-from cagemap.library.job import Asset, Job, OutputRule, absolute, fill, listed
+from cagemap.library.job import Job
+from cagemap.library.job_checks import absolute
+from cagemap.library.job_schema import Asset, OutputRule, fill, listed
 
 # Folder inside the output folder for what a rerun needs: prepared surfaces, notes of finished tasks, locks.
 STATE = ".cagemap"
 RESULT = "RESULT"
+# The way round a pair whose own map is doubtful.
+AROUND = "RESULT-around"
 PICTURE = "picture.jpg"
 # Options of a match that a prepared surface depends on, for both sides or with the side's name before them.
 _SURFACE = frozenset(
@@ -55,9 +59,12 @@ class Task:
     request : dict
         Arguments of the command, paths as text.
     outputs : tuple of str
-        Files that it writes, relative to the job's output folder; it may name more of them afterwards.
+        Files, patterns or folders that it writes, relative to the job's output folder; which files these are is noted
+        when it is done.
     pair : (str, str) or None
         Source and target.
+    after : tuple of str
+        Names of the tasks that must have ended before, well or not.
     """
 
     kind: str
@@ -67,6 +74,7 @@ class Task:
     request: dict[str, Any] = field(repr=False)
     outputs: tuple[str, ...] = ()
     pair: Pair | None = None
+    after: tuple[str, ...] = ()
 
     @property
     def slug(self) -> str:
@@ -134,17 +142,19 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
         tasks[match.name] = match
         picture = _picture(match, version)
         tasks[picture.name] = picture
-        taken: dict[str, str] = {}
-        for wanted in job.outputs:
-            made = _output(wanted, source, target, match, job, version, hashes)
+        before: list[Task] = []
+        for wanted in sorted(job.outputs, key=lambda rule: rule.command == "report"):
+            made = _output(wanted, source, target, match, job, version, hashes, before)
             if isinstance(made, str):
                 left_out.append(made)
                 continue
-            if made.name in tasks or made.outputs[0] in taken:
+            taken = {path for task in before for path in task.outputs} & set(made.outputs)
+            if taken or made.name in tasks:
                 raise FormatError(
-                    f"{job.path}: two outputs of {pair[0]} -> {pair[1]} write {made.outputs[0]}. Rename one."
+                    f"{job.path}: two outputs of {pair[0]} -> {pair[1]} write {(taken or {made.outputs[0]}).pop()}. "
+                    "Rename one."
                 )
-            taken[made.outputs[0]] = made.name
+            before.append(made)
             tasks[made.name] = made
     return Plan(job.output, tuple(tasks.values()), tuple(pairs), tuple(left_out))
 
@@ -225,9 +235,20 @@ def _picture(match: Task, version: str) -> Task:
 
 
 def _output(
-    rule: OutputRule, source: Asset, target: Asset, match: Task, job: Job, version: str, hashes: _Hashes
+    rule: OutputRule,
+    source: Asset,
+    target: Asset,
+    match: Task,
+    job: Job,
+    version: str,
+    hashes: _Hashes,
+    before: list[Task],
 ) -> Task | str:
-    """The task of an output; or why the pair does not get it."""
+    """The task of an output; or why the pair does not get it.
+
+    Outputs of a pair are made one after the other, since each is noted in the pair's RESULT. A report shows those
+    before it, and is drawn anew when one of them changes.
+    """
     pair = f"{source.name} -> {target.name}"
     options: dict[str, Any] = {}
     kinds = job.kinds[rule.command]
@@ -236,12 +257,20 @@ def _output(
         filled = fill(value, source, target)
         if filled is None:
             return f"{pair}: no {rule.command}, {value} is not among the asset's files"
-        options[option] = filled if option == "output" else absolute(filled, kinds[option], job.path.parent)
-    written = f"{source.name}__{target.name}/{options.pop('output')}"
-    key = task_key(version, rule.command, hashes.of_request(options), match.key)
-    request = {**options, "result": match.request["output"], "output": str(job.output / written)}
-    title = f"{rule.command} {pair}: {Path(written).name}"
-    return Task(rule.command, title, key, (match.name,), request, (written,), match.pair)
+        in_pair = option == "output" or option in job.written.get(rule.command, ())
+        options[option] = filled if in_pair else absolute(filled, kinds[option], job.path.parent)
+    files = {
+        option: f"{source.name}__{target.name}/{options.pop(option)}"
+        for option in ("output", *job.written.get(rule.command, ()))
+        if option in options
+    }
+    shown = [task.key for task in before] if rule.command == "report" else []
+    key = task_key(version, rule.command, hashes.of_request(options), match.key, *sorted(files.items()), *shown)
+    request = {**options, "result": match.request["output"]}
+    request |= {option: str(job.output / written) for option, written in files.items()}
+    title = f"{rule.command} {pair}: {Path(files['output']).name}"
+    after = tuple(task.name for task in before[-1:])
+    return Task(rule.command, title, key, (match.name,), request, tuple(files.values()), match.pair, after)
 
 
 def _cache(job: Job) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import logging
+import os
 import shutil
 import time
 import uuid
@@ -16,10 +17,10 @@ from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock
 
-from cagemap.errors import CagemapError, ParameterError
-from cagemap.files.atomic import atomic_path
+from cagemap.errors import CagemapError, FormatError, ParameterError
+from cagemap.files.atomic import atomic_path, files_written
 from cagemap.files.marks import mark
-from cagemap.library.plan import STATE, Plan, Task
+from cagemap.library.plan import AROUND, RESULT, STATE, Plan, Task
 from cagemap.numerics.threads import core_count
 
 if TYPE_CHECKING:
@@ -48,6 +49,8 @@ class Outcome:
     seconds : float
     figures : dict
         What the task has to say about its result.
+    files : tuple of str
+        What it wrote, relative to the job's output folder.
     """
 
     name: str
@@ -55,6 +58,7 @@ class Outcome:
     message: str = ""
     seconds: float = 0.0
     figures: dict[str, Any] = field(default_factory=dict)
+    files: tuple[str, ...] = ()
 
     @property
     def usable(self) -> bool:
@@ -114,14 +118,15 @@ def kept_outcome(root: Path, task: Task) -> Outcome | None:
     try:
         note = json.loads(_note(root, task).read_text(encoding="utf-8"))
         same = note["key"] == task.key and all(_stands(root / path, size) for path, size in note["outputs"].items())
-        return Outcome(task.name, "kept", "", float(note["seconds"]), dict(note["figures"])) if same else None
+        seconds, figures = float(note["seconds"]), dict(note["figures"])
+        return Outcome(task.name, "kept", "", seconds, figures, tuple(note["outputs"])) if same else None
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
 
 
 def execute(task: Task, root: Path, runner: Runner, *before: Outcome) -> Outcome:
     """Do one task, unless another run has done it in the meantime; problems become an outcome, not an exception."""
-    failed = [outcome for outcome in before if not outcome.usable]
+    failed = [outcome for outcome in before if outcome.name in task.needs and not outcome.usable]
     if failed:
         return Outcome(task.name, "skipped", _waited_for(failed[0]))
     start = time.perf_counter()
@@ -134,9 +139,10 @@ def execute(task: Task, root: Path, runner: Runner, *before: Outcome) -> Outcome
             if kept is not None:
                 return kept
             _remove_leftovers(root, task)
-            figures = runner(task)
+            with files_written() as written:
+                figures = runner(task)
             seconds = time.perf_counter() - start
-            outputs = {path: (root / path).stat().st_size for path in [*task.outputs, *figures.pop("written", [])]}
+            outputs = _sizes(root, task, written)
             note = {
                 "written_by": mark(),
                 "name": task.name,
@@ -147,7 +153,7 @@ def execute(task: Task, root: Path, runner: Runner, *before: Outcome) -> Outcome
             }
             with atomic_path(_note(root, task)) as temporary:
                 temporary.write_text(json.dumps(note, indent=1), encoding="utf-8")
-            return Outcome(task.name, "done", "", seconds, figures)
+            return Outcome(task.name, "done", "", seconds, figures, tuple(outputs))
     except CagemapError as error:
         message = str(error)
     except MemoryError:
@@ -177,7 +183,7 @@ def _run(
 
     futures: dict[str, Any] = {}
     for task in missing:
-        futures[task.name] = submit(task, [futures.get(name, known.get(name)) for name in task.needs], 1)
+        futures[task.name] = submit(task, [futures.get(name, known.get(name)) for name in _awaited(task)], 1)
     names = {future.key: name for name, future in futures.items()}
     outcomes: dict[str, Outcome] = {}
     tasks = {task.name: task for task in missing}
@@ -192,12 +198,16 @@ def _run(
     # A dead worker is held against every task that waited on it: alone, one after another, the guilty are told apart.
     for task in missing:
         if task.name in blamed:
-            future = submit(task, [outcomes.get(name, known.get(name)) for name in task.needs], 2)
+            future = submit(task, [outcomes.get(name, known.get(name)) for name in _awaited(task)], 2)
             wait(future)
             finished = future.status == "finished"
             outcomes[task.name] = _done_now(future.result()) if finished else _lost(task, outcomes)
             report(outcomes[task.name], len(outcomes), len(missing))
     return outcomes
+
+
+def _awaited(task: Task) -> tuple[str, ...]:
+    return (*task.needs, *task.after)
 
 
 def _done_now(outcome: Outcome) -> Outcome:
@@ -270,18 +280,14 @@ def _local(stack: ExitStack, workers: int) -> Client:
     }
     stack.enter_context(dask.config.set(settings))
     logging.getLogger("distributed").setLevel(logging.ERROR)  # deaths of workers are told as outcomes
-    cluster = LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=_dashboard())
+    # Any free port: another cluster on this machine is nothing to warn of. Without bokeh there is no dashboard on it.
+    cluster = LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0")
     return stack.enter_context(Client(stack.enter_context(cluster)))
 
 
 def _require_dask() -> None:
     if importlib.util.find_spec("distributed") is None:
         raise ParameterError('expected Dask to run jobs on, found none. Install it: pip install "cagemap[dask]".')
-
-
-def _dashboard() -> str | None:
-    """Dask's dashboard where the user has what it needs."""
-    return "127.0.0.1:0" if importlib.util.find_spec("bokeh") else None
 
 
 def _note(root: Path, task: Task) -> Path:
@@ -291,6 +297,17 @@ def _note(root: Path, task: Task) -> Path:
 def _folders(root: Path, task: Task) -> list[Path]:
     """Folders of the pairs that a task writes to."""
     return [root / Path(path).parts[0] for path in task.outputs]
+
+
+def _sizes(root: Path, task: Task, written: list[Path]) -> dict[str, int]:
+    """Files that a task made, and their sizes; what it noted in a RESULT or in the job's own state is none of them."""
+    stated = [path for path in task.outputs if (root / path).is_file()]
+    found = [Path(os.path.relpath(path, root)) for path in written]
+    beside = [path.as_posix() for path in found if not {RESULT, AROUND, STATE} & set(path.parts)]
+    sizes = {path: (root / path).stat().st_size for path in dict.fromkeys([*stated, *beside])}
+    if task.outputs and not sizes:
+        raise FormatError(f"{task.outputs[0]}: expected a file, none was written. {_REMEDY}")
+    return sizes
 
 
 def _stands(path: Path, size: Any) -> bool:

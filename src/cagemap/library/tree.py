@@ -10,7 +10,7 @@ from scipy.spatial.distance import pdist, squareform
 
 from cagemap.errors import CagemapError, FormatError
 from cagemap.files.meshes import read_mesh
-from cagemap.library.job import Asset
+from cagemap.library.job_schema import Asset
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.measures import face_areas, fan_triangles
 from cagemap.numerics.arrays import FloatArray

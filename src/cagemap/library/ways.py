@@ -14,13 +14,12 @@ from cagemap.files.result import ARRAYS
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.triangles import normalized
 from cagemap.library.consistency import Pair
-from cagemap.library.plan import Plan, Task, task_key
+from cagemap.library.plan import AROUND, Plan, Task, task_key
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import measure_quality
 from cagemap.maps.result import MatchResult, SpectralMap
 from cagemap.mesh.landmarks import Landmarks
 
-AROUND = "RESULT-around"
 # Weight of normals beside positions at unit area in the search for the composed map's points: as in the elastic fit,
 # enough to tell the sides of thin parts apart.
 NORMAL_WEIGHT = 0.03

@@ -1,0 +1,197 @@
+"""What is wrong in a job file: everything at once, each with the line where it stands and what to do."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from copy import deepcopy
+from pathlib import Path
+from typing import Any, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+
+from cagemap.library.job_schema import PLACEHOLDER, Asset, CarryRule, JobFile, PairRule, listed
+
+Place = tuple[str | int, ...]
+
+
+def line_of(text: str, place: Place) -> int:
+    """Line (from 1) of the TOML text where a value stands, or the nearest thing around it that has a line."""
+    lines: dict[Place, int] = {}
+    counts: dict[str, int] = {}
+    table: Place = ()
+    for number, line in enumerate(text.splitlines(), start=1):
+        if header := re.match(r"\s*\[\[\s*([\w.-]+)\s*\]\]", line):
+            counts[header[1]] = counts.get(header[1], -1) + 1
+            table = (header[1], counts[header[1]])
+        elif header := re.match(r"\s*\[\s*([\w.-]+)\s*\]", line):
+            parts = header[1].split(".")
+            table = (parts[0], counts[parts[0]], *parts[1:]) if parts[0] in counts else tuple(parts)
+        elif key := re.match(r"\s*([\w-]+)(?:\.[\w-]+)*\s*=", line):
+            lines.setdefault((*table, key[1]), number)
+            continue
+        else:
+            continue
+        lines.setdefault(table, number)
+    for length in range(len(place), 0, -1):
+        if place[:length] in lines:
+            return lines[place[:length]]
+    return 1
+
+
+Problem = tuple[Place, str]
+
+
+def parsed_file(data: Any) -> tuple[JobFile | None, list[Problem]]:
+    """The file, and what does not have its form; without those entries if the rest is a job, so that it is checked."""
+    try:
+        return JobFile.model_validate(data), []
+    except ValidationError as error:
+        problems = list(_validation_problems(error, ()))
+        rest = _without(data, [item["loc"] for item in error.errors()])
+    try:
+        return JobFile.model_validate(rest), problems
+    except ValidationError:
+        return None, problems
+
+
+def _without(data: Any, places: Iterable[Place]) -> Any:
+    """A copy without the entries at some places, as far as these are entries of tables."""
+    copy: Any = deepcopy(data)
+    for place in places:
+        above: Any
+        key: Any
+        above, key, here = None, None, copy
+        for step in place:
+            inside = step in here if isinstance(here, dict) else isinstance(here, list) and step in range(len(here))
+            if not inside:
+                break
+            above, key, here = here, step, here[step]
+        if isinstance(above, dict):
+            above.pop(key, None)
+    return copy
+
+
+def _validation_problems(error: ValidationError, place: Place) -> Iterator[Problem]:
+    for item in error.errors(include_url=False, include_context=False):
+        where = (*place, *item["loc"])
+        name = ".".join(map(str, where)) or "the file"
+        given = repr(item["input"])
+        shown = given if len(given) <= 60 else given[:57] + "..."
+        said = item["msg"][:1].lower() + item["msg"][1:]
+        if item["type"] == "extra_forbidden":
+            yield where, f"{name}: there is no such entry. Check its spelling, or remove it."
+        elif item["type"] == "missing":
+            yield where, f"{name}: is missing. Add it."
+        else:
+            yield where, f"{name}: {said}, got {shown}."
+
+
+def problems_of(
+    job: JobFile,
+    folder: Path,
+    schemas: Mapping[str, type[BaseModel]],
+    kinds: Mapping[str, dict[str, Any]],
+    written: Mapping[str, tuple[str, ...]],
+) -> Iterator[Problem]:
+    """What is wrong in a file of the right form."""
+    names = [asset.name for asset in job.assets]
+    for i, asset in enumerate(job.assets):
+        if asset.name in names[:i]:
+            yield ("assets", i, "name"), f"assets.{i}.name: {asset.name!r} is taken. Give another name."
+        if not (folder / asset.file).is_file():
+            yield ("assets", i, "file"), f"assets.{i}.file: {asset.file} does not exist. Check the path."
+        if asset.landmarks is not None and not (folder / asset.landmarks).is_file():
+            yield ("assets", i, "landmarks"), f"assets.{i}.landmarks: {asset.landmarks} does not exist. Check the path."
+        for key, path in asset.files.items():
+            if "<UDIM>" not in path.name and not (folder / path).is_file():
+                yield ("assets", i, "files"), f"assets.{i}.files.{key}: {path} does not exist. Check the path."
+    yield from _option_problems(job.options, schemas["match"], ("options",))
+    yield from _file_problems(job.options, kinds["match"], folder, ("options",))
+    for i, pair in enumerate(job.pairs):
+        yield from _pair_problems(pair, i, names, folder)
+        yield from _option_problems(pair.options, schemas["match"], ("pairs", i, "options"))
+        yield from _file_problems(pair.options, kinds["match"], folder, ("pairs", i, "options"))
+    if job.carry is not None:
+        yield from _carry_problems(job.carry, job.assets)
+    for i, output in enumerate(job.outputs):
+        options = {"output": output.output or "", **(output.model_extra or {})}
+        known = {key for asset in job.assets for key in asset.files}
+        for key, value in options.items():
+            for side, name in PLACEHOLDER.findall(value) if isinstance(value, str) else ():
+                if name and name not in known:
+                    message = f"outputs.{i}.{key}: no asset has a file {name!r} for {{{side}.{name}}}. "
+                    yield ("outputs", i, key), message + "Add it to the files of an asset."
+        yield from _option_problems(output.model_extra or {}, schemas[output.command], ("outputs", i))
+        beside = written.get(output.command, ())
+        for name in ("output", *beside):
+            value = options.get(name)
+            if isinstance(value, str) and (Path(value).is_absolute() or ".." in Path(value).parts):
+                message = f"outputs.{i}.{name}: expected a name inside the pair's folder, got {value!r}."
+                yield ("outputs", i, name), f"{message} Give a name without '..'."
+        read = {name: value for name, value in (output.model_extra or {}).items() if name not in beside}
+        yield from _file_problems(read, kinds[output.command], folder, ("outputs", i))
+
+
+def _pair_problems(pair: PairRule, i: int, names: list[str], folder: Path) -> Iterator[Problem]:
+    if (pair.tree is None) == (pair.source is None and pair.target is None):
+        yield ("pairs", i), f"pairs.{i}: expected source and target, or tree. Give one of them."
+    elif pair.tree is None and (pair.source is None or pair.target is None):
+        yield ("pairs", i), f"pairs.{i}: expected both source and target. Add the other one, or 'all'."
+    for side in ("source", "target", "tree"):
+        for name in listed(getattr(pair, side), names):
+            if name not in names:
+                yield ("pairs", i, side), f"pairs.{i}.{side}: no asset is called {name!r}. Check the name, or add it."
+    if pair.landmarks is not None and not (folder / pair.landmarks).is_file():
+        yield ("pairs", i, "landmarks"), f"pairs.{i}.landmarks: {pair.landmarks} does not exist. Check the path."
+
+
+def _carry_problems(carry: CarryRule, assets: list[Asset]) -> Iterator[Problem]:
+    named = [asset for asset in assets if asset.name == carry.source]
+    if not named:
+        yield ("carry", "source"), f"carry.source: no asset is called {carry.source!r}. Check the name, or add it."
+    elif named[0].landmarks is None:
+        message = f"carry.source: {carry.source!r} has no landmarks. Give it a file: landmarks = ..."
+        yield ("carry", "source"), message
+
+
+def _file_problems(options: dict[str, Any], kinds: dict[str, Any], folder: Path, place: Place) -> Iterator[Problem]:
+    """Files that options name and that are not there; those with names to be filled in are seen when they are."""
+    for name, value in options.items():
+        for one, found in zip(_texts(value), _texts(absolute(value, kinds.get(name), folder)), strict=True):
+            is_file = found != one or (kinds.get(name) is Path and Path(one).is_absolute())
+            if (
+                is_file
+                and "{" not in one
+                and "<UDIM>" not in one
+                and "%(UDIM)d" not in one
+                and not Path(found).exists()
+            ):
+                where = (*place, name)
+                yield where, f"{'.'.join(map(str, where))}: {one} does not exist. Check the path."
+
+
+def _texts(value: Any) -> list[str]:
+    """The texts in an option's value."""
+    if isinstance(value, list):
+        return [text for item in value for text in _texts(item)]
+    return [value] if isinstance(value, str) else []
+
+
+def _option_problems(options: dict[str, Any], schema: type[BaseModel], place: Place) -> Iterator[Problem]:
+    try:
+        schema.model_validate(options)
+    except ValidationError as error:
+        yield from _validation_problems(error, place)
+
+
+def absolute(value: Any, kind: Any, folder: Path) -> Any:
+    """An option's value with relative files taken from a folder; files are found by the option's type."""
+    if isinstance(value, str):
+        return (
+            str(folder / value) if kind is Path or (get_origin(kind) is not tuple and Path in get_args(kind)) else value
+        )
+    if isinstance(value, list):
+        kinds = [part for part in get_args(kind) if part is not Ellipsis] or [None]
+        return [absolute(item, kinds[min(i, len(kinds) - 1)], folder) for i, item in enumerate(value)]
+    return value
