@@ -6,16 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from cagemap.errors import InvalidLandmarksError
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence, MapShape, Reading
+from cagemap.maps.hypotheses.method import unreached_share
 from cagemap.maps.hypotheses.starts import AS_FILED, axis_rotations, rigid_starts, rotation_name
+from cagemap.maps.masks import WHOLE
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.shapes import creature, cube
-from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_surface
+from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_pair, prepare_surface
 from cagemap.refinement import refine
 
 
@@ -113,6 +116,25 @@ def test_verdicts_follow_cost_and_gap() -> None:
     # Cheap and alone, but folded or sheared: an animal squeezed into a head.
     assert Confidence.of((best,), 3, MapShape(folded=0.03)).verdict == LOOK
     assert Confidence.of((best,), 3, MapShape(aspect=2.0)).verdict == LOOK
+    missing = Confidence.of((best,), 3, MapShape(unreached=0.04))
+    assert missing.verdict == LOOK
+    assert "nothing comes to 4 % of the source" in missing.message
+
+
+def test_a_limb_that_nothing_comes_to_is_unreached() -> None:
+    surface = prepare_surface(creature(), 1)
+    prepared = prepare_pair(surface, surface)
+    finest = surface.triangles(surface.finest)
+    same = PointMap.from_vertices(finest, finest, np.arange(finest.n))
+    assert unreached_share(prepared, same) == 0.0
+    height = finest.positions[:, 1]
+    upper = np.flatnonzero(height > np.quantile(height, 0.3))
+    nearest = upper[cKDTree(finest.positions[upper]).query(finest.positions)[1]]
+    share = unreached_share(prepared, PointMap.from_vertices(finest, finest, nearest))
+    lower = finest.vertex_areas[height < height[upper].min() - 0.05].sum() / finest.vertex_areas.sum()
+    assert 0.5 * lower < share < finest.vertex_areas[height <= height[upper].min()].sum() / finest.vertex_areas.sum()
+    masks = replace(WHOLE, source=(height > height[upper].min()).astype(float))
+    assert unreached_share(prepare_pair(surface, surface, MatchConfig(masks=masks)), same) == 0.0
 
 
 def test_the_shape_of_a_map_counts_folds_and_shear() -> None:

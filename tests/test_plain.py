@@ -21,9 +21,9 @@ from cagemap.files.images import read_image, write_image
 from cagemap.files.meshes import read_mesh, write_mesh
 from cagemap.files.result import read_result
 from cagemap.files.surface_store import prepared
-from cagemap.geometry.closest import build_tree, closest_points
+from cagemap.geometry.closest import build_tree, closest_among, closest_points
 from cagemap.geometry.flips import delaunay
-from cagemap.geometry.triangles import closest_barycentric, triangle_normals
+from cagemap.geometry.triangles import triangle_normals
 from cagemap.maps.hypotheses.confidence import Confidence, Reading
 from cagemap.maps.inner import inner_reading, outer_confidence
 from cagemap.mesh import ControlMesh, Loop, Plain, creature, cube, grid, icosahedron, torus
@@ -32,11 +32,54 @@ from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract
 from cagemap.mesh.plain import plain_mesh
+from cagemap.numerics.arrays import FloatArray
 from cagemap.operators import build_operators, triangle_cotangents
-from cagemap.operators.plain import coarsened, refined
+from cagemap.operators.plain import coarsened, refined, uncoarsened
 from cagemap.pipeline import choose_level, match, prepare_pair, prepare_surface, update_match
 from cagemap.refinement import finest_mesh, level_triangles, refine
 from cagemap.wrap import wrap
+
+
+def _closest_barycentric(corners: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Closest point of one triangle for every point.
+
+    Parameters
+    ----------
+    corners : (m, 3, 3) float64
+        Positions of the triangles' corners.
+    points : (m, 3) float64
+
+    Returns
+    -------
+    barycentric : (m, 3) float64
+        Not negative, rows sum to 1.
+    squared : (m,) float64
+        Squared distances.
+    """
+    edges = corners[:, [1, 2, 0]] - corners
+    offsets = points[:, None] - corners
+    # Of each edge's line, kept within the edge: the closest point of the border.
+    lengths = np.einsum("mkd,mkd->mk", edges, edges)
+    along = np.einsum("mkd,mkd->mk", edges, offsets) / np.where(lengths > 0, lengths, 1.0)
+    along = np.clip(along, 0.0, 1.0)
+    misses = offsets - along[:, :, None] * edges
+    squares = np.einsum("mkd,mkd->mk", misses, misses)
+    rows, edge = np.arange(len(points)), squares.argmin(axis=1)
+    barycentric = np.zeros((len(points), 3))
+    barycentric[rows, edge] = 1.0 - along[rows, edge]
+    barycentric[rows, (edge + 1) % 3] = along[rows, edge]
+    squared = squares[rows, edge]
+    # Where the foot on the plane lies inside the triangle, it is closer.
+    normals = np.cross(edges[:, 0], edges[:, 1])
+    doubled = np.einsum("md,md->m", normals, normals)
+    flat = doubled <= 1e-24 * lengths.max(axis=1) ** 2
+    opposite = np.cross(edges, offsets)  # column k: twice the area beside edge k, which corner k + 2 weighs
+    shares = np.einsum("md,mkd->mk", normals, opposite)[:, [1, 2, 0]] / np.where(flat, 1.0, doubled)[:, None]
+    inside = (shares.min(axis=1) >= 0.0) & ~flat
+    barycentric[inside] = shares[inside] / shares[inside].sum(axis=1, keepdims=True)
+    heights = np.einsum("md,md->m", normals[inside], offsets[inside, 0])
+    squared[inside] = heights**2 / doubled[inside]
+    return barycentric, squared
 
 
 def _ball(level: int = 3) -> ControlMesh:
@@ -197,18 +240,26 @@ def test_whatever_comes_out_can_be_matched_or_is_refused(data: st.DataObject) ->
     assert faults <= {"no volume", "no area"}  # what is folded flat or a line is not mended, and refused later
 
 
-def test_closest_points_of_single_triangles_are_those_of_the_search() -> None:
+def test_closest_points_among_few_triangles_are_those_of_plain_numpy() -> None:
     rng = np.random.default_rng(1)
-    corners, points = rng.normal(size=(200, 3, 3)), rng.normal(size=(200, 3))
-    corners[:20, 2] = 0.3 * corners[:20, 0] + 0.7 * corners[:20, 1]  # without area
-    barycentric, squared = closest_barycentric(corners, points)
-    places = np.einsum("mk,mkd->md", barycentric, corners)
-    assert np.allclose(np.linalg.norm(places - points, axis=1) ** 2, squared)
+    corners, points = rng.normal(size=(40, 3, 3)), rng.normal(size=(200, 3))
+    corners[:4, 2] = 0.3 * corners[:4, 0] + 0.7 * corners[:4, 1]  # without area
+    starts = rng.integers(0, 100, size=200)
+    ranges = np.column_stack([starts, starts + rng.integers(1, 9, size=200)])
+    candidates = rng.integers(0, 40, size=120)
+    triangle, barycentric = closest_among(corners, ranges, candidates, points)
     assert barycentric.min() >= 0
     assert np.allclose(barycentric.sum(axis=1), 1)
-    for i in range(20, 200):
-        found = closest_points(build_tree(corners[i], np.array([[0, 1, 2]])), points[i : i + 1])
-        assert np.allclose(found[1][0], barycentric[i], atol=1e-9)
+    for i, (first, last) in enumerate(ranges):
+        mine = candidates[first:last]
+        weights, squared = _closest_barycentric(corners[mine], np.repeat(points[i : i + 1], len(mine), axis=0))
+        assert triangle[i] in mine
+        if mine.min() < 4:
+            continue
+        found = np.linalg.norm(barycentric[i] @ corners[triangle[i]] - points[i])
+        assert np.isclose(found, np.sqrt(squared.min()), atol=1e-9)
+        nearest = weights[squared.argmin()] @ corners[mine[squared.argmin()]]
+        assert np.allclose(nearest, barycentric[i] @ corners[triangle[i]], atol=1e-6)
 
 
 def test_levels_below_a_plain_mesh_are_nested() -> None:
@@ -222,6 +273,11 @@ def test_levels_below_a_plain_mesh_are_nested() -> None:
     numbers = np.arange(mesh.n_vertices)
     assert np.array_equal(found.outer(found.inner(numbers)), numbers)
     assert np.array_equal(found.outer_rows(found.inner_rows(numbers)), numbers)
+    alone, again = refine(mesh, 0), uncoarsened(found)
+    assert again.n_levels == 0
+    assert again.places is None
+    for name in ("positions", "faces", "face_parents"):
+        assert np.array_equal(getattr(again.finest, name), getattr(alone.finest, name))
     size = np.ptp(mesh.positions, axis=0).max()
     for coarse, fine, matrix in zip(found.levels, found.levels[1:], found.matrices, strict=False):
         assert np.array_equal(fine.positions[: coarse.n_vertices], coarse.positions)

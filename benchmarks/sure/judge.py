@@ -65,9 +65,9 @@ def judged(found: PointMap, target: Model, source: Model, surfaces: Surfaces) ->
     if target.kind == source.kind == "human":
         truth = surfaces.bodies.truth(target.body, source.body)
         return Judgement("truth", 100 * compare_with_truth(found, truth).mean)
-    shared = sorted(target.places.keys() & source.places.keys())
-    if not shared:
+    if target.kind != source.kind:
         return Judgement("kind")
+    shared = sorted(target.places.keys() & source.places.keys())
     at, to = (np.array([side.places[name] for name in shared]) for side in (target, source))
     images, places = found.images.positions[at], found.source.positions[to]
     away = np.linalg.norm(images[:, None] - places, axis=2)
@@ -85,7 +85,7 @@ def row(surfaces: Surfaces, target: Model, source: Model) -> dict:
     return {
         "target": target.name, "source": source.name, "vertices": surfaces.bodies.vertices,
         "said": said.verdict, "cost": said.cost, "gap": None if np.isinf(said.gap) else said.gap,
-        "folded": said.shape.folded, "aspect": said.shape.aspect,
+        "folded": said.shape.folded, "aspect": said.shape.aspect, "unreached": said.shape.unreached,
         "names": [reading.name for reading in said.readings],
         "costs": [1e4 * reading.cost for reading in said.readings],
         "doubt": said.readings[0].doubt,

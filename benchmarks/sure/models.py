@@ -5,12 +5,14 @@ from __future__ import annotations
 import random
 from dataclasses import dataclass
 from functools import cache
+from itertools import zip_longest
 from pathlib import Path
 
 from benchmarks.accuracy.data import DATA
 from benchmarks.accuracy.posed import POSES, Body
 from benchmarks.accuracy.posed_animals import landmarks_of
 
+SORTS = ("humans as they stand", "humans, posed", "animals of a kind", "different kinds")
 QUADRUPEDS = ("zebra", "horse", "cow", "pig", "wolf", "red_fox", "spot")
 FISHES = ("fish1", "blub", "shark")
 # Places of the animals that no landmark file has: control vertices, picked by looking.
@@ -69,7 +71,17 @@ def models() -> tuple[Model, ...]:
 
 
 def ordered_pairs() -> list[tuple[Model, Model]]:
-    """All targets with all other sources, in a random order that is always the same; those without humans first."""
+    """All targets with all other sources in an order that is always the same: sort after sort in turn, at random."""
     every = [(target, source) for target in models() for source in models() if target is not source]
     random.Random(16).shuffle(every)
-    return sorted(every, key=lambda pair: "human" in (pair[0].kind, pair[1].kind))
+    sorts = [[pair for pair in every if sort_of(*pair) == name] for name in SORTS]
+    return [pair for turn in zip_longest(*sorts) for pair in turn if pair is not None]
+
+
+def sort_of(target: Model, source: Model) -> str:
+    """What sort of pair two models are."""
+    if target.kind != source.kind:
+        return SORTS[3]
+    if target.kind != "human":
+        return SORTS[2]
+    return SORTS[1] if target.body[2] or source.body[2] else SORTS[0]

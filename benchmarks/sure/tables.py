@@ -2,25 +2,13 @@
 
 from __future__ import annotations
 
-from benchmarks.sure.models import models
-
-GROUPS = ("humans as they stand", "humans, posed", "animals of a kind", "different kinds")
-
-
-def group(entry: dict) -> str:
-    """What sort of pair a row is about."""
-    kinds = {model.name: model.kind for model in models()}
-    names = entry["target"], entry["source"]
-    if kinds[names[0]] != kinds[names[1]]:
-        return GROUPS[3]
-    if kinds[names[0]] != "human":
-        return GROUPS[2]
-    return GROUPS[1] if any(name.endswith(("_sit", "_stride", "_crouch")) for name in names) else GROUPS[0]
+from benchmarks.sure.models import SORTS, models, sort_of
 
 
 def markdown(rows: list[dict]) -> str:
     """Counts by the sort of pair, then every pair that was said to be sure and is wrong."""
-    total = len(models()) * (len(models()) - 1)
+    named = {model.name: model for model in models()}
+    total = len(named) * (len(named) - 1)
     lines = [
         f"{len(rows)} rows of {total} ordered pairs. Right: a mean error of at most 5 % of sqrt(area) for humans; for "
         "animals of a kind a median error of at most that at named places, and no limb at another's. Nothing is right "
@@ -29,8 +17,8 @@ def markdown(rows: list[dict]) -> str:
         "| pairs | measured | right | sure | sure and wrong | sure of the right ones |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
-    for name in (*GROUPS, "all"):
-        some = [entry for entry in rows if name in (group(entry), "all")]
+    for name in (*SORTS, "all"):
+        some = [row for row in rows if name in (sort_of(named[row["target"]], named[row["source"]]), "all")]
         right = [entry for entry in some if entry["right"]]
         sure = [entry for entry in some if entry["said"] == "sure"]
         both = [entry for entry in sure if entry["right"]]
@@ -42,14 +30,15 @@ def markdown(rows: list[dict]) -> str:
             "",
             "Sure and wrong:",
             "",
-            "| target | source | error | exchanged | cost | gap | folded % | aspect | lies |",
-            "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+            "| target | source | error | exchanged | cost | gap | folded % | aspect | unreached % | lies |",
+            "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
         ]
     for entry in wrong:
         error = "" if entry["error"] is None else f"{entry['error']:.1f}"
         gap = "" if entry["gap"] is None else f"{entry['gap']:.2f}"
         lines.append(
             f"| {entry['target']} | {entry['source']} | {error} | {entry['exchanged']} | {entry['cost']:.2f} | {gap} "
-            f"| {100 * entry['folded']:.2f} | {entry['aspect']:.2f} | {entry['names'][0]} |"
+            f"| {100 * entry['folded']:.2f} | {entry['aspect']:.2f} | {100 * entry['unreached']:.1f} "
+            f"| {entry['names'][0]} |"
         )
     return "\n".join(lines) + "\n"

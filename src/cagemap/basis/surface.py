@@ -16,7 +16,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 from cagemap.numerics.threads import one_blas_thread
 from cagemap.operators import Operators, build_operators, vertex_areas
-from cagemap.operators.plain import coarsened
+from cagemap.operators.plain import coarsened, uncoarsened
 from cagemap.refinement import Refinement, level_triangles, refine, triangulate_control
 
 # The basis of a plain mesh is that of its coarsest level with so many vertices for each function.
@@ -62,7 +62,7 @@ class Surface:
         config = BasisConfig(schedule=basis.schedule) if config is None else config
         given = None
         if refinement.places is not None:
-            given = cls(refine(refinement.control, 0, refinement.scheme), config)
+            given = cls(uncoarsened(refinement), config)
         surface = cls(refinement, config, given)
         vars(surface).update(operators=operators, basis=basis)  # where cached properties look
         if given is None:

@@ -76,7 +76,7 @@ def stored_confidence(record: ConfidenceRecord | None, answer: SurfacePoints, ot
         for i, reading in enumerate(record.readings)
     )
     gap = np.inf if record.gap is None else record.gap
-    shape = MapShape(record.folded, record.aspect)
+    shape = MapShape(record.folded, record.aspect, record.unreached)
     return Confidence(record.verdict, record.cost, gap, readings, record.deciding, shape)
 
 

@@ -71,6 +71,7 @@ class ConfidenceRecord(Record):
     readings: Annotated[list[ReadingRecord], Field(min_length=1)]
     folded: float = 0.0
     aspect: float = 1.0
+    unreached: float = 0.0
 
 
 class InputRecord(Record):

@@ -179,6 +179,32 @@ def _leaf_order(positions: FloatArray, triangles: IndexArray, normals: FloatArra
     return np.concatenate([(first[:, None] + np.arange(_LEAF_SIZE)).ravel(), np.arange(whole, len(centres))])
 
 
+def closest_among(
+    corners: FloatArray, starts: IndexArray, candidates: IndexArray, points: FloatArray
+) -> tuple[IndexArray, FloatArray]:
+    """Closest point of every query among a few triangles of its own.
+
+    Parameters
+    ----------
+    corners : (t, 3, 3) float64
+        Positions of the triangles' corners.
+    starts : (m, 2) int64
+        Where the triangles of every query begin and end in ``candidates``; at least one.
+    candidates : (c,) int64
+        Triangles; of equally near ones the first wins.
+    points : (m, 3) float64
+
+    Returns
+    -------
+    triangle : (m,) int64
+    barycentric : (m, 3) float64
+    """
+    triangle, barycentric = np.empty(len(points), dtype=np.int64), np.empty((len(points), 3))
+    c, s, among, p = (read_only(np.ascontiguousarray(array)) for array in (corners, starts, candidates, points))
+    _search_among(c, s, among, p, triangle, barycentric)
+    return triangle, barycentric
+
+
 def _morton_codes(points: FloatArray) -> IndexArray:
     """(t,) positions of points along a space-filling curve, 21 bits an axis."""
     low, high = (np.array([extreme(column) for column in points.T]) for extreme in (np.min, np.max))
@@ -343,3 +369,19 @@ def _search(tree, asked, options, sequence, answers):  # type: ignore[no-untyped
         found[i], squared[i] = best_t, best_squared
         if best_t >= 0:
             barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = 1.0 - best_v - best_w, best_v, best_w
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _search_among(corners, starts, candidates, points, triangle, barycentric):  # type: ignore[no-untyped-def]
+    """The nearest of each query's own triangles."""
+    for i in range(len(points)):
+        best, best_v, best_w, best_t = np.inf, 0.0, 0.0, candidates[starts[i, 0]]
+        for j in range(starts[i, 0], starts[i, 1]):
+            t = candidates[j]
+            v, w, d2 = _closest_in_triangle(corners, t, points[i, 0], points[i, 1], points[i, 2])
+            if d2 < best:
+                best, best_t = d2, t
+                best_v = min(max(v, 0.0), 1.0)  # rounding, and triangles without area
+                best_w = min(max(w, 0.0), 1.0 - best_v)
+        triangle[i] = best_t
+        barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = 1.0 - best_v - best_w, best_v, best_w

@@ -129,48 +129,6 @@ def normalized(vectors: FloatArray) -> FloatArray:
     return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
 
 
-def closest_barycentric(corners: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Closest point of one triangle for every point.
-
-    Parameters
-    ----------
-    corners : (m, 3, 3) float64
-        Positions of the triangles' corners.
-    points : (m, 3) float64
-
-    Returns
-    -------
-    barycentric : (m, 3) float64
-        Not negative, rows sum to 1.
-    squared : (m,) float64
-        Squared distances.
-    """
-    edges = corners[:, [1, 2, 0]] - corners
-    offsets = points[:, None] - corners
-    # Of each edge's line, kept within the edge: the closest point of the border.
-    lengths = np.einsum("mkd,mkd->mk", edges, edges)
-    along = np.einsum("mkd,mkd->mk", edges, offsets) / np.where(lengths > 0, lengths, 1.0)
-    along = np.clip(along, 0.0, 1.0)
-    misses = offsets - along[:, :, None] * edges
-    squares = np.einsum("mkd,mkd->mk", misses, misses)
-    rows, edge = np.arange(len(points)), squares.argmin(axis=1)
-    barycentric = np.zeros((len(points), 3))
-    barycentric[rows, edge] = 1.0 - along[rows, edge]
-    barycentric[rows, (edge + 1) % 3] = along[rows, edge]
-    squared = squares[rows, edge]
-    # Where the foot on the plane lies inside the triangle, it is closer.
-    normals = np.cross(edges[:, 0], edges[:, 1])
-    doubled = np.einsum("md,md->m", normals, normals)
-    flat = doubled <= 1e-24 * lengths.max(axis=1) ** 2
-    opposite = np.cross(edges, offsets)  # column k: twice the area beside edge k, which corner k + 2 weighs
-    shares = np.einsum("md,mkd->mk", normals, opposite)[:, [1, 2, 0]] / np.where(flat, 1.0, doubled)[:, None]
-    inside = (shares.min(axis=1) >= 0.0) & ~flat
-    barycentric[inside] = shares[inside] / shares[inside].sum(axis=1, keepdims=True)
-    heights = np.einsum("md,md->m", normals[inside], offsets[inside, 0])
-    squared[inside] = heights**2 / doubled[inside]
-    return barycentric, squared
-
-
 def triangle_neighbors(corners: IndexArray) -> NDArray[np.int32]:
     """(t, 3) triangle across the edge *opposite* to every corner, -1 on the boundary.
 

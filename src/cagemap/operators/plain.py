@@ -15,8 +15,8 @@ import numpy as np
 from scipy import sparse
 
 from cagemap.errors import InvalidMeshError
+from cagemap.geometry.closest import closest_among
 from cagemap.geometry.flips import delaunay
-from cagemap.geometry.triangles import closest_barycentric
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.schemes import Plain, Scheme
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -117,6 +117,16 @@ def coarsened(plain: Refinement) -> Refinement:
     return Refinement(control, plain.scheme, tuple(matrices), tuple(levels), places)
 
 
+def uncoarsened(refinement: Refinement) -> Refinement:
+    """Undo `coarsened`: the plain mesh alone, with its own numbers."""
+    if refinement.places is None:
+        return refinement
+    finest, order = refinement.finest, np.argsort(refinement.places)
+    assert finest.faces is not None
+    mesh = replace(finest, positions=refinement.control.positions, faces=order[finest.faces])
+    return Refinement(refinement.control, refinement.scheme, (), (mesh,))
+
+
 def simplified(positions: FloatArray, triangles: IndexArray, count: int) -> _Simplified:
     """A mesh of about ``count`` of a mesh's vertices, by edge collapses of least quadric error.
 
@@ -154,26 +164,18 @@ def prolongation(positions: FloatArray, triangles: IndexArray, step: _Simplified
     triangles : (t, 3) int64
     step : _Simplified
     """
-    corners = step.triangles.ravel()
-    around = np.argsort(corners, kind="stable") // 3  # triangles by coarse vertex
-    counts = np.bincount(corners, minlength=len(step.kept))
+    around = np.argsort(step.triangles.ravel(), kind="stable") // 3  # triangles by coarse vertex
+    counts = np.bincount(step.triangles.ravel(), minlength=len(step.kept))
     starts = np.cumsum(counts) - counts
-    coarse = positions[step.kept]
-    vertices = np.empty((len(positions), 3), dtype=np.int64)
-    weights = np.empty((len(positions), 3))
+    corners = positions[step.kept][step.triangles]
+    # A coarse vertex without triangles has none near it; any will do.
+    ranges = np.column_stack([starts, starts + counts])
+    ranges[counts == 0] = [0, 1]
+    vertices, weights = np.empty((len(positions), 3), dtype=np.int64), np.empty((len(positions), 3))
 
     def locate(part: slice) -> None:
-        centre = step.cluster[part]
-        several = np.maximum(counts[centre], 1)
-        first = np.cumsum(several) - several
-        offsets = np.arange(several.sum()) - np.repeat(first, several)
-        candidates = step.triangles[around[np.minimum(np.repeat(starts[centre], several) + offsets, len(around) - 1)]]
-        points = np.repeat(positions[part], several, axis=0)
-        inside, squared = closest_barycentric(coarse[candidates], points)
-        nearest = np.flatnonzero(squared == np.repeat(np.minimum.reduceat(squared, first), several))
-        of_vertex = np.searchsorted(first, nearest, side="right") - 1
-        chosen = nearest[np.unique(of_vertex, return_index=True)[1]]
-        vertices[part], weights[part] = candidates[chosen], inside[chosen]
+        found, weights[part] = closest_among(corners, ranges[step.cluster[part]], around, positions[part])
+        vertices[part] = step.triangles[found]
 
     in_threads(locate, parts(len(positions), BLOCK))
     # A kept vertex is a vertex of both, to the last bit.

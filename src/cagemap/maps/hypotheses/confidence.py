@@ -19,6 +19,7 @@ SURE_COST = 5e-4
 SURE_TURNED_COST = 1e-4
 SURE_GAP = 1.3
 TWO_GAP = 1.12
+DIFFERENT = "the shapes differ much there"
 # Names of answers that landmarks decide.
 AS_GIVEN = "as the landmarks are given"
 EXCHANGED = "with left and right of the landmarks exchanged"
@@ -26,6 +27,8 @@ TURNED = "with a limb turned otherwise about its axis"
 # Shapes that truly correspond hardly fold, and most of the surface is not sheared much.
 SURE_FOLDED = 0.01
 SURE_ASPECT = 1.6
+# Hind legs of a wolf that ended at a cow's hocks left 4 % of the cow to nothing; right answers up to 1 %.
+SURE_UNREACHED = 0.02
 
 
 @dataclass(frozen=True)
@@ -38,19 +41,27 @@ class MapShape:
         Share of the target's area that the map turns over.
     aspect : float
         Median ratio of the two stretches of the surface, by area.
+    unreached : float
+        Share of the source's area that lies far from all that the map leads to: limbs that nothing came to.
     """
 
     folded: float = 0.0
     aspect: float = 1.0
+    unreached: float = 0.0
 
     @classmethod
-    def of(cls, found: PointMap) -> MapShape:
+    def of(cls, found: PointMap, unreached: float = 0.0) -> MapShape:
         """Measure a map."""
         target, images = found.target, found.images
         folded = target.areas @ flipped_triangles(images, target.triangles) / target.areas.sum()
         largest, smallest = stretches(target.positions, images.positions, target.triangles)
         aspect = weighted_percentiles(largest / np.maximum(smallest, 1e-9), target.areas, [50.0])
-        return cls(float(folded), float(aspect[0]))
+        return cls(float(folded), float(aspect[0]), unreached)
+
+    @property
+    def sound(self) -> bool:
+        """Whether shapes that truly correspond may be bent so much."""
+        return self.folded <= SURE_FOLDED and self.aspect <= SURE_ASPECT and self.unreached <= SURE_UNREACHED
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,8 +126,7 @@ class Confidence:
             apart = (best.positions[:control_vertices] - readings[1].positions[:control_vertices]) ** 2
             deciding = int(np.argmax(apart.sum(axis=1)))
         most = SURE_COST if best.doubt == 1.0 else SURE_TURNED_COST
-        fits = best.cost <= most and shape.folded <= SURE_FOLDED and shape.aspect <= SURE_ASPECT
-        if fits and gap >= SURE_GAP:
+        if best.cost <= most and shape.sound and gap >= SURE_GAP:
             verdict = SURE
         else:
             verdict = TWO if gap < TWO_GAP else LOOK
@@ -145,7 +155,9 @@ class Confidence:
                 f"target vertex {self.deciding} decides"
             )
         hint = f", first at target vertex {self.deciding}" if self.deciding is not None else ""
-        return f"look at it: {answer}, and the shapes differ much there. Landmarks make it better{hint}"
+        missing = self.shape.unreached
+        why = f"nothing comes to {100 * missing:.0f} % of the source" if missing > SURE_UNREACHED else DIFFERENT
+        return f"look at it: {answer}, and {why}. Landmarks make it better{hint}"
 
     def summary(self) -> dict[str, Any]:
         """Plain values for a manifest."""
@@ -165,4 +177,5 @@ class Confidence:
             "deciding": self.deciding,
             "folded": self.shape.folded,
             "aspect": self.shape.aspect,
+            "unreached": self.shape.unreached,
         }

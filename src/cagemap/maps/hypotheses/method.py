@@ -6,6 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from cagemap.geometry.closest import build_tree, closest_points
+from cagemap.maps.elastic.constants import PULLERS
+from cagemap.maps.elastic.data import Pullers
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.confidence import Confidence, MapShape, Reading
 from cagemap.maps.hypotheses.search import HypothesesConfig, found_readings
@@ -15,6 +18,8 @@ from cagemap.maps.projection.project import held_vertices, project, unfold
 
 # With fewer landmarks, they only help to choose among hypotheses; from here on they start a map of their own.
 FEWEST_LANDMARKS = 3
+# Distance from the map's image, of sqrt(area), from which on nothing came to a point of the source.
+FAR = 0.05
 
 
 def hypothesis_map(
@@ -37,11 +42,21 @@ def hypothesis_map(
     readings = found_readings(prepared, pair, config, progress)
     progress("projection")
     found = map_of_reading(prepared, pair, readings[0])
-    confidence = Confidence.of(readings, pair.target.control.n_vertices, MapShape.of(found))
+    shape = MapShape.of(found, unreached_share(prepared, found))
+    confidence = Confidence.of(readings, pair.target.control.n_vertices, shape)
     if confidence.deciding is not None:
         vertex = pair.target.refinement.outer(np.array([confidence.deciding]))
         confidence = replace(confidence, deciding=int(vertex[0]))
     return found, confidence
+
+
+def unreached_share(prepared: PreparedPair, found: PointMap) -> float:
+    """Share of the source's area, where it is not masked, that lies `FAR` or farther from what the map leads to."""
+    mesh, masks = prepared.mesh, prepared.rest.masks
+    pullers = Pullers.choose(prepared.sheet, int(PULLERS * mesh.n), masks)
+    image = build_tree(found.images.at(slice(0, mesh.n)).positions, mesh.triangles)
+    far = closest_points(image, pullers.points)[2] > FAR
+    return float(pullers.areas[far].sum() / max(pullers.areas.sum(), 1e-12))
 
 
 def map_of_reading(prepared: PreparedPair, pair: Pair, reading: Reading) -> PointMap:
