@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from cagemap.cli.match_parts import PartInputs
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
-from cagemap.mesh.landmarks import Renumbering, check_landmarks
-from cagemap.mesh.plain import plain_mesh
+from cagemap.mesh.landmarks import check_landmarks
+from cagemap.mesh.plain import PlainMesh, plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.numerics.arrays import IndexArray
+from cagemap.numerics.threads import in_threads
 
 
 @dataclass(frozen=True)
@@ -42,26 +43,25 @@ def ready_inputs(given: PartInputs) -> ReadyInputs:
         If landmarks do not fit the meshes.
     """
     check_landmarks(given.landmarks, given.target, given.source)
-    meshes: list[ControlMesh] = []
-    numbers: list[Renumbering] = []
-    notes: list[str] = []
-    repairs: dict[str, dict[str, float]] = {}
-    for side, mesh in (("target", given.target), ("source", given.source)):
-        if isinstance(mesh.scheme, Plain):
-            plain = plain_mesh(mesh)
-            notes += plain.notes
-            repairs[side] = plain.repairs.summary()
-            meshes.append(plain.mesh)
-            numbers.append(plain.renumber)
-        else:
-            require_valid(mesh)
-            meshes.append(mesh)
-            numbers.append(_same)
+    ready = dict(zip(("target", "source"), in_threads(_ready, [given.target, given.source]), strict=True))
+    plain = {side: one for side, one in ready.items() if isinstance(one, PlainMesh)}
+    meshes = [one.mesh if isinstance(one, PlainMesh) else one for one in ready.values()]
+    numbers = [one.renumber if isinstance(one, PlainMesh) else _same for one in ready.values()]
+    notes = [note for one in plain.values() for note in one.notes]
+    repairs = {side: one.repairs.summary() for side, one in plain.items()}
     landmarks = given.landmarks.renumbered(*numbers)
     left = len(given.landmarks) - len(landmarks)
     if left:
         notes.append(f"{left} of {len(given.landmarks)} landmarks lie on pieces that are set aside and are left out")
     return ReadyInputs(PartInputs(meshes[0], meshes[1], landmarks), tuple(notes), repairs)
+
+
+def _ready(mesh: ControlMesh) -> ControlMesh | PlainMesh:
+    """A cage as it is, once it is checked; a plain mesh mended."""
+    if isinstance(mesh.scheme, Plain):
+        return plain_mesh(mesh)
+    require_valid(mesh)
+    return mesh
 
 
 def _same(vertices: IndexArray) -> IndexArray:
