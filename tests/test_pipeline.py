@@ -117,7 +117,7 @@ def test_added_landmarks_move_the_map_to_them_at_once():
     assert updated.quality.landmark_errors.max() < 1e-12
     assert errors(updated)[more].max() < 1e-12
     assert errors(updated).mean() < 0.9 * errors(before).mean()
-    assert errors(updated).mean() < 1.6 * errors(again).mean()  # it bends the map that is there: 1.45 measured
+    assert errors(updated).mean() < 1.3 * errors(again).mean()  # it bends the map that is there: 1.15 measured
     assert updated.quality.flipped_area < before.quality.flipped_area + 2e-3
     same = update_match(before, landmarks(few), config)
     assert abs(errors(same) - errors(before)).mean() < 0.05 * errors(before).mean()  # projected once more, no more

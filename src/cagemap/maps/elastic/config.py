@@ -71,7 +71,7 @@ class ElasticConfig:
 
     coarse_vertices: int = 1500
     coarse: Stage = Stage(10, (5e-3, 5e-5), 1e-3, momentum=0.6)
-    settled: Stage = Stage(10, (5e-2, 2e-4), 1e-3, momentum=0.6)
+    settled: Stage = Stage(10, (5e-2, 2e-4), 1e-2, momentum=0.6)
     fine: Stage = Stage(12, (2e-4, 1e-5), 1e-4, momentum=0.8, patience=12)
     normal_weight: float = 0.03
     fine_normal_weight: float = 0.01

@@ -83,9 +83,9 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
         starts = spectral_starts(shape, guided, SpectralSides.build(prepared, shape))
         ends += in_threads(lambda rough: coarse_fit(shape, sheet, rough, places, elastic), starts)
         return finished_ends(prepared, shape, ends, pair.landmarks)
-    stiffer = replace(elastic, coarse=elastic.settled)
+    stiffer, stiff = replace(elastic, coarse=elastic.settled), shape.smoother(elastic.settled.smoothing)
     both: list[FloatArray | None] = [start, None]
-    ends = in_threads(lambda rough: coarse_fit(shape, sheet, rough, places, stiffer), both)
+    ends = in_threads(lambda rough: coarse_fit(stiff, sheet, rough, places, stiffer), both)
     best = min(ends, key=lambda ended: ended.cost)
     return (FineFit(best.cost, fine_fit(prepared, shape, [best], pair.landmarks)),)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -89,6 +89,11 @@ class CoarseShape:
         coarse, vertices = cluster_graph(graph, min(config.coarse_vertices, graph.n), every)
         part = masks.for_vertices(vertices)
         return cls(RestShape.build(coarse, None, config.coarse.smoothing, part), vertices, own)
+
+    def smoother(self, smoothing: float) -> CoarseShape:
+        """The same clusters with differentials smoothed over another length."""
+        rest = RestShape.build(self.rest.graph, None, smoothing, self.rest.masks)
+        return replace(self, rest=rest)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
