@@ -122,27 +122,27 @@ ANIMAL_POSES: dict[str, Turns] = {
 
 def human_bones(at: dict[str, np.ndarray]) -> dict[str, Bone]:
     """Skeleton of a standing human, from named points; lengths of their file."""
-    middle = 0.5 * (at["navel"] + at["buttock_left"] * [0, 1, 1] + at["navel"] * [0, 0, 0])
-    hips = np.array([0.0, at["buttock_left"][1], middle[2]])
+    depth = 0.5 * (at["navel"][2] + at["buttock_left"][2])
+    hips = np.array([0.0, at["buttock_left"][1], depth])
     neck = np.array([0.0, at["chin"][1] - 0.3, at["ear_left"][2]])
-    waist = np.array([0.0, at["navel"][1], middle[2]])
+    waist = np.array([0.0, at["navel"][1], depth])
     bones = {
         "hips": Bone(hips, waist, "", 1.6),
         "spine": Bone(waist, neck, "hips", 1.6),
         "head": Bone(neck, at["crown"], "spine", 1.2),
     }
     for side, sign in SIDES:
-        shoulder = at[f"shoulder_{side}"] - [0, 0.5, 0]
+        shoulder = at[f"shoulder_{side}"] + np.array([0.3 * sign, -0.5, 0])
         elbow, tip = at[f"elbow_{side}"], at[f"middle_fingertip_{side}"]
-        knee, heel = at[f"knee_{side}"] - [0, 0, 0.5], at[f"heel_{side}"]
+        knee, heel = at[f"knee_{side}"] - np.array([0, 0, 0.5]), at[f"heel_{side}"]
         ankle = np.array([heel[0], heel[1] + 0.7, heel[2] + 0.4])
         wrist = elbow + 0.55 * (tip - elbow)
         hip = np.array([0.75 * knee[0], hips[1], hips[2]])
         bones |= {
-            f"upper_arm_{side}": Bone(shoulder + [0.3 * sign, 0, 0], elbow, "spine", 0.7),
+            f"upper_arm_{side}": Bone(shoulder, elbow, "spine", 0.7),
             f"forearm_{side}": Bone(elbow, wrist, f"upper_arm_{side}", 0.6),
             f"hand_{side}": Bone(wrist, tip, f"forearm_{side}", 0.6),
-            f"thigh_{side}": Bone(hip - [0, 0.9, 0], knee, "hips", 1.0),
+            f"thigh_{side}": Bone(hip - np.array([0, 0.9, 0]), knee, "hips", 1.0),
             f"shin_{side}": Bone(knee, ankle, f"thigh_{side}", 0.8),
             f"foot_{side}": Bone(ankle, at[f"big_toe_tip_{side}"], f"shin_{side}", 0.8),
         }
@@ -152,7 +152,7 @@ def human_bones(at: dict[str, np.ndarray]) -> dict[str, Bone]:
 def animal_bones(at: dict[str, np.ndarray]) -> dict[str, Bone]:
     """Skeleton of a standing quadruped, from named points; lengths of their file."""
     size = float(np.linalg.norm(at["withers"] - at["croup"]))
-    inside = [0, 0.25 * size, 0]
+    inside = np.array([0, 0.25 * size, 0])
     bones = {
         "trunk": Bone(at["croup"] - inside, at["withers"] - inside, "", 0.30),
         "neck": Bone(at["withers"] - inside, at["poll"], "trunk", 0.18),
