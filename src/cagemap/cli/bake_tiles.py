@@ -277,9 +277,11 @@ def _write_unwrapped(request: TransferRequest, control: ControlMesh, manifest: d
     """Write the target with its new layout: its file with other UVs where that is there; returns warnings."""
     mesh = unwrapped_name(request.output)
     original = input_file(request.result, manifest, "target")
-    if original is not None and original.suffix.lower() == ".obj":
+    whole = control.file_vertices is None
+    if whole and original is not None and original.suffix.lower() == ".obj":
         write_obj_layout(mesh, original, control, force=request.force)
         return []
     write_mesh(mesh, control, force=request.force)
     why = "was not found, or has changed since the match" if original is None else "is no OBJ"
+    why = why if whole else "was matched in part"
     return [f"{control.name} {why}: {mesh} holds faces, UVs and materials, but no groups, names or normals of it"]

@@ -7,6 +7,8 @@ import numpy as np
 from cagemap.cli.transfer_request import TransferRequest, base_of
 from cagemap.errors import ParameterError
 from cagemap.files.attributes import Attributes, read_attributes
+from cagemap.files.file_rows import file_rows, given_back
+from cagemap.files.usd import USD_SUFFIXES
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray
 
@@ -26,7 +28,8 @@ def keep_base(request: TransferRequest, result: MatchResult, carried: Attributes
         return carried, [
             "outside the masks values are carried as well; --base with the target's own values keeps those"
         ]
-    own = read_attributes(base, result.target.control)
+    rows = file_rows(request.result, result.manifest, "target", result.target.control)
+    own = read_attributes(base, result.target.control, rows)
     weight = result.masks.joint(result.point_map)
     kept: Attributes = {}
     for name, values in carried.items():
@@ -42,6 +45,16 @@ def keep_base(request: TransferRequest, result: MatchResult, carried: Attributes
         else:
             kept[name] = below + share * (values - below)
     return kept, []
+
+
+def in_file(request: TransferRequest, result: MatchResult, carried: Attributes) -> Attributes:
+    """Values of a part of the target's file numbered as the file: elsewhere those of ``--base``, or 0."""
+    control = result.target.control
+    rows = file_rows(request.result, result.manifest, "target", control)
+    base = None if rows is None else base_of(request)
+    usd = base is not None and base.suffix.lower() in USD_SUFFIXES
+    own = {} if base is None or rows is None or usd else read_attributes(base, rows.whole)
+    return given_back(carried, rows, own)
 
 
 def _rows(result: MatchResult, weight: FloatArray, count: int) -> FloatArray:

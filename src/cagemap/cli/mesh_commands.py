@@ -63,7 +63,7 @@ def refine_file(
     require_valid(control)
     require_size(control, level)
     refinement = refine_mesh(control, level)
-    write_mesh(output, finest_mesh(refinement), force=force)
+    write_mesh(output, finest_mesh(refinement), like=path, force=force)
     return f"{refinement}\nwrote {output}"
 
 

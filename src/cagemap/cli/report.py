@@ -15,6 +15,7 @@ from cagemap.cli.progress import Stages
 from cagemap.errors import CagemapError, FormatError
 from cagemap.files.atomic import check_outputs
 from cagemap.files.attributes import read_attributes
+from cagemap.files.file_rows import file_rows
 from cagemap.files.images import Image, Pixels, read_image, read_texture
 from cagemap.files.meshes import read_mesh
 from cagemap.files.result import ARRAYS, MANIFEST, read_result
@@ -89,6 +90,9 @@ def rides_of(folder: Path, result: MatchResult) -> Rides:
 def _wrapped(rides: Rides, folder: Path, entry: dict[str, Any], result: MatchResult) -> Rides:
     cage = read_mesh(folder / entry["output"])
     level = int(entry.get("fit_level", 0))
+    rows = file_rows(folder, result.manifest, "target", result.target.control)
+    if rows is not None and level == 0 and cage.n_vertices == rows.whole.n_vertices:
+        cage = result.target.control.with_positions(cage.positions[rows.vertices])
     if entry.get("amount", 1.0) != 1.0 or cage.n_vertices != result.target.refinement.levels[level].n_vertices:
         raise FormatError(f"{entry['output']}: is not the wrapped cage (any more)")
     return replace(rides, wrapped=level_mesh(result.target.refinement, level).with_positions(cage.positions))
@@ -96,10 +100,10 @@ def _wrapped(rides: Rides, folder: Path, entry: dict[str, Any], result: MatchRes
 
 def _weights(rides: Rides, folder: Path, entry: dict[str, Any], result: MatchResult) -> Rides:
     sides = []
-    for file, side in ((entry.get("file"), result.source), (entry["output"], result.target)):
+    for name, file, side in (("source", entry.get("file"), result.source), ("target", entry["output"], result.target)):
         if file is None:
             raise FormatError("the file that they were carried from is not known")
-        given = read_attributes(folder / file, side.control)
+        given = read_attributes(folder / file, side.control, file_rows(folder, result.manifest, name, side.control))
         given = {JOINT_WEIGHTS: given[JOINT_WEIGHTS]} if JOINT_WEIGHTS in given else given
         table = np.column_stack(
             [np.asarray(column, dtype=np.float64).reshape(len(column), -1) for column in given.values()]
@@ -115,8 +119,11 @@ def _weights(rides: Rides, folder: Path, entry: dict[str, Any], result: MatchRes
 def _shapes(rides: Rides, folder: Path, entry: dict[str, Any], result: MatchResult) -> Rides:
     files = [folder / file for file in entry.get("files", [])]
     given, carried = (
-        read_shapes(files, result.source.control),
-        read_shapes([folder / entry["output"]], result.target.control),
+        read_shapes(paths, side.control, file_rows(folder, result.manifest, name, side.control))
+        for name, paths, side in (
+            ("source", files, result.source),
+            ("target", [folder / entry["output"]], result.target),
+        )
     )
     both = [name for name in given if name in carried]
     return replace(rides, shapes=tuple(Shape(name, given[name], carried[name]) for name in both))

@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from cagemap.cli.base_values import keep_base
+from cagemap.cli.base_values import in_file, keep_base
 from cagemap.cli.progress import Stages
 from cagemap.cli.transfer_request import Outcome, TransferRequest
 from cagemap.cli.usd_output import write_usd_results
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs
 from cagemap.files.attributes import Attributes, read_attributes, write_attributes
+from cagemap.files.file_rows import FileRows, file_rows, given_back, other_rows
 from cagemap.files.maps import write_map
 from cagemap.files.mhclo import bind, write_mhclo
 from cagemap.files.result import note_transfer, stated_path
@@ -26,6 +27,7 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.elastic.graph import mesh_graph
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.refinement import triangulate_control
 from cagemap.transfer import control_weights, prepare_transfer
@@ -44,9 +46,11 @@ def carry_weights(request: TransferRequest, result: MatchResult, stages: Stages)
     """Skinning weights: a column or array for each joint, or one array of all joints."""
     assert request.weights is not None
     check_outputs([request.output], [request.weights], force=request.force)
-    given = read_attributes(request.weights, result.source.control)
+    rows = file_rows(request.result, result.manifest, "source", result.source.control)
+    given = read_attributes(request.weights, result.source.control, rows)
     if JOINT_WEIGHTS in given:  # a USD file: its other primvars are no weights
         given = {JOINT_WEIGHTS: given[JOINT_WEIGHTS]}
+    _require_rows(given, result.source.control, rows, request)
     skin = np.column_stack([np.asarray(array, dtype=np.float64).reshape(len(array), -1) for array in given.values()])
     skeleton = None
     if request.joints is not None:
@@ -71,7 +75,7 @@ def carry_weights(request: TransferRequest, result: MatchResult, stages: Stages)
         name: part[:, 0] if array.ndim == 1 else part for (name, array), part in zip(given.items(), parts, strict=True)
     }
     columns, notes = keep_base(request, result, columns)
-    write_attributes(request.output, columns, force=request.force)
+    write_attributes(request.output, in_file(request, result, columns), force=request.force)
     files = {"file": request.weights, "output": request.output}
     entry = {"kind": "weights"} | {name: stated_path(path, request.result) for name, path in files.items()}
     note_transfer(request.result, entry)
@@ -85,6 +89,15 @@ def carry_weights(request: TransferRequest, result: MatchResult, stages: Stages)
     if filled:
         text += f"\n  {filled} vertices where the map is not to be trusted take theirs from around them"
     return text, notes
+
+
+def _require_rows(given: Attributes, control: ControlMesh, rows: FileRows | None, request: TransferRequest) -> None:
+    wrong = {name: len(array) for name, array in given.items() if len(array) != control.n_vertices}
+    if wrong:
+        raise ParameterError(
+            f"{request.weights}: expected weights, one a vertex of {control.name} ({control.n_vertices}), got "
+            f"{wrong}{other_rows(control, rows)}. Export them from the mesh that was matched."
+        )
 
 
 def _require_joints(given: Attributes, skeleton: Skeleton, request: TransferRequest) -> None:
@@ -138,15 +151,19 @@ def carry_skeleton(request: TransferRequest, result: MatchResult, stages: Stages
 
 def carry_blend_shapes(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """Blend shapes of the source's cage for the target's."""
-    shapes = read_shapes(request.blend_shapes, result.source.control)
+    rows, own = (
+        file_rows(request.result, result.manifest, name, side.control)
+        for name, side in (("source", result.source), ("target", result.target))
+    )
+    shapes = read_shapes(request.blend_shapes, result.source.control, rows)
     stages("prepare")
     carrier = prepare_shapes(result.target.refinement, result.source.refinement, result.point_map)
     stages("shapes")
     follows = result.masks.joint(result.point_map)[: result.target.control.n_vertices, None]
     carried = {name: follows * carry_shape(carrier, offset) for name, offset in shapes.items()}
-    files = write_shapes(
-        request.output, carried, result.target.control, list(request.blend_shapes), force=request.force
-    )
+    rest = result.target.control if own is None else own.whole
+    inputs = list(request.blend_shapes)
+    files = write_shapes(request.output, given_back(carried, own), rest, inputs, force=request.force)
     note_transfer(
         request.result,
         {

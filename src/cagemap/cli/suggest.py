@@ -20,13 +20,21 @@ def run_suggest(folder: Path, output: Path, count: int, *, force: bool = False) 
     """Write the landmarks of a result and some more; returns a few lines for the terminal."""
     check_outputs([output], [folder / MANIFEST, folder / ARRAYS], force=force)
     result = read_result(folder)
-    landmarks = suggested_landmarks(result, count)
+    landmarks = _in_files(suggested_landmarks(result, count), result)
     write_landmarks(output, landmarks, force=force)
     new = landmarks.names[-count:]
     pairs = zip(new, landmarks.target[-count:].tolist(), landmarks.source[-count:].tolist(), strict=True)
     lines = [f"  {name}: target vertex {target}, now on source vertex {source}" for name, target, source in pairs]
     return "\n".join(
         [f"{count} more landmarks would tell most here:", *lines, f"wrote {output}; correct them and match again"]
+    )
+
+
+def _in_files(landmarks: Landmarks, result: MatchResult) -> Landmarks:
+    """Landmarks of parts in the numbers of their files, which is what a match reads."""
+    numbers = [side.control.file_vertices for side in (result.target, result.source)]
+    return landmarks.renumbered(
+        *(lambda vertices, own=own: vertices if own is None else own[vertices] for own in numbers)
     )
 
 

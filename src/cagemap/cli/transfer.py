@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 from cagemap.cli.bake_tiles import inputs_of
-from cagemap.cli.base_values import keep_base
+from cagemap.cli.base_values import in_file, keep_base
 from cagemap.cli.carry_detail import carry_detail
 from cagemap.cli.carry_images import (
     carry_displacement,
@@ -23,8 +23,9 @@ from cagemap.cli.usd_output import write_usd_results
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import require_no_input, require_replaceable, require_writable_folder
 from cagemap.files.attributes import check_attribute_path, read_attributes, write_attributes
+from cagemap.files.file_rows import file_rows, other_rows
 from cagemap.files.meshes import write_mesh
-from cagemap.files.result import note_transfer, read_result, stated_path
+from cagemap.files.result import input_file, note_transfer, read_result, stated_path
 from cagemap.files.usd_write import UsdResults
 from cagemap.maps.result import MatchResult
 from cagemap.transfer import (
@@ -84,7 +85,8 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
     require_replaceable(request.output, force=request.force)
     if request.usd is not None:
         require_replaceable(request.usd, force=request.force)
-    values = read_attributes(request.attribute, result.source.control)
+    rows = file_rows(request.result, result.manifest, "source", result.source.control)
+    values = read_attributes(request.attribute, result.source.control, rows)
     sides = result.target.refinement, result.source.refinement
     target, source = (side.control for side in sides)
     transfer = _prepare(result, stages)
@@ -107,10 +109,12 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
             raise ParameterError(
                 f"{request.attribute}: {name} has {len(array)} rows; expected one for each of the source's "
                 f"{source.n_vertices} control vertices, {source.n_faces} control faces, {len(source.face_indices)} "
-                f"face corners, or {len(result.source.vertices)} vertices of level {result.source.finest}."
+                f"face corners, or {len(result.source.vertices)} vertices of level {result.source.finest}"
+                f"{other_rows(source, rows)}."
             )
     carried, notes = keep_base(request, result, carried)
-    write_attributes(request.output, carried, force=request.force)
+    whole = in_file(request, result, carried)
+    write_attributes(request.output, whole, force=request.force)
     lines = []
     if request.usd is not None:
         results = UsdResults(attributes=carried)
@@ -118,7 +122,7 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
     files = {"file": request.attribute, "output": request.output}
     entry = {"kind": "attribute"} | {name: stated_path(path, request.result) for name, path in files.items()}
     note_transfer(request.result, entry)
-    shapes = ", ".join(f"{name} {array.shape}" for name, array in carried.items())
+    shapes = ", ".join(f"{name} {array.shape}" for name, array in whole.items())
     return "\n".join([f"wrote {request.output}: {shapes}", *lines]), warnings + notes
 
 
@@ -128,7 +132,9 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
     transfer = _prepare(result, stages)
     stages("texture coordinates")
     carried = carry_uvs(transfer, *sides)
-    write_mesh(request.output, result.target.control.with_uvs(carried.uvs, carried.uv_indices))
+    original = input_file(request.result, result.manifest, "target")
+    laid_out = result.target.control.with_uvs(carried.uvs, carried.uv_indices)
+    write_mesh(request.output, laid_out, like=original, force=request.force)
     note_transfer(request.result, {"kind": "uvs", "output": request.output.resolve()})
     count = len(carried.crossed)
     warnings = []

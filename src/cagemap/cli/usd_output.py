@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from cagemap.errors import ParameterError
+from cagemap.files.file_rows import FileRows, file_rows, given_back
 from cagemap.files.images import UDIM_MARK
 from cagemap.files.result import input_file
 from cagemap.files.usd import USD_SUFFIXES, read_usd_meshes
@@ -49,8 +51,23 @@ def write_usd_results(layer: Path, folder: Path, result: MatchResult, results: U
             f"--usd: expected a result about one mesh of {original.name}, got {len(paths)} of {', '.join(meshes)}. "
             "Match one of them with --target-part; textures alone may be of several."
         )
+    rows = file_rows(folder, result.manifest, "target", control) if len(paths) == 1 else None
+    if rows is not None:
+        control, results = replace(rows.whole, uv_name=control.uv_name), _of_prim(results, rows)
     write_usd_over(layer, original, paths, control, results, world=len(meshes) > 1, force=force)
     return f"wrote {layer}, a layer over {original.name}"
+
+
+def _of_prim(results: UsdResults, rows: FileRows) -> UsdResults:
+    """Results about a part of a mesh prim as those of the prim: 0 elsewhere, and places and UVs that stay put."""
+    points = None if results.points is None else rows.placed(results.points)
+    uvs = results.uvs
+    if uvs is not None:  # faces outside the part lie in one point of a layout that is not theirs
+        name, values, indices = uvs
+        every = np.full(len(rows.whole.face_indices), len(values), dtype=np.int64)
+        every[rows.corners] = indices
+        uvs = name, np.vstack([values, np.zeros((1, 2))]), every
+    return replace(results, attributes=given_back(results.attributes, rows), points=points, uvs=uvs)
 
 
 def texture_reference(image: Path, layer: Path) -> str:

@@ -21,6 +21,7 @@ from cagemap.descriptors import mirror_symmetries
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs
 from cagemap.files.attributes import read_attributes
+from cagemap.files.file_rows import file_rows, rows_of
 from cagemap.files.meshes import check_mesh_path, mesh_files, write_mesh
 from cagemap.files.mhclo import bind, write_mhclo
 from cagemap.files.obj_layout import write_obj_positions
@@ -141,7 +142,7 @@ def _run(request: WrapRequest, stages: Stages) -> Outcome:
 
 
 def _wrap(request: WrapRequest, result: MatchResult, config: WrapConfig, stages: Stages) -> Wrapped:
-    follow = None if request.weights is None else _follow(request.weights, result.target.control)
+    follow = None if request.weights is None else _follow(request.weights, result, request.results[0])
     if result.masks.any:
         follow = _masked_follow(result, follow)
     stages(f"wrap {result.source.control.name}")
@@ -159,8 +160,9 @@ def _masked_follow(result: MatchResult, follow: FloatArray | None) -> FloatArray
     return np.asarray(counts * np.clip(refinement.prolong(follow, 0, refinement.n_levels), 0.0, 1.0))
 
 
-def _follow(path: Path, control: ControlMesh) -> FloatArray:
-    values = read_attributes(path, control)
+def _follow(path: Path, result: MatchResult, folder: Path) -> FloatArray:
+    control = result.target.control
+    values = read_attributes(path, control, file_rows(folder, result.manifest, "target", control))
     if len(values) != 1:
         raise ParameterError(f"{path}: expected one column of weights from 0 to 1, got {', '.join(values)}")
     return np.asarray(next(iter(values.values())), dtype=np.float64)
@@ -185,15 +187,17 @@ def _write(
         mesh = mesh.with_positions((1 - request.amount) * rest.positions + request.amount * mesh.positions)
     both_obj = output.suffix.lower() == ".obj" and original is not None and original.suffix.lower() == ".obj"
     if wrapped.level == 0 and both_obj and original is not None:
-        write_obj_positions(output, original, mesh, force=request.force)
-        return []
+        rows = rows_of(original, result.target.control)
+        whole = mesh if rows is None else rows.whole.with_positions(rows.placed(mesh.positions))
+        write_obj_positions(output, original, whole, force=request.force)
+        return [] if rows is None else [f"{original.name}: what was not matched of it stays where it is"]
     check_outputs(mesh_files(output, mesh), [], force=request.force)
     both_usd = all(path is not None and path.suffix.lower() in USD_SUFFIXES for path in (output, original))
     if wrapped.level == 0 and both_usd:
         points = UsdResults(points=mesh.positions)
         write_usd_results(output, request.results[0], result, points, force=request.force)
         return []
-    write_mesh(output, mesh, force=request.force)
+    write_mesh(output, mesh, like=original, force=request.force)
     if wrapped.level or output.suffix.lower() != ".obj":
         return []
     return [

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
+from cagemap.files.file_rows import FileRows, prim_rows, taken
 from cagemap.files.npz import read_npy, read_npz, write_npz
 from cagemap.files.usd import USD_SUFFIXES, one_mesh, read_usd_meshes
 from cagemap.files.usd_primvars import BLEND_SHAPE
@@ -23,7 +24,7 @@ SUFFIXES = (".npy", ".npz", ".csv", ".json")
 Attributes = dict[str, NDArray[Any]]
 
 
-def read_attributes(path: str | Path, control: ControlMesh | None = None) -> Attributes:
+def read_attributes(path: str | Path, control: ControlMesh | None = None, rows: FileRows | None = None) -> Attributes:
     """Read named arrays, one row a vertex or face.
 
     An ``.npy`` holds one array, named like the file; an ``.npz`` any number; a ``.csv`` one column each, with names in
@@ -36,6 +37,8 @@ def read_attributes(path: str | Path, control: ControlMesh | None = None) -> Att
     path : path
     control : ControlMesh, optional
         The mesh whose values are meant, which says which one where a USD file has several.
+    rows : FileRows, optional
+        Of a mesh that is a part of a file: values numbered as the file are taken at the part.
 
     Returns
     -------
@@ -56,8 +59,8 @@ def read_attributes(path: str | Path, control: ControlMesh | None = None) -> Att
     if file.suffix.lower() == ".json":
         if control is None:
             raise FormatError(f"{file}: vertex groups are not taken here. Write a .csv or .npz with a row a vertex.")
-        groups = read_groups(file, control.n_vertices)
-        return {name: _check(file, name, array) for name, array in groups.items()}
+        groups = read_groups(file, control.n_vertices if rows is None else rows.whole.n_vertices)
+        return taken({name: _check(file, name, array) for name, array in groups.items()}, rows)
     try:
         arrays = _read_csv(file) if file.suffix.lower() == ".csv" else _read_numpy(file)
     except FormatError:
@@ -66,7 +69,7 @@ def read_attributes(path: str | Path, control: ControlMesh | None = None) -> Att
         raise FormatError(f"{file}: could not read it as {file.suffix}: {error}. Write it again.") from error
     if not arrays:
         raise FormatError(f"{file}: expected at least one array, found none. Write it again with its values.")
-    return {name: _check(file, name, array) for name, array in arrays.items()}
+    return taken({name: _check(file, name, array) for name, array in arrays.items()}, rows)
 
 
 def _read_usd(file: Path, control: ControlMesh | None) -> Attributes:
@@ -76,7 +79,8 @@ def _read_usd(file: Path, control: ControlMesh | None) -> Attributes:
     if len(meshes) > 1:  # the mesh is in world space then, and so are its offsets
         turn = chosen.to_world[:3, :3]
         arrays |= {name: array @ turn for name, array in arrays.items() if name.startswith(BLEND_SHAPE)}
-    return {name: _check(file, name, array) for name, array in arrays.items()}
+    arrays = {name: _check(file, name, array) for name, array in arrays.items()}
+    return taken(arrays, None if control is None else prim_rows(meshes, chosen.path, control))
 
 
 def write_attributes(path: str | Path, attributes: Mapping[str, NDArray[Any]], *, force: bool = False) -> None:

@@ -14,6 +14,7 @@ from cagemap.files.off import read_off, write_off
 from cagemap.files.ply import read_ply, write_ply
 from cagemap.files.stl import read_stl
 from cagemap.files.usd import USD_SUFFIXES, read_usd
+from cagemap.files.usd_space import stage_space
 from cagemap.files.usd_write import write_usd
 from cagemap.mesh import ControlMesh
 
@@ -38,8 +39,16 @@ def read_mesh(path: str | Path) -> ControlMesh:
     return mesh
 
 
-def write_mesh(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> None:
+def write_mesh(path: str | Path, mesh: ControlMesh, *, like: str | Path | None = None, force: bool = False) -> None:
     """Write a mesh to an ``.obj``, ``.ply``, ``.off`` or USD file, or export it as ``.glb``.
+
+    Parameters
+    ----------
+    path : path
+    mesh : ControlMesh
+    like : path, optional
+        The file that it was read from: between USD files units, up axis and the prim's transform are kept.
+    force : bool
 
     Raises
     ------
@@ -47,7 +56,11 @@ def write_mesh(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> N
         If the extension is another one, the file cannot be written, or cagemap did not write the one that is there
         and ``force`` is not given.
     """
-    _WRITERS[_extension(path, _WRITERS)](path, mesh, force=force)
+    suffix = _extension(path, _WRITERS)
+    if suffix in USD_SUFFIXES and like is not None and Path(like).suffix.lower() in USD_SUFFIXES:
+        write_usd(path, mesh, space=stage_space(like), force=force)
+    else:
+        _WRITERS[suffix](path, mesh, force=force)
 
 
 def mesh_files(path: str | Path, mesh: ControlMesh) -> list[Path]:

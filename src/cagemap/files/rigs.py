@@ -13,6 +13,7 @@ import numpy as np
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path, check_outputs
 from cagemap.files.attributes import read_attributes
+from cagemap.files.file_rows import FileRows, taken
 from cagemap.files.marks import mark
 from cagemap.files.meshes import mesh_files, read_mesh, write_mesh
 from cagemap.files.npz import read_npz, write_npz
@@ -90,7 +91,7 @@ def write_skeleton(path: str | Path, skeleton: Skeleton, *, force: bool = False)
         temporary.write_text(json.dumps({"written_by": mark(), "joints": joints}, indent=1) + "\n", encoding="utf-8")
 
 
-def read_shapes(paths: Sequence[Path], rest: ControlMesh) -> dict[str, FloatArray]:
+def read_shapes(paths: Sequence[Path], rest: ControlMesh, rows: FileRows | None = None) -> dict[str, FloatArray]:
     """Read shapes of a cage as displacements (n, 3) by name.
 
     Parameters
@@ -98,6 +99,8 @@ def read_shapes(paths: Sequence[Path], rest: ControlMesh) -> dict[str, FloatArra
     paths : sequence of Path
         OBJ or PLY files with the cage's faces, ``.npz`` files of named displacements, or folders of these; USD files.
     rest : ControlMesh
+    rows : FileRows, optional
+        Of a cage that is a part of a file: shapes of the whole file are taken at the part.
 
     Raises
     ------
@@ -110,7 +113,7 @@ def read_shapes(paths: Sequence[Path], rest: ControlMesh) -> dict[str, FloatArra
         files += sorted(file for file in path.iterdir() if file.suffix.lower() in known) if path.is_dir() else [path]
     shapes: dict[str, FloatArray] = {}
     for file in files:
-        found = _shapes_of(file, rest)
+        found = _shapes_of(file, rest, rows)
         twice = sorted(set(found) & set(shapes))
         if twice:
             raise FormatError(f"{file}: a shape named {twice[0]} was read before. Rename one of them.")
@@ -120,19 +123,25 @@ def read_shapes(paths: Sequence[Path], rest: ControlMesh) -> dict[str, FloatArra
     return shapes
 
 
-def _shapes_of(file: Path, rest: ControlMesh) -> dict[str, FloatArray]:
+def _shapes_of(file: Path, rest: ControlMesh, rows: FileRows | None) -> dict[str, FloatArray]:
     if file.suffix.lower() == ".npz":
-        return _read_offsets(file, rest)
+        return _read_offsets(file, rest, rows)
     if file.suffix.lower() not in USD_SUFFIXES:
-        return {file.stem: _read_shape(file, rest)}
+        return {file.stem: _read_shape(file, rest, rows)}
     own = {n: values for n, values in read_attributes(file, rest).items() if n.startswith(BLEND_SHAPE)}
     if any(values.shape != (rest.n_vertices, 3) for values in own.values()):
         raise FormatError(f"{file}: expected blend shapes of {rest.n_vertices} vertices, as {rest.name} has.")
     return {name.removeprefix(BLEND_SHAPE): np.asarray(values, dtype=np.float64) for name, values in own.items()}
 
 
-def _read_shape(file: Path, rest: ControlMesh) -> FloatArray:
+def _read_shape(file: Path, rest: ControlMesh, rows: FileRows | None) -> FloatArray:
     mesh = read_mesh(file)
+    if rows is not None and mesh.n_vertices == rows.whole.n_vertices:
+        return np.asarray(_read_offset(file, mesh, rows.whole)[rows.vertices])
+    return _read_offset(file, mesh, rest)
+
+
+def _read_offset(file: Path, mesh: ControlMesh, rest: ControlMesh) -> FloatArray:
     if mesh.n_vertices != rest.n_vertices or not np.array_equal(mesh.face_indices, rest.face_indices):
         raise FormatError(
             f"{file}: expected a shape with the {rest.n_vertices} vertices and the faces of {rest.name}, found "
@@ -142,8 +151,8 @@ def _read_shape(file: Path, rest: ControlMesh) -> FloatArray:
     return mesh.positions - rest.positions
 
 
-def _read_offsets(file: Path, rest: ControlMesh) -> dict[str, FloatArray]:
-    arrays = read_npz(file, "Write it again, with one array (vertices, 3) for each shape.")
+def _read_offsets(file: Path, rest: ControlMesh, rows: FileRows | None) -> dict[str, FloatArray]:
+    arrays = taken(read_npz(file, "Write it again, with one array (vertices, 3) for each shape."), rows)
     for name, array in arrays.items():
         if array.shape != (rest.n_vertices, 3) or array.dtype.kind not in "iuf" or not np.isfinite(array).all():
             raise FormatError(

@@ -52,6 +52,35 @@ def stage_units(path: str | Path) -> StageUnits | None:
     return StageUnits(axis, length)
 
 
+@dataclass(frozen=True, eq=False)
+class StageSpace:
+    """The space that a mesh of a USD file is in.
+
+    Attributes
+    ----------
+    units : StageUnits
+    to_world : (4, 4) float64
+        The prim's transform, for rows.
+    """
+
+    units: StageUnits
+    to_world: FloatArray
+
+
+def stage_space(path: str | Path) -> StageSpace:
+    """The space of a mesh that was read from a USD file.
+
+    Raises
+    ------
+    FormatError
+        If it cannot be read.
+    """
+    units, meshes = stage_units(path), read_usd_meshes(path)
+    assert units is not None
+    # Several meshes are read in world space.
+    return StageSpace(units, meshes[0].to_world if len(meshes) == 1 else np.eye(4))
+
+
 def unit_notes(target: Path, source: Path) -> tuple[str, ...]:
     """A sentence about USD files of different units or axes."""
     units = stage_units(target), stage_units(source)

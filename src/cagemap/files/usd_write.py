@@ -18,6 +18,7 @@ from cagemap.files.usd import local_to_world, moved, open_stage, usd_modules
 from cagemap.files.usd_material import bind_textures
 from cagemap.files.usd_primvars import BLEND_SHAPE, JOINT_WEIGHTS
 from cagemap.files.usd_skeleton import write_usd_skeleton
+from cagemap.files.usd_space import StageSpace, StageUnits
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Plain
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -67,10 +68,18 @@ class UsdResults:
         return replace(self, attributes=attributes, points=points, skeleton=skeleton)
 
 
-def write_usd(path: str | Path, mesh: ControlMesh, results: UsdResults = UsdResults(), *, force: bool = False) -> None:
+def write_usd(
+    path: str | Path,
+    mesh: ControlMesh,
+    results: UsdResults = UsdResults(),
+    *,
+    space: StageSpace | None = None,
+    force: bool = False,
+) -> None:
     """Write a control mesh, or a refined one, as a USD file of its own: ``/Asset/mesh``.
 
-    A mesh without a scheme is written as polygons (``none``), with one it is a subdivision surface.
+    A mesh without a scheme is written as polygons (``none``), with one it is a subdivision surface. Without a
+    ``space`` it is in metres with Y up.
 
     Raises
     ------
@@ -81,11 +90,14 @@ def write_usd(path: str | Path, mesh: ControlMesh, results: UsdResults = UsdResu
     _check_suffix(file)
     pxr = usd_modules()
     stage = pxr.Usd.Stage.CreateInMemory()
-    pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.y)
-    pxr.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    units = StageUnits("Y", 1.0) if space is None else space.units
+    pxr.UsdGeom.SetStageUpAxis(stage, units.up_axis)
+    pxr.UsdGeom.SetStageMetersPerUnit(stage, units.meters_per_unit)
     kind = "SkelRoot" if _needs_skeleton(results) else "Xform"
     root = stage.DefinePrim("/Asset", kind)
     stage.SetDefaultPrim(root)
+    if space is not None and not np.array_equal(space.to_world, np.eye(4)):
+        pxr.UsdGeom.Xformable(root).AddTransformOp().Set(pxr.Gf.Matrix4d(*space.to_world.ravel().tolist()))
     prim = pxr.UsdGeom.Mesh.Define(stage, "/Asset/mesh")
     _write_topology(prim, mesh)
     if mesh.uvs is not None and mesh.uv_indices is not None:

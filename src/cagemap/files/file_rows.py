@@ -1,0 +1,156 @@
+"""Values in the numbers of a mesh file, for a result about a part of it: nobody else has the numbers of the part."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.files.manifest import input_file
+from cagemap.files.meshes import read_mesh
+from cagemap.files.usd import USD_SUFFIXES, UsdMesh, in_world, read_usd, read_usd_meshes
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+Attributes = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class FileRows:
+    """How the rows of a file's mesh and those of a part of it go together.
+
+    Attributes
+    ----------
+    part : ControlMesh
+        With ``file_vertices`` and ``file_faces``; its order may be another than the file's.
+    whole : ControlMesh
+        The file's mesh.
+    """
+
+    part: ControlMesh
+    whole: ControlMesh
+
+    def __post_init__(self) -> None:
+        assert self.part.file_vertices is not None
+        assert self.part.file_faces is not None
+
+    @property
+    def vertices(self) -> IndexArray:
+        """(n,) number in the file of every vertex of the part."""
+        assert self.part.file_vertices is not None
+        return self.part.file_vertices
+
+    @property
+    def faces(self) -> IndexArray:
+        """(m,) number in the file of every face of the part."""
+        assert self.part.file_faces is not None
+        return self.part.file_faces
+
+    @property
+    def corners(self) -> IndexArray:
+        """(c,) number in the file of every face corner of the part."""
+        within = np.arange(len(self.part.face_indices)) - np.repeat(self.part.face_offsets[:-1], self.part.face_sizes)
+        return np.asarray(np.repeat(self.whole.face_offsets[self.faces], self.part.face_sizes) + within)
+
+    def taken(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Values numbered as the file, at the part's vertices, faces or corners; others as they are."""
+        for count, rows in zip(_counts(self.whole), (self.vertices, self.faces, self.corners), strict=True):
+            if len(values) == count:
+                return values[rows]
+        return values
+
+    def given_back(self, values: NDArray[Any], below: NDArray[Any] | None = None) -> NDArray[Any]:
+        """The part's values, numbered as the file; elsewhere those of ``below``, or 0."""
+        kinds = zip(_counts(self.part), _counts(self.whole), (self.vertices, self.faces, self.corners), strict=True)
+        for own, count, rows in kinds:
+            if len(values) == own:
+                shape = (count, *values.shape[1:])
+                fits = below is not None and below.shape == shape
+                found = np.array(below, dtype=values.dtype) if fits else np.zeros(shape, dtype=values.dtype)
+                found[rows] = values
+                return found
+        return values
+
+    def placed(self, positions: FloatArray) -> FloatArray:
+        """The file's positions, with those of the part replaced."""
+        found = np.array(self.whole.positions)
+        found[self.vertices] = positions
+        return found
+
+
+def file_rows(folder: str | Path, manifest: dict[str, Any], side: str, control: ControlMesh) -> FileRows | None:
+    """The rows of a side's file; None if a result is about the whole of it, or the file is not there any more.
+
+    In a USD file with several meshes, those of the one that the part lies in.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read.
+    """
+    return None if control.file_vertices is None else rows_of(input_file(folder, manifest, side), control)
+
+
+def rows_of(path: Path | None, control: ControlMesh) -> FileRows | None:
+    """As `file_rows`, for a file that is there, or None."""
+    if path is None or control.file_vertices is None or control.file_faces is None:
+        return None
+    if path.suffix.lower() not in USD_SUFFIXES:
+        return FileRows(control, read_mesh(path))
+    meshes = read_usd_meshes(path)
+    inside = [] if len(meshes) < 2 else _objects(control)
+    if len(inside) != 1:
+        return FileRows(control, read_usd(path, mixed=True))
+    return prim_rows([replace(mesh, control=in_world(mesh)) for mesh in meshes], inside[0], control)
+
+
+def _objects(control: ControlMesh) -> list[str]:
+    """Names of the objects that a mesh has faces of."""
+    numbers = [] if control.face_objects is None else np.unique(control.face_objects).tolist()
+    return [control.object_names[number] for number in numbers]
+
+
+def prim_rows(meshes: Sequence[UsdMesh], prim: str, control: ControlMesh) -> FileRows | None:
+    """The rows of one mesh of a USD file that a control mesh is a part of; None where it is not, or all of it."""
+    if control.file_vertices is None or control.file_faces is None:
+        return None
+    number = [mesh.path for mesh in meshes].index(prim)
+    before = meshes[:number]
+    vertices = control.file_vertices - sum(mesh.control.n_vertices for mesh in before)
+    faces = control.file_faces - sum(mesh.control.n_faces for mesh in before)
+    whole = meshes[number].control
+    if vertices.min() < 0 or vertices.max() >= whole.n_vertices or faces.max() >= whole.n_faces:
+        return None
+    return FileRows(replace(control, file_vertices=vertices, file_faces=faces), whole)
+
+
+def taken(values: Mapping[str, NDArray[Any]], rows: FileRows | None) -> Attributes:
+    """Each array at the elements of the part; as it is where there are no rows of a file."""
+    return {name: array if rows is None else rows.taken(array) for name, array in values.items()}
+
+
+def given_back(
+    values: Mapping[str, NDArray[Any]], rows: FileRows | None, own: Mapping[str, NDArray[Any]] | None = None
+) -> Attributes:
+    """Each array numbered as the file, with the file's ``own`` values elsewhere where there are such."""
+    below = own or {}
+    return {name: array if rows is None else rows.given_back(array, below.get(name)) for name, array in values.items()}
+
+
+def other_rows(control: ControlMesh, rows: FileRows | None) -> str:
+    """What else could be given, for messages: rows of the file that a mesh is a part of."""
+    if rows is not None:
+        return f"; or, since {control.name} was matched in part, for each of the file's {rows.whole.n_vertices}"
+    if control.file_vertices is None:
+        return ""
+    return (
+        f"; {control.name} was matched in part: put its file back where the match read it, to give values of all of it"
+    )
+
+
+def _counts(mesh: ControlMesh) -> tuple[int, int, int]:
+    return mesh.n_vertices, mesh.n_faces, len(mesh.face_indices)
