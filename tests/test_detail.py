@@ -23,6 +23,7 @@ from cagemap.transfer.detail import (
     Detail,
     bake_detail_heights,
     bake_detail_normals,
+    bake_detail_texture,
     bake_detail_values,
     bake_detail_vectors,
     detail_over,
@@ -132,6 +133,41 @@ def test_values_at_the_detail_s_vertices_arrive(flat: Level, wavy: Detail) -> No
     np.testing.assert_allclose(baked.reshape(-1, 2), texel_points(), rtol=0, atol=1e-6)  # single precision
     with pytest.raises(ParameterError, match="one a vertex of the detail"):
         bake_detail_values(own_transfer(flat), wavy, np.zeros(4), size=SIZE)
+
+
+def test_the_detail_s_own_texture_arrives(flat: Level, wavy: Detail) -> None:
+    places = wavy.surface.positions / wavy.surface.scale
+    uvs = 0.8 * places[:, [1, 0]] + 0.1  # mirrored: u grows with y
+    v, u = np.meshgrid(1 - (np.arange(96) + 0.5) / 96, (np.arange(96) + 0.5) / 96, indexing="ij")
+    picture = np.stack([u, v], axis=2).astype(np.float32)
+    baked = bake_detail_texture(own_transfer(flat), wavy, picture, uvs, wavy.surface.triangles, size=SIZE)
+    np.testing.assert_allclose(baked.reshape(-1, 2), 0.8 * texel_points()[:, ::-1] + 0.1, rtol=0, atol=2e-6)
+    tiles = {1001: picture, 1002: picture + 1}
+    shifted = uvs[wavy.surface.triangles].mean(axis=1)[:, 0] > 0.5
+    both = np.concatenate([uvs, uvs + np.array([1.0, 0.0])])
+    over = wavy.surface.triangles + len(uvs) * shifted[:, None]
+    baked = bake_detail_texture(own_transfer(flat), wavy, tiles, both, over, size=SIZE)
+    second = baked.reshape(-1, 2)[:, 0] > 1.0
+    assert 0.4 < second.mean() < 0.6
+    np.testing.assert_allclose(baked.reshape(-1, 2) - second[:, None], 0.8 * texel_points()[:, ::-1] + 0.1, atol=2e-6)
+    with pytest.raises(ParameterError, match="triangles of the detail"):
+        bake_detail_texture(own_transfer(flat), wavy, picture, uvs, wavy.surface.triangles[1:], size=SIZE)
+
+
+def test_every_tile_of_a_layout_gets_the_detail_that_lies_there(wavy: Detail) -> None:
+    level = plane(10, 10)
+    assert level.uvs is not None
+    transfer = own_transfer(replace(level, uvs=level.uvs * (2.0, 1.0)))  # two tiles side by side
+    for tile in (1001, 1002):
+        places = (texel_points() + np.array([tile - 1001, 0])) * (0.5, 1.0)
+        heights = bake_detail_heights(transfer, wavy, size=SIZE, options=replace(PLAIN, tile=tile)).pixels
+        np.testing.assert_allclose(heights.ravel(), waves(places)[0], rtol=0, atol=9e-5)
+        vectors = bake_detail_vectors(
+            transfer, wavy, size=SIZE, space="object", options=replace(PLAIN, tile=tile)
+        ).pixels
+        reached = np.column_stack([places, np.zeros(len(places))]) + vectors.reshape(-1, 3)
+        _, _, distance = closest_points(wavy.surface.tree, wavy.surface.scale * reached)
+        assert distance.max() < 1e-7
 
 
 def test_occlusion_is_the_hidden_part_of_the_sky() -> None:

@@ -11,6 +11,16 @@ from cagemap.transfer.control_values import (
     corner_nodes,
     corner_weights,
 )
+from cagemap.transfer.detail import (
+    Detail,
+    bake_detail_heights,
+    bake_detail_normals,
+    bake_detail_texture,
+    bake_detail_values,
+    bake_detail_vectors,
+    detail_over,
+    own_transfer,
+)
 from cagemap.transfer.displacement import Displacement, bake_displacement, scale_ratio
 from cagemap.transfer.matched import bake, transfer_of
 from cagemap.transfer.texture import tile_cells
@@ -20,9 +30,15 @@ __all__ = [
     "BakeOptions",
     "CarriedUvs",
     "CornerValues",
+    "Detail",
     "Displacement",
     "Transfer",
     "bake",
+    "bake_detail_heights",
+    "bake_detail_normals",
+    "bake_detail_texture",
+    "bake_detail_values",
+    "bake_detail_vectors",
     "bake_displacement",
     "bake_face_colors",
     "bake_texture",
@@ -31,7 +47,9 @@ __all__ = [
     "control_weights",
     "corner_nodes",
     "corner_weights",
+    "detail_over",
     "face_colors",
+    "own_transfer",
     "prepare_transfer",
     "pull_back_faces",
     "pull_back_vertices",

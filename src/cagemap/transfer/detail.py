@@ -9,13 +9,14 @@ the bake are the wrapped surface, and the map is the identity (`own_transfer`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cagemap.errors import ParameterError
-from cagemap.geometry.closest import closest_points
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import normalized
@@ -26,17 +27,9 @@ from cagemap.transfer.baking import BakeOptions, Canvas, Transfer, bake, make_ca
 from cagemap.transfer.displacement import Displacement, scale_ratio
 from cagemap.transfer.locate import Samples
 from cagemap.transfer.lookups import plan_samples
-from cagemap.transfer.texture import Pixels
+from cagemap.transfer.meeting import REACH, Met, meet
+from cagemap.transfer.texture import Pixels, lay_texture, look_up
 from cagemap.transfer.vectors import Green, Space, bake_turned, check_space, displacement_order, normal_encoder
-
-# Detail further from the source than this, in units of sqrt(area), belongs to something else.
-REACH = 0.1
-# Steps of Newton's method along a normal.
-_STEPS = 5
-# A normal meets the detail where it comes nearer than this, in units of sqrt(area).
-_MET = 1e-6
-# A normal that leaves the detailed surface more flatly than this never meets it.
-_GRAZING = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,17 +154,13 @@ def bake_detail_vectors(
         Integers have their zero in the middle.
     """
     options, kept = options or BakeOptions(), np.dtype(dtype)
-    middle = 0.5 if kept.kind == "u" else 0.0
-    factor = scale_ratio(transfer) / (detail.surface.scale * scale)
 
     def give(samples: Samples) -> FloatArray:
         met = _met(transfer, detail, samples)
         shares = met.near * _following(transfer, detail, samples)
         return np.asarray(shares[:, None] * (met.foot.positions - met.points))
 
-    def encode(vectors: FloatArray) -> FloatArray:
-        return np.asarray((factor * vectors + middle) * unit(kept))
-
+    middle, encode = _length_encoder(transfer, detail, scale, kept)
     check_space(space)
     canvas = make_canvas(transfer, size, options)
     counts, order = _plan(transfer, detail, canvas), displacement_order(space)
@@ -196,13 +185,12 @@ def bake_detail_heights(
         As `bake_detail_vectors` takes them.
     """
     options, kept = options or BakeOptions(), np.dtype(dtype)
-    middle = 0.5 if kept.kind == "u" else 0.0
-    factor = scale_ratio(transfer) / (detail.surface.scale * scale)
+    middle, encode = _length_encoder(transfer, detail, scale, kept)
 
     def shade(samples: Samples) -> FloatArray:
         met = _met(transfer, detail, samples)
         heights = met.near * _following(transfer, detail, samples) * met.heights
-        return np.asarray((factor * samples.mean(heights[:, None]) + middle) * unit(kept))
+        return encode(samples.mean(heights[:, None]))
 
     canvas = make_canvas(transfer, size, options)
     pixels = bake(transfer, canvas, _plan(transfer, detail, canvas), shade, 1, kept, options)
@@ -247,72 +235,65 @@ def bake_detail_values(
     return bake(transfer, canvas, _plan(transfer, detail, canvas), shade, table.shape[1], kept, options)
 
 
-@dataclass(frozen=True, eq=False)
-class Met:
-    """Where the detail is, seen from points of the source; lengths at unit area of the source.
-
-    Attributes
-    ----------
-    points, normals : (s, 3) float64
-        Of the source.
-    foot : SurfacePoints
-        Where the normal meets the detail; the nearest point that faces the same way where it does not.
-    heights : (s,) float64
-        How far along the normal that is.
-    near : (s,) bool
-        Whether it is in reach.
-    """
-
-    points: FloatArray
-    normals: FloatArray
-    foot: SurfacePoints
-    heights: FloatArray
-    near: NDArray[np.bool_]
-
-
-def meet(detail: Detail, points: FloatArray, normals: FloatArray) -> Met:
-    """Follow normals to the detail: Newton's method from the nearest points that face the same way.
-
-    Each step goes on to where the normal meets the plane of the triangle that is nearest now.
+def bake_detail_texture(
+    transfer: Transfer,
+    detail: Detail,
+    texture: Pixels | Mapping[int, Pixels],
+    uvs: FloatArray,
+    uv_triangles: IndexArray,
+    *,
+    size: int | tuple[int, int],
+    dtype: DTypeLike | None = None,
+    options: BakeOptions | None = None,
+) -> Pixels:
+    """Bake the detail's own texture, of a scan for example.
 
     Parameters
     ----------
-    detail : Detail
-    points, normals : (s, 3) float64
-        Of the source at unit area; unit length.
+    transfer, detail, size, options
+        As `bake_detail_normals` takes them.
+    texture : (h, w, c) array, or such arrays by UDIM number
+    uvs : (p, 2) float64
+    uv_triangles : (t, 3) int64
+        Texture coordinates of the corners of the detail's triangles.
+    dtype : optional
+        Number type of the result; by default the texture's.
+
+    Raises
+    ------
+    ParameterError
+        If there is not one row of texture coordinates a triangle, or as `bake_texture`.
     """
-    surface = detail.surface
-    foot, distance = _nearest_facing(surface, points, normals, None)
-    first, met = foot, np.zeros(len(points), dtype=np.bool_)
-    heights = np.zeros(len(points))
-    triangle, barycentric = foot.triangle.copy(), foot.barycentric.copy()
-    for _ in range(_STEPS):
-        across = foot.normals
-        slope = np.einsum("sd,sd->s", normals, across)
-        ahead = np.einsum("sd,sd->s", foot.positions - points, across) / np.where(slope > _GRAZING, slope, np.inf)
-        ahead = np.clip(ahead, -REACH, REACH)
-        foot, missed = _nearest_facing(surface, points + ahead[:, None] * normals, normals, foot.triangle)
-        here = ~met & (missed < _MET) & (slope > _GRAZING)
-        heights[here], triangle[here], barycentric[here] = ahead[here], foot.triangle[here], foot.barycentric[here]
-        met |= here
-        if met.all():
-            break
-    aside = np.einsum("sd,sd->s", first.positions - points, normals)
-    place = SurfacePoints(surface, triangle, barycentric)
-    return Met(points, normals, place, np.where(met, heights, aside), distance <= REACH)
+    options = options or BakeOptions()
+    if uv_triangles.shape != detail.surface.triangles.shape:
+        raise ParameterError(
+            f"expected texture coordinates for {len(detail.surface.triangles)} triangles of the detail, got "
+            f"{len(uv_triangles)}"
+        )
+    laid = lay_texture(texture, uvs, uv_triangles, wrap=options.wrap)
+    kept = laid.dtype if dtype is None else np.dtype(dtype)
+    scale = unit(kept) / unit(laid.dtype)
+
+    def shade(samples: Samples) -> FloatArray:
+        foot = _met(transfer, detail, samples).foot
+        met = replace(samples, triangle=foot.triangle, barycentric=foot.barycentric)
+        return scale * look_up(laid, met)
+
+    # A typical texel's side on the surface, from the areas that both see.
+    in_texels, in_space = _planar_areas(laid.corner_texels()), detail.surface.areas
+    texel = float(np.sqrt(np.median(in_space / np.maximum(in_texels, 1e-300)))) / detail.surface.scale
+    canvas = make_canvas(transfer, size, options)
+    counts = _plan_lengths(transfer, texel, canvas)
+    return bake(transfer, canvas, counts, shade, laid.channels, kept, options)
 
 
-def _nearest_facing(
-    surface: TriangleSurface, points: FloatArray, normals: FloatArray, guess: IndexArray | None
-) -> tuple[SurfacePoints, FloatArray]:
-    """The nearest points whose triangle faces the way of the normals, or any where none in reach does; and how far."""
-    triangle, barycentric, distance = closest_points(
-        surface.tree, points, normals, minimum_cosine=0.0, guess=guess, within=REACH
-    )
-    rest = np.flatnonzero(triangle < 0)
-    if len(rest):
-        triangle[rest], barycentric[rest], distance[rest] = closest_points(surface.tree, points[rest])
-    return SurfacePoints(surface, triangle, barycentric), distance
+def _length_encoder(
+    transfer: Transfer, detail: Detail, scale: float, kept: np.dtype[Any]
+) -> tuple[float, Callable[[FloatArray], FloatArray]]:
+    """The value that means no way, and how lengths at unit area of the source are stored."""
+    middle = 0.5 if kept.kind == "u" else 0.0
+    factor = scale_ratio(transfer) / (detail.surface.scale * scale)
+    return middle, lambda lengths: np.asarray((factor * lengths + middle) * unit(kept))
 
 
 def _met(transfer: Transfer, detail: Detail, samples: Samples) -> Met:
@@ -321,7 +302,7 @@ def _met(transfer: Transfer, detail: Detail, samples: Samples) -> Met:
     corners = source.triangles[samples.triangle]
     points = np.einsum("sc,scd->sd", samples.barycentric, source.positions[corners])
     normals = normalized(np.einsum("sc,scd->sd", samples.barycentric, source.vertex_normals[corners]))
-    return meet(detail, points, normals)
+    return meet(detail.surface, points, normals)
 
 
 def _following(transfer: Transfer, detail: Detail, samples: Samples) -> FloatArray:
@@ -339,14 +320,25 @@ def _smooth_normals(points: SurfacePoints) -> FloatArray:
 
 def _plan(transfer: Transfer, detail: Detail, canvas: Canvas) -> NDArray[np.int32]:
     """(t1, 2) samples in a texel: one for every edge of the detail that it spans."""
-    source, surface = transfer.source, detail.surface
+    surface = detail.surface
     # A typical edge of the detail, in the source's file units: triangles of area a have edges of about sqrt(2 a).
-    edge = float(np.sqrt(2.0 * np.median(surface.areas))) / surface.scale
+    return _plan_lengths(transfer, float(np.sqrt(2.0 * np.median(surface.areas))) / surface.scale, canvas)
+
+
+def _plan_lengths(transfer: Transfer, length: float, canvas: Canvas) -> NDArray[np.int32]:
+    """(t1, 2) samples in a texel: one for every such length, in the source's file units, that it spans."""
+    source = transfer.source
     corners = source.positions[source.triangles]
     one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    length = np.linalg.norm(one, axis=1)
-    along = np.einsum("td,td->t", one, two) / np.maximum(length, 1e-300)
+    side = np.linalg.norm(one, axis=1)
+    along = np.einsum("td,td->t", one, two) / np.maximum(side, 1e-300)
     up = np.sqrt(np.maximum(np.einsum("td,td->t", two, two) - along**2, 0.0))
     flat = np.zeros((len(corners), 3, 2))
-    flat[:, 1, 0], flat[:, 2, 0], flat[:, 2, 1] = length, along, up
-    return plan_samples(transfer.mapped, canvas.corners, flat / max(edge, 1e-300))
+    flat[:, 1, 0], flat[:, 2, 0], flat[:, 2, 1] = side, along, up
+    return plan_samples(transfer.mapped, canvas.corners, flat / max(length, 1e-300))
+
+
+def _planar_areas(corners: FloatArray) -> FloatArray:
+    """(t,) areas of triangles (t, 3, 2) in the plane."""
+    (x1, y1), (x2, y2) = (corners[:, 1:] - corners[:, :1]).transpose(1, 2, 0)
+    return np.asarray(0.5 * np.abs(x1 * y2 - x2 * y1))

@@ -1,0 +1,90 @@
+"""Where a normal of the source meets a detailed mesh over it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.geometry.closest import closest_points
+from cagemap.geometry.points import SurfacePoints
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+# Detail further from the source than this, in units of sqrt(area), belongs to something else.
+REACH = 0.1
+# Steps of Newton's method along a normal.
+_STEPS = 5
+# A normal meets the detail where it comes nearer than this, in units of sqrt(area).
+_MET = 1e-6
+# A normal that leaves the detailed surface more flatly than this never meets it.
+_GRAZING = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Met:
+    """Where the detail is, seen from points of the source; lengths at unit area of the source.
+
+    Attributes
+    ----------
+    points, normals : (s, 3) float64
+        Of the source.
+    foot : SurfacePoints
+        Where the normal meets the detail; the nearest point that faces the same way where it does not.
+    heights : (s,) float64
+        How far along the normal that is.
+    near : (s,) bool
+        Whether it is in reach.
+    """
+
+    points: FloatArray
+    normals: FloatArray
+    foot: SurfacePoints
+    heights: FloatArray
+    near: NDArray[np.bool_]
+
+
+def meet(surface: TriangleSurface, points: FloatArray, normals: FloatArray) -> Met:
+    """Follow normals to the detail: Newton's method from the nearest points that face the same way.
+
+    Each step goes on to where the normal meets the plane of the triangle that is nearest now.
+
+    Parameters
+    ----------
+    surface : TriangleSurface
+        The detailed mesh, in the source's place and unit.
+    points, normals : (s, 3) float64
+        Of the source at unit area; unit length.
+    """
+    foot, distance = _nearest_facing(surface, points, normals, None)
+    first, met = foot, np.zeros(len(points), dtype=np.bool_)
+    heights = np.zeros(len(points))
+    triangle, barycentric = foot.triangle.copy(), foot.barycentric.copy()
+    for _ in range(_STEPS):
+        across = foot.normals
+        slope = np.einsum("sd,sd->s", normals, across)
+        ahead = np.einsum("sd,sd->s", foot.positions - points, across) / np.where(slope > _GRAZING, slope, np.inf)
+        ahead = np.clip(ahead, -REACH, REACH)
+        foot, missed = _nearest_facing(surface, points + ahead[:, None] * normals, normals, foot.triangle)
+        here = ~met & (missed < _MET) & (slope > _GRAZING)
+        heights[here], triangle[here], barycentric[here] = ahead[here], foot.triangle[here], foot.barycentric[here]
+        met |= here
+        if met.all():
+            break
+    aside = np.einsum("sd,sd->s", first.positions - points, normals)
+    place = SurfacePoints(surface, triangle, barycentric)
+    return Met(points, normals, place, np.where(met, heights, aside), distance <= REACH)
+
+
+def _nearest_facing(
+    surface: TriangleSurface, points: FloatArray, normals: FloatArray, guess: IndexArray | None
+) -> tuple[SurfacePoints, FloatArray]:
+    """The nearest points whose triangle faces the way of the normals, or any where none in reach does; and how far."""
+    triangle, barycentric, distance = closest_points(
+        surface.tree, points, normals, minimum_cosine=0.0, guess=guess, within=REACH
+    )
+    rest = np.flatnonzero(triangle < 0)
+    if len(rest):
+        triangle[rest], barycentric[rest], distance[rest] = closest_points(surface.tree, points[rest])
+    return SurfacePoints(surface, triangle, barycentric), distance
