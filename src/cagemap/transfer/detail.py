@@ -23,13 +23,14 @@ from cagemap.geometry.triangles import normalized
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Level
-from cagemap.transfer.baking import BakeOptions, Canvas, Transfer, bake, make_canvas, prepare_transfer, unit
+from cagemap.transfer.baking import BakeOptions, Canvas, Transfer, bake, make_canvas, prepare_transfer, to_dtype, unit
 from cagemap.transfer.displacement import Displacement, scale_ratio
+from cagemap.transfer.exact import corner_places, corner_samples, make_exact
 from cagemap.transfer.locate import Samples
 from cagemap.transfer.lookups import plan_samples
 from cagemap.transfer.meeting import REACH, Met, meet
 from cagemap.transfer.texture import Pixels, lay_texture, look_up
-from cagemap.transfer.vectors import Green, Space, bake_turned, check_space, displacement_order, normal_encoder
+from cagemap.transfer.vectors import Green, Space, Turn, bake_turned, check_space, displacement_order, normal_encoder
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +143,8 @@ def bake_detail_vectors(
 ) -> Displacement:
     """Bake the way from the source to the detail as vector displacement of the target, in the target's units.
 
+    Bilinear lookups at the vertices of the target's level, on either side of a seam, give the way from there.
+
     Parameters
     ----------
     transfer, detail, size, options
@@ -154,18 +157,22 @@ def bake_detail_vectors(
         Integers have their zero in the middle.
     """
     options, kept = options or BakeOptions(), np.dtype(dtype)
+    middle, encode = _length_encoder(transfer, detail, scale, kept)
 
     def give(samples: Samples) -> FloatArray:
         met = _met(transfer, detail, samples)
         shares = met.near * _following(transfer, detail, samples)
         return np.asarray(shares[:, None] * (met.foot.positions - met.points))
 
-    middle, encode = _length_encoder(transfer, detail, scale, kept)
     check_space(space)
     canvas = make_canvas(transfer, size, options)
     counts, order = _plan(transfer, detail, canvas), displacement_order(space)
-    pixels = bake_turned(transfer, canvas, counts, give, encode, space, order, kept, options)
-    return Displacement(pixels, middle, scale)
+    plain = np.dtype(np.float32)
+    vectors = bake_turned(transfer, canvas, counts, give, np.asarray, space, order, plain, options)
+    uvs, samples, triangle, inside = corner_samples(transfer, options.tile)
+    own = Turn.of(transfer, space).back(give(samples), samples, triangle, inside)
+    make_exact(vectors, corner_places(uvs, vectors), own[:, np.argsort(order)])
+    return Displacement(to_dtype(encode(vectors), kept), middle, scale)
 
 
 def bake_detail_heights(

@@ -8,6 +8,7 @@ arrives as ``Q^T v``, so what is flat stays flat, and under the identity everyth
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -15,12 +16,12 @@ from numpy.typing import DTypeLike, NDArray
 
 from cagemap.errors import ParameterError
 from cagemap.geometry.triangles import normalized, vertex_normals
-from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.transfer.baking import BakeOptions, Canvas, Transfer, bake, make_canvas, unit
 from cagemap.transfer.displacement import Displacement, scale_ratio
 from cagemap.transfer.locate import Samples, target_barycentric
 from cagemap.transfer.lookups import plan_lookups
-from cagemap.transfer.tangents import plane_basis, tangent_frames
+from cagemap.transfer.tangents import TangentFrames, plane_basis, tangent_frames
 from cagemap.transfer.texture import Pixels, Texture, lay_texture
 
 Space = Literal["tangent", "object"]
@@ -219,26 +220,53 @@ def bake_turned(
     crisp : (t1,) bool, optional
         As `bake` takes it.
     """
-    target, source = transfer.target, transfer.source
-    frames = None if space == "object" else tangent_frames(target)
-    normals = [vertex_normals(side.positions, side.triangles) for side in (target, source)]
-    edges = target.positions[target.triangles[:, 1:]] - target.positions[target.triangles[:, :1]]
-    mapped = transfer.mapped.mapped
-    images = mapped[target.triangles[:, 1:]] - mapped[target.triangles[:, :1]]
+    turn = Turn.of(transfer, space)
 
     def shade(samples: Samples) -> FloatArray:
         repeats = np.diff(samples.first)
         inside = np.repeat(target_barycentric(canvas.corners, samples), repeats, axis=0)
         triangle = np.repeat(samples.target_triangle.astype(np.int64), repeats)
-        vectors = give(samples.single())
-        n1 = np.einsum("sc,scd->sd", inside, normals[0][target.triangles[triangle]])
-        n2 = np.einsum("sc,scd->sd", samples.barycentric, normals[1][source.triangles[samples.triangle]])
-        vectors = _turned_back(vectors, n1, n2, edges[triangle], images[triangle])
-        if frames is not None:
-            vectors = _solve(frames.at(triangle, inside), vectors)
+        vectors = turn.back(give(samples.single()), samples, triangle, inside)
         return np.asarray(encode(samples.mean(vectors[:, np.argsort(order)])))
 
     return bake(transfer, canvas, counts, shade, 3, kept, options, crisp)
+
+
+@dataclass(frozen=True, eq=False)
+class Turn:
+    """What turns vectors of the source into those of the target.
+
+    Attributes
+    ----------
+    transfer : Transfer
+    frames : TangentFrames or None
+        Of the target; None leaves vectors in object space.
+    normals, source_normals : (n, 3) float64
+        Of the vertices of target and source.
+    """
+
+    transfer: Transfer
+    frames: TangentFrames | None
+    normals: FloatArray
+    source_normals: FloatArray
+
+    @classmethod
+    def of(cls, transfer: Transfer, space: Space) -> Turn:
+        """For a transfer, into tangent or object space."""
+        frames = None if space == "object" else tangent_frames(transfer.target)
+        normals = (vertex_normals(side.positions, side.triangles) for side in (transfer.target, transfer.source))
+        return cls(transfer, frames, *normals)
+
+    def back(self, vectors: FloatArray, samples: Samples, triangle: IndexArray, inside: FloatArray) -> FloatArray:
+        """(s, 3) vectors of the source at samples, in the target's triangles (s,) at barycentric coordinates (s, 3)."""
+        target, source, mapped = self.transfer.target, self.transfer.source, self.transfer.mapped.mapped
+        corners = target.triangles[triangle]
+        edges = target.positions[corners[:, 1:]] - target.positions[corners[:, :1]]
+        images = mapped[corners[:, 1:]] - mapped[corners[:, :1]]
+        n1 = np.einsum("sc,scd->sd", inside, self.normals[corners])
+        n2 = np.einsum("sc,scd->sd", samples.barycentric, self.source_normals[source.triangles[samples.triangle]])
+        turned = _turned_back(vectors, n1, n2, edges, images)
+        return turned if self.frames is None else _solve(self.frames.at(triangle, inside), turned)
 
 
 def _turned_back(
