@@ -19,7 +19,7 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh, cube, disk, torus
 from cagemap.refinement import Refinement, refine
-from cagemap.transfer.detail import meet
+from cagemap.transfer.meeting import meet
 from cagemap.wrap import WrapConfig, level_mesh, missing_detail, wrap
 from test_cli import Run, result_folder, run  # noqa: F401
 
@@ -160,7 +160,7 @@ def test_wrapped_surface_and_what_is_missing_are_the_source() -> None:
     np.testing.assert_allclose(fine.finest.positions, ground.positions / ground.scale, rtol=0, atol=1e-12)
     own = transfer.point_map.source
     _, _, before = closest_points(detail.surface.tree, own.positions)
-    met = meet(detail, own.positions, own.vertex_normals)
+    met = meet(detail.surface, own.positions, own.vertex_normals)
     _, _, after = closest_points(ground.tree, ground.scale / own.scale * met.foot.positions)
     assert after.max() < 1e-12
     assert before.mean() > 1e-5

@@ -3,35 +3,45 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import sparse
 
 from cagemap.mesh import torus
 from cagemap.refinement import refine
-from cagemap.wrap.fit import WrapConfig, _NormalSystem, fit_data, fit_net
-from cagemap.wrap.mend import mend
+from cagemap.wrap.fit import WrapConfig, fit_data
+from cagemap.wrap.mend import fit_net, mend
 from cagemap.wrap.net import control_net, face_aspects, folded_faces
+from cagemap.wrap.rounds import Fitting, Pull
 from test_wrap import dented, same_vertices
 
 
-def test_the_system_is_what_it_says_and_keeps_its_pattern() -> None:
-    rng = np.random.default_rng(1)
-    samples = sparse.random_array((60, 12), density=0.3, rng=rng, format="csr")
-    graph = sparse.random_array((12, 12), density=0.2, rng=rng)
-    weights = graph + graph.T
-    laplacian = sparse.csr_array(sparse.diags_array(weights.sum(axis=1)) - weights)
-    system = _NormalSystem.build(samples, laplacian)
-    patterns = set()
-    for seed in range(3):
-        tensors = np.random.default_rng(seed).normal(size=(60, 3, 3))
-        tensors += tensors.transpose(0, 2, 1)
-        tensors[rng.random(60) < 0.7] = 0.0  # whole rows without a sample that pulls
-        matrix = system.matrix(tensors, 0.3)
-        dense = samples.toarray()
-        expected = np.einsum("si,sab,sj->aibj", dense, tensors, dense)
-        expected += 0.3 * np.einsum("ab,ij->aibj", np.eye(3), laplacian.toarray())
-        np.testing.assert_allclose(matrix.toarray(), expected.reshape(36, 36), atol=1e-12)
-        patterns.add((matrix.indices.tobytes(), matrix.indptr.tobytes()))
-    assert len(patterns) == 1
+def test_a_round_solves_its_system() -> None:
+    """Planes, images and energy, written out densely; points that do not move keep their places."""
+    target = refine(torus(12, 8), 2)
+    point_map = same_vertices(target, refine(dented(torus(12, 8), 0.25), 2))
+    net = control_net(target, 0, point_map.target.scale)
+    count = target.finest.n_vertices
+    held = np.arange(count) % 7 == 0
+    data = fit_data(net, point_map.images, np.linspace(0.0, 1.0, count), held)
+    config = WrapConfig(anchor=0.1, fairness=1e-2)
+    moving = np.arange(net.graph.n // 2)
+    for part in (None, moving):
+        fitting = Fitting.build(net.graph, data, config, np.zeros(0, dtype=np.int64), part)
+        positions = net.graph.positions
+        pull = Pull.at(fitting, positions, data.images.triangle)
+        dense, normals = data.samples.toarray(), pull.feet.normals
+        away = np.linalg.norm(pull.feet.positions - data.images.positions, axis=1) > data.reach
+        free = ~(data.held | away)
+        tensors = (free * data.weights)[:, None, None] * normals[:, :, None] * normals[:, None, :]
+        tensors += (data.weights * np.where(free, 0.1, 1.0))[:, None, None] * np.eye(3)
+        matrix = np.einsum("si,sab,sj->iajb", dense, tensors, dense)
+        matrix += 1e-2 * np.einsum("ab,ij->iajb", np.eye(3), fitting.laplacian.toarray())
+        moved = np.random.default_rng(0).normal(size=positions.shape)
+        np.testing.assert_allclose(pull.times(moved), np.einsum("iajb,jb->ia", matrix, moved), atol=1e-12)
+        solved = pull.solve(positions)
+        left = (pull.right - pull.times(solved))[fitting.moving]
+        before = (pull.right - pull.times(positions))[fitting.moving]
+        assert np.linalg.norm(left) <= 1.1e-3 * np.linalg.norm(before)
+        still = np.setdiff1d(np.arange(net.graph.n), fitting.moving)
+        np.testing.assert_array_equal(solved[still], positions[still])
 
 
 def test_mending_a_thin_face_moves_nothing_far_from_it() -> None:

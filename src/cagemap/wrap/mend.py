@@ -1,4 +1,4 @@
-"""Faces that fold or grow thin are mended where they are: the net is made stiffer there and fitted anew."""
+"""The net as a whole, then in parts: what has no counterpart is carried along, faces that fold are mended."""
 
 from __future__ import annotations
 
@@ -10,17 +10,54 @@ from numpy.typing import NDArray
 
 from cagemap.maps.elastic.graph import ElasticGraph
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.wrap.fit import FitData, WrapConfig, free_points, rounds
+from cagemap.wrap.fit import FitData, WrapConfig
 from cagemap.wrap.net import ControlNet, face_aspects, folded_faces
+from cagemap.wrap.rounds import Fitting, rounds, start
 
-# Each time the net is made this much stiffer at the corners of such faces, so often at most.
-_STIFFENING, _MENDINGS, _ROUNDS = 10.0, 8, 2
+# Rounds of the elastic energy alone that carry along what has no counterpart, before the first fit.
+_CARRYING_ROUNDS = 30
+# Points of the net that samples pull at by less than this share of the largest pull are free.
+_FREE = 1e-6
+# Each time the net is made this much stiffer at the corners of bad faces, so often at most.
+_STIFFENING, _MENDINGS, _ROUNDS = 10.0, 14, 2
 # Around thin faces it becomes less than this, and ten times that at most: they cost distance to the source.
 _STIFFEST_THIN = 99.0
+# What still folds at this stiffness has no room on the source: it is carried along, with the samples that depend on it
+# by more than this share.
+_STIFFEST, _SHARE = 1e3, 0.05
+_RELEASED_ROUNDS, _RELEASED_RINGS = 30, 1
 # Rings of points around them that move; points that the samples in reach of these depend on lie in three more.
 _MOVING, _AROUND = 4, 3
 # A face is thin beyond so many times the 99th percentile of all faces at rest, where it has grown by as much.
 _THIN = 1.5
+
+Adjust = Callable[[FloatArray], FloatArray]
+
+
+def fit_net(
+    net: ControlNet, data: FitData, config: WrapConfig, adjust: Adjust = lambda positions: positions
+) -> FloatArray:
+    """Fit the points of a net.
+
+    Parameters
+    ----------
+    net : ControlNet
+    data : FitData
+    config : WrapConfig
+    adjust : callable
+        Applied to the net after every round, to keep a symmetry.
+
+    Returns
+    -------
+    (n_l, 3) float64
+        At unit area of the source.
+    """
+    free = free_points(data)
+    fitting = Fitting.build(net.graph, data, config, free)
+    positions = start(fitting)
+    if len(free):
+        positions = _move_part(net.graph, data, config, positions, free, free, np.ones(net.graph.n), _CARRYING_ROUNDS)
+    return rounds(fitting, adjust(positions), config.rounds, adjust)
 
 
 def mend(
@@ -28,40 +65,44 @@ def mend(
     data: FitData,
     config: WrapConfig,
     positions: FloatArray,
-    adjust: Callable[[FloatArray], FloatArray] = lambda positions: positions,
+    adjust: Adjust = lambda positions: positions,
 ) -> FloatArray:
-    """(n, 3) a fitted net whose faces do not fold and are not much thinner than at rest, as far as that can be had.
+    """(n_l, 3) a fitted net whose faces do not fold and are not much thinner than at rest, as far as that can be had.
 
     Parameters
     ----------
-    net : ControlNet
-    data : FitData
-    config : WrapConfig
-    positions : (n, 3) float64
+    net, data, config, adjust
+        As `fit_net` takes them.
+    positions : (n_l, 3) float64
         Fitted.
-    adjust : callable
-        Applied to the net after every change, to keep a symmetry.
     """
-    stiffness, unpulled = np.ones(net.graph.n), free_points(data)
+    stiffness, released = np.ones(net.graph.n), np.zeros(net.graph.n)
     rest = net.graph.positions
     folded_at_rest, aspects = folded_faces(net, rest), face_aspects(net.mesh, rest)
     least = _THIN * np.maximum(aspects, np.percentile(aspects, 99))
     for _ in range(_MENDINGS if config.rounds else 0):
-        folded = folded_faces(net, positions) & ~folded_at_rest
+        folded = _corners(net, folded_faces(net, positions) & ~folded_at_rest)
         thin = _corners(net, face_aspects(net.mesh, positions) > least)
-        corners = np.union1d(_corners(net, folded), thin[stiffness[thin] < _STIFFEST_THIN])
+        corners = np.union1d(folded, thin[stiffness[thin] < _STIFFEST_THIN])
         if not len(corners):
             break
         stiffness[corners] *= _STIFFENING
+        lost = folded[stiffness[folded] > _STIFFEST]
+        if len(lost):
+            released[_grown(net.graph, lost, _RELEASED_RINGS)] = 1.0
+            data = replace(data, weights=np.where(data.samples @ released > _SHARE, 0.0, data.weights))
+        similar = np.union1d(free_points(data), np.flatnonzero(released))
         moving = _grown(net.graph, corners, _MOVING)
-        part = _grown(net.graph, moving, _AROUND)
-        graph, pulls = _part_of(net.graph, stiffness, data, moving, part)
-        inside = np.searchsorted(part, np.intersect1d(part, unpulled))
-        moved = rounds(graph, pulls, config, positions[part], _ROUNDS, inside, moving=np.searchsorted(part, moving))
-        positions = positions.copy()
-        positions[part] = moved
-        positions = adjust(positions)
+        count = _RELEASED_ROUNDS if len(lost) else _ROUNDS
+        positions = adjust(_move_part(net.graph, data, config, positions, moving, similar, stiffness, count))
     return positions
+
+
+def free_points(data: FitData) -> IndexArray:
+    """(k,) points of the net that no sample pulls at: what has no counterpart."""
+    pull = data.samples.T @ data.weights
+    most = data.samples.T @ np.full(len(data.weights), data.weights.max())
+    return np.flatnonzero(pull <= _FREE * most)
 
 
 def _corners(net: ControlNet, faces: NDArray[np.bool_]) -> IndexArray:
@@ -76,6 +117,26 @@ def _grown(graph: ElasticGraph, points: IndexArray, rings: int) -> IndexArray:
     for _ in range(rings):
         inside[graph.heads[inside[graph.tails]]] = True
     return np.flatnonzero(inside)
+
+
+def _move_part(
+    graph: ElasticGraph,
+    data: FitData,
+    config: WrapConfig,
+    positions: FloatArray,
+    moving: IndexArray,
+    similar: IndexArray,
+    stiffness: FloatArray,
+    count: int,
+) -> FloatArray:
+    """(n, 3) the net after some rounds in which few points move."""
+    part = _grown(graph, moving, _AROUND)
+    own, pulls = _part_of(graph, stiffness, data, moving, part)
+    inside = np.searchsorted(part, np.intersect1d(part, similar))
+    fitting = Fitting.build(own, pulls, config, inside, np.searchsorted(part, moving))
+    moved = positions.copy()
+    moved[part] = rounds(fitting, positions[part], count)
+    return moved
 
 
 def _part_of(

@@ -16,9 +16,9 @@ from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Refinement
-from cagemap.wrap.fit import WrapConfig, fit_data, fit_net
+from cagemap.wrap.fit import WrapConfig, fit_data
 from cagemap.wrap.follow import boundary_vertices, counterpart
-from cagemap.wrap.mend import mend
+from cagemap.wrap.mend import fit_net, mend
 from cagemap.wrap.net import control_net, face_aspects, folded_faces
 
 # A vertex that follows less than this has no counterpart, and its distance to the source is no error.

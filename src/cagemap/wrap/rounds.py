@@ -1,0 +1,179 @@
+"""Rounds of the fit: closest points and differentials alternate with the positions of a net, or of a part of it.
+
+The system of a round couples the three coordinates, through the tangent planes. It is solved by conjugate gradients
+from where the net is; the system without planes, ``S^T w S + fairness L``, is the preconditioner, the same for all
+coordinates and all rounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse import linalg
+
+from cagemap.geometry.points import SurfacePoints
+from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph, bounded_maps
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.factorization import Factorization, factor
+from cagemap.wrap.fit import FitData, WrapConfig
+
+# Neighbouring differentials are as alike as this, relative to the energy of the edges between them.
+_SMOOTHING = 0.01
+# A closest point on the other side of a thin part is further away than one with the right normal, by this length.
+NORMAL_WEIGHT = 0.03
+# A round's system is solved to this part of what it starts with, in so many steps at most: the next round differs more.
+_ACCURACY, _STEPS = 1e-3, 200
+
+
+@dataclass(frozen=True, eq=False)
+class Fitting:
+    """A net, or a part of it, with what pulls at it.
+
+    Attributes
+    ----------
+    graph : ElasticGraph
+    data : FitData
+    config : WrapConfig
+    moving : (m,) int64
+        Points that move.
+    similar : (k,) int64
+        Points whose differential is a similarity: turned and scaled, and not sheared.
+    laplacian : (n, n) csr_array
+    field : DifferentialField
+    factors : Factorization
+        Of ``S^T w S + fairness L`` over the points that move.
+    """
+
+    graph: ElasticGraph
+    data: FitData
+    config: WrapConfig
+    moving: IndexArray
+    similar: IndexArray
+    laplacian: sparse.csr_array
+    field: DifferentialField
+    factors: Factorization
+
+    @classmethod
+    def build(
+        cls,
+        graph: ElasticGraph,
+        data: FitData,
+        config: WrapConfig,
+        similar: IndexArray,
+        moving: IndexArray | None = None,
+    ) -> Fitting:
+        """Factor the systems that all rounds share; by default all points move."""
+        laplacian = graph.laplacian()
+        weighted = data.samples.T @ sparse.diags_array(data.weights) @ data.samples
+        matrix = sparse.csr_array(weighted + config.fairness * laplacian)
+        if moving is None:
+            moving = np.arange(graph.n)
+        else:
+            matrix = matrix[moving][:, moving]
+        field = DifferentialField.build(graph, laplacian, _SMOOTHING)
+        return cls(graph, data, config, moving, similar, laplacian, field, factor(sparse.csc_array(matrix)))
+
+    def elastic_pull(self, positions: FloatArray) -> FloatArray:
+        """(n, 3) right side of the energy, with the differentials of positions (n, 3)."""
+        maps, _ = bounded_maps(self.field.solve(positions), self.graph.normals)
+        if len(self.similar):
+            left, stretches, right = np.linalg.svd(maps[self.similar])
+            left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
+            maps = maps.copy()
+            size = np.exp(np.log(np.maximum(stretches, 1e-12)).mean(axis=1))
+            maps[self.similar] = size[:, None, None] * (left @ right)
+        return self.config.fairness * self.field.divergence(maps)
+
+
+def start(fitting: Fitting) -> FloatArray:
+    """(n, 3) the net that minimises ``||S X - P||^2`` with a trace of its energy, where all points move."""
+    data = fitting.data
+    right = data.samples.T @ (data.weights[:, None] * data.images.positions)
+    positions = fitting.factors.solve(right)
+    return fitting.factors.solve(right + fitting.elastic_pull(positions))
+
+
+def rounds(
+    fitting: Fitting,
+    positions: FloatArray,
+    count: int,
+    adjust: Callable[[FloatArray], FloatArray] = lambda positions: positions,
+) -> FloatArray:
+    """(n, 3) positions after so many rounds, adjusted after each; what does not move is as it was."""
+    guess = fitting.data.images.triangle
+    for _ in range(count):
+        pull = Pull.at(fitting, positions, guess)
+        guess = pull.feet.triangle
+        positions = adjust(pull.solve(positions))
+    return positions
+
+
+@dataclass(frozen=True, eq=False)
+class Pull:
+    """The system of one round.
+
+    Attributes
+    ----------
+    fitting : Fitting
+    feet : SurfacePoints
+        Closest points of the source to the samples.
+    across, along : (s,) float64
+        Weights of the distance to the planes there, and of that to the images.
+    right : (n, 3) float64
+    """
+
+    fitting: Fitting
+    feet: SurfacePoints
+    across: FloatArray
+    along: FloatArray
+    right: FloatArray
+
+    @classmethod
+    def at(cls, fitting: Fitting, positions: FloatArray, guess: IndexArray) -> Pull:
+        """The round from positions (n, 3), with triangles (s,) that are probably near."""
+        data, images = fitting.data, fitting.data.images
+        places = data.samples @ positions
+        feet = SurfacePoints.nearest(images.surface, places, images.normals, normal_weight=NORMAL_WEIGHT, guess=guess)
+        held = data.held | (np.linalg.norm(feet.positions - images.positions, axis=1) > data.reach)
+        across = np.where(held, 0.0, data.weights)
+        along = np.where(held, 1.0, fitting.config.anchor) * data.weights
+        heights = np.einsum("sd,sd->s", feet.normals, feet.positions)
+        pulls = (across * heights)[:, None] * feet.normals + along[:, None] * images.positions
+        return cls(fitting, feet, across, along, data.samples.T @ pulls + fitting.elastic_pull(positions))
+
+    def times(self, positions: FloatArray) -> FloatArray:
+        """(n, 3) the system's matrix times positions (n, 3)."""
+        fitting, normals = self.fitting, self.feet.normals
+        places = fitting.data.samples @ positions
+        heights = np.einsum("sd,sd->s", normals, places)
+        pulls = (self.across * heights)[:, None] * normals + self.along[:, None] * places
+        elastic = fitting.config.fairness * (fitting.laplacian @ positions)
+        return np.asarray(fitting.data.samples.T @ pulls + elastic)
+
+    def solve(self, positions: FloatArray) -> FloatArray:
+        """(n, 3) the solution, over the points that move, from positions (n, 3)."""
+        moving, shape = self.fitting.moving, positions.shape
+        missing = (self.right - self.times(positions))[moving]
+
+        def times(flat: FloatArray) -> FloatArray:
+            spread = np.zeros(shape)
+            spread[moving] = flat.reshape(-1, 3)
+            return self.times(spread)[moving].ravel()
+
+        def precondition(flat: FloatArray) -> FloatArray:
+            return self.fitting.factors.solve(flat.reshape(-1, 3)).ravel()
+
+        size = (3 * len(moving), 3 * len(moving))
+        step, _ = linalg.cg(
+            linalg.LinearOperator(size, matvec=times, dtype=np.float64),
+            missing.ravel(),
+            rtol=_ACCURACY,
+            maxiter=_STEPS,
+            M=linalg.LinearOperator(size, matvec=precondition, dtype=np.float64),
+        )
+        moved = positions.copy()
+        moved[moving] += step.reshape(-1, 3)
+        return moved
