@@ -57,20 +57,22 @@ def meet(surface: TriangleSurface, points: FloatArray, normals: FloatArray) -> M
     points, normals : (s, 3) float64
         Of the source at unit area; unit length.
     """
-    foot, distance = _nearest_facing(surface, points, normals, None)
-    first, met = foot, np.zeros(len(points), dtype=np.bool_)
-    heights = np.zeros(len(points))
-    triangle, barycentric = foot.triangle.copy(), foot.barycentric.copy()
+    first, distance = _nearest_facing(surface, points, normals, None)
+    triangle, barycentric = first.triangle.copy(), first.barycentric.copy()
+    heights, met = np.zeros(len(points)), np.zeros(len(points), dtype=np.bool_)
+    open_, foot = np.arange(len(points)), first
     for _ in range(_STEPS):
-        across = foot.normals
-        slope = np.einsum("sd,sd->s", normals, across)
-        ahead = np.einsum("sd,sd->s", foot.positions - points, across) / np.where(slope > _GRAZING, slope, np.inf)
+        across, origin, along = foot.normals, points[open_], normals[open_]
+        slope = np.einsum("sd,sd->s", along, across)
+        ahead = np.einsum("sd,sd->s", foot.positions - origin, across) / np.where(slope > _GRAZING, slope, np.inf)
         ahead = np.clip(ahead, -REACH, REACH)
-        foot, missed = _nearest_facing(surface, points + ahead[:, None] * normals, normals, foot.triangle)
-        here = ~met & (missed < _MET) & (slope > _GRAZING)
-        heights[here], triangle[here], barycentric[here] = ahead[here], foot.triangle[here], foot.barycentric[here]
-        met |= here
-        if met.all():
+        foot, missed = _nearest_facing(surface, origin + ahead[:, None] * along, along, foot.triangle)
+        here = (missed < _MET) & (slope > _GRAZING)
+        done = open_[here]
+        heights[done], triangle[done], barycentric[done] = ahead[here], foot.triangle[here], foot.barycentric[here]
+        met[done] = True
+        open_, foot = open_[~here], foot.at(~here)
+        if not len(open_):
             break
     aside = np.einsum("sd,sd->s", first.positions - points, normals)
     place = SurfacePoints(surface, triangle, barycentric)

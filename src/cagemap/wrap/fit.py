@@ -31,8 +31,6 @@ _SAMPLED_BELOW = 2
 _MOST_SAMPLES = 60_000
 # A closest point further from the map's image than so many edges of the net belongs to another part.
 _REACH = 2.0
-# Samples weigh this power of their areas: the small faces of hands and faces count, and large ones do as well.
-_AREA_POWER = 0.5
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,7 @@ class WrapConfig:
 
     level: int = 0
     fairness: float = 1e-4
-    anchor: float = 0.01
+    anchor: float = 0.003
     rounds: int = 3
 
     def __post_init__(self) -> None:
@@ -76,7 +74,7 @@ class FitData:
     reach : (s,) float64
         How far from its image a sample may slide: the length of the net's edges there.
     weights : (s,) float64
-        A power of their areas times how far they may follow; their areas sum to 1.
+        Their areas times how far they may follow.
     held : (s,) bool
         Samples that stay at their image (boundaries), instead of sliding along the surface.
     """
@@ -110,13 +108,12 @@ def fit_data(net: ControlNet, images: SurfacePoints, follow: FloatArray, held: N
     count = level.n_vertices
     rows = sparse.csr_array(refinement.product(refinement.n_levels, net.level)[:count])
     areas = vertex_areas(level.positions, level_triangles(refinement, seen) if level.faces is None else level.faces)
-    weights = areas**_AREA_POWER
     lengths = np.linalg.norm(graph.edges, axis=1)
     around = np.bincount(graph.heads, lengths, graph.n) / np.maximum(np.bincount(graph.heads, minlength=graph.n), 1)
     return FitData(
         rows,
         images.at(slice(count)),
         _REACH * (rows @ around),
-        follow[:count] * weights / weights.sum(),
+        follow[:count] * areas / areas.sum(),
         held[:count],
     )

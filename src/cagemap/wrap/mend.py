@@ -19,15 +19,15 @@ _CARRYING_ROUNDS = 30
 # Points of the net that samples pull at by less than this share of the largest pull are free.
 _FREE = 1e-6
 # Each time the net is made this much stiffer at the corners of bad faces, so often at most.
-_STIFFENING, _MENDINGS, _ROUNDS = 10.0, 14, 2
+_STIFFENING, _MENDINGS, _ROUNDS = 10.0, 20, 2
 # Around thin faces it becomes less than this, and ten times that at most: they cost distance to the source.
 _STIFFEST_THIN = 99.0
 # What still folds at this stiffness has no room on the source: it is carried along, with the samples that depend on it
 # by more than this share.
 _STIFFEST, _SHARE = 1e3, 0.05
-_RELEASED_ROUNDS, _RELEASED_RINGS = 30, 1
+_RELEASED_ROUNDS, _RELEASED_RINGS = 10, 1
 # Rings of points around them that move; points that the samples in reach of these depend on lie in three more.
-_MOVING, _AROUND = 4, 3
+_MOVING, _AROUND = 2, 3
 # A face is thin beyond so many times the 99th percentile of all faces at rest, where it has grown by as much.
 _THIN = 1.5
 
