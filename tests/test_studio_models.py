@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,15 +15,19 @@ from cagemap.errors import ParameterError
 from cagemap.files.images import write_image
 from cagemap.files.meshes import write_mesh
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.parts import extract
 from cagemap.mesh.shapes import creature, cube
 from cagemap.refinement import refine
-from cagemap.studio.bench import Bench, ChooseAnswer, Dress, FindMap, Found, Opening, OpenModels, perform
+from cagemap.studio.bench import Bench, ChooseAnswer, Dress, FindMap, Found, Opened, Opening, OpenModels, perform
+from cagemap.studio.finish import FinishOptions, commands
 from cagemap.studio.glb import Primitive, glb
+from cagemap.studio.landmark_files import load_landmarks, save_landmarks
 from cagemap.studio.landmarks import Landmark, LandmarkList
+from cagemap.studio.opening import default_files
 from cagemap.studio.places import place_at, place_of, vertex_place
 from cagemap.studio.scene import Scene, carried_place, mirrored, part_name
 from cagemap.studio.shape import Hit, pick, shape_of
-from cagemap.studio.skins import Images, crossing_triangles
+from cagemap.studio.skins import Images, crossing_triangles, light_on
 from cagemap.studio.state import View
 from cagemap.studio.worker import Failure, Worker
 
@@ -33,18 +38,69 @@ def read_back(data: bytes) -> list[trimesh.Trimesh]:
 
 def test_glb_is_read_by_others_as_it_was_written() -> None:
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-    normals = np.tile([0.0, 0.0, 1.0], (4, 1))
     colors = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0.5]])
     data = glb(
         [
-            Primitive(points, normals, np.array([[0, 1, 2], [0, 2, 3]]), colors=colors),
-            Primitive(points, normals, np.zeros((0, 3), dtype=np.int64)),
+            Primitive(points, np.array([[0, 1, 2], [0, 2, 3]]), colors),
+            Primitive(points, np.zeros((0, 3), dtype=np.int64), colors),
         ]
     )
     (mesh,) = read_back(data)
     np.testing.assert_allclose(mesh.vertices, points)
     np.testing.assert_array_equal(mesh.faces, [[0, 1, 2], [0, 2, 3]])
-    np.testing.assert_array_equal(mesh.visual.vertex_attributes["color"][:, :3], np.rint(255 * colors))
+    written = np.asarray(mesh.visual.vertex_attributes["color"][:, :3], dtype=float)
+    np.testing.assert_array_equal(written, np.rint(65535 * colors))
+
+
+def test_light_falls_on_every_side_and_most_on_the_first_views() -> None:
+    rng = np.random.default_rng(5)
+    normals = rng.normal(size=(500, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    light = light_on(normals)
+    assert 0.1 < light.min()
+    assert light.max() <= 1
+    np.testing.assert_allclose(normals[light.argmax()], [-0.4, 0.75, 0.6], atol=0.35)
+
+
+def test_only_a_closed_model_hides_its_inner_side() -> None:
+    box = cube()
+    inside_out = replace(box, face_indices=box.face_indices.reshape(-1, 4)[:, ::-1].ravel().copy())
+    open_box = extract(box, np.arange(5))
+    assert [shape_of(refine(mesh, 1)).encloses for mesh in (box, inside_out, open_box)] == [True, False, False]
+
+
+def test_a_mesh_as_it_is_keeps_the_numbers_of_its_file(tmp_path: Path) -> None:
+    mesh = refine(creature(), 2).finest
+    points = mesh.positions
+    assert mesh.faces is not None
+    # Ahead of the creature stand vertices of a speck that is set aside.
+    speck = ControlMesh.from_faces(
+        np.concatenate([[[9.0, 0, 0], [9.1, 0, 0], [9.1, 0.1, 0], [9.0, 0.1, 0]], points]),
+        [[0, 1, 2, 3], *(mesh.faces + 4).tolist()],
+    )
+    for name in ("a.obj", "b.obj"):
+        write_mesh(tmp_path / name, speck)
+    opening = Opening(tmp_path / "a.obj", tmp_path / "b.obj", None, 300, ("none", "none"))
+    bench, opened = perform(Bench(), OpenModels(opening, View()), lambda _: None)
+    assert isinstance(opened, Opened)
+    assert any("set aside" in note for note in opened.notes)
+    shape = opened.target
+    np.testing.assert_allclose(shape.positions, points)
+    files = default_files(tmp_path, opening.target, opening.source, None, opening.schemes)
+    scene = Scene(opened.target, opened.source, opened.mirrors, opened.skins)
+    picked = landmarks(bench, 3, 40, 90)
+    save_landmarks(files.landmarks, picked, scene, files)
+    stored = json.loads(files.landmarks.read_text())["pairs"]
+    assert [pair["target"] for pair in stored] == [7, 44, 94]
+    again, _ = load_landmarks(files.landmarks, None, scene, files)
+    assert [item.target for item in again.items] == [item.target for item in picked.items]
+    # The finish says so too, and the map of a mesh onto itself takes vertices to themselves.
+    assert "--target-scheme none" in str(commands(files, FinishOptions(), landmarks=True)[0])
+    bench, found = perform(bench, FindMap(opening, landmarks(bench, 0, 17, 33, 60, 90, 120), View()), lambda _: None)
+    assert isinstance(found, Found)
+    places = found.images.on(opened.source.triangles, opened.source.positions)
+    assert np.median(np.linalg.norm(places - points, axis=1)) < 0.02 * shape.radius
+    assert found.suggestion is not None
 
 
 def test_a_click_lands_where_the_ray_meets_the_smooth_surface() -> None:

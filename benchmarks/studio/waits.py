@@ -19,6 +19,8 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.studio.state import Files
 
 Rows = list[tuple[str, str]]
+# Spread of red, of 255, that no empty canvas has.
+DRAWN = 12.0
 
 # Ends when a text has changed and, where asked for, so many pictures later the other frame has drawn what came with it.
 PRESSED = """
@@ -35,8 +37,24 @@ const look = () => {
 };
 look();
 """
-FRAMES = """
-const done = arguments[arguments.length - 1], canvas = document.querySelector('canvas');
+# The canvas with the model; another one lies over it, of no size.
+CANVAS = "[...document.querySelectorAll('canvas')].find(canvas => canvas.width)"
+# Spread of what the canvas shows. A screenshot would have the software renderer draw the whole page once more.
+SPREAD = f"""
+const canvas = {CANVAS}, small = document.createElement('canvas');
+if (!canvas) return 0;
+small.width = small.height = 24;
+const pen = small.getContext('2d');
+pen.drawImage(canvas, 0, 0, 24, 24);
+const reds = [...pen.getImageData(0, 0, 24, 24).data].filter((_, k) => k % 4 == 0);
+const mean = reds.reduce((sum, red) => sum + red, 0) / reds.length;
+return Math.sqrt(reds.reduce((sum, red) => sum + (red - mean) ** 2, 0) / reds.length);
+"""
+FRAMES = (
+    f"""
+const done = arguments[arguments.length - 1], canvas = {CANVAS};
+"""
+    + """
 const box = canvas.getBoundingClientRect();
 const at = x => ({bubbles: true, pointerId: 1, button: 0, buttons: 1, clientX: box.left + x, clientY: box.top + 5,
     pointerType: 'mouse', isPrimary: true});
@@ -51,6 +69,7 @@ const turn = () => {
 };
 requestAnimationFrame(turn);
 """
+)
 
 
 @dataclass(frozen=True)
@@ -84,19 +103,35 @@ def started(files: Files, vertices: int, *, landmarks: bool = True) -> Iterator[
 
 
 def shown(page: Page, side: str) -> bool:
-    """Whether a model is in the middle of a frame."""
-    picture = page.picture(side)
-    height, width = picture.shape[:2]
-    return bool(picture[height // 3 : 2 * height // 3, width // 3 : 2 * width // 3].std() > 8)
+    """Whether a model is drawn in a frame."""
+    page.into(side)
+    return float(page.browser.execute_script(SPREAD)) > DRAWN
 
 
 def start_rows(files: Files, displayed: int) -> Rows:
-    """From the command to the models, with half of the displayed vertices each."""
+    """From the command to the models, with half of the displayed vertices each; frames when the map is there."""
     with started(files, displayed // 2) as begun:
+        page, both = begun.page, f"{sum(sizes(begun.page)):,} vertices displayed"
+        page.until(lambda: page.revision() == 1, "the first map")
         return [
-            (f"command to both models on screen, {displayed:,} vertices displayed", f"{begun.seconds:.1f} s"),
+            (f"command to both models on screen, {both}", f"{begun.seconds:.1f} s"),
             ("processor time of that, the drawing included", f"{begun.processor:.1f} s"),
+            (f"frames a second while turning both, {both}", f"{frames_a_second(page):.0f}"),
         ]
+
+
+def sizes(page: Page) -> list[int]:
+    """Vertices of both models, as the panel names them."""
+    page.into("target")
+    look = "return [...document.body.innerText.matchAll(/([\\d,]+) vertices/g)].map(m => m[1])"
+    found = page.until(lambda: page.browser.execute_script(look), "the models' sizes")
+    return [int(count.replace(",", "")) for count in found]
+
+
+def frames_a_second(page: Page) -> float:
+    """Pictures of one model while it is turned, and the other with it."""
+    page.into("target")
+    return float(page.browser.execute_async_script(FRAMES))
 
 
 def map_rows(files: Files, vertices: int) -> Rows:
@@ -126,8 +161,6 @@ def live_rows(page: Page) -> Rows:
     for _ in range(6):
         answers.append(pressed(page, "Undo", "list"))
     page.until(lambda: "finding" not in page.text("status"), "the end of the computation")
-    page.into("target")
-    frames = page.browser.execute_async_script(FRAMES)
     # The first one is not counted: it comes to compiled code that was not loaded yet.
     return [
         ("landmark to updated preview in the browser, median of 5", f"{statistics.median(updates[1:]):.2f} s"),
@@ -135,7 +168,7 @@ def live_rows(page: Page) -> Rows:
         ("of that the map's own computation, median", f"{statistics.median(own[1:]):.2f} s"),
         ("answer to a button while a map is computed, median of 6", f"{1000 * statistics.median(answers):.0f} ms"),
         ("the same, worst", f"{1000 * max(answers):.0f} ms"),
-        ("frames a second while turning", f"{frames:.0f}"),
+        ("frames a second while turning both", f"{frames_a_second(page):.0f}"),
     ]
 
 
@@ -150,10 +183,7 @@ def many_rows(files: Files, vertices: int, count: int) -> Rows:
     alike = Files(target, target, None, path, files.result)
     with started(alike, vertices) as begun:
         page, begin = begun.page, time.perf_counter()
-        size = page.browser.execute_script  # the panel names the sizes
-        page.into("target")
-        sizes = size("return [...document.body.innerText.matchAll(/([\\d,]+) vertices/g)].map(m => m[1])")
-        title = f"{len(chosen)} landmarks, {' and '.join(sizes)} vertices"
+        title = f"{len(chosen)} landmarks, {' and '.join(f'{size:,}' for size in sizes(page))} vertices"
         rows = [(f"{title}: command to both models", f"{begun.seconds:.1f} s")]
         page.until(lambda: page.revision() == 1, "the first map")
         rows.append((f"{title}: from there to the map", f"{time.perf_counter() - begin:.1f} s"))

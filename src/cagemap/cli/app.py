@@ -11,7 +11,17 @@ import typer
 from cagemap import __version__
 from cagemap.cli.map_command import map_file
 from cagemap.cli.match_command import match
-from cagemap.cli.options import BoundaryOption, CreasingOption, Force, MeshFile, ResultFolder, SchemeOption, UvOption
+from cagemap.cli.options import (
+    BoundaryOption,
+    CreasingOption,
+    Force,
+    MeshFile,
+    ResultFolder,
+    SchemeOption,
+    SourceSchemeOption,
+    TargetSchemeOption,
+    UvOption,
+)
 from cagemap.cli.transfer_command import transfer
 from cagemap.cli.words import say, set_verbosity
 from cagemap.cli.wrap_command import wrap
@@ -235,6 +245,9 @@ def studio(
     port: Annotated[int, typer.Option("--port", min=0, max=65535, help="The next free one is taken.")] = 8765,
     vertices: Annotated[int, typer.Option("--vertices", min=1, help="About this many a model, in the page.")] = 25_000,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
+    scheme: SchemeOption = None,
+    target_scheme: TargetSchemeOption = None,
+    source_scheme: SourceSchemeOption = None,
 ) -> None:
     """Open both models in the browser: see the map, click landmarks where it is wrong, bake.
 
@@ -248,6 +261,7 @@ def studio(
         landmarks=landmarks,
         texture=texture,
         result=result,
+        schemes=(target_scheme or scheme, source_scheme or scheme),
         folder=tuple(folder or ()),
         host=host,
         port=port,

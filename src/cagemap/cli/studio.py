@@ -19,6 +19,7 @@ class StudioRequest:
     landmarks: Path | None = None
     texture: Path | None = None
     result: Path | None = None
+    schemes: tuple[str | None, str | None] = (None, None)
     folder: tuple[Path, ...] = ()
     host: str = "127.0.0.1"
     port: int = 8765
@@ -45,7 +46,7 @@ def run_studio(request: StudioRequest, tell: Callable[[str], None]) -> None:
     for path in request.folder:
         if not path.is_dir():
             raise ParameterError(f"--folder {path}: expected a folder, found none. Check the name.")
-    files = chosen_files(*named, request.result)
+    files = chosen_files(*named, request.result, request.schemes)
     if files is None:
         folders = request.folder or (BUILT_IN_FOLDER, Path.cwd())
         if not request.folder:

@@ -20,6 +20,8 @@ from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.plain import plain_mesh
+from cagemap.mesh.schemes import Plain
 from cagemap.numerics.arrays import IndexArray
 from cagemap.pipeline import (
     MatchResult,
@@ -30,10 +32,10 @@ from cagemap.pipeline import (
     prepare_surfaces,
     update_match,
 )
-from cagemap.refinement import refine
+from cagemap.refinement import refine, with_options
 from cagemap.studio.landmark_files import landmarks_of
 from cagemap.studio.landmarks import LandmarkList
-from cagemap.studio.shape import Shape, shape_of
+from cagemap.studio.shape import Original, Shape, shape_of
 from cagemap.studio.skins import Images, Look, source_skin, target_skin
 from cagemap.studio.state import View
 from cagemap.transfer import face_colors
@@ -54,12 +56,15 @@ class Opening:
     texture : Path or None
     vertices : int
         Of each previewed surface, about.
+    schemes : (str or None, str or None)
+        See `cagemap.studio.state.Files`.
     """
 
     target: Path
     source: Path
     texture: Path | None
     vertices: int
+    schemes: tuple[str | None, str | None] = (None, None)
 
 
 @dataclass(frozen=True)
@@ -115,12 +120,15 @@ class Model:
         The source's includes the texture.
     mirror : (n_control,) int64 or None
         The control vertex across the mirror plane.
+    notes : tuple of str
+        What was done to a mesh to take it as it is.
     """
 
     level: int
     shape: Shape
     look: Look
     mirror: IndexArray | None
+    notes: tuple[str, ...] = ()
 
     @property
     def control(self) -> ControlMesh:
@@ -144,6 +152,7 @@ class Opened:
     source: Shape
     mirrors: tuple[IndexArray | None, IndexArray | None]
     skins: tuple[bytes, bytes]
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -232,7 +241,8 @@ def perform(bench: Bench, task: Task, progress: Progress) -> tuple[Bench, Answer
             models = _opened(bench)
             target, source = models.target, models.source
             mirrors = (target.mirror, source.mirror)
-            return bench, Opened(target.shape, source.shape, mirrors, _skins(bench, task.view, None))
+            skins = _skins(bench, task.view, None)
+            return bench, Opened(target.shape, source.shape, mirrors, skins, target.notes + source.notes)
         case FindMap():
             return find_map(bench, task, progress)
         case ChooseAnswer():
@@ -244,7 +254,8 @@ def perform(bench: Bench, task: Task, progress: Progress) -> tuple[Bench, Answer
 def open_models(opening: Opening, progress: Progress) -> Models:
     """Read, check and refine both models."""
     progress("reading the models")
-    target, source = (_model(path, opening.vertices) for path in (opening.target, opening.source))
+    paths = opening.target, opening.source
+    target, source = (_model(*side, opening.vertices) for side in zip(paths, opening.schemes, strict=True))
     if opening.texture is not None:
         progress("reading the texture")
         pixels, encoded = read_look(opening.texture)
@@ -312,16 +323,25 @@ def read_look(path: Path) -> tuple[Pixels, bytes]:
         return pixels, file.read_bytes()
 
 
-def _model(path: Path, vertices: int) -> Model:
+def _model(path: Path, scheme: str | None, vertices: int) -> Model:
     control = replace(read_mesh(path), name=path.name)
+    if scheme is not None:
+        control = replace(with_options(control, scheme), object_schemes=())
+    if isinstance(control.scheme, Plain):
+        ready = plain_mesh(control)
+        shape = shape_of(refine(ready.mesh, 0), Original(control, ready.vertex_of))
+        return Model(0, shape, _own_look(ready.mesh), None, ready.notes)
     require_valid(control)
     level = choose_level(control, vertices)
-    try:
-        colors = face_colors(control)
-    except CagemapError:  # a mesh without materials is clay
-        colors = None
     mirror = next((plane.image for plane in mirror_symmetries(control)), None)
-    return Model(level, shape_of(refine(control, level)), Look(colors=colors), mirror)
+    return Model(level, shape_of(refine(control, level)), _own_look(control), mirror)
+
+
+def _own_look(control: ControlMesh) -> Look:
+    try:
+        return Look(colors=face_colors(control))
+    except CagemapError:  # a mesh without materials is clay
+        return Look()
 
 
 def _landmarks(models: Models, landmarks: LandmarkList) -> Landmarks:
@@ -361,7 +381,9 @@ def _suggestion(bench: Bench, result: MatchResult) -> int | None:
     known = np.unique(result.landmarks.target_points.nearest_vertices)
     if len(known) == count:
         return None
-    readings = () if bench.free is None or bench.free.confidence is None else bench.free.confidence.readings
+    # Other answers of a plain mesh are not in its own numbers.
+    known_answers = None if bench.free is None or result.target.refinement.is_plain else bench.free.confidence
+    readings = () if known_answers is None else known_answers.readings
     others = [reading.positions[:count] for k, reading in enumerate(readings) if k != bench.chosen]
     images = result.point_map.images.positions[:count]
     runners_up = np.array(others).reshape(len(others), count, 3)

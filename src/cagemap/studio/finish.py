@@ -127,6 +127,8 @@ def commands(files: Files, options: FinishOptions, *, landmarks: bool) -> tuple[
     result, folder, stem = files.result, files.result.parent, files.target.stem
     match = ["match", "--target", str(files.target), "--source", str(files.source)]
     match += ["--landmarks", str(files.landmarks)] if landmarks else []
+    for side, scheme in zip(("target", "source"), files.schemes, strict=True):
+        match += [] if scheme is None else [f"--{side}-scheme", scheme]
     match += ["--vertices", str(options.vertices), "-o", str(result)]
     made = [Command("match", tuple(match), (Output(result, "the map"),))]
 

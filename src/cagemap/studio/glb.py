@@ -1,4 +1,9 @@
-"""Binary glTF of a coloured or textured mesh: what the page's viewer takes for anything but plain meshes."""
+"""Binary glTF of a coloured or textured mesh: what the page's viewer takes for anything but plain meshes.
+
+Its light is worked out here, once for every vertex: lights stand still with the model, so what a matt surface sends to
+the eye is the same from everywhere. A machine that draws without a graphics card, or beside a computation, then turns
+models several times as fast as with lights worked out for every pixel of every picture.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 _ARRAY_BUFFER, _ELEMENT_BUFFER = 34962, 34963
-_COMPONENT = {"f": 5126, "B": 5121, "I": 5125}
+_COMPONENT = {"f": 5126, "H": 5123, "I": 5125}
 _SHAPE = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+# Colours are linear: 8 bits would show steps in the dark.
+_WHITE = 65535
+# Matt and already lit: https://github.com/KhronosGroup/glTF/tree/main/extensions/2.0/Khronos/KHR_materials_unlit
+_UNLIT = "KHR_materials_unlit"
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,21 +31,23 @@ class Primitive:
 
     Attributes
     ----------
-    positions, normals : (n, 3) array
+    positions : (n, 3) array
     triangles : (t, 3) array
+    colors : (n, 3) array
+        Linear, from 0 to 1, in the light that falls on every vertex; a texture is multiplied by them.
     uvs : (n, 2) array or None
         Texture coordinates, v up, into the texture of the file.
-    colors : (n, 3) array or None
-        Linear colours from 0 to 1.
     opacity : float
+    two_sided : bool
+        Whether triangles that look away are drawn.
     """
 
     positions: NDArray[Any]
-    normals: NDArray[Any]
     triangles: NDArray[Any]
+    colors: NDArray[Any]
     uvs: NDArray[Any] | None = None
-    colors: NDArray[Any] | None = None
     opacity: float = 1.0
+    two_sided: bool = True
 
 
 def glb(primitives: Sequence[Primitive], texture: bytes | None = None, texture_type: str = "image/jpeg") -> bytes:
@@ -81,9 +92,11 @@ def glb(primitives: Sequence[Primitive], texture: bytes | None = None, texture_t
             continue
         positions = np.ascontiguousarray(part.positions, dtype=np.float32)
         bounds = {"min": positions.min(0).tolist(), "max": positions.max(0).tolist()}
+        opaque = np.full((len(positions), 4), _WHITE, dtype=np.uint16)
+        opaque[:, :3] = np.rint(_WHITE * np.clip(part.colors, 0.0, 1.0))
         attributes = {
             "POSITION": accessor(positions, _ARRAY_BUFFER, **bounds),
-            "NORMAL": accessor(np.ascontiguousarray(part.normals, dtype=np.float32), _ARRAY_BUFFER),
+            "COLOR_0": accessor(opaque, _ARRAY_BUFFER, normalized=True),
         }
         surface: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": 0.85}
         if part.uvs is not None and texture is not None:
@@ -91,11 +104,11 @@ def glb(primitives: Sequence[Primitive], texture: bytes | None = None, texture_t
             uvs = np.column_stack([part.uvs[:, 0], 1.0 - part.uvs[:, 1]]).astype(np.float32)
             attributes["TEXCOORD_0"] = accessor(uvs, _ARRAY_BUFFER)
             surface["baseColorTexture"] = {"index": 0}
-        if part.colors is not None:
-            opaque = np.full((len(positions), 4), 255, dtype=np.uint8)
-            opaque[:, :3] = np.rint(255 * np.clip(part.colors, 0.0, 1.0))
-            attributes["COLOR_0"] = accessor(opaque, _ARRAY_BUFFER, normalized=True)
-        material: dict[str, Any] = {"pbrMetallicRoughness": surface, "doubleSided": True}
+        material: dict[str, Any] = {
+            "pbrMetallicRoughness": surface,
+            "doubleSided": part.two_sided,
+            "extensions": {_UNLIT: {}},
+        }
         if part.opacity < 1:
             surface["baseColorFactor"] = [1.0, 1.0, 1.0, part.opacity]
             material["alphaMode"] = "BLEND"
@@ -105,6 +118,7 @@ def glb(primitives: Sequence[Primitive], texture: bytes | None = None, texture_t
 
     document: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "cagemap studio"},
+        "extensionsUsed": [_UNLIT],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0}],

@@ -44,12 +44,15 @@ def load_landmarks(
     FormatError, DirectionError, InvalidLandmarksError
         If a file is damaged, made for the other direction, or for other meshes.
     """
-    target, source = scene.target.control, scene.source.control
+    target, source = scene.target.file_mesh, scene.source.file_mesh
     if source_points is None:
         read, notes = read_landmarks(path, files.target, files.source)
     else:
         read, notes = paired(read_points(path, target), read_points(source_points, source), target, source)
     check_landmarks(read, target, source)
+    given, read = read, read.renumbered(scene.target.from_file, scene.source.from_file)
+    if len(read) < len(given):
+        notes = (*notes, f"{len(given) - len(read)} landmarks lie on pieces that are set aside and are left out")
     ends = zip(
         read.names,
         places_of(scene.target, read.target_points),
@@ -77,14 +80,15 @@ def save_landmarks(path: Path, landmarks: LandmarkList, scene: Scene, files: Fil
     FormatError
         If a file cannot be written, or another file of that name is there that cagemap did not write.
     """
-    complete = landmarks_of(landmarks, scene.target.control, scene.source.control)
+    target, source = scene.target.file_mesh, scene.source.file_mesh
+    complete = landmarks_of(landmarks, target, source).renumbered(scene.target.in_file, scene.source.in_file)
     ending = next((ending for ending in PER_MESH if path.name.lower().endswith(ending)), None)
     if ending is not None:
         stem = path.name[: -len(ending)]
         paths = tuple(path.with_name(f"{stem}.{side}{ending}") for side in ("target", "source"))
         sides = (
-            (complete.target_points, complete.curves.target, scene.target.control),
-            (complete.source_points, complete.curves.source, scene.source.control),
+            (complete.target_points, complete.curves.target, target),
+            (complete.source_points, complete.curves.source, source),
         )
         for file, (points, curves, control) in zip(paths, sides, strict=True):
             named = _named(complete.names, points, control)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 from cagemap.errors import CagemapError, ParameterError
 from cagemap.example import example_pair
@@ -18,14 +19,23 @@ BUILT_IN_FOLDER = Path("cagemap-studio")
 TEXTURE_SIZE = 1024
 
 
-def default_files(folder: Path, target: Path, source: Path, texture: Path | None) -> Files:
+Schemes = tuple[str | None, str | None]
+AS_FILED: Schemes = (None, None)
+
+
+def default_files(folder: Path, target: Path, source: Path, texture: Path | None, schemes: Schemes = AS_FILED) -> Files:
     """Files of a pair: landmarks and result beside each other in the folder, named after it."""
     pair = f"{source.stem}__{target.stem}"
-    return Files(target, source, texture, folder / f"{pair}.json", folder / f"{pair}_RESULT")
+    return Files(target, source, texture, folder / f"{pair}.json", folder / f"{pair}_RESULT", schemes)
 
 
 def chosen_files(
-    target: Path | None, source: Path | None, landmarks: Path | None, texture: Path | None, result: Path | None
+    target: Path | None,
+    source: Path | None,
+    landmarks: Path | None,
+    texture: Path | None,
+    result: Path | None,
+    schemes: Schemes = AS_FILED,
 ) -> Files | None:
     """Files named on the command line; None if there are none. A RESULT folder alone names the models it was made of.
 
@@ -37,12 +47,12 @@ def chosen_files(
     if target is None and source is None:
         if result is not None:
             return result_files(result, landmarks, texture)
-        if landmarks or texture:
-            raise ParameterError("expected --target and --source beside the other files. Name both models.")
+        if landmarks or texture or any(schemes):
+            raise ParameterError("expected --target and --source beside the other options. Name both models.")
         return None
     if target is None or source is None:
         raise ParameterError("expected --target and --source, got one of them. Name both models, or none.")
-    return _named(target, source, landmarks, texture, result)
+    return _named(target, source, landmarks, texture, result, schemes)
 
 
 def result_files(result: Path, landmarks: Path | None, texture: Path | None) -> Files:
@@ -64,10 +74,27 @@ def result_files(result: Path, landmarks: Path | None, texture: Path | None) -> 
             f"--result {result}: expected its models where they were, and unchanged; they are not. "
             "Name them with --target and --source."
         )
-    return _named(target, source, landmarks or pairs, texture, result)
+    return _named(
+        target, source, landmarks or pairs, texture, result, (_scheme(manifest, "target"), _scheme(manifest, "source"))
+    )
 
 
-def _named(target: Path, source: Path, landmarks: Path | None, texture: Path | None, result: Path | None) -> Files:
+def _scheme(manifest: dict[str, Any], side: str) -> str | None:
+    """How a RESULT's model is subdivided."""
+    entry = manifest.get(side)
+    scheme = entry.get("scheme") if isinstance(entry, dict) else None
+    name = scheme.get("name") if isinstance(scheme, dict) else None
+    return name if isinstance(name, str) else None
+
+
+def _named(
+    target: Path,
+    source: Path,
+    landmarks: Path | None,
+    texture: Path | None,
+    result: Path | None,
+    schemes: Schemes,
+) -> Files:
     usual = default_files(target.resolve().parent, target.resolve(), source.resolve(), None)
     return Files(
         usual.target,
@@ -75,6 +102,7 @@ def _named(target: Path, source: Path, landmarks: Path | None, texture: Path | N
         None if texture is None else texture.resolve(),
         usual.landmarks if landmarks is None else landmarks.resolve(),
         usual.result if result is None else result.resolve(),
+        schemes,
     )
 
 

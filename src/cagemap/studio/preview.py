@@ -56,7 +56,8 @@ class Preview:
     def open(self, files: Files) -> None:
         """Open two models; what was wished of others is forgotten."""
         with self._wake:
-            self._models, self._opening = Opening(files.target, files.source, files.texture, self._vertices), True
+            self._models = Opening(files.target, files.source, files.texture, self._vertices, files.schemes)
+            self._opening = True
             self._finding, self._choosing, self._dressing = None, None, False
             self._wake.notify()
 

@@ -294,10 +294,13 @@ class Session:
                 self._say("error", f"{answer.kind}: {answer.message}")
             case Opened():
                 self._scene = Scene(answer.target, answer.source, answer.mirrors, answer.skins)
-                threading.Thread(target=self._scene.warm, name="studio warm-up", daemon=True).start()
                 self._change()
+                for note in answer.notes:
+                    self._say("note", note)
                 self._first_landmarks()
             case Found() if self._scene is not None:
+                if self._state.map.revision == 0:  # the page has its models by now, and the processor is free
+                    threading.Thread(target=self._scene.warm, name="studio warm-up", daemon=True).start()
                 self._scene = replace(self._scene, images=answer.images, skins=(answer.skin, self._scene.skins[1]))
                 found = replace(
                     self._state.map,

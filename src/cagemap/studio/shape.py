@@ -10,10 +10,25 @@ import numpy as np
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import triangle_areas
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import fan_triangles
+from cagemap.mesh.measures import fan_triangles, signed_volume
 from cagemap.mesh.parts import list_parts
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Refinement, level_triangles, limit_normals, limit_positions, triangles
+
+
+@dataclass(frozen=True, eq=False)
+class Original:
+    """A mesh as its file has it, where it was made ready to be taken as it is.
+
+    Attributes
+    ----------
+    mesh : ControlMesh
+    vertex_of : (n,) int64
+        Vertex of the mesh made ready that each of the file's became, -1 where it was set aside.
+    """
+
+    mesh: ControlMesh
+    vertex_of: IndexArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +46,8 @@ class Shape:
     uv_triangles : (t, 3) int64 or None
     faces : (t,) int64
         Control face of every triangle.
+    original : Original or None
+        None where the control mesh is the file's.
     """
 
     control: ControlMesh
@@ -40,6 +57,21 @@ class Shape:
     uvs: FloatArray | None
     uv_triangles: IndexArray | None
     faces: IndexArray
+    original: Original | None = None
+
+    @property
+    def file_mesh(self) -> ControlMesh:
+        """The mesh as its file has it."""
+        return self.control if self.original is None else self.original.mesh
+
+    def from_file(self, vertices: IndexArray) -> IndexArray:
+        """Control vertices that the file's became, -1 for those set aside."""
+        return vertices if self.original is None else self.original.vertex_of[vertices]
+
+    def in_file(self, vertices: IndexArray) -> IndexArray:
+        """Vertices of the file that control vertices are."""
+        numbers = None if self.original is None else self.control.file_vertices
+        return vertices if numbers is None else numbers[vertices]
 
     @property
     def name(self) -> str:
@@ -60,6 +92,12 @@ class Shape:
     def edges(self) -> FloatArray:
         """(e, 2, 3) ends of the control mesh's edges, in file units."""
         return np.asarray(self.control.positions[control_edges(self.control)])
+
+    @cached_property
+    def encloses(self) -> bool:
+        """Whether the control mesh is closed and looks outwards, so that nobody sees its inner side."""
+        _, faces = _edges(self.control)
+        return bool((faces == 2).all()) and signed_volume(self.control) > 0
 
     @cached_property
     def surface(self) -> TriangleSurface:
@@ -93,7 +131,7 @@ class Shape:
         return np.asarray(points * self.radius + self.centre)
 
 
-def shape_of(refinement: Refinement) -> Shape:
+def shape_of(refinement: Refinement, original: Original | None = None) -> Shape:
     """Shape of a refinement's finest level."""
     level, finest = refinement.n_levels, refinement.finest
     split = level_triangles(refinement, level)
@@ -106,13 +144,20 @@ def shape_of(refinement: Refinement) -> Shape:
         uvs=finest.uvs,
         uv_triangles=None if finest.uv_indices is None else triangles(finest.uv_indices),
         faces=np.repeat(finest.face_parents, per_face),
+        original=original,
     )
 
 
 def control_edges(control: ControlMesh) -> IndexArray:
     """(e, 2) control vertices of every edge, once."""
-    ends = np.column_stack([control.face_indices, control.face_indices[control.next_corners]])
-    return np.unique(np.sort(ends, axis=1), axis=0)
+    return _edges(control)[0]
+
+
+def _edges(control: ControlMesh) -> tuple[IndexArray, IndexArray]:
+    """(e, 2) ends of every edge, and how many faces have it."""
+    ends = np.sort(np.column_stack([control.face_indices, control.face_indices[control.next_corners]]), axis=1)
+    keys, faces = np.unique(ends[:, 0] * control.n_vertices + ends[:, 1], return_counts=True)
+    return np.column_stack(np.divmod(keys, control.n_vertices)), faces
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,13 @@ from cagemap.studio.glb import Primitive, glb
 from cagemap.studio.shape import Shape
 from cagemap.studio.state import Mode
 
+WHITE = np.ones(3)
 CLAY = np.array([0.42, 0.41, 0.40])
 DOUBT = np.array([0.85, 0.02, 0.02])
 DOUBT_OPACITY = 0.45
+# Light on a matt model: from all sides, more from above, and from two lamps, before it to the left and behind it.
+AMBIENT, ABOVE = 0.34, 0.10
+LAMPS = ((np.array([-0.45, 0.75, 0.85]), 0.52), (np.array([0.6, 0.25, -0.9]), 0.30))
 # Trust below which a place is marked.
 DOUBTFUL = 0.5
 # Doubtful triangles float this far above the model, of its radius.
@@ -83,9 +87,9 @@ def target_skin(
     if mode == "texture" and look.encoded is not None and source.uvs is not None and source.uv_triangles is not None:
         uvs = images.on(source.uv_triangles, source.uvs)
         crossing = crossing_triangles(shape, source, images, uvs)
-        inner, seam = (_part(shape, shape.triangles[chosen]) for chosen in (~crossing, crossing))
-        textured = Primitive(*inner[:3], uvs=uvs[inner[3]])
-        colored = Primitive(*seam[:3], colors=texture_colors(look, uvs[seam[3]]))
+        inner, seam = (_part(shape.triangles[chosen]) for chosen in (~crossing, crossing))
+        textured = _drawn(shape, *inner, uvs=uvs[inner[0]])
+        colored = _drawn(shape, *seam, texture_colors(look, uvs[seam[0]]))
         return glb([textured, colored, *doubtful], look.encoded)
     if mode == "texture":
         if look.colors is None:
@@ -143,6 +147,12 @@ def _layout_jacobians(source: Shape) -> FloatArray:
     return np.asarray(np.einsum("tij,tjk,tlk->til", steps, inverse, edges))
 
 
+def light_on(normals: FloatArray) -> FloatArray:
+    """(n,) what a matt white surface gives back: light from everywhere, and Lambert's law for each lamp."""
+    lamps = sum(strength * np.maximum(normals @ (place / np.linalg.norm(place)), 0.0) for place, strength in LAMPS)
+    return np.asarray(AMBIENT + ABOVE * normals[:, 1] + lamps)
+
+
 def _vertex_pattern(shape: Shape, mode: Mode) -> FloatArray:
     """(n, 3) linear colours of a pattern that positions on the shape decide."""
     cells = CHECKER_CELLS if mode == "checker" else 0
@@ -160,35 +170,53 @@ def _own(shape: Shape, look: Look) -> Primitive:
 
 
 def _painted(shape: Shape, colors: FloatArray) -> Primitive:
-    return Primitive(shape.to_view(shape.positions), shape.normals, shape.triangles, colors=colors)
+    return _drawn(shape, np.arange(len(shape.positions)), shape.triangles, colors)
 
 
 def _flat(shape: Shape, colors: FloatArray) -> Primitive:
-    """One colour a triangle."""
-    corners = shape.triangles.ravel()
-    points, normals = shape.to_view(shape.positions)[corners], shape.normals[corners]
-    return Primitive(points, normals, np.arange(len(corners)).reshape(-1, 3), colors=np.repeat(colors, 3, axis=0))
+    """One colour a triangle; one vertex for every pair of vertex and colour that occurs."""
+    palette, color = np.unique(colors, axis=0, return_inverse=True)
+    vertices, own, triangles = _pairs(shape.triangles, np.repeat(color.ravel(), 3).reshape(-1, 3))
+    return _drawn(shape, vertices, triangles, palette[own])
 
 
 def _split_at_seams(shape: Shape, uvs: FloatArray, uv_triangles: IndexArray) -> Primitive:
     """One vertex for every pair of vertex and texture coordinates that occurs."""
-    keys = shape.triangles.ravel() * len(uvs) + uv_triangles.ravel()
-    pairs, corners = np.unique(keys, return_inverse=True)
-    vertices, texture = np.divmod(pairs, len(uvs))
-    points = shape.to_view(shape.positions)[vertices]
-    return Primitive(points, shape.normals[vertices], corners.reshape(-1, 3), uvs=uvs[texture])
+    vertices, texture, triangles = _pairs(shape.triangles, uv_triangles)
+    return _drawn(shape, vertices, triangles, uvs=uvs[texture])
 
 
 def _doubtful(shape: Shape, images: Images) -> Primitive:
     """Triangles where the map is in doubt, a little above the model."""
     chosen = (images.trust[shape.triangles] < DOUBTFUL).sum(axis=1) >= 2
-    points, normals, triangles, _ = _part(shape, shape.triangles[chosen])
-    colors = np.broadcast_to(DOUBT, points.shape)
-    return Primitive(points + _LIFT * normals, normals, triangles, colors=colors, opacity=DOUBT_OPACITY)
+    vertices, triangles = _part(shape.triangles[chosen])
+    drawn = _drawn(shape, vertices, triangles, DOUBT, opacity=DOUBT_OPACITY)
+    return replace(drawn, positions=drawn.positions + _LIFT * shape.normals[vertices])
 
 
-def _part(shape: Shape, triangles: IndexArray) -> tuple[FloatArray, FloatArray, IndexArray, IndexArray]:
-    """Positions, normals and renumbered triangles of some triangles, and the vertices that they use."""
+def _part(triangles: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """The vertices that some triangles use, and the triangles in their numbers."""
     vertices, corners = np.unique(triangles, return_inverse=True)
-    points = shape.to_view(shape.positions[vertices])
-    return points, shape.normals[vertices], corners.reshape(-1, 3), vertices
+    return vertices, corners.reshape(-1, 3)
+
+
+def _pairs(one: IndexArray, other: IndexArray) -> tuple[IndexArray, IndexArray, IndexArray]:
+    """Pairs of numbers that occur at triangles' corners, each once, and the triangles in the pairs' numbers."""
+    count = other.max(initial=0) + 1
+    pairs, corners = np.unique(one.ravel() * count + other.ravel(), return_inverse=True)
+    return *np.divmod(pairs, count), corners.reshape(-1, 3)
+
+
+def _drawn(
+    shape: Shape,
+    vertices: IndexArray,
+    triangles: IndexArray,
+    colors: FloatArray = WHITE,
+    uvs: FloatArray | None = None,
+    opacity: float = 1.0,
+) -> Primitive:
+    """Triangles between some vertices of a shape, in its light."""
+    lit = light_on(shape.normals[vertices])[:, None] * colors
+    return Primitive(
+        shape.to_view(shape.positions[vertices]), triangles, lit, uvs, opacity, two_sided=not shape.encloses
+    )

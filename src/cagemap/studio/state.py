@@ -28,6 +28,8 @@ class Files:
         Where landmarks are saved.
     result : Path
         RESULT folder of the finish.
+    schemes : (str or None, str or None)
+        How target and source are subdivided, "none" for a mesh as it is; None: as the file says.
     """
 
     target: Path
@@ -35,6 +37,7 @@ class Files:
     texture: Path | None
     landmarks: Path
     result: Path
+    schemes: tuple[str | None, str | None] = (None, None)
 
 
 @dataclass(frozen=True)

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import os
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 from cagemap.errors import CagemapError
 
 STOPPED = "Stopped"
+# Of a map's computation; the page has 0.
+NICENESS = 10
 
 
 @dataclass(frozen=True)
@@ -112,7 +116,7 @@ class Worker:
 
 def _serve(connection: Connection) -> None:
     """Loop of the process: a task in, stages and an answer out."""
-    from cagemap.studio.bench import Bench, perform
+    from cagemap.studio.bench import Bench, OpenModels, perform
 
     bench = Bench()
 
@@ -122,6 +126,8 @@ def _serve(connection: Connection) -> None:
     with contextlib.suppress(EOFError, KeyboardInterrupt, BrokenPipeError):
         while True:
             task = connection.recv()
+            if not isinstance(task, OpenModels):  # nothing can be done on the page before that
+                _step_back()
             try:
                 bench, answer = perform(bench, task, tell)
                 connection.send(_Done(answer))
@@ -133,3 +139,14 @@ def _serve(connection: Connection) -> None:
                 raise
             except Exception as error:  # a fault of ours must not end the studio
                 connection.send(Failure(f"internal error, {type(error).__name__}", str(error)))
+
+
+def _step_back() -> None:
+    """Let the page, and what draws it, have the processor first."""
+    if not hasattr(os, "setpriority"):
+        return
+    threads = Path("/proc/self/task")  # on Linux every thread has an order of its own; new ones inherit it
+    numbers = map(int, os.listdir(threads)) if threads.is_dir() else (0,)
+    with contextlib.suppress(OSError):  # one that has ended
+        for number in numbers:
+            os.setpriority(os.PRIO_PROCESS, number, NICENESS)

@@ -17,7 +17,7 @@ from cagemap.files.marks import mark
 from cagemap.files.text import read_text
 from cagemap.studio.landmarks import Landmark, LandmarkList, Place
 
-MESHES = (".obj", ".ply", ".usd", ".usda", ".usdc", ".usdz")
+MESHES = (".obj", ".ply", ".stl", ".off", ".usd", ".usda", ".usdc", ".usdz")
 IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
 LANDMARKS = (".json", ".pp", ".fcsv", ".csv", ".txt")
 TABLES = (".npy", ".npz", ".csv")

@@ -189,8 +189,11 @@ async def _pump(here: _Socket, there: _Socket) -> None:
 
 def _pages() -> dict[str, bytes]:
     """Everything that is served as a file: the frame, and viser's own page for each side."""
-    frame = resources.files("cagemap.studio.page").joinpath("frame.html").read_bytes()
+    frame, first = (
+        resources.files("cagemap.studio.page").joinpath(name).read_bytes() for name in ("frame.html", "jagged.html")
+    )
     client = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_bytes()
+    client = client.replace(b"<head>", b"<head>" + first, 1)
     return {"/": frame} | {f"/{side}/": client for side in SIDES}
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import viser
 
 from cagemap.errors import CagemapError, ParameterError
+from cagemap.mesh.schemes import SCHEMES
 from cagemap.studio.opening import default_files
 from cagemap.studio.page.choices import NONE, Choices, put
 from cagemap.studio.page.finish_panel import FinishPanel
@@ -18,6 +19,7 @@ from cagemap.studio.state import MODES, Files, Studio
 from cagemap.studio.workspace import IMAGES, LANDMARKS, MESHES
 
 WIDTH = 270
+AS_FILED = "as the file says"
 
 
 class SetupPanel:
@@ -34,6 +36,12 @@ class SetupPanel:
             self._source = choices.dropdown(gui, "Source", MESHES, "gives: the model that has the texture")
             self._texture = choices.dropdown(gui, "Texture", IMAGES, "an image over the source's UVs")
             self._source.on_update(lambda event: self._guess_texture(event.client))
+            with gui.add_folder("As what", expand_by_default=False):
+                hint = "how it is subdivided; none: taken as it is, such as a scan"
+                schemes = (AS_FILED, *SCHEMES)
+                self._schemes = tuple(
+                    gui.add_dropdown(f"{side} scheme", schemes, hint=hint) for side in ("Target", "Source")
+                )
             gui.add_button("Open", icon=viser.Icon.FOLDER_OPEN).on_click(lambda _: self._open())
             upload = gui.add_upload_button("Add a file", hint="copies a file of yours into the studio's folder")
             upload.on_upload(lambda event: self._upload(event.target.value))
@@ -60,6 +68,8 @@ class SetupPanel:
             chosen = ((self._target, files.target), (self._source, files.source), (self._texture, files.texture))
             for handle, path in chosen:
                 self._choices.choose(handle, path)
+            for handle, scheme in zip(self._schemes, files.schemes, strict=True):
+                put(handle, "value", scheme or AS_FILED)
         view = state.view
         put(self._doubts, "value", view.doubts)
         put(self._cages, "value", view.cages)
@@ -92,7 +102,8 @@ class SetupPanel:
             target, source, texture = map(self._choices.path, (self._target, self._source, self._texture))
             if target is None or source is None:
                 raise ParameterError("expected a target and a source, got one of them or none. Choose both.")
-            self._session.open(default_files(folder, target, source, texture))
+            one, two = (None if handle.value == AS_FILED else str(handle.value) for handle in self._schemes)
+            self._session.open(default_files(folder, target, source, texture, (one, two)))
         except CagemapError as error:
             self._session.report(error)
 

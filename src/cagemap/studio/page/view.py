@@ -98,6 +98,10 @@ class ModelView:
         self._markers: dict[int, tuple[Marker, Any, Any]] = {}
         server.scene.set_up_direction("+y")
         server.scene.world_axes.visible = False
+        # Skins carry their light (`glb`); what is left to light are the landmarks' balls.
+        server.scene.configure_default_lights(enabled=False)
+        server.scene.configure_environment_map(None)
+        server.scene.add_light_hemisphere("/light", ground_color=(90, 90, 90), intensity=3.0)
         server.initial_camera.position = FIRST_VIEW
         server.initial_camera.fov = FIELD_OF_VIEW
         server.initial_camera.look_at = (0.0, 0.0, 0.0)
@@ -113,9 +117,9 @@ class ModelView:
         with self.server.atomic():
             if self._shape is not shape:
                 self._shape = shape
-                self._show_cage(shape)
+                self._hide_cage()
             self._show_skin(scene.skins[0 if self.side == "target" else 1])
-            self._cage.visible = state.view.cages
+            self._show_cage(shape, visible=state.view.cages)
             self._show_markers(markers_of(state, shape, self.side))
             self._show_curves(state.history.present.curves, shape)
             self._show_probe(state.probe, shape)
@@ -168,11 +172,18 @@ class ModelView:
             timer.daemon = True
             timer.start()
 
-    def _show_cage(self, shape: Shape) -> None:
-        points = shape.to_view(shape.edges).astype(np.float32)
-        self._cage = self.server.scene.add_line_segments(
-            "/cage", points, colors=CAGE_COLOR, thickness=1.0, visible=False
-        )
+    def _show_cage(self, shape: Shape, *, visible: bool) -> None:
+        """The control mesh's edges; they are sent when they are first asked for."""
+        if self._cage is not None:
+            self._cage.visible = visible
+        elif visible:
+            points = shape.to_view(shape.edges).astype(np.float32)
+            self._cage = self.server.scene.add_line_segments("/cage", points, colors=CAGE_COLOR, thickness=1.0)
+
+    def _hide_cage(self) -> None:
+        if self._cage is not None:
+            self._cage.remove()
+            self._cage = None
 
     def _show_markers(self, wanted: dict[int, Marker]) -> None:
         for number in [number for number in self._markers if number not in wanted]:
