@@ -26,6 +26,12 @@ MOST_ENDS = 3
 # One that costs this many times the cheapest is not.
 HOPELESS_END = 1.5
 
+# Two finished ends that are this far apart, of sqrt(area), may each be better somewhere. Parts of less area than that
+# share are left alone; what lies within so many rings of edges around a part counts for it, and fades.
+PARTS_APART = 0.02
+LEAST_PART = 5e-4
+PART_RINGS = 3
+
 # What it lies on
 
 # Vertices from which a level of the source is fine enough to lie on while fitting.

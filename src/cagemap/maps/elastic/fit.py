@@ -103,6 +103,11 @@ def fine_fit(
     """
     best = min(coarse, key=lambda ended: ended.cost)
     start = extrapolate(shape.rest.graph, best.positions, best.maps, prepared.rest.graph)
+    return fine_stage(prepared, start, landmarks)
+
+
+def fine_stage(prepared: PreparedPair, start: FloatArray, landmarks: PointPairs) -> FloatArray:
+    """(n, 3) where the target's mesh ends that starts at some positions (n, 3)."""
     places, elastic = landmarks.source.positions, prepared.elastic
     held = Anchors.on_mesh(prepared.mesh, landmarks.target)
     curves = CurvePull.on_mesh(prepared.mesh, landmarks.curves)
@@ -144,14 +149,21 @@ def coarse_cost(
     rest: RestShape, sheet: TriangleSurface, positions: FloatArray, maps: FloatArray, config: ElasticConfig
 ) -> float:
     """What a coarse fit costs: mean squared distance in position and normal, and the energy at a fixed stiffness."""
+    return float(vertex_costs(rest, sheet, positions, maps, config).sum())
+
+
+def vertex_costs(
+    rest: RestShape, sheet: TriangleSurface, positions: FloatArray, maps: FloatArray, config: ElasticConfig
+) -> FloatArray:
+    """(n,) shares of `coarse_cost` that every vertex has."""
     graph = rest.graph
     normals = deformed_normals(graph, maps)
     found = SurfacePoints.nearest(sheet, positions, normals, normal_weight=config.normal_weight)
     areas = graph.areas * rest.masks.of_target(graph.n) * rest.masks.at_source(found)
     squared = ((found.positions - positions) ** 2).sum(axis=1)
     turned = 2.0 - 2.0 * np.einsum("nd,nd->n", found.normals, normals)
-    data = areas @ (squared + config.normal_weight**2 * turned)
-    return float(data + COST_STIFFNESS * graph.energy(positions, maps, config.coarse.smoothing))
+    data = areas * (squared + config.normal_weight**2 * turned)
+    return np.asarray(data + COST_STIFFNESS * graph.energies(positions, maps, config.coarse.smoothing))
 
 
 def run_stage(

@@ -67,10 +67,15 @@ class ElasticGraph:
 
     def energy(self, positions: FloatArray, maps: FloatArray, epsilon: float) -> float:
         """E(x, A), every edge once."""
+        return float(self.energies(positions, maps, epsilon).sum())
+
+    def energies(self, positions: FloatArray, maps: FloatArray, epsilon: float) -> FloatArray:
+        """(n,) shares of E(x, A): of every edge a half at each end."""
         means = 0.5 * (maps[self.heads] + maps[self.tails])
         residual = positions[self.heads] - positions[self.tails] - np.einsum("eab,eb->ea", means, self.edges)
         change = ((maps[self.heads] - maps[self.tails]) ** 2).sum(axis=(1, 2))
-        return float(0.5 * self.weights @ ((residual**2).sum(axis=1) + epsilon * change))
+        of_edges = 0.5 * self.weights * ((residual**2).sum(axis=1) + epsilon * change)
+        return np.asarray(np.bincount(self.heads, of_edges, self.n), dtype=np.float64)
 
     def gather(self) -> sparse.csr_array:
         """(n, 2 m) matrix that sums edge values at the edges' heads."""
@@ -296,7 +301,7 @@ def connected_cells(graph: ElasticGraph, cell: IndexArray) -> IndexArray:
     cell : (n,) int64
     """
     inside = cell[graph.heads] == cell[graph.tails]
-    piece = _components(graph.heads[inside], graph.tails[inside], graph.n)
+    piece = components(graph.heads[inside], graph.tails[inside], graph.n)
     for _ in range(JOINING_ROUNDS):
         k = int(piece.max()) + 1
         areas = np.bincount(piece, graph.areas, minlength=k)
@@ -311,11 +316,11 @@ def connected_cells(graph: ElasticGraph, cell: IndexArray) -> IndexArray:
         order = np.lexsort((shared.data, shared.row))
         last = np.flatnonzero(np.diff(shared.row[order], append=k))
         small, joined = (shared.coords[side][order][last].astype(np.int64) for side in (0, 1))
-        piece = _components(small, joined, k)[piece]
+        piece = components(small, joined, k)[piece]
     return piece
 
 
-def _components(heads: IndexArray, tails: IndexArray, n: int) -> IndexArray:
+def components(heads: IndexArray, tails: IndexArray, n: int) -> IndexArray:
     """(n,) number of the connected component of every vertex."""
     edges = sparse.coo_array((np.ones(len(heads)), (heads, tails)), shape=(n, n))
     return np.asarray(connected_components(edges, directed=False)[1], dtype=np.int64)

@@ -60,8 +60,8 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
     The functional map starts as the paper's (eqs. 13-16) and grows on the search levels beside harmonic and biharmonic
     landmark coordinates; from where it sends some vertices, and from the landmarks alone, the coarse stage of the
     elastic fit starts. Where these two end apart, limbs may be turned: spectral upsampling makes further starts of the
-    spectral map's end, and the fine stage goes on from all that lie apart. Where they end alike, no joint needs the
-    soft stage, and a stiffer one from the same starts spreads the strain more evenly.
+    spectral map's end, and the fine stage goes on from all that lie apart, and from where a stiffer coarse stage ends.
+    Where they end alike, no joint needs the soft stage, and the stiffer one spreads the strain more evenly.
 
     Parameters
     ----------
@@ -79,11 +79,13 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
         start = prepared.on_source.positions[match]
         guided = coarse_fit(shape, sheet, start, places, elastic)
         ends = [guided, blind.result()]
+    stiffer, stiff = replace(elastic, coarse=elastic.settled), shape.smoother(elastic.settled.smoothing)
     if mean_distance(ends[0].positions, ends[1].positions, shape.rest.graph.areas) > DOUBTFUL:
         starts = spectral_starts(shape, guided, SpectralSides.build(prepared, shape))
-        ends += in_threads(lambda rough: coarse_fit(shape, sheet, rough, places, elastic), starts)
-        return finished_ends(prepared, shape, ends, pair.landmarks)
-    stiffer, stiff = replace(elastic, coarse=elastic.settled), shape.smoother(elastic.settled.smoothing)
+        with ThreadPool(1) as aside:
+            other = aside.submit(coarse_fit, stiff, sheet, start, places, stiffer)
+            ends += in_threads(lambda rough: coarse_fit(shape, sheet, rough, places, elastic), starts)
+            return finished_ends(prepared, shape, ends, pair.landmarks, stiff=[other.result()])
     both: list[FloatArray | None] = [start, None]
     ends = in_threads(lambda rough: coarse_fit(stiff, sheet, rough, places, stiffer), both)
     best = min(ends, key=lambda ended: ended.cost)
