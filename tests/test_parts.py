@@ -77,6 +77,12 @@ def test_parts_are_found_by_name() -> None:
     assert find_part(paths, "eye_right").name == "/hero/eye_right"
 
 
+def test_a_group_of_several_names_is_in_each_of_them() -> None:
+    mesh = replace(cube(), face_groups=np.array([0, 0, 1, 1, 2, 2]), group_names=("lips", "lips face", "ear"))
+    for name, faces in (("lips", [0, 1, 2, 3]), ("face", [2, 3]), ("group:ear", [4, 5]), ("lips face", [2, 3])):
+        np.testing.assert_array_equal(find_part(mesh, name).faces, faces)
+
+
 def test_a_part_taken_out_is_the_mesh_that_was_joined() -> None:
     scene = _scene()
     eye = extract(scene, find_part(scene, "eye_right").faces)

@@ -165,7 +165,7 @@ def test_a_character_with_parts_weights_and_blend_shapes(tmp_path: Path) -> None
     _character(path)
     body, eye = read_usd_meshes(path)
     assert (body.path, eye.path) == ("/hero/body", "/hero/eye")
-    np.testing.assert_allclose(in_world(eye).positions, eye.control.positions + np.array([0, 5, 0]))
+    np.testing.assert_allclose(in_world(eye).control.positions, eye.control.positions + np.array([0, 5, 0]))
     np.testing.assert_array_equal(body.attributes["skel:jointWeights"], [[0.25, 0, 0.75]] * 8)
     np.testing.assert_array_equal(body.attributes["blendShape:smile"][5], [1, 0, 0])
     np.testing.assert_array_equal(body.attributes["fur"], np.arange(8))

@@ -15,18 +15,21 @@ from cagemap.cli.transfer import run_transfer
 from cagemap.cli.transfer_request import TransferRequest
 from cagemap.cli.wrap import run_wrap
 from cagemap.cli.wrap_request import WrapRequest
+from cagemap.files.attributes import read_attributes
 from cagemap.files.images import write_image
 from cagemap.files.landmarks import write_landmarks
+from cagemap.geometry.surface import TriangleSurface
 from cagemap.mesh import CatmullClark, ControlMesh, creature, cube, poles
 from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.parts import extract, find_part
 
 pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
-from pxr import Gf, Usd, UsdGeom
+from pxr import Gf, Sdf, Usd, UsdGeom
 
 from cagemap.files.usd import read_usd, read_usd_meshes
-from cagemap.files.usd_write import write_usd
+from cagemap.files.usd_write import UsdResults, write_usd, write_usd_over
 from test_usd import complaints
 
 PLACE = np.array([[0, 2.0, 0, 0], [-2.0, 0, 0, 0], [0, 0, 2.0, 0], [5, 6, 7, 1]])
@@ -117,3 +120,127 @@ def test_refined_files_keep_units_axis_and_place(suffix: str, tmp_path: Path) ->
     np.testing.assert_allclose(fine.to_world, coarse.to_world, atol=1e-12)
     assert fine.control.n_vertices == 26
     assert complaints(tmp_path / f"fine{suffix}") == []
+
+
+def _faces(stage: Usd.Stage, path: str, mesh: ControlMesh) -> UsdGeom.Mesh:
+    made = UsdGeom.Mesh.Define(stage, path)
+    made.CreatePointsAttr(mesh.positions.tolist())
+    made.CreateFaceVertexCountsAttr(mesh.face_sizes.tolist())
+    made.CreateFaceVertexIndicesAttr(mesh.face_indices.tolist())
+    made.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(made.GetPointsAttr().Get()))
+    return made
+
+
+def _volume(mesh: ControlMesh) -> float:
+    surface = TriangleSurface.from_faces(mesh.positions, mesh.face_indices.reshape(-1, 4))
+    a, b, c = (surface.positions[surface.triangles[:, k]] for k in range(3))
+    return float(np.einsum("td,td->", a, np.cross(b, c)))
+
+
+def test_what_only_moves_is_read_at_its_first_time(tmp_path: Path) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "moving.usda"))
+    shift = UsdGeom.Xform.Define(stage, "/A").AddTranslateOp()
+    mesh = _faces(stage, "/A/m", cube())
+    for time in (3, 9):
+        shift.Set((5.0 * time, 0, 0), time)
+    for attribute in (mesh.GetPointsAttr(), mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()):
+        value = attribute.Get()
+        attribute.Clear()
+        attribute.Set(value, 3)
+    mesh.GetPointsAttr().Set((4 * cube().positions).tolist(), 9)
+    primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "vertex")
+    primvar.Set(cube().positions[:, :2].tolist(), 3)
+    stage.Save()
+    (read,) = read_usd_meshes(tmp_path / "moving.usda")
+    np.testing.assert_array_equal(read.control.positions, cube().positions)
+    np.testing.assert_array_equal(read.to_world[3, :3], [15, 0, 0])
+    assert read.control.uvs is not None
+
+
+def test_mirrored_and_left_handed_prims_face_outwards_and_layers_fit_them(tmp_path: Path) -> None:
+    """Face corners come in the prim's own order in a layer, whichever way they were run through."""
+    stage = Usd.Stage.CreateNew(str(tmp_path / "mirrored.usda"))
+    UsdGeom.SetStageUpAxis(stage, "Y")
+    UsdGeom.SetStageMetersPerUnit(stage, 1)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Root").GetPrim())
+    other = cube().face_indices.reshape(-1, 4)[:, ::-1].ravel()
+    reversed_cube = replace(cube(), face_indices=other)
+    for name, scale, left in (("a", 1, False), ("b", -1, False), ("c", 1, True), ("d", -1, True)):
+        parent = UsdGeom.Xform.Define(stage, f"/Root/{name}")
+        parent.AddTranslateOp().Set((9.0 * ord(name), 0, 0))
+        parent.AddScaleOp().Set((scale, 1, 1))
+        made = _faces(stage, f"/Root/{name}/m", reversed_cube if left else cube())
+        if left:
+            made.CreateOrientationAttr("leftHanded")
+    stage.Save()
+    whole, meshes = read_usd(tmp_path / "mirrored.usda"), read_usd_meshes(tmp_path / "mirrored.usda")
+    for mesh in meshes:
+        part = extract(whole, find_part(whole, mesh.path).faces)
+        centred = part.with_positions(part.positions - part.positions.mean(axis=0))
+        assert _volume(centred) > 0, mesh.path
+        where = part.positions[part.face_indices]
+        layer = tmp_path / f"{mesh.path.split('/')[2]}.usda"
+        results = UsdResults(attributes={"where": where}, uvs=("flat", where[:, :2], np.arange(24)))
+        write_usd_over(layer, tmp_path / "mirrored.usda", [mesh.path], part, results, world=True)
+        assert complaints(layer) == []
+        over = Usd.Stage.Open(str(layer))
+        prim = UsdGeom.Mesh(over.GetPrimAtPath(mesh.path))
+        values = np.array(UsdGeom.PrimvarsAPI(prim).GetPrimvar("where").Get())
+        flat = np.array(UsdGeom.PrimvarsAPI(prim).GetPrimvar("flat").ComputeFlattened())
+        points = np.array(prim.GetPointsAttr().Get())[np.array(prim.GetFaceVertexIndicesAttr().Get())]
+        placed = points @ mesh.to_world[:3, :3] + mesh.to_world[3, :3]
+        np.testing.assert_allclose(values, placed, atol=1e-5)
+        np.testing.assert_allclose(flat, placed[:, :2], atol=1e-5)
+        again = read_attributes(layer, extract(read_usd(layer), find_part(whole, mesh.path).faces))["where"]
+        np.testing.assert_allclose(again, where, atol=1e-5)
+
+
+def test_instances_are_meshes_that_a_layer_can_reach(tmp_path: Path) -> None:
+    prototype = Usd.Stage.CreateNew(str(tmp_path / "box.usda"))
+    prototype.SetDefaultPrim(UsdGeom.Xform.Define(prototype, "/Box").GetPrim())
+    _faces(prototype, "/Box/m", cube())
+    prototype.Save()
+    stage = Usd.Stage.CreateNew(str(tmp_path / "scene.usda"))
+    UsdGeom.SetStageUpAxis(stage, "Y")
+    UsdGeom.SetStageMetersPerUnit(stage, 1)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
+    for number in range(2):
+        placed = UsdGeom.Xform.Define(stage, f"/World/box{number}")
+        placed.GetPrim().GetReferences().AddReference("./box.usda")
+        placed.GetPrim().SetInstanceable(True)
+        placed.AddTranslateOp().Set((9.0 * number, 0, 0))
+    stage.Save()
+    assert [mesh.path for mesh in read_usd_meshes(tmp_path / "scene.usda")] == ["/World/box0/m", "/World/box1/m"]
+    whole = read_usd(tmp_path / "scene.usda")
+    part = extract(whole, find_part(whole, "/World/box1/m").faces)
+    points = UsdResults(points=part.positions + 1)
+    write_usd_over(tmp_path / "over.usda", tmp_path / "scene.usda", ["/World/box1/m"], part, points, world=True)
+    first, second = read_usd_meshes(tmp_path / "over.usda")
+    np.testing.assert_allclose(first.control.positions, cube().positions, atol=1e-6)
+    np.testing.assert_allclose(second.control.positions, cube().positions + 1, atol=1e-6)
+
+
+def test_stand_ins_and_primvars_that_say_nothing_are_left_out(tmp_path: Path) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "asset.usda"))
+    mesh = _faces(stage, "/A/m", cube())
+    for purpose in ("guide", "proxy"):
+        UsdGeom.Imageable(_faces(stage, f"/A/{purpose}", cube())).CreatePurposeAttr(purpose)
+    api, names = UsdGeom.PrimvarsAPI(mesh), Sdf.ValueTypeNames
+    api.CreatePrimvar("empty", names.FloatArray, "vertex").Set([])
+    api.CreatePrimvar("frames", names.Matrix4dArray, "vertex").Set([Gf.Matrix4d(1)] * 8)
+    api.CreatePrimvar("height", names.FloatArray, "vertex").Set([1.0] * 8)
+    stage.Save()
+    (read,) = read_usd_meshes(tmp_path / "asset.usda")
+    assert read.path == "/A/m"
+    assert list(read.attributes) == ["height"]
+
+
+def test_subsets_that_overlap_are_parts_of_their_own(tmp_path: Path) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "asset.usda"))
+    mesh = _faces(stage, "/A/m", cube())
+    for name, faces in (("one", [0, 5]), ("two", [5, 4]), ("three", [1])):
+        UsdGeom.Subset.CreateGeomSubset(mesh, name, "face", faces, "picked")
+    stage.Save()
+    whole = read_usd(tmp_path / "asset.usda")
+    for name, faces in (("one", [0, 5]), ("group:two", [4, 5]), ("three", [1])):
+        np.testing.assert_array_equal(find_part(whole, name).faces, faces)

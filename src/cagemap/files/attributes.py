@@ -14,8 +14,7 @@ from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.file_rows import FileRows, prim_rows, taken
 from cagemap.files.npz import read_npy, read_npz, write_npz
-from cagemap.files.usd import USD_SUFFIXES, one_mesh, read_usd_meshes
-from cagemap.files.usd_primvars import BLEND_SHAPE
+from cagemap.files.usd import USD_SUFFIXES, in_world, one_mesh, read_usd_meshes
 from cagemap.files.vertex_groups import groups_text, read_groups
 from cagemap.mesh import ControlMesh
 
@@ -75,10 +74,8 @@ def read_attributes(path: str | Path, control: ControlMesh | None = None, rows: 
 def _read_usd(file: Path, control: ControlMesh | None) -> Attributes:
     meshes = read_usd_meshes(file)
     chosen = one_mesh(file, meshes, control)
-    arrays = dict(chosen.attributes)
-    if len(meshes) > 1:  # the mesh is in world space then, and so are its offsets
-        turn = chosen.to_world[:3, :3]
-        arrays |= {name: array @ turn for name, array in arrays.items() if name.startswith(BLEND_SHAPE)}
+    # Of several meshes each is in world space, and so are its offsets.
+    arrays = (chosen if len(meshes) == 1 else in_world(chosen)).attributes
     arrays = {name: _check(file, name, array) for name, array in arrays.items()}
     return taken(arrays, None if control is None else prim_rows(meshes, chosen.path, control))
 

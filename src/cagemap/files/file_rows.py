@@ -105,7 +105,7 @@ def rows_of(path: Path | None, control: ControlMesh) -> FileRows | None:
     inside = [] if len(meshes) < 2 else _objects(control)
     if len(inside) != 1:
         return FileRows(control, read_usd(path, mixed=True))
-    return prim_rows([replace(mesh, control=in_world(mesh)) for mesh in meshes], inside[0], control)
+    return prim_rows([in_world(mesh) for mesh in meshes], inside[0], control)
 
 
 def _objects(control: ControlMesh) -> list[str]:

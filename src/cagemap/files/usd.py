@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files.usd_primvars import corner_values, primvar_arrays, uv_primvars
+from cagemap.files.usd_face_sets import face_sets
+from cagemap.files.usd_primvars import BLEND_SHAPE, corner_values, integers, primvar_arrays, stated, uv_primvars
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Plain, Scheme
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.join import join_meshes
@@ -38,6 +39,8 @@ _UVS = {
     "boundaries": "boundaries",
     "all": "all",
 }
+# Purposes of meshes that stand for others.
+_STAND_INS = ("guide", "proxy")
 _TRIANGLES = {"catmullClark": "catmull_clark", "smooth": "smooth"}
 
 
@@ -124,7 +127,9 @@ def named_damage(file: str | Path) -> Iterator[None]:
 
 
 def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
-    """Every active mesh prim of a stage, in its order.
+    """Every active mesh prim of a stage, in its order, instances among them; at the first time, where it moves.
+
+    Stand-ins (purpose guide or proxy) are left out beside meshes that are none.
 
     Raises
     ------
@@ -134,8 +139,11 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
     file = Path(path)
     stage, pxr = open_stage(file), usd_modules()
     with named_damage(file):
-        prims = [prim for prim in pxr.Usd.PrimRange.Stage(stage) if prim.IsA(pxr.UsdGeom.Mesh)]
-        meshes = tuple(_read_prim(file, prim) for prim in prims if pxr.UsdGeom.Mesh(prim).GetPointsAttr().Get())
+        every = pxr.Usd.PrimRange.Stage(stage, pxr.Usd.TraverseInstanceProxies())
+        prims = [prim for prim in every if prim.IsA(pxr.UsdGeom.Mesh)]
+        final = [prim for prim in prims if str(pxr.UsdGeom.Imageable(prim).ComputePurpose()) not in _STAND_INS]
+        with_points = [prim for prim in final or prims if stated(pxr.UsdGeom.Mesh(prim).GetPointsAttr())]
+        meshes = tuple(_read_prim(file, prim) for prim in with_points)
     if not meshes:
         what = f"got {len(prims)} without points" if prims else "got none"
         raise FormatError(f"{file}: expected at least one mesh prim, {what}. Export the control mesh with its points.")
@@ -157,7 +165,7 @@ def read_usd(path: str | Path, *, mixed: bool = False) -> ControlMesh:
     if len(meshes) == 1:
         return replace(meshes[0].control, name=file.name)
     schemes = {str(mesh.control.scheme): mesh.path for mesh in meshes}
-    joined = replace(join_meshes([in_world(mesh) for mesh in meshes]), name=file.name)
+    joined = replace(join_meshes([in_world(mesh).control for mesh in meshes]), name=file.name)
     if len(schemes) > 1 and mixed:
         return replace(joined, object_schemes=tuple(default_scheme(mesh.control) for mesh in meshes))
     if len(schemes) > 1:
@@ -195,24 +203,34 @@ def moved(points: FloatArray, matrix: FloatArray) -> FloatArray:
     return np.asarray(points @ matrix[:3, :3] + matrix[3, :3])
 
 
-def in_world(mesh: UsdMesh) -> ControlMesh:
-    """The mesh in world space, with its prim's path as object."""
-    control = mesh.control
-    return replace(
+def in_world(mesh: UsdMesh) -> UsdMesh:
+    """The mesh and its blend shapes in world space, with its prim's path as object; a mirrored one is turned round."""
+    control, attributes = mesh.control, dict(mesh.attributes)
+    if is_mirrored(mesh.to_world):
+        control, attributes = _turned_round(control, attributes)
+    turn = mesh.to_world[:3, :3]
+    control = replace(
         control,
         positions=moved(control.positions, mesh.to_world),
         face_objects=np.zeros(control.n_faces, dtype=np.int64),
         object_names=(mesh.path,),
     )
+    shapes = {name: array @ turn for name, array in attributes.items() if name.startswith(BLEND_SHAPE)}
+    return replace(mesh, control=control, attributes=attributes | shapes)
+
+
+def is_mirrored(matrix: FloatArray) -> bool:
+    """Whether a (4, 4) transform makes left hands of right ones."""
+    return bool(np.linalg.det(matrix[:3, :3]) < 0)
 
 
 def _read_prim(file: Path, prim: Any) -> UsdMesh:
     pxr = usd_modules()
     mesh = pxr.UsdGeom.Mesh(prim)
     where = f"{file}: {prim.GetPath()}"
-    positions = np.array(mesh.GetPointsAttr().Get(), dtype=np.float64).reshape(-1, 3)
-    sizes = _integers(mesh.GetFaceVertexCountsAttr().Get())
-    indices = _integers(mesh.GetFaceVertexIndicesAttr().Get())
+    positions = np.array(stated(mesh.GetPointsAttr()), dtype=np.float64).reshape(-1, 3)
+    sizes = integers(stated(mesh.GetFaceVertexCountsAttr()))
+    indices = integers(stated(mesh.GetFaceVertexIndicesAttr()))
     if not len(sizes) or sizes.min() < 1 or sizes.sum() != len(indices):
         raise FormatError(
             f"{where}: expected face counts that sum to the {len(indices)} face vertex indices, got "
@@ -231,7 +249,7 @@ def _read_prim(file: Path, prim: Any) -> UsdMesh:
         first = next((uv_set for uv_set in sets if uv_set.name == "st"), sets[0])
         others = tuple(uv_set for uv_set in sets if uv_set is not first)
         control = replace(control.with_uvs(first.uvs, first.uv_indices), uv_name=first.name, uv_sets=others)
-    control = replace(control, **_materials(prim, control.n_faces))
+    control = replace(control, **face_sets(prim, control.n_faces))
     attributes = primvar_arrays(where, control, prim)
     colors = attributes.get("displayColor")
     if colors is not None and colors.shape == (control.n_vertices, 3):
@@ -244,11 +262,7 @@ def _read_prim(file: Path, prim: Any) -> UsdMesh:
 def local_to_world(prim: Any) -> FloatArray:
     """(4, 4) from a prim's own space to the world's."""
     pxr = usd_modules()
-    return np.array(pxr.UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(pxr.Usd.TimeCode.Default()))
-
-
-def _integers(values: Any) -> IndexArray:
-    return np.array([] if values is None else values, dtype=np.int64)
+    return np.array(pxr.UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(pxr.Usd.TimeCode.EarliestTime()))
 
 
 def _scheme(where: str, mesh: Any) -> Scheme:
@@ -270,8 +284,8 @@ def _scheme(where: str, mesh: Any) -> Scheme:
 def _sharpness(where: str, mesh: Any) -> dict[str, Any]:
     """Creases, corners and holes, as fields of a control mesh."""
     result: dict[str, Any] = {}
-    chain, lengths = _integers(mesh.GetCreaseIndicesAttr().Get()), _integers(mesh.GetCreaseLengthsAttr().Get())
-    values = np.array(mesh.GetCreaseSharpnessesAttr().Get() or [], dtype=np.float64)
+    chain, lengths = integers(stated(mesh.GetCreaseIndicesAttr())), integers(stated(mesh.GetCreaseLengthsAttr()))
+    values = _floats(stated(mesh.GetCreaseSharpnessesAttr()))
     if len(chain):
         n_edges = lengths - 1
         if (
@@ -293,8 +307,8 @@ def _sharpness(where: str, mesh: Any) -> dict[str, Any]:
         result["crease_edges"] = np.column_stack([chain[starts], chain[starts + 1]])
         per_edge = values if len(values) == n_edges.sum() else np.repeat(values, n_edges)
         result["crease_sharpness"] = np.clip(per_edge, 0.0, None)
-    corners = _integers(mesh.GetCornerIndicesAttr().Get())
-    sharpness = np.array(mesh.GetCornerSharpnessesAttr().Get() or [], dtype=np.float64)
+    corners = integers(stated(mesh.GetCornerIndicesAttr()))
+    sharpness = _floats(stated(mesh.GetCornerSharpnessesAttr()))
     if len(corners) != len(sharpness):
         raise FormatError(
             f"{where}: expected one sharpness a corner, got {len(corners)} corners and {len(sharpness)} sharpnesses. "
@@ -302,74 +316,30 @@ def _sharpness(where: str, mesh: Any) -> dict[str, Any]:
         )
     if len(corners):
         result |= {"corner_vertices": corners, "corner_sharpness": np.clip(sharpness, 0.0, None)}
-    holes = _integers(mesh.GetHoleIndicesAttr().Get())
+    holes = integers(stated(mesh.GetHoleIndicesAttr()))
     return result | ({"hole_faces": np.unique(holes)} if len(holes) else {})
-
-
-def _materials(prim: Any, n_faces: int) -> dict[str, Any]:
-    """Material of every face, by the mesh's binding and those of its subsets; other subsets become groups."""
-    pxr = usd_modules()
-    materials = np.full(n_faces, -1, dtype=np.int64)
-    groups = np.full(n_faces, -1, dtype=np.int64)
-    names: list[str] = []
-    group_names: list[str] = []
-    colors: list[FloatArray] = []
-
-    def number(material: Any) -> int:
-        name = material.GetPath().name
-        if name not in names:
-            names.append(name)
-            colors.append(_diffuse_color(material))
-        return names.index(name)
-
-    bound = pxr.UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
-    if bound:
-        materials[:] = number(bound)
-    for subset in pxr.UsdGeom.Subset.GetAllGeomSubsets(pxr.UsdGeom.Imageable(prim)):
-        faces = _integers(subset.GetIndicesAttr().Get())
-        if subset.GetElementTypeAttr().Get() != "face" or not len(faces) or faces.min() < 0 or faces.max() >= n_faces:
-            continue
-        own = pxr.UsdShade.MaterialBindingAPI(subset.GetPrim()).GetDirectBinding().GetMaterial()
-        if own:
-            materials[faces] = number(own)
-        elif subset.GetFamilyNameAttr().Get() != "materialBind":
-            group_names.append(subset.GetPrim().GetName())
-            groups[faces] = len(group_names) - 1
-    result: dict[str, Any] = {}
-    if names:
-        unbound = materials < 0
-        if unbound.any():
-            materials[unbound] = len(names)
-            names.append("")
-            colors.append(np.full(3, np.nan))
-        result |= {"face_materials": materials, "material_names": tuple(names), "material_colors": np.array(colors)}
-    if group_names:
-        if (groups < 0).any():
-            groups[groups < 0] = len(group_names)
-            group_names.append("")
-        result |= {"face_groups": groups, "group_names": tuple(group_names)}
-    return result
-
-
-def _diffuse_color(material: Any) -> FloatArray:
-    """Constant diffuse colour of a UsdPreviewSurface, NaN where there is none."""
-    surface = material.ComputeSurfaceSource()[0]
-    color = surface.GetInput("diffuseColor") if surface else None
-    value = color.Get() if color and not color.HasConnectedSource() else None
-    return np.full(3, np.nan) if value is None else np.array(value, dtype=np.float64)
 
 
 def _turned_round(control: ControlMesh, attributes: dict[str, Any]) -> tuple[ControlMesh, dict[str, Any]]:
     """Faces of a left-handed mesh, run through the other way."""
-    faces = control.corner_faces
-    first, last = control.face_offsets[:-1][faces], control.face_offsets[1:][faces] - 1
-    corners = np.arange(len(faces))
-    mirrored = np.where(corners == first, corners, last + first + 1 - corners)
+    mirrored = reversed_corners(control.face_offsets)
     turned = replace(
         control,
         face_indices=control.face_indices[mirrored],
         uv_indices=None if control.uv_indices is None else control.uv_indices[mirrored],
         uv_sets=tuple(replace(uv_set, uv_indices=uv_set.uv_indices[mirrored]) for uv_set in control.uv_sets),
     )
-    of_corners = {name: values[mirrored] for name, values in attributes.items() if len(values) == len(corners)}
+    of_corners = {name: values[mirrored] for name, values in attributes.items() if len(values) == len(mirrored)}
     return turned, attributes | of_corners
+
+
+def reversed_corners(face_offsets: IndexArray) -> IndexArray:
+    """(c,) corner of each face's other end: the first stays, the others are run through the other way."""
+    first, sizes = face_offsets[:-1], np.diff(face_offsets)
+    starts, size = np.repeat(first, sizes), np.repeat(sizes, sizes)
+    within = np.arange(len(starts)) - starts
+    return np.asarray(starts + (size - within) % size)
+
+
+def _floats(values: Any) -> FloatArray:
+    return np.array([] if values is None else values, dtype=np.float64)

@@ -16,6 +16,19 @@ JOINT_WEIGHTS = "skel:jointWeights"
 BLEND_SHAPE = "blendShape:"
 
 
+def stated(attribute: Any) -> Any:
+    """Value of an attribute or primvar: what it says for all times, or at the first of those it has samples for."""
+    from pxr import Usd
+
+    value = attribute.Get()
+    return attribute.Get(Usd.TimeCode.EarliestTime()) if value is None else value
+
+
+def integers(values: Any) -> IndexArray:
+    """An array of USD as indices; none where it is not there."""
+    return np.array([] if values is None else values, dtype=np.int64)
+
+
 def uv_primvars(prim: Any) -> list[Any]:
     """Primvars that hold texture coordinates: pairs of floats in that role, or named as the first set is by custom."""
     from pxr import UsdGeom
@@ -74,9 +87,9 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
         name = primvar.GetPrimvarName()
         if name in taken or name.startswith("skel:") or not primvar.HasValue():
             continue
-        values = np.asarray(primvar.Get())
+        values = np.asarray(stated(primvar))
         expected = rows.get(str(primvar.GetInterpolation()))
-        if expected is None or values.dtype.kind not in "iuf":
+        if expected is None or values.dtype.kind not in "iuf" or values.size == 0 or values.ndim > 2:
             continue
         values, numbers, _ = _values(where, primvar)
         if len(numbers) != expected:
@@ -87,7 +100,7 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
 
 def _values(where: str, primvar: Any) -> tuple[NDArray[Any], IndexArray, str]:
     """Values, the index of each element, and the interpolation; elements of several values become rows."""
-    values = np.asarray(primvar.Get())
+    values = np.asarray(stated(primvar))
     size = primvar.GetElementSize()
     if size > 1 and len(values) % size == 0:
         values = values.reshape(len(values) // size, -1)
@@ -95,10 +108,16 @@ def _values(where: str, primvar: Any) -> tuple[NDArray[Any], IndexArray, str]:
         values = values.astype(np.float32)
     numbers = np.arange(len(values))
     if primvar.IsIndexed():
-        numbers = np.asarray(primvar.GetIndices(), dtype=np.int64)
+        numbers = integers(_indices(primvar))
         if len(numbers) and (numbers.min() < 0 or numbers.max() >= len(values)):
             _refuse(where, primvar, f"got indices from {numbers.min()} to {numbers.max()} into {len(values)} values")
     return values, numbers, str(primvar.GetInterpolation())
+
+
+def _indices(primvar: Any) -> Any:
+    from pxr import Usd
+
+    return primvar.GetIndices() or primvar.GetIndices(Usd.TimeCode.EarliestTime())
 
 
 def _refuse(where: str, primvar: Any, found: str) -> None:

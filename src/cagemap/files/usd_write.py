@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.marks import mark
-from cagemap.files.usd import local_to_world, moved, open_stage, usd_modules
+from cagemap.files.usd import is_mirrored, local_to_world, moved, open_stage, reversed_corners, usd_modules
 from cagemap.files.usd_material import bind_textures
 from cagemap.files.usd_primvars import BLEND_SHAPE, JOINT_WEIGHTS
 from cagemap.files.usd_skeleton import write_usd_skeleton
@@ -54,6 +54,13 @@ class UsdResults:
     points: FloatArray | None = None
     uvs: tuple[str, FloatArray, IndexArray] | None = None
     skeleton: Skeleton | None = None
+
+    def turned_round(self, face_offsets: IndexArray) -> UsdResults:
+        """The same for a mesh whose faces were run through the other way when it was read."""
+        order = reversed_corners(face_offsets)
+        attributes = {n: v[order] if len(v) == len(order) else v for n, v in self.attributes.items()}
+        uvs = None if self.uvs is None else (*self.uvs[:2], self.uvs[2][order])
+        return replace(self, attributes=attributes, uvs=uvs)
 
     def through(self, matrix: FloatArray) -> UsdResults:
         """The same in another space: all that has places or directions taken through a (4, 4) matrix of USD."""
@@ -159,12 +166,18 @@ def write_usd_over(
     if _needs_skeleton(results) and not any(p.IsA(pxr.UsdSkel.Root) for p in _ancestors(prims[0])):
         stage.OverridePrim(top).SetTypeName("SkelRoot")
     for prim, prim_path in zip(prims, prim_paths, strict=True):
+        for above in _ancestors(prim):
+            if above.IsInstance():  # nothing below an instance can be overridden
+                stage.OverridePrim(above.GetPath()).SetInstanceable(False)
         to_world = local_to_world(prim)
         inside = (
             results.through(np.asarray(np.linalg.inv(to_world), dtype=np.float64))
             if world and len(prim_paths) == 1
             else results
         )
+        left_handed = pxr.UsdGeom.Mesh(prim).GetOrientationAttr().Get() == "leftHanded"
+        if len(prim_paths) == 1 and left_handed != (world and is_mirrored(to_world)):
+            inside = inside.turned_round(mesh.face_offsets)
         to_root = to_world @ np.linalg.inv(local_to_world(below.GetPrimAtPath(top)))
         _write_results(stage, stage.OverridePrim(prim_path), mesh, inside, to_root)
     written = stage.GetRootLayer()

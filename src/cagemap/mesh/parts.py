@@ -86,7 +86,7 @@ def find_part(mesh: ControlMesh, name: str) -> Part:
     parts = list_parts(mesh)
     if name == LARGEST:
         return max(components(mesh), key=lambda part: len(part.faces))
-    found = [part for part in parts if name in (part.name, part.title)]
+    found = [part for part in _groups_as_one(parts, name) if name in (part.name, part.title)]
     # A USD object is named by its whole path; its last word will do.
     found = found or [part for part in parts if part.name.rpartition("/")[2] == name]
     different = {part.faces.tobytes() for part in found}
@@ -102,6 +102,17 @@ def find_part(mesh: ControlMesh, name: str) -> Part:
             f"{', ...' if len(parts) > 12 else ''}; `cagemap check` lists all."
         )
     return found[0]
+
+
+def _groups_as_one(parts: tuple[Part, ...], name: str) -> list[Part]:
+    """Parts, with the groups that share a name as one: a group of several names, OBJ's ``g one two``, is in each."""
+    wanted = name.removeprefix("group:")
+    meant = [p for p in parts if p.kind == "group" and (p.name == wanted or wanted in p.name.split())]
+    if not meant:
+        return list(parts)
+    one = Part("group", wanted, np.unique(np.concatenate([part.faces for part in meant])))
+    kept = [part for part in parts if part not in meant]
+    return [*(part for part in kept if part.kind == "object"), one, *(p for p in kept if p.kind != "object")]
 
 
 def extract(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
