@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,7 +12,6 @@ from cagemap.basis import Surface
 from cagemap.errors import ParameterError
 from cagemap.files.attributes import SUFFIXES as VALUE_SUFFIXES
 from cagemap.files.attributes import read_attributes
-from cagemap.files.images import Pixels, read_texture, texture_files, texture_pixels
 from cagemap.files.usd import USD_SUFFIXES, read_usd_meshes
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.mask_values import face_mask, soft_edge, vertex_mask
@@ -20,7 +20,9 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.parts import find_part
 from cagemap.numerics.arrays import FloatArray
 from cagemap.refinement import Refinement
-from cagemap.transfer.masks import painted_mask
+
+if TYPE_CHECKING:  # a match without masks starts without images and their library
+    from cagemap.files.images import Pixels
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
 # Width of the soft edge of a set of faces, in units of sqrt(area), where nothing else is said.
@@ -63,6 +65,8 @@ class GivenMask:
             rows = slice(None) if control.file_faces is None else control.file_faces
             mask = face_mask(refinement, self._turned(self.faces)[rows])
         else:
+            from cagemap.transfer.masks import painted_mask
+
             assert self.image is not None
             mask = self._turned(painted_mask(refinement.finest, self.image))
         return soft_edge(surface, mask, self.edge)
@@ -94,6 +98,8 @@ def mask_file(text: str | None) -> Path | None:
 
 def mask_files(text: str | None) -> list[Path]:
     """All files of a mask: an image's tiles, or one."""
+    from cagemap.files.images import texture_files
+
     path = mask_file(text)
     return [] if path is None else texture_files(path)
 
@@ -152,6 +158,8 @@ def read_mask(text: str, edge: float | None, control: ControlMesh, mesh_file: Pa
     if path is not None and path.suffix.lower() in IMAGE_SUFFIXES:
         if control.uvs is None:
             raise ParameterError(f"{option}: {control.name} has no texture coordinates that {path} could be painted on")
+        from cagemap.files.images import read_texture, texture_pixels
+
         return GivenMask(image=texture_pixels(read_texture(path)), inverted=inverted, edge=edge or 0.0)
     if path is not None:
         values = read_attributes(path)
