@@ -55,7 +55,7 @@ def cosines(refinement, operators, basis, exact):
     """Cosines of the principal angles between the hierarchical basis and exact eigenvectors, at the finest level."""
     finest = operators.finest
     phi = basis.at(finest)
-    weights = np.sqrt(operators.finest_areas)[:, None]
+    weights = np.sqrt(operators.mass[-1].diagonal())[:, None]
     ours, _ = np.linalg.qr(weights * phi)
     return np.linalg.svd(ours.T @ (weights * exact.vectors), compute_uv=False)
 
@@ -207,7 +207,7 @@ def test_projection_gives_back_coefficients_and_is_orthogonal(creature, seed, le
     single = basis.project(f, level)
     phi, finest = basis.at(operators.finest), operators.finest
     rest = refinement.prolong(f, level, finest) - phi @ single
-    assert np.abs(phi.T @ (operators.finest_areas * rest)).max() < 1e-9
+    assert np.abs(phi.T @ (operators.mass[-1].diagonal() * rest)).max() < 1e-9
 
 
 def test_projection_on_the_leading_functions(creature):

@@ -51,7 +51,7 @@ def gap_and_error(target: Surface, source: Surface, vertices: np.ndarray) -> tup
     triangles = level_triangles(source.refinement, source.finest)
     gap = closest_points(build_tree(other, triangles), own)[2]
     error = np.linalg.norm(found.point_map.pull_back(other) - own, axis=1)
-    areas = target.operators.finest_areas
+    areas = target.operators.mass[-1].diagonal()
     return float(areas @ gap / areas.sum()), float(areas @ error / areas.sum())
 
 

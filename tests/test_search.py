@@ -10,18 +10,17 @@ from cagemap.maps.spectral.hierarchical import Growth, HierarchyConfig, grown_ma
 from cagemap.maps.spectral.samples import Samples, fit_functional_map, sizes_between, spread
 from cagemap.maps.spectral.search import (
     nearest_candidates,
-    nearest_candidates_reference,
     nearest_rows,
     strongest_parents,
 )
 from cagemap.maps.spectral.vertex_to_point import (
     closest_on_triangle,
-    reference_vertex_to_point,
     vertex_to_point,
     vertex_triangles,
 )
 from cagemap.mesh import shapes
 from cagemap.refinement import refine, triangles
+from search_reference import nearest_candidates_reference, vertex_to_point_reference
 
 RNG = np.random.default_rng(271)
 
@@ -74,7 +73,7 @@ def test_vertex_to_point_agrees_with_its_slow_twin():
     target = RNG.standard_normal((80, 5)).astype(np.float32)
     match = RNG.integers(0, n, 80)
     found = vertex_to_point(target, source, faces, around, match)
-    expected = reference_vertex_to_point(target, source, faces, around, match)
+    expected = vertex_to_point_reference(target, source, faces, around, match)
     # The nearest point may lie on an edge that two triangles share: compare points. float32 rows.
     points, expected_points = (np.einsum("mk,mkd->md", w, source[faces[t]]) for t, w in (found, expected))
     np.testing.assert_allclose(points, expected_points, atol=1e-5)

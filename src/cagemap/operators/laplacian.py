@@ -10,14 +10,11 @@ import numpy as np
 from numba import njit
 from scipy import sparse
 
-from cagemap.geometry.triangles import triangle_areas
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 
 # A triangle whose doubled area is below this fraction of its longest squared edge is treated as if it had that area:
 # its cotangents stay finite, and its energy only shrinks, so W stays positive semi-definite.
 SLIVER = 1e-5
-# The triangles of both triangulations of a quad.
-QUAD_SPLITS = ([0, 1, 2], [0, 2, 3], [0, 1, 3], [1, 2, 3])
 
 
 def triangle_cotangents(positions: FloatArray, triangles: IndexArray) -> FloatArray:
@@ -122,23 +119,6 @@ def face_terms(positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, Fl
     table, share = (QUAD_TABLE, 0.5) if quads else (TRIANGLE_TABLE, 1.0)
     contiguous = read_only(np.ascontiguousarray(positions, dtype=np.float64)), read_only(np.ascontiguousarray(faces))
     _face_terms(*contiguous, table, share, weights, areas)
-    return weights, areas
-
-
-def face_terms_reference(positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
-    """Slow NumPy twin of `face_terms`, which defines it."""
-    quads = faces.shape[1] == 4
-    splits, pairs = (QUAD_SPLITS, QUAD_PAIRS) if quads else (([0, 1, 2],), TRIANGLE_PAIRS)
-    share = 0.5 if quads else 1.0  # of each triangulation
-    weights, areas = np.zeros((len(faces), len(pairs))), np.zeros(len(positions))
-    for split in splits:
-        triangles = faces[:, split]
-        cotangents = triangle_cotangents(positions, triangles)
-        for i in range(3):  # the angle at corner i faces the edge between the other two
-            edge = {split[(i + 1) % 3], split[(i + 2) % 3]}
-            column = next(c for c, pair in enumerate(pairs) if set(pair) == edge)
-            weights[:, column] += 0.5 * share * cotangents[:, i]
-            np.add.at(areas, triangles[:, i], share / 3.0 * triangle_areas(positions, triangles))
     return weights, areas
 
 

@@ -44,11 +44,6 @@ class Operators:
         """(n_l,) row sums of the mass matrix of a level, M^l 1: the area that each vertex stands for."""
         return lumped_areas(self.mass[level])
 
-    @property
-    def finest_areas(self) -> FloatArray:
-        """(n_f,) diagonal of the finest mass matrix."""
-        return np.asarray(self.mass[-1].diagonal(), dtype=np.float64)
-
 
 def lumped_areas(mass: sparse.csr_array) -> FloatArray:
     """(n,) row sums M 1 of a mass matrix: the area that each vertex stands for."""

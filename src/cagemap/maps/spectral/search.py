@@ -140,25 +140,6 @@ def nearest_candidates(
     return nearest
 
 
-def nearest_candidates_reference(
-    target_rows: Embedding,
-    source_rows: Embedding,
-    parents: sparse.csr_array,
-    children: sparse.csc_array,
-    coarse_match: IndexArray,
-) -> IndexArray:
-    """Slow twin of `nearest_candidates`, which defines it."""
-    nearest = np.empty(len(target_rows), dtype=np.int64)
-    for x, row in enumerate(target_rows):
-        coarse = coarse_match[parents.indices[parents.indptr[x] : parents.indptr[x + 1]]]
-        candidates = np.unique(
-            np.concatenate([children.indices[children.indptr[y] : children.indptr[y + 1]] for y in coarse])
-        )
-        distances = np.sum((source_rows[candidates].astype(np.float64) - row.astype(np.float64)) ** 2, axis=1)
-        nearest[x] = candidates[np.argmin(distances)]
-    return nearest
-
-
 @njit(cache=True, fastmath=True, nogil=True)
 def _nearest_candidates(embeddings, candidates, part, nearest):  # type: ignore[no-untyped-def]
     """Fill rows part[0] .. part[1] of the answer."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from cagemap.maps.spectral.search import ROWS, Embedding
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -157,26 +156,3 @@ def _vertex_to_point(embeddings, mesh, match, part, answers):  # type: ignore[no
                 barycentric[x, corner] = 1.0 - u - v
                 barycentric[x, (corner + 1) % 3] = u
                 barycentric[x, (corner + 2) % 3] = v
-
-
-def reference_vertex_to_point(
-    target_rows: NDArray[np.floating],
-    source_rows: NDArray[np.floating],
-    source_triangles: IndexArray,
-    around: tuple[IndexArray, IndexArray],
-    match: IndexArray,
-) -> tuple[IndexArray, FloatArray]:
-    """Slow twin of `vertex_to_point`, which defines it."""
-    starts, triangle_list = around
-    triangle = np.empty(len(match), dtype=np.int64)
-    barycentric = np.empty((len(match), 3))
-    for x, y in enumerate(match):
-        best = np.inf
-        for i in triangle_list[starts[y] : starts[y + 1]]:
-            corners = source_rows[source_triangles[i]].astype(np.float64)
-            edges = corners[1:] - corners[0]
-            weights = closest_on_triangle(edges @ edges.T, edges @ (target_rows[x] - corners[0]))
-            distance = float(np.sum((weights @ corners - target_rows[x]) ** 2))
-            if distance < best:
-                best, triangle[x], barycentric[x] = distance, i, weights
-    return triangle, barycentric
