@@ -317,6 +317,24 @@ def test_momentum_gets_as_far_in_half_the_iterations(shape: tuple[Refinement, fl
     assert error(8, 0.8) < error(16, 0.0) < np.linalg.norm(slide, axis=1).mean()
 
 
+def test_steps_with_the_factors_of_an_earlier_iteration_end_at_the_same_place(shape: tuple[Refinement, float]) -> None:
+    refinement, scale = shape
+    graph, sheet = graph_of(refinement, scale, 2)
+    landmarks = np.arange(0, refinement.levels[0].n_vertices, 6)
+    start = graph.positions + 0.02 * np.sin(7 * graph.positions[:, [1, 2, 0]])
+
+    def ended(factored: int) -> np.ndarray:
+        stage = Stage(12, (1e-3, 1e-4), 3e-4, momentum=0.8, factored=factored)
+        rest = RestShape.build(graph, sheet, stage.smoothing)
+        held = Anchors.at_vertices(landmarks)
+        return run_stage(rest, sheet, start, held, graph.positions[landmarks], stage, ElasticConfig())
+
+    exact = ended(1)
+    moved = np.linalg.norm(exact - start, axis=1).mean()
+    # Measured 0.12 %; with one gradient instead of three 2.1 %.
+    assert np.linalg.norm(ended(4) - exact, axis=1).mean() < 0.01 * moved
+
+
 def test_patience_ends_as_soon_as_nothing_folds(shape: tuple[Refinement, float]) -> None:
     refinement, scale = shape
     graph, sheet = graph_of(refinement, scale, 2)

@@ -28,6 +28,8 @@ class Stage:
     patience : int
         At most this many iterations more, at the last stiffness, while the deformation would still fold or flatten more
         than `UNSETTLED` of the surface.
+    factored : int
+        The positions' matrix is factored every so many iterations; those between go on with the factors that are there.
     """
 
     iterations: int
@@ -36,6 +38,7 @@ class Stage:
     ramp: float = 0.7
     momentum: float = 0.0
     patience: int = 0
+    factored: int = 1
 
     def ramped(self) -> FloatArray:
         """(iterations + patience,) stiffness alpha of every iteration."""
@@ -72,7 +75,7 @@ class ElasticConfig:
     coarse_vertices: int = 1500
     coarse: Stage = Stage(10, (5e-3, 5e-5), 1e-3, momentum=0.6)
     settled: Stage = Stage(10, (5e-2, 2e-4), 1e-2, momentum=0.6)
-    fine: Stage = Stage(12, (2e-4, 1e-5), 1e-4, momentum=0.8, patience=12)
+    fine: Stage = Stage(12, (2e-4, 1e-5), 1e-4, momentum=0.8, patience=12, factored=4)
     normal_weight: float = 0.03
     fine_normal_weight: float = 0.01
     projection_normal_weights: tuple[float, float] = (0.002, 0.02)

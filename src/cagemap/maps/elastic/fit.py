@@ -216,13 +216,16 @@ def run_stage(
                 differentials = aside.submit(rest.differentials, positions)
             curves.add(blocks, right, positions, config.curve_weight)
             landmarks.hold(blocks, right, positions, landmark_positions, config.landmark_weight)
-            # Single precision: what a step misses, the next one finds in its residual, which is in double.
             matrix = field.system.at(alpha, blocks)
-            factors = factor(matrix, like=field.factors, dtype=np.float32)
+            exact = (iteration - 1) % stage.factored == 0
+            if exact:
+                # Single precision: what a step misses, the next one finds in its residual, which is in double.
+                factors = factor(matrix, like=field.factors, dtype=np.float32)
             maps, bounded = differentials.result()
             residual = (right + alpha * field.divergence(maps)).ravel()
             residual -= matrix @ positions.ravel()
-            after = positions + factors.solve(residual).reshape(-1, 3)
+            step = factors.solve(residual) if exact else field.system.step(matrix, residual, factors)
+            after = positions + step.reshape(-1, 3)
             if iteration >= stage.iterations and len(bounded) <= UNSETTLED * graph.n:
                 return after
             positions = after + stage.momentum * (after - before) if iteration > 1 else after

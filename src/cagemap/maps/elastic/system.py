@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.linalg import LinearOperator, cg
 
+from cagemap.maps.elastic.constants import GRADIENTS
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization, factor
 
@@ -44,6 +46,15 @@ class BlockSystem:
         values = alpha * self.elastic
         values[self.blocks] += blocks.ravel()
         return sparse.csc_array((values, self.matrix.indices, self.matrix.indptr), shape=self.matrix.shape)
+
+    def step(self, matrix: sparse.csc_array, residual: FloatArray, near: Factorization) -> FloatArray:
+        """About ``A^-1 r`` (3 n,) of a matrix A of this system, with factors of one near to it.
+
+        A few conjugate gradients (Hestenes and Stiefel 1952) preconditioned by them, each a tenth of a factorisation;
+        what they miss, the next iteration finds in its residual.
+        """
+        preconditioner = LinearOperator(matrix.shape, matvec=near.solve, dtype=np.float64)
+        return np.asarray(cg(matrix, residual, rtol=0.0, maxiter=GRADIENTS, M=preconditioner)[0])
 
     def factor(self, alpha: float, blocks: FloatArray, like: Factorization | None = None) -> Factorization:
         """Factor alpha L + blocks (n, 3, 3), with the ordering of an earlier factorisation if there is one."""
