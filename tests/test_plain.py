@@ -10,7 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
+from typer.testing import CliRunner
 
+from cagemap.cli.app import app
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.progress import Stages
 from cagemap.cli.subdivision import SchemeName
@@ -18,6 +20,7 @@ from cagemap.cli.wrap import run_wrap
 from cagemap.cli.wrap_request import WrapRequest
 from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.files.images import read_image, write_image
+from cagemap.files.landmarks import write_landmarks
 from cagemap.files.meshes import read_mesh, write_mesh
 from cagemap.files.result import read_result
 from cagemap.files.surface_store import prepared
@@ -37,6 +40,9 @@ from cagemap.operators import build_operators, triangle_cotangents
 from cagemap.operators.plain import coarsened, refined, uncoarsened
 from cagemap.pipeline import choose_level, match, prepare_pair, prepare_surface, update_match
 from cagemap.refinement import finest_mesh, level_triangles, refine
+from cagemap.studio.bench import Bench, ChooseAnswer, FindMap, Opening, OpenModels, perform
+from cagemap.studio.landmarks import LandmarkList
+from cagemap.studio.state import View
 from cagemap.wrap import wrap
 
 
@@ -343,6 +349,52 @@ def test_answers_for_a_plain_mesh_are_in_its_own_numbers() -> None:
     apart = np.linalg.norm(told.positions - surface.scale * mesh.positions, axis=1)
     assert apart.mean() < 0.01  # rounded by smooth prolongation; of sqrt(area)
     np.testing.assert_array_equal(inner_reading(told, prepared).positions, known.positions)
+
+
+def _scan_files(folder: Path) -> list[str]:
+    """Options of a match of two plain files with eight landmarks: a creature, and the same one taller."""
+    mesh = _animal(2)
+    taller = mesh.with_positions(mesh.positions * (1.0, 1.2, 1.0))
+    names = ("scan.ply", "taller.ply")
+    for name, one in zip(names, (mesh, taller), strict=True):
+        write_mesh(folder / name, one)
+    marks = _far_apart(creature().positions, 8)
+    write_landmarks(folder / "marks.json", Landmarks(tuple(map(str, marks)), marks, marks, *names))
+    given = (*zip(("--target", "--source"), names, strict=True), ("--landmarks", "marks.json"))
+    return ["--scheme", "none", *(str(word) for option, name in given for word in (option, folder / name))]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("options", "worst"),
+    [((), 0.01), (("--method", "hfm"), 0.03), (("--method", "paper", "--schedule", "60,40"), 0.08)],
+)
+def test_every_method_matches_plain_files(options: tuple[str, ...], worst: float, tmp_path: Path) -> None:
+    outcome = CliRunner().invoke(app, ["match", *_scan_files(tmp_path), *options, "-o", str(tmp_path / "RESULT")])
+    assert outcome.exit_code == 0, outcome.output
+    result = read_result(tmp_path / "RESULT")
+    assert result.target.finest == 0
+    wanted = result.target.vertices * (1.0, 1.2, 1.0)
+    assert np.linalg.norm(result.image() - wanted, axis=1).mean() < worst * np.ptp(wanted, axis=0).max()
+
+
+@pytest.mark.slow
+def test_the_studio_maps_plain_files_and_goes_on_from_another_answer(tmp_path: Path) -> None:
+    places = [tmp_path / "scan.usda", tmp_path / "taller.usda"]
+    mesh = _animal(2)
+    for place, height in zip(places, (1.0, 1.2), strict=True):
+        write_mesh(place, mesh.with_positions(mesh.positions * (1.0, height, 1.0)))
+    opening = Opening(*places, None, 5000)
+    bench, opened = perform(Bench(), OpenModels(opening, View()), lambda stage: None)
+    assert len(opened.target.positions) == mesh.n_vertices
+    bench, found = perform(bench, FindMap(opening, LandmarkList(), View()), lambda stage: None)
+    assert bench.result is not None
+    wanted = mesh.positions * (1.0, 1.2, 1.0)
+    assert np.linalg.norm(bench.result.image() - wanted, axis=1).mean() < 0.02 * np.ptp(wanted, axis=0).max()
+    assert 0 <= found.suggestion < mesh.n_vertices
+    for other in range(1, len(found.answers)):
+        bench, chosen = perform(bench, ChooseAnswer(opening, LandmarkList(), other, View()), lambda stage: None)
+        assert chosen.chosen == other
 
 
 def test_files_to_result_and_back(tmp_path: Path) -> None:
