@@ -3,33 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
-from typer.testing import CliRunner
 
-from cagemap.cli.app import app
-from cagemap.cli.match import MatchRequest, run_match
-from cagemap.cli.progress import Stages
-from cagemap.cli.subdivision import SchemeName
-from cagemap.cli.wrap import run_wrap
-from cagemap.cli.wrap_request import WrapRequest
 from cagemap.errors import InvalidMeshError, ParameterError
-from cagemap.files.images import read_image, write_image
-from cagemap.files.landmarks import write_landmarks
-from cagemap.files.meshes import read_mesh, write_mesh
-from cagemap.files.result import read_result
-from cagemap.files.surface_store import prepared
-from cagemap.geometry.closest import build_tree, closest_among, closest_points
+from cagemap.geometry.closest import closest_among
 from cagemap.geometry.flips import delaunay
 from cagemap.geometry.triangles import triangle_normals
 from cagemap.maps.hypotheses.confidence import Confidence, Reading
 from cagemap.maps.inner import inner_reading, outer_confidence
-from cagemap.mesh import ControlMesh, Loop, Plain, creature, cube, grid, icosahedron, torus
+from cagemap.mesh import ControlMesh, Plain, creature, cube, grid, torus
 from cagemap.mesh.checks import check_mesh, require_valid
 from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks
@@ -39,11 +26,9 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.operators import build_operators, triangle_cotangents
 from cagemap.operators.plain import coarsened, refined, uncoarsened
 from cagemap.pipeline import choose_level, match, prepare_pair, prepare_surface, update_match
-from cagemap.refinement import finest_mesh, level_triangles, refine
-from cagemap.studio.bench import Bench, ChooseAnswer, FindMap, Opening, OpenModels, perform
-from cagemap.studio.landmarks import LandmarkList
-from cagemap.studio.state import View
+from cagemap.refinement import refine
 from cagemap.wrap import wrap
+from plain_meshes import animal, ball, far_apart, soup
 
 
 def _closest_barycentric(corners: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -88,58 +73,33 @@ def _closest_barycentric(corners: FloatArray, points: FloatArray) -> tuple[Float
     return barycentric, squared
 
 
-def _ball(level: int = 3) -> ControlMesh:
-    return finest_mesh(refine(icosahedron(), level, Loop()))
-
-
-def _animal(level: int) -> ControlMesh:
-    """A creature as triangles, as a scanner would give it."""
-    refinement = refine(creature(), level)
-    triangles = level_triangles(refinement, level)
-    offsets = np.arange(0, triangles.size + 1, 3)
-    return ControlMesh(refinement.finest.positions, offsets, triangles.ravel(), scheme=Plain(), name="animal")
-
-
-def _soup(mesh: ControlMesh) -> ControlMesh:
-    """Every triangle with vertices of its own."""
-    return ControlMesh(mesh.positions[mesh.face_indices], mesh.face_offsets, np.arange(len(mesh.face_indices)))
-
-
-def _far_apart(positions: np.ndarray, count: int) -> np.ndarray:
-    chosen = [0]
-    for _ in range(count - 1):
-        distance = np.linalg.norm(positions[:, None] - positions[chosen], axis=2).min(axis=1)
-        chosen.append(int(distance.argmax()))
-    return np.array(chosen)
-
-
 def test_a_sound_mesh_keeps_its_numbers() -> None:
-    ball = _ball()
-    plain = plain_mesh(ball)
+    sphere = ball()
+    plain = plain_mesh(sphere)
     assert plain.notes == ()
     assert plain.repairs.summary() == {}
-    assert np.array_equal(plain.mesh.positions, ball.positions)
-    assert np.array_equal(plain.mesh.face_indices, ball.face_indices)
-    assert np.array_equal(plain.vertex_of, np.arange(ball.n_vertices))
+    assert np.array_equal(plain.mesh.positions, sphere.positions)
+    assert np.array_equal(plain.mesh.face_indices, sphere.face_indices)
+    assert np.array_equal(plain.vertex_of, np.arange(sphere.n_vertices))
     assert isinstance(plain.mesh.scheme, Plain)
     assert plain.mesh.file_vertices is None
 
 
 def test_vertices_that_a_file_repeats_are_joined() -> None:
-    ball = _ball()
-    plain = plain_mesh(_soup(ball))
-    assert plain.mesh.n_vertices == ball.n_vertices
-    assert plain.repairs.joined_vertices == 3 * ball.n_faces - ball.n_vertices
-    assert np.array_equal(plain.mesh.positions[plain.vertex_of], ball.positions[ball.face_indices])
+    sphere = ball()
+    plain = plain_mesh(soup(sphere))
+    assert plain.mesh.n_vertices == sphere.n_vertices
+    assert plain.repairs.joined_vertices == 3 * sphere.n_faces - sphere.n_vertices
+    assert np.array_equal(plain.mesh.positions[plain.vertex_of], sphere.positions[sphere.face_indices])
     require_valid(plain.mesh)
 
 
 def test_what_scans_have_is_mended_or_set_aside_and_said() -> None:
-    ball = _ball()
-    faces = ball.face_indices.reshape(-1, 3)
-    n = ball.n_vertices
-    away = ball.positions.max() + 1.0
-    positions = np.vstack([ball.positions, [[0, 0, away]], away + np.eye(3), [[9 * away] * 3]])
+    sphere = ball()
+    faces = sphere.face_indices.reshape(-1, 3)
+    n = sphere.n_vertices
+    away = sphere.positions.max() + 1.0
+    positions = np.vstack([sphere.positions, [[0, 0, away]], away + np.eye(3), [[9 * away] * 3]])
     fin, stray, copy, twice = [*faces[0, :2], n], [n + 1, n + 2, n + 3], faces[5], [*faces[9, :2], faces[9, 0]]
     broken = np.vstack([faces, [fin], [stray], [copy], [twice]])
     broken[20] = broken[20, ::-1]
@@ -147,7 +107,7 @@ def test_what_scans_have_is_mended_or_set_aside_and_said() -> None:
     found = plain.repairs
     assert (found.fins, found.pieces, found.pieces_vertices, found.dropped_faces) == (1, 1, 3, 2)
     assert (found.turned_faces, found.loose_vertices) == (1, 1)
-    assert np.array_equal(plain.mesh.positions, ball.positions)
+    assert np.array_equal(plain.mesh.positions, sphere.positions)
     assert np.array_equal(plain.vertex_of, [*range(n), -1, -1, -1, -1, -1])
     assert np.array_equal(np.unique(plain.mesh.file_faces), plain.mesh.file_faces)
     assert all(note.startswith("scan: ") for note in plain.notes)
@@ -156,7 +116,7 @@ def test_what_scans_have_is_mended_or_set_aside_and_said() -> None:
 
 
 def test_sheets_that_share_an_edge_or_a_point_are_cut_apart() -> None:
-    one, other = _ball(), _ball(2)
+    one, other = ball(), ball(2)
     other = other.with_positions(0.5 * other.positions)
     rows = one.face(0)
     # The smaller ball touches the larger one in two vertices of an edge, then in one.
@@ -176,11 +136,11 @@ def test_sheets_that_share_an_edge_or_a_point_are_cut_apart() -> None:
 
 
 def test_inwards_is_turned_and_faces_of_all_sizes_are_split() -> None:
-    ball = _ball()
-    corners = ball.face_indices.reshape(-1, 3)[:, ::-1]
-    plain = plain_mesh(ControlMesh.from_faces(ball.positions, corners))
-    assert plain.repairs.turned_faces == ball.n_faces
-    assert np.array_equal(plain.mesh.face_indices, ball.face_indices)
+    sphere = ball()
+    corners = sphere.face_indices.reshape(-1, 3)[:, ::-1]
+    plain = plain_mesh(ControlMesh.from_faces(sphere.positions, corners))
+    assert plain.repairs.turned_faces == sphere.n_faces
+    assert np.array_equal(plain.mesh.face_indices, sphere.face_indices)
     mixed = cube()
     lids = [mixed.face(0)[[0, 1, 2]], mixed.face(0)[[0, 2, 3]], *(mixed.face(i) for i in range(1, 6))]
     split = plain_mesh(ControlMesh.from_faces(mixed.positions, lids))
@@ -225,7 +185,7 @@ def test_what_is_no_surface_is_refused_by_name(faces: list[list[int]], message: 
 @given(st.data())
 def test_whatever_comes_out_can_be_matched_or_is_refused(data: st.DataObject) -> None:
     """Random damage: faces on random vertices, moved onto each other, dropped and repeated."""
-    mesh = data.draw(st.sampled_from([_ball(1), torus(6, 4), grid(5, 4), cube()]))
+    mesh = data.draw(st.sampled_from([ball(1), torus(6, 4), grid(5, 4), cube()]))
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
     faces = [mesh.face(i) for i in range(mesh.n_faces)]
     faces += [rng.integers(mesh.n_vertices, size=rng.integers(3, 5)) for _ in range(data.draw(st.integers(0, 6)))]
@@ -269,7 +229,7 @@ def test_closest_points_among_few_triangles_are_those_of_plain_numpy() -> None:
 
 
 def test_levels_below_a_plain_mesh_are_nested() -> None:
-    mesh = _animal(3)
+    mesh = animal(3)
     found = refined(mesh, 0)
     assert found.is_plain
     assert found.n_levels >= 1
@@ -296,7 +256,7 @@ def test_levels_below_a_plain_mesh_are_nested() -> None:
 
 def test_coarse_levels_know_the_mesh_s_low_frequencies() -> None:
     """Rayleigh quotients of coordinates, which vary slowly: prolonging them from a coarse level adds little energy."""
-    found = refined(_animal(3), 0)
+    found = refined(animal(3), 0)
     operators = build_operators(found)
     stiffness, mass, places = operators.stiffness, operators.mass, found.finest.positions.T
     exact = [x @ stiffness[-1] @ x / (x @ mass[-1] @ x) for x in places]
@@ -307,7 +267,7 @@ def test_coarse_levels_know_the_mesh_s_low_frequencies() -> None:
 
 
 def test_only_level_0_of_a_plain_mesh_exists() -> None:
-    mesh = _animal(1)
+    mesh = animal(1)
     assert choose_level(mesh, 100_000) == 0
     for wrong in (lambda: prepare_surface(mesh, 1), lambda: refine(mesh, 1)):
         with pytest.raises(ParameterError, match="plain mesh"):
@@ -319,11 +279,11 @@ def test_only_level_0_of_a_plain_mesh_exists() -> None:
 
 def test_a_plain_mesh_lies_on_itself() -> None:
     """Shuffled numbers change nothing: rows of the result are those of the meshes given."""
-    mesh = _animal(2)
+    mesh = animal(2)
     order = np.random.default_rng(3).permutation(mesh.n_vertices)
     shuffled = replace(mesh, positions=mesh.positions[order], face_indices=np.argsort(order)[mesh.face_indices])
     target, source = prepare_surface(mesh, 0), prepare_surface(shuffled, 0)
-    marks = _far_apart(creature().positions, 8)
+    marks = far_apart(creature().positions, 8)
     landmarks = Landmarks(tuple(map(str, marks)), marks, np.argsort(order)[marks])
     found = match(target, source, landmarks)
     result = found
@@ -340,7 +300,7 @@ def test_a_plain_mesh_lies_on_itself() -> None:
 
 
 def test_answers_for_a_plain_mesh_are_in_its_own_numbers() -> None:
-    mesh = _animal(3)
+    mesh = animal(3)
     surface = prepare_surface(mesh, 0)
     prepared = prepare_pair(surface, surface)
     known = Reading("as the files stand", 1e-4, prepared.mesh.positions)
@@ -349,133 +309,6 @@ def test_answers_for_a_plain_mesh_are_in_its_own_numbers() -> None:
     apart = np.linalg.norm(told.positions - surface.scale * mesh.positions, axis=1)
     assert apart.mean() < 0.01  # rounded by smooth prolongation; of sqrt(area)
     np.testing.assert_array_equal(inner_reading(told, prepared).positions, known.positions)
-
-
-def _scan_files(folder: Path) -> list[str]:
-    """Options of a match of two plain files with eight landmarks: a creature, and the same one taller."""
-    mesh = _animal(2)
-    taller = mesh.with_positions(mesh.positions * (1.0, 1.2, 1.0))
-    names = ("scan.ply", "taller.ply")
-    for name, one in zip(names, (mesh, taller), strict=True):
-        write_mesh(folder / name, one)
-    marks = _far_apart(creature().positions, 8)
-    write_landmarks(folder / "marks.json", Landmarks(tuple(map(str, marks)), marks, marks, *names))
-    given = (*zip(("--target", "--source"), names, strict=True), ("--landmarks", "marks.json"))
-    return ["--scheme", "none", *(str(word) for option, name in given for word in (option, folder / name))]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("options", "worst"),
-    [((), 0.01), (("--method", "hfm"), 0.03), (("--method", "paper", "--schedule", "60,40"), 0.08)],
-)
-def test_every_method_matches_plain_files(options: tuple[str, ...], worst: float, tmp_path: Path) -> None:
-    outcome = CliRunner().invoke(app, ["match", *_scan_files(tmp_path), *options, "-o", str(tmp_path / "RESULT")])
-    assert outcome.exit_code == 0, outcome.output
-    result = read_result(tmp_path / "RESULT")
-    assert result.target.finest == 0
-    wanted = result.target.vertices * (1.0, 1.2, 1.0)
-    assert np.linalg.norm(result.image() - wanted, axis=1).mean() < worst * np.ptp(wanted, axis=0).max()
-
-
-@pytest.mark.slow
-def test_the_studio_maps_plain_files_and_goes_on_from_another_answer(tmp_path: Path) -> None:
-    places = [tmp_path / "scan.usda", tmp_path / "taller.usda"]
-    mesh = _animal(2)
-    for place, height in zip(places, (1.0, 1.2), strict=True):
-        write_mesh(place, mesh.with_positions(mesh.positions * (1.0, height, 1.0)))
-    opening = Opening(*places, None, 5000)
-    bench, opened = perform(Bench(), OpenModels(opening, View()), lambda stage: None)
-    assert len(opened.target.positions) == mesh.n_vertices
-    bench, found = perform(bench, FindMap(opening, LandmarkList(), View()), lambda stage: None)
-    assert bench.result is not None
-    wanted = mesh.positions * (1.0, 1.2, 1.0)
-    assert np.linalg.norm(bench.result.image() - wanted, axis=1).mean() < 0.02 * np.ptp(wanted, axis=0).max()
-    assert 0 <= found.suggestion < mesh.n_vertices
-    for other in range(1, len(found.answers)):
-        bench, chosen = perform(bench, ChooseAnswer(opening, LandmarkList(), other, View()), lambda stage: None)
-        assert chosen.chosen == other
-
-
-def test_files_to_result_and_back(tmp_path: Path) -> None:
-    """A scan with a stray piece and a cage: one plain side, one refined; the result goes on after it was read."""
-    scan = join_meshes([_animal(2), replace(_ball(0), positions=_ball(0).positions * 1e-3 + 5.0)])
-    write_mesh(tmp_path / "scan.ply", _soup(scan))
-    write_mesh(tmp_path / "cage.obj", creature())
-    request = MatchRequest(
-        target=tmp_path / "cage.obj",
-        source=tmp_path / "scan.ply",
-        landmarks=None,
-        output=tmp_path / "RESULT",
-        vertices=2000,
-        source_scheme="none",
-        cache=tmp_path / "cache",
-    )
-    _, warnings = run_match(request, Stages())
-    assert any("1 smaller pieces" in text for text in warnings)
-    result = read_result(tmp_path / "RESULT")
-    assert result.source.finest == 0
-    assert result.target.finest > 0
-    assert result.manifest["repairs"]["source"]["pieces"] == 1
-    places = np.linalg.norm(result.image() - result.target.vertices, axis=1)
-    assert places.mean() < 0.01 * np.ptp(scan.positions, axis=0).max()
-    again = update_match(result, result.landmarks)
-    assert np.linalg.norm(again.image() - result.image(), axis=1).max() < 0.01 * np.ptp(scan.positions, axis=0).max()
-    assert result.functional_map.shape == (150, 150)
-
-
-@pytest.mark.slow
-def test_a_cage_is_wrapped_onto_a_scan_with_its_colours_and_texture(tmp_path: Path) -> None:
-    """Colours and texture of the scan are its places, which the wrapped cage's own places must repeat."""
-    scan = _animal(2)
-    low, size = scan.positions.min(axis=0), np.ptp(scan.positions, axis=0)
-    rng = np.random.default_rng(5)
-    noisy = scan.positions + rng.normal(scale=1e-3 * size.max(), size=scan.positions.shape)
-    kept = np.linalg.norm(scan.positions[scan.face_indices.reshape(-1, 3)[:, 0]] - scan.positions[40], axis=1) > 0.4
-    faces = scan.face_indices.reshape(-1, 3)[kept]
-    colors = np.clip((scan.positions - low) / size, 0.0, 1.0)
-    open_scan = ControlMesh(noisy, np.arange(0, faces.size + 1, 3), faces.ravel(), vertex_colors=colors)
-    open_scan = open_scan.with_uvs(colors[:, :2] * 0.98 + 0.01, faces.ravel())
-    stray = replace(_ball(0), positions=_ball(0).positions * 0.05 + low - 2.0, vertex_colors=np.ones((12, 3)))
-    write_mesh(tmp_path / "scan.obj", join_meshes([open_scan, stray]))
-    cage = creature()
-    corners = np.tile([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], (cage.n_faces, 1))
-    side = int(np.ceil(np.sqrt(cage.n_faces)))
-    cells = np.repeat(np.column_stack(np.divmod(np.arange(cage.n_faces), side)), 4, axis=0)
-    write_mesh(tmp_path / "cage.obj", cage.with_uvs((0.1 + 0.8 * corners + cells) / side, np.arange(4 * cage.n_faces)))
-    ramp = np.linspace(0.0, 1.0, 256)
-    across, up = np.meshgrid(ramp, ramp[::-1])
-    write_image(tmp_path / "scan.png", np.rint(255 * np.stack([across, up, 0 * up], axis=2)).astype(np.uint8))
-    request = WrapRequest(
-        (),
-        tmp_path / "wrapped.obj",
-        tmp_path / "cage.obj",
-        tmp_path / "scan.obj",
-        source_scheme=SchemeName.NONE,
-        colors=tmp_path / "colors.png",
-        texture=tmp_path / "scan.png",
-        baked=tmp_path / "baked.png",
-        size=128,
-    )
-    _, warnings = run_wrap(request, Stages())
-    assert any("set aside" in text for text in warnings)
-    wrapped = read_mesh(tmp_path / "wrapped.obj")
-    assert np.array_equal(wrapped.face_indices, cage.face_indices)
-    found = refine(wrapped, 2).finest.positions
-    _, _, distance = closest_points(build_tree(scan.positions, faces), found)
-    assert np.sqrt(np.mean(distance**2)) < 0.02 * size.max()
-    painted, carried = (read_image(tmp_path / name).pixels[..., :2] / 255.0 for name in ("colors.png", "baked.png"))
-    inside = painted.sum(axis=2) > 0
-    # Two ways to the same places: interpolated colours, and a ramp of 256 levels.
-    assert np.abs(painted - (carried - 0.01) / 0.98)[inside].mean() < 0.02
-
-
-def test_a_stored_plain_surface_is_the_prepared_one(tmp_path: Path) -> None:
-    mesh = _animal(2)
-    first, second = (prepared(tmp_path, mesh, 0) for _ in range(2))
-    assert len(list(tmp_path.iterdir())) == 1
-    assert np.array_equal(first.inner.basis.eigenvalues, second.inner.basis.eigenvalues)
-    assert np.array_equal(first.inner.refinement.places, second.inner.refinement.places)
 
 
 def test_flips_make_better_triangles_between_the_same_vertices() -> None:
@@ -499,7 +332,7 @@ def test_flips_make_better_triangles_between_the_same_vertices() -> None:
     found = delaunay(points, sheared)
     assert {tuple(sorted(face)) for face in found.tolist()} == {tuple(sorted(face)) for face in wanted.tolist()}
     assert not np.array_equal(np.sort(sheared, axis=1), np.sort(found, axis=1))
-    mesh = _animal(2)
+    mesh = animal(2)
     faces = mesh.face_indices.reshape(-1, 3)
     better = delaunay(mesh.positions, faces)
     require_valid(replace(mesh, face_indices=better.ravel()))
