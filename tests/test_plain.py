@@ -23,10 +23,11 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract
 from cagemap.mesh.plain import plain_mesh
 from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.threads import in_threads
 from cagemap.operators import build_operators, triangle_cotangents
 from cagemap.operators.plain import coarsened, refined, uncoarsened
 from cagemap.pipeline import choose_level, match, prepare_pair, prepare_surface, update_match
-from cagemap.refinement import refine
+from cagemap.refinement import finest_mesh, refine
 from cagemap.wrap import wrap
 from plain_meshes import animal, ball, far_apart, soup
 
@@ -252,6 +253,17 @@ def test_levels_below_a_plain_mesh_are_nested() -> None:
         # Coarse levels lie near the mesh: within a fifth of their edges' length, on average.
         miss = np.linalg.norm(matrix @ coarse.positions - fine.positions, axis=1)
         assert miss.mean() < 0.2 * size / np.sqrt(coarse.n_vertices)
+
+
+def test_two_meshes_are_simplified_in_threads_as_alone() -> None:
+    finest = [finest_mesh(refine(mesh, 3)) for mesh in (creature(), torus())]
+    meshes = [refine(replace(mesh, scheme=Plain()), 0) for mesh in finest]
+    alone = [coarsened(mesh) for mesh in meshes]
+    for _ in range(3):
+        for once, again in zip(alone, in_threads(coarsened, meshes, 2), strict=True):
+            for one, other in zip(once.levels, again.levels, strict=True):
+                np.testing.assert_array_equal(one.positions, other.positions)
+                np.testing.assert_array_equal(one.faces, other.faces)
 
 
 def test_coarse_levels_know_the_mesh_s_low_frequencies() -> None:

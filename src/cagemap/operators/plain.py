@@ -8,6 +8,7 @@ does. All levels take their geometry from the mesh itself, as in the paper's sec
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass, replace
 
 import fast_simplification
@@ -34,10 +35,10 @@ CAUTION = 3
 DAMPING = 2 / 3
 # A level of fewer vertices is none: the collapses went too far.
 FEWEST = 100
-
-
 # Vertices whose place on the coarser mesh is sought at once.
 BLOCK = 65_536
+# The library keeps its mesh in globals: two threads would simplify each other's.
+_ONE_AT_A_TIME = threading.Lock()
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,10 +140,11 @@ def simplified(positions: FloatArray, triangles: IndexArray, count: int) -> _Sim
     low = positions.min(axis=0)
     unit = (positions - low) / np.max(positions.max(axis=0) - low)  # the library's thresholds are absolute
     faces = triangles.astype(np.int32)
-    _, _, collapses = fast_simplification.simplify(
-        unit, faces, target_count=2 * count, agg=CAUTION, return_collapses=True
-    )
-    places, coarse, cluster = fast_simplification.replay_simplification(unit, faces, collapses)
+    with _ONE_AT_A_TIME:
+        _, _, collapses = fast_simplification.simplify(
+            unit, faces, target_count=2 * count, agg=CAUTION, return_collapses=True
+        )
+        places, coarse, cluster = fast_simplification.replay_simplification(unit, faces, collapses)
     distance = np.linalg.norm(unit - places[cluster], axis=1)
     by_cluster = np.lexsort((distance, cluster))
     found, first = np.unique(cluster[by_cluster], return_index=True)
