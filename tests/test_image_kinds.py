@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
+import OpenImageIO as oiio
 import pytest
+from hypothesis import given as given_by
+from hypothesis import settings
+from hypothesis import strategies as st
 
 from cagemap.cli.progress import Stages
 from cagemap.cli.transfer import run_transfer
 from cagemap.cli.transfer_request import TransferRequest
+from cagemap.errors import FormatError
 from cagemap.files.images import Image, read_image, write_image
 from cagemap.files.result import write_result
 from cagemap.maps.masks import Masks
@@ -85,3 +91,65 @@ def test_alpha_is_carried_as_a_channel_of_its_own(folder: Path, name: str) -> No
     write_image(folder / name, pixels, force=True)
     back = _run(folder, "WHOLE", f"alpha_{name}", texture=folder / name).pixels
     np.testing.assert_array_equal(back, np.broadcast_to(pixels[0, 0], back.shape))
+
+
+def _exr(path: Path, pixels: np.ndarray, origin: tuple[int, int], window: tuple[int, int, int, int]) -> None:
+    """An EXR whose data lie at an origin (x, y), in a display window (x, y, width, height)."""
+    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], oiio.HALF)
+    spec.x, spec.y = origin
+    spec.full_x, spec.full_y, spec.full_width, spec.full_height = window
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), spec)
+    assert output.write_image(np.ascontiguousarray(pixels))
+    output.close()
+
+
+@settings(deadline=None, max_examples=40)
+@given_by(x=st.integers(-9, 9), y=st.integers(-9, 9), width=st.integers(1, 12), height=st.integers(1, 12))
+def test_the_display_window_of_an_exr_is_the_image(x: int, y: int, width: int, height: int) -> None:
+    pixels = np.random.default_rng(1).random((6, 7, 3)).astype(np.float16)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "cut.exr"
+        _exr(path, pixels, (x + 3, y + 2), (3, 2, width, height))
+        read = read_image(path).pixels
+    assert read.shape == (height, width, 3)
+    for row, column in np.ndindex(height, width):
+        inside = 0 <= row - y < 6 and 0 <= column - x < 7
+        np.testing.assert_array_equal(read[row, column], pixels[row - y, column - x] if inside else 0)
+
+
+def test_an_exr_of_several_parts_is_refused(tmp_path: Path) -> None:
+    path, specs = str(tmp_path / "parts.exr"), []
+    for name in ("beauty", "depth"):
+        specs.append(oiio.ImageSpec(8, 8, 3, oiio.HALF))
+        specs[-1].attribute("name", name)
+    output = oiio.ImageOutput.create(path)
+    assert output.open(path, tuple(specs))
+    for number, spec in enumerate(specs):
+        assert number == 0 or output.open(path, spec, "AppendSubimage")
+        assert output.write_image(np.zeros((8, 8, 3), np.float32))
+    output.close()
+    with pytest.raises(FormatError, match="several parts"):
+        read_image(path)
+
+
+def test_colours_multiplied_by_alpha_stay_so_or_are_divided(tmp_path: Path) -> None:
+    alpha = np.tile(np.array([0, 51, 255], dtype=np.uint8), (4, 1))[..., None]
+    plain = np.full((4, 3, 3), 100, dtype=np.uint8)
+    multiplied = np.dstack([np.rint(plain * (alpha / 255)).astype(np.uint8), alpha])
+    spec = oiio.ImageSpec(3, 4, 4, oiio.UINT8)
+    output = oiio.ImageOutput.create(str(tmp_path / "given.tif"))
+    assert output.open(str(tmp_path / "given.tif"), spec)
+    assert output.write_image(multiplied)
+    output.close()
+    given = read_image(tmp_path / "given.tif")
+    assert given.associated
+    write_image(tmp_path / "same.tif", given)
+    same = read_image(tmp_path / "same.tif")
+    assert same.associated
+    np.testing.assert_array_equal(same.pixels, multiplied)
+    write_image(tmp_path / "divided.png", given)
+    divided = read_image(tmp_path / "divided.png")
+    assert not divided.associated
+    np.testing.assert_array_equal(divided.pixels[..., 3:], alpha)
+    np.testing.assert_array_equal(divided.pixels[:, 1:, :3], plain[:, 1:])

@@ -36,6 +36,7 @@ _FORMATS: dict[str, tuple[str, ...]] = {
 }
 _CHANNELS = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
 _LARGEST_CHANNELS = 4
+_LARGEST_WINDOW = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +51,14 @@ class Image:
         One a channel.
     color_space : str
         The file's word for how colours are encoded ("sRGB", "Linear", ...), empty if it says nothing.
+    associated : bool
+        Whether colours are multiplied by alpha, as a TIFF may say; formats that have no word for it hold others.
     """
 
     pixels: Pixels
     channel_names: tuple[str, ...] = ()
     color_space: str = ""
+    associated: bool = False
 
     @property
     def size(self) -> tuple[int, int]:
@@ -92,7 +96,33 @@ def _read(file: Path) -> Image:
     finally:
         opened.close()
     array = np.asarray(pixels).reshape(spec.height, spec.width, spec.nchannels).astype(kind, copy=False)
-    return Image(array, tuple(spec.channelnames), str(spec.getattribute("oiio:ColorSpace") or ""))
+    tiff = file.suffix.lower() in (".tif", ".tiff")
+    associated = tiff and spec.alpha_channel >= 0 and not spec.getattribute("oiio:UnassociatedAlpha")
+    array = _on_display(array, spec) if file.suffix.lower() == ".exr" else array
+    return Image(array, tuple(spec.channelnames), str(spec.getattribute("oiio:ColorSpace") or ""), associated)
+
+
+def _on_display(pixels: Pixels, spec: Any) -> Pixels:
+    """What lies in the display window of an EXR: its data window may be smaller, with nothing beside it, or larger."""
+    rows, columns = (
+        (slice(max(lo, full), min(lo + size, full + count)), lo, full, count)
+        for lo, size, full, count in (
+            (spec.y, spec.height, spec.full_y, spec.full_height),
+            (spec.x, spec.width, spec.full_x, spec.full_width),
+        )
+    )
+    if pixels.shape[:2] == (rows[3], columns[3]) and (rows[1], columns[1]) == (rows[2], columns[2]):
+        return pixels
+    shown = np.zeros((rows[3], columns[3], pixels.shape[2]), dtype=pixels.dtype)
+    there, here = (
+        tuple(slice(part.start - start, max(part.stop, part.start) - start) for part, start in pairs)
+        for pairs in (
+            ((rows[0], rows[2]), (columns[0], columns[2])),
+            ((rows[0], rows[1]), (columns[0], columns[1])),
+        )
+    )
+    shown[there] = pixels[here]
+    return shown
 
 
 def _open(file: Path) -> tuple[Any, str]:
@@ -116,7 +146,23 @@ def _open(file: Path) -> tuple[Any, str]:
             f"{file}: expected a flat image of 1 to {_LARGEST_CHANNELS} channels of uint8, uint16, half or float, "
             f"found {spec.nchannels} of {kind}" + (" in depth" if spec.depth > 1 else "") + ". Convert it first."
         )
+    if file.suffix.lower() == ".exr":
+        _require_one_picture(file, opened, spec)
     return opened, known[kind]
+
+
+def _require_one_picture(file: Path, opened: Any, spec: Any) -> None:
+    """Refuse an EXR of several parts, and one whose display window is no image's."""
+    several = opened.seek_subimage(1, 0)
+    if several or not opened.seek_subimage(0, 0):
+        opened.close()
+        raise FormatError(f"{file}: expected one picture, found an EXR of several parts. Export the one that is meant.")
+    if not (0 < spec.full_width <= _LARGEST_WINDOW and 0 < spec.full_height <= _LARGEST_WINDOW):
+        opened.close()
+        raise FormatError(
+            f"{file}: expected a display window of 1 to {_LARGEST_WINDOW} texels a side, found {spec.full_width} x "
+            f"{spec.full_height}. Export it again."
+        )
 
 
 def read_image_form(path: str | Path) -> tuple[np.dtype[Any], int]:
@@ -153,7 +199,10 @@ def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False)
     height, width, channels = pixels.shape
     spec = oiio.ImageSpec(width, height, channels, _oiio_type(pixels.dtype))
     spec.channelnames = given.channel_names if len(given.channel_names) == channels else _CHANNELS[channels]
-    spec.attribute("oiio:UnassociatedAlpha", 1)
+    tiff = file.suffix.lower() in (".tif", ".tiff")
+    if given.associated and not tiff:
+        pixels = _divided(pixels)
+    spec.attribute("oiio:UnassociatedAlpha", 0 if given.associated and tiff else 1)
     spec.attribute("png:compressionLevel", 4)  # a quarter of the time of 9, a few per cent larger
     if given.color_space:
         spec.attribute("oiio:ColorSpace", given.color_space)
@@ -169,6 +218,16 @@ def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False)
         error = output.geterror()
         if not (output.close() and written):
             raise FormatError(f"{file}: could not write the image: {_reason(error or output.geterror())}")
+
+
+def _divided(pixels: Pixels) -> Pixels:
+    """Colours that are multiplied by alpha, the last channel, without it."""
+    one = float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind == "u" else 1.0
+    share = pixels[..., -1:].astype(np.float64) / one
+    colors = np.divide(pixels[..., :-1], share, out=pixels[..., :-1].astype(np.float64), where=share > 0)
+    if pixels.dtype.kind == "u":
+        colors = np.rint(np.minimum(colors, one))
+    return np.concatenate([colors.astype(pixels.dtype), pixels[..., -1:]], axis=2)
 
 
 def check_writable(path: str | Path, dtype: np.dtype[Any], channels: int) -> None:
