@@ -21,7 +21,15 @@ from cagemap.mesh.checks import check_mesh, duplicate_faces, keep_faces, require
 from cagemap.mesh.geometry_checks import with_openings_closed
 from cagemap.mesh.measures import face_areas, face_extents, fan_triangles, signed_volume
 from cagemap.mesh.mesh_report import MeshReport
-from cagemap.mesh.topology import boundary_loops, corner_fans, edge_table, face_components, face_orientation, uv_islands
+from cagemap.mesh.topology import (
+    boundary_loops,
+    corner_fans,
+    edge_table,
+    face_components,
+    face_orientation,
+    handle_count,
+    uv_islands,
+)
 from test_obj import polygon_meshes
 
 SHAPES: dict[str, tuple[Callable[[], ControlMesh], int, int]] = {  # genus, boundary loops
@@ -79,6 +87,7 @@ def test_valid_shapes_pass_at_every_scale_and_place(name: str, scale: float) -> 
     report = check_mesh(moved)
     assert report.is_valid
     assert report.genus == genus
+    assert handle_count(mesh) == genus
     assert report.boundary_loops is not None
     assert len(report.boundary_loops) == loops
     assert report.component_sizes == (mesh.n_faces,)

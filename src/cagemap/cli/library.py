@@ -101,7 +101,7 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
     started = time.perf_counter()
     stages("run tasks")
     with open_crew(request.scheduler, request.workers) as crew:
-        verdict = Consistency({}, 0, (), {})
+        verdict, matched = Consistency({}, 0, (), {}), dict[str, Outcome]()
         if has_ways_round(plan):
             matched = run_plan(matches_only(plan), run_task, crew, Ticker(stages))
             stages("compare maps with each other")
@@ -109,6 +109,8 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
             plan = with_ways(plan, verdict.ways, version)
             stages("run tasks")
         outcomes = run_plan(plan, run_task, crew, Ticker(stages))
+    # What the first half did is no leftover of an earlier run.
+    outcomes |= {name: matched[name] for name, now in outcomes.items() if now.state == "kept" and name in matched}
     stages("page")
     carried = [outcomes[task.name] for task in plan.tasks if task.kind == "carry" and outcomes[task.name].usable]
     notes = [*plan.left_out, *cycle_notes(verdict), *carried_notes([outcome.figures for outcome in carried])]

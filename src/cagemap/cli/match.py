@@ -317,11 +317,12 @@ def match_meshes(inputs: Inputs, settings: MatchSettings, stages: Stages) -> Mat
 
 def summary(result: MatchResult, folder: Path, seconds: float) -> str:
     """A few lines for the terminal."""
-    quality = result.manifest["quality"]
+    manifest = result.manifest
+    quality = manifest["quality"]
     lines = [
         f"{result.source.control.name} -> {result.target.control.name}: {len(result.target.vertices):,} target and "
         f"{len(result.source.vertices):,} source vertices in {seconds:.1f} s",
-        f"  {landmark_summary(result)}",
+        f"  {landmark_summary(result)}{_assured(manifest)}",
         f"  {100 * quality['flipped_area']:.2f} % folded, {100 * quality['coverage']:.1f} % of the source covered",
         f"wrote {folder}; next: cagemap transfer {folder} --texture IMG -o OUT.png, or cagemap report {folder}",
     ]
@@ -349,6 +350,17 @@ def landmark_summary(result: MatchResult) -> str:
 
 
 def warnings(result: MatchResult) -> list[str]:
-    """Notes and warnings of a result."""
+    """Notes and warnings of a result; being sure is nothing to warn of."""
     manifest = result.manifest
-    return [*manifest["notes"], *landmark_messages(manifest), *manifest["quality"]["warnings"]]
+    about = [text for text in landmark_messages(manifest) if not (_assured(manifest) and text == _confidence(manifest))]
+    return [*manifest["notes"], *about, *manifest["quality"]["warnings"]]
+
+
+def _assured(manifest: dict[str, Any]) -> str:
+    """What is said of a map without landmarks that is sure, for the summary; nothing of others."""
+    sure = (manifest.get("confidence") or {}).get("verdict") == "sure"
+    return f"; {_confidence(manifest).removeprefix('without landmarks ')}" if sure else ""
+
+
+def _confidence(manifest: dict[str, Any]) -> str:
+    return str((manifest.get("confidence") or {}).get("message", ""))

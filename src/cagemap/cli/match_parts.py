@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -10,6 +11,7 @@ import numpy as np
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks, Renumbering
+from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.parts import Part, components, extract, find_part, material_pieces, pair_parts
 from cagemap.numerics.arrays import IndexArray
 from cagemap.refinement import default_scheme
@@ -78,19 +80,22 @@ def _each(
         np.column_stack([landmarks.target_points.nearest_vertices, landmarks.source_points.nearest_vertices]),
         material_pieces if word == MATERIAL else components,
     )
-    notes = []
-    for side, parts in zip(("target", "source"), alone, strict=True):
-        notes += [
-            f"{_titled(part)} of the {side} is left alone: nothing there goes with it, by name or by landmarks"
-            for part in parts
-        ]
+    left = {side: _titled(parts) for side, parts in zip(("target", "source"), alone, strict=True) if parts}
     if not pairs:
-        raise ParameterError(f"--part {word}: expected parts that go together, found none: {'; '.join(notes)}.")
+        listed = ", ".join(f"in the {side} {names}" for side, names in left.items())
+        raise ParameterError(
+            f"--part {word}: expected parts that go together by name or by landmarks, found none: {listed}. Give "
+            "objects or groups the same names in both files, or landmarks on each part."
+        )
+    notes = [
+        f"left alone, since nothing goes with it by name or by landmarks: {names} of the {side}"
+        for side, names in left.items()
+    ]
     return tuple(_inputs(target, source, landmarks, pair.target, pair.source) for pair in pairs), tuple(notes)
 
 
-def _titled(part: Part) -> str:
-    return f"{part.kind} {part.name} ({len(part.faces)} faces)"
+def _titled(parts: Sequence[Part]) -> str:
+    return first_few(f"{part.kind} {part.name} ({len(part.faces)} faces)" for part in parts)
 
 
 def _inputs(

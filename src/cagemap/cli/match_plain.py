@@ -10,6 +10,7 @@ from cagemap.mesh.checks import require_valid
 from cagemap.mesh.landmarks import check_landmarks
 from cagemap.mesh.plain import PlainMesh, plain_mesh
 from cagemap.mesh.schemes import Plain
+from cagemap.mesh.topology import handle_count
 from cagemap.numerics.arrays import IndexArray
 from cagemap.numerics.threads import in_threads
 
@@ -53,7 +54,20 @@ def ready_inputs(given: PartInputs) -> ReadyInputs:
     left = len(given.landmarks) - len(landmarks)
     if left:
         notes.append(f"{left} of {len(given.landmarks)} landmarks lie on pieces that are set aside and are left out")
+    if not plain:  # a scan's holes and bridges say little
+        notes += _handle_notes(*meshes)
     return ReadyInputs(PartInputs(meshes[0], meshes[1], landmarks), tuple(notes), repairs)
+
+
+def _handle_notes(*meshes: ControlMesh) -> list[str]:
+    """Whether two cages cannot be one to one."""
+    counts = [handle_count(mesh) for mesh in meshes]
+    if counts[0] == counts[1]:
+        return []
+    (one, a), (other, b) = zip((mesh.name for mesh in meshes), counts, strict=True)
+    return [
+        f"{one} has {a} handle{'s' * (a != 1)}, {other} {b}: no map is one to one, this one tears or folds somewhere"
+    ]
 
 
 def _ready(mesh: ControlMesh) -> ControlMesh | PlainMesh:

@@ -43,7 +43,7 @@ class MatchRequest:
         typer.Option(
             "--vertices",
             min=1,
-            help="Instead of --level: about this many vertices each.  [default: 200000]",
+            help="Instead of --level: about this many vertices each, or more.  [default: 200000]",
             show_default=False,
         ),
     ] = None

@@ -115,6 +115,14 @@ def boundary_loops(mesh: ControlMesh, edges: EdgeTable, fans: IndexArray) -> tup
     return tuple(loops)
 
 
+def handle_count(mesh: ControlMesh) -> int:
+    """Handles g (the genus) of a sound mesh in one piece with b boundary loops: V - E + F = 2 - 2 g - b."""
+    edges = edge_table(mesh)
+    loops = boundary_loops(mesh, edges, corner_fans(mesh, edges)) if len(edges.boundary_corners()) else ()
+    euler = int(used_vertices(mesh).sum()) - len(edges.vertices) + mesh.n_faces
+    return (2 - euler - len(loops or ())) // 2
+
+
 def used_vertices(mesh: ControlMesh) -> NDArray[np.bool_]:
     """(n,) whether a vertex belongs to a face."""
     used = np.zeros(mesh.n_vertices, dtype=bool)
