@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import builtins
+import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cagemap.errors import MissingLibraryError
 from cagemap.example import example_pair
+from cagemap.files.meshes import write_mesh
 from cagemap.mesh import cube
 from cagemap.numerics import factorization
 from cagemap.numerics.libraries import library
@@ -72,3 +75,27 @@ def test_pictures_and_layouts_name_the_library_they_miss(without_embreex_and_xat
 
 def test_a_library_that_is_there_is_given() -> None:
     assert library("math", "sums").pi > 3
+
+
+def test_a_job_without_dask_can_be_looked_at_and_says_what_to_install(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write_mesh(tmp_path / f"{name}.obj", cube())
+    asset = '[[assets]]\nname = "{0}"\nfile = "{0}.obj"\n'
+    job = 'output = "out"\n' + asset.format("a") + asset.format("b") + '[[pairs]]\nsource = "a"\ntarget = "b"\n'
+    (tmp_path / "job.toml").write_text(job)
+    without = (
+        "import sys\nfor name in ('dask', 'distributed', 'filelock'): sys.modules[name] = None\n"
+        "import importlib.util, runpy\nhonest = importlib.util.find_spec\n"
+        "importlib.util.find_spec = lambda name, *rest: None if name == 'distributed' else honest(name, *rest)\n"
+        "runpy.run_module('cagemap', run_name='__main__')"
+    )
+
+    def run(*more: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-c", without, "run", str(tmp_path / "job.toml"), *more]
+        return subprocess.run(command, capture_output=True, text=True, check=False)
+
+    dry, wet = run("--dry-run"), run()
+    assert dry.returncode == 0, dry.stderr
+    assert "match a -> b" in dry.stdout
+    assert wet.returncode == 2
+    assert 'pip install "cagemap[dask]"' in wet.stderr

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import inspect
 import pkgutil
 import re
 
+import numpy as np
+import pytest
+
 import cagemap
+from cagemap.maps.elastic.config import ElasticConfig
+from cagemap.pipeline import MatchConfig
 
 ARRAYS = re.compile(r"Array|ndarray|csr_array|csc_array|TriangleSurface|SurfacePoints")
 
@@ -35,3 +41,23 @@ def test_values_of_arrays_are_equal_to_themselves_alone_and_hashable() -> None:
     ]
     assert wrong == []
     assert all(one.__hash__ is not None for one in values if one.__name__[0] != "_")
+
+
+def test_configurations_show_what_was_chosen_and_signatures_stay_short() -> None:
+    config = MatchConfig(answer=1, elastic=ElasticConfig(coarse_vertices=10))
+    assert repr(config) == "MatchConfig(elastic=ElasticConfig(coarse_vertices=10), answer=1)"
+    assert repr(MatchConfig()) == "MatchConfig()"
+    assert len(str(inspect.signature(cagemap.match))) < 300
+
+
+@pytest.mark.parametrize(
+    ("positions", "faces", "words"),
+    [
+        (np.zeros((6, 2)), [[0, 1, 2]], "expected positions"),
+        (np.zeros(9), [[0, 1, 2]], "expected positions"),
+        (np.zeros((6, 3)), [[0, 1.5, 2]], "whole numbers"),
+    ],
+)
+def test_arrays_of_another_form_are_no_mesh(positions: np.ndarray, faces: list, words: str) -> None:
+    with pytest.raises(cagemap.CagemapError, match=words):
+        cagemap.ControlMesh.from_faces(positions, faces)

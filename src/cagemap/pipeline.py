@@ -34,6 +34,7 @@ from cagemap.maps.spectral.constraints import paired_mirrors
 from cagemap.maps.spectral.hierarchical import HierarchyConfig, hierarchical_map
 from cagemap.maps.spectral.paper import PaperConfig, paper_map
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
+from cagemap.numerics.brief import Brief
 from cagemap.numerics.threads import in_threads, one_blas_thread
 
 logger = logging.getLogger(__name__)
@@ -41,8 +42,8 @@ logger = logging.getLogger(__name__)
 METHODS = ("elastic", "hfm", "paper")
 
 
-@dataclass(frozen=True)
-class MatchConfig:
+@dataclass(frozen=True, repr=False)
+class MatchConfig(Brief):
     """Parameters of a match of two prepared surfaces; the defaults are the measured ones.
 
     Attributes

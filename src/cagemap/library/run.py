@@ -15,8 +15,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from filelock import FileLock
-
 from cagemap.errors import CagemapError, FormatError, ParameterError
 from cagemap.files.atomic import atomic_path, files_written
 from cagemap.files.marks import mark
@@ -129,6 +127,8 @@ def execute(task: Task, root: Path, runner: Runner, *before: Outcome) -> Outcome
     failed = [outcome for outcome in before if outcome.name in task.needs and not outcome.usable]
     if failed:
         return Outcome(task.name, "skipped", _waited_for(failed[0]))
+    from filelock import FileLock  # comes with Dask, which plans and dry runs do without
+
     start = time.perf_counter()
     try:
         state = root / STATE

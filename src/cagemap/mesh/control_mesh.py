@@ -108,13 +108,23 @@ class ControlMesh:
         """Build from a sequence of faces, each a sequence of vertex numbers (0-based).
 
         ``faces`` may also be an (m, d) integer array.
+
+        Raises
+        ------
+        ParameterError
+            If the positions are not (n, 3), or a vertex number is no whole number.
         """
-        vertices = np.array(positions, dtype=np.float64).reshape(-1, 3)
-        lists = [np.asarray(face, dtype=np.int64) for face in faces]  # type: ignore[attr-defined]
+        vertices = np.array(positions, dtype=np.float64)
+        if vertices.size and (vertices.ndim != 2 or vertices.shape[1] != 3):
+            raise ParameterError(f"{name}: expected positions (n, 3), got an array {vertices.shape}. Give x, y and z.")
+        lists = [np.atleast_1d(np.asarray(face)) for face in faces]  # type: ignore[attr-defined]
         sizes = np.array([len(face) for face in lists], dtype=np.int64)
         offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-        indices = np.concatenate(lists) if lists else np.zeros(0, dtype=np.int64)
-        return cls(vertices, offsets, indices, name=name)
+        given = np.concatenate(lists) if lists else np.zeros(0, dtype=np.int64)
+        indices = given.astype(np.int64)
+        if given.dtype.kind not in "iu" and not np.array_equal(indices, given):
+            raise ParameterError(f"{name}: expected whole numbers of vertices in faces, got {given.dtype} with others.")
+        return cls(vertices.reshape(-1, 3), offsets, indices, name=name)
 
     @property
     def n_vertices(self) -> int:

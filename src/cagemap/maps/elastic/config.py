@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.brief import Brief
 
 
 @dataclass(frozen=True)
@@ -47,8 +48,8 @@ class Stage:
         return np.asarray(first * (last / first) ** steps)
 
 
-@dataclass(frozen=True)
-class ElasticConfig:
+@dataclass(frozen=True, repr=False)
+class ElasticConfig(Brief):
     """Parameters of the fit; the defaults are the measured ones (docs/accuracy.md).
 
     Attributes

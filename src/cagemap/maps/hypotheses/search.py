@@ -18,11 +18,12 @@ from cagemap.maps.elastic.starts import SpectralSides, spectral_starts
 from cagemap.maps.hypotheses.confidence import Reading
 from cagemap.maps.hypotheses.starts import Start, rigid_starts
 from cagemap.maps.pair import Pair
+from cagemap.numerics.brief import Brief
 from cagemap.numerics.threads import in_threads, thread_limit
 
 
-@dataclass(frozen=True)
-class HypothesesConfig:
+@dataclass(frozen=True, repr=False)
+class HypothesesConfig(Brief):
     """Parameters of the search; the defaults are the measured ones.
 
     Attributes

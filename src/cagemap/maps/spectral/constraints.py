@@ -27,14 +27,15 @@ from cagemap.functional_map import Constraints, SpectralData
 from cagemap.maps.curves import SurfaceCurve
 from cagemap.maps.pair import Pair, SymmetryPair
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.brief import Brief
 from cagemap.numerics.threads import in_threads
 
 # Share of landmarks that two planes must take to the same landmarks.
 AGREEMENT = 0.5
 
 
-@dataclass(frozen=True)
-class DescriptorConfig:
+@dataclass(frozen=True, repr=False)
+class DescriptorConfig(Brief):
     """Which descriptors are asked for; the defaults are the measured ones.
 
     Attributes

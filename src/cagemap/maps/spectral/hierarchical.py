@@ -36,6 +36,7 @@ from cagemap.maps.spectral.samples import (
 )
 from cagemap.maps.spectral.search import nearest_both_ways, nearest_rows
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.brief import Brief
 from cagemap.numerics.threads import in_threads
 
 logger = logging.getLogger(__name__)
@@ -89,8 +90,8 @@ GROWTHS = tuple(
 )
 
 
-@dataclass(frozen=True)
-class HierarchyConfig:
+@dataclass(frozen=True, repr=False)
+class HierarchyConfig(Brief):
     """Parameters of the hierarchical map; the defaults are the measured ones.
 
     Attributes

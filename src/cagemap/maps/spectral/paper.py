@@ -20,12 +20,13 @@ from cagemap.maps.spectral.levels import (
     search_level,
 )
 from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.brief import Brief
 
 FEWEST_FUNCTIONS = 3
 
 
-@dataclass(frozen=True)
-class PaperConfig:
+@dataclass(frozen=True, repr=False)
+class PaperConfig(Brief):
     """Parameters of the paper's method; the text names them and leaves their values to its missing section 6.
 
     Attributes
