@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cagemap.errors import MissingLibraryError, ParameterError
-from cagemap.files.images import read_image
+from cagemap.files.images import read_image, write_image
 from cagemap.files.meshes import write_mesh
 from cagemap.files.result import read_result
 from cagemap.geometry.closest import closest_points
@@ -258,6 +258,20 @@ def test_through_the_command_line(run: Run, result_folder: Path) -> None:  # noq
     assert (2 * normals[:, :, 2] - 1).mean() > 0.7
     assert normals[:, :, 0].std() > 0.01
     assert run("wrap", "R", "-o", "w.obj", "--detail", "high.obj").code
+    u, v = np.meshgrid((np.arange(256) + 0.5) / 256, 1 - (np.arange(256) + 0.5) / 256)
+    write_image(place / "skin.png", np.rint(255 * np.stack([u, v, u * 0], axis=2)).astype(np.uint8))
+    write_mesh(place / "scan.obj", detailed.with_uvs(colors[:, :2], faces.ravel()))
+    own = ("--detail", "scan.obj", "--size", "64")
+    assert run("transfer", "R", "--bake", "texture", *own, "-o", "t.png").code
+    assert run("transfer", "R", "--bake", "normal", "--detail-texture", "skin.png", *own, "-o", "t.png").code
+    done = run("transfer", "R", "--bake", "texture", "--detail-texture", "skin.png", *own, "-o", "t.png")
+    assert not done.code, done.err
+    baked, expected = (read_image(place / name).pixels.astype(float) for name in ("t.png", "o_colors.png"))
+    assert np.median(np.abs(baked - expected)[:, :, :2]) < 2
+    assert run("wrap", "R", "-o", "w.obj", "--detail-texture", "skin.png", "--baked", "b.png").code
+    done = run("wrap", "R", "-o", "w2.obj", "--detail-texture", "skin.png", "--baked", "b.png", *own)
+    assert not done.code, done.err
+    assert read_image(place / "b.png").pixels.shape == (64, 64, 3)
     done = run("wrap", "R", "-o", "w.obj", "--normal-map", "wn.png", "--vector-displacement", "wv.exr", "--size", "64")
     assert not done.code, done.err
     assert "tangent space" in done.out

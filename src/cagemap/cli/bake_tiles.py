@@ -83,6 +83,7 @@ def inputs_of(request: TransferRequest) -> list[Path]:
         request.weights,
         request.joints,
         request.detail,
+        *(texture_files(request.detail_texture) if request.detail_texture is not None else ()),
         *(path for _, path in (*request.maps, *request.bases)),
     )
     given = [path for path in (*single, *others) if path is not None]

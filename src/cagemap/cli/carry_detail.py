@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import cast
 
 from cagemap.cli.bake_tiles import DEFAULT_SIZE, base_size, masking, prepare_bake, written_channels
 from cagemap.cli.detail_bakes import (
-    CHANNELS,
     KINDS,
     OFFSETS,
     DetailBakes,
     Kind,
     bake_detail,
+    detail_texture,
     mesh_detail,
     vertex_colors,
 )
@@ -41,8 +42,11 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
         request.rays,
         request.force,
     )
-    bakes.check({kind: written_channels(request, result, CHANNELS[kind], kind) - CHANNELS[kind] for kind in kinds})
     mesh = None if request.detail is None else read_mesh(request.detail)
+    if mesh is not None and request.detail_texture is not None:
+        bakes = replace(bakes, texture=detail_texture(mesh, request.detail_texture))
+    own = {kind: bakes.channels(kind) for kind in kinds}
+    bakes.check({kind: written_channels(request, result, own[kind], kind) - own[kind] for kind in kinds})
     prepared = prepare_bake(request, result, stages, list(images.values()))
     warnings = prepared.warnings
     if mesh is not None:
@@ -81,6 +85,10 @@ def _kinds(request: TransferRequest) -> list[Kind]:
     if unknown:
         raise ParameterError(f"--bake: expected some of {', '.join(KINDS)}, got {', '.join(unknown)}")
     kinds = [cast(Kind, name) for name in names]
+    if ("texture" in kinds) != (request.detail_texture is not None):
+        raise ParameterError("--bake texture and --detail-texture: expected both or neither, got one of them")
+    if request.detail_texture is not None and request.detail is None:
+        raise ParameterError("--detail-texture: expected --detail, the mesh that the image belongs to")
     flat = [kind for kind in kinds if kind in OFFSETS]
     if flat and request.detail is None:
         raise ParameterError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal, get_args
@@ -13,15 +13,17 @@ import numpy as np
 from cagemap.cli.bake_tiles import write_tiles
 from cagemap.cli.progress import Stages
 from cagemap.errors import ParameterError
-from cagemap.files.images import Image, check_writable, pixel_type
+from cagemap.files.images import Image, check_writable, pixel_type, read_texture, texture_pixels
+from cagemap.geometry.triangles import fan_triangles
 from cagemap.mesh import ControlMesh
-from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import triangulate_control
 from cagemap.transfer import BakeOptions, Transfer
 from cagemap.transfer.detail import (
     Detail,
     bake_detail_heights,
     bake_detail_normals,
+    bake_detail_texture,
     bake_detail_values,
     bake_detail_vectors,
     covered_share,
@@ -32,15 +34,41 @@ from cagemap.transfer.occlusion import ambient_occlusion
 from cagemap.transfer.texture import Pixels
 from cagemap.transfer.vectors import Green, Space
 
-Kind = Literal["normal", "displacement", "vector-displacement", "ao", "colors"]
+Kind = Literal["normal", "displacement", "vector-displacement", "ao", "colors", "texture"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 # Kinds that say where the detail is, or which way it faces: nothing, for a surface over itself.
 OFFSETS: tuple[Kind, ...] = ("normal", "displacement", "vector-displacement")
-CHANNELS: dict[Kind, int] = {"normal": 3, "displacement": 1, "vector-displacement": 3, "ao": 1, "colors": 3}
+_CHANNELS: dict[Kind, int] = {
+    "normal": 3,
+    "displacement": 1,
+    "vector-displacement": 3,
+    "ao": 1,
+    "colors": 3,
+    "texture": 1,  # of the image itself, once it is read
+}
 # Formats with 16 bits, and what needs them.
 _DEEP = (".png", ".tif", ".tiff")
 # Less of the source than this has detail near it: worth a warning.
 _COVERED = 0.99
+
+
+@dataclass(frozen=True, eq=False)
+class DetailTexture:
+    """A detailed mesh's own image, and where its triangles lie in it.
+
+    Attributes
+    ----------
+    texture : array, or arrays by UDIM number
+    first : Image
+        Whose form (number type, colour space) the result takes.
+    uvs : (p, 2) float64
+    uv_triangles : (t, 3) int64
+    """
+
+    texture: Pixels | dict[int, Pixels]
+    first: Image
+    uvs: FloatArray
+    uv_triangles: IndexArray
 
 
 @dataclass(frozen=True)
@@ -58,6 +86,8 @@ class DetailBakes:
     rays : int
         Of ambient occlusion, a vertex of the detailed mesh.
     force : bool
+    texture : DetailTexture, optional
+        Of the detailed mesh, for the kind "texture".
     """
 
     images: dict[Kind, Path]
@@ -67,9 +97,18 @@ class DetailBakes:
     green: Green
     rays: int
     force: bool
+    texture: DetailTexture | None = None
+
+    def channels(self, kind: Kind) -> int:
+        """Channels of an image."""
+        if kind == "texture" and self.texture is not None:
+            return int(np.atleast_3d(self.texture.first.pixels).shape[2])
+        return _CHANNELS[kind]
 
     def dtype(self, kind: Kind) -> np.dtype[Any]:
         """Number type of an image."""
+        if kind == "texture" and self.texture is not None and self.bits is None:
+            return self.texture.first.pixels.dtype
         suffix = self.images[kind].suffix.lower()
         default = 32 if suffix == ".exr" else 16 if suffix in _DEEP and kind in OFFSETS else 8
         return pixel_type(self.bits or default, suffix)
@@ -77,7 +116,7 @@ class DetailBakes:
     def check(self, more: Mapping[Kind, int] = MappingProxyType({})) -> None:
         """Refuse images whose formats cannot hold what they are to; some have more channels (alpha)."""
         for kind, path in self.images.items():
-            check_writable(path, self.dtype(kind), CHANNELS[kind] + more.get(kind, 0))
+            check_writable(path, self.dtype(kind), self.channels(kind) + more.get(kind, 0))
 
 
 def mesh_detail(mesh: ControlMesh, transfer: Transfer) -> tuple[Detail, list[str]]:
@@ -88,6 +127,16 @@ def mesh_detail(mesh: ControlMesh, transfer: Transfer) -> tuple[Detail, list[str
     if share >= _COVERED:
         return detail, []
     return detail, [f"{100 * (1 - share):.1f} % of the source has nothing of {mesh.name} near it, and stays flat there"]
+
+
+def detail_texture(mesh: ControlMesh, path: Path) -> DetailTexture:
+    """An image on a detailed mesh, refused where that has no texture coordinates."""
+    if mesh.uvs is None or mesh.uv_indices is None:
+        raise ParameterError(f"{mesh.name}: expected texture coordinates for --detail-texture, the mesh has none")
+    texture = read_texture(path)
+    first = texture if isinstance(texture, Image) else next(iter(texture.values()))
+    triangles = fan_triangles(mesh.face_offsets, mesh.uv_indices)[0]
+    return DetailTexture(texture_pixels(texture), first, mesh.uvs, triangles)
 
 
 def vertex_colors(mesh: ControlMesh) -> FloatArray:
@@ -135,7 +184,7 @@ def bake_detail(
             values = ambient_occlusion(detail.surface, bakes.rays)
         elif kind == "colors":
             values = colors
-        elif kind != "normal" and dtype.kind == "u":
+        elif kind in ("displacement", "vector-displacement") and dtype.kind == "u":
             stages(f"range of {kind}")
             scale = _range(_baker(bakes, kind, transfer, detail, None, np.dtype(np.float32), 1.0), tiles)
         bake = _baker(bakes, kind, transfer, detail, values, dtype, scale)
@@ -148,6 +197,7 @@ def bake_detail(
             "vector-displacement": f"offset in {bakes.space} space = {meaning}",
             "ao": "ambient occlusion",
             "colors": "colours",
+            "texture": "the detailed mesh's texture",
         }
         lines.append(f"wrote {path}: {says[kind]}")
     return lines
@@ -161,9 +211,19 @@ def _baker(
     values: FloatArray | None,
     dtype: np.dtype[Any],
     scale: float,
-) -> Callable[[BakeOptions], Pixels | Displacement]:
+) -> Callable[[BakeOptions], Pixels | Image | Displacement]:
     """The bake of one kind of image, for any tile."""
     size, space = bakes.size, bakes.space
+    if kind == "texture" and bakes.texture is not None:
+        own = bakes.texture
+
+        def bake(options: BakeOptions) -> Image:
+            pixels = bake_detail_texture(
+                transfer, detail, own.texture, own.uvs, own.uv_triangles, size=size, dtype=dtype, options=options
+            )
+            return replace(own.first, pixels=pixels)
+
+        return bake
     if values is not None:
         return lambda o: bake_detail_values(transfer, detail, values, size=size, dtype=dtype, options=o)
     if kind == "normal":
@@ -176,12 +236,12 @@ def _baker(
     return lambda o: bake_detail_vectors(transfer, detail, size=size, space=space, scale=scale, dtype=dtype, options=o)
 
 
-def _range(bake: Callable[[BakeOptions], Pixels | Displacement], tiles: list[int]) -> float:
+def _range(bake: Callable[[BakeOptions], Pixels | Image | Displacement], tiles: list[int]) -> float:
     """What the values 0 and 1 of integers are apart, so that they hold all that a bake of floats has."""
     largest = 0.0
     for tile in tiles:
         baked = bake(BakeOptions(tile=tile))
-        pixels = baked.pixels if isinstance(baked, Displacement) else baked
+        pixels = baked.pixels if isinstance(baked, Displacement | Image) else baked
         largest = max(largest, float(np.abs(pixels).max()))
     # A trace of room, since the largest is rounded to single precision.
     return 2.0 * (1.0 + 1e-6) * largest or 1.0

@@ -81,7 +81,8 @@ class TransferRequest:
         tuple[str, ...],
         typer.Option(
             "--bake",
-            help="From a detailed mesh: normal, displacement, vector-displacement, ao, colors; several with commas.",
+            help="From a detailed mesh: normal, displacement, vector-displacement, ao, colors, texture; several with "
+            "commas.",
             show_default=False,
         ),
     ] = ()
@@ -92,6 +93,10 @@ class TransferRequest:
             help="Bake: mesh that lies on the source.  [default: the source, for ao and colors]",
             show_default=False,
         ),
+    ] = None
+    detail_texture: Annotated[
+        Path | None,
+        typer.Option("--detail-texture", help="Bake texture: the detailed mesh's own image.", show_default=False),
     ] = None
     rays: Annotated[int, typer.Option("--rays", min=1, help="Bake ao: rays for every vertex of the mesh.")] = 128
     source_uvs: Annotated[

@@ -75,13 +75,18 @@ def _with_texture(request: WrapRequest, summary: str, warnings: list[str], stage
 def _check_request(request: WrapRequest) -> None:
     if not 0.0 <= request.amount <= 1.0:
         raise ParameterError(f"--amount: expected 0 (the target) to 1 (the source's shape), got {request.amount}")
-    if (request.texture is None) != (request.baked is None):
-        raise ParameterError("--texture and --baked: expected the source's image and the one to write, got one of them")
+    if request.detail_texture is not None and (request.detail is None or request.texture is not None):
+        raise ParameterError("--detail-texture: expected --detail, and no --texture: --baked is one of them")
+    if (request.texture is None and request.detail_texture is None) != (request.baked is None):
+        raise ParameterError(
+            "--texture (or --detail-texture) and --baked: expected an image and the one to write, got one of them"
+        )
     if not request.target and any((request.scheme, request.target_scheme, request.source_scheme)):
         raise ParameterError("--scheme: expected with --target and --source; a RESULT has its schemes already")
     bakes = wrap_bakes(request)
     bakes.check()
-    images = [*bakes.images.values(), *(path for path in (request.mhclo, request.baked) if path)]
+    others = (path for path in (request.mhclo, request.baked) if path)
+    images = list(dict.fromkeys([*bakes.images.values(), *others]))
     many = len(request.results) > 1
     if many and not request.blend_shapes:
         raise ParameterError("expected one RESULT, or --blend-shapes with a folder as --output for several")
@@ -90,9 +95,8 @@ def _check_request(request: WrapRequest) -> None:
     if request.detail is not None and not bakes.images:
         raise ParameterError("--detail: expected an image to bake from it, such as --normal-map")
     inputs = [folder / name for folder in request.results for name in (MANIFEST, ARRAYS)]
-    inputs += [
-        p for p in (request.target, request.source, request.landmarks, request.weights, request.detail) if p is not None
-    ]
+    named = (request.target, request.source, request.landmarks, request.weights, request.detail)
+    inputs += [path for path in (*named, request.detail_texture) if path is not None]
     if request.blend_shapes:
         if request.output.exists() and not request.output.is_dir():
             raise ParameterError(f"{request.output}: --blend-shapes writes a folder of OBJ files, got a file")

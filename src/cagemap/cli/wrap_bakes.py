@@ -7,7 +7,14 @@ from pathlib import Path
 from typing import cast
 
 from cagemap.cli.bake_tiles import DEFAULT_SIZE, layout_tiles
-from cagemap.cli.detail_bakes import DetailBakes, Kind, bake_detail, mesh_detail, vertex_colors
+from cagemap.cli.detail_bakes import (
+    DetailBakes,
+    Kind,
+    bake_detail,
+    detail_texture,
+    mesh_detail,
+    vertex_colors,
+)
 from cagemap.cli.progress import Stages
 from cagemap.cli.wrap_request import WrapRequest
 from cagemap.errors import ParameterError
@@ -27,6 +34,7 @@ def wrap_bakes(request: WrapRequest) -> DetailBakes:
         "vector-displacement": request.vector_displacement,
         "ao": request.occlusion,
         "colors": request.colors,
+        "texture": request.baked if request.detail_texture is not None else None,
     }
     return DetailBakes(
         {kind: path for kind, path in images.items() if path is not None},
@@ -62,6 +70,9 @@ def bake_wrapped(
     else:
         transfer, follow = wrapped_transfer(wrapped, target)
         mesh = read_mesh(request.detail)
+        if request.detail_texture is not None:
+            bakes = replace(bakes, texture=detail_texture(mesh, request.detail_texture))
+            bakes.check()
         detail, warnings = mesh_detail(mesh, transfer)
         detail = replace(detail, follow=follow)
         colors = vertex_colors(mesh) if "colors" in bakes.images else None

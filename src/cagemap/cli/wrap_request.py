@@ -92,6 +92,10 @@ class WrapRequest:
         Path | None,
         typer.Option("--detail", help="Bake a more detailed mesh in the source's place instead.", show_default=False),
     ] = None
+    detail_texture: Annotated[
+        Path | None,
+        typer.Option("--detail-texture", help="The detailed mesh's own image, to bake as --baked.", show_default=False),
+    ] = None
     space: Annotated[str, typer.Option("--space", help="Of normals and vectors: tangent (MikkTSpace) or object.")] = (
         "tangent"
     )
