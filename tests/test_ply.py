@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -202,6 +203,18 @@ def test_damaged_files_never_end_in_another_error(tmp_path: Path, data: st.DataO
         assert read.face_indices.min() >= 0
         assert read.face_indices.max() < read.n_vertices
         assert np.isfinite(read.positions).all()
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_vertex_colours_come_back_as_bytes(tmp_path: Path, text: bool) -> None:
+    # The darkest: one of 255 is no full colour.
+    for colors in (np.arange(24).reshape(8, 3) / 255, np.tile([1 / 255, 0, 0], (8, 1))):
+        if text and colors.max() <= 1 / 255:
+            continue  # numbers in text have no type that says so
+        write_ply(tmp_path / "c.ply", replace(cube(), vertex_colors=colors), text=text, force=True)
+        read = read_ply(tmp_path / "c.ply")
+        np.testing.assert_allclose(read.vertex_colors, colors, rtol=0, atol=1e-12)
+        np.testing.assert_array_equal(read.positions, cube().positions)
 
 
 @pytest.mark.parametrize("kind", ["uchar", "float"])

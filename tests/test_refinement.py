@@ -26,7 +26,17 @@ from cagemap.mesh import (
     torus,
     triangulated,
 )
-from cagemap.refinement import CatmullClark, Loop, Refinement, default_scheme, refine, triangles, triangulate_control
+from cagemap.mesh.control_mesh import UvSet
+from cagemap.refinement import (
+    CatmullClark,
+    Loop,
+    Refinement,
+    default_scheme,
+    finest_mesh,
+    refine,
+    triangles,
+    triangulate_control,
+)
 from cagemap.refinement.matrices import boundary_corners, polygon_matrix, quad_matrix
 from cagemap.refinement.refinement import state_of
 from cagemap.refinement.topology import control_topology
@@ -408,3 +418,23 @@ def test_parameters_are_checked(refinement: Refinement) -> None:
         refinement.prolong(np.zeros((3, 2)), 1, 2)
     with pytest.raises(InvalidMeshError, match="UV numbers"):
         refine(replace(_uv_grid(), uv_indices=_uv_grid().uv_indices + 3), 1)
+
+
+def test_the_finest_mesh_has_all_uv_sets_and_colours() -> None:
+    mesh = grid(3, 2)
+    corners = np.arange(len(mesh.face_indices))
+    flat = mesh.positions[:, :2]
+    seamed = UvSet("seamed", flat[mesh.face_indices] + mesh.corner_faces[:, None], corners)
+    mesh = replace(mesh.with_uvs(flat, mesh.face_indices), uv_name="st", uv_sets=(seamed,))
+    colors = np.column_stack([flat / np.ptp(flat, axis=0), np.zeros(len(flat))])
+    mesh = replace(mesh, vertex_colors=colors - colors.min(axis=0))
+    refinement = refine(mesh, 2)
+    fine = finest_mesh(refinement)
+    (other,) = fine.uv_sets
+    assert len(other.uv_indices) == len(fine.face_indices)
+    np.testing.assert_array_equal(other.uvs, refine(mesh.with_uv_set("seamed"), 2).finest.uvs)
+    # Colours that are places stay places.
+    np.testing.assert_allclose(
+        fine.vertex_colors, np.clip(refinement.prolong(mesh.vertex_colors, 0, 2), 0, 1), atol=1e-12
+    )
+    assert finest_mesh(refine(replace(mesh, vertex_colors=np.full_like(colors, np.nan)), 1)).vertex_colors is None

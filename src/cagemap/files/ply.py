@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
@@ -27,7 +28,8 @@ def read_ply(path: str | Path) -> ControlMesh:
     """Read a control mesh from a PLY file, text or binary, in the file's own order.
 
     Texture coordinates are taken from the faces' ``texcoord`` lists, else from the vertices (``s t``, ``u v`` or
-    ``texture_u texture_v``), and vertex colours from ``red green blue``. Normals and other elements are ignored.
+    ``texture_u texture_v``), and vertex colours from ``red green blue``: from 0 to 1, or to 255 where they are bytes or
+    go beyond. Normals and other elements are ignored.
 
     Raises
     ------
@@ -50,13 +52,10 @@ def read_ply(path: str | Path) -> ControlMesh:
     offsets = np.concatenate([[0], np.cumsum(corners.lengths)]).astype(np.int64)
     indices = _indices(file, corners, len(positions))
     uvs, uv_indices = _uvs(file, vertices, faces.get("texcoord"), corners.lengths, indices)
-    colors = _colors(_table(file, vertices, _COLORS, "colours"))
+    colors = _table(file, vertices, _COLORS, "colours")
+    bytes_ = colors is not None and (colors.max() > 1.0 or vertices["red"].values.dtype == np.uint8)
+    colors = colors / 255.0 if colors is not None and bytes_ else colors
     return ControlMesh(positions, offsets, indices, uvs, uv_indices, name=file.name, vertex_colors=colors)
-
-
-def _colors(table: FloatArray | None) -> FloatArray | None:
-    """Colours from 0 to 1; what goes beyond counts to 255, as nearly every program writes them."""
-    return table / 255.0 if table is not None and table.max() > 1.0 else table
 
 
 def _table(path: Path, columns: dict[str, Column], names: tuple[str, ...], what: str) -> FloatArray | None:
@@ -120,6 +119,7 @@ def _uvs(
 def write_ply(path: str | Path, mesh: ControlMesh, *, text: bool = False, force: bool = False) -> None:
     """Write a mesh as PLY (binary little-endian, or text), with float64 positions and per-corner ``texcoord``.
 
+    Vertex colours are bytes, which every program reads.
     Materials have no place in this format and are left out.
 
     Raises
@@ -127,7 +127,7 @@ def write_ply(path: str | Path, mesh: ControlMesh, *, text: bool = False, force:
     FormatError
         If the file cannot be written, or cagemap did not write the one that is there and ``force`` is not given.
     """
-    body = _text_body(mesh) if text else mesh.positions.astype("<f8").tobytes() + _binary_faces(mesh)
+    body = _text_body(mesh) if text else _binary_vertices(mesh) + _binary_faces(mesh)
     with atomic_path(path, force=force) as temporary:
         temporary.write_bytes(_header(mesh, text).encode("ascii") + body)
 
@@ -145,12 +145,29 @@ def _header(mesh: ControlMesh, text: bool) -> str:
         f"comment {mark()}",
         f"element vertex {mesh.n_vertices}",
         *(f"property double {axis}" for axis in "xyz"),
+        *([f"property uchar {color}" for color in _COLORS] if _color_bytes(mesh) is not None else []),
         f"element face {mesh.n_faces}",
         f"property list {count} int vertex_indices",
         *([f"property list {count} double texcoord"] if mesh.uvs is not None else []),
         "end_header\n",
     ]
     return "\n".join(lines)
+
+
+def _color_bytes(mesh: ControlMesh) -> NDArray[np.uint8] | None:
+    """(n, 3) vertex colours, None where some vertices have none."""
+    colors = mesh.vertex_colors
+    known = colors is not None and np.isfinite(colors).all()
+    return np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8) if colors is not None and known else None
+
+
+def _binary_vertices(mesh: ControlMesh) -> bytes:
+    colors = _color_bytes(mesh)
+    if colors is None:
+        return mesh.positions.astype("<f8").tobytes()
+    table = np.zeros(mesh.n_vertices, dtype=[("place", "<f8", (3,)), ("color", "u1", (3,))])
+    table["place"], table["color"] = mesh.positions, colors
+    return table.tobytes()
 
 
 def _corner_uvs(mesh: ControlMesh) -> FloatArray | None:
@@ -184,7 +201,12 @@ def _binary_faces(mesh: ControlMesh) -> bytes:
 
 def _text_body(mesh: ControlMesh) -> bytes:
     uvs = _corner_uvs(mesh)
-    vertices = ("%r %r %r\n" * mesh.n_vertices) % tuple(mesh.positions.ravel().tolist())
+    colors = _color_bytes(mesh)
+    columns = (
+        mesh.positions.astype(object) if colors is None else np.column_stack([mesh.positions.astype(object), colors])
+    )
+    form = " ".join(["%r"] * columns.shape[1]) + "\n"
+    vertices = (form * mesh.n_vertices) % tuple(columns.ravel().tolist())
     lines = []
     for first, last in zip(mesh.face_offsets[:-1].tolist(), mesh.face_offsets[1:].tolist(), strict=True):
         words = [last - first, *mesh.face_indices[first:last].tolist()]

@@ -8,14 +8,15 @@ import numpy as np
 
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import keep_faces
-from cagemap.numerics.arrays import IndexArray
-from cagemap.refinement.refinement import Refinement
+from cagemap.mesh.control_mesh import UvSet
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.refinement.refinement import Refinement, refine
 
 
 def finest_mesh(refinement: Refinement) -> ControlMesh:
-    """Finest level with its UVs, materials, objects and groups, without creases and without holes.
+    """Finest level with all its UV sets, colours, materials, objects and groups, without creases and without holes.
 
-    What is linear over the control mesh and no shape, such as vertex colours, is left out.
+    Vertex colours are refined as positions are, as USD's primvars at vertices are.
     """
     finest, control = refinement.finest, refinement.control
     if finest.faces is None or refinement.n_levels == 0:
@@ -34,7 +35,8 @@ def finest_mesh(refinement: Refinement) -> ControlMesh:
         face_materials=of_parents(control.face_materials),
         face_objects=of_parents(control.face_objects),
         face_groups=of_parents(control.face_groups),
-        vertex_colors=None,
+        uv_sets=tuple(_refined(refinement, uv_set) for uv_set in control.uv_sets),
+        vertex_colors=_colors(refinement),
         crease_edges=None,
         crease_sharpness=None,
         corner_vertices=None,
@@ -44,3 +46,20 @@ def finest_mesh(refinement: Refinement) -> ControlMesh:
     )
     holes = refinement.holes(refinement.n_levels)
     return keep_faces(mesh, np.flatnonzero(~holes)) if holes.any() else mesh
+
+
+def _refined(refinement: Refinement, uv_set: UvSet) -> UvSet:
+    """A UV set that is not in use, refined as the one that is."""
+    alone = replace(refinement.control, uvs=uv_set.uvs, uv_indices=uv_set.uv_indices, uv_sets=())
+    finest = refine(alone, refinement.n_levels, refinement.scheme).finest
+    assert finest.uvs is not None
+    assert finest.uv_indices is not None
+    return UvSet(uv_set.name, finest.uvs, finest.uv_indices.ravel())
+
+
+def _colors(refinement: Refinement) -> FloatArray | None:
+    """Colours of the finest vertices; None where some control vertices have none."""
+    colors = refinement.control.vertex_colors
+    if colors is None or not np.isfinite(colors).all():
+        return None
+    return np.clip(refinement.prolong(colors, 0, refinement.n_levels), 0.0, 1.0)
