@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -244,3 +245,14 @@ def test_subsets_that_overlap_are_parts_of_their_own(tmp_path: Path) -> None:
     whole = read_usd(tmp_path / "asset.usda")
     for name, faces in (("one", [0, 5]), ("group:two", [4, 5]), ("three", [1])):
         np.testing.assert_array_equal(find_part(whole, name).faces, faces)
+
+
+def test_a_target_that_is_gone_has_no_units_and_that_is_said(folder: Path, tmp_path: Path) -> None:
+    result = tmp_path / "R"
+    shutil.copytree(folder / "R", result)
+    np.savez(tmp_path / "side.npz", side=np.ones(creature().n_vertices))
+    layer = tmp_path / "side.usda"
+    request = TransferRequest(result, tmp_path / "out.npz", attribute=tmp_path / "side.npz", usd=layer)
+    assert "units, up axis and transform are not known" in run_transfer(request, Stages())[0]
+    _, warnings = run_wrap(WrapRequest((result,), tmp_path / "wrapped.usda"), Stages())
+    assert any("units, up axis and transform are not known" in text for text in warnings)

@@ -16,6 +16,12 @@ from cagemap.files.usd import USD_SUFFIXES, read_usd_meshes
 from cagemap.files.usd_write import UsdResults, write_usd, write_usd_over
 from cagemap.maps.result import MatchResult
 
+# What is said where a target's file cannot be asked.
+NO_UNITS = (
+    "the file is no longer where the match read it, or has changed: units, up axis and transform are not known, "
+    "and metres with Y up are written"
+)
+
 
 def write_usd_results(layer: Path, folder: Path, result: MatchResult, results: UsdResults, *, force: bool) -> str:
     """Write results for the target of a RESULT folder; returns a line for the terminal.
@@ -41,7 +47,8 @@ def write_usd_results(layer: Path, folder: Path, result: MatchResult, results: U
     original = input_file(folder, result.manifest, "target")
     if original is None or original.suffix.lower() not in USD_SUFFIXES:
         write_usd(layer, control, results, force=force)
-        return f"wrote {layer}, with {control.name} itself"
+        lost = original is None and Path(control.name).suffix.lower() in USD_SUFFIXES
+        return f"wrote {layer}, with {control.name} itself" + (f"; {NO_UNITS}" if lost else "")
     meshes = [mesh.path for mesh in read_usd_meshes(original)]
     numbers = [] if control.face_objects is None else np.unique(control.face_objects).tolist()
     paths = [path for path in (control.object_names[number] for number in numbers) if path in meshes]

@@ -14,7 +14,7 @@ from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.progress import Stages
 from cagemap.cli.transfer import run_transfer
 from cagemap.cli.transfer_request import Outcome, TransferRequest
-from cagemap.cli.usd_output import write_usd_results
+from cagemap.cli.usd_output import NO_UNITS, write_usd_results
 from cagemap.cli.wrap_bakes import bake_wrapped, wrap_bakes
 from cagemap.cli.wrap_request import WrapRequest
 from cagemap.descriptors import mirror_symmetries
@@ -202,10 +202,13 @@ def _write(
         write_usd_results(output, request.results[0], result, points, force=request.force)
         return []
     write_mesh(output, mesh, like=original, force=request.force)
+    name = result.target.control.name
+    if original is None and {output.suffix.lower(), Path(name).suffix.lower()} <= set(USD_SUFFIXES):
+        return [f"{name}: {NO_UNITS}"]
     if wrapped.level or output.suffix.lower() != ".obj":
         return []
     return [
-        f"{result.target.control.name}: the file is no longer where the match read it, or has changed; what cagemap "
+        f"{name}: the file is no longer where the match read it, or has changed; what cagemap "
         "does not keep of it (such as group names) is not in the new mesh"
     ]
 
