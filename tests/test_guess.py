@@ -161,3 +161,23 @@ def test_a_basis_that_starts_levels_from_guesses_is_complete(control, level, cou
     assert np.linalg.cond(basis.gram) < 2.0
     own = np.eye(basis.count)[basis.band_levels[:, None] == basis.band_levels]
     np.testing.assert_allclose(basis.gram[basis.band_levels[:, None] == basis.band_levels], own, rtol=0, atol=1e-10)
+
+
+def test_a_fixed_schedule_starts_large_levels_from_the_pairs_of_the_one_below(monkeypatch):
+    """As exact as its own words say, complete, and no different where every level starts from nothing."""
+    used = []
+    monkeypatch.setattr(construction, "GUESS_ROWS", 100)
+    honest = construction.pairs_from_guess
+    monkeypatch.setattr(construction, "pairs_from_guess", lambda *a, **k: used.append(honest(*a, **k)) or used[-1])
+    refinement = refine(shapes.creature(), 3)
+    operators = build_operators(refinement)
+    schedule = (20, 10, 10, 10)
+    basis = hierarchical_basis(refinement, operators, BasisConfig(schedule=schedule))
+    assert sum(pairs is not None for pairs in used) >= 2
+    assert basis.schedule == schedule
+    monkeypatch.setattr(construction, "GUESS_ROWS", 10**9)
+    calls = len(used)
+    from_nothing = hierarchical_basis(refinement, operators, BasisConfig(schedule=schedule))
+    assert len(used) == calls
+    np.testing.assert_allclose(basis.eigenvalues[1:], from_nothing.eigenvalues[1:], rtol=construction.FIXED_GUESS)
+    assert np.linalg.cond(basis.gram) < 1.01 * np.linalg.cond(from_nothing.gram)

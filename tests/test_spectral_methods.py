@@ -21,8 +21,8 @@ from cagemap.maps.spectral.samples import fit_functional_map
 from cagemap.mesh import shapes
 from cagemap.pipeline import MatchConfig, match, pair_of, prepare_surface
 
-# Half of the default growths: what is left out shows as well, in half the time.
-SIX = tuple(Growth(*growth, normal) for growth in ((15, 1.35, 0.33), (20, 1.5, 1.0)) for normal in (0.1, 0.3, 0.6))
+# A third of the default growths: what is left out shows as well, in a third of the time.
+THREE = tuple(Growth(12, 1.5, weight, 0.3) for weight in (0.1, 0.33, 1.0))
 
 
 class Judged:
@@ -97,12 +97,35 @@ def test_extended_blocks_matter_to_the_hierarchical_map(judged, monkeypatch):
 @pytest.mark.slow
 def test_descriptors_and_matches_both_ways_help_every_band(judged, monkeypatch):
     """Without descriptors beside the map it is plain upsampling, and worse; so it is without the source's matches."""
-    config = HierarchyConfig(growths=SIX)
+    config = HierarchyConfig(growths=THREE)
     usual = judged.errors(*hierarchical_map(judged.pair, config))[-1]
     map_alone = replace(config, weights=replace(config.weights, match=1e9))
     assert judged.errors(*hierarchical_map(judged.pair, map_alone))[-1] > 1.05 * usual
     monkeypatch.setattr(hierarchical, "fit_both_ways", one_way)
     assert judged.errors(*hierarchical_map(judged.pair, config))[-1] > 1.1 * usual
+
+
+@pytest.mark.slow
+def test_parts_of_other_growths_mend_hands(shared_data, monkeypatch):
+    """Left out: the best growth as it is."""
+    judged = Judged(HUMANS["base__male1591"], BasisConfig(), 14)
+    usual = judged.errors(*hierarchical_map(judged.pair))[-1]
+    monkeypatch.setattr(hierarchical, "joined_match", best_alone)
+    assert judged.errors(*hierarchical_map(judged.pair))[-1] > 1.05 * usual
+
+
+def best_alone(matches, places, triangles, merit):
+    """The best of several matches, nothing joined."""
+    return max(matches, key=merit)
+
+
+@pytest.mark.slow
+def test_coordinates_beside_the_functions_help_below_the_searched_level(judged, monkeypatch):
+    """Left out of the candidates' search and of the step from vertices to points."""
+    config = HierarchyConfig(growths=THREE)
+    usual = judged.errors(*hierarchical_map(judged.pair, config))[-1]
+    monkeypatch.setattr(hierarchical, "Beside", lambda *known: None)
+    assert judged.errors(*hierarchical_map(judged.pair, config))[-1] > 1.01 * usual
 
 
 @pytest.mark.slow

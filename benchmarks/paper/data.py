@@ -98,6 +98,11 @@ def picture(
     return render(Model(positions, triangles), Skin(vertex_colors=colors), camera, width=width, height=height)
 
 
+def verdict(holds: bool, claim: str, but: str = "") -> str:
+    """What is said of a claim of the paper, from what was measured."""
+    return f"'{claim}' holds" if holds else f"**Does not hold here:** '{claim}'" + (f", {but}" if but else "")
+
+
 def folder() -> Path:
     OUTPUT.mkdir(parents=True, exist_ok=True)
     return OUTPUT

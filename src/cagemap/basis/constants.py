@@ -22,6 +22,9 @@ ILL_CONDITIONED = 100.0
 # Convergence of the pairs of a fixed schedule, whose eigenvalues are wrong by a thousand times that and more on coarse
 # levels; from here on the Krylov space is kept in single precision.
 FIXED_ACCURACY = 1e-5
+# Largest relative error of its eigenvalues on levels that start from the pairs of the level below: near what single
+# precision resolves, so that residuals are at most twice those of a level computed from nothing to the above.
+FIXED_GUESS = 1e-4
 # Of every random block: any fixed number makes the basis reproducible.
 SEED = 2019
 KRYLOV_SEED = 20190708  # SGP 2019 opened on that day

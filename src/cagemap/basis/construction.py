@@ -10,6 +10,7 @@ from scipy import linalg, sparse
 
 from cagemap.basis.constants import (
     BELOW,
+    FIXED_GUESS,
     GUARDS,
     GUESS_ERROR,
     GUESS_ROWS,
@@ -18,6 +19,7 @@ from cagemap.basis.constants import (
     NEARLY_DOUBLE,
     OVERLAP,
     SEED,
+    SINGLE_STORAGE,
     SINGLE_TOLERANCE,
     START_COLUMNS,
     TIGHT,
@@ -173,11 +175,26 @@ class _Growth:
         if self.config.literal and level > 0:
             self.add_literal(level, wanted)
             return
-        pairs = self.window(level, self.count + wanted)
+        last = self.count + wanted
+        pairs = self.window(level, last if level == self.last_scheduled else self.ahead(level, last), wanted=last)
+        candidates = pairs.part(max(pairs.first_index, self.count - OVERLAP), last)
         # Any error will do here: the estimate is for the record, and a sample of pairs is enough.
-        estimate = self.estimate(pairs, level, tolerance=np.inf)
-        self.append(level, pairs, estimate, wanted)
+        estimate = self.estimate(candidates, level, tolerance=np.inf)
+        self.top_error = float(estimate.errors[-1])
+        self.append(level, candidates, estimate, wanted)
         self.pairs = pairs
+
+    @property
+    def last_scheduled(self) -> int:
+        """The last level that a fixed schedule asks for functions."""
+        assert self.config.schedule is not None
+        return int(np.flatnonzero(self.config.schedule)[-1])
+
+    def ahead(self, level: int, last: int) -> int:
+        """How far a level computes pairs that it does not keep, as a guess for the next one where that is large."""
+        total = self.config.total + GUARDS
+        large = self.rows(level + 1) > GUESS_ROWS and 3 * total < self.rows(level)
+        return max(last, total) if large else last
 
     def add_literal(self, level: int, wanted: int) -> None:
         """Add the pairs of a level that follow the largest eigenvalue so far: eq. 8 with Definition 2 to the letter."""
@@ -200,10 +217,9 @@ class _Growth:
             seen = self.good * rows / self.rows(level - 1) if level > 0 else 0.0
             plausible = plausible_count(rows, config.tolerance, seen)
             last = reach = min(last, plausible)
-            large = self.rows(level + 1) > GUESS_ROWS and 3 * (config.count + GUARDS) < rows
-            if large and config.count > certain_count(rows, config.tolerance):
+            if config.count > certain_count(rows, config.tolerance):
                 # Should the next level be needed, pairs that are no use here are a guess for it.
-                reach = config.count + GUARDS
+                reach = self.ahead(level, reach)
         if last <= self.count and reach <= last:
             if len(self.bands) == level:
                 self.bands.append(np.zeros((rows, 0)))
@@ -221,17 +237,21 @@ class _Growth:
         self.top_error = float(estimate.errors[-1])
         self.append(level, candidates, estimate, kept)
 
-    def window(self, level: int, last: int) -> EigenPairs:
-        """Eigenpairs of a level from a few below the end of the basis so far up to ``last``, or more."""
+    def window(self, level: int, last: int, wanted: int | None = None) -> EigenPairs:
+        """Eigenpairs of a level from a few below the end of the basis so far up to ``last``, or more.
+
+        Those from ``wanted`` on (default: the size of the whole basis) need not be accurate.
+        """
         stiffness, mass, config = self.operators.stiffness[level], self.operators.mass[level], self.config
         first = max(0, self.count - OVERLAP)
-        guards = max(0, last - config.total)
+        wanted = config.total if wanted is None else wanted
+        guards = max(0, last - wanted)
         previous = self.pairs
         if previous is None or previous.last_index <= first:
             return band_pairs(stiffness, mass, first, last, tolerance=config.solver_accuracy, guards=guards)
         if self.guess_is_good(level, last):
-            accuracy = GUESS_SHARE * config.tolerance
-            kept, end = (first, min(last, config.count)), min(previous.last_index, last + GUARDS)
+            accuracy = GUESS_SHARE * config.tolerance if config.schedule is None else FIXED_GUESS
+            kept, end = (first, min(last, wanted)), min(previous.last_index, last + GUARDS)
             # Where the tolerance is near what single precision resolves, double precision is next to try.
             precisions = [working_type(accuracy)] + [np.float64] * (SINGLE_TOLERANCE <= accuracy < NEARLY_DOUBLE)
             start = max(0, first - BELOW * (end - first)) if config.tolerance > TIGHT else 0
@@ -254,11 +274,11 @@ class _Growth:
     def guess_is_good(self, level: int, last: int) -> bool:
         """Whether to start a level from the pairs of the one below: it is large, and they are good and reach far."""
         return (
-            self.config.schedule is None
+            (self.config.schedule is None or self.config.solver_accuracy >= SINGLE_STORAGE)
             and self.pairs is not None
             and self.rows(level) > GUESS_ROWS
             and self.top_error < GUESS_ERROR
-            and self.pairs.last_index >= min(last, self.config.count) + GUARDS // 2
+            and self.pairs.last_index >= min(last, self.config.total) + GUARDS // 2
         )
 
     def guess(self, level: int, start: int, end: int, dtype: Precision) -> tuple[Block, FloatArray]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -16,10 +16,8 @@ from cagemap.maps.spectral.hierarchical import Growth, HierarchyConfig
 from cagemap.maps.spectral.paper import PaperConfig
 from cagemap.pipeline import MatchConfig
 
-GROWTHS_FORM = (
-    "FIRST:FACTOR:COORDINATE_WEIGHT:NORMAL_WEIGHT for each growth, with commas between them, such as "
-    "15:1.35:0.33:0.1,20:1.5:1:0.3"
-)
+GROWTH_FORM = "FIRST:FACTOR:COORDINATE_WEIGHT:NORMAL_WEIGHT"
+GROWTHS_EXAMPLE = "15:1.35:0.33:0.1,20:1.5:1:0.3"
 
 _PARTS = ("descriptors", "weights")
 
@@ -41,6 +39,8 @@ def with_parameters(config: MatchConfig, settings: Sequence[str]) -> MatchConfig
             **_kinds(DescriptorConfig),
             **_kinds(MapWeights),
             "growths": _growths,
+            "further": _growth,
+            "start": _growth,
         }
         kind = kinds.get(name)
         if not given or name not in values or kind is None:
@@ -51,13 +51,20 @@ def with_parameters(config: MatchConfig, settings: Sequence[str]) -> MatchConfig
         try:
             values[name] = kind(text)
         except ValueError:
-            forms: dict[Any, str] = {int: "a whole number", float: "a number", _growths: GROWTHS_FORM}
+            forms: dict[Any, str] = {
+                int: "a whole number",
+                float: "a number",
+                _growths: f"{GROWTH_FORM} for each growth, with commas between them, such as {GROWTHS_EXAMPLE}",
+                _growth: f"{GROWTH_FORM}, such as {GROWTHS_EXAMPLE.split(',')[0]}",
+            }
             raise ParameterError(f"--parameter {name}: expected {forms[kind]}, got {text!r}.") from None
     try:
         parts = {part: _filled(getattr(own, part), values) for part in _PARTS}
         own = replace(_filled(own, values), **parts)
         if isinstance(own, HierarchyConfig):
-            own = replace(own, growths=tuple(Growth(**growth) for growth in values["growths"]))
+            growths = tuple(Growth(**growth) for growth in values["growths"])
+            further, start = Growth(**values["further"]), Growth(**values["start"])
+            own = replace(own, growths=growths, further=further, start=start)
     except CagemapError as error:
         raise ParameterError(f"--parameter: {error}") from None
     return replace(config, **{"paper" if config.method == "paper" else "hierarchy": own})
@@ -99,11 +106,15 @@ def _growths(text: str) -> list[dict[str, Any]]:
     ValueError
         If one is not four numbers, the first of them whole.
     """
-    given = [growth.split(":") for growth in text.split(",")]
-    if any(len(values) != len(fields(Growth)) for values in given):
+    return [_growth(growth) for growth in text.split(",")]
+
+
+def _growth(text: str) -> dict[str, Any]:
+    """One of them."""
+    values, kinds = text.split(":"), _kinds(Growth)
+    if len(values) != len(kinds):
         raise ValueError(text)
-    kinds = _kinds(Growth)
-    return [{name: kinds[name](value) for name, value in zip(kinds, values, strict=True)} for values in given]
+    return {name: kinds[name](value) for name, value in zip(kinds, values, strict=True)}
 
 
 def _kinds(config: type) -> dict[str, type]:

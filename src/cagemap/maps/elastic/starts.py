@@ -9,11 +9,11 @@ from scipy.spatial import cKDTree
 
 from cagemap.basis import Surface
 from cagemap.maps.elastic.constants import (
+    FURTHER_GROWTH,
     LAST_FUNCTIONS,
     NORMAL_LENGTH,
     PLACES,
     SHEET_VERTICES,
-    START_GROWTH,
     START_SAMPLES,
     TRUSTED_FUNCTIONS,
 )
@@ -22,7 +22,7 @@ from cagemap.maps.elastic.fit import CoarseFit
 from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair
 from cagemap.maps.pair import Pair
 from cagemap.maps.spectral.constraints import gather_constraints
-from cagemap.maps.spectral.hierarchical import Growth, grown_map, search_samples
+from cagemap.maps.spectral.hierarchical import grown_map, search_samples
 from cagemap.maps.spectral.landmark_coordinates import landmark_coordinates
 from cagemap.maps.spectral.samples import Samples, fit_functional_map, sizes_between, spread
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -56,8 +56,7 @@ def start_map(prepared: PreparedPair, pair: Pair, vertices: IndexArray, areas: F
         (pair.source, levels[1], pair.source_landmarks, candidates, np.ones(len(candidates))),
     ]
     target, source = in_threads(lambda side: _samples(*side), sides)
-    growth = Growth(factor=START_GROWTH, coordinate_weight=1.0)
-    _, match = grown_map(constraints, target, source, config.weights, growth, config.searched_functions)
+    _, match = grown_map(constraints, target, source, config.weights, config.start, config.searched_functions)
     return candidates[match]
 
 
@@ -138,7 +137,7 @@ def spectral_starts(shape: CoarseShape, fitted: CoarseFit, sides: SpectralSides)
     found = []
     for start in TRUSTED_FUNCTIONS:
         better = match
-        for k in sizes_between(start, LAST_FUNCTIONS, START_GROWTH):
+        for k in sizes_between(start, LAST_FUNCTIONS, FURTHER_GROWTH):
             k1, k2 = min(k, target.rows.shape[1]), min(k, source.rows.shape[1])
             functional_map = fit_functional_map(target, source.rows[better][:, :k2], k1)
             better = search_samples(target, source, functional_map)

@@ -1,9 +1,10 @@
 """The hierarchical functional map: each band of functions is found by the descriptors and by the map so far.
 
 Starts from eq. 13 on a few functions. Every further band extends C by eqs. 14-16, to which the map so far adds what it
-says about the new functions; the new C gives a better map, with which C is solved for again. So it goes up the bands on
-one level, where all vertices of either surface search all of the other, and then down the levels with the candidates of
-Fig. 9. Beside the functions stand landmark coordinates and the normals of the target as C places it on the source.
+says about the new functions; the new C gives a better map, with which C is solved for again. So it goes up the bands
+on one level, where all vertices of either surface search all of the other, in several ways whose best parts are
+joined, and then down the levels with the candidates of Fig. 9. In every search landmark coordinates stand beside the
+functions, and normals of the target as C places it on the source.
 `cagemap.maps.spectral.paper` is the paper's method without the map's part.
 """
 
@@ -22,8 +23,9 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import dirichlet_energy
 from cagemap.maps.spectral.constraints import DescriptorConfig, gather_constraints
 from cagemap.maps.spectral.facing import LevelMesh, with_normals
+from cagemap.maps.spectral.joining import joined_match
 from cagemap.maps.spectral.landmark_coordinates import landmark_coordinates
-from cagemap.maps.spectral.levels import LevelMap, basis_sizes, down_the_levels, refit, search_level
+from cagemap.maps.spectral.levels import Beside, LevelMap, basis_sizes, down_the_levels, refit, search_level
 from cagemap.maps.spectral.samples import (
     Samples,
     embed_source,
@@ -40,6 +42,8 @@ from cagemap.numerics.brief import Brief
 from cagemap.numerics.threads import in_threads
 
 logger = logging.getLogger(__name__)
+
+Grown = tuple[FloatArray, IndexArray]
 
 FEWEST_FUNCTIONS = 3
 # Samples of either surface for every function of the last band.
@@ -81,12 +85,12 @@ class Growth:
             )
 
 
-# A map may settle with a limb half a turn off, and which growth avoids that differs from pair to pair. Bands this wide
-# are found by eqs. 14-16 as much as by the map.
+# A map may settle with a hand or foot half a turn off. Which weights avoid that differs from pair to pair and from hand
+# to hand; each finds a right one somewhere, and joined they have most. Few first functions leave most to the bands.
 GROWTHS = tuple(
-    replace(growth, normal_weight=normal_weight)
+    Growth(12, 1.5, coordinate_weight, normal_weight)
+    for coordinate_weight in (0.1, 0.33, 1.0)
     for normal_weight in (0.1, 0.3, 0.6)
-    for growth in (Growth(15, 1.35, 0.33), Growth(20, 1.5, 0.33), Growth(20, 1.5, 1.0))
 )
 
 
@@ -104,11 +108,16 @@ class HierarchyConfig(Brief):
     searched_functions : int
         Basis functions up to which all growths find bands with full searches.
     further_functions : int
-        Those up to which the growth that is kept goes on; what the basis has beyond is found further down, where
-        vertices move only among candidates.
+        Those up to which their joined map goes on; what the basis has beyond is found further down, where vertices
+        move only among candidates.
     growths : tuple of Growth
         Ways up to ``searched_functions``. The map is kept whose coverage of the source over its Dirichlet energy is
-        largest: of the maps of one pair it is nearly always one of the best (docs/accuracy.md).
+        largest, with those parts of the others that make it larger still (see `joined_match`).
+    further : Growth
+        How the joined map goes on to ``further_functions``, and the weights of coordinates and normals on all levels
+        below; its ``first`` is not used.
+    start : Growth
+        The one way in which the elastic method's start grows.
     """
 
     descriptors: DescriptorConfig = DescriptorConfig()
@@ -117,6 +126,8 @@ class HierarchyConfig(Brief):
     searched_functions: int = 150
     further_functions: int = 300
     growths: tuple[Growth, ...] = GROWTHS
+    further: Growth = Growth(12, 1.5, 0.33, 0.3)
+    start: Growth = Growth(20, 1.5, 1.0, 0.0)
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -159,34 +170,30 @@ def hierarchical_map(
     source = level_samples(pair.source, searched[1], pair.source_landmarks)
     meshes = LevelMesh(pair.target, searched[0]), LevelMesh(pair.source, searched[1])
 
-    def grown(growth: Growth) -> tuple[FloatArray, IndexArray]:
-        return grown_map(constraints, target, source, config.weights, growth, config.searched_functions, start, meshes)
+    images, placed = pair.source.triangles(searched[1]).positions, pair.target.triangles(searched[0])
 
-    def merit(found: tuple[FloatArray, IndexArray]) -> float:
+    def grown(growth: Growth, last: int = config.searched_functions, begin: FloatArray | None = start) -> Grown:
+        return grown_map(constraints, target, source, config.weights, growth, last, begin, meshes)
+
+    def merit(match: IndexArray) -> float:
         """Coverage over Dirichlet energy: a limb that is missed costs the one, parts torn off the other."""
-        images = pair.source.triangles(searched[1]).positions[found[1]]
-        placed = pair.target.triangles(searched[0])
-        return covered(found[1], source) / dirichlet_energy(placed.positions, images, placed.triangles)
+        return covered(match, source) / dirichlet_energy(placed.positions, images[match], placed.triangles)
 
-    maps = in_threads(grown, config.growths)
-    kept = int(np.argmax([merit(found) for found in maps]))
-    logger.info("growth %d of %d is kept: %s", kept + 1, len(maps), config.growths[kept])
-    further = grown_map(
-        constraints,
-        target,
-        source,
-        config.weights,
-        config.growths[kept],
-        config.further_functions,
-        maps[kept][0],
-        meshes,
+    matches = [match for _, match in in_threads(grown, config.growths)]
+    joined = joined_match(matches, images, placed.triangles, merit)
+    size = tuple(min(config.searched_functions, side.rows.shape[1]) for side in (target, source))
+    of_joined = fit_functional_map(target, source.rows[joined][:, : size[1]], size[0])
+    further = grown(config.further, config.further_functions, of_joined)
+    first = LevelMap(searched, *max((of_joined, joined), further, key=lambda found: merit(found[1])))
+    logger.info(
+        "merit of the growths, joined, and gone on: %s", [*map(merit, matches), merit(joined), merit(further[1])]
     )
-    first = LevelMap(searched, *max(maps[kept], further, key=merit))
+    beside = Beside(searched, *shared_coordinates(target, source, meshes, first.functional_map, config.further))
 
     def below(coarse: LevelMap, levels: LevelPair) -> LevelMap:
-        return descend(pair, constraints, coarse, levels, config)
+        return descend(pair, constraints, coarse, levels, config, beside)
 
-    return down_the_levels(pair, first, below, progress)
+    return down_the_levels(pair, first, below, progress, beside)
 
 
 def covered(match: IndexArray, source: Samples) -> float:
@@ -246,9 +253,7 @@ def grown_map(
     most = target.rows.shape[1], source.rows.shape[1]
     if min(most) < FEWEST_FUNCTIONS:
         raise ParameterError(f"expected at least {FEWEST_FUNCTIONS} basis functions on both surfaces, got {most}")
-    target, source = (
-        replace(side, coordinates=growth.coordinate_weight * side.coordinates) for side in (target, source)
-    )
+    target, source = weighted(target, growth), weighted(source, growth)
     chosen = spread(len(target.areas), SAMPLES * last), spread(len(source.areas), SAMPLES * last)
     few = subset(target, chosen[0]), subset(source, chosen[1])
 
@@ -278,6 +283,20 @@ def grown_map(
     return functional_map, search_samples(target, source, functional_map)
 
 
+def weighted(samples: Samples, growth: Growth) -> Samples:
+    """Samples with the growth's weight of landmark coordinates."""
+    return replace(samples, coordinates=growth.coordinate_weight * samples.coordinates)
+
+
+def shared_coordinates(
+    target: Samples, source: Samples, meshes: tuple[LevelMesh, LevelMesh], functional_map: FloatArray, growth: Growth
+) -> tuple[FloatArray, FloatArray]:
+    """Landmark coordinates, and normals of the target as C places it, as a growth weighs them; of target and source."""
+    sides = weighted(target, growth), weighted(source, growth)
+    one, two = with_normals(sides, meshes, functional_map, growth.normal_weight)
+    return one.coordinates, two.coordinates
+
+
 def extended(constraints: Constraints, low: tuple[int, int], of_match: FloatArray, weights: MapWeights) -> FloatArray:
     """C_l by descriptors and map on the low functions, and beside it the blocks of the next band (eqs. 14-16)."""
     coarse = solve_functional_map(constraints.leading(*low), weights, match=of_match[: low[0], : low[1]])
@@ -295,7 +314,12 @@ def search_both_ways(target: Samples, source: Samples, functional_map: FloatArra
 
 
 def descend(
-    pair: Pair, constraints: Constraints, coarse: LevelMap, levels: LevelPair, config: HierarchyConfig
+    pair: Pair,
+    constraints: Constraints,
+    coarse: LevelMap,
+    levels: LevelPair,
+    config: HierarchyConfig,
+    beside: Beside | None = None,
 ) -> LevelMap:
     """One step down: C extended by the levels' bands (eqs. 14-16), candidates (Fig. 9), C solved again, once more."""
     sizes = basis_sizes(pair, levels)
@@ -303,9 +327,9 @@ def descend(
     if functional_map.shape != sizes:
         of_match = refit(pair, levels, coarse.match, coarse.levels[0])
         functional_map = extend_functional_map(functional_map, known, config.weights, match=of_match)
-    match = search_level(pair, functional_map, levels, coarse)
+    match = search_level(pair, functional_map, levels, coarse, beside)
     functional_map = solve_functional_map(known, config.weights, match=refit(pair, levels, match))
-    return LevelMap(levels, functional_map, search_level(pair, functional_map, levels, coarse))
+    return LevelMap(levels, functional_map, search_level(pair, functional_map, levels, coarse, beside))
 
 
 def level_samples(surface: Surface, level: int, landmarks: IndexArray) -> Samples:

@@ -11,7 +11,14 @@ from scipy import sparse
 from cagemap.basis import Surface
 from cagemap.maps.pair import LevelPair, Pair, Progress
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.spectral.row_blocks import SpectralRows, blocks, recover_in_blocks, search_candidates, spectral_rows
+from cagemap.maps.spectral.row_blocks import (
+    Columns,
+    SpectralRows,
+    blocks,
+    recover_in_blocks,
+    search_candidates,
+    spectral_rows,
+)
 from cagemap.maps.spectral.samples import Samples, fit_functional_map, spread
 from cagemap.maps.spectral.search import nearest_rows, strongest_parents
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -41,6 +48,22 @@ class LevelMap:
     match: IndexArray
 
 
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """Coordinates that both surfaces share beside the functions, on all levels from one pair of levels on.
+
+    Attributes
+    ----------
+    levels : (int, int)
+    target, source : (n1, c), (n2, c) arrays
+        At all vertices of these levels, weighted as `Samples.coordinates` are.
+    """
+
+    levels: LevelPair
+    target: FloatArray
+    source: FloatArray
+
+
 def ladder(pair: Pair, start: LevelPair) -> list[LevelPair]:
     """Pairs of levels from just above `start` to the finest ones, each side at most one level a step.
 
@@ -59,7 +82,11 @@ def ladder(pair: Pair, start: LevelPair) -> list[LevelPair]:
 
 
 def down_the_levels(
-    pair: Pair, first: LevelMap, below: Callable[[LevelMap, LevelPair], LevelMap], progress: Progress
+    pair: Pair,
+    first: LevelMap,
+    below: Callable[[LevelMap, LevelPair], LevelMap],
+    progress: Progress,
+    beside: Beside | None = None,
 ) -> tuple[tuple[LevelMap, ...], PointMap]:
     """Maps of a first pair of levels and of all below, and the point map T12 of the finest ones.
 
@@ -70,13 +97,15 @@ def down_the_levels(
     below : callable
         The map of the next pair of levels from the one above it.
     progress : callable
+    beside : Beside, optional
+        For the step from vertices to points.
     """
     maps = [first]
     for levels in ladder(pair, first.levels):
         progress(f"functional and point map, levels {levels[0]} and {levels[1]}")
         maps.append(below(maps[-1], levels))
     progress("vertex to point")
-    return tuple(maps), recover_points(pair, maps[-1])
+    return tuple(maps), recover_points(pair, maps[-1], beside)
 
 
 def basis_sizes(pair: Pair, levels: LevelPair) -> tuple[int, int]:
@@ -93,11 +122,13 @@ def search_full(pair: Pair, functional_map: FloatArray, levels: LevelPair) -> In
     return nearest_rows(target.at(every[0]), source.at(every[1]))
 
 
-def search_level(pair: Pair, functional_map: FloatArray, levels: LevelPair, coarse: LevelMap) -> IndexArray:
+def search_level(
+    pair: Pair, functional_map: FloatArray, levels: LevelPair, coarse: LevelMap, beside: Beside | None = None
+) -> IndexArray:
     """Nearest candidates of all target vertices of a level (paper, Fig. 9)."""
     parents = _parents(pair.target, coarse.levels[0], levels[0])
     children = _children(pair.source, coarse.levels[1], levels[1])
-    rows = _both_rows(pair, functional_map, levels)
+    rows = _both_rows(pair, functional_map, levels, beside)
     return search_candidates(*rows, blocks(pair.target, levels[0]), parents, children, coarse.match)
 
 
@@ -124,19 +155,26 @@ def refit(pair: Pair, levels: LevelPair, match: IndexArray, matched: int | None 
     return fit_functional_map(Samples(rows, areas, np.zeros((len(rows), 0))), values, k1)
 
 
-def recover_points(pair: Pair, matched: LevelMap) -> PointMap:
+def recover_points(pair: Pair, matched: LevelMap, beside: Beside | None = None) -> PointMap:
     """Vertex-to-point map of a pair of levels from its vertex matches."""
-    rows = _both_rows(pair, matched.functional_map, matched.levels)
+    rows = _both_rows(pair, matched.functional_map, matched.levels, beside)
     target, source = pair.target.triangles(matched.levels[0]), pair.source.triangles(matched.levels[1])
     found = recover_in_blocks(*rows, blocks(pair.target, matched.levels[0]), source.triangles, matched.match)
     return PointMap.from_arrays(target, source, *found)
 
 
-def _both_rows(pair: Pair, functional_map: FloatArray, levels: LevelPair) -> tuple[SpectralRows, SpectralRows]:
-    """Embeddings of a pair of levels: Phi~1 and Phi~2 C12^T."""
+def _both_rows(
+    pair: Pair, functional_map: FloatArray, levels: LevelPair, beside: Beside | None = None
+) -> tuple[SpectralRows, SpectralRows]:
+    """Embeddings of a pair of levels: Phi~1 and Phi~2 C12^T, and coordinates beside them in proportion to sqrt(k)."""
     k1, k2 = functional_map.shape
-    target = spectral_rows(pair.target, levels[0], k1)
-    return target, spectral_rows(pair.source, levels[1], k2, functional_map.T)
+    shared: tuple[Columns | None, Columns | None] = (None, None)
+    if beside is not None:
+        both = zip(beside.levels, (beside.target, beside.source), strict=True)
+        one, two = (Columns(level, np.sqrt(k1) * values) for level, values in both)
+        shared = one, two
+    target = spectral_rows(pair.target, levels[0], k1, beside=shared[0])
+    return target, spectral_rows(pair.source, levels[1], k2, functional_map.T, shared[1])
 
 
 def _parents(surface: Surface, coarse: int, fine: int) -> sparse.csr_array:

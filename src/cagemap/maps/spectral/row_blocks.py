@@ -44,13 +44,35 @@ class SpectralRows:
         return multiply(sparse.csr_array(self.prolongation[vertices]), self.values).astype(np.float32)
 
 
-def spectral_rows(surface: Surface, level: int, functions: int, mixing: FloatArray | None = None) -> SpectralRows:
-    """Embedding rows of a level: Phi~(x, :) of the leading functions, times `mixing` (such as C12^T) if given."""
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Coordinates, at all vertices of a level, that stand beside the spectral ones of it and of all finer levels.
+
+    Attributes
+    ----------
+    level : int
+    values : (n_level, c) array
+        Already weighted.
+    """
+
+    level: int
+    values: FloatArray
+
+
+def spectral_rows(
+    surface: Surface, level: int, functions: int, mixing: FloatArray | None = None, beside: Columns | None = None
+) -> SpectralRows:
+    """Embedding rows of a level: Phi~(x, :) of the leading functions, times `mixing` (such as C12^T) if given.
+
+    Columns beside them are refined as the functions are.
+    """
     last_band = max(i for i, count in enumerate(surface.basis.schedule) if count > 0)
-    base = min(level, last_band)
+    base = min(level, last_band if beside is None else max(last_band, beside.level))
     values = surface.basis.at(base)[:, :functions]
-    values = np.ascontiguousarray(values if mixing is None else values @ mixing)
-    return SpectralRows(surface.refinement.product(level, base) if level > base else None, values)
+    values = values if mixing is None else values @ mixing
+    if beside is not None:
+        values = np.hstack([values, surface.refinement.prolong(beside.values, beside.level, base)])
+    return SpectralRows(surface.refinement.product(level, base) if level > base else None, np.ascontiguousarray(values))
 
 
 def blocks(surface: Surface, level: int) -> Iterator[IndexArray]:
