@@ -331,7 +331,7 @@ def test_steps_with_the_factors_of_an_earlier_iteration_end_at_the_same_place(sh
 
     exact = ended(1)
     moved = np.linalg.norm(exact - start, axis=1).mean()
-    # Measured 0.12 %; with one gradient instead of three 2.1 %.
+    # Measured 0.12 %; with one gradient a step 2.1 %.
     assert np.linalg.norm(ended(4) - exact, axis=1).mean() < 0.01 * moved
 
 

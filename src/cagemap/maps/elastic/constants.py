@@ -77,7 +77,7 @@ LEAST_STRETCH = 0.3
 # Alternations of positions and differentials from the landmarks alone.
 LANDMARK_ITERATIONS = 20
 # Conjugate gradients with the factors of an earlier iteration, see `Stage.factored`.
-GRADIENTS = 3
+GRADIENTS = 4
 # alpha at which coarse fits from different starts are compared.
 COST_STIFFNESS = 1e-3
 # Share of the vertices with bounded differentials above which a stage goes on.
