@@ -372,7 +372,10 @@ def test_files_are_added_under_free_names(session: Session, folder: Path) -> Non
         path.unlink()
 
 
-@pytest.mark.parametrize("line", [b"mtllib ../out.mtl", b" mtllib own.mtl /etc/passwd\r", b"mtllib \\\n..\\out.mtl"])
+@pytest.mark.parametrize(
+    "line",
+    [b"mtllib ../out.mtl", b" mtllib own.mtl /etc/passwd\r", b"mtllib \\\n..\\out.mtl", b"v 0 0 0\rmtllib ../out.mtl"],
+)
 def test_an_added_mesh_names_no_file_outside_the_folders(session: Session, folder: Path, line: bytes) -> None:
     before = sorted(folder.iterdir())
     with pytest.raises(ParameterError, match="got one outside"):

@@ -16,7 +16,7 @@ from cagemap.files.marks import mark
 from cagemap.files.mtl import read_material_colors, write_materials
 from cagemap.files.obj_tags import Tags, parse_tags
 from cagemap.files.obj_text import obj_statements
-from cagemap.files.text import at_line, check_writable_name, read_text
+from cagemap.files.text import at_line, check_writable_name, decoded, read_text
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -308,20 +308,32 @@ def _read_colors(statements: _Statements, names: Sequence[str]) -> FloatArray:
     """(q, 3) diffuse colours of the materials from the ``mtllib`` files; the first file that knows a name wins."""
     known: dict[str, tuple[float, float, float]] = {}
     for row in statements.rows(_MATERIAL_FILE):
-        for file in _material_files(statements.path.parent, statements.lines[row].partition(" ")[2].strip()):
+        for file in _material_files(statements.path.parent, statements.lines[row]):
             known = read_material_colors(file) | known
     unknown = (np.nan, np.nan, np.nan)
     return np.array([known.get(name, unknown) for name in names], dtype=np.float64)
 
 
-def _material_files(folder: Path, stated: str) -> list[Path]:
+def _material_files(folder: Path, line: str) -> list[Path]:
     """Files that an ``mtllib`` line names and that exist: the whole rest of the line, else each word of it."""
-    for names in ([stated], stated.split()):
-        found = [folder / name.replace("\\", "/") for name in names if name]
-        found = [file for file in found if file.is_file()]
+    whole, *words = _material_names(line)
+    for names in ([whole], words):
+        found = [file for file in (folder / name for name in names if name) if file.is_file()]
         if found:
             return found
     return []
+
+
+def _material_names(line: str) -> list[str]:
+    """Names that an ``mtllib`` line may mean: the whole rest of it, and each word."""
+    stated = line.partition(" ")[2].strip().replace("\\", "/")
+    return [stated, *stated.split()]
+
+
+def named_material_files(name: str, content: bytes) -> list[str]:
+    """Every name of a material file that `read_obj` would look for, if an OBJ file of this content were read."""
+    statements = _split_statements(Path(name), decoded(content, Path(name), "an OBJ file"))
+    return [one for row in statements.rows(_MATERIAL_FILE) for one in _material_names(statements.lines[row])]
 
 
 def write_obj(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> None:

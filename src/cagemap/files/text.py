@@ -33,7 +33,11 @@ def read_text(path: Path, what: str) -> str:
     UTF-8 is expected; a file that is not (an old exporter's accented material names) is read byte by byte as Latin-1,
     which never fails and leaves the numbers alone.
     """
-    content = read_bytes(path, what)
+    return decoded(read_bytes(path, what), path, what)
+
+
+def decoded(content: bytes, path: Path, what: str) -> str:
+    """The text of a file's content, see `read_text`; the path is for messages."""
     if b"\0" in content:
         raise FormatError(
             f"{path}: expected {what}, which is plain text, got binary data or UTF-16. Export it again as text (UTF-8)."

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 import os
-import re
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,6 +13,7 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.curves import pair_curves, pair_entries
 from cagemap.files.marks import mark
+from cagemap.files.obj import named_material_files
 from cagemap.files.text import read_text
 from cagemap.studio.landmarks import Landmark, LandmarkList, Place
 
@@ -25,7 +25,6 @@ TABLES = (".npy", ".npz", ".csv")
 ADDED = tuple(dict.fromkeys((*MESHES, ".mtl", *IMAGES, *LANDMARKS, *TABLES)))
 Named = TypeVar("Named")
 _AUTOSAVE = "cagemap-studio-autosave"
-_MATERIAL_FILES = re.compile(rb"(?m)^[ \t]*mtllib[ \t]+(.*?)[ \t\r]*$")
 # A listing longer than this helps nobody.
 _LONGEST_LISTING = 500
 # Entries of a folder that are looked at: somebody may start in a folder of everything.
@@ -99,15 +98,14 @@ class Workspace:
         ParameterError
             If it is of no kind that the studio opens, or an OBJ that names a material file outside the folders.
         FormatError
-            If it cannot be written.
+            If it is an OBJ that is no text, or cannot be written.
         """
         wanted = self.require(Path(name).name)
         if wanted.suffix.lower() not in ADDED:
             raise ParameterError(f"{wanted.name}: expected a file ending in {', '.join(ADDED)}. Add one of these.")
         if wanted.suffix.lower() == ".obj":
-            for stated in _MATERIAL_FILES.findall(re.sub(rb"\\\r?\n", b" ", content)):
-                for file in (stated, *stated.split()):
-                    self.require(file.decode("utf-8", "replace").replace("\\", "/"))
+            for file in named_material_files(wanted.name, content):
+                self.require(file)
         names = itertools.chain([wanted], (wanted.with_stem(f"{wanted.stem} ({k})") for k in itertools.count(2)))
         free = next(path for path in names if not path.exists())
         with atomic_path(free) as temporary:
