@@ -16,7 +16,7 @@ from cagemap.errors import CagemapError
 
 STOPPED = "Stopped"
 # Of a map's computation; the page has 0.
-NICENESS = 10
+NICENESS = 5
 
 
 @dataclass(frozen=True)

@@ -119,10 +119,13 @@ class StudioApp:
                 log.exception("the page could not be brought up to date")
 
     def _refresh(self, state: Studio, scene: Scene | None) -> None:
+        # The panels first, in messages of their own: a page takes them at once, what is drawn with the next picture.
+        self._work.refresh(state)
+        self._setup.refresh(state, parts_text(state, scene))
+        for server in self._servers.values():
+            server.flush()
         for view in self._views:
             view.refresh(state, scene)
-        self._setup.refresh(state, parts_text(state, scene))
-        self._work.refresh(state)
 
 
 def parts_text(state: Studio, scene: Scene | None) -> str:
