@@ -74,7 +74,8 @@ def test_parts_are_found_by_name() -> None:
     with pytest.raises(ParameterError, match="object:body, group:body"):
         find_part(both, "body")
     paths = replace(scene, object_names=("/hero/body", "/hero/eye_left", "/hero/eye_right"))
-    assert find_part(paths, "eye_right").name == "/hero/eye_right"
+    for name in ("eye_right", "hero/eye_right"):
+        assert find_part(paths, name).name == "/hero/eye_right"
 
 
 def test_a_group_of_several_names_is_in_each_of_them() -> None:

@@ -20,6 +20,7 @@ from cagemap.files.result import (
     read_result,
     write_result,
 )
+from cagemap.maps.hypotheses.confidence import TWO, Confidence, MapShape, Reading
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.result import MatchResult, SpectralMap
@@ -236,3 +237,13 @@ def test_hashes_depend_on_content_only(tmp_path: Path) -> None:
     assert file_hash(tmp_path / "a") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
     assert mesh_hash(cube()) == mesh_hash(cube())
     assert mesh_hash(cube()) != mesh_hash(cube().with_positions(cube().positions * 2))
+
+
+def test_landmarks_that_seem_exchanged_come_back(result: MatchResult, tmp_path: Path) -> None:
+    places = result.point_map.images.positions
+    readings = (Reading("as given", 1e-4, places), Reading("mirrored", 2e-4, places, exchange=((0, 2), (2, 0))))
+    unsure = Confidence(TWO, 1.0, 2.0, readings, None, MapShape(0.0, 1.0, 0.0))
+    write_result(tmp_path / "R", replace(result, confidence=unsure))
+    back = read_result(tmp_path / "R").confidence
+    assert back is not None
+    assert [reading.exchange for reading in back.readings] == [(), ((0, 2), (2, 0))]

@@ -71,7 +71,7 @@ def stored_confidence(record: ConfidenceRecord | None, answer: SurfacePoints, ot
             reading.name,
             1e-4 * reading.cost,
             places[i] if i < len(places) else nowhere,
-            exchange=tuple(reading.exchange),
+            exchange=tuple((a, b) for a, b in reading.exchange),
         )
         for i, reading in enumerate(record.readings)
     )

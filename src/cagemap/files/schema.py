@@ -57,7 +57,7 @@ class ReadingRecord(Record):
 
     name: str
     cost: float
-    exchange: list[tuple[int, int]] = []
+    exchange: list[Annotated[list[int], Field(min_length=2, max_length=2)]] = []
 
 
 class ConfidenceRecord(Record):

@@ -87,8 +87,8 @@ def find_part(mesh: ControlMesh, name: str) -> Part:
     if name == LARGEST:
         return max(components(mesh), key=lambda part: len(part.faces))
     found = [part for part in _groups_as_one(parts, name) if name in (part.name, part.title)]
-    # A USD object is named by its whole path; its last word will do.
-    found = found or [part for part in parts if part.name.rpartition("/")[2] == name]
+    # A USD object is named by its whole path; the end of it will do.
+    found = found or [part for part in parts if part.name.endswith(f"/{name}")]
     different = {part.faces.tobytes() for part in found}
     if len(different) > 1:
         titles = ", ".join(part.title for part in found)
