@@ -94,6 +94,12 @@ def test_valid_shapes_pass_at_every_scale_and_place(name: str, scale: float) -> 
     assert report.euler_characteristic == 2 - 2 * genus - loops
 
 
+def test_report_counts_what_subdivision_looks_at() -> None:
+    creased = cube().with_creases([[0, 1]], [2.0]).with_corners([3, 5], [1.0, 10.0])
+    assert "sharp                 1 creased edge, 2 sharp vertices" in str(check_mesh(creased))
+    assert "sharp" not in str(check_mesh(cube()))
+
+
 def test_report_reads_as_a_table() -> None:
     faces = [*faces_of(pyramid()), [0, 1, 2, 3, 4, 1], [0, 1]]
     mesh = replace(ControlMesh.from_faces(pyramid().positions, faces), name="roof.obj")

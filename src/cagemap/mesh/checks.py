@@ -61,7 +61,13 @@ def check_mesh(mesh: ControlMesh) -> MeshReport:
     if parts.loops is not None and not any(problems):
         problems.append(inside_out_problem(mesh, parts.loops))
     report = blank if len(degenerate) else _counts(parts, blank)
-    return replace(report, face_sizes=_face_sizes(mesh), problems=tuple(p for p in problems if p is not None))
+    sharp = _length(mesh.crease_edges), _length(mesh.corner_vertices), _length(mesh.hole_faces)
+    found = tuple(problem for problem in problems if problem is not None)
+    return replace(report, face_sizes=_face_sizes(mesh), sharp=sharp, problems=found)
+
+
+def _length(values: IndexArray | None) -> int:
+    return 0 if values is None else len(values)
 
 
 @dataclass(frozen=True, eq=False)

@@ -67,6 +67,8 @@ class MeshReport:
         Fewest and most edges at a vertex that has faces.
     uv_islands : int or None
         None without texture coordinates.
+    sharp : tuple of int
+        Numbers of creased edges, sharp vertices and hole faces.
     problems : tuple of Problem
     notes : tuple of str
         What is allowed but looks like an accident.
@@ -84,6 +86,7 @@ class MeshReport:
     component_sizes: tuple[int, ...] = ()
     valence_range: tuple[int, int] | None = None
     uv_islands: int | None = None
+    sharp: tuple[int, int, int] = (0, 0, 0)
     problems: tuple[Problem, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -106,6 +109,7 @@ class MeshReport:
             ("components", self._components()),
             ("valence", valence),
             ("UV islands", "no UVs" if self.uv_islands is None else str(self.uv_islands)),
+            *([("sharp", self._sharp())] if any(self.sharp) else []),
             ("problems", str(len(self.problems)) if self.problems else "none"),
         ]
         lines = [self.name, *(f"  {label:<22}{value}" for label, value in rows)]
@@ -131,13 +135,18 @@ class MeshReport:
         lengths = sorted((len(loop) for loop in self.boundary_loops), reverse=True)
         return f"{len(lengths)}  (of {first_few(lengths)} edges)" if lengths else "0  (closed)"
 
+    def _sharp(self) -> str:
+        words = ("creased edge", "sharp vertex", "hole")
+        return ", ".join(_counted(count, word) for count, word in zip(self.sharp, words, strict=True) if count)
+
     def _components(self) -> str:
         sizes = self.component_sizes
         return f"{len(sizes)}  (of {first_few(sizes)} faces)" if len(sizes) > 1 else str(len(sizes) or "-")
 
 
 def _counted(count: int, what: str) -> str:
-    return f"{count} {what}" if count == 1 else f"{count} {what}s"
+    plural = "sharp vertices" if what == "sharp vertex" else f"{what}s"
+    return f"{count} {what if count == 1 else plural}"
 
 
 def _shown(value: int | None) -> str:
