@@ -186,14 +186,14 @@ def _run(
         futures[task.name] = submit(task, [futures.get(name, known.get(name)) for name in _awaited(task)], 1)
     names = {future.key: name for name, future in futures.items()}
     outcomes: dict[str, Outcome] = {}
-    tasks = {task.name: task for task in missing}
     blamed = set()
     for future in as_completed(futures.values()):
         name = names[future.key]
-        if future.status == "error":
+        # Failed; or finished, and its worker died with the news before it was asked: a second try then finds it done.
+        if future.status != "finished":
             blamed.add(name)
             continue
-        outcomes[name] = _done_now(future.result()) if future.status == "finished" else _lost(tasks[name], outcomes)
+        outcomes[name] = _done_now(future.result())
         report(outcomes[name], len(outcomes), len(missing))
     # A dead worker is held against every task that waited on it: alone, one after another, the guilty are told apart.
     for task in missing:
