@@ -16,6 +16,7 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.pair import Pair
 from cagemap.maps.spectral import hierarchical
 from cagemap.maps.spectral.hierarchical import Growth, HierarchyConfig, hierarchical_map
+from cagemap.maps.spectral.joining import joined_match
 from cagemap.maps.spectral.paper import PaperConfig, orthonormal, paper_map
 from cagemap.maps.spectral.samples import fit_functional_map
 from cagemap.mesh import shapes
@@ -100,23 +101,29 @@ def test_descriptors_and_matches_both_ways_help_every_band(judged, monkeypatch):
     config = HierarchyConfig(growths=THREE)
     usual = judged.errors(*hierarchical_map(judged.pair, config))[-1]
     map_alone = replace(config, weights=replace(config.weights, match=1e9))
-    assert judged.errors(*hierarchical_map(judged.pair, map_alone))[-1] > 1.05 * usual
+    assert judged.errors(*hierarchical_map(judged.pair, map_alone))[-1] > 1.02 * usual
     monkeypatch.setattr(hierarchical, "fit_both_ways", one_way)
     assert judged.errors(*hierarchical_map(judged.pair, config))[-1] > 1.1 * usual
 
 
 @pytest.mark.slow
-def test_parts_of_other_growths_mend_hands(shared_data, monkeypatch):
-    """Left out: the best growth as it is."""
-    judged = Judged(HUMANS["base__male1591"], BasisConfig(), 14)
-    usual = judged.errors(*hierarchical_map(judged.pair))[-1]
-    monkeypatch.setattr(hierarchical, "joined_match", best_alone)
-    assert judged.errors(*hierarchical_map(judged.pair))[-1] > 1.05 * usual
+def test_joining_takes_each_hand_from_the_map_that_has_it_right(shared_data, monkeypatch):
+    """Two maps of which each has one side of the better growth, the other side of the worse one."""
+    judged = Judged(HUMANS["base__male1591"], BasisConfig(), 30)
+    errors = {}
 
+    def halves(matches, places, triangles, merit):
+        good, bad = sorted(matches, key=merit, reverse=True)
+        left = judged.pair.target.triangles(1).positions[:, 0] > 0
+        mixed = [np.where(left, good, bad), np.where(left, bad, good)]
+        joined = joined_match(mixed, places, triangles, merit)
+        errors.update(mixed=min(judged.error(places[m]) for m in mixed), joined=judged.error(places[joined]))
+        return joined
 
-def best_alone(matches, places, triangles, merit):
-    """The best of several matches, nothing joined."""
-    return max(matches, key=merit)
+    monkeypatch.setattr(hierarchical, "joined_match", halves)
+    growths = Growth(15, 1.35, 0.33, 0.3), Growth(20, 1.5, 0.33, 0.1)
+    hierarchical_map(judged.pair, HierarchyConfig(growths=growths, further_functions=150))
+    assert errors["mixed"] > 1.1 * errors["joined"]
 
 
 @pytest.mark.slow

@@ -6,16 +6,21 @@ import json
 import time
 from collections.abc import Callable
 from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy import sparse
 
 from benchmarks.accuracy.data import DATA, HUMANS, REPOSITORY, HumanPair
-from benchmarks.paper.data import SCHEDULE, Judged, animal, human
+from benchmarks.paper.data import SCHEDULE, Judged, animal, human, verdict
 from cagemap.basis import BasisConfig, hierarchical_basis, lowest_pairs
+from cagemap.basis.eigen import EigenPairs, residual_norms
 from cagemap.files.landmarks import read_landmarks
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.threads import thread_limit
-from cagemap.operators import Operators, build_operators
+from cagemap.operators import build_operators
 from cagemap.pipeline import MatchConfig, match, prepare_surface
-from cagemap.refinement import Refinement, refine
+from cagemap.refinement import refine
 
 # Cage, finest level, schedule; the paper's own pairs are not published.
 ROWS = (
@@ -28,20 +33,23 @@ ROWS = (
 COUNTS = (14, 30)
 # What either side's solver converges to: as loosely as a fixed schedule does by default, and as tightly as `exact_basis`.
 ACCURACIES = (1e-5, 1e-10)
+# What the paper's Table 1 has.
+PAPER_RATIOS = (2.06, 2.82)
 RECORDED = REPOSITORY / "benchmarks" / "results" / "accuracy.json"
 
 
-def processor_seconds(work: Callable[[], object]) -> float:
+def processor_seconds(work: Callable[[], Any]) -> tuple[float, Any]:
+    """Processor seconds of some work, and what it made."""
     start = time.process_time()
-    work()
-    return time.process_time() - start
+    made = work()
+    return time.process_time() - start, made
 
 
 def table_1() -> str:
     """Exact against hierarchical basis with the same solver to the same accuracy, processor seconds of one thread."""
     lines = [
-        "| shape | n_0 | f | n_f | schedule | accuracy | exact s | hierarchical s | ratio | by tolerance s |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+        "| shape | n_0 | f | n_f | schedule | accuracy | exact s | hierarchical s | ratio | residuals | by tolerance s |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     ratios = []
     for name, level, schedule in ROWS:
@@ -53,24 +61,36 @@ def table_1() -> str:
             f"{','.join(map(str, schedule))} |"
         )
         with thread_limit(1):
-            controlled = basis_seconds(refinement, operators, BasisConfig(count=sum(schedule)))
+            by_tolerance = BasisConfig(count=sum(schedule))
+            controlled, _ = processor_seconds(partial(hierarchical_basis, refinement, operators, by_tolerance))
             for accuracy in ACCURACIES:
                 matrices = operators.stiffness[level], operators.mass[level]
-                exact = processor_seconds(partial(lowest_pairs, *matrices, sum(schedule), tolerance=accuracy))
-                ours = basis_seconds(refinement, operators, BasisConfig(schedule=schedule, accuracy=accuracy))
+                exact, pairs = processor_seconds(partial(lowest_pairs, *matrices, sum(schedule), tolerance=accuracy))
+                config = BasisConfig(schedule=schedule, accuracy=accuracy)
+                ours, basis = processor_seconds(partial(hierarchical_basis, refinement, operators, config))
                 ratios.append(exact / ours)
-                lines.append(f"{shape} {accuracy:g} | {exact:.1f} | {ours:.1f} | {ratios[-1]:.2f} | {controlled:.1f} |")
+                reached = band_residual(pairs, *matrices, schedule[-1]), float(basis.residuals[-schedule[-1] :].max())
+                lines.append(
+                    f"{shape} {accuracy:g} | {exact:.1f} | {ours:.1f} | {ratios[-1]:.2f} | "
+                    f"{reached[0]:.0e}, {reached[1]:.0e} | {controlled:.1f} |"
+                )
                 print(lines[-1], flush=True)
+    said = verdict(min(ratios) >= PAPER_RATIOS[0], "much less expensive: 2.06 to 2.82 times")
     return "\n".join(lines) + (
-        f"\n\nLike with like the ratio is {min(ratios):.2f} to {max(ratios):.2f} here, the paper's 2.06 to 2.82: **does not "
-        "hold here.** A band inside the spectrum needs more than its share of a shift-inverted Lanczos iteration, and we "
-        "prove every band complete by the inertia of two more factorisations (see Performance). Bases by tolerance are "
-        "what our methods use."
+        f"\n\nThe ratio is {min(ratios):.2f} to {max(ratios):.2f}, the paper's {PAPER_RATIOS[0]} to {PAPER_RATIOS[1]}. {said}. "
+        "At 1e-10 both sides run the same Lanczos iteration; at 1e-5 a hierarchical level of more than 12 000 vertices starts "
+        "from the pairs of the level below, which an exact basis does not have, and its residuals may be larger: given are the "
+        "largest of the last band, ||W x - lambda M x|| / lambda, exact and hierarchical. Every band is proven complete by "
+        "inertia, and estimated errors against the finest level are part of a hierarchical basis. Bases by "
+        "tolerance are what our methods use."
     )
 
 
-def basis_seconds(refinement: Refinement, operators: Operators, config: BasisConfig) -> float:
-    return processor_seconds(partial(hierarchical_basis, refinement, operators, config))
+def band_residual(pairs: EigenPairs, stiffness: sparse.csr_array, mass: sparse.csr_array, count: int) -> float:
+    """Largest relative residual of the last pairs."""
+    vectors, values = pairs.vectors[:, -count:].astype(np.float64), pairs.values[-count:]
+    areas = np.asarray(mass.sum(axis=1)).ravel()
+    return float(residual_norms(values, vectors, stiffness @ vectors, mass @ vectors, areas).max())
 
 
 def table_3() -> str:
