@@ -25,10 +25,11 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Level
 from cagemap.transfer.baking import BakeOptions, Canvas, Transfer, bake, make_canvas, prepare_transfer, to_dtype, unit
 from cagemap.transfer.displacement import Displacement, scale_ratio
-from cagemap.transfer.exact import corner_places, corner_samples, make_exact
+from cagemap.transfer.exact import corner_samples, make_exact
 from cagemap.transfer.locate import Samples
 from cagemap.transfer.lookups import plan_samples
 from cagemap.transfer.meeting import REACH, Met, meet
+from cagemap.transfer.texels import texel_coordinates
 from cagemap.transfer.texture import Pixels, lay_texture, look_up
 from cagemap.transfer.vectors import Green, Space, Turn, bake_turned, check_space, displacement_order, normal_encoder
 
@@ -171,7 +172,7 @@ def bake_detail_vectors(
     vectors = bake_turned(transfer, canvas, counts, give, np.asarray, space, order, plain, options)
     uvs, samples, triangle, inside = corner_samples(transfer, options.tile)
     own = Turn.of(transfer, space).back(give(samples), samples, triangle, inside)
-    make_exact(vectors, corner_places(uvs, vectors), own[:, np.argsort(order)])
+    make_exact(vectors, texel_coordinates(uvs, *vectors.shape[:2]), own[:, np.argsort(order)])
     return Displacement(to_dtype(encode(vectors), kept), middle, scale)
 
 

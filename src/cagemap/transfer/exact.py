@@ -17,7 +17,6 @@ from scipy.sparse import linalg
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.transfer.baking import Transfer
 from cagemap.transfer.locate import Samples
-from cagemap.transfer.texels import texel_coordinates
 from cagemap.transfer.texture import tile_cells, udim_origin
 
 # Corners that share all their texels cannot all be right: lookups are weighed against this much change of texels.
@@ -99,8 +98,3 @@ def corner_samples(transfer: Transfer, tile: int) -> tuple[FloatArray, Samples, 
         np.asarray(points.barycentric[vertex]),
     )
     return uvs[corner] - origin, samples, triangle, inside
-
-
-def corner_places(uvs: FloatArray, image: NDArray[np.float32]) -> FloatArray:
-    """(k, 2) texel coordinates of texture coordinates in an image."""
-    return texel_coordinates(uvs, image.shape[0], image.shape[1])
