@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from cagemap.geometry.points import SurfacePoints
 from cagemap.mesh import torus
@@ -79,8 +80,10 @@ def test_what_is_sound_is_left_as_it_is() -> None:
     np.testing.assert_array_equal(mend(net, data, WrapConfig(), fitted), fitted)
 
 
-def test_where_the_map_folds_the_net_does_not() -> None:
-    """A patch of the map is turned over: its faces fold at first, and are carried along in the end."""
+@pytest.mark.parametrize("small", [0.0005, 1.0])
+def test_where_the_map_folds_the_net_does_not(monkeypatch: pytest.MonkeyPatch, small: float) -> None:
+    """A patch of the map is turned over: its faces become stiff, or are carried along if they count as small."""
+    monkeypatch.setattr("cagemap.wrap.mend._SMALL", small)
     target, source = refine(torus(24, 12), 2), refine(dented(torus(24, 12), 0.2), 2)
     point_map = same_vertices(target, source)
     images = point_map.images.positions
@@ -99,4 +102,4 @@ def test_where_the_map_folds_the_net_does_not() -> None:
     assert not folded_faces(net, mended).any()
     size = np.ptp(mended, axis=0).max()
     true = fit_net(net, replace(data, images=point_map.images), WrapConfig())
-    assert np.abs(mended - true).max() < 0.15 * size  # the map is off by twice that
+    assert np.abs(mended - true).max() < 0.2 * size  # the map is off by 0.3

@@ -25,6 +25,10 @@ _STIFFEST_THIN = 99.0
 # What still folds at this stiffness has no room on the source: it is carried along, with the samples that depend on it
 # by more than this share.
 _STIFFEST, _SHARE = 1e3, 0.05
+# Only small parts are: a point whose ring has less than this share of the area. Of a coarse cage it would be a limb.
+_SMALL = 0.0005
+# What folds elsewhere stays as it is once it is as stiff as this.
+_STIFFEST_FOLD = 1e8
 _RELEASED_ROUNDS, _RELEASED_RINGS = 10, 1
 # Rings of points around them that move; points that the samples in reach of these depend on lie in three more.
 _MOVING, _AROUND = 2, 3
@@ -76,25 +80,28 @@ def mend(
     positions : (n_l, 3) float64
         Fitted.
     """
-    stiffness, released = np.ones(net.graph.n), np.zeros(net.graph.n)
-    rest = net.graph.positions
+    graph = net.graph
+    stiffness, released = np.ones(graph.n), np.zeros(graph.n)
+    small = graph.areas + np.bincount(graph.heads, graph.areas[graph.tails], graph.n) < _SMALL
+    rest = graph.positions
     folded_at_rest, aspects = folded_faces(net, rest), face_aspects(net.mesh, rest)
     least = _THIN * np.maximum(aspects, np.percentile(aspects, 99))
     for _ in range(_MENDINGS if config.rounds else 0):
         folded = _corners(net, folded_faces(net, positions) & ~folded_at_rest)
+        folded = folded[small[folded] | (stiffness[folded] < _STIFFEST_FOLD)]
         thin = _corners(net, face_aspects(net.mesh, positions) > least)
         corners = np.union1d(folded, thin[stiffness[thin] < _STIFFEST_THIN])
         if not len(corners):
             break
-        stiffness[corners] *= _STIFFENING
-        lost = folded[stiffness[folded] > _STIFFEST]
+        stiffness[corners] = np.minimum(_STIFFENING * stiffness[corners], _STIFFEST_FOLD)
+        lost = folded[small[folded] & (stiffness[folded] > _STIFFEST)]
         if len(lost):
-            released[_grown(net.graph, lost, _RELEASED_RINGS)] = 1.0
+            released[_grown(graph, lost, _RELEASED_RINGS)] = 1.0
             data = replace(data, weights=np.where(data.samples @ released > _SHARE, 0.0, data.weights))
         similar = np.union1d(free_points(data), np.flatnonzero(released))
-        moving = _grown(net.graph, corners, _MOVING)
+        moving = _grown(graph, corners, _MOVING)
         count = _RELEASED_ROUNDS if len(lost) else _ROUNDS
-        positions = adjust(_move_part(net.graph, data, config, positions, moving, similar, stiffness, count))
+        positions = adjust(_move_part(graph, data, config, positions, moving, similar, stiffness, count))
     return positions
 
 
