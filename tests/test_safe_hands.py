@@ -28,6 +28,7 @@ from cagemap.files.images import read_image, write_image
 from cagemap.files.landmarks import write_landmarks
 from cagemap.files.marks import is_own
 from cagemap.files.meshes import read_mesh, write_mesh
+from cagemap.files.npz import write_npz
 from cagemap.files.result import MANIFEST, file_hash, read_result, write_result
 from cagemap.mesh import cube
 from cagemap.report import build_page
@@ -199,10 +200,20 @@ def test_a_foreign_material_file_is_not_replaced(tmp_path: Path) -> None:
 def test_outputs_are_no_inputs(place: Path, force: bool) -> None:
     write_mesh(place / "box.obj", cube())
     os.symlink(place / "t.png", place / "link.png")
+    write_npz(place / "shapes.npz", {"smile": np.zeros((8, 3))})
+    (place / "faces").mkdir()
     before = contents(place)
+
+    def shapes(given: str, to: str, usd: str | None = None) -> TransferRequest:
+        layer = None if usd is None else place / usd
+        return TransferRequest(place / "R", place / to, blend_shapes=(place / given,), usd=layer, force=force)
+
     attempts: list[Callable[[], object]] = [
         lambda: texture_of(place, "t.png", force=force),
         lambda: texture_of(place, "link.png", force=force),
+        lambda: run_transfer(shapes("shapes.npz", "shapes.npz"), Stages()),
+        lambda: run_transfer(shapes("faces", "faces"), Stages()),
+        lambda: run_transfer(shapes("shapes.npz", "other.npz", "shapes.npz"), Stages()),
         lambda: refine_file(place / "box.obj", 1, place / "box.obj", force=force),
         lambda: run_report(ReportRequest(place / "R", place / "R" / MANIFEST, force=force), Stages()),
         lambda: run_report(ReportRequest(place / "R", place / "t.png", place / "t.png", force), Stages()),

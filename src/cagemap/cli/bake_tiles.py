@@ -84,6 +84,7 @@ def inputs_of(request: TransferRequest) -> list[Path]:
         request.joints,
         request.detail,
         *(texture_files(request.detail_texture) if request.detail_texture is not None else ()),
+        *request.blend_shapes,
         *(path for _, path in (*request.maps, *request.bases)),
     )
     given = [path for path in (*single, *others) if path is not None]

@@ -46,7 +46,8 @@ def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
     for option, value in (("--scale", request.scale), ("--midlevel", request.midlevel)):
         if value is not None and not math.isfinite(value):
             raise ParameterError(f"{option}: expected a finite number, got {value}.")
-    require_no_input([request.output], inputs_of(request))
+    outputs = [path for path in (request.output, request.usd) if path is not None]
+    require_no_input(outputs, inputs_of(request))
     require_writable_folder(request.output)
     stages("read result")
     outcome = carry(request, read_result(request.result), stages)
