@@ -15,7 +15,7 @@ from cagemap.functional_map import MapWeights, extend_functional_map
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.pair import Pair
 from cagemap.maps.spectral import hierarchical
-from cagemap.maps.spectral.hierarchical import Growth, HierarchyConfig, hierarchical_map
+from cagemap.maps.spectral.hierarchical import Growth, HierarchyConfig, hierarchical_map, search_levels
 from cagemap.maps.spectral.joining import joined_match
 from cagemap.maps.spectral.paper import PaperConfig, orthonormal, paper_map
 from cagemap.maps.spectral.samples import fit_functional_map
@@ -150,6 +150,17 @@ def creature_pair(level=1, schedule=(20, 10)):
     surface = prepare_surface(shapes.creature(), level, BasisConfig(schedule=schedule))
     chosen = np.arange(0, surface.control.n_vertices, 7)
     return Pair.of_vertices(surface, surface, chosen, chosen)
+
+
+def test_on_the_only_level_the_functional_map_has_all_functions():
+    """Growths ended at 20 of 30 functions and no level below adds the others: RESULT could not be read."""
+    pair = creature_pair(schedule=(20, 10))
+    config = HierarchyConfig(search_vertices=300, searched_functions=20, further_functions=20)
+    assert search_levels(pair.target, pair.source, config) == (pair.target.finest, pair.source.finest)
+    maps, _ = hierarchical_map(pair, config)
+    assert len(maps) == 1
+    assert maps[0].functional_map.shape == (30, 30)
+    np.testing.assert_allclose(np.abs(maps[0].functional_map), np.eye(30), atol=0.2)
 
 
 def test_maps_of_all_levels_are_returned_and_are_the_identity():

@@ -25,7 +25,7 @@ from cagemap.maps.spectral.constraints import DescriptorConfig, gather_constrain
 from cagemap.maps.spectral.facing import LevelMesh, with_normals
 from cagemap.maps.spectral.joining import joined_match
 from cagemap.maps.spectral.landmark_coordinates import landmark_coordinates
-from cagemap.maps.spectral.levels import Beside, LevelMap, basis_sizes, down_the_levels, refit, search_level
+from cagemap.maps.spectral.levels import Beside, LevelMap, basis_sizes, down_the_levels, ladder, refit, search_level
 from cagemap.maps.spectral.samples import (
     Samples,
     embed_source,
@@ -188,6 +188,8 @@ def hierarchical_map(
     logger.info(
         "merit of the growths, joined, and gone on: %s", [*map(merit, matches), merit(joined), merit(further[1])]
     )
+    if not ladder(pair, searched) and first.functional_map.shape != basis_sizes(pair, searched):
+        first = replace(first, functional_map=refit(pair, searched, first.match))  # no level below adds the rest
     beside = Beside(searched, *shared_coordinates(target, source, meshes, first.functional_map, config.further))
 
     def below(coarse: LevelMap, levels: LevelPair) -> LevelMap:
