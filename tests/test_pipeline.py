@@ -160,8 +160,9 @@ def test_wrong_input_is_refused_before_anything_expensive(pony):
 @pytest.mark.parametrize("direction", ["forward", "backward"])
 @pytest.mark.parametrize(("method", "bound"), [("hfm", 3.0), ("elastic", 1.0)])
 def test_ground_truth_on_humans(shared_data, method, bound, direction):
-    """Mean error x100 of sqrt(area), 14 landmarks, 25k vertices: issue 3's bar for ours; the paper's method has both
-    hands half a turn off in one direction (2.92), which single joined growths of before had not always (docs/accuracy.md).
+    """Mean error x100 of sqrt(area), 14 landmarks, 25k vertices: issue 3's bar for ours.
+
+    The hierarchical functional map has both hands half a turn off in one direction, 2.92 (docs/accuracy.md).
 
     female1605 and male1591 in other identities than the ones whose surfaces coincide.
     """
