@@ -128,6 +128,29 @@ def test_a_part_without_counterpart_is_found() -> None:
     assert wrapped.residual.mean < 5e-3
 
 
+def ring_and_ball(size: float) -> tuple[ControlMesh, int]:
+    """A ball in the hole of a ring, in one mesh, and the ball's first vertex."""
+    ring, ball = torus(12, 8), cube()
+    n = ring.n_vertices
+    faces = [*(ring.face(i) for i in range(ring.n_faces)), *(ball.face(i) + n for i in range(ball.n_faces))]
+    return ControlMesh.from_faces(np.concatenate([ring.positions, size * ball.positions]), faces), n
+
+
+def test_a_piece_that_nothing_pulls_at_goes_with_what_is_around_it() -> None:
+    """The source is bent, scaled, turned and elsewhere; the map of the ball is nonsense and its weights are 0."""
+    control, n = ring_and_ball(0.3)
+    moved = 3.0 * dented(control, 0.02).positions @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]) + 5.0
+    target, source = refine(control, 2), refine(control.with_positions(moved), 2)
+    follow = (np.arange(control.n_vertices) < n).astype(float)
+    point_map = same_vertices(target, source)
+    nowhere = np.where(target.prolong(follow, 0, 2)[:, None] > 0, point_map.images.positions, 0.0)
+    point_map = PointMap(point_map.target, SurfacePoints.nearest(point_map.source, nowhere))
+    wrapped = wrap(target, point_map, follow=follow).mesh.positions
+    assert np.abs(wrapped[n:] - moved[n:]).max() < 0.05 * np.ptp(moved, axis=0).max()
+    with pytest.raises(ParameterError, match="weights of 0 everywhere"):
+        wrap(target, point_map, follow=0 * follow)
+
+
 def test_boundaries_lie_on_boundaries() -> None:
     target = refine(disk(6), 3)
     source = refine(dented(disk(6), 0.2), 3)

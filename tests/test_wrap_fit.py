@@ -14,7 +14,7 @@ from cagemap.wrap.fit import WrapConfig, fit_data
 from cagemap.wrap.mend import fit_net, mend
 from cagemap.wrap.net import control_net, face_aspects, folded_faces
 from cagemap.wrap.rounds import Fitting, Pull
-from test_wrap import dented, same_vertices
+from test_wrap import dented, ring_and_ball, same_vertices
 
 
 def test_a_round_solves_its_system() -> None:
@@ -103,3 +103,20 @@ def test_where_the_map_folds_the_net_does_not(monkeypatch: pytest.MonkeyPatch, s
     size = np.ptp(mended, axis=0).max()
     true = fit_net(net, replace(data, images=point_map.images), WrapConfig())
     assert np.abs(mended - true).max() < 0.2 * size  # the map is off by 0.3
+
+
+def test_a_small_piece_of_its_own_that_folds_goes_with_what_is_around_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once it is released nothing pulls at it any more: no equation is left for it."""
+    for name, value in {"_SMALL": 1.0, "_STIFFEST": 0.0, "_RELEASED_RINGS": 3}.items():
+        monkeypatch.setattr(f"cagemap.wrap.mend.{name}", value)
+    control, n = ring_and_ball(0.05)
+    target = refine(control, 2)
+    point_map = same_vertices(target, target)
+    net = control_net(target, 0, point_map.target.scale)
+    count = target.finest.n_vertices
+    data = fit_data(net, point_map.images, np.ones(count), np.zeros(count, dtype=bool))
+    spoilt = net.graph.positions.copy()
+    spoilt[n : n + 2] = spoilt[[n + 1, n]]  # two corners change places
+    assert folded_faces(net, spoilt).any()
+    mended = mend(net, data, WrapConfig(), spoilt)
+    np.testing.assert_allclose(mended, net.graph.positions, atol=1e-12)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cagemap.maps.elastic.graph import ElasticGraph
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.wrap.fit import FitData, WrapConfig
+from cagemap.wrap.lone import LonePieces
 from cagemap.wrap.net import ControlNet, face_aspects, folded_faces
 from cagemap.wrap.rounds import Fitting, rounds, start
 
@@ -56,12 +57,15 @@ def fit_net(
     (n_l, 3) float64
         At unit area of the source.
     """
-    free = free_points(data)
-    fitting = Fitting.build(net.graph, data, config, free)
+    graph, free = net.graph, free_points(data)
+    lone = LonePieces.find(graph, free)
+    fitting = Fitting.build(graph, data, config, free, lone.attached if len(lone.points) else None)
     positions = start(fitting)
-    if len(free):
-        positions = _move_part(net.graph, data, config, positions, free, free, np.ones(net.graph.n), _CARRYING_ROUNDS)
-    return rounds(fitting, adjust(positions), config.rounds, adjust)
+    loose = np.setdiff1d(free, lone.points)
+    if len(loose):
+        positions = _move_part(graph, data, config, positions, loose, loose, np.ones(graph.n), _CARRYING_ROUNDS)
+    positions = rounds(fitting, adjust(lone.carried(positions)), config.rounds, adjust)
+    return adjust(lone.carried(positions)) if len(lone.points) else positions
 
 
 def mend(
@@ -84,13 +88,14 @@ def mend(
     stiffness, released = np.ones(graph.n), np.zeros(graph.n)
     small = graph.areas + np.bincount(graph.heads, graph.areas[graph.tails], graph.n) < _SMALL
     rest = graph.positions
+    lone = LonePieces.find(graph, free_points(data)).points
     folded_at_rest, aspects = folded_faces(net, rest), face_aspects(net.mesh, rest)
     least = _THIN * np.maximum(aspects, np.percentile(aspects, 99))
     for _ in range(_MENDINGS if config.rounds else 0):
         folded = _corners(net, folded_faces(net, positions) & ~folded_at_rest)
         folded = folded[small[folded] | (stiffness[folded] < _STIFFEST_FOLD)]
         thin = _corners(net, face_aspects(net.mesh, positions) > least)
-        corners = np.union1d(folded, thin[stiffness[thin] < _STIFFEST_THIN])
+        corners = np.setdiff1d(np.union1d(folded, thin[stiffness[thin] < _STIFFEST_THIN]), lone)
         if not len(corners):
             break
         stiffness[corners] = np.minimum(_STIFFENING * stiffness[corners], _STIFFEST_FOLD)
@@ -98,8 +103,13 @@ def mend(
         if len(lost):
             released[_grown(graph, lost, _RELEASED_RINGS)] = 1.0
             data = replace(data, weights=np.where(data.samples @ released > _SHARE, 0.0, data.weights))
+            pieces = LonePieces.find(graph, free_points(data))
+            if len(pieces.points) > len(lone):
+                positions, lone = adjust(pieces.carried(positions)), pieces.points
         similar = np.union1d(free_points(data), np.flatnonzero(released))
-        moving = _grown(graph, corners, _MOVING)
+        moving = np.setdiff1d(_grown(graph, corners, _MOVING), lone)
+        if not len(moving):
+            continue
         count = _RELEASED_ROUNDS if len(lost) else _ROUNDS
         positions = adjust(_move_part(graph, data, config, positions, moving, similar, stiffness, count))
     return positions

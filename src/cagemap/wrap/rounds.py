@@ -89,11 +89,15 @@ class Fitting:
 
 
 def start(fitting: Fitting) -> FloatArray:
-    """(n, 3) the net that minimises ``||S X - P||^2`` with a trace of its energy, where all points move."""
-    data = fitting.data
+    """(n, 3) the net that minimises ``||S X - P||^2`` with a trace of its energy; what does not move is at rest.
+
+    What moves is whole pieces of the net: nothing else pulls at them.
+    """
+    data, moving, positions = fitting.data, fitting.moving, fitting.graph.positions.copy()
     right = data.samples.T @ (data.weights[:, None] * data.images.positions)
-    positions = fitting.factors.solve(right)
-    return fitting.factors.solve(right + fitting.elastic_pull(positions))
+    positions[moving] = fitting.factors.solve(right[moving])
+    positions[moving] = fitting.factors.solve((right + fitting.elastic_pull(positions))[moving])
+    return positions
 
 
 def rounds(

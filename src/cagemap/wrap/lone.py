@@ -1,0 +1,68 @@
+"""Pieces of a net of their own, such as eyes or teeth, that nothing pulls at: they go with what is around them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from cagemap.errors import ParameterError
+from cagemap.maps.elastic.fit import similarity
+from cagemap.maps.elastic.graph import ElasticGraph, components
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+# Points around a piece that it goes with: some rings of a coarse cage.
+_AROUND = 30
+
+
+@dataclass(frozen=True, eq=False)
+class LonePieces:
+    """Connected pieces of a net that nothing pulls at; no equation says where they are.
+
+    Attributes
+    ----------
+    graph : ElasticGraph
+    points : (k,) int64
+        Of all pieces, one piece after the other.
+    ends : (p,) int64
+        Where each piece ends in ``points``.
+    attached : (n - k,) int64
+        All other points.
+    """
+
+    graph: ElasticGraph
+    points: IndexArray
+    ends: IndexArray
+    attached: IndexArray
+
+    @classmethod
+    def find(cls, graph: ElasticGraph, free: IndexArray) -> LonePieces:
+        """Those of a graph that consist of free points (k,) alone.
+
+        Raises
+        ------
+        ParameterError
+            If that is all of it.
+        """
+        piece = components(graph.heads, graph.tails, graph.n)
+        sizes = np.bincount(piece)
+        alone = np.bincount(piece[free], minlength=len(sizes)) == sizes
+        if alone.all():
+            raise ParameterError("expected a part of the target that follows the source, got weights of 0 everywhere")
+        points = np.argsort(piece, kind="stable")
+        points = points[alone[piece[points]]]
+        return cls(graph, points, np.cumsum(sizes[alone]), np.flatnonzero(~alone[piece]))
+
+    def carried(self, positions: FloatArray) -> FloatArray:
+        """(n, 3) positions with every piece moved by the similarity that the points nearest to it at rest follow."""
+        if not len(self.points):
+            return positions
+        rest = self.graph.positions
+        tree, moved = cKDTree(rest[self.attached]), positions.copy()
+        for own in np.split(self.points, self.ends[:-1]):
+            _, nearest = tree.query(rest[own].mean(axis=0), k=min(_AROUND, len(self.attached)))
+            near = self.attached[np.atleast_1d(nearest)]
+            rotation, scale, shift = similarity(rest[near], positions[near])
+            moved[own] = scale * rest[own] @ rotation.T + shift
+        return moved
