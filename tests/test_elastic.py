@@ -28,6 +28,7 @@ from cagemap.maps.elastic.graph import (
     mesh_graph,
 )
 from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair, RestShape, level_graph
+from cagemap.maps.elastic.system import BlockSystem
 from cagemap.maps.elastic.update import landmark_response
 from cagemap.maps.pair import Pair, PointPairs
 from cagemap.maps.point_map import PointMap
@@ -39,6 +40,7 @@ from cagemap.maps.spectral.hierarchical import HierarchyConfig
 from cagemap.maps.spectral.landmark_coordinates import interpolants, landmark_coordinates
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.shapes import creature
+from cagemap.numerics.factorization import factor
 from cagemap.operators import build_operators
 from cagemap.refinement import Refinement, level_triangles, refine
 
@@ -333,6 +335,20 @@ def test_steps_with_the_factors_of_an_earlier_iteration_end_at_the_same_place(sh
     moved = np.linalg.norm(exact - start, axis=1).mean()
     # Measured 0.12 %; with one gradient a step 2.1 %.
     assert np.linalg.norm(ended(4) - exact, axis=1).mean() < 0.01 * moved
+
+
+def test_a_step_ends_where_nothing_is_left_to_miss() -> None:
+    """Factors of the matrix itself: one gradient solves it, and the next would divide by zero."""
+    system = BlockSystem.build(sparse.csr_array(2.0 * np.eye(5) - np.eye(5, k=1) - np.eye(5, k=-1)))
+    matrix, right = sparse.csc_array(2.0 * sparse.eye_array(15)), np.ones(15)
+    np.testing.assert_allclose(system.step(matrix, right, factor(matrix)), 0.5 * right, rtol=1e-12)
+    np.testing.assert_array_equal(system.step(matrix, 0.0 * right, factor(matrix)), 0.0)
+
+
+def test_counts_of_a_stage_are_checked() -> None:
+    for wrong in ({"iterations": 0}, {"iterations": 3, "factored": 0}, {"iterations": 3, "patience": -1}):
+        with pytest.raises(ParameterError, match="a stage of the elastic fit"):
+            Stage(**{"stiffness": (1e-3, 1e-4), "smoothing": 1e-3} | wrong)
 
 
 def test_patience_ends_as_soon_as_nothing_folds(shape: tuple[Refinement, float]) -> None:

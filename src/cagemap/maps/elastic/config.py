@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.brief import Brief
 
@@ -40,6 +41,14 @@ class Stage:
     momentum: float = 0.0
     patience: int = 0
     factored: int = 1
+
+    def __post_init__(self) -> None:
+        """Check the counts."""
+        if min(self.iterations, self.factored) < 1 or self.patience < 0:
+            raise ParameterError(
+                "a stage of the elastic fit: expected at least 1 iteration, factored at least every iteration (1), and "
+                f"no negative patience, got {self}"
+            )
 
     def ramped(self) -> FloatArray:
         """(iterations + patience,) stiffness alpha of every iteration."""

@@ -76,8 +76,10 @@ LEAST_STRETCH = 0.3
 
 # Alternations of positions and differentials from the landmarks alone.
 LANDMARK_ITERATIONS = 20
-# Conjugate gradients with the factors of an earlier iteration, see `Stage.factored`.
+# Conjugate gradients with the factors of an earlier iteration, see `Stage.factored`, and the share of the residual at
+# which they stop before: without one, they divide by zero once nothing is left of it.
 GRADIENTS = 4
+SOLVED = 1e-9
 # alpha at which coarse fits from different starts are compared.
 COST_STIFFNESS = 1e-3
 # Share of the vertices with bounded differentials above which a stage goes on.

@@ -86,6 +86,7 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
             other = aside.submit(coarse_fit, stiff, sheet, start, places, stiffer)
             ends += in_threads(lambda rough: coarse_fit(shape, sheet, rough, places, elastic), starts)
             return finished_ends(prepared, shape, ends, pair.landmarks, stiff=[other.result()])
+    # The start from the landmarks is another one here: differentials are smoothed over the stiffer stage's length.
     both: list[FloatArray | None] = [start, None]
     ends = in_threads(lambda rough: coarse_fit(stiff, sheet, rough, places, stiffer), both)
     best = min(ends, key=lambda ended: ended.cost)

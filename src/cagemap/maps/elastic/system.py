@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, cg
 
-from cagemap.maps.elastic.constants import GRADIENTS
+from cagemap.maps.elastic.constants import GRADIENTS, SOLVED
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization, factor
 
@@ -54,7 +54,7 @@ class BlockSystem:
         what they miss, the next iteration finds in its residual.
         """
         preconditioner = LinearOperator(matrix.shape, matvec=near.solve, dtype=np.float64)
-        return np.asarray(cg(matrix, residual, rtol=0.0, maxiter=GRADIENTS, M=preconditioner)[0])
+        return np.asarray(cg(matrix, residual, rtol=SOLVED, maxiter=GRADIENTS, M=preconditioner)[0])
 
     def factor(self, alpha: float, blocks: FloatArray, like: Factorization | None = None) -> Factorization:
         """Factor alpha L + blocks (n, 3, 3), with the ordering of an earlier factorisation if there is one."""
