@@ -181,3 +181,21 @@ def test_a_fixed_schedule_starts_large_levels_from_the_pairs_of_the_one_below(mo
     assert len(used) == calls
     np.testing.assert_allclose(basis.eigenvalues[1:], from_nothing.eigenvalues[1:], rtol=construction.FIXED_GUESS)
     assert np.linalg.cond(basis.gram) < 1.01 * np.linalg.cond(from_nothing.gram)
+
+
+def test_a_schedule_that_is_to_be_exact_computes_no_pairs_that_it_does_not_keep(monkeypatch):
+    """Pairs ahead are a guess for the next level, which starts from nothing where the accuracy asked for is high."""
+    asked = []
+    monkeypatch.setattr(construction, "GUESS_ROWS", 100)
+    honest = construction.band_pairs
+    monkeypatch.setattr(construction, "band_pairs", lambda *a, **k: asked.append(a[3]) or honest(*a, **k))
+    refinement = refine(shapes.creature(), 2)
+    operators = build_operators(refinement)
+    for one in ({"accuracy": 1e-9}, {"literal": True}):
+        asked.clear()
+        hierarchical_basis(refinement, operators, BasisConfig(schedule=(4, 2, 2), **one))
+        assert asked[0] == 4
+        assert max(asked) < 16
+    asked.clear()
+    hierarchical_basis(refinement, operators, BasisConfig(schedule=(4, 2, 2)))
+    assert asked[0] == 4 + 2 + 2 + construction.GUARDS

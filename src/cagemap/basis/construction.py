@@ -190,10 +190,16 @@ class _Growth:
         assert self.config.schedule is not None
         return int(np.flatnonzero(self.config.schedule)[-1])
 
+    @property
+    def guesses(self) -> bool:
+        """Whether large levels may start from the pairs of the one below: not where a schedule is to be exact."""
+        config = self.config
+        return config.schedule is None or (config.solver_accuracy >= SINGLE_STORAGE and not config.literal)
+
     def ahead(self, level: int, last: int) -> int:
         """How far a level computes pairs that it does not keep, as a guess for the next one where that is large."""
         total = self.config.total + GUARDS
-        large = self.rows(level + 1) > GUESS_ROWS and 3 * total < self.rows(level)
+        large = self.guesses and self.rows(level + 1) > GUESS_ROWS and 3 * total < self.rows(level)
         return max(last, total) if large else last
 
     def add_literal(self, level: int, wanted: int) -> None:
@@ -274,7 +280,7 @@ class _Growth:
     def guess_is_good(self, level: int, last: int) -> bool:
         """Whether to start a level from the pairs of the one below: it is large, and they are good and reach far."""
         return (
-            (self.config.schedule is None or self.config.solver_accuracy >= SINGLE_STORAGE)
+            self.guesses
             and self.pairs is not None
             and self.rows(level) > GUESS_ROWS
             and self.top_error < GUESS_ERROR

@@ -33,7 +33,7 @@ class BasisConfig:
     accuracy : float, optional
         Convergence of the eigensolver at its own level, relative to the eigenvalues of the inverted problem. Default:
         a thousandth of ``tolerance``, and 1e-5 for a fixed schedule. Levels of more than 12 000 vertices may stop once
-        their eigenvalues are within a quarter of ``tolerance``.
+        their eigenvalues are within a quarter of ``tolerance``, or 1e-4 of a fixed schedule with 1e-5 or more here.
     vertices : int, optional
         Operators are those of the coarsest level with at least so many vertices, as if it were the finest; functions
         of it refine to all levels. The eigenvalues looked for change by well below 1 % at 20 000 vertices. Default: the
