@@ -22,7 +22,7 @@ from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract
 from cagemap.mesh.plain import plain_mesh
-from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.arrays import FloatArray, read_only
 from cagemap.numerics.threads import in_threads
 from cagemap.operators import build_operators, triangle_cotangents
 from cagemap.operators.plain import coarsened, refined, uncoarsened
@@ -321,6 +321,10 @@ def test_answers_for_a_plain_mesh_are_in_its_own_numbers() -> None:
     apart = np.linalg.norm(told.positions - surface.scale * mesh.positions, axis=1)
     assert apart.mean() < 0.01  # rounded by smooth prolongation; of sqrt(area)
     np.testing.assert_array_equal(inner_reading(told, prepared).positions, known.positions)
+    whole = replace(prepared, levels=(surface.inner.finest, prepared.levels[1]))
+    known = replace(known, positions=read_only(surface.inner.triangles(surface.inner.finest).positions))
+    told = outer_confidence(Confidence("sure", 1.0, 2.0, (known,), None), whole).readings[0]
+    np.testing.assert_allclose(told.positions, surface.scale * mesh.positions, atol=1e-12)
 
 
 def test_flips_make_better_triangles_between_the_same_vertices() -> None:

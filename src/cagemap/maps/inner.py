@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from cagemap.basis import Surface
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.confidence import Confidence, Reading
@@ -63,8 +65,10 @@ def outer_confidence(confidence: Confidence, prepared: PreparedPair) -> Confiden
         return confidence
 
     def outer(reading: Reading) -> Reading:
+        known = len(reading.positions)
         places = refinement.prolong(reading.positions, prepared.levels[0], refinement.n_levels)
-        places[: len(reading.positions)] = reading.positions  # prolonged, they would be smoothed
+        # Prolonged, those that are known would be smoothed.
+        places = np.concatenate([reading.positions, places[known:]])
         return replace(reading, positions=refinement.outer_rows(places))
 
     return replace(confidence, readings=tuple(outer(reading) for reading in confidence.readings))

@@ -27,7 +27,7 @@ TURNED = "with a limb turned otherwise about its axis"
 # Shapes that truly correspond hardly fold, and most of the surface is not sheared much.
 SURE_FOLDED = 0.01
 SURE_ASPECT = 1.6
-# Hind legs of a wolf that ended at a cow's hocks left 4 % of the cow to nothing; right answers up to 1 %.
+# Measured: hind legs that end at the hocks leave 4 % of the source to nothing, right answers up to 1 %.
 SURE_UNREACHED = 0.02
 
 
@@ -75,7 +75,8 @@ class Reading:
     cost : float
         Mean squared distances between the surfaces both ways, and the elastic energy; of unit areas.
     positions : (n, 3) float64
-        Of the vertices of the target's fitted level, near the source at unit area.
+        Of the vertices of the target's fitted level, near the source at unit area; in a result, of all vertices of a
+        plain target.
     doubt : float
         See `Start`.
     exchange : tuple of (int, int)
