@@ -20,6 +20,7 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.elastic.graph import mesh_graph
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh, cube, torus
+from cagemap.mesh.shapes import voxels
 from cagemap.refinement import Refinement, refine, triangulate_control
 from cagemap.transfer import control_weights, prepare_transfer
 from cagemap.transfer.shapes import carry_shape, contacts, prepare_shapes
@@ -135,9 +136,29 @@ def test_what_touches_in_a_shape_touches_in_the_target_s() -> None:
     assert between.mean() < 0.2 * np.sqrt(2 * carrier.masses).mean()
 
 
-def read_bar() -> ControlMesh:
-    from cagemap.mesh.shapes import voxels
+def test_an_upper_lid_that_closes_meets_the_lower_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A slot in a plate, taller in the target: the upper rim comes down, corners stay; without contacts it gapes."""
+    plate = voxels([(x, y, 0) for x in range(8) for y in range(3) if y != 1 or x in (0, 7)])
+    target, source = refine(plate.with_positions(plate.positions * (1, 1.4, 1)), 3), refine(plate, 3)
+    x, y, _ = plate.positions.T
+    shape = np.where(((x > 2) & (x < 6) & (y > 1))[:, None], [0.0, -1.0, 0.0], 0.0)
+    carrier = prepare_shapes(target, source, same_vertices(target, source))
+    first, second, closing = contacts(carrier, carrier.point_map.source.scale * source.prolong(shape, 0, 3))
+    heights = carrier.point_map.source.positions[:, 1] / carrier.point_map.source.scale
+    assert len(first) > 20
+    assert ((heights[first] > 1) != (heights[second] > 1)).all()  # one of each lid
 
+    def missed() -> float:
+        carried = target.prolong(carry_shape(carrier, shape), 0, 3) * carrier.point_map.target.scale
+        return float(np.linalg.norm(carried[first] - carried[second] - closing, axis=1).mean())
+
+    edge = np.sqrt(2 * carrier.masses).mean()
+    assert missed() < 0.2 * edge
+    monkeypatch.setattr("cagemap.transfer.shapes._CONTACT", 0.0)
+    assert missed() > edge
+
+
+def read_bar() -> ControlMesh:
     return voxels([(0, 0, 0), (1, 0, 0), (2, 0, 0), (0, 1, 0), (0, 2, 0), (1, 2, 0), (2, 2, 0)])
 
 
