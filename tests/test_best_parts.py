@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from cagemap.geometry.surface import TriangleSurface
+from cagemap.maps.elastic import ends
 from cagemap.maps.elastic.constants import PARTS_APART
 from cagemap.maps.elastic.ends import FineFit, best_parts
+from cagemap.maps.elastic.fit import CoarseFit
 from cagemap.maps.elastic.graph import ElasticGraph, mesh_graph
 from cagemap.mesh import creature
 from cagemap.refinement import level_triangles, refine
@@ -52,6 +57,33 @@ def test_nothing_is_taken_that_is_dearer_small_or_near(graph: ElasticGraph) -> N
     one = np.arange(graph.n) == np.argmax(along)
     assert graph.areas[one].sum() < 5e-4
     assert best_parts(graph, [best, FineFit(1.0, moved(graph, one), cheaper)]) is None
+
+
+def test_stiff_ends_are_finished_too_and_the_best_parts_of_all_come_first(
+    graph: ElasticGraph, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stages that change nothing, and costs that are distances: a soft end wrong in front, a stiff one behind."""
+    along = graph.positions[:, 2]
+    soft = moved(graph, along > np.quantile(along, 0.9))
+    stiff = moved(graph, along < np.quantile(along, 0.1))
+
+    def judged(prepared: object, pullers: object, positions: np.ndarray) -> FineFit:
+        return end(positions, graph.areas * ((positions - graph.positions) ** 2).sum(axis=1))
+
+    monkeypatch.setattr(ends, "fine_fit", lambda prepared, shape, coarse, landmarks: coarse[0].positions)
+    monkeypatch.setattr(ends, "fine_stage", lambda prepared, start, landmarks: start)
+    monkeypatch.setattr(ends, "judged", judged)
+    monkeypatch.setattr(ends.Pullers, "choose", lambda *known: None)
+    prepared: Any = SimpleNamespace(rest=SimpleNamespace(graph=graph, masks=None), sheet=None)
+    shape: Any = SimpleNamespace(rest=SimpleNamespace(graph=graph))
+    maps = np.zeros((graph.n, 3, 3))
+    of_both = [CoarseFit(cost, positions, maps) for cost, positions in ((1.0, soft), (9.0, stiff))]
+    nothing: Any = None
+    found = ends.finished_ends(prepared, shape, of_both[:1], nothing, stiff=of_both[1:])
+    assert len(found) == 3
+    assert [one.cost for one in found] == sorted(one.cost for one in found)
+    np.testing.assert_allclose(found[0].positions, graph.positions, atol=1e-12)
+    assert len(ends.finished_ends(prepared, shape, of_both, nothing)) == 1  # hopeless by its coarse cost
 
 
 def test_shares_of_the_energy_are_its_terms(graph: ElasticGraph) -> None:
