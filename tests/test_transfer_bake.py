@@ -134,6 +134,20 @@ def test_hard_edges_get_no_rings_and_alpha_stays_linear(dtype: str) -> None:
     np.testing.assert_array_equal(smooth[..., 3], linear[..., 3])
 
 
+@pytest.mark.parametrize(("size", "reach"), [(32, 40), (96, 8), (200, 8)])
+def test_a_texel_that_is_no_number_spoils_nothing_but_itself(size: int, reach: int) -> None:
+    level = plane(8, 8)
+    transfer = prepare_transfer(level, level, identity_map(level))
+    clean = noise(128, 128, 3, "float32")
+    dirty = clean.copy()
+    dirty[64, 64] = np.nan
+    baked, expected = (bake_texture(transfer, texture, size=size) for texture in (dirty, clean))
+    at = np.abs((np.arange(size) + 0.5) * (128 / size) - 64.5)
+    away = np.maximum(at[:, None], at)
+    np.testing.assert_array_equal(baked[away > reach], expected[away > reach])
+    assert np.isfinite(baked[away > 2]).all()
+
+
 def test_noise_keeps_its_range() -> None:
     level = plane(8, 8)
     transfer = prepare_transfer(level, level, plane_map(level, 8, 8, lambda p: p * 0.61 + 0.2))
@@ -185,6 +199,11 @@ def test_halving_keeps_what_is_constant_and_reads_only_what_is_covered(height: i
     half, _ = halved(dirty, covered)
     np.testing.assert_allclose(half[share > 0.1], 0.7, atol=1e-3)
     np.testing.assert_allclose(smoothed(dirty, covered)[covered > 0], 0.7, atol=1e-3)
+    whole = np.rint(255 * pixels).astype(np.uint8)
+    limits = whole.min(axis=(0, 1)), whole.max(axis=(0, 1))
+    kept = smoothed(whole, covered, whole)
+    assert kept.dtype == np.uint8
+    np.testing.assert_array_equal(kept, np.rint(np.clip(smoothed(whole, covered), *limits)))
 
 
 @pytest.mark.parametrize(("dtype", "value"), [("uint8", 201), ("uint16", 50001), ("float16", 0.1), ("float32", 1 / 3)])

@@ -135,7 +135,7 @@ def test_sample_counts_follow_the_ratio_of_texels(ring: TexturedSurface) -> None
     assert plan_samples(surface, corners, ring.corner_uvs() * 1e6).max() == 16
 
 
-@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32"])
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float16", "float32"])
 def test_lookup_is_bilinear(dtype: str) -> None:
     rng = np.random.default_rng(577)
     pixels = (rng.random((9, 14, 3)) * 255).astype(dtype)
@@ -146,7 +146,8 @@ def test_lookup_is_bilinear(dtype: str) -> None:
     none = np.zeros(40, dtype=np.int32)
     samples = Samples(none, none.astype(np.int64), 1, 0, np.arange(41), np.arange(40), weights)
     points = np.einsum("kc,kcd->kd", weights, uvs[corners])
-    np.testing.assert_allclose(look_up(texture, samples), reference.look_up_slowly(pixels, points), rtol=0, atol=1e-9)
+    expected = reference.look_up_slowly(pixels.astype(np.float64), points)
+    np.testing.assert_allclose(look_up(texture, samples), expected, rtol=0, atol=1e-9)
 
 
 def test_smooth_lookup_is_that_of_six_points_and_reproduces_cubics() -> None:
@@ -163,6 +164,10 @@ def test_smooth_lookup_is_that_of_six_points_and_reproduces_cubics() -> None:
         found = look_up(lay_texture(pixels, uvs, corners), samples, fine)
         expected = reference.smooth_slowly(pixels, points)
         np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * np.abs(pixels).max())
+    half = wave.astype(np.float16)
+    fine = {0: SmoothTile.of(half, np.ones((20, 24), dtype=bool))}
+    found, same = (look_up(lay_texture(pixels, uvs, corners), samples, fine) for pixels in (half, half.astype("f4")))
+    np.testing.assert_array_equal(found, same)
     at = points * (24, -20) + (0, 20)
     exact = at[:, 0] ** 3 - 30 * at[:, 0] ** 2 + at[:, 1] ** 3 + at[:, 0] * at[:, 1] ** 2
     np.testing.assert_allclose(reference.smooth_slowly(cubic, points)[:, 0], exact, rtol=1e-12)

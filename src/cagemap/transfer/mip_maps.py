@@ -19,7 +19,7 @@ from scipy import sparse
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import in_threads, parts
 from cagemap.transfer.locate import Samples
-from cagemap.transfer.texture import Pixels, SmoothTile, Texture, look_up
+from cagemap.transfer.texture import Pixels, SmoothTile, Texture, channel_range, look_up
 
 _LOBES = 3
 # Where covered texels have less than this share of the kernel, its negative lobes would amplify: plain means there.
@@ -84,9 +84,11 @@ class MipMaps:
         shares: dict[int, Coverage] = dict(coverage)
         for level in range(1, int(of_triangle.max(initial=0)) + 1):
             if np.any(of_triangle == level):
-                soft = {tile: smoothed(pixels, shares[tile]) for tile, pixels in tiles.items()}
-                kept = soft if exact else {tile: _as_type(pixels, texture.tiles[tile]) for tile, pixels in soft.items()}
-                levels[level] = replace(texture, tiles=texture.tiles | kept)
+                soft = {
+                    tile: smoothed(pixels, shares[tile], None if exact else texture.tiles[tile])
+                    for tile, pixels in tiles.items()
+                }
+                levels[level] = replace(texture, tiles=texture.tiles | soft)
             if level < of_triangle.max():
                 pairs = {tile: halved(pixels, shares[tile]) for tile, pixels in tiles.items()}
                 tiles = {tile: pixels for tile, (pixels, _) in pairs.items()}
@@ -111,37 +113,47 @@ def halved(pixels: Pixels, coverage: Coverage) -> tuple[Pixels, Coverage]:
     return _filtered(pixels, coverage, sides[0], sides[1])
 
 
-def smoothed(pixels: Pixels, coverage: Coverage) -> Pixels:
-    """(h, w, c) float32 what texels of twice the size should see of the covered texels of an image."""
+def smoothed(pixels: Pixels, coverage: Coverage, like: Pixels | None = None) -> Pixels:
+    """(h, w, c) what texels of twice the size should see of the covered texels of an image.
+
+    As float32, or in the number type and the range of the image ``like``: kernels overshoot at edges.
+    """
     sides = [_kernels(count, 2.0, count, _mitchell) for count in pixels.shape[:2]]
-    return _filtered(pixels, coverage, sides[0], sides[1])[0]
-
-
-def _as_type(values: Pixels, like: Pixels) -> Pixels:
-    """Values in the number type and the range of an image: kernels overshoot at edges."""
-    clipped = np.clip(values, like.min(axis=(0, 1)), like.max(axis=(0, 1)))
-    return (np.rint(clipped) if like.dtype.kind == "u" else clipped).astype(like.dtype)
+    return _filtered(pixels, coverage, sides[0], sides[1], like)[0]
 
 
 _Matrices = tuple[sparse.csr_array, sparse.csr_array]
 
 
-def _filtered(pixels: Pixels, coverage: Coverage, down: _Matrices, across: _Matrices) -> tuple[Pixels, Coverage]:
-    """Normalised convolution by a kernel along both sides; plain means where too little of the kernel is covered."""
-    shape = down[0].shape[0], across[0].shape[0]
-    result, covered = np.zeros((*shape, pixels.shape[2]), dtype=np.float32), np.zeros(shape, dtype=np.float32)
+def _filtered(
+    pixels: Pixels, coverage: Coverage, down: _Matrices, across: _Matrices, like: Pixels | None = None
+) -> tuple[Pixels, Coverage]:
+    """Normalised convolution by a kernel along both sides; plain means where too little of the kernel is covered.
+
+    What is no number counts as not covered, and not at all.
+    """
+    shape, ends = (down[0].shape[0], across[0].shape[0]), None if like is None else channel_range(like)
+    result = np.zeros((*shape, pixels.shape[2]), dtype=np.float32 if like is None else like.dtype)
+    covered = np.zeros(shape, dtype=np.float32)
 
     def fill(rows: slice) -> None:
         own = [matrix[rows] for matrix in down]
         first, last = int(own[0].indices.min()), int(own[0].indices.max()) + 1
         weight = np.maximum(coverage[first:last].astype(np.float32), np.float32(_UNCOVERED))
-        table = np.dstack([pixels[first:last].astype(np.float32) * weight[..., None], weight])
+        given = pixels[first:last].astype(np.float32)
+        if pixels.dtype.kind == "f" and not (known := np.isfinite(given).all(axis=2)).all():
+            given, weight = np.where(known[..., None], given, 0), np.where(known, weight, 0)
+        table = np.dstack([given * weight[..., None], weight])
         sharp, mean = (
             _separable(table, vertical[:, first:last], horizontal)
             for vertical, horizontal in zip(own, across, strict=True)
         )
         values = np.where((sharp[..., -1] >= _ENOUGH)[..., None], sharp, mean)
-        result[rows] = values[..., :-1] / values[..., -1:]
+        with np.errstate(invalid="ignore"):
+            found = values[..., :-1] / values[..., -1:]
+        if ends is not None:
+            found = np.clip(found, *ends)
+        result[rows] = np.rint(found) if result.dtype.kind == "u" else found
         covered[rows] = mean[..., -1]
 
     in_threads(fill, parts(len(result), _ROWS))

@@ -38,6 +38,8 @@ _FEW = 4
 # What a peak between two texels may rise above them, as a part of what both fall to their outer neighbours: an eighth
 # for a parabola, more for sharper ones.
 _PEAK = 0.25
+# Value of every half float, by its bits: numba knows none, and a converted copy of a large texture takes gigabytes.
+_HALVES = np.arange(1 << 16, dtype=np.uint16).view(np.float16).astype(np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,6 +191,12 @@ def smooth_cells(covered: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return inside
 
 
+def channel_range(pixels: Pixels) -> tuple[Pixels, Pixels]:
+    """(c,) the least and the largest number of every channel."""
+    # NumPy reduces over whole rows fast, over rows and columns at once a hundred times slower.
+    return np.fmin.reduce(np.fmin.reduce(pixels)), np.fmax.reduce(np.fmax.reduce(pixels))
+
+
 @dataclass(frozen=True, eq=False)
 class SmoothTile:
     """What the smooth lookup needs to know of a tile.
@@ -207,9 +215,10 @@ class SmoothTile:
 
     @classmethod
     def of(cls, pixels: Pixels, covered: NDArray[np.bool_]) -> SmoothTile:
-        """Prepare a tile (h, w, c) whose layout covers some texels (h, w)."""
-        ends = (reduce_.reduce(pixels, axis=(0, 1)).astype(np.float64) for reduce_ in (np.fmin, np.fmax))
-        return cls(smooth_cells(covered), *ends)
+        """Prepare a tile (h, w, c) whose layout covers some texels (h, w); what is no number is not among them."""
+        if pixels.dtype.kind == "f":
+            covered = covered & np.isfinite(pixels).all(axis=2)
+        return cls(smooth_cells(covered), *(end.astype(np.float64) for end in channel_range(pixels)))
 
 
 _ROUGH = SmoothTile(np.zeros((0, 0), dtype=np.bool_), np.zeros(0), np.zeros(0))
@@ -241,11 +250,11 @@ def look_up(
     for tile in np.unique(texture.triangle_tiles[met]).tolist():
         pixels = texture.tiles[tile]
         u, v = udim_origin(tile)
-        # Half floats have no arithmetic of their own; their conversion is exact.
-        known = pixels.astype(np.float32) if pixels.dtype == np.float16 else pixels
+        half = pixels.dtype == np.float16
         fine = (smooth or {}).get(tile, _ROUGH)
         _accumulate(
-            known,
+            pixels.view(np.uint16) if half else pixels,
+            _HALVES if half else None,
             fine.cells,
             fine.lowest,
             fine.highest,
@@ -270,6 +279,7 @@ def look_up(
 @numba.njit(cache=True, nogil=True)
 def _accumulate(  # type: ignore[no-untyped-def]
     pixels,
+    halves,
     smooth,
     lowest,
     highest,
@@ -294,7 +304,7 @@ def _accumulate(  # type: ignore[no-untyped-def]
     must not mix with what lies at the opposite edge.
     """
     height, width, channels = pixels.shape
-    across, down, table = np.empty(6), np.empty(6), np.empty((2, 6))
+    across, down = np.empty(6), np.empty(6)
     for texel in range(len(first) - 1):
         for s in range(first[texel], first[texel + 1]):
             t = triangle[s]
@@ -321,15 +331,23 @@ def _accumulate(  # type: ignore[no-untyped-def]
                 _six_points(fx, across)
                 _six_points(fy, down)
                 for channel in range(colors):
-                    value = _smooth_value(pixels, r0, c0, channel, down, across, table)
+                    value = _smooth_value(pixels, halves, r0, c0, channel, down, across)
                     result[texel, channel] += min(max(value, lowest[channel]), highest[channel])
                 linear_from = colors
             for channel in range(linear_from, channels):
-                upper = np.float64(pixels[r0, c0, channel])
-                upper += fx * (np.float64(pixels[r0, c1, channel]) - upper)
-                lower = np.float64(pixels[r1, c0, channel])
-                lower += fx * (np.float64(pixels[r1, c1, channel]) - lower)
+                upper = _value(pixels, halves, r0, c0, channel)
+                upper += fx * (_value(pixels, halves, r0, c1, channel) - upper)
+                lower = _value(pixels, halves, r1, c0, channel)
+                lower += fx * (_value(pixels, halves, r1, c1, channel) - lower)
                 result[texel, channel] += upper + fy * (lower - upper)
+
+
+@numba.njit(cache=True, nogil=True)
+def _value(pixels, halves, row, column, channel):  # type: ignore[no-untyped-def]
+    """A texel's value; ``halves`` has those of half floats, which come as their bits, and is None for others."""
+    if halves is None:
+        return np.float64(pixels[row, column, channel])
+    return halves[pixels[row, column, channel]]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -346,22 +364,36 @@ def _six_points(f, weights):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _between(values, weights):  # type: ignore[no-untyped-def]
+def _between(a, b, c, d, e, f, weights):  # type: ignore[no-untyped-def]
     """Weighted sum of six values: between the middle two, or beyond them as far as a peak of their slopes may reach."""
-    total = 0.0
-    for k in range(6):
-        total += weights[k] * values[k]
-    lowest, highest = min(values[2], values[3]), max(values[2], values[3])
-    rise = min(values[2] - values[1], values[3] - values[4])
-    fall = min(values[1] - values[2], values[4] - values[3])
-    return min(max(total, lowest - max(fall, 0.0) * _PEAK), highest + max(rise, 0.0) * _PEAK)
+    total = weights[0] * a + weights[1] * b + weights[2] * c + weights[3] * d + weights[4] * e + weights[5] * f
+    rise, fall = max(min(c - b, d - e), 0.0), max(min(b - c, e - d), 0.0)
+    return min(max(total, min(c, d) - fall * _PEAK), max(c, d) + rise * _PEAK)
 
 
 @numba.njit(cache=True, nogil=True)
-def _smooth_value(pixels, r0, c0, channel, down, across, table):  # type: ignore[no-untyped-def]
-    """Value between texels (r0, c0) and (r0 + 1, c0 + 1); ``table`` (2, 6) is room to work in."""
-    for i in range(6):
-        for j in range(6):
-            table[0, j] = pixels[r0 + i - 2, c0 + j - 2, channel]
-        table[1, i] = _between(table[0], across)
-    return _between(table[1], down)
+def _along(pixels, halves, row, column, channel, across):  # type: ignore[no-untyped-def]
+    """Value between texels ``column`` and ``column + 1`` of a row."""
+    return _between(
+        _value(pixels, halves, row, column - 2, channel),
+        _value(pixels, halves, row, column - 1, channel),
+        _value(pixels, halves, row, column, channel),
+        _value(pixels, halves, row, column + 1, channel),
+        _value(pixels, halves, row, column + 2, channel),
+        _value(pixels, halves, row, column + 3, channel),
+        across,
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _smooth_value(pixels, halves, r0, c0, channel, down, across):  # type: ignore[no-untyped-def]
+    """Value between texels (r0, c0) and (r0 + 1, c0 + 1)."""
+    return _between(
+        _along(pixels, halves, r0 - 2, c0, channel, across),
+        _along(pixels, halves, r0 - 1, c0, channel, across),
+        _along(pixels, halves, r0, c0, channel, across),
+        _along(pixels, halves, r0 + 1, c0, channel, across),
+        _along(pixels, halves, r0 + 2, c0, channel, across),
+        _along(pixels, halves, r0 + 3, c0, channel, across),
+        down,
+    )
