@@ -200,6 +200,10 @@ def test_outputs_go_to_the_pairs_that_have_what_they_ask_for(folder: Path) -> No
     assert len(plan.left_out) == 3
     with pytest.raises(FormatError, match="two outputs of"):
         plan_of(folder, HEAD + assets + PAIRS + 2 * output)
+    with pytest.raises(FormatError, match="two outputs of"):
+        plan_of(folder, HEAD + assets + PAIRS + output + output.replace('"{target}.png"', '"./{target}.png"'))
+    with pytest.raises(FormatError, match=r"is called picture\.jpg"):
+        plan_of(folder, HEAD + assets + PAIRS + output.replace("{target}.png", "picture.jpg"))
 
 
 def test_keys_follow_content_options_and_code_and_nothing_else(folder: Path) -> None:

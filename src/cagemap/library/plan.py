@@ -154,6 +154,11 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
                     f"{job.path}: two outputs of {pair[0]} -> {pair[1]} write {(taken or {made.outputs[0]}).pop()}. "
                     "Rename one."
                 )
+            if set(picture.outputs) & set(made.outputs):
+                raise FormatError(
+                    f"{job.path}: an output of {pair[0]} -> {pair[1]} is called {PICTURE}, as the job's own picture of "
+                    "each pair is. Rename it."
+                )
             before.append(made)
             tasks[made.name] = made
     return Plan(job.output, tuple(tasks.values()), tuple(pairs), tuple(left_out))
@@ -260,7 +265,7 @@ def _output(
         in_pair = option == "output" or option in job.written.get(rule.command, ())
         options[option] = filled if in_pair else absolute(filled, kinds[option], job.path.parent)
     files = {
-        option: f"{source.name}__{target.name}/{options.pop(option)}"
+        option: Path(f"{source.name}__{target.name}", options.pop(option)).as_posix()
         for option in ("output", *job.written.get(rule.command, ()))
         if option in options
     }
