@@ -29,7 +29,7 @@ from cagemap.transfer.detail import (
     detail_over,
     own_transfer,
 )
-from cagemap.transfer.exact import lookup_matrix, make_exact
+from cagemap.transfer.exact import corner_samples, lookup_matrix, make_exact
 from cagemap.transfer.occlusion import ambient_occlusion
 from cagemap.transfer.texels import texel_coordinates
 from test_cli import Run, result_folder, run  # noqa: F401
@@ -173,8 +173,25 @@ def test_the_detail_s_own_texture_arrives(flat: Level, wavy: Detail) -> None:
     second = baked.reshape(-1, 2)[:, 0] > 1.0
     assert 0.4 < second.mean() < 0.6
     np.testing.assert_allclose(baked.reshape(-1, 2) - second[:, None], 0.8 * texel_points()[:, ::-1] + 0.1, atol=2e-6)
+    labels = np.array([3.0, 200.0], dtype=np.float32)[np.random.default_rng(7).integers(0, 2, (96, 96, 1))]
+    asked = BakeOptions(filter="nearest")
+    baked = bake_detail_texture(
+        own_transfer(flat), wavy, labels, uvs, wavy.surface.triangles, size=SIZE // 4, options=asked
+    )
+    assert set(np.unique(baked)) == {3.0, 200.0}
     with pytest.raises(ParameterError, match="triangles of the detail"):
         bake_detail_texture(own_transfer(flat), wavy, picture, uvs, wavy.surface.triangles[1:], size=SIZE)
+
+
+def test_corners_outside_the_image_change_nothing_in_it() -> None:
+    over = plane(10, 10, lambda points: 2.0 * points - 0.5)
+    uvs, samples, triangle, inside = corner_samples(own_transfer(over), 0)
+    assert len(uvs) == len(samples.triangle) == len(triangle) == len(inside) == 25
+    assert uvs.min() >= 0
+    assert uvs.max() <= 1
+    empty = np.ones((4, 4, 1), dtype=np.float32)
+    make_exact(empty, np.zeros((0, 2)), np.zeros((0, 1)))
+    assert (empty == 1).all()
 
 
 def test_every_tile_of_a_layout_gets_the_detail_that_lies_there(wavy: Detail) -> None:
@@ -268,6 +285,12 @@ def test_through_the_command_line(run: Run, result_folder: Path) -> None:  # noq
     assert not done.code, done.err
     baked, expected = (read_image(place / name).pixels.astype(float) for name in ("t.png", "o_colors.png"))
     assert np.median(np.abs(baked - expected)[:, :, :2]) < 2
+    spots = np.random.default_rng(8).integers(0, 2, (256, 256, 1), dtype=np.uint8) * np.uint8(77)
+    write_image(place / "spots.png", spots)
+    asked = ("transfer", "R", "--bake", "texture", "--detail-texture", "spots.png", *own, "-o", "s.png", "--filter")
+    assert not run(*asked, "nearest").code
+    assert set(np.unique(read_image(place / "s.png").pixels)) == {0, 77}
+    assert "--filter: expected smooth, linear, nearest" in run(*asked, "cubic").err
     assert run("wrap", "R", "-o", "w.obj", "--detail-texture", "skin.png", "--baked", "b.png").code
     done = run("wrap", "R", "-o", "w2.obj", "--detail-texture", "skin.png", "--baked", "b.png", *own)
     assert not done.code, done.err

@@ -153,3 +153,6 @@ def test_colours_multiplied_by_alpha_stay_so_or_are_divided(tmp_path: Path) -> N
     assert not divided.associated
     np.testing.assert_array_equal(divided.pixels[..., 3:], alpha)
     np.testing.assert_array_equal(divided.pixels[:, 1:, :3], plain[:, 1:])
+    # Directions of a normal map, without the alpha that its image had.
+    write_image(tmp_path / "turned.png", replace(given, pixels=multiplied[..., :3]))
+    np.testing.assert_array_equal(read_image(tmp_path / "turned.png").pixels, multiplied[..., :3])

@@ -18,7 +18,7 @@ from cagemap.cli.transfer_request import TransferRequest
 from cagemap.cli.wrap import WrapRequest, run_wrap
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.attributes import read_attributes, write_attributes
-from cagemap.files.images import read_image, write_image
+from cagemap.files.images import Image, read_image, write_image
 from cagemap.files.landmarks import write_landmarks
 from cagemap.files.meshes import read_mesh
 from cagemap.files.obj import write_obj
@@ -36,6 +36,7 @@ from cagemap.pipeline import MatchConfig
 from cagemap.refinement import refine
 from cagemap.report import draw_gallery
 from cagemap.transfer import BakeOptions, bake_texture, prepare_transfer
+from cagemap.transfer.displacement import grey
 from cagemap.transfer.masks import bake_mask, blend, painted_mask, with_alpha
 from transfer_scenes import identity_map, plane
 
@@ -279,6 +280,41 @@ def test_outside_the_mask_the_texture_is_the_base(scene: Path) -> None:
     write_image(scene / "small.png", np.zeros((16, 16, 4), dtype=np.uint8))
     with pytest.raises(ParameterError, match="base image: expected 16 x 16 texels of 3 channels"):
         _run_transfer(scene, "no.png", texture=scene / "texture.png", bases=(("", scene / "small.png"),))
+
+
+def test_labels_do_not_mix_with_those_of_the_base(scene: Path) -> None:
+    labels = np.array([[40], [200]], dtype=np.uint8)[np.random.default_rng(5).integers(0, 2, (64, 64))]
+    write_image(scene / "labels.png", labels)
+    write_image(scene / "under.png", np.full((64, 64, 1), 9, dtype=np.uint8))
+    under = (("", scene / "under.png"),)
+    _run_transfer(scene, "ids.png", texture=scene / "labels.png", bases=under, filter="nearest")
+    assert set(np.unique(read_image(scene / "ids.png").pixels)) == {9, 40, 200}
+
+
+def test_a_mask_fades_colours_that_are_multiplied_by_alpha_once(scene: Path) -> None:
+    multiplied = np.tile(np.array([20, 20, 20, 51], dtype=np.uint8), (64, 64, 1))
+    write_image(scene / "glass.tif", Image(multiplied, associated=True))
+    _run_transfer(scene, "faded.tif", texture=scene / "glass.tif")
+    faded = read_image(scene / "faded.tif")
+    assert not faded.associated
+    assert set(np.unique(faded.pixels[..., :3])) == {100}
+    assert (faded.pixels[..., 3].min(), faded.pixels[..., 3].max()) == (0, 51)
+    write_image(scene / "clear.png", np.full((64, 64, 4), 255, dtype=np.uint8))
+    _run_transfer(scene, "over.tif", texture=scene / "glass.tif", bases=(("", scene / "clear.png"),))
+    over = read_image(scene / "over.tif")
+    assert not over.associated
+    assert over.pixels[..., :3].min() == 100
+
+
+def test_blending_goes_by_bands_of_rows() -> None:
+    rng = np.random.default_rng(6)
+    baked, base = (rng.integers(0, 256, (600, 3, 2), dtype=np.uint8) for _ in range(2))
+    weight = rng.random((600, 3, 1))
+    np.testing.assert_array_equal(blend(baked, base, weight), np.rint(base + weight * (baked - base.astype(float))))
+    late = np.zeros((600, 4, 3), dtype=np.uint8)
+    late[-1, -1, 0] = 90
+    with pytest.raises(ParameterError, match="grey image"):
+        grey(late)
 
 
 def test_outside_the_mask_values_shapes_and_cages_stay(scene: Path) -> None:

@@ -20,6 +20,8 @@ from cagemap.cli.progress import Stages
 from cagemap.cli.report import ReportRequest, run_report
 from cagemap.cli.transfer import run_transfer
 from cagemap.cli.transfer_request import TransferRequest
+from cagemap.cli.wrap import run_wrap
+from cagemap.cli.wrap_request import WrapRequest
 from cagemap.errors import FormatError
 from cagemap.example import example_pair
 from cagemap.files.atomic import atomic_path
@@ -224,6 +226,44 @@ def test_outputs_are_no_inputs(place: Path, force: bool) -> None:
     mesh = MatchRequest(place / "box.obj", place / "box.obj", place / "R" / MANIFEST, place / "R", force=force)
     with pytest.raises(FormatError, match="is an input too"):
         run_match(mesh, Stages())
+    assert contents(place) == before
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_what_a_match_read_is_no_output_of_what_follows(place: Path, force: bool) -> None:
+    models, result = place / "models", identity_result()
+    models.mkdir()
+    write_mesh(models / "large.obj", result.target.control)
+    write_mesh(models / "a_unwrapped.obj", result.source.control)
+    files = {"target": models / "large.obj", "source": models / "a_unwrapped.obj"}
+    inputs = {
+        side: {"file": file.name, "path": f"../models/{file.name}", "sha256": file_hash(file)}
+        for side, file in files.items()
+    }
+    write_result(place / "R", replace(result, provenance={**result.provenance, "inputs": inputs}))
+    write_npz(place / "shapes.npz", {"smile": np.zeros((8, 3))})
+    before = contents(place)
+
+    def transfer(output: Path, **options: Any) -> object:
+        return run_transfer(TransferRequest(place / "R", output, force=force, **options), Stages())
+
+    def wrapped(output: Path, **options: Any) -> object:
+        return run_wrap(WrapRequest((place / "R",), output, force=force, **options), Stages())
+
+    attempts: list[Callable[[], object]] = [
+        lambda: transfer(models / "large.obj", source_uvs=True),
+        lambda: transfer(models / "a.png", texture=place / "t.png", size=16, unwrap=True),
+        lambda: transfer(models, blend_shapes=(place / "shapes.npz",)),
+        lambda: transfer(place / "a.png", texture=place / "t.png", usd=models / "large.obj"),
+        lambda: wrapped(models / "large.obj"),
+        lambda: wrapped(models, blend_shapes=True),
+        lambda: wrapped(place / "w.obj", normal_map=place / "t.png", texture=place / "t.png", baked=place / "b.png"),
+    ]
+    for attempt in attempts:
+        with pytest.raises(FormatError, match="is an input too"):
+            attempt()
+    with pytest.raises(FormatError, match=r"n\.png: two outputs have this name"):
+        wrapped(place / "w.obj", normal_map=place / "n.png", displacement=place / "n.png")
     assert contents(place) == before
 
 

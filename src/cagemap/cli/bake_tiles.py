@@ -21,6 +21,7 @@ from cagemap.files.images import (
     pixel_type,
     read_image,
     read_texture,
+    straight,
     texture_files,
     texture_pixels,
     udim_path,
@@ -28,7 +29,7 @@ from cagemap.files.images import (
 )
 from cagemap.files.meshes import write_mesh
 from cagemap.files.obj_layout import write_obj_layout
-from cagemap.files.result import ARRAYS, MANIFEST, input_file, note_transfer, stated_path
+from cagemap.files.result import ARRAYS, MANIFEST, input_file, note_transfer, read_files, stated_path
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.threads import ThreadPool
@@ -131,7 +132,8 @@ def prepare_bake(
     warnings += outside
     images = [udim_path(output, tile) for output in outputs or [request.output] for tile in tiles]
     others = [path for path in (mesh, request.usd) if path is not None]
-    check_outputs([*images, *others], inputs_of(request), force=request.force)
+    inputs = [*inputs_of(request), *read_files(request.result, result.manifest)]
+    check_outputs([*images, *others], inputs, force=request.force)
     if mesh is not None:
         warnings += _write_unwrapped(request, result.target.control, result.manifest)
     return Prepared(transfer, result.target.control, tiles, mesh, warnings)
@@ -226,18 +228,25 @@ def masking(request: TransferRequest, prepared: Prepared, name: str = "") -> Cal
     base, transfer = base_of(request, name), prepared.transfer
     if not transfer.masks.any:
         return lambda image, _: image
-    return lambda image, options: _masked(image, transfer, base, options)
+    kind = cast(Filter, request.filter)
+    return lambda image, options: _masked(image, transfer, base, replace(options, filter=kind))
 
 
 def _masked(image: Image, transfer: Transfer, base: Path | None, options: BakeOptions) -> Image:
-    """What was baked over the base image of its tile, or with how much of it counts as alpha."""
+    """What was baked over the base image of its tile, or with how much of it counts as alpha; labels are not mixed."""
     weight = bake_mask(transfer, size=image.size, options=options)
     if base is None:
+        image = straight(image)
         return Image(with_alpha(image.pixels, weight), (), image.color_space)
-    below = read_image(udim_path(base, options.tile)).pixels
-    one, own = unit(below.dtype), unit(image.pixels.dtype)
-    converted = below if below.dtype == image.pixels.dtype else to_dtype(below * (own / one), image.pixels.dtype)
-    return replace(image, pixels=blend(image.pixels, converted, weight))
+    under = read_image(udim_path(base, options.tile))
+    if under.associated != image.associated:
+        image, under = straight(image), straight(under)
+    below, own = under.pixels, unit(image.pixels.dtype)
+    if below.dtype != image.pixels.dtype:
+        below = to_dtype(below * (own / unit(below.dtype)), image.pixels.dtype)
+    if options.filter == "nearest":
+        weight = (weight >= 0.5).astype(weight.dtype)
+    return replace(image, pixels=blend(image.pixels, below, weight))
 
 
 def written_channels(request: TransferRequest, result: MatchResult, channels: int, name: str = "") -> int:

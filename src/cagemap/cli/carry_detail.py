@@ -26,6 +26,7 @@ from cagemap.files.meshes import read_mesh
 from cagemap.files.result import note_transfer, stated_path
 from cagemap.maps.result import MatchResult
 from cagemap.transfer.detail import Detail
+from cagemap.transfer.texture import Filter
 from cagemap.transfer.vectors import Green, Space
 
 
@@ -44,7 +45,7 @@ def carry_detail(request: TransferRequest, result: MatchResult, stages: Stages) 
     )
     mesh = None if request.detail is None else read_mesh(request.detail)
     if mesh is not None and request.detail_texture is not None:
-        bakes = replace(bakes, texture=detail_texture(mesh, request.detail_texture))
+        bakes = replace(bakes, texture=detail_texture(mesh, request.detail_texture, cast(Filter, request.filter)))
     own = {kind: bakes.channels(kind) for kind in kinds}
     bakes.check({kind: written_channels(request, result, own[kind], kind) - own[kind] for kind in kinds})
     prepared = prepare_bake(request, result, stages, list(images.values()))

@@ -31,7 +31,7 @@ from cagemap.transfer.detail import (
 )
 from cagemap.transfer.displacement import Displacement
 from cagemap.transfer.occlusion import ambient_occlusion
-from cagemap.transfer.texture import Pixels
+from cagemap.transfer.texture import Filter, Pixels
 from cagemap.transfer.vectors import Green, Space
 
 Kind = Literal["normal", "displacement", "vector-displacement", "ao", "colors", "texture"]
@@ -63,12 +63,15 @@ class DetailTexture:
         Whose form (number type, colour space) the result takes.
     uvs : (p, 2) float64
     uv_triangles : (t, 3) int64
+    filter : str
+        As `BakeOptions` has it.
     """
 
     texture: Pixels | dict[int, Pixels]
     first: Image
     uvs: FloatArray
     uv_triangles: IndexArray
+    filter: Filter = "smooth"
 
 
 @dataclass(frozen=True)
@@ -129,14 +132,14 @@ def mesh_detail(mesh: ControlMesh, transfer: Transfer) -> tuple[Detail, list[str
     return detail, [f"{100 * (1 - share):.1f} % of the source has nothing of {mesh.name} near it, and stays flat there"]
 
 
-def detail_texture(mesh: ControlMesh, path: Path) -> DetailTexture:
+def detail_texture(mesh: ControlMesh, path: Path, kind: Filter = "smooth") -> DetailTexture:
     """An image on a detailed mesh, refused where that has no texture coordinates."""
     if mesh.uvs is None or mesh.uv_indices is None:
         raise ParameterError(f"{mesh.name}: expected texture coordinates for --detail-texture, the mesh has none")
     texture = read_texture(path)
     first = texture if isinstance(texture, Image) else next(iter(texture.values()))
     triangles = fan_triangles(mesh.face_offsets, mesh.uv_indices)[0]
-    return DetailTexture(texture_pixels(texture), first, mesh.uvs, triangles)
+    return DetailTexture(texture_pixels(texture), first, mesh.uvs, triangles, kind)
 
 
 def vertex_colors(mesh: ControlMesh) -> FloatArray:
@@ -218,8 +221,9 @@ def _baker(
         own = bakes.texture
 
         def bake(options: BakeOptions) -> Image:
+            read = replace(options, filter=own.filter)
             pixels = bake_detail_texture(
-                transfer, detail, own.texture, own.uvs, own.uv_triangles, size=size, dtype=dtype, options=options
+                transfer, detail, own.texture, own.uvs, own.uv_triangles, size=size, dtype=dtype, options=read
             )
             return replace(own.first, pixels=pixels)
 

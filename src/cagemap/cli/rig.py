@@ -17,7 +17,7 @@ from cagemap.files.attributes import Attributes, read_attributes, write_attribut
 from cagemap.files.file_rows import FileRows, file_rows, given_back, other_rows
 from cagemap.files.maps import write_map
 from cagemap.files.mhclo import bind, write_mhclo
-from cagemap.files.result import note_transfer, stated_path
+from cagemap.files.result import note_transfer, read_files, stated_path
 from cagemap.files.rigs import read_shapes, read_skeleton, write_shapes, write_skeleton
 from cagemap.files.usd import USD_SUFFIXES
 from cagemap.files.usd_primvars import BLEND_SHAPE, JOINT_WEIGHTS
@@ -162,7 +162,7 @@ def carry_blend_shapes(request: TransferRequest, result: MatchResult, stages: St
     follows = result.masks.joint(result.point_map)[: result.target.control.n_vertices, None]
     carried = {name: follows * carry_shape(carrier, offset) for name, offset in shapes.items()}
     rest = result.target.control if own is None else own.whole
-    inputs = list(request.blend_shapes)
+    inputs = [*request.blend_shapes, *read_files(request.result, result.manifest)]
     files = write_shapes(request.output, given_back(carried, own), rest, inputs, force=request.force)
     note_transfer(
         request.result,

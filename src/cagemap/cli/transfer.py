@@ -25,7 +25,7 @@ from cagemap.files.atomic import require_no_input, require_replaceable, require_
 from cagemap.files.attributes import check_attribute_path, read_attributes, write_attributes
 from cagemap.files.file_rows import file_rows, other_rows
 from cagemap.files.meshes import write_mesh
-from cagemap.files.result import input_file, note_transfer, read_result, stated_path
+from cagemap.files.result import input_file, note_transfer, read_files, read_result, stated_path
 from cagemap.files.usd_write import UsdResults
 from cagemap.maps.result import MatchResult
 from cagemap.transfer import (
@@ -38,6 +38,7 @@ from cagemap.transfer import (
     pull_back_faces,
     transfer_of,
 )
+from cagemap.transfer.texture import FILTERS
 
 
 def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
@@ -46,11 +47,15 @@ def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
     for option, value in (("--scale", request.scale), ("--midlevel", request.midlevel)):
         if value is not None and not math.isfinite(value):
             raise ParameterError(f"{option}: expected a finite number, got {value}.")
+    if request.filter not in FILTERS:
+        raise ParameterError(f"--filter: expected {', '.join(FILTERS)}, got {request.filter}.")
     outputs = [path for path in (request.output, request.usd) if path is not None]
     require_no_input(outputs, inputs_of(request))
     require_writable_folder(request.output)
     stages("read result")
-    outcome = carry(request, read_result(request.result), stages)
+    result = read_result(request.result)
+    require_no_input(outputs, read_files(request.result, result.manifest))
+    outcome = carry(request, result, stages)
     note_output("transfer", request.result, request)
     return outcome
 

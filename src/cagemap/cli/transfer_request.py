@@ -62,8 +62,8 @@ class TransferRequest:
         str,
         typer.Option(
             "--filter",
-            help="Images: how one is read where it does not shrink: smooth, linear, or nearest for labels, which no "
-            "colour may mix.",
+            help="How a source image is read where it does not shrink: smooth or linear; nearest, everywhere, for "
+            "labels and ID maps, whose colours must not mix.",
         ),
     ] = "smooth"
     attribute: Annotated[

@@ -15,17 +15,26 @@ from cagemap.cli.progress import Stages
 from cagemap.cli.transfer import run_transfer
 from cagemap.cli.transfer_request import Outcome, TransferRequest
 from cagemap.cli.usd_output import NO_UNITS, write_usd_results
-from cagemap.cli.wrap_bakes import bake_wrapped, wrap_bakes
+from cagemap.cli.wrap_bakes import bake_wrapped, outputs_beside, textures_read, wrap_bakes
 from cagemap.cli.wrap_request import WrapRequest
 from cagemap.descriptors import mirror_symmetries
 from cagemap.errors import ParameterError
-from cagemap.files.atomic import check_outputs
+from cagemap.files.atomic import check_outputs, require_no_input
 from cagemap.files.attributes import read_attributes
 from cagemap.files.file_rows import file_rows, rows_of
 from cagemap.files.meshes import check_mesh_path, mesh_files, write_mesh
 from cagemap.files.mhclo import bind, write_mhclo
 from cagemap.files.obj_layout import write_obj_positions
-from cagemap.files.result import ARRAYS, MANIFEST, input_file, mesh_hash, note_transfer, read_result, stated_path
+from cagemap.files.result import (
+    ARRAYS,
+    MANIFEST,
+    input_file,
+    mesh_hash,
+    note_transfer,
+    read_files,
+    read_result,
+    stated_path,
+)
 from cagemap.files.usd import USD_SUFFIXES, moved
 from cagemap.files.usd_space import between_spaces
 from cagemap.files.usd_write import UsdResults
@@ -85,8 +94,7 @@ def _check_request(request: WrapRequest) -> None:
         raise ParameterError("--scheme: expected with --target and --source; a RESULT has its schemes already")
     bakes = wrap_bakes(request)
     bakes.check()
-    others = (path for path in (request.mhclo, request.baked) if path)
-    images = list(dict.fromkeys([*bakes.images.values(), *others]))
+    images = outputs_beside(request)
     many = len(request.results) > 1
     if many and not request.blend_shapes:
         raise ParameterError("expected one RESULT, or --blend-shapes with a folder as --output for several")
@@ -96,7 +104,8 @@ def _check_request(request: WrapRequest) -> None:
         raise ParameterError("--detail: expected an image to bake from it, such as --normal-map")
     inputs = [folder / name for folder in request.results for name in (MANIFEST, ARRAYS)]
     named = (request.target, request.source, request.landmarks, request.weights, request.detail)
-    inputs += [path for path in (*named, request.detail_texture) if path is not None]
+    inputs += [path for path in named if path is not None]
+    inputs += textures_read(request)
     if request.blend_shapes:
         if request.output.exists() and not request.output.is_dir():
             raise ParameterError(f"{request.output}: --blend-shapes writes a folder of OBJ files, got a file")
@@ -114,6 +123,7 @@ def _run(request: WrapRequest, stages: Stages) -> Outcome:
         raise ParameterError("expected a RESULT folder of `cagemap match`, or --target and --source")
     if len({mesh_hash(result.target.control) for result in results}) > 1:
         raise ParameterError("--blend-shapes: expected results of one target, got several; the cages would differ")
+    require_no_input([request.output, *outputs_beside(request)], _meshes_read(request, results))
     if request.blend_shapes:
         return _write_shapes(request, results, config, stages)
     result, folder = results[0], request.results[0]
@@ -143,6 +153,12 @@ def _run(request: WrapRequest, stages: Stages) -> Outcome:
             f"images are in the source's units and axes; one of its units is {length:.6g} of {request.output.name}"
         )
     return "\n".join(lines + more), warnings + outside + _warnings(wrapped)
+
+
+def _meshes_read(request: WrapRequest, results: list[MatchResult]) -> list[Path]:
+    """What the results were made from."""
+    both = zip(request.results, results, strict=True)
+    return [file for folder, result in both for file in read_files(folder, result.manifest)]
 
 
 def _wrap(request: WrapRequest, result: MatchResult, config: WrapConfig, stages: Stages) -> Wrapped:
@@ -232,7 +248,7 @@ def _write_shapes(request: WrapRequest, results: list[MatchResult], config: Wrap
         raise ParameterError(f"--blend-shapes: expected different names, got {', '.join([rest_name, *names])}")
     request.output.mkdir(exist_ok=True)
     files = [request.output / f"{name}.obj" for name in [rest_name, *names]]
-    check_outputs(files, [], force=request.force)
+    check_outputs(files, _meshes_read(request, results), force=request.force)
     lines, warnings = [f"wrote {files[0]}: the target"], []
     for file, name, result, folder in zip(files[1:], names, results, request.results, strict=True):
         wrapped = _wrap(request, result, config, stages)

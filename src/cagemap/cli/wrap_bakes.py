@@ -19,7 +19,7 @@ from cagemap.cli.progress import Stages
 from cagemap.cli.wrap_request import WrapRequest
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs
-from cagemap.files.images import udim_path
+from cagemap.files.images import texture_files, udim_path
 from cagemap.files.meshes import read_mesh
 from cagemap.maps.result import MatchResult
 from cagemap.transfer.vectors import Green, Space
@@ -45,6 +45,19 @@ def wrap_bakes(request: WrapRequest) -> DetailBakes:
         request.rays,
         request.force,
     )
+
+
+def outputs_beside(request: WrapRequest) -> list[Path]:
+    """What is written beside the mesh: images, or patterns of their tiles, and a file for MakeHuman."""
+    carried = None if request.detail_texture is not None else request.baked
+    others = (path for path in (carried, request.mhclo) if path is not None)
+    return [*wrap_bakes(request).images.values(), *others]
+
+
+def textures_read(request: WrapRequest) -> list[Path]:
+    """Images that are read, tile by tile."""
+    given = (path for path in (request.texture, request.detail_texture) if path is not None)
+    return [file for path in given for file in texture_files(path)]
 
 
 def bake_wrapped(
@@ -77,6 +90,7 @@ def bake_wrapped(
         detail = replace(detail, follow=follow)
         colors = vertex_colors(mesh) if "colors" in bakes.images else None
     tiles, outside = layout_tiles(transfer)
-    check_outputs([udim_path(path, tile) for path in bakes.images.values() for tile in tiles], [], force=request.force)
+    images = [udim_path(path, tile) for path in bakes.images.values() for tile in tiles]
+    check_outputs(images, textures_read(request), force=request.force)
     lines = bake_detail(bakes, transfer, detail, colors, tiles, stages, "the source's")
     return lines, warnings + outside

@@ -208,10 +208,14 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], *, force: boo
     Raises
     ------
     FormatError
-        See `require_no_input` and `require_replaceable`.
+        See `require_no_input` and `require_replaceable`; also if two of them are one file.
     """
     files = list(outputs)
     require_no_input(files, inputs)
+    places = [_real(file) for file in files]
+    twice = [file for i, file in enumerate(files) if places[i] in places[:i]]
+    if twice:
+        raise FormatError(f"{twice[0]}: two outputs have this name, and one would be lost. Give each its own.")
     for file in files:
         require_replaceable(file, force=force)
 

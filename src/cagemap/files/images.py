@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -200,8 +200,7 @@ def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False)
     spec = oiio.ImageSpec(width, height, channels, _oiio_type(pixels.dtype))
     spec.channelnames = given.channel_names if len(given.channel_names) == channels else _CHANNELS[channels]
     tiff = file.suffix.lower() in (".tif", ".tiff")
-    if given.associated and not tiff:
-        pixels = _divided(pixels)
+    pixels = pixels if tiff else straight(replace(given, pixels=pixels)).pixels
     spec.attribute("oiio:UnassociatedAlpha", 0 if given.associated and tiff else 1)
     spec.attribute("png:compressionLevel", 4)  # a quarter of the time of 9, a few per cent larger
     if given.color_space:
@@ -218,6 +217,13 @@ def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False)
         error = output.geterror()
         if not (output.close() and written):
             raise FormatError(f"{file}: could not write the image: {_reason(error or output.geterror())}")
+
+
+def straight(image: Image) -> Image:
+    """An image whose colours are not multiplied by its alpha, where it has one."""
+    if image.associated and image.pixels.ndim == 3 and image.pixels.shape[2] in (2, 4):
+        return replace(image, pixels=_divided(image.pixels), associated=False)
+    return replace(image, associated=False)
 
 
 def _divided(pixels: Pixels) -> Pixels:

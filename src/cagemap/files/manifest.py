@@ -51,6 +51,12 @@ def input_file(folder: str | Path, manifest: dict[str, Any], side: str) -> Path 
     return file if file.is_file() and file_hash(file) == digest else None
 
 
+def read_files(folder: str | Path, manifest: dict[str, Any]) -> list[Path]:
+    """Every file that a result was made from, where it was then: no output may take its place."""
+    entries = (manifest.get("inputs") or {}).values()
+    return [Path(folder) / entry["path"] for entry in entries if isinstance(entry.get("path"), str)]
+
+
 def file_hash(path: str | Path) -> str:
     """SHA-256 of a file's content, in hexadecimal."""
     with Path(path).open("rb") as stream:

@@ -22,6 +22,7 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import normalized
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import parts
 from cagemap.refinement import Level
 from cagemap.transfer.baking import BakeOptions, Canvas, Transfer, bake, make_canvas, prepare_transfer, to_dtype, unit
 from cagemap.transfer.displacement import Displacement, scale_ratio
@@ -32,6 +33,9 @@ from cagemap.transfer.meeting import REACH, Met, meet
 from cagemap.transfer.texels import texel_coordinates
 from cagemap.transfer.texture import Pixels, lay_texture, look_up
 from cagemap.transfer.vectors import Green, Space, Turn, bake_turned, check_space, displacement_order, normal_encoder
+
+# Rows of an image whose lengths are turned into values at a time.
+_ROWS = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +177,10 @@ def bake_detail_vectors(
     uvs, samples, triangle, inside = corner_samples(transfer, options.tile)
     own = Turn.of(transfer, space).back(give(samples), samples, triangle, inside)
     make_exact(vectors, texel_coordinates(uvs, *vectors.shape[:2]), own[:, np.argsort(order)])
-    return Displacement(to_dtype(encode(vectors), kept), middle, scale)
+    pixels = vectors if kept == plain else np.empty(vectors.shape, dtype=kept)
+    for rows in parts(len(vectors), _ROWS):
+        pixels[rows] = to_dtype(encode(vectors[rows]), kept)
+    return Displacement(pixels, middle, scale)
 
 
 def bake_detail_heights(
@@ -254,7 +261,7 @@ def bake_detail_texture(
     dtype: DTypeLike | None = None,
     options: BakeOptions | None = None,
 ) -> Pixels:
-    """Bake the detail's own texture, of a scan for example.
+    """Bake the detail's own texture, of a scan for example; the filter "nearest" takes single texels of labels.
 
     Parameters
     ----------
@@ -280,18 +287,19 @@ def bake_detail_texture(
         )
     laid = lay_texture(texture, uvs, uv_triangles, wrap=options.wrap)
     kept = laid.dtype if dtype is None else np.dtype(dtype)
-    scale = unit(kept) / unit(laid.dtype)
+    scale, nearest = unit(kept) / unit(laid.dtype), options.filter == "nearest"
 
     def shade(samples: Samples) -> FloatArray:
         foot = _met(transfer, detail, samples).foot
         met = replace(samples, triangle=foot.triangle, barycentric=foot.barycentric)
-        return scale * look_up(laid, met)
+        return scale * look_up(laid, met, nearest=nearest)
 
     # A typical texel's side on the surface, from the areas that both see.
     in_texels, in_space = _planar_areas(laid.corner_texels()), detail.surface.areas
     texel = float(np.sqrt(np.median(in_space / np.maximum(in_texels, 1e-300)))) / detail.surface.scale
     canvas = make_canvas(transfer, size, options)
-    counts = _plan_lengths(transfer, texel, canvas)
+    once = np.ones((len(transfer.target.triangles), 2), dtype=np.int32)
+    counts = once if nearest else _plan_lengths(transfer, texel, canvas)
     return bake(transfer, canvas, counts, shade, laid.channels, kept, options)
 
 

@@ -15,6 +15,7 @@ from numpy.typing import DTypeLike
 from cagemap.errors import ParameterError
 from cagemap.geometry.triangles import triangle_areas
 from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.threads import parts
 from cagemap.transfer.baking import BakeOptions, Transfer, bake, make_canvas, unit
 from cagemap.transfer.locate import Samples, target_barycentric
 from cagemap.transfer.lookups import plan_lookups
@@ -24,6 +25,8 @@ from cagemap.transfer.texture import Pixels, lay_texture
 _GREY = 1e-3
 # Share of the target's area at either end that a local stretch may not decide: folds of the map stretch without limit.
 _OUTLIERS = 0.005
+# Rows of an image whose channels are compared at a time.
+_ROWS = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,9 +142,11 @@ def grey(texture: Pixels | Mapping[int, Pixels]) -> Pixels | dict[int, Pixels]:
 def _grey_channel(pixels: Pixels) -> Pixels:
     if pixels.ndim < 3 or pixels.shape[2] < 3:
         return pixels if pixels.ndim < 3 else pixels[:, :, :1]
-    one = unit(pixels.dtype)
-    spread = float(np.nanmax(np.ptp(pixels[:, :, :3].astype(np.float64), axis=2), initial=0.0)) / one
-    largest = float(np.nanmax(np.abs(pixels[:, :, :3]).astype(np.float64), initial=0.0)) / one
+    one, spread, largest = unit(pixels.dtype), 0.0, 0.0
+    for rows in parts(len(pixels), _ROWS):
+        colors = pixels[rows, :, :3].astype(np.float64)
+        spread = max(spread, float(np.nanmax(np.ptp(colors, axis=2), initial=0.0)) / one)
+        largest = max(largest, float(np.nanmax(np.abs(colors), initial=0.0)) / one)
     if spread > max(_GREY * largest, 2 / one if pixels.dtype.kind == "u" else 0.0):
         raise ParameterError(
             f"displacement: expected a grey image (heights along the normal), got channels that differ by up to "

@@ -17,7 +17,7 @@ from scipy.sparse import linalg
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.transfer.baking import Transfer
 from cagemap.transfer.locate import Samples
-from cagemap.transfer.texture import tile_cells, udim_origin
+from cagemap.transfer.texture import OVERHANG, tile_cells, udim_origin
 
 # Corners that share all their texels cannot all be right: lookups are weighed against this much change of texels.
 _TRACE = 1e-3
@@ -47,6 +47,8 @@ def make_exact(image: NDArray[np.float32], places: FloatArray, wanted: FloatArra
         Texel coordinates.
     wanted : (k, c) float64
     """
+    if not len(places):
+        return
     height, width, channels = image.shape
     texels = image.reshape(-1, channels)
     lookups = lookup_matrix(places, height, width)
@@ -85,6 +87,8 @@ def corner_samples(transfer: Transfer, tile: int) -> tuple[FloatArray, Samples, 
     if target.holes is not None:
         own = own[~target.holes[own]]
     corner, first = np.unique(uv_triangles[own], return_index=True)
+    there = (np.abs(uvs[corner] - origin - 0.5) <= 0.5 + OVERHANG).all(axis=1)  # what else lies outside the image
+    corner, first = corner[there], first[there]
     triangle, inside = own[first // 3], np.eye(3)[first % 3]
     vertex = target.triangles[triangle, first % 3]
     count, points = len(corner), transfer.point_map

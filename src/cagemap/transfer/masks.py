@@ -8,6 +8,7 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.threads import parts
 from cagemap.refinement import Level
 from cagemap.transfer.baking import (
     BakeOptions,
@@ -20,6 +21,9 @@ from cagemap.transfer.baking import (
 from cagemap.transfer.locate import Samples, target_barycentric
 from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.texture import Pixels, lay_texture, look_up
+
+# Rows of an image that are blended at a time.
+_ROWS = 256
 
 
 def painted_mask(level: Level, image: Pixels | Mapping[int, Pixels]) -> FloatArray:
@@ -102,9 +106,12 @@ def blend(baked: Pixels, base: Pixels, weight: Pixels) -> Pixels:
             f"base image: expected {baked.shape[0]} x {baked.shape[1]} texels of {baked.shape[2]} channels, "
             f"{baked.dtype}, as what is baked, got {base.shape[0]} x {base.shape[1]} of {base.shape[2]}, {base.dtype}"
         )
-    below = base.astype(np.float64)
-    mixed = to_dtype(below + weight * (baked.astype(np.float64) - below), baked.dtype)
-    return np.where(weight > 0, mixed, base)
+    result = base.copy()
+    for rows in parts(len(base), _ROWS):
+        below = base[rows].astype(np.float64)
+        mixed = to_dtype(below + weight[rows] * (baked[rows].astype(np.float64) - below), baked.dtype)
+        result[rows] = np.where(weight[rows] > 0, mixed, base[rows])
+    return result
 
 
 def with_alpha(baked: Pixels, weight: Pixels) -> Pixels:
