@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,16 +10,21 @@ import pytest
 from typer.testing import CliRunner
 
 from cagemap.cli.app import app
-from cagemap.cli.job_file import JOB, note_match, note_output
+from cagemap.cli.job_file import JOB, WRITTEN, note_match, note_output
 from cagemap.cli.library import COMMANDS
 from cagemap.cli.match import MatchRequest
+from cagemap.cli.progress import Stages
 from cagemap.cli.transfer_request import TransferRequest
+from cagemap.cli.wrap import run_wrap
+from cagemap.cli.wrap_request import WrapRequest
 from cagemap.example import example_pair
 from cagemap.files.images import read_image, write_image
 from cagemap.files.landmarks import write_landmarks
 from cagemap.files.meshes import write_mesh
-from cagemap.files.result import read_result
+from cagemap.files.result import read_result, write_result
 from cagemap.library import plan_job, read_job, spanning_tree
+
+from example_result import identity_result
 
 
 @pytest.fixture
@@ -64,6 +70,23 @@ def test_an_edited_job_file_is_left_alone(folder: Path) -> None:
     place.write_text(edited)
     note_output("transfer", transfer.result, transfer)
     assert place.read_text() == edited
+
+
+def test_no_file_is_written_twice_by_it(folder: Path) -> None:
+    result = folder / "RESULT"
+    write_result(result, identity_result())
+    match, transfer = requests(folder)
+    note_match(match)
+    for output in ("deer.png", "other.png"):  # the second run's layer took the place of the first one's
+        note_output("transfer", result, replace(transfer, output=folder / output, usd=folder / "deer.usda"))
+    wrap = WrapRequest((result,), folder / "w.obj", texture=folder / "pony.png", baked=folder / "b.png", size=16)
+    run_wrap(wrap, Stages())
+    tasks = plan_job(read_job(result / JOB, COMMANDS, WRITTEN), "1", spanning_tree).tasks
+    assert [task.outputs for task in tasks[4:]] == [
+        ("pony__deer/deer.png",),
+        ("pony__deer/other.png", "pony__deer/deer.usda"),
+        ("pony__deer/w.obj", "pony__deer/b.png"),
+    ]
 
 
 @pytest.mark.slow

@@ -58,7 +58,7 @@ def note_match(request: Any) -> None:
 
 
 def note_output(command: str, folder: Path, request: Any) -> None:
-    """Add an output to the job file of its RESULT folder; the same output replaces. A file that was edited stays."""
+    """Add an output to the job file of its RESULT folder; the same file replaces. A file that was edited stays."""
     place = folder / JOB
     if not place.is_file() or not is_own(place):
         _log.info("%s: is not there or was edited, so this %s is not noted in it", place, command)
@@ -67,8 +67,15 @@ def note_output(command: str, folder: Path, request: Any) -> None:
     options = stated_options(request, folder)
     options |= {name: getattr(request, name).name for name in WRITTEN.get(command, ()) if name in options}
     entry = {"command": command, "output": request.output.name, **options}
-    kept = [other for other in data.get("outputs", []) if other.get("output") != entry["output"]]
+    files = {entry[name] for name in ("output", *WRITTEN.get(command, ())) if name in entry}
+    kept = [_without(other, files) for other in data.get("outputs", []) if other.get("output") not in files]
     _write(place, {**data, "outputs": [*kept, entry]})
+
+
+def _without(entry: dict[str, Any], files: set[str]) -> dict[str, Any]:
+    """An output that writes none of some files beside its own."""
+    beside = WRITTEN.get(entry.get("command", ""), ())
+    return {name: value for name, value in entry.items() if name not in beside or value not in files}
 
 
 def stated_options(request: Any, folder: Path) -> dict[str, Any]:

@@ -42,7 +42,14 @@ from cagemap.transfer.texture import FILTERS
 
 
 def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
-    """Carry one thing from source to target and write it; returns a summary and warnings."""
+    """Carry one thing from source to target, write it and note it; returns a summary and warnings."""
+    outcome = carry_one(request, stages)
+    note_output("transfer", request.result, request)
+    return outcome
+
+
+def carry_one(request: TransferRequest, stages: Stages) -> Outcome:
+    """Carry one thing from source to target and write it, as a part of another command."""
     carry = _carrier(request)
     for option, value in (("--scale", request.scale), ("--midlevel", request.midlevel)):
         if value is not None and not math.isfinite(value):
@@ -55,9 +62,7 @@ def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
     stages("read result")
     result = read_result(request.result)
     require_no_input(outputs, read_files(request.result, result.manifest))
-    outcome = carry(request, result, stages)
-    note_output("transfer", request.result, request)
-    return outcome
+    return carry(request, result, stages)
 
 
 def _carrier(request: TransferRequest) -> Callable[[TransferRequest, MatchResult, Stages], Outcome]:

@@ -12,7 +12,7 @@ import numpy as np
 from cagemap.cli.job_file import note_output
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.progress import Stages
-from cagemap.cli.transfer import run_transfer
+from cagemap.cli.transfer import carry_one
 from cagemap.cli.transfer_request import Outcome, TransferRequest
 from cagemap.cli.usd_output import NO_UNITS, write_usd_results
 from cagemap.cli.wrap_bakes import bake_wrapped, outputs_beside, textures_read, wrap_bakes
@@ -77,7 +77,7 @@ def _with_texture(request: WrapRequest, summary: str, warnings: list[str], stage
     carry = TransferRequest(
         request.results[0], request.baked, texture=request.texture, size=request.size, force=request.force
     )
-    more, others = run_transfer(carry, stages)
+    more, others = carry_one(carry, stages)
     return f"{summary}\n{more}", warnings + others
 
 
