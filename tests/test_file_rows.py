@@ -89,6 +89,10 @@ def test_values_of_the_whole_file_come_back_in_its_numbers(folder: Path, suffix:
     assert found.shape == (scene.n_vertices,)
     assert np.abs(found - height)[body].max() < 1e-6 * np.abs(height).max()
     assert (found[~body] == 0).all()
+    np.save(folder / "under.npy", np.full(scene.n_vertices, 0.5))  # the only values, whatever they are called
+    over = TransferRequest(folder / "R", output, attribute=given, bases=(("", folder / "under.npy"),), force=True)
+    run_transfer(over, Stages())
+    assert (read_attributes(output, scene)["height"][~body] == 0.5).all()
 
 
 def test_values_at_faces_and_corners_too(folder: Path) -> None:

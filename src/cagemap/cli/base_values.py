@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from cagemap.cli.transfer_request import TransferRequest, base_of
 from cagemap.errors import ParameterError
@@ -33,7 +36,7 @@ def keep_base(request: TransferRequest, result: MatchResult, carried: Attributes
     weight = result.masks.joint(result.point_map)
     kept: Attributes = {}
     for name, values in carried.items():
-        below = own.get(name, next(iter(own.values())) if len(own) == len(carried) == 1 else None)
+        below = _named(own, name, len(carried))
         if below is None or below.shape != values.shape:
             found = "none" if below is None else f"shape {below.shape}"
             raise ParameterError(
@@ -54,7 +57,13 @@ def in_file(request: TransferRequest, result: MatchResult, carried: Attributes) 
     base = None if rows is None else base_of(request)
     usd = base is not None and base.suffix.lower() in USD_SUFFIXES
     own = {} if base is None or rows is None or usd else read_attributes(base, rows.whole)
-    return given_back(carried, rows, own)
+    below = {name: values for name in carried if (values := _named(own, name, len(carried))) is not None}
+    return given_back(carried, rows, below)
+
+
+def _named(own: Attributes, name: str, count: int) -> NDArray[Any] | None:
+    """The target's own values of a name, or its only ones where only one is carried."""
+    return own.get(name, next(iter(own.values())) if len(own) == count == 1 else None)
 
 
 def _rows(result: MatchResult, weight: FloatArray, count: int) -> FloatArray:
