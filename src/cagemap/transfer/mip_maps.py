@@ -141,7 +141,9 @@ def _filtered(
         first, last = int(own[0].indices.min()), int(own[0].indices.max()) + 1
         weight = np.maximum(coverage[first:last].astype(np.float32), np.float32(_UNCOVERED))
         given = pixels[first:last].astype(np.float32)
-        if pixels.dtype.kind == "f" and not (known := np.isfinite(given).all(axis=2)).all():
+        numbers = np.isfinite(given)
+        if not numbers.all():
+            known = numbers.all(axis=2)
             given, weight = np.where(known[..., None], given, 0), np.where(known, weight, 0)
         table = np.dstack([given * weight[..., None], weight])
         sharp, mean = (

@@ -216,8 +216,8 @@ class SmoothTile:
     @classmethod
     def of(cls, pixels: Pixels, covered: NDArray[np.bool_]) -> SmoothTile:
         """Prepare a tile (h, w, c) whose layout covers some texels (h, w); what is no number is not among them."""
-        if pixels.dtype.kind == "f":
-            covered = covered & np.isfinite(pixels).all(axis=2)
+        if pixels.dtype.kind == "f" and not (numbers := np.isfinite(pixels)).all():
+            covered = covered & numbers.all(axis=2)
         return cls(smooth_cells(covered), *(end.astype(np.float64) for end in channel_range(pixels)))
 
 
