@@ -22,7 +22,7 @@ from cagemap.cli.transfer import run_transfer
 from cagemap.cli.transfer_request import TransferRequest
 from cagemap.cli.wrap import run_wrap
 from cagemap.cli.wrap_request import WrapRequest
-from cagemap.errors import FormatError
+from cagemap.errors import FormatError, ParameterError
 from cagemap.example import example_pair
 from cagemap.files.atomic import atomic_path
 from cagemap.files.attributes import read_attributes, write_attributes
@@ -264,6 +264,10 @@ def test_what_a_match_read_is_no_output_of_what_follows(place: Path, force: bool
             attempt()
     with pytest.raises(FormatError, match=r"n\.png: two outputs have this name"):
         wrapped(place / "w.obj", normal_map=place / "n.png", displacement=place / "n.png")
+    with pytest.raises(ParameterError, match="colours"):  # and no mesh without its image
+        wrapped(place / "w.obj", colors=place / "n.png")
+    with pytest.raises(ParameterError, match="no such file"):
+        wrapped(place / "w.obj", normal_map=place / "n.png", detail=place / "gone.obj")
     assert contents(place) == before
 
 

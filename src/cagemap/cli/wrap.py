@@ -15,7 +15,7 @@ from cagemap.cli.progress import Stages
 from cagemap.cli.transfer import carry_one
 from cagemap.cli.transfer_request import Outcome, TransferRequest
 from cagemap.cli.usd_output import NO_UNITS, write_usd_results
-from cagemap.cli.wrap_bakes import bake_wrapped, outputs_beside, textures_read, wrap_bakes
+from cagemap.cli.wrap_bakes import bake_wrapped, outputs_beside, require_bakeable, textures_read, wrap_bakes
 from cagemap.cli.wrap_request import WrapRequest
 from cagemap.descriptors import mirror_symmetries
 from cagemap.errors import ParameterError
@@ -127,6 +127,7 @@ def _run(request: WrapRequest, stages: Stages) -> Outcome:
     if request.blend_shapes:
         return _write_shapes(request, results, config, stages)
     result, folder = results[0], request.results[0]
+    require_bakeable(request, result)
     wrapped = _wrap(request, result, config, stages)
     original = input_file(folder, result.manifest, "target")
     stages("write")

@@ -60,6 +60,20 @@ def textures_read(request: WrapRequest) -> list[Path]:
     return [file for path in given for file in texture_files(path)]
 
 
+def require_bakeable(request: WrapRequest, result: MatchResult) -> None:
+    """Refuse images that cannot be baked, before any work is done for the mesh."""
+    images, control = wrap_bakes(request).images, result.target.control
+    if images and control.uvs is None:
+        raise ParameterError(
+            f"{control.name}: expected texture coordinates to bake into, the mesh has none. Unwrap it in your "
+            "modelling program and match again."
+        )
+    if "colors" in images and request.detail is None:
+        vertex_colors(result.source.control)
+    if request.detail is not None and not request.detail.is_file():
+        raise ParameterError(f"--detail {request.detail}: expected a mesh, found no such file. Check the name.")
+
+
 def bake_wrapped(
     request: WrapRequest, result: MatchResult, wrapped: Wrapped, stages: Stages
 ) -> tuple[list[str], list[str]]:
@@ -67,11 +81,6 @@ def bake_wrapped(
     bakes = wrap_bakes(request)
     if not bakes.images:
         return [], []
-    if result.target.control.uvs is None:
-        raise ParameterError(
-            f"{result.target.control.name}: expected texture coordinates to bake into, the mesh has none. Unwrap it in "
-            "your modelling program and match again."
-        )
     stages("detail")
     target, source = result.target.refinement, result.source.refinement
     warnings: list[str] = []
