@@ -143,7 +143,7 @@ def _filtered(
         given = pixels[first:last].astype(np.float32)
         numbers = np.isfinite(given)
         if not numbers.all():
-            known = numbers.all(axis=2)
+            known = np.asarray(numbers.all(axis=2))
             given, weight = np.where(known[..., None], given, 0), np.where(known, weight, 0)
         table = np.dstack([given * weight[..., None], weight])
         sharp, mean = (
