@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import transfer_reference as reference
@@ -16,9 +16,10 @@ from cagemap.refinement import refine
 from cagemap.transfer.dilation import dilate
 from cagemap.transfer.locate import Samples, locate_samples, map_surface, target_barycentric
 from cagemap.transfer.lookups import plan_samples
+from cagemap.transfer.smooth import SmoothTile, smooth_cells
 from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.texels import lay_out, rasterize_band
-from cagemap.transfer.texture import SmoothTile, lay_texture, look_up, smooth_cells
+from cagemap.transfer.texture import lay_texture, look_up
 from cagemap.transfer.unwrap import unwrap
 
 
@@ -182,6 +183,21 @@ def test_smooth_cells_have_all_their_texels(height: int, width: int, seed: int) 
         for r in range(height)
     ]  # fmt: skip
     np.testing.assert_array_equal(smooth_cells(covered), expected)
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "float16", "float32"])
+@settings(deadline=None)  # the first one compiles
+@given(height=st.integers(1, 16), width=st.integers(1, 16), seed=st.integers(0, 99))
+def test_even_texels_need_no_cubic(dtype: str, height: int, width: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pixels = (rng.random((height, width, 2)) < 0.01).astype(dtype)
+    covered = rng.random((height, width)) < 0.99
+    whole = smooth_cells(covered)
+    expected = [
+        [whole[r, c] and np.ptp(pixels[r - 2 : r + 4, c - 2 : c + 4], axis=(0, 1)).any() for c in range(width)]
+        for r in range(height)
+    ]
+    np.testing.assert_array_equal(SmoothTile.of(pixels, covered).cells, expected)
 
 
 @pytest.mark.parametrize("share", [0.002, 0.1, 0.9])

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import reduce
 from typing import Any, Literal
 
 import numba
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.transfer.locate import Samples
+from cagemap.transfer.smooth import SmoothTile
 
 Pixels = NDArray[Any]
 Wrap = Literal["repeat", "clamp"]
@@ -31,8 +31,6 @@ FIRST_TILE = 1001
 # What lies across a border of a tile by less is there by a rounding: half a texel of a 4k image.
 OVERHANG = 1.0 / 8192.0
 TILES_PER_ROW = 10
-# Texels on either side of a point that the smooth lookup needs.
-_REACH = 3
 # Up to so many samples a texel spans less than two texels of the texture; above, their mean sees what is between them.
 _FEW = 4
 # What a peak between two texels may rise above them, as a part of what both fall to their outer neighbours: an eighth
@@ -176,49 +174,6 @@ def as_pixels(image: Pixels) -> Pixels:
     if pixels.dtype.kind not in "uf":
         raise ParameterError(f"expected pixels of unsigned integers or floats, got {pixels.dtype}")
     return np.ascontiguousarray(pixels)
-
-
-def smooth_cells(covered: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(h, w) where the 6 x 6 texels around a point between a texel and its right lower neighbours are all covered."""
-    height, width = covered.shape
-    inside = np.zeros((height, width), dtype=np.bool_)
-    rows, columns = height - 2 * _REACH + 1, width - 2 * _REACH + 1
-    if rows < 1 or columns < 1:
-        return inside
-    whole_columns = reduce(np.logical_and, [covered[k : k + rows] for k in range(2 * _REACH)])
-    whole = reduce(np.logical_and, [whole_columns[:, k : k + columns] for k in range(2 * _REACH)])
-    inside[_REACH - 1 : height - _REACH, _REACH - 1 : width - _REACH] = whole
-    return inside
-
-
-def channel_range(pixels: Pixels) -> tuple[Pixels, Pixels]:
-    """(c,) the least and the largest number of every channel."""
-    # NumPy reduces over whole rows fast, over rows and columns at once a hundred times slower.
-    return np.fmin.reduce(np.fmin.reduce(pixels)), np.fmax.reduce(np.fmax.reduce(pixels))
-
-
-@dataclass(frozen=True, eq=False)
-class SmoothTile:
-    """What the smooth lookup needs to know of a tile.
-
-    Attributes
-    ----------
-    cells : (h, w) bool
-        Where it has all that it needs, see `smooth_cells`.
-    lowest, highest : (c,) float64
-        Range of every channel, which it keeps.
-    """
-
-    cells: NDArray[np.bool_]
-    lowest: FloatArray
-    highest: FloatArray
-
-    @classmethod
-    def of(cls, pixels: Pixels, covered: NDArray[np.bool_]) -> SmoothTile:
-        """Prepare a tile (h, w, c) whose layout covers some texels (h, w); what is no number is not among them."""
-        if pixels.dtype.kind == "f" and not (numbers := np.isfinite(pixels)).all():
-            covered = covered & numbers.all(axis=2)
-        return cls(smooth_cells(covered), *(end.astype(np.float64) for end in channel_range(pixels)))
 
 
 _ROUGH = SmoothTile(np.zeros((0, 0), dtype=np.bool_), np.zeros(0), np.zeros(0))
