@@ -189,8 +189,17 @@ def test_landmarks_follow_the_part_and_what_is_left_alone_is_said() -> None:
     (note,) = notes
     assert note.startswith("left alone")
     assert note.count(" faces)") == 2
-    with pytest.raises(ParameterError, match="both sides"):
-        chosen_parts(scene, scene, _landmarks(pairs), "each", "body")
+
+
+@pytest.mark.parametrize("every", ["each", "material"])
+@pytest.mark.parametrize("other", ["body", None])
+def test_every_part_of_one_side_only_is_refused_with_a_remedy(every: str, other: str | None) -> None:
+    scene, landmarks = _scene(), _landmarks(np.array([[0, 0]]))
+    got = "body" if other else "the whole file"
+    with pytest.raises(ParameterError, match=rf"{every} on both sides.*{got} for the source.*Use --part {every}, or"):
+        chosen_parts(scene, scene, landmarks, every, other)
+    with pytest.raises(ParameterError, match=rf"{every} on both sides.*{got} for the target.*Use --part {every}, or"):
+        chosen_parts(scene, scene, landmarks, other, every)
 
 
 def test_landmarks_between_vertices_follow_the_part_too() -> None:

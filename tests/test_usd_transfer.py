@@ -13,8 +13,8 @@ from cagemap.cli.texture_maps import texture_and_maps
 from cagemap.cli.transfer import run_transfer
 from cagemap.cli.transfer_request import TransferRequest
 from cagemap.errors import ParameterError
-from cagemap.files.images import read_image, write_image
-from cagemap.files.result import file_hash, write_result
+from cagemap.files.images import Image, read_image, write_image
+from cagemap.files.result import file_hash, read_result, write_result
 
 from example_result import identity_result, textured_cube
 
@@ -69,6 +69,45 @@ def test_maps_of_a_material_in_one_run_and_bound_in_usd(folder: Path) -> None:
     shaders = {prim.GetName(): prim for prim in Usd.PrimRange(material.GetPrim())}
     assert shaders["diffuseColor_texture"].GetAttribute("inputs:file").Get().path == "./out_albedo.png"
     assert shaders["uv"].GetAttribute("inputs:varname").Get() == "map1"
+
+
+def test_usual_names_of_maps_are_bound_and_what_is_left_out_is_said(folder: Path) -> None:
+    gray = np.full((8, 8, 1), 90, dtype=np.uint8)
+    expected = {
+        "Base_Color": "diffuseColor",
+        "metalness": "metallic",
+        "AO": "occlusion",
+        "emissive": "emissiveColor",
+        "alpha": "opacity",
+        "height": "displacement",
+    }
+    for name in [*expected, "gloss", "opacity"]:
+        write_image(folder / f"in_{name}.png", gray)
+    maps = texture_and_maps([f"{name}=in_{name}.png" for name in [*expected, "gloss", "opacity"]])[1]
+    request = TransferRequest(result=Path("RESULT"), maps=maps, output=folder / "out.png", usd=folder / "look.usda")
+    with Stages() as stages:
+        _, warnings = run_transfer(request, stages)
+    left = [line for line in warnings if "not bound" in line]
+    assert [line.partition(":")[0] for line in left] == ["gloss", "opacity"]  # alpha has the input already
+    stage = Usd.Stage.Open(str(folder / "look.usda"))
+    material = UsdShade.MaterialBindingAPI(stage.GetPrimAtPath("/Asset/mesh")).ComputeBoundMaterial()[0]
+    shaders = {prim.GetName(): prim for prim in Usd.PrimRange(material.GetPrim())}
+    surface = UsdShade.Shader(shaders["surface"])
+    for name, value in expected.items():
+        file = shaders[f"{value}_texture"].GetAttribute("inputs:file").Get().path
+        assert file == f"./out_{name}.png"
+        assert surface.GetInput(value).HasConnectedSource()
+
+
+def test_the_colour_space_of_an_image_is_noted(folder: Path) -> None:
+    words = []
+    for name, dtype, space in (("a.png", np.uint8, "sRGB"), ("b.exr", np.float32, "lin_rec709_scene")):
+        write_image(folder / name, Image(np.full((8, 8, 3), 90, dtype=dtype), color_space=space))
+        _run(texture=folder / name, output=folder / f"out_{name}")
+        words.append(read_result(folder / "RESULT").manifest["transfers"][-1]["color_space"])
+        assert words[-1] == read_image(folder / name).color_space == read_image(folder / f"out_{name}").color_space
+    assert "srgb" in words[0].lower()  # spelt as the library does
+    assert words[1] != words[0]
 
 
 def test_attributes_arrive_as_primvars(folder: Path) -> None:

@@ -10,6 +10,7 @@ from typing import Any, cast
 from cagemap.cli.bake_tiles import (
     DEFAULT_SIZE,
     Prepared,
+    SourceImage,
     bake_tiles,
     base_size,
     finish,
@@ -24,6 +25,7 @@ from cagemap.cli.usd_output import texture_reference, write_usd_results
 from cagemap.errors import ParameterError
 from cagemap.files.images import Image, check_writable, pixel_type, read_image_form, tile_pattern
 from cagemap.files.result import stated_path
+from cagemap.files.usd_material import unbound_maps
 from cagemap.files.usd_write import UsdResults
 from cagemap.maps.result import MatchResult
 from cagemap.transfer import BakeOptions, bake_displacement, bake_face_colors, bake_texture, face_colors
@@ -44,8 +46,8 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
     prepared = prepare_bake(request, result, stages, outputs)
     for (name, path), output in zip(maps, outputs, strict=True):
         own = replace(request, output=output)
-        size = _bake_map(own, result, prepared, name, path, stages)
-        entry = {"kind": "texture", "image": stated_path(path, request.result), "size": size}
+        given = _bake_map(own, result, prepared, name, path, stages)
+        entry = _entry("texture", request, path, given)
         summary, warnings = finish(own, prepared, entry | ({"map": name} if name else {}))
     if request.usd is not None:
         layer = request.usd
@@ -58,6 +60,7 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
         if request.unwrap and control.uvs is not None and control.uv_indices is not None:
             uvs = ("cagemap_st", control.uvs, control.uv_indices)
         results = UsdResults(textures=images_by_use, uvs=uvs)
+        warnings += unbound_maps(images_by_use)
         summary += "\n" + write_usd_results(layer, request.result, result, results, force=request.force)
     if len(maps) > 1:
         summary = f"wrote {len(maps)} maps: {', '.join(map(str, outputs))}" + summary.partition("\n")[2]
@@ -66,8 +69,8 @@ def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages)
 
 def _bake_map(
     request: TransferRequest, result: MatchResult, prepared: Prepared, name: str, path: Path, stages: Stages
-) -> int:
-    """Bake one map into all tiles; returns the size in texels."""
+) -> SourceImage:
+    """Bake one map into all tiles; returns what was read."""
     given = read_source_image(request, result, path, name=name)
     turned = not request.as_color and looks_like_normal_map(given.first.pixels)
     if turned and not name:
@@ -84,7 +87,13 @@ def _bake_map(
         return replace(given.first, pixels=pixels)
 
     bake_tiles(request, prepared, bake, stages, name)
-    return given.size
+    return given
+
+
+def _entry(kind: str, request: TransferRequest, path: Path, given: SourceImage) -> dict[str, Any]:
+    """What the manifest notes of an image that was carried: its file, size baked, and word for the colour space."""
+    image = stated_path(path, request.result)
+    return {"kind": kind, "image": image, "size": given.size, "color_space": given.first.color_space}
 
 
 def carry_normal_map(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
@@ -105,8 +114,8 @@ def carry_normal_map(request: TransferRequest, result: MatchResult, stages: Stag
         )
 
     bake_tiles(request, prepared, bake, stages)
-    image = stated_path(request.normal_map, request.result)
-    return finish(request, prepared, {"kind": "normal-map", "image": image, "size": given.size, "space": request.space})
+    entry = _entry("normal-map", request, request.normal_map, given)
+    return finish(request, prepared, {**entry, "space": request.space})
 
 
 def carry_displacement(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
@@ -127,7 +136,7 @@ def carry_displacement(request: TransferRequest, result: MatchResult, stages: St
         )
 
     baked = bake_tiles(request, prepared, bake, stages)
-    entry = {"kind": "displacement", "image": stated_path(request.displacement, request.result), "size": given.size}
+    entry = _entry("displacement", request, request.displacement, given)
     return _finish_displacement(request, prepared, entry, baked, "height")
 
 
@@ -150,8 +159,7 @@ def carry_vector_displacement(request: TransferRequest, result: MatchResult, sta
         )
 
     baked = bake_tiles(request, prepared, bake, stages)
-    image = stated_path(request.vector_displacement, request.result)
-    entry = {"kind": "vector-displacement", "image": image, "size": given.size, "space": request.space}
+    entry = {**_entry("vector-displacement", request, request.vector_displacement, given), "space": request.space}
     return _finish_displacement(request, prepared, entry, baked, "vector")
 
 

@@ -52,9 +52,11 @@ def chosen_parts(
     target, source = (replace(mesh, scheme=default_scheme(mesh)) for mesh in (target, source))
     every = next((word for word in (EACH, MATERIAL) if word in (target_part, source_part)), None)
     if every is not None and target_part != source_part:
+        target_word, source_word = (part or "the whole file" for part in (target_part, source_part))
         raise ParameterError(
-            f"--part: expected {every} on both sides, got {target_part!r} for the target and {source_part!r} for the "
-            f"source. Use --part {every}, or name a part of each side."
+            f"--part: expected {every} on both sides, whose parts are paired, got {target_word} for the target and "
+            f"{source_word} for the source. Use --part {every}, or name one part of each side (`cagemap check` lists "
+            "them)."
         )
     if every is not None:
         return _each(target, source, landmarks, every)
