@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
@@ -11,10 +12,12 @@ from cagemap.cli.job_file import WRITTEN
 from cagemap.cli.library import COMMANDS as REAL
 from cagemap.errors import FormatError
 from cagemap.files.meshes import write_mesh
-from cagemap.library import Job, Plan, plan_job, read_job, spanning_tree
+from cagemap.library import Job, Plan, Task, plan_job, read_job, spanning_tree
 from cagemap.library.job_checks import line_of
+from cagemap.library.job_schema import Scheme
 from cagemap.library.tree import shape_distribution
 from cagemap.mesh import cube, icosahedron, torus
+from cagemap.mesh.schemes import SCHEMES
 
 
 @dataclass(frozen=True)
@@ -253,3 +256,61 @@ def test_relative_files_start_from_the_job_file(folder: Path) -> None:
     plan = plan_of(folder, HEAD + ASSETS + PAIRS + output)
     textures = {task.request["texture"] for task in plan.tasks if task.kind == "transfer"}
     assert str(folder / "textures" / "c.png") in textures
+
+
+def test_an_asset_has_a_scheme_of_its_own(folder: Path) -> None:
+    def tasks(assets: str, pairs: str = PAIRS) -> list[Task]:
+        (folder / "job.toml").write_text(HEAD + assets + pairs)
+        return list(plan_job(read_job(folder / "job.toml", REAL, WRITTEN), "1", spanning_tree).tasks)
+
+    scan = ASSETS.replace('file = "b.obj"', 'file = "b.obj"\nscheme = "none"')
+    before, after = tasks(ASSETS), tasks(scan)
+    prepared = [task for task in after if task.kind == "prepare"]
+    assert {task.request["asset"]: task.request["options"].get("scheme") for task in prepared} == {
+        "a": None,
+        "b": "none",
+        "c": None,
+    }
+    assert len(prepared) == 3  # one surface of b, as target and as source
+    known = {task.key for task in before}
+    for task in after:
+        assert (task.key not in known) == ("b" in (task.pair or (task.request["asset"],))), task.name
+    asked = {task.pair: task.request for task in after if task.kind == "match"}
+    assert (asked["a", "b"].get("source_scheme"), asked["a", "b"]["target_scheme"]) == (None, "none")
+    assert (asked["b", "a"]["source_scheme"], asked["b", "a"].get("target_scheme")) == ("none", None)
+    said = [task for task in tasks(scan, PAIRS + 'options = { target_scheme = "loop" }\n') if task.kind == "match"]
+    assert {task.request["target_scheme"] for task in said} == {"loop"}
+
+
+def test_schemes_of_assets_are_those_of_meshes() -> None:
+    assert get_args(Scheme) == tuple(SCHEMES)
+
+
+def test_values_that_no_command_takes_are_refused_with_what_to_do(folder: Path) -> None:
+    text = HEAD.replace("500", '"many"') + ASSETS.replace('"b.obj"', '"b.obj"\nscheme = "quads"') + PAIRS
+    text += '[[outputs]]\ncommand = "transfer"\nbits = 17\nmaps = [["x", "{source.typo}"]]\nspace = "world"\n'
+    (folder / "job.toml").write_text(text)
+    with pytest.raises(FormatError) as caught:
+        read_job(folder / "job.toml", REAL, WRITTEN)
+    said = str(caught.value)
+    for words in (
+        "got 'many'. Give a value of this kind.",
+        "assets.1.scheme: input should be 'catmull-clark', 'loop', 'bilinear' or 'none', got 'quads'. Choose one",
+        "outputs.0.bits: input should be 8, 16 or 32, got 17. Choose one",
+        "outputs.0.maps: no asset has a file 'typo'",
+        "outputs.0.space: input should be 'tangent' or 'object', got 'world'. Choose one",
+    ):
+        assert words in said, said
+
+
+@pytest.mark.parametrize("name", ["a.%(UDIM)d.png", "a.<UDIM>.png"])
+def test_tiles_are_files_of_an_asset_and_count_by_their_content(folder: Path, name: str) -> None:
+    text = HEAD + ASSETS.replace('"a.obj"', f'"a.obj"\nfiles = {{ color = "{name}" }}') + PAIRS
+    text += '[[outputs]]\ncommand = "transfer"\ntexture = "{source.color}"\noutput = "t.png"\n'
+    with pytest.raises(FormatError, match=r"assets\.0\.files\.color: .* does not exist"):
+        plan_of(folder, text)
+    keys = []
+    for content in (b"one", b"two"):
+        (folder / "a.1002.png").write_bytes(content)
+        keys.append(next(task.key for task in plan_of(folder, text).tasks if task.kind == "transfer"))
+    assert keys[0] != keys[1]

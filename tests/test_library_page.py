@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import csv
+import sys
 from dataclasses import replace
 from html.parser import HTMLParser
+from importlib.machinery import ModuleSpec
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -80,6 +83,23 @@ def test_writing_the_same_again_writes_nothing(tmp_path: Path) -> None:
     assert {path: path.stat().st_mtime_ns for path in before} == before
     write_library(tmp_path, "night", [replace(GOOD, seconds=4.0)])
     assert "4.0" in (tmp_path / "figures.csv").read_text()
+
+
+def test_the_same_parquet_is_not_written_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a stand-in for pyarrow, which not everybody has."""
+    arrow, parquet = ModuleType("pyarrow"), ModuleType("pyarrow.parquet")
+    arrow.__spec__ = ModuleSpec("pyarrow", None)
+    vars(arrow).update(parquet=parquet, table=lambda arrays, metadata: repr((arrays, metadata)).encode())
+    vars(parquet).update(write_table=lambda table, stream: stream.write(table))
+    monkeypatch.setitem(sys.modules, "pyarrow", arrow)
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", parquet)
+    rows = [replace(GOOD, cycle_error=float("nan"))]  # which is not equal to itself
+    data = write_library(tmp_path, "night", rows)[2]
+    before = data.stat().st_mtime_ns, data.stat().st_ino
+    write_library(tmp_path, "night", rows)
+    assert (data.stat().st_mtime_ns, data.stat().st_ino) == before
+    write_library(tmp_path, "night", [replace(GOOD, seconds=4.0)])
+    assert b"4.0" in data.read_bytes()
 
 
 @pytest.mark.parametrize("name", ["index.html", "figures.csv"])

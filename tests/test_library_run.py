@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 import threading
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
+from importlib.machinery import ModuleSpec
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
@@ -184,3 +189,33 @@ def test_an_address_that_does_not_answer_is_named(tmp_path: Path, monkeypatch: p
         pytest.raises(ParameterError, match=r"127\.0\.0\.1:9 does not answer"),
     ):
         run_plan(Plan(tmp_path, (task(tmp_path, "one"),), ()), write_name, crew)
+
+
+def test_the_dashboard_s_address_is_told_and_workers_share_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With stand-ins for the cluster and for bokeh."""
+    import distributed
+    from distributed.system import MEMORY_LIMIT
+
+    asked: dict[str, Any] = {}
+
+    @contextmanager
+    def cluster(**options: Any) -> Iterator[None]:
+        asked.update(options)
+        yield
+
+    @contextmanager
+    def client(cluster: None) -> Iterator[SimpleNamespace]:
+        yield SimpleNamespace(dashboard_link="http://127.0.0.1:4321/status")
+
+    monkeypatch.setattr(distributed, "LocalCluster", cluster)
+    monkeypatch.setattr(distributed, "Client", client)
+    bokeh = ModuleType("bokeh")
+    bokeh.__spec__ = ModuleSpec("bokeh", None)
+    monkeypatch.setitem(sys.modules, "bokeh", bokeh)
+    told: list[str] = []
+    with open_crew(None, 3, told.append) as crew:
+        assert not told
+        crew()
+        crew()
+    assert told == ["Dask's dashboard: http://127.0.0.1:4321/status"]
+    assert asked["n_workers"] * asked["memory_limit"] == pytest.approx(MEMORY_LIMIT, abs=3)

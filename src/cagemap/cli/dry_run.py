@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import islice
 
 from cagemap.cli.match import DEFAULT_VERTICES
+from cagemap.cli.subdivision import SubdivisionRequest
 from cagemap.errors import CagemapError
 from cagemap.files.meshes import read_mesh
 from cagemap.library import Job, Plan, Task, missing_tasks
@@ -104,7 +105,8 @@ def _size(job: Job, name: str, plan: Plan) -> AssetSize:
     """How large an asset will be with the options of its first pair."""
     options = next((_options(task.request) for task in plan.tasks if _reads(task, name)), {})
     try:
-        control = read_mesh(job.assets[name].file)
+        own = SubdivisionRequest(job.assets[name].scheme or options.get("scheme"))
+        control = own.applied(read_mesh(job.assets[name].file))
         wanted = int(options.get("vertices") or DEFAULT_VERTICES)
         level = int(options.get("level") or choose_level(control, wanted))
         counts = list(islice(vertex_counts(control, default_scheme(control)), level + 1))
@@ -123,4 +125,4 @@ def _options(request: Mapping[str, object]) -> dict[str, str]:
     """Options of a task's request, wherever they stand."""
     inner = request.get("options")
     found = inner if isinstance(inner, dict) else request
-    return {key: str(value) for key, value in found.items() if key in ("vertices", "level") and value}
+    return {key: str(value) for key, value in found.items() if key in ("vertices", "level", "scheme") and value}

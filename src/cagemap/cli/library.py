@@ -100,7 +100,7 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
         return dry_run(job, plan, request.workers or core_count()), True
     started = time.perf_counter()
     stages("run tasks")
-    with open_crew(request.scheduler, request.workers) as crew:
+    with open_crew(request.scheduler, request.workers, stages.note) as crew:
         verdict, matched = Consistency({}, 0, (), {}), dict[str, Outcome]()
         if has_ways_round(plan):
             matched = run_plan(matches_only(plan), run_task, crew, Ticker(stages))

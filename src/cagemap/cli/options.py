@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +11,22 @@ import typer
 
 from cagemap.cli.subdivision import BoundaryName, CreasingName, SchemeName, UvName
 
+
+@dataclass(frozen=True)
+class OneOf:
+    """What an option may be, for job files, which are checked before anything starts."""
+
+    choices: tuple[object, ...]
+
+
+Space = Annotated[
+    str,
+    typer.Option("--space", help="Of normals and vectors: tangent (MikkTSpace) or object."),
+    OneOf(("tangent", "object")),
+]
+Green = Annotated[
+    str, typer.Option("--green", help="Normal map: green up (OpenGL) or down (DirectX)."), OneOf(("up", "down"))
+]
 MeshFile = Annotated[Path, typer.Argument(help="Control mesh, .obj, .ply or USD.", show_default=False)]
 Force = Annotated[
     bool, typer.Option("--force", help="Overwrite files that cagemap did not write, or that were changed since.")

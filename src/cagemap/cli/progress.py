@@ -52,6 +52,12 @@ class Stages:
         if self._status is not None:
             self._status.update(text)
 
+    def note(self, text: str) -> None:
+        """Say something that stays on the terminal; in the log in any case."""
+        _log.info("%s", text)
+        if self._status is not None:
+            self._console.print(text, highlight=False, markup=False, soft_wrap=True)
+
     def __enter__(self) -> Stages:
         if self._status is not None:
             self._status.start()

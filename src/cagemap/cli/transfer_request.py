@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from cagemap.cli.options import Force, ResultFolder
+from cagemap.cli.options import Force, Green, OneOf, ResultFolder, Space
 
 # A summary, and warnings.
 Outcome = tuple[str, list[str]]
@@ -51,10 +51,8 @@ class TransferRequest:
     vector_displacement: Annotated[
         Path | None, typer.Option("--vector-displacement", help="Source vector displacement.", show_default=False)
     ] = None
-    space: Annotated[str, typer.Option("--space", help="Of normals and vectors: tangent (MikkTSpace) or object.")] = (
-        "tangent"
-    )
-    green: Annotated[str, typer.Option("--green", help="Normal map: green up (OpenGL) or down (DirectX).")] = "up"
+    space: Space = "tangent"
+    green: Green = "up"
     as_color: Annotated[
         bool, typer.Option("--as-color", help="Texture: carry what looks like a normal map as a picture.")
     ] = False
@@ -65,6 +63,7 @@ class TransferRequest:
             help="How a source image is read where it does not shrink: smooth or linear; nearest, everywhere, for "
             "labels and ID maps, whose colours must not mix.",
         ),
+        OneOf(("smooth", "linear", "nearest")),
     ] = "smooth"
     attribute: Annotated[
         Path | None,
@@ -142,6 +141,7 @@ class TransferRequest:
         typer.Option(
             "--bits", help="8, 16 or 32 (float) a channel.  [default: as the source image]", show_default=False
         ),
+        OneOf((8, 16, 32)),
     ] = None
     scale: Annotated[float, typer.Option("--scale", help="Displacement: source height between the values 0 and 1.")] = (
         1.0

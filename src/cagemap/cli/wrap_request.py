@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from cagemap.cli.options import Force, SchemeOption, SourceSchemeOption, TargetSchemeOption
+from cagemap.cli.options import Force, Green, SchemeOption, SourceSchemeOption, Space, TargetSchemeOption
 
 
 @dataclass(frozen=True)
@@ -96,10 +96,8 @@ class WrapRequest:
         Path | None,
         typer.Option("--detail-texture", help="The detailed mesh's own image, to bake as --baked.", show_default=False),
     ] = None
-    space: Annotated[str, typer.Option("--space", help="Of normals and vectors: tangent (MikkTSpace) or object.")] = (
-        "tangent"
-    )
-    green: Annotated[str, typer.Option("--green", help="Normal map: green up (OpenGL) or down (DirectX).")] = "up"
+    space: Space = "tangent"
+    green: Green = "up"
     rays: Annotated[int, typer.Option("--rays", min=1, help="Occlusion: rays for every vertex of the mesh.")] = 128
     size: Annotated[
         int | None,

@@ -10,6 +10,7 @@ from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
+from cagemap.files.images import texture_files
 from cagemap.library.job_schema import PLACEHOLDER, Asset, CarryRule, JobFile, PairRule, listed
 
 Place = tuple[str | int, ...]
@@ -84,7 +85,18 @@ def _validation_problems(error: ValidationError, place: Place) -> Iterator[Probl
         elif item["type"] == "missing":
             yield where, f"{name}: is missing. Add it."
         else:
-            yield where, f"{name}: {said}, got {shown}."
+            yield where, f"{name}: {said}, got {shown}. {_remedy(item['type'])}"
+
+
+def _remedy(kind: str) -> str:
+    """What to do about a value that is not as pydantic wants it."""
+    if kind in ("enum", "literal_error"):
+        return "Choose one of these."
+    if kind.startswith(("greater_than", "less_than", "too_", "string_too")):
+        return "Give a value within this bound."
+    if kind == "string_pattern_mismatch":
+        return "Use letters, digits, '.', '_' and '-', a letter or digit first."
+    return "Give a value of this kind."
 
 
 def problems_of(
@@ -104,7 +116,7 @@ def problems_of(
         if asset.landmarks is not None and not (folder / asset.landmarks).is_file():
             yield ("assets", i, "landmarks"), f"assets.{i}.landmarks: {asset.landmarks} does not exist. Check the path."
         for key, path in asset.files.items():
-            if "<UDIM>" not in path.name and not (folder / path).is_file():
+            if not _is_there(folder / path):
                 yield ("assets", i, "files"), f"assets.{i}.files.{key}: {path} does not exist. Check the path."
     yield from _option_problems(job.options, schemas["match"], ("options",))
     yield from _file_problems(job.options, kinds["match"], folder, ("options",))
@@ -118,7 +130,7 @@ def problems_of(
         options = {"output": output.output or "", **(output.model_extra or {})}
         known = {key for asset in job.assets for key in asset.files}
         for key, value in options.items():
-            for side, name in PLACEHOLDER.findall(value) if isinstance(value, str) else ():
+            for side, name in (found for text in _texts(value) for found in PLACEHOLDER.findall(text)):
                 if name and name not in known:
                     message = f"outputs.{i}.{key}: no asset has a file {name!r} for {{{side}.{name}}}. "
                     yield ("outputs", i, key), message + "Add it to the files of an asset."
@@ -160,15 +172,14 @@ def _file_problems(options: dict[str, Any], kinds: dict[str, Any], folder: Path,
     for name, value in options.items():
         for one, found in zip(_texts(value), _texts(absolute(value, kinds.get(name), folder)), strict=True):
             is_file = found != one or (kinds.get(name) is Path and Path(one).is_absolute())
-            if (
-                is_file
-                and "{" not in one
-                and "<UDIM>" not in one
-                and "%(UDIM)d" not in one
-                and not Path(found).exists()
-            ):
+            if is_file and "{" not in one and not _is_there(Path(found)):
                 where = (*place, name)
                 yield where, f"{'.'.join(map(str, where))}: {one} does not exist. Check the path."
+
+
+def _is_there(path: Path) -> bool:
+    """Whether a file or folder exists; of a set of tiles, one of them."""
+    return path.exists() or any(file.is_file() for file in texture_files(path))
 
 
 def _texts(value: Any) -> list[str]:

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, create_model
 
 ALL = "all"
 PLACEHOLDER = re.compile(r"\{(source|target)(?:\.([A-Za-z0-9_-]+))?\}")
+Scheme = Literal["catmull-clark", "loop", "bilinear", "none"]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=80)]
 
 
@@ -31,6 +32,8 @@ class Asset(_Strict):
         Landmarks of this mesh by name, for pairs that have no file of their own.
     part : str, optional
         As `--part` of `cagemap match`, for this side.
+    scheme : str, optional
+        As `--scheme`, for this side; `target_scheme` and `source_scheme` among the options of a pair go first.
     files : dict of str to Path
         Textures, weights and other files of the model, by names that outputs ask for.
     """
@@ -39,6 +42,7 @@ class Asset(_Strict):
     file: Path
     landmarks: Path | None = None
     part: str | None = None
+    scheme: Scheme | None = None
     files: dict[Name, Path] = {}
 
 
@@ -84,7 +88,7 @@ def options_schema(request: type, places: Iterable[str] = ()) -> type[BaseModel]
     Parameters
     ----------
     request : dataclass
-        Bounds of the command line's options are bounds here too.
+        Bounds of the command line's options are bounds here too, and so are ``choices`` that they are annotated with.
     places : iterable of str
         Fields that the job file says by other means.
     """
@@ -93,6 +97,8 @@ def options_schema(request: type, places: Iterable[str] = ()) -> type[BaseModel]
         if name in places:
             continue
         plain, *said = get_args(kind) if get_origin(kind) is Annotated else (kind,)
+        choices = _bound(said, "choices")
+        plain = plain if choices is None else Literal[choices]
         wanted[name] = (plain | None, Field(None, ge=_bound(said, "min"), le=_bound(said, "max")))
     return create_model(f"{request.__name__}Options", __config__=ConfigDict(extra="forbid"), **wanted)
 

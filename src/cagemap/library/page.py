@@ -163,9 +163,7 @@ def write_library(folder: Path, title: str, rows: Sequence[PairRow], notes: Sequ
     writer.writeheader()
     writer.writerows(flat)
     html = build_library_page(title, rows, notes)
-    if not (page.is_file() and _without_checksum(page.read_text(encoding="utf-8")) == html):
-        with atomic_path(page) as temporary:
-            temporary.write_text(html, encoding="utf-8", newline="\n")
+    _write_marked(page, html.encode())
     _write_table(table, text.getvalue(), folder / STATE / f"{table.name}.sha256")
     if importlib.util.find_spec("pyarrow") is None:
         return page, table
@@ -173,14 +171,23 @@ def write_library(folder: Path, title: str, rows: Sequence[PairRow], notes: Sequ
     import pyarrow.parquet
 
     arrays = {name: [row.get(name) for row in flat] for name in columns}
-    with atomic_path(data) as temporary:
-        pyarrow.parquet.write_table(pyarrow.table(arrays, metadata={"generator": mark()}), temporary)
+    stream = io.BytesIO()
+    pyarrow.parquet.write_table(pyarrow.table(arrays, metadata={"generator": mark()}), stream)
+    _write_marked(data, stream.getvalue())
     return page, table, data
 
 
 def _shown(files: Sequence[str]) -> list[str]:
     """Files of a task as links: those of a folder inside the pair's own, such as shapes, are one."""
     return list(dict.fromkeys("/".join(name.split("/")[:2]) if RESULT not in name else name for name in files))
+
+
+def _write_marked(path: Path, content: bytes) -> None:
+    """Write a file that holds a `mark`, unless just this is there already."""
+    if path.is_file() and _without_checksum(path.read_bytes()) == content:
+        return
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(content)
 
 
 def _write_table(path: Path, text: str, note: Path) -> None:
@@ -197,8 +204,8 @@ def _write_table(path: Path, text: str, note: Path) -> None:
     note.write_text(file_hash(path) + "\n", encoding="ascii")
 
 
-def _without_checksum(text: str) -> str:
-    return re.sub(r"checksum [0-9a-f]{64}", "checksum " + 64 * "0", text, count=1)
+def _without_checksum(content: bytes) -> bytes:
+    return re.sub(rb"checksum [0-9a-f]{64}", b"checksum " + 64 * b"0", content, count=1)
 
 
 def _badness(row: PairRow) -> tuple[float, ...]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cagemap.errors import FormatError
+from cagemap.files.images import texture_files
 from cagemap.files.result import ARRAYS, file_hash
 from cagemap.library.job import Job
 from cagemap.library.job_checks import absolute
@@ -179,7 +180,7 @@ def _pairs(
 
 
 class _Hashes:
-    """Hashes of files, each read once; a file that is not there counts as its path."""
+    """Hashes of files, each read once, tiles as one; a file that is not there counts as its path."""
 
     def __init__(self) -> None:
         self._known: dict[str, str] = {}
@@ -187,7 +188,8 @@ class _Hashes:
     def of(self, path: str | Path) -> str:
         text = str(path)
         if text not in self._known:
-            self._known[text] = file_hash(text) if Path(text).is_file() else text
+            files = [file for file in texture_files(text) if file.is_file()]
+            self._known[text] = "".join(map(file_hash, files)) or text
         return self._known[text]
 
     def of_request(self, request: dict[str, Any]) -> dict[str, Any]:
@@ -209,6 +211,8 @@ def task_key(version: str, kind: str, *parts: Any) -> str:
 def _prepare(asset: Asset, side: str, options: dict[str, Any], job: Job, version: str, hashes: _Hashes) -> Task:
     """The task of one surface; a surface that is prepared alike for both sides is one task."""
     choices = {name: value for name, value in options.items() if name.removeprefix(f"{side}_") in _SURFACE}
+    if asset.scheme is not None and f"{side}_scheme" not in options:
+        choices["scheme"] = asset.scheme
     side = side if any(name.startswith(f"{side}_") for name in choices) else "target"
     request = {"asset": asset.name, "file": str(asset.file), "side": side, "options": choices}
     key = task_key(version, "prepare", hashes.of(asset.file), side, choices)
@@ -219,8 +223,10 @@ def _match(
     source: Asset, target: Asset, options: dict[str, Any], job: Job, version: str, hashes: _Hashes, needs: list[Task]
 ) -> Task:
     folder = f"{source.name}__{target.name}/{RESULT}"
-    inputs: dict[str, Any] = {"target": str(target.file), "source": str(source.file), **options}
-    inputs |= {f"{side}_part": one.part for side, one in (("target", target), ("source", source)) if one.part}
+    sides = ("target", target), ("source", source)
+    schemes = {f"{side}_scheme": asset.scheme for side, asset in sides if asset.scheme is not None}
+    inputs: dict[str, Any] = {"target": str(target.file), "source": str(source.file), **schemes, **options}
+    inputs |= {f"{side}_part": asset.part for side, asset in sides if asset.part}
     if "landmarks" not in options and source.landmarks is not None and target.landmarks is not None:
         inputs |= {"target_points": str(target.landmarks), "source_points": str(source.landmarks)}
     key = task_key(version, "match", hashes.of_request(inputs), [task.key for task in needs])

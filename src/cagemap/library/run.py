@@ -229,7 +229,9 @@ def _lost(task: Task, outcomes: dict[str, Outcome]) -> Outcome:
 
 
 @contextmanager
-def open_crew(scheduler: str | None = None, workers: int | None = None) -> Iterator[Crew]:
+def open_crew(
+    scheduler: str | None = None, workers: int | None = None, tell: Callable[[str], None] = lambda words: None
+) -> Iterator[Crew]:
     """Who does the work: hired when the first task asks for it, sent home at the end of the block.
 
     Parameters
@@ -237,7 +239,10 @@ def open_crew(scheduler: str | None = None, workers: int | None = None) -> Itera
     scheduler : str, optional
         Address of a running Dask scheduler whose workers reach the same files; default: worker processes here.
     workers : int, optional
-        Number of processes here, of one thread each, so that cores do not fight; default: one for each core.
+        Number of processes here, of one thread each, so that cores do not fight; default: one for each core. Each
+        may take its share of the machine's memory.
+    tell : callable
+        Called with the address of Dask's dashboard, where bokeh is installed.
 
     Raises
     ------
@@ -250,6 +255,8 @@ def open_crew(scheduler: str | None = None, workers: int | None = None) -> Itera
         def crew() -> Client:
             if not hired:
                 hired.append(_remote(stack, scheduler) if scheduler else _local(stack, workers or core_count()))
+                if importlib.util.find_spec("bokeh") is not None and hired[0].dashboard_link:
+                    tell(f"Dask's dashboard: {hired[0].dashboard_link}")
             return hired[0]
 
         yield crew
@@ -272,6 +279,7 @@ def _local(stack: ExitStack, workers: int) -> Client:
     _require_dask()
     import dask
     from distributed import Client, LocalCluster
+    from distributed.system import MEMORY_LIMIT
 
     environment = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "CAGEMAP_THREADS")}
     settings = {
@@ -281,7 +289,13 @@ def _local(stack: ExitStack, workers: int) -> Client:
     stack.enter_context(dask.config.set(settings))
     logging.getLogger("distributed").setLevel(logging.ERROR)  # deaths of workers are told as outcomes
     # Any free port: another cluster on this machine is nothing to warn of. Without bokeh there is no dashboard on it.
-    cluster = LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0")
+    cluster = LocalCluster(
+        n_workers=workers,
+        threads_per_worker=1,
+        processes=True,
+        memory_limit=MEMORY_LIMIT // workers,
+        dashboard_address="127.0.0.1:0",
+    )
     return stack.enter_context(Client(stack.enter_context(cluster)))
 
 
