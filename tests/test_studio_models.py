@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from cagemap.studio.finish import FinishOptions, commands
 from cagemap.studio.glb import Primitive, glb
 from cagemap.studio.landmark_files import load_landmarks, save_landmarks
 from cagemap.studio.landmarks import Landmark, LandmarkList
+from cagemap.studio.models import open_model
 from cagemap.studio.opening import default_files
 from cagemap.studio.places import place_at, place_of, vertex_place
 from cagemap.studio.scene import Scene, carried_place, mirrored, part_name
@@ -67,6 +69,41 @@ def test_only_a_closed_model_hides_its_inner_side() -> None:
     inside_out = replace(box, face_indices=box.face_indices.reshape(-1, 4)[:, ::-1].ravel().copy())
     open_box = extract(box, np.arange(5))
     assert [shape_of(refine(mesh, 1)).encloses for mesh in (box, inside_out, open_box)] == [True, False, False]
+
+
+def test_a_model_whose_z_axis_points_up_stands_upright(tmp_path: Path) -> None:
+    mesh = creature()
+    # As its file has it: what is up lies along z, as in Blender.
+    lying = mesh.with_positions(mesh.positions[:, [0, 2, 1]] * [1.0, -1.0, 1.0])
+    for name, one in (("upright", mesh), ("lying", lying)):
+        write_mesh(tmp_path / f"{name}.obj", one)
+    upright = open_model(tmp_path / "upright.obj", None, None, 300).shape
+    turned = open_model(tmp_path / "lying.obj", None, "z", 300).shape
+    places = upright.to_view(upright.positions)
+    np.testing.assert_allclose(turned.to_view(turned.positions), places, atol=1e-6)
+    np.testing.assert_allclose(turned.turned(turned.normals), upright.normals, atol=1e-5)
+    np.testing.assert_allclose(turned.to_file(places), turned.positions, atol=1e-6)
+    # What is clicked is what is seen, in the file's own units.
+    ray = np.array([0.1, 0.2, 3.0]), np.array([-0.02, -0.05, -1.0])
+    one, other = (pick(shape, *ray) for shape in (upright, turned))
+    assert one is not None
+    assert other is not None
+    assert one.triangle == other.triangle
+    np.testing.assert_allclose(other.position[[0, 2, 1]] * [1.0, 1.0, -1.0], one.position, atol=1e-5)
+
+
+def test_a_usd_file_says_itself_which_axis_points_up(tmp_path: Path) -> None:
+    pytest.importorskip("pxr", reason="usd-core is not installed")
+    write_mesh(tmp_path / "a.usda", cube())
+    written = (tmp_path / "a.usda").read_text()
+    turns = {}
+    for axis in ("Y", "Z"):
+        file = tmp_path / f"{axis}.usda"
+        file.write_text(re.sub(r'upAxis = "\w"', f'upAxis = "{axis}"', written))
+        turns[axis] = [open_model(file, None, up, 300).shape.turn for up in (None, "y")]
+    np.testing.assert_allclose(turns["Y"], [np.eye(3)] * 2, atol=1e-12)
+    np.testing.assert_allclose(np.array([1.0, 2.0, 3.0]) @ turns["Z"][0], [1.0, 3.0, -2.0], atol=1e-12)
+    np.testing.assert_array_equal(turns["Z"][1], np.eye(3))
 
 
 def test_a_mesh_as_it_is_keeps_the_numbers_of_its_file(tmp_path: Path) -> None:

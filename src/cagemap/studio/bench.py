@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -10,40 +9,28 @@ from pathlib import Path
 
 import numpy as np
 
-from cagemap.descriptors import mirror_symmetries
-from cagemap.errors import CagemapError, ParameterError
-from cagemap.files.images import Image, Pixels, read_texture, write_image
-from cagemap.files.meshes import read_mesh
+from cagemap.errors import ParameterError
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS
 from cagemap.maps.landmarks.suggest import suggested_vertices
-from cagemap.mesh import ControlMesh
-from cagemap.mesh.checks import require_valid
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.plain import plain_mesh
-from cagemap.mesh.schemes import Plain
 from cagemap.numerics.arrays import IndexArray
 from cagemap.pipeline import (
     MatchResult,
-    choose_level,
     match_pair,
     other_answer,
     prepare_pair,
     prepare_surfaces,
     update_match,
 )
-from cagemap.refinement import refine, with_options
 from cagemap.studio.landmark_files import landmarks_of
 from cagemap.studio.landmarks import LandmarkList
-from cagemap.studio.shape import Original, Shape, shape_of
-from cagemap.studio.skins import Images, Look, source_skin, target_skin
+from cagemap.studio.models import Model, open_model, read_look
+from cagemap.studio.shape import Shape
+from cagemap.studio.skins import Images, source_skin, target_skin
 from cagemap.studio.state import View
-from cagemap.transfer import face_colors
 
 Progress = Callable[[str], None]
-
-# Largest side of the texture in the page; the bake uses the whole image.
-TEXTURE_SIZE = 1024
 
 
 @dataclass(frozen=True)
@@ -56,7 +43,7 @@ class Opening:
     texture : Path or None
     vertices : int
         Of each previewed surface, about.
-    schemes : (str or None, str or None)
+    schemes, ups : (str or None, str or None)
         See `cagemap.studio.state.Files`.
     """
 
@@ -65,6 +52,7 @@ class Opening:
     texture: Path | None
     vertices: int
     schemes: tuple[str | None, str | None] = (None, None)
+    ups: tuple[str | None, str | None] = (None, None)
 
 
 @dataclass(frozen=True)
@@ -105,35 +93,6 @@ class Dress:
 
 
 Task = OpenModels | FindMap | ChooseAnswer | Dress
-
-
-@dataclass(frozen=True, eq=False)
-class Model:
-    """One control mesh, opened.
-
-    Attributes
-    ----------
-    level : int
-        Of the preview.
-    shape : Shape
-    look : Look
-        The source's includes the texture.
-    mirror : (n_control,) int64 or None
-        The control vertex across the mirror plane.
-    notes : tuple of str
-        What was done to a mesh to take it as it is.
-    """
-
-    level: int
-    shape: Shape
-    look: Look
-    mirror: IndexArray | None
-    notes: tuple[str, ...] = ()
-
-    @property
-    def control(self) -> ControlMesh:
-        """The control mesh."""
-        return self.shape.control
 
 
 @dataclass(frozen=True)
@@ -254,8 +213,8 @@ def perform(bench: Bench, task: Task, progress: Progress) -> tuple[Bench, Answer
 def open_models(opening: Opening, progress: Progress) -> Models:
     """Read, check and refine both models."""
     progress("reading the models")
-    paths = opening.target, opening.source
-    target, source = (_model(*side, opening.vertices) for side in zip(paths, opening.schemes, strict=True))
+    sides = zip((opening.target, opening.source), opening.schemes, opening.ups, strict=True)
+    target, source = (open_model(*side, opening.vertices) for side in sides)
     if opening.texture is not None:
         progress("reading the texture")
         pixels, encoded = read_look(opening.texture)
@@ -307,43 +266,6 @@ def _prepared(bench: Bench, progress: Progress) -> tuple[Bench, PreparedPair]:
     return replace(bench, prepared=prepared), prepared
 
 
-def read_look(path: Path) -> tuple[Pixels, bytes]:
-    """A texture in 8 bits, no larger than the page needs, and its JPEG file; the first tile of several."""
-    texture = read_texture(path)
-    pixels = (texture if isinstance(texture, Image) else next(iter(texture.values()))).pixels
-    step = max(1, -(-max(pixels.shape[:2]) // TEXTURE_SIZE))
-    pixels = pixels[::step, ::step]
-    if pixels.dtype != np.uint8:
-        top = np.iinfo(pixels.dtype).max if pixels.dtype.kind == "u" else 1.0
-        pixels = np.rint(255 * np.clip(pixels.astype(np.float64) / top, 0, 1)).astype(np.uint8)
-    pixels = np.repeat(pixels[..., :1], 3, axis=2) if pixels.shape[2] < 3 else np.ascontiguousarray(pixels[..., :3])
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "texture.jpg"
-        write_image(file, pixels)
-        return pixels, file.read_bytes()
-
-
-def _model(path: Path, scheme: str | None, vertices: int) -> Model:
-    control = replace(read_mesh(path), name=path.name)
-    if scheme is not None:
-        control = replace(with_options(control, scheme), object_schemes=())
-    if isinstance(control.scheme, Plain):
-        ready = plain_mesh(control)
-        shape = shape_of(refine(ready.mesh, 0), Original(control, ready.vertex_of))
-        return Model(0, shape, _own_look(ready.mesh), None, ready.notes)
-    require_valid(control)
-    level = choose_level(control, vertices)
-    mirror = next((plane.image for plane in mirror_symmetries(control)), None)
-    return Model(level, shape_of(refine(control, level)), _own_look(control), mirror)
-
-
-def _own_look(control: ControlMesh) -> Look:
-    try:
-        return Look(colors=face_colors(control))
-    except CagemapError:  # a mesh without materials is clay
-        return Look()
-
-
 def _landmarks(models: Models, landmarks: LandmarkList) -> Landmarks:
     return landmarks_of(landmarks, models.target.control, models.source.control)
 
@@ -381,8 +303,7 @@ def _suggestion(bench: Bench, result: MatchResult) -> int | None:
     known = np.unique(result.landmarks.target_points.nearest_vertices)
     if len(known) == count:
         return None
-    # Other answers of a plain mesh are not in its own numbers.
-    known_answers = None if bench.free is None or result.target.refinement.is_plain else bench.free.confidence
+    known_answers = None if bench.free is None else bench.free.confidence
     readings = () if known_answers is None else known_answers.readings
     others = [reading.positions[:count] for k, reading in enumerate(readings) if k != bench.chosen]
     images = result.point_map.images.positions[:count]

@@ -56,10 +56,15 @@ class Preview:
     def open(self, files: Files) -> None:
         """Open two models; what was wished of others is forgotten."""
         with self._wake:
-            self._models = Opening(files.target, files.source, files.texture, self._vertices, files.schemes)
+            self._models = Opening(files.target, files.source, files.texture, self._vertices, files.schemes, files.ups)
             self._opening = True
             self._finding, self._choosing, self._dressing = None, None, False
             self._wake.notify()
+
+    @property
+    def models(self) -> Opening | None:
+        """What is open, or is to be."""
+        return self._models
 
     def find(self, *, fresh: bool) -> None:
         """Find the map; an update is enough where there is one, unless ``fresh``."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -48,6 +48,8 @@ class Shape:
         Control face of every triangle.
     original : Original or None
         None where the control mesh is the file's.
+    turn : (3, 3) float64
+        Rotation from the file's space to the view, where y is up, for rows.
     """
 
     control: ControlMesh
@@ -58,6 +60,7 @@ class Shape:
     uv_triangles: IndexArray | None
     faces: IndexArray
     original: Original | None = None
+    turn: FloatArray = field(default_factory=lambda: np.eye(3))
 
     @property
     def file_mesh(self) -> ControlMesh:
@@ -124,15 +127,19 @@ class Shape:
 
     def to_view(self, points: FloatArray) -> FloatArray:
         """Take points from file units to the view, where every model has its centre at 0 and radius 1."""
-        return np.asarray((points - self.centre) / self.radius)
+        return self.turned((points - self.centre) / self.radius)
+
+    def turned(self, directions: FloatArray) -> FloatArray:
+        """Take directions from the file's space to the view."""
+        return np.asarray(directions @ self.turn)
 
     def to_file(self, points: FloatArray) -> FloatArray:
         """Take points from the view to file units."""
-        return np.asarray(points * self.radius + self.centre)
+        return np.asarray(points @ self.turn.T * self.radius + self.centre)
 
 
-def shape_of(refinement: Refinement, original: Original | None = None) -> Shape:
-    """Shape of a refinement's finest level."""
+def shape_of(refinement: Refinement, original: Original | None = None, turn: FloatArray | None = None) -> Shape:
+    """Shape of a refinement's finest level; without a turn the file's y is up."""
     level, finest = refinement.n_levels, refinement.finest
     split = level_triangles(refinement, level)
     per_face = len(split) // len(finest.face_parents)
@@ -145,6 +152,7 @@ def shape_of(refinement: Refinement, original: Original | None = None) -> Shape:
         uv_triangles=None if finest.uv_indices is None else triangles(finest.uv_indices),
         faces=np.repeat(finest.face_parents, per_face),
         original=original,
+        turn=np.eye(3) if turn is None else turn,
     )
 
 
@@ -187,7 +195,7 @@ def pick(shape: Shape, origin: FloatArray, direction: FloatArray) -> Hit | None:
     """
     start = shape.to_file(np.asarray(origin, dtype=np.float64))
     triangles, weights, along = line_hits(
-        shape.positions, shape.triangles, start, np.asarray(direction, dtype=np.float64)
+        shape.positions, shape.triangles, start, np.asarray(direction, dtype=np.float64) @ shape.turn.T
     )
     ahead = np.flatnonzero(along > 0)
     if not len(ahead):

@@ -191,7 +191,7 @@ def _doubtful(shape: Shape, images: Images) -> Primitive:
     chosen = (images.trust[shape.triangles] < DOUBTFUL).sum(axis=1) >= 2
     vertices, triangles = _part(shape.triangles[chosen])
     drawn = _drawn(shape, vertices, triangles, DOUBT, opacity=DOUBT_OPACITY)
-    return replace(drawn, positions=drawn.positions + _LIFT * shape.normals[vertices])
+    return replace(drawn, positions=drawn.positions + _LIFT * shape.turned(shape.normals[vertices]))
 
 
 def _part(triangles: IndexArray) -> tuple[IndexArray, IndexArray]:
@@ -216,7 +216,7 @@ def _drawn(
     opacity: float = 1.0,
 ) -> Primitive:
     """Triangles between some vertices of a shape, in its light."""
-    lit = light_on(shape.normals[vertices])[:, None] * colors
+    lit = light_on(shape.turned(shape.normals[vertices]))[:, None] * colors
     return Primitive(
         shape.to_view(shape.positions[vertices]), triangles, lit, uvs, opacity, two_sided=not shape.encloses
     )

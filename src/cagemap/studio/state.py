@@ -30,6 +30,8 @@ class Files:
         RESULT folder of the finish.
     schemes : (str or None, str or None)
         How target and source are subdivided, "none" for a mesh as it is; None: as the file says.
+    ups : (str or None, str or None)
+        Axis of target and source that points up in the view, "y" or "z"; None: as a USD file says, else y.
     """
 
     target: Path
@@ -38,6 +40,7 @@ class Files:
     landmarks: Path
     result: Path
     schemes: tuple[str | None, str | None] = (None, None)
+    ups: tuple[str | None, str | None] = (None, None)
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import viser
 
@@ -38,10 +39,9 @@ class SetupPanel:
             self._source.on_update(lambda event: self._guess_texture(event.client))
             with gui.add_folder("As what", expand_by_default=False):
                 hint = "how it is subdivided; none: taken as it is, such as a scan"
-                schemes = (AS_FILED, *SCHEMES)
-                self._schemes = tuple(
-                    gui.add_dropdown(f"{side} scheme", schemes, hint=hint) for side in ("Target", "Source")
-                )
+                self._schemes = _two_dropdowns(gui, "scheme", (AS_FILED, *SCHEMES), hint)
+                hint = "axis that points up, for the view alone; only USD files say it, in others it is y"
+                self._ups = _two_dropdowns(gui, "up", (AS_FILED, "y", "z"), hint)
             gui.add_button("Open", icon=viser.Icon.FOLDER_OPEN).on_click(lambda _: self._open())
             upload = gui.add_upload_button("Add a file", hint="copies a file of yours into the studio's folder")
             upload.on_upload(lambda event: self._upload(event.target.value))
@@ -68,8 +68,9 @@ class SetupPanel:
             chosen = ((self._target, files.target), (self._source, files.source), (self._texture, files.texture))
             for handle, path in chosen:
                 self._choices.choose(handle, path)
-            for handle, scheme in zip(self._schemes, files.schemes, strict=True):
-                put(handle, "value", scheme or AS_FILED)
+            handles = (*self._schemes, *self._ups)
+            for handle, stated in zip(handles, (*files.schemes, *files.ups), strict=True):
+                put(handle, "value", stated or AS_FILED)
         view = state.view
         put(self._doubts, "value", view.doubts)
         put(self._cages, "value", view.cages)
@@ -90,11 +91,11 @@ class SetupPanel:
             self._session.show(view)
 
     def _guess_texture(self, client: object) -> None:
-        """An image named after the source is most likely its texture."""
+        """An image named after the source is most likely its texture; that of another source is not."""
         stem = Path(self._source.value).stem
         named = [name for name in self._texture.options if Path(name).stem.startswith(stem)]
-        if client is not None and named:
-            put(self._texture, "value", named[0])
+        if client is not None:
+            put(self._texture, "value", named[0] if named else NONE)
 
     def _open(self) -> None:
         folder = self._session.workspace.folders[0]
@@ -102,8 +103,8 @@ class SetupPanel:
             target, source, texture = map(self._choices.path, (self._target, self._source, self._texture))
             if target is None or source is None:
                 raise ParameterError("expected a target and a source, got one of them or none. Choose both.")
-            one, two = (None if handle.value == AS_FILED else str(handle.value) for handle in self._schemes)
-            self._session.open(default_files(folder, target, source, texture, (one, two)))
+            files = default_files(folder, target, source, texture, _stated(self._schemes))
+            self._session.open(replace(files, ups=_stated(self._ups)))
         except CagemapError as error:
             self._session.report(error)
 
@@ -112,12 +113,26 @@ class SetupPanel:
             self._choices.refresh()
 
 
+def _two_dropdowns(gui: Any, word: str, options: tuple[str, ...], hint: str) -> tuple[Any, Any]:
+    """A dropdown for the target and one for the source."""
+    return gui.add_dropdown(f"Target {word}", options, hint=hint), gui.add_dropdown(
+        f"Source {word}", options, hint=hint
+    )
+
+
+def _stated(handles: tuple[Any, Any]) -> tuple[str | None, str | None]:
+    """What two dropdowns say; None: as the file says."""
+    one, two = (None if handle.value == AS_FILED else str(handle.value) for handle in handles)
+    return one, two
+
+
 class WorkPanel:
     """Landmarks and map."""
 
     def __init__(self, server: viser.ViserServer, session: Session, choices: Choices) -> None:
         self._session, self._choices = session, choices
         self._numbers: dict[str, int] = {}
+        self._shown: Path | None = None
         gui = server.gui
         gui.set_panel_label("source")
         self._status = gui.add_html("")
@@ -178,7 +193,8 @@ class WorkPanel:
         put(self._redo, "disabled", not state.history.future)
         put(self._next, "disabled", state.map.revision == 0)
         put(self._accept, "disabled", state.proposal is None)
-        if state.files is not None and not self._file.value:
+        if state.files is not None and state.files.landmarks != self._shown:
+            self._shown = state.files.landmarks
             put(self._file, "value", self._session.workspace.show(state.files.landmarks))
         put(self._map, "content", map_text(state))
         answers = tuple(f"{number + 1} {name}" for number, name in enumerate(state.map.answers)) or (NONE,)

@@ -1,0 +1,64 @@
+"""Panels of the studio's page without a page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+from unittest.mock import MagicMock
+
+from cagemap.studio.opening import default_files
+from cagemap.studio.page.choices import NONE, Choices
+from cagemap.studio.page.panels import SetupPanel, WorkPanel
+from cagemap.studio.state import Files, Studio
+from cagemap.studio.workspace import Workspace
+
+
+def server() -> Any:
+    """Something that has viser's fields, each of its own."""
+    made = MagicMock()
+    made.gui.add_text.side_effect = lambda label, value="", **_: MagicMock(value=value)
+    made.gui.add_dropdown.side_effect = lambda label, options, **_: MagicMock(value=options[0], options=options)
+    return made
+
+
+def pair(folder: Path, target: str, source: str) -> Files:
+    return default_files(folder, folder / target, folder / source, None)
+
+
+def test_the_name_to_save_under_is_that_of_the_open_pair(tmp_path: Path) -> None:
+    workspace = Workspace.of(tmp_path)
+    panel = WorkPanel(server(), MagicMock(workspace=workspace), Choices(workspace))
+    first = pair(workspace.folders[0], "cow.obj", "spot.obj")
+    panel.refresh(Studio(files=first))
+    assert panel._file.value == "spot__cow.json"
+    panel._file.value = "mine.json"
+    panel.refresh(Studio(files=first, saved=False))
+    assert panel._file.value == "mine.json"  # typed, and not yet saved
+    panel.refresh(Studio(files=pair(workspace.folders[0], "horse.obj", "zebra.obj")))
+    assert panel._file.value == "zebra__horse.json"
+
+
+def test_a_new_source_brings_its_texture_or_none(tmp_path: Path) -> None:
+    for name in ("zebra.obj", "zebra_skin.png", "horse.obj"):
+        (tmp_path / name).touch()
+    workspace = Workspace.of(tmp_path)
+    session = MagicMock(workspace=workspace, state=Studio())
+    panel = SetupPanel(server(), session, Choices(workspace), lambda: None)
+    for source, texture in (("zebra.obj", "zebra_skin.png"), ("horse.obj", NONE)):
+        panel._source.value = source
+        panel._guess_texture(client=object())
+        assert panel._texture.value == texture
+
+
+def test_what_is_chosen_for_the_models_is_opened_and_shown(tmp_path: Path) -> None:
+    workspace = Workspace.of(tmp_path)
+    session = MagicMock(workspace=workspace, state=Studio())
+    panel = SetupPanel(server(), session, Choices(workspace), lambda: None)
+    panel._target.value, panel._source.value = "cow.obj", "scan.ply"
+    panel._schemes[1].value, panel._ups[1].value = "none", "z"
+    panel._open()
+    files = session.open.call_args.args[0]
+    assert (files.schemes, files.ups) == ((None, "none"), (None, "z"))
+    shown = SetupPanel(server(), session, Choices(workspace), lambda: None)
+    shown.refresh(Studio(files=files), "")
+    assert [handle.value for handle in shown._ups] == ["as the file says", "z"]
