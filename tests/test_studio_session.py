@@ -11,10 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cagemap.errors import ParameterError
+from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images import write_image
+from cagemap.files.landmarks import write_landmarks
 from cagemap.files.meshes import write_mesh
+from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.shapes import cube
+from cagemap.studio.bench import OpenModels
 from cagemap.studio.finish import FinishOptions
 from cagemap.studio.landmark_files import PER_MESH
 from cagemap.studio.opening import default_files
@@ -23,6 +26,7 @@ from cagemap.studio.scene import carried
 from cagemap.studio.session import Session
 from cagemap.studio.shape import pick
 from cagemap.studio.state import Studio, View
+from cagemap.studio.worker import Failure
 from cagemap.studio.workspace import Workspace, autosave_path, read_autosave
 
 PATIENCE = 60.0
@@ -127,6 +131,51 @@ def test_saved_landmarks_are_read_again_and_a_persons_file_is_kept(opened: Sessi
     assert [item.name for item in opened.state.history.present.complete] == [item.name for item in before]
     opened.undo()
     assert len(opened.state.history.present.complete) == 2
+
+
+def test_a_landmark_file_of_other_models_is_kept(opened: Session) -> None:
+    landmarks = opened.state.files.landmarks
+    click(opened, "target", 0)
+    opened.accept()
+    opened.save()
+    ours = landmarks.read_text()
+    write_landmarks(landmarks, Landmarks(("mine",), np.array([1]), np.array([1]), "c.obj", "d.obj"))
+    theirs = landmarks.read_text()
+    kept = landmarks.with_name(f"{landmarks.name}.before-studio")
+    for _ in range(2):  # what it saves itself is replaced as ever
+        opened.save()
+        assert kept.read_text() == theirs
+        assert landmarks.read_text() == ours
+        assert not landmarks.with_name(f"{kept.name}-2").exists()
+
+
+def test_a_landmark_file_that_cannot_be_read_costs_no_map(opened: Session) -> None:
+    files = opened.state.files
+    files.landmarks.write_text("{")
+    opened.open(files)
+    until(lambda: opened.state.map.revision >= 1, opened)
+    assert any("expected JSON" in message.text for message in opened.state.messages)
+
+
+def test_no_finish_begins_with_landmarks_that_were_not_saved(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> None:
+        raise FormatError("full: no room. Make some.")
+
+    click(opened, "target", 0)
+    opened.accept()
+    with monkeypatch.context() as patch:
+        patch.setattr("cagemap.studio.session.save_landmarks", refused)
+        opened.finish(FinishOptions())
+    assert opened.state.finish_job is None
+    assert "no room" in opened.state.messages[-1].text
+
+
+def test_answers_about_models_that_are_no_longer_open_are_left_out(opened: Session) -> None:
+    before = opened.state
+    assert opened._preview.models is not None
+    others = replace(opened._preview.models, vertices=7)
+    opened._receive(OpenModels(others, View()), Failure("FormatError", "of another pair"))
+    assert opened.state == before
 
 
 def click_between(session: Session, side: str) -> np.ndarray:

@@ -154,6 +154,12 @@ def test_a_result_names_its_models(tmp_path: Path) -> None:
     assert files is not None
     names = (files.target, files.source, files.landmarks, files.result)
     assert names == tuple(tmp_path / name for name in ("cow.obj", "spot.obj", "l.json", "RESULT"))
+    assert files.schemes == (None, None)
+    entries = {side: {"scheme": {"name": "loop"}} for side in ("target", "source")}
+    (result / "manifest.json").write_text(json.dumps({"inputs": inputs, **entries}))
+    asked = chosen_files(None, None, None, None, result, (None, "none"))
+    assert asked is not None
+    assert asked.schemes == ("loop", "none")
     (tmp_path / "cow.obj").write_text("edited")
     with pytest.raises(ParameterError, match="unchanged"):
         chosen_files(None, None, None, None, result)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cagemap.errors import FormatError
+from cagemap.errors import CagemapError, FormatError
 from cagemap.files.landmark_points import read_points, write_points
 from cagemap.files.landmarks import read_landmarks, write_landmarks
 from cagemap.files.marks import is_own
@@ -72,8 +72,8 @@ def save_landmarks(path: Path, landmarks: LandmarkList, scene: Scene, files: Fil
     """Write complete landmarks; returns what was written.
 
     One file of pairs; a name that ends in ``.pp`` or ``.points.json`` asks for one file a mesh, NAME.target.pp and
-    NAME.source.pp. The landmark file that is open may be one that a person made or edited: it is copied aside before it
-    is replaced.
+    NAME.source.pp. The landmark file that is open may be one that a person made or edited, and one of ours may hold the
+    landmarks of other models: it is copied aside before it is replaced.
 
     Raises
     ------
@@ -102,10 +102,22 @@ def save_landmarks(path: Path, landmarks: LandmarkList, scene: Scene, files: Fil
         known = ", ".join((".json", *PER_MESH))
         raise FormatError(f"{path.name}: expected a landmark file that ends in one of {known}. Choose such a name.")
     is_open = path == files.landmarks
-    if is_open and path.is_file() and not is_own(path):
+    if path.is_file() and (is_open or is_own(path)) and not _is_of_this_pair(path, scene, files):
         shutil.copy2(path, next(name for name in _aside(path) if not name.exists()))
     write_landmarks(path, complete, force=is_open)
     return (path,)
+
+
+def _is_of_this_pair(path: Path, scene: Scene, files: Files) -> bool:
+    """Whether a file of pairs is one that cagemap wrote for these very models."""
+    if not is_own(path):
+        return False
+    try:
+        read, notes = read_landmarks(path, files.target, files.source)
+        check_landmarks(read, scene.target.file_mesh, scene.source.file_mesh)
+    except CagemapError:
+        return False
+    return not notes
 
 
 def landmarks_of(landmarks: LandmarkList, target: ControlMesh, source: ControlMesh) -> Landmarks:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,8 @@ def chosen_files(
     """
     if target is None and source is None:
         if result is not None:
-            return result_files(result, landmarks, texture)
+            made = result_files(result, landmarks, texture)
+            return replace(made, schemes=(schemes[0] or made.schemes[0], schemes[1] or made.schemes[1]))
         if landmarks or texture or any(schemes):
             raise ParameterError("expected --target and --source beside the other options. Name both models.")
         return None

@@ -92,13 +92,7 @@ class Session:
     def save(self, path: Path | None = None) -> None:
         """Write the landmarks that both models have."""
         with self._guarded(), self._lock:
-            files, scene = self._open()
-            target = files.landmarks if path is None else self.workspace.require(path)
-            written = save_landmarks(target, self._state.history.present, scene, files)
-            self._say("note", f"saved {', '.join(map(self.workspace.show, written))}")
-            if written == (target,):  # a file a mesh is for other programs; the file of pairs stays the open one
-                self._change(files=replace(files, landmarks=target), saved=True)
-                autosave_path(files.landmarks).unlink(missing_ok=True)
+            self._save(path)
 
     def load(self, path: Path, source_points: Path | None = None) -> None:
         """Replace the landmarks by those of a file of pairs, or of a file a mesh; undo brings the old ones back."""
@@ -251,7 +245,7 @@ class Session:
                 raise ParameterError("expected no finish to be running; cancel it or wait for its end")
             todo = self.plan(options)
             if self._state.history.present.decides:
-                self.save()
+                self._save()
             self._change(outputs=())
             self._runner.start(todo)
 
@@ -265,6 +259,15 @@ class Session:
         self._preview.close()
 
     # Inside
+
+    def _save(self, path: Path | None = None) -> None:
+        files, scene = self._open()
+        target = files.landmarks if path is None else self.workspace.require(path)
+        written = save_landmarks(target, self._state.history.present, scene, files)
+        self._say("note", f"saved {', '.join(map(self.workspace.show, written))}")
+        if written == (target,):  # a file a mesh is for other programs; the file of pairs stays the open one
+            self._change(files=replace(files, landmarks=target), saved=True)
+            autosave_path(files.landmarks).unlink(missing_ok=True)
 
     def _written(self, output: Output) -> None:
         with self._lock:
@@ -287,6 +290,8 @@ class Session:
 
     def _take(self, task: Task, answer: object) -> None:
         cancelled, self._cancelled = self._cancelled, False
+        if task.opening != self._preview.models:  # others have been opened meanwhile
+            return
         match answer:
             case Failure() if cancelled and answer.kind == STOPPED:
                 self._say("note", "cancelled; the map stays as it was")
@@ -333,10 +338,11 @@ class Session:
             self._change(history=History(recovered), saved=False)
             self._say("note", f"recovered unsaved landmarks of {files.landmarks.name}")
         elif files.landmarks.is_file():
-            landmarks, notes = load_landmarks(files.landmarks, None, scene, files)
-            self._change(history=History(landmarks), saved=True)
-            for note in notes:
-                self._say("note", note)
+            with self._guarded():
+                landmarks, notes = load_landmarks(files.landmarks, None, scene, files)
+                self._change(history=History(landmarks), saved=True)
+                for note in notes:
+                    self._say("note", note)
         self._find(fresh=True)
 
     def _edit(self, landmarks: LandmarkList, *, select: bool = False) -> None:

@@ -147,6 +147,6 @@ def _step_back() -> None:
         return
     threads = Path("/proc/self/task")  # on Linux every thread has an order of its own; new ones inherit it
     numbers = map(int, os.listdir(threads)) if threads.is_dir() else (0,)
-    with contextlib.suppress(OSError):  # one that has ended
-        for number in numbers:
+    for number in numbers:
+        with contextlib.suppress(OSError):  # one that has ended
             os.setpriority(os.PRIO_PROCESS, number, NICENESS)
