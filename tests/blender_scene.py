@@ -13,7 +13,7 @@ import numpy as np
 ADDONS, FOLDER, COMMAND = sys.argv[1], Path(sys.argv[2]), sys.argv[3]
 sys.path.insert(0, ADDONS)
 import cagemap_blender  # noqa: E402
-from cagemap_blender import work  # noqa: E402
+from cagemap_blender import incoming, work  # noqa: E402
 
 bpy.ops.wm.read_factory_settings(use_empty=True)
 cagemap_blender.register()
@@ -77,8 +77,16 @@ mirror = source.modifiers.new("Mirror", "MIRROR")
 source.modifiers.move(1, 0)
 said["mirror"] = refused(bpy.ops.cagemap.match)
 source.modifiers.remove(mirror)
+bpy.context.view_layer.objects.active = target
+bpy.ops.object.mode_set(mode="EDIT")
+said["edit"] = refused(bpy.ops.cagemap.match)
+bpy.ops.object.mode_set(mode="OBJECT")
 for button in ("match", "texture", "weights", "shapes", "wrap", "report", "shapes"):
+    # Shapes lie as they were matched, however objects are turned afterwards.
+    source.rotation_euler.z = 1.5 if button == "shapes" else 0.0
     getattr(bpy.ops.cagemap, button)()
+source.rotation_euler.z = 0.0
+bpy.context.view_layer.update()
 target.vertex_groups["high"].name = "kept"
 target.vertex_groups.new(name="high")
 bpy.ops.cagemap.weights()  # the group of that name was made by the add-on once, so it may be replaced
@@ -94,9 +102,15 @@ basis, wide = (np.array([point.co for point in keys[name].data]) for name in ("B
 said["wider"] = float(np.ptp(wide[:, 0]) / np.ptp(basis[:, 0]))
 said["groups"] = [one.name for one in target.vertex_groups]
 said["keys"] = [(key.name, key.value) for key in list(keys)[1:]]
-said["materials"] = [slot.name for slot in target.material_slots]
 source.modifiers["Subdivision"].use_limit_surface = False
 mesh = source.evaluated_get(bpy.context.evaluated_depsgraph_get()).to_mesh()
 points = np.array([source.matrix_world @ vertex.co for vertex in mesh.vertices])
 np.save(FOLDER / "refined.npy", points[:, [0, 2, 1]] * (1, 1, -1))
+for number in (1001, 1003):
+    image.save(filepath=str(FOLDER / f"tiled.{number}.png"))
+shown = incoming.show_image(target, FOLDER / "tiled.<UDIM>.png")
+said["tiles"] = sorted(tile.number for tile in shown.tiles)
+said["materials"] = [slot.name for slot in target.material_slots]
+source.data.vertices.add(1)
+said["changed"] = refused(bpy.ops.cagemap.wrap)
 sys.stdout.write("\n" + json.dumps(said) + "\n")

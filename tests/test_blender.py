@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -34,7 +35,7 @@ def outgoing(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     package = ModuleType("cagemap_blender")
     package.__path__ = [str(ADDONS / "cagemap_blender")]
     monkeypatch.setitem(sys.modules, "cagemap_blender", package)
-    for name in ("outgoing", "errors"):
+    for name in ("outgoing", "incoming", "errors"):
         monkeypatch.delitem(sys.modules, f"cagemap_blender.{name}", raising=False)
     return importlib.import_module("cagemap_blender.outgoing")
 
@@ -67,6 +68,46 @@ def test_names_of_landmarks_are_without_the_numbers_that_blender_adds(outgoing: 
     ]
 
 
+def test_every_pair_has_a_folder_of_its_own(outgoing: ModuleType) -> None:
+    kept = ["pony", "Pony.001", "馬", "Hÿena"]
+    assert [outgoing.file_name(name) for name in kept] == kept
+    changed = ["a b", "a/b", "a\\b", "..", ".a", "🐎", "🐖"]
+    names = [outgoing.file_name(name) for name in changed]
+    assert len({*names, "a_b"}) == len(changed) + 1
+    assert not any(set(name) & set("/\\ ") or name.startswith(".") for name in names)
+
+
+def test_the_manifest_is_one_that_blender_takes() -> None:
+    manifest = tomllib.loads((ADDONS / "cagemap_blender" / "blender_manifest.toml").read_text())
+    for words in (manifest["tagline"], *manifest["permissions"].values()):
+        assert len(words) <= 64
+        assert words[-1].isalnum()
+    oldest = tuple(map(int, manifest["blender_version_min"].split(".")))
+    assert f'"blender": {oldest}' in (ADDONS / "cagemap_blender" / "__init__.py").read_text()
+
+
+def test_long_names_are_cut_as_blender_cuts_them(outgoing: ModuleType) -> None:
+    assert outgoing.short_name("wrapped pony") == "wrapped pony"
+    assert outgoing.short_name("é" * 40) == "é" * 31  # 63 bytes
+
+
+def test_a_hidden_modifier_does_not_subdivide(outgoing: ModuleType) -> None:
+    def stack(*shown: bool) -> SimpleNamespace:
+        kinds = zip(("SUBSURF", "MIRROR", "MULTIRES"), shown, strict=True)
+        return SimpleNamespace(modifiers=[SimpleNamespace(type=kind, show_viewport=on) for kind, on in kinds])
+
+    assert outgoing.cage_modifier(stack(False, True, False)) is None
+    assert outgoing.modifier_tags(stack(False, True, False)) == ["t scheme 0/0/1 none"]
+    assert outgoing.cage_modifier(stack(False, True, True)).type == "MULTIRES"
+
+
+def test_tiles_that_were_written_are_found(outgoing: ModuleType, tmp_path: Path) -> None:
+    incoming = importlib.import_module("cagemap_blender.incoming")
+    for name in ("a+b.1001.png", "a+b.1012.png", "aab.1002.png", "a+b.10010.png", "a+b.1003.exr"):
+        (tmp_path / name).touch()
+    assert incoming.tile_numbers(tmp_path / "a+b.<UDIM>.png") == {1001, 1012}
+
+
 @pytest.mark.slow
 def test_all_buttons_in_blender(tmp_path: Path) -> None:
     blender = os.environ.get("CAGEMAP_BPY")
@@ -89,6 +130,8 @@ def test_all_buttons_in_blender(tmp_path: Path) -> None:
         ("unsaved", "Choose a mesh as target"),
         ("too early", "not matched yet"),
         ("mirror", "Mirror"),
+        ("edit", "deer: is in Edit Mode"),
+        ("changed", "it was changed"),
         ("taken", "shape keys of its own called mine"),
     ):
         assert words in said[case], said[case]
@@ -97,7 +140,8 @@ def test_all_buttons_in_blender(tmp_path: Path) -> None:
     assert said["wider"] == pytest.approx(1.2, abs=0.1)
     assert {"kept", "high"} == set(said["groups"])
     assert said["keys"][:2] == [["wide", 0.0], ["wrapped pony", 1.0]]
-    assert said["materials"][-1] == "cagemap deer_pony"
+    assert said["tiles"] == [1001, 1003]
+    assert said["materials"][-2:] == ["cagemap deer_pony", "cagemap tiled"]
     folder = tmp_path / "cagemap" / "pony__deer"
     result = json.loads((folder / "RESULT" / "manifest.json").read_text())
     assert len(json.loads((folder / "target_points.json").read_text())["points"]) == len(pair.landmarks.target)

@@ -7,13 +7,13 @@ modifiers make of it), cagemap does the rest, and what it wrote comes back as im
 
 import bpy
 
-from . import operators, panel
+from . import operators, panel, work
 
 bl_info = {
     "name": "cagemap",
     "author": "the cagemap authors",
     "version": (0, 1, 0),
-    "blender": (4, 0, 0),
+    "blender": (4, 2, 0),
     "location": "3D View > Sidebar > cagemap",
     "description": "Carry textures, weights and shapes between models of different topology",
     "category": "Object",
@@ -36,11 +36,14 @@ def register():
     """Make the buttons known to Blender."""
     for kind in _CLASSES:
         bpy.utils.register_class(kind)
+    bpy.app.handlers.load_pre.append(work.stop)
     bpy.types.Scene.cagemap = bpy.props.PointerProperty(type=panel.CagemapSettings)
 
 
 def unregister():
     """Take them away again."""
+    work.stop()
+    bpy.app.handlers.load_pre.remove(work.stop)
     del bpy.types.Scene.cagemap
     for kind in reversed(_CLASSES):
         bpy.utils.unregister_class(kind)

@@ -1,11 +1,13 @@
 """What comes back: images as materials, vertex groups, shape keys; what the user made is never replaced."""
 
 import json
+import re
 
 import bpy
 import numpy as np
 
 from .errors import RefusedError
+from .outgoing import short_name
 
 
 def obj_positions(text):
@@ -60,11 +62,25 @@ def set_shapes(thing, shapes):
     thing.data.update()
 
 
+def tile_numbers(path):
+    """Numbers of the tiles that are there of a set, <UDIM> in its name."""
+    before, after = map(re.escape, path.name.split("<UDIM>"))
+    found = (re.fullmatch(f"{before}(\\d{{4}}){after}", file.name) for file in path.parent.iterdir())
+    return {int(one[1]) for one in found if one}
+
+
 def show_image(thing, path):
     """Load a baked image and give the object a material that shows it; materials that are there stay as they are."""
     image = bpy.data.images.load(str(path), check_existing=True)
+    if "<UDIM>" in path.name:  # Blender takes the first tile alone
+        image.source = "TILED"
+        wanted, there = tile_numbers(path), {tile.number for tile in image.tiles}
+        for number in wanted - there:
+            image.tiles.new(tile_number=number)
+        for tile in [tile for tile in image.tiles if tile.number not in wanted]:
+            image.tiles.remove(tile)
     image.reload()
-    name = f"cagemap {path.stem}"
+    name = short_name(f"cagemap {path.stem.replace('.<UDIM>', '')}")
     material = bpy.data.materials.get(name)
     if material is None:
         material = bpy.data.materials.new(name)

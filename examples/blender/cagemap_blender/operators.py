@@ -19,11 +19,12 @@ from .outgoing import (
     landmark_points,
     plain_name,
     rest_positions,
+    short_name,
     texture_of,
     vertex_groups,
     write_object,
 )
-from .work import Work, pair_folder, sides
+from .work import Work, pair_folder, placement, sides, write_placements
 
 
 class CAGEMAP_OT_match(Work, bpy.types.Operator):
@@ -42,6 +43,10 @@ class CAGEMAP_OT_match(Work, bpy.types.Operator):
         layers["source"] = next((layer for layer in source.data.uv_layers if layer.active_render), None)
         given = ["match", "--vertices", settings.vertices, "-o", folder / "RESULT"]
         points = {role: landmark_points(thing) for role, thing in (("target", target), ("source", source))}
+        if any(points.values()) and not all(points.values()):
+            bare = target if points["source"] else source
+            self.report({"WARNING"}, f"{bare.name} has no landmarks, so those of the other object are not used.")
+        write_placements(folder, {"target": target, "source": source})
         for role, thing in (("target", target), ("source", source)):
             write_object(context, thing, folder / f"{role}.obj", layers[role])
             given += [f"--{role}", folder / f"{role}.obj"]
@@ -68,8 +73,9 @@ class CAGEMAP_OT_texture(Work, bpy.types.Operator):
         if target.data.uv_layers.active is None:
             raise RefusedError(f"{target.name}: has no UV map. Unwrap it, and match again.")
         image = settings.image or texture_of(source)
+        name = Path(plain_name(image.name).replace(".<UDIM>", "")).stem
         tile = ".<UDIM>" if image.source == "TILED" and len(image.tiles) > 1 else ""
-        self._output = folder / f"{file_name(target.name)}_{file_name(Path(plain_name(image.name)).stem)}{tile}.png"
+        self._output = folder / f"{file_name(target.name)}_{file_name(name)}{tile}.png"
         given = ["--texture", image_file(image, folder), "--size", settings.size, "-o", self._output]
         return [["transfer", folder / "RESULT", *given]]
 
@@ -127,7 +133,7 @@ class CAGEMAP_OT_shapes(Work, bpy.types.Operator):
         folder, keys = pair_folder(context), source.data.shape_keys
         if keys is None or len(keys.key_blocks) < 2:
             raise RefusedError(f"{source.name}: has no shape keys.")
-        turn = np.array((TO_FILE @ source.matrix_world).to_3x3())
+        turn = placement(folder, "source")
         offsets = {
             key.name: (coordinates(key.data) - coordinates(key.relative_key.data)) @ turn.T
             for key in keys.key_blocks
@@ -140,7 +146,7 @@ class CAGEMAP_OT_shapes(Work, bpy.types.Operator):
     def finish(self, context):
         """Take what was written into the scene."""
         target = context.scene.cagemap.target
-        turn = np.linalg.inv(np.array((TO_FILE @ target.matrix_world).to_3x3()))
+        turn = np.linalg.inv(placement(pair_folder(context), "target"))
         with np.load(self._output) as data:
             offsets = {name: data[name] for name in data.files if data[name].ndim == 2}
         for rows in offsets.values():
@@ -168,8 +174,9 @@ class CAGEMAP_OT_wrap(Work, bpy.types.Operator):
         target, source = sides(context)
         to_object = np.array((TO_FILE @ target.matrix_world).inverted())
         positions = obj_positions(self._output.read_text(encoding="utf-8"))
-        set_shapes(target, {f"wrapped {source.name}": positions @ to_object[:3, :3].T + to_object[:3, 3]})
-        target.data.shape_keys.key_blocks[f"wrapped {source.name}"].value = 1.0
+        name = short_name(f"wrapped {source.name}")
+        set_shapes(target, {name: positions @ to_object[:3, :3].T + to_object[:3, 3]})
+        target.data.shape_keys.key_blocks[name].value = 1.0
 
 
 class CAGEMAP_OT_report(Work, bpy.types.Operator):

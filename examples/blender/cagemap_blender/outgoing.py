@@ -1,6 +1,7 @@
 """What goes out: control meshes as OBJ files with subdivision tags, landmarks, vertex groups, images."""
 
 import re
+import zlib
 from pathlib import Path
 
 import bpy
@@ -78,9 +79,14 @@ def plain_name(name):
     return re.sub(r"\.\d{3,}$", "", name)
 
 
+def cage_modifier(thing):
+    """The modifier that subdivides an object, None where none that is shown does."""
+    return next((m for m in thing.modifiers if m.type in _CAGE_MODIFIERS and m.show_viewport), None)
+
+
 def modifier_tags(thing):
     """Subdivision options of an object as its modifier has them; a mesh without one is its own surface."""
-    modifier = next((m for m in thing.modifiers if m.type in _CAGE_MODIFIERS and m.show_viewport), None)
+    modifier = cage_modifier(thing)
     if modifier is None:
         return ["t scheme 0/0/1 none"]
     simple = getattr(modifier, "subdivision_type", "CATMULL_CLARK") == "SIMPLE"
@@ -101,7 +107,8 @@ def modifier_tags(thing):
 def require_control_mesh(context, thing):
     """Refuse an object whose modifiers make another mesh before it is subdivided: numbers would not fit."""
     stack = list(thing.modifiers)
-    first = next((i for i, m in enumerate(stack) if m.type in _CAGE_MODIFIERS), len(stack))
+    subdivides = cage_modifier(thing)
+    first = len(stack) if subdivides is None else stack.index(subdivides)
     shown = [m.show_viewport for m in stack]
     try:
         for modifier in stack[first:]:
@@ -131,7 +138,8 @@ def write_object(context, thing, path, uv_layer):
         uv_layer.uv.foreach_get("vector", flat)
         uvs = flat.reshape(-1, 2)[[corner for some in corners for corner in some]]
     names = [slot.name or f"slot{i}" for i, slot in enumerate(thing.material_slots)]
-    materials = [names[polygon.material_index] for polygon in mesh.polygons] if len(names) > 1 else None
+    last = len(names) - 1  # which Blender shows where a face says a slot that is gone
+    materials = [names[min(polygon.material_index, last)] for polygon in mesh.polygons] if last > 0 else None
     path.write_text(mesh_text(positions, faces, uvs, materials, modifier_tags(thing)), encoding="utf-8")
 
 
@@ -201,7 +209,7 @@ def texture_of(thing):
         colours = [n for n in images if any(link.to_socket.name == "Base Color" for o in n.outputs for link in o.links)]
         for node in [*colours, *images]:
             return node.image
-    raise RefusedError(f"{thing.name}: its materials have no image. Choose one under Texture.")
+    raise RefusedError(f"{thing.name}: its materials have no image. Choose one under Image.")
 
 
 def image_file(image, folder):
@@ -223,5 +231,11 @@ def image_file(image, folder):
 
 
 def file_name(name):
-    """A name as files may have it."""
-    return re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._") or "model"
+    """A name as files may have it; one that had to be changed gets a number that keeps it apart from others."""
+    plain = re.sub(r"[^\w.-]+", "_", name).strip("._")
+    return plain if plain == name else f"{plain or 'model'}_{zlib.crc32(name.encode()):08x}"
+
+
+def short_name(name):
+    """A name as long as Blender takes it."""
+    return name.encode()[:63].decode(errors="ignore")

@@ -1,14 +1,18 @@
 """How a button runs cagemap: in the background, stopped by Esc, or waited for from a script."""
 
+import json
+import os
 import re
 import shutil
 import subprocess
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from .errors import RefusedError
-from .outgoing import file_name
+from .incoming import require_rows
+from .outgoing import TO_FILE, file_name
 
 
 def command_path(context):
@@ -24,14 +28,14 @@ def command_path(context):
 
 
 def sides(context):
-    """Target and source, their meshes up to date."""
+    """Target and source, as they stand."""
     settings = context.scene.cagemap
     for role in ("target", "source"):
         thing = getattr(settings, role)
         if thing is None or thing.type != "MESH":
             raise RefusedError(f"Choose a mesh as {role}.")
-        if thing.mode == "EDIT":
-            thing.update_from_editmode()
+        if thing.mode == "EDIT":  # what modifiers make of it is not known there, and groups cannot be written
+            raise RefusedError(f"{thing.name}: is in Edit Mode. Leave it (Tab), and press the button again.")
     if settings.target.data == settings.source.data:
         raise RefusedError("Target and source are the same mesh. Choose two.")
     context.view_layer.update()
@@ -39,16 +43,45 @@ def sides(context):
 
 
 def pair_folder(context, made=False):
-    """Where the files of this pair are."""
-    settings = context.scene.cagemap
-    if settings.folder.startswith("//") and not bpy.data.filepath:
+    """Where the files of this pair are; unless it is being made, both are as they were matched."""
+    target, source = sides(context)
+    place = context.scene.cagemap.folder or "//cagemap"
+    if place.startswith("//") and not bpy.data.filepath:
         raise RefusedError("Save the .blend file first, or choose a folder: results lie beside it.")
-    names = [file_name(getattr(settings, role).name) for role in ("source", "target")]
-    folder = Path(bpy.path.abspath(settings.folder)) / "__".join(names)
-    if not made and not (folder / "RESULT" / "map.npz").is_file():
-        raise RefusedError(f"{' and '.join(names)}: are not matched yet. Press Match.")
+    folder = Path(bpy.path.abspath(place)).resolve() / f"{file_name(source.name)}__{file_name(target.name)}"
+    if not made:
+        if not (folder / "RESULT" / "map.npz").is_file():
+            raise RefusedError(f"{source.name} and {target.name}: are not matched yet. Press Match.")
+        for thing, role in ((target, "target"), (source, "source")):
+            require_rows(thing, written_vertices(folder / f"{role}.obj"))
     folder.mkdir(parents=True, exist_ok=True)
     return folder
+
+
+def written_vertices(path):
+    """How many vertices an OBJ file has."""
+    with path.open(encoding="utf-8") as lines:
+        return sum(line.startswith("v ") for line in lines)
+
+
+def write_placements(folder, things):
+    """Note how objects stand as they are matched: what comes back is turned by that, wherever they stand then."""
+    rows = {role: [list(row) for row in (TO_FILE @ thing.matrix_world).to_3x3()] for role, thing in things.items()}
+    (folder / "placements.json").write_text(json.dumps(rows), encoding="utf-8")
+
+
+def placement(folder, role):
+    """(3, 3) turn and scale from an object to the files, as it was matched."""
+    return np.array(json.loads((folder / "placements.json").read_text(encoding="utf-8"))[role])
+
+
+@bpy.app.handlers.persistent
+def stop(*_):
+    """End what runs; another file that is opened would leave it to nobody."""
+    if Work.running is not None and Work.running.poll() is None:
+        Work.running.kill()
+        Work.running.wait()
+    Work.running = None
 
 
 class Work:
@@ -79,18 +112,17 @@ class Work:
     def modal(self, context, event):
         """Look now and then whether the command is done."""
         if event.type == "ESC":
-            Work.running.kill()
-            Work.running.wait()
             self._end(context)
             self.report({"WARNING"}, "cagemap was stopped. What was written whole stays.")
             return {"CANCELLED"}
-        if event.type != "TIMER":
+        if event.type != "TIMER" or self._process.poll() is None:
             return {"PASS_THROUGH"}
-        if Work.running.poll() is None:
-            return {"RUNNING_MODAL"}
-        answer = self._guarded(context, self._next)
-        if answer != {"RUNNING_MODAL"}:
-            self._end(context)
+        answer = {"CANCELLED"}
+        try:
+            answer = self._guarded(context, self._next)
+        finally:  # also after a fault of ours: without it the buttons would stay grey
+            if answer != {"PASS_THROUGH"}:
+                self._end(context)
         return answer
 
     def _guarded(self, context, step):
@@ -120,22 +152,26 @@ class Work:
         self._read()
         if self._waiting:
             Work.running = self._start(self._waiting.pop(0))
-            return {"RUNNING_MODAL"}
+            return {"PASS_THROUGH"}
         return self._take(context)
 
     def _end(self, context):
-        Work.running = None
+        stop()
         context.workspace.status_text_set(None)
         context.window_manager.event_timer_remove(self._timer)
 
     def _prepare(self, context):
         self._waiting = [[command_path(context), *map(str, given)] for given in self.commands(context)]
         self._log = pair_folder(context, made=True) / "log.txt"
+        self._pair = [thing.name for thing in sides(context)]
 
     def _start(self, command):
         with self._log.open("w", encoding="utf-8") as log:
             hidden = getattr(subprocess, "CREATE_NO_WINDOW", 0)  # no console on Windows
-            self._process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, creationflags=hidden)
+            words = {**os.environ, "PYTHONUTF8": "1"}  # names in the log as they are read from it
+            self._process = subprocess.Popen(
+                command, stdout=log, stderr=subprocess.STDOUT, creationflags=hidden, env=words
+            )
         return self._process
 
     def _read(self):
@@ -144,6 +180,11 @@ class Work:
             raise RefusedError(self._said or f"cagemap ended with {self._process.returncode}. See {self._log}.")
 
     def _take(self, context):
+        if [thing.name for thing in sides(context)] != self._pair:
+            raise RefusedError(
+                f"Other objects were chosen meanwhile than {' and '.join(self._pair)}. Choose them again."
+            )
+        pair_folder(context)
         context.scene.cagemap.said = self.finish(context) or re.sub("; next: .*", "", self._said)
         for line in context.scene.cagemap.said.splitlines():
             self.report({"INFO"}, line)
