@@ -1,14 +1,17 @@
-"""Panels of the studio's page without a page."""
+"""Panels and views of the studio's page without a page."""
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import MagicMock
 
 from cagemap.studio.opening import default_files
 from cagemap.studio.page.choices import NONE, Choices
 from cagemap.studio.page.panels import SetupPanel, WorkPanel
+from cagemap.studio.page.view import Marker, ModelView
 from cagemap.studio.state import Files, Studio
 from cagemap.studio.workspace import Workspace
 
@@ -62,3 +65,24 @@ def test_what_is_chosen_for_the_models_is_opened_and_shown(tmp_path: Path) -> No
     shown = SetupPanel(server(), session, Choices(workspace), lambda: None)
     shown.refresh(Studio(files=files), "")
     assert [handle.value for handle in shown._ups] == ["as the file says", "z"]
+
+
+def test_a_landmark_dropped_beside_the_model_returns(tmp_path: Path) -> None:
+    session, nodes = MagicMock(), (SimpleNamespace(), SimpleNamespace())
+    view = ModelView(server(), "target", session)
+    view._shape = MagicMock(to_view=lambda point: 2 * point)
+    view._markers = {1: (Marker(1, "1", (0.0, 0.5, 0.0), (0, 0, 0), 0.1, solid=True), *nodes)}
+    client = SimpleNamespace(camera=SimpleNamespace(position=(0.0, 0.0, 3.0)))
+
+    def drag(phase: str, place: object) -> None:
+        session.place_under.return_value = place
+        event: Any = SimpleNamespace(client=client, end_position=(0.0, 0.0, 0.0), phase=phase)
+        asyncio.run(view._dragger(1)(event))
+
+    drag("update", SimpleNamespace(position=(1.0, 0.0, 0.0)))
+    assert [tuple(node.position) for node in nodes] == [(2.0, 0.0, 0.0)] * 2
+    drag("update", None)
+    assert [tuple(node.position) for node in nodes] == [(2.0, 0.0, 0.0)] * 2
+    drag("end", None)
+    assert [tuple(node.position) for node in nodes] == [(0.0, 0.5, 0.0)] * 2
+    assert not session.move.called

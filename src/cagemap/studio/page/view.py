@@ -238,7 +238,7 @@ class ModelView:
         if place is not None:
             far = float(np.linalg.norm(self._shape.to_view(np.array(place.position)) - origin)) + _BEHIND
         best: tuple[float, int] | None = None
-        for number, (marker, *_) in self._markers.items():
+        for number, (marker, *_) in list(self._markers.items()):
             offset = np.array(marker.position) - origin
             along = float(offset @ direction)
             away = float(np.linalg.norm(offset - along * direction))
@@ -251,13 +251,15 @@ class ModelView:
             origin = np.array(event.client.camera.position)
             direction = np.array(event.end_position) - origin
             place = self._session.place_under(self.side, origin, direction / np.linalg.norm(direction))
-            if place is None or self._shape is None:
+            held = self._markers.get(number)
+            if held is None or self._shape is None:
                 return
-            if event.phase == "end":
+            marker, *nodes = held
+            if place is not None and event.phase == "end":
                 self._session.move(number, self.side, place)
-            elif number in self._markers:
-                position = self._shape.to_view(np.array(place.position))
-                for node in self._markers[number][1:]:
+            elif place is not None or event.phase == "end":  # let go beside the model, it returns to where it was
+                position = marker.position if place is None else self._shape.to_view(np.array(place.position))
+                for node in nodes:
                     node.position = position
 
         return dragged
