@@ -432,3 +432,48 @@ def test_an_added_mesh_names_no_file_outside_the_folders(session: Session, folde
     assert sorted(folder.iterdir()) == before
     added = session.workspace.add("x.obj", b"mtllib my own.mtl\n")
     added.unlink()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "(subLayers = [@../out.usda@])",
+        'def "a"(references = @/out.usda@){}',
+        'def "a"(payload = @./../out.usda@){}',
+        'def "a"(references = @elsewhere.usda@){}',
+        'def "a"(references = @./x.usda:SDF_FORMAT_ARGS:a=b@){}',
+        'def "a" {\nasset f = @/etc/passwd@\n}',
+        'def "a" {\nasset[] f.timeSamples = {0: [@../out.png@]}\n}',
+        'def "a"(clips = {dictionary b = {string templateAssetPath = "../out.###.usda"}}){}',
+        '(expressionVariables = {string A = "x"})\ndef "a"(references = @`"./${A}.usda"`@){}',
+    ],
+)
+def test_an_added_usd_file_names_no_file_outside_the_folders(session: Session, folder: Path, words: str) -> None:
+    pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    before = sorted(folder.iterdir())
+    text = "#usda 1.0\n" + words.replace("){}", "){\n}\n")
+    with pytest.raises(ParameterError, match="got one outside"):
+        session.workspace.add("x.usda", text.encode())
+    assert sorted(folder.iterdir()) == before
+
+
+def test_an_added_usd_file_may_name_files_beside_it_and_a_package_its_own(session: Session, tmp_path: Path) -> None:
+    pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    from pxr import Sdf
+
+    text = b'#usda 1.0\ndef "a" {\nasset f = @./textures/a.png@\n}\n'
+    session.workspace.add("x.usda", text).unlink()
+    with pytest.raises(FormatError, match="cannot be read as USD"):
+        session.workspace.add("x.usda", b"no layer")
+    layer, image, package = tmp_path / "a.usda", tmp_path / "a.png", tmp_path / "p.usdz"
+    layer.write_bytes(text.replace(b"./textures/", b""))
+    image.write_bytes(b"png")
+    for entry, named in (("a.png", True), ("b.png", False)):
+        with Sdf.ZipFileWriter.CreateNew(str(package)) as writer:
+            writer.AddFile(str(layer), "a.usda")
+            writer.AddFile(str(image), entry)
+        if named:
+            session.workspace.add("p.usdz", package.read_bytes()).unlink()
+        else:
+            with pytest.raises(ParameterError, match=r"got one outside: a\.png"):
+                session.workspace.add("p.usdz", package.read_bytes())

@@ -81,6 +81,7 @@ def usd_modules() -> Any:
         import pxr.UsdGeom
         import pxr.UsdShade
         import pxr.UsdSkel
+        import pxr.UsdUtils
     except ImportError:
         raise FormatError(
             "USD files: expected the package usd-core, which is not installed. Install cagemap[usd] or usd-core."

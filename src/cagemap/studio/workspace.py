@@ -15,6 +15,8 @@ from cagemap.files.curves import pair_curves, pair_entries
 from cagemap.files.marks import mark
 from cagemap.files.obj import named_material_files
 from cagemap.files.text import read_text
+from cagemap.files.usd import USD_SUFFIXES
+from cagemap.files.usd_named import named_files
 from cagemap.studio.landmarks import Landmark, LandmarkList, Place
 
 MESHES = (".obj", ".ply", ".stl", ".off", ".usd", ".usda", ".usdc", ".usdz")
@@ -96,9 +98,9 @@ class Workspace:
         Raises
         ------
         ParameterError
-            If it is of no kind that the studio opens, or an OBJ that names a material file outside the folders.
+            If it is of no kind that the studio opens, or a mesh that names a file outside the folders.
         FormatError
-            If it is an OBJ that is no text, or cannot be written.
+            If it is an OBJ that is no text or a damaged USD file, or cannot be written.
         """
         wanted = self.require(Path(name).name)
         if wanted.suffix.lower() not in ADDED:
@@ -106,11 +108,27 @@ class Workspace:
         if wanted.suffix.lower() == ".obj":
             for file in named_material_files(wanted.name, content):
                 self.require(file)
+        if wanted.suffix.lower() in USD_SUFFIXES:
+            for file in named_files(wanted.name, content):
+                self._require_layer(wanted.name, file)
         names = itertools.chain([wanted], (wanted.with_stem(f"{wanted.stem} ({k})") for k in itertools.count(2)))
         free = next(path for path in names if not path.exists())
         with atomic_path(free) as temporary:
             temporary.write_bytes(content)
         return free
+
+    def _require_layer(self, name: str, file: str) -> None:
+        """Refuse an asset path of a USD file that may lead out of the folders: by itself, or where USD searches."""
+        beside = file.startswith(("./", "../")) or (self.folders[0] / file).is_file()
+        try:
+            if not beside or any(character in file for character in "[:`"):
+                raise ParameterError("it is looked for elsewhere")
+            self.require(file)
+        except ParameterError:
+            raise ParameterError(
+                f"{name}: expected a USD file that names files of the studio's folder only, got one outside: {file}. "
+                "Add a flattened file or a package (usdcat --flatten, .usdz), or start the studio with --folder."
+            ) from None
 
     def show(self, path: Path) -> str:
         """Name of a path as `listing` gives it: from the first folder on."""
