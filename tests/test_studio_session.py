@@ -29,7 +29,8 @@ from cagemap.studio.state import Studio, View
 from cagemap.studio.worker import Failure
 from cagemap.studio.workspace import Workspace, autosave_path, read_autosave
 
-PATIENCE = 60.0
+# The computation stands back for everything else, so that a busy machine takes long over a first map.
+PATIENCE = 150.0
 
 
 def until(done: Callable[[], object], session: Session) -> None:
