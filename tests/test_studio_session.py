@@ -20,13 +20,15 @@ from cagemap.mesh.shapes import cube
 from cagemap.studio.bench import OpenModels
 from cagemap.studio.finish import FinishOptions
 from cagemap.studio.landmark_files import PER_MESH
+from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.opening import default_files
 from cagemap.studio.places import vertex_place
+from cagemap.studio.preview import Preview
 from cagemap.studio.scene import carried
 from cagemap.studio.session import Session
 from cagemap.studio.shape import pick
-from cagemap.studio.state import Studio, View
-from cagemap.studio.worker import Failure
+from cagemap.studio.state import Files, Job, Studio, View
+from cagemap.studio.worker import Failure, Worker
 from cagemap.studio.workspace import Workspace, autosave_path, read_autosave
 
 # The computation stands back for everything else, so that a busy machine takes long over a first map.
@@ -209,8 +211,10 @@ def test_a_click_between_vertices_stays_where_it_was(opened: Session, folder: Pa
     again = opened.state.history.present.complete[0]
     for side in ("target", "source"):
         np.testing.assert_allclose(again.on(side).position, item.on(side).position, atol=1e-6)
-    opened.save_as("refused.txt")
-    assert not (folder / "refused.txt").exists()
+    for refused in ("refused.txt", "refused.mrk.json"):
+        opened.save_as(refused)
+        assert "Choose such a name" in opened.state.messages[-1].text
+        assert not (folder / refused).exists()
 
 
 def test_curves_of_a_file_are_used_and_saved_again(opened: Session, folder: Path) -> None:
@@ -289,6 +293,34 @@ def test_a_fault_of_ours_is_a_message_and_the_next_click_works(
     click(opened, "target", 2)
     opened.accept()
     until(lambda: opened.state.map.revision > revision and opened.state.map.strain, opened)
+
+
+class Idle(Worker):
+    """Does nothing, at once."""
+
+    def start(self) -> None:
+        pass
+
+    def run(self, task: object) -> None:
+        pass
+
+
+def test_only_the_first_opening_is_said_to_compile(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cagemap.studio.preview.Worker", Idle)
+    titles: list[str] = []
+
+    def on_job(job: Job | None) -> None:
+        if job is not None:
+            titles.append(job.title)
+
+    preview = Preview(100, lambda: (LandmarkList(), View(), None), on_job, lambda *_: None)
+    for count in (1, 2):
+        preview.open(Files(Path("a.obj"), Path("b.obj"), None, Path("c.json"), Path("RESULT")))
+        end = time.monotonic() + 10
+        while len(titles) < count and time.monotonic() < end:
+            time.sleep(0.01)
+    preview.close()
+    assert ["compiles" in title for title in titles] == [True, False]
 
 
 def test_cancelling_ends_what_runs(opened: Session) -> None:

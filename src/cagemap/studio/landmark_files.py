@@ -25,6 +25,8 @@ from cagemap.studio.state import Files
 
 # Names that ask for a file a mesh instead of one for the pair.
 PER_MESH = (".points.json", ".pp")
+# 3D Slicer's form, which is read, not written.
+SLICER = ".mrk.json"
 
 
 def load_landmarks(
@@ -78,7 +80,8 @@ def save_landmarks(path: Path, landmarks: LandmarkList, scene: Scene, files: Fil
     Raises
     ------
     FormatError
-        If a file cannot be written, or another file of that name is there that cagemap did not write.
+        If the name asks for a form that is not written, a file cannot be written, or another file of that name is there
+        that cagemap did not write.
     """
     target, source = scene.target.file_mesh, scene.source.file_mesh
     complete = landmarks_of(landmarks, target, source).renumbered(scene.target.in_file, scene.source.in_file)
@@ -98,7 +101,7 @@ def save_landmarks(path: Path, landmarks: LandmarkList, scene: Scene, files: Fil
             )
             write_points(file, replace(named, curves=lines), control)
         return paths
-    if path.suffix.lower() != ".json":
+    if path.suffix.lower() != ".json" or path.name.lower().endswith(SLICER):
         known = ", ".join((".json", *PER_MESH))
         raise FormatError(f"{path.name}: expected a landmark file that ends in one of {known}. Choose such a name.")
     is_open = path == files.landmarks

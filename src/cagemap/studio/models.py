@@ -9,13 +9,15 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.descriptors import mirror_symmetries
-from cagemap.errors import CagemapError
+from cagemap.errors import CagemapError, ParameterError
 from cagemap.files.images import Image, Pixels, read_texture, write_image
 from cagemap.files.meshes import read_mesh
 from cagemap.files.usd import USD_SUFFIXES
 from cagemap.files.usd_space import to_standard
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
+from cagemap.mesh.mesh_report import first_few
+from cagemap.mesh.parts import components
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -86,6 +88,13 @@ def open_model(path: Path, scheme: str | None, up: str | None, vertices: int) ->
         See `cagemap.studio.state.Files`.
     vertices : int
         Of the surface, about.
+
+    Raises
+    ------
+    ParameterError
+        If a mesh that is subdivided has several connected pieces.
+    InvalidMeshError, FormatError
+        If it cannot be taken or read.
     """
     control = replace(read_mesh(path), name=path.name)
     turn = upright(path, control, up)
@@ -95,10 +104,22 @@ def open_model(path: Path, scheme: str | None, up: str | None, vertices: int) ->
         ready = plain_mesh(control)
         shape = shape_of(refine(ready.mesh, 0), Original(control, ready.vertex_of), turn)
         return Model(0, shape, _own_look(ready.mesh), None, ready.notes)
+    _require_one_piece(control)
     require_valid(control)
     level = choose_level(control, vertices)
     mirror = next((plane.image for plane in mirror_symmetries(control)), None)
     return Model(level, shape_of(refine(control, level), turn=turn), _own_look(control), mirror)
+
+
+def _require_one_piece(control: ControlMesh) -> None:
+    pieces = sorted(components(control), key=lambda part: -len(part.faces))
+    if len(pieces) > 1:
+        listed = first_few(f"{part.title} ({len(part.faces)} faces)" for part in pieces)
+        raise ParameterError(
+            f"{control.name}: expected a model of one connected piece, got {len(pieces)}: {listed}. Export the "
+            "piece that is meant as a file of its own; or match it without the studio: cagemap match --part largest "
+            "(--target-part NAME, --source-part NAME, --part each)."
+        )
 
 
 def upright(path: Path, control: ControlMesh, up: str | None) -> FloatArray:

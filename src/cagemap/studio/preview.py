@@ -17,6 +17,9 @@ _TITLES = {
     ChooseAnswer: "finding the map",
     Dress: "drawing",
 }
+# What may last when a version of cagemap runs for the first time; said until it was done once.
+_COMPILED = (OpenModels, FindMap)
+_COMPILES = " (the first run after installing compiles, which takes some seconds longer)"
 
 
 class Preview:
@@ -96,10 +99,12 @@ class Preview:
         self._worker.stop()
 
     def _work(self) -> None:
+        first = set(_COMPILED)
         while (task := self._next()) is not None:
-            self._title = _TITLES[type(task)]
+            self._title = _TITLES[type(task)] + (_COMPILES if type(task) in first else "")
             self._on_job(Job(self._title, can_cancel=True))
             answer = self._worker.run(task)
+            first.discard(type(task))
             if self._closed:
                 return
             self._on_job(None)
