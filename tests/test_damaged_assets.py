@@ -34,6 +34,19 @@ def _everything() -> ControlMesh:
     )
 
 
+def _write(path: Path) -> None:
+    """A sound file; a package is made of a crate as USD's own tool does."""
+    if path.suffix != ".usdz":
+        write_mesh(path, _everything())
+        return
+    from pxr import UsdUtils
+
+    crate = path.with_name("packed.usdc")
+    write_mesh(crate, _everything())
+    assert UsdUtils.CreateNewUsdzPackage(str(crate), str(path))
+    crate.unlink()
+
+
 def _use(path: Path) -> None:
     """Read, check and refine; what a check lets through must be refined without trouble."""
     mesh = read_mesh(path)
@@ -48,12 +61,12 @@ def _use(path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["mesh.obj", "mesh.usda", "mesh.usdc"])
+@pytest.mark.parametrize("name", ["mesh.obj", "mesh.usda", "mesh.usdc", "mesh.usdz"])
 def test_changed_bytes(name: str, tmp_path: Path) -> None:
     """200 cases of each."""
     rng = np.random.default_rng([7, *name.encode()])
     path = tmp_path / name
-    write_mesh(path, _everything())
+    _write(path)
     content, beside = path.read_bytes(), set(tmp_path.iterdir())
     assert outcome(lambda: _use(path))
     refused = 0
@@ -66,9 +79,9 @@ def test_changed_bytes(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_truncated_at_any_place(tmp_path: Path) -> None:
-    for name in ("mesh.obj", "mesh.usda", "mesh.usdc"):
+    for name in ("mesh.obj", "mesh.usda", "mesh.usdc", "mesh.usdz"):
         path = tmp_path / name
-        write_mesh(path, _everything())
+        _write(path)
         content = path.read_bytes()
         for length in np.linspace(0, len(content) - 1, 40).astype(int):
             path.write_bytes(content[:length])

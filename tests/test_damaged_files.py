@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
+import struct
 import warnings
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,19 +16,25 @@ import numpy as np
 import pytest
 
 from cagemap.basis import BasisConfig
+from cagemap.cli.masks import read_mask
 from cagemap.cli.progress import Stages
 from cagemap.cli.transfer import run_transfer
 from cagemap.cli.transfer_request import TransferRequest
-from cagemap.errors import CagemapError
+from cagemap.errors import CagemapError, FormatError
 from cagemap.example import example_pair
 from cagemap.files.attributes import read_attributes, write_attributes
-from cagemap.files.images import read_image, write_image
+from cagemap.files.images import read_image, read_image_form, write_image
+from cagemap.files.landmark_points import read_points
 from cagemap.files.landmarks import read_landmarks, write_landmarks
+from cagemap.files.maps import read_images, write_map
 from cagemap.files.meshes import read_mesh, write_mesh
+from cagemap.files.mhclo import bind, read_mhclo, write_mhclo
 from cagemap.files.ply import write_ply
 from cagemap.files.result import ARRAYS, MANIFEST, read_result, write_result
 from cagemap.files.surface_store import load_surface, prepared, save_surface
-from cagemap.mesh import shapes
+from cagemap.files.symmetry import read_symmetry
+from cagemap.mesh import icosahedron, shapes
+from cagemap.mesh.landmarks import on_cage
 from cagemap.pipeline import prepare_surface
 from cagemap.report import build_page
 from cagemap.report.figures import Gallery
@@ -128,6 +137,42 @@ def mutated_arrays(arrays: dict[str, Any], rng: Generator) -> dict[str, Any]:
     return copied
 
 
+def write_guests(place: Path) -> None:
+    """Files that other programs write, or that name places and maps."""
+    triangles = icosahedron().positions[icosahedron().face_indices].reshape(-1, 3, 3)
+    records = b"".join(struct.pack("<12fH", 0, 0, 0, *triangle.ravel(), 0) for triangle in triangles)
+    (place / "binary.stl").write_bytes(b"scan".ljust(80) + struct.pack("<I", len(triangles)) + records)
+    facets = ("\n".join("vertex {} {} {}".format(*corner) for corner in triangle) for triangle in triangles.tolist())
+    (place / "text.stl").write_text("solid s\n" + "\n".join(facets) + "\nendsolid s\n")
+    slicer = {"label": "nose", "position": [-1, -0.5, 0.25]}
+    markups = [{"coordinateSystem": "RAS", "controlPoints": [slicer]}]
+    markups.append({"type": "ClosedCurve", "name": "lips", "controlPoints": [slicer] * 3})  # type: ignore[dict-item]
+    (place / "p.mrk.json").write_text(json.dumps({"markups": markups}))
+    (place / "p.fcsv").write_text(
+        "# CoordinateSystem = 0\nvtk0,-1,-0.5,0.25,0,0,0,1,1,1,0,nose,,\nvtk1,1,-0.5,0.25,0,0,0,1,1,1,0,a\n"
+    )
+    (place / "p.pp").write_text('<PickedPoints><point x="1" y="0.5" z="0.25" name="nose" active="1"/></PickedPoints>')
+    (place / "p.csv").write_text("name,x,y,z\nnose,1,0.5,0.25\nchin,1,-0.5,0.25\n")
+    (place / "p_vertices.csv").write_text("name,vertex\nnose,7\nchin,2\n")
+    (place / "wrap.json").write_text("[[3, 0.25, 0.5], [0, 0, 0]]")
+    lips, hem = {"name": "lips", "vertices": [0, 1, 2]}, {"name": "hem", "positions": [[0, 0, 0], [1, 1, 1]]}
+    points = [{"name": "nose", "vertex": 3}, {"name": "chin", "position": [1, 0.5, 0.25]}]
+    (place / "c.json").write_text(json.dumps({"mesh": "a.obj", "points": points, "curves": [lips, hem]}))
+    pair = {"name": "lips", "source": [3, 4, 9], "target": [[7, 8], [8, 2]], "closed": False}
+    (place / "lc.json").write_text(
+        json.dumps({"source": "pony.obj", "target": "deer.obj", "pairs": [], "curves": [pair]})
+    )
+    point_map = identity_result().point_map
+    for suffix in (".npy", ".npz", ".mtx", ".vts"):
+        write_map(place / f"m{suffix}", point_map)
+    base = shapes.cube()
+    write_mhclo(place / "b.mhclo", bind(base.positions, base, np.zeros(8, dtype=np.int64)), Path("b.obj"))
+    for name in ("y.json", "y.txt"):
+        (place / name).write_text("[1, 0, 3, 2]" if name == "y.json" else "1 0 3 2")
+    write_image(place / "mask.png", np.full((6, 6, 2), 200, dtype=np.uint8))
+    write_attributes(place / "mask.csv", {"m": np.linspace(0, 1, 8)})
+
+
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One sound file of every kind."""
@@ -145,9 +190,41 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_attributes(place / f"v{suffix}", {"a": rng.random(20)})
     write_attributes(place / "n.csv", {"whole": np.arange(20), "b": rng.random((20, 2))})
     save_surface(place / "s.npz", prepare_surface(shapes.cube(), 2, BasisConfig(count=6)))
+    write_guests(place)
     return place
 
 
+def use_mask(path: Path) -> None:
+    """A mask, read and laid on a surface."""
+    surface = identity_result().target
+    mask = read_mask(str(path), None, surface.refinement.control, path, "--target-mask")
+    mask.on(surface.refinement, surface.triangles(surface.finest))
+
+
+def use_map(path: Path) -> None:
+    """A map, read for the surface that it was made for."""
+    surface = identity_result().source
+    read_images(path, surface.triangles(surface.finest))
+
+
+def use_points(path: Path) -> None:
+    """Named points and curves of a mesh, read and found on it."""
+    mesh = shapes.cube()
+    on_cage(read_points(path, mesh), mesh)
+
+
+GUESTS: dict[str, Callable[[Path], object]] = {
+    "binary.stl": read_mesh,
+    "text.stl": read_mesh,
+    **dict.fromkeys(("p.mrk.json", "p.fcsv", "p.pp", "p.csv", "p_vertices.csv", "wrap.json", "c.json"), use_points),
+    "lc.json": lambda path: read_landmarks(path, "deer.obj", "pony.obj"),
+    **dict.fromkeys(("m.npy", "m.npz", "m.mtx", "m.vts"), use_map),
+    "b.mhclo": read_mhclo,
+    "y.json": read_symmetry,
+    "y.txt": read_symmetry,
+    "mask.png": use_mask,
+    "mask.csv": use_mask,
+}
 READERS: dict[str, Callable[[Path], object]] = {
     "box.obj": read_mesh,
     "box.mtl": lambda path: read_mesh(path.with_name("box.obj")),
@@ -164,6 +241,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "t.tif": read_image,
     "t.exr": read_image,
     "s.npz": load_surface,
+    **GUESTS,
     f"R/{MANIFEST}": lambda path: use_result(path.parent),
     f"R/{ARRAYS}": lambda path: use_result(path.parent),
 }
@@ -193,7 +271,7 @@ def test_changed_bytes(scene: Path, tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [f"R/{MANIFEST}", "l.json"])
+@pytest.mark.parametrize("name", [f"R/{MANIFEST}", "l.json", "lc.json", "c.json", "p.mrk.json", "wrap.json"])
 def test_changed_entries(scene: Path, tmp_path: Path, name: str) -> None:
     rng = np.random.default_rng([SEED, 11])
     place = shutil.copytree(scene, tmp_path / "work")
@@ -201,6 +279,42 @@ def test_changed_entries(scene: Path, tmp_path: Path, name: str) -> None:
     for _ in range(200):
         (place / name).write_text(json.dumps(mutated_entries(entries, rng)))
         outcome(lambda: READERS[name](place / name))
+
+
+# Where each format keeps width and height, as a pattern before them, and their bytes.
+SIZES = {
+    "t.png": (rb"IHDR", 8),
+    "t.jpg": (rb"\xff\xc0\x00.\x08", 4),
+    "t.exr": (rb"dataWindow\x00box2i\x00\x10\x00\x00\x00", 16),
+    "t.tif": (rb"\x00\x01[\x03\x04]\x00\x01\x00\x00\x00", 4),
+}
+
+
+@pytest.mark.parametrize("name", SIZES)
+def test_images_without_texels_and_cut_short_are_refused_by_name(tmp_path: Path, name: str) -> None:
+    """Also with a sound checksum of the changed header; what is cut within its last bytes may be whole."""
+    dtype = {"t.tif": np.uint16, "t.exr": np.float16}.get(name, np.uint8)
+    file = tmp_path / name
+    write_image(file, (100 * np.random.default_rng(3).random((9, 12, 3))).astype(dtype))
+    content = file.read_bytes()
+    lengths = np.linspace(0, len(content) - 1, 24).astype(int)
+    cut = [content[:length] for length in lengths]
+    pattern, count = SIZES[name]
+    (begin,) = (found.end() for found in re.finditer(pattern, content, re.DOTALL))
+    nothing = struct.pack("<4i", 0, 0, -1, -1) if name == "t.exr" else bytes(count)
+    empty = content[:begin] + nothing + content[begin + count :]
+    if name == "t.png":
+        at = begin - 4
+        empty = empty[: at + 17] + struct.pack(">I", zlib.crc32(empty[at : at + 17])) + empty[at + 21 :]
+    for changed in [empty, *cut]:
+        file.write_bytes(changed)
+        outcome(lambda: read_image(file))
+        outcome(lambda: read_image_form(file))
+    for changed in (empty, b"", content[: len(content) // 3]):
+        file.write_bytes(changed)
+        with pytest.raises(FormatError, match=name):
+            read_image(file)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ import csv
 import io
 import json
 import math
+import re
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -174,9 +175,12 @@ def _markups(path: Path, markups: list[Any]) -> NamedPoints:
     every: Named = []
     curves: list[NamedCurve] = []
     for markup in markups:
+        points = markup.get("controlPoints", []) if isinstance(markup, dict) else None
+        if not isinstance(points, list) or not all(isinstance(point, dict) for point in points):
+            raise FormatError(f"{path}: expected markups with a list of controlPoints, got others. Known are {FORMS}.")
         turned = str(markup.get("coordinateSystem", "LPS")).upper() == "RAS"
         found: Named = []
-        for number, point in enumerate(markup.get("controlPoints", [])):
+        for number, point in enumerate(points):
             if point.get("positionStatus", "defined") != "defined":
                 continue
             name = str(point.get("label") or point.get("id") or f"point {number}")
@@ -190,11 +194,18 @@ def _markups(path: Path, markups: list[Any]) -> NamedPoints:
     return _points(every, "", tuple(curves))
 
 
+def _rows(path: Path, text: str) -> list[list[str]]:
+    try:
+        return list(csv.reader(io.StringIO(text)))
+    except csv.Error as error:
+        raise FormatError(f"{path}: expected a table of landmark points, got broken CSV ({error}).") from None
+
+
 def _fiducials(path: Path, text: str) -> Named:
     """3D Slicer's older table: id, x, y, z, ... with the label in column 12; a comment names the space."""
     turned = False
     found: Named = []
-    for row in csv.reader(io.StringIO(text)):
+    for row in _rows(path, text):
         if row and row[0].startswith("#"):
             if "coordinatesystem" in (line := row[0].replace(" ", "").lower()):
                 turned = line.endswith(("=ras", "=0"))
@@ -207,7 +218,7 @@ def _fiducials(path: Path, text: str) -> Named:
 
 def _table(path: Path, text: str) -> Named:
     """Columns name and x, y, z, or name and vertex, named by the first line; without such a line name, x, y, z."""
-    rows = [row for row in csv.reader(io.StringIO(text)) if row and not row[0].startswith("#")]
+    rows = [row for row in _rows(path, text) if row and not row[0].startswith("#")]
     head = [cell.strip().lower() for cell in rows[0]] if rows else []
     if not {"name", "label"} & set(head):
         head, rows = ["name", "x", "y", "z"], [[], *rows]
@@ -216,7 +227,7 @@ def _table(path: Path, text: str) -> Named:
     for number, row in enumerate(rows[1:]):
         cells = dict(zip(head, (cell.strip() for cell in row), strict=False))
         name = cells.get(title) or f"point {number}"
-        if cells.get("vertex", "").isdigit():
+        if re.fullmatch("[0-9]{1,18}", cells.get("vertex", "")):
             found.append((name, int(cells["vertex"]), None))
         else:
             found.append((name, -1, _place(path, name, [cells.get(axis) for axis in "xyz"])))
@@ -245,7 +256,7 @@ def _in_lps(place: tuple[float, float, float], turned: bool) -> tuple[float, flo
 def _place(path: Path, name: str, values: Any) -> tuple[float, float, float]:
     try:
         x, y, z = (float(value) for value in values)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise FormatError(
             f"{path}: '{name}': expected three numbers, got {str(values)[:60]}. Known are {FORMS}."
         ) from None

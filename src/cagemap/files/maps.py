@@ -50,16 +50,11 @@ def read_images(path: str | Path, source: TriangleSurface) -> SurfacePoints:
     if suffix == ".vts":
         try:
             numbers = np.array(read_text(file, "vertex numbers").split(), dtype=np.int64)
-        except ValueError as error:
+        except (ValueError, OverflowError) as error:
             raise FormatError(f"{file}: expected one vertex number a line, counted from 1, found {error}") from error
         return SurfacePoints.from_vertices(source, _vertices(file, numbers) - 1)
     if suffix == ".mtx":
-        try:
-            return SurfacePoints.from_matrix(source, sparse.csr_array(io.mmread(file)))
-        except (ValueError, OSError) as error:
-            if isinstance(error, FormatError) or type(error).__module__.startswith("cagemap"):
-                raise
-            raise FormatError(f"{file}: expected a sparse matrix (Matrix Market), found {error}") from error
+        return SurfacePoints.from_matrix(source, _matrix_market(file))
     arrays = read_npz(file, _REMEDY)
     if {"triangle", "barycentric"} <= set(arrays):
         return SurfacePoints(source, _vertices(file, arrays["triangle"]), arrays["barycentric"])
@@ -72,6 +67,37 @@ def read_images(path: str | Path, source: TriangleSurface) -> SurfacePoints:
     raise FormatError(
         f"{file}: expected 'triangle' and 'barycentric', or a sparse matrix written by SciPy, found {', '.join(arrays)}"
     )
+
+
+def _matrix_market(file: Path) -> sparse.csr_array:
+    """A sparse matrix of Matrix Market's coordinate form; SciPy's own reader crashes natively on damaged files."""
+    head, _, rest = read_text(file, "a sparse matrix").partition("\n")
+    lines = [line for line in rest.splitlines() if line.strip() and not line.startswith("%")]
+    words = head.lower().split()
+    form = "expected a sparse matrix (Matrix Market: matrix coordinate real general)"
+    if (
+        words[:3] != ["%%matrixmarket", "matrix", "coordinate"]
+        or words[3:4] not in (["real"], ["integer"], ["pattern"])
+        or words[4:] not in (["general"], ["symmetric"])
+    ):
+        raise FormatError(f"{file}: {form}, found the first line {head[:80]!r}. {_REMEDY}")
+    try:
+        n, m, count = (int(word) for word in (lines or [""])[0].split())
+        table = np.array([line.split() for line in lines[1:]], dtype=np.float64)
+        if words[3] == "pattern":
+            table = np.column_stack([table, np.ones(len(table))])
+        numbers = table[:, :2]
+        inside = (numbers == np.floor(numbers)) & (numbers >= 1) & (numbers <= [n, m])
+        if table.shape != (count, 3) or not inside.all() or not np.isfinite(table).all():
+            raise ValueError(f"not {count} entries in {n} x {m}")
+        i, j = numbers.astype(np.int64).T - 1
+        values = table[:, 2]
+        if words[4] == "symmetric":
+            off = i != j
+            i, j, values = np.append(i, j[off]), np.append(j, i[off]), np.append(values, values[off])
+        return sparse.csr_array((values, (i, j)), shape=(n, m))
+    except (ValueError, IndexError, OverflowError) as error:
+        raise FormatError(f"{file}: {form}, found {error}. {_REMEDY}") from error
 
 
 def _vertices(file: Path, numbers: NDArray[np.generic]) -> NDArray[np.int64]:

@@ -149,9 +149,12 @@ def read_mhclo(path: str | Path) -> Fitting:
                 rows.append([float(words[0])] * 3 + [1.0, 0, 0, 0, 0, 0])
             elif reading:
                 reading = False
-    except (ValueError, IndexError) as error:
+    except (ValueError, IndexError, OverflowError) as error:
         raise FormatError(f"{file}: expected lines of three vertices, weights and offsets, found {error}") from error
     if not rows:
         raise FormatError(f"{file}: expected 'verts' and a line for each vertex, found none")
     table = np.array(rows)
+    sound = np.isfinite(table).all() and np.isfinite(lengths).all() and (lengths >= 0).all() and (scales >= 0).all()
+    if not sound or not ((table[:, :3] >= 0) & (table[:, :3] < 2**31)).all():
+        raise FormatError(f"{file}: expected vertices from 0 on, finite numbers and lengths not below 0, found others")
     return Fitting(table[:, :3].astype(np.int64), table[:, 3:6], table[:, 6:], scales, lengths)
