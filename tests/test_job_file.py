@@ -89,6 +89,22 @@ def test_no_file_is_written_twice_by_it(folder: Path) -> None:
     ]
 
 
+def test_blend_shapes_of_several_results_are_noted_in_each(folder: Path) -> None:
+    results = (folder / "RESULT", folder / "OTHER")
+    for place, name in zip(results, ("small.obj", "other.obj"), strict=True):
+        place.mkdir(exist_ok=True)
+        result = identity_result()
+        source = result.source
+        control = replace(source.control, name=name)
+        source = replace(source, refinement=replace(source.refinement, control=control))
+        write_result(place, replace(result, source=source))
+        note_match(replace(requests(folder)[0], output=place))
+    run_wrap(WrapRequest(results, folder / "shapes", blend_shapes=True), Stages())
+    for place in results:
+        tasks = plan_job(read_job(place / JOB, COMMANDS, WRITTEN), "1", spanning_tree).tasks
+        assert [(task.outputs, task.request["blend_shapes"]) for task in tasks[4:]] == [(("pony__deer/shapes",), True)]
+
+
 @pytest.mark.slow
 def test_running_it_gives_the_same_map_and_image(folder: Path) -> None:
     runner = CliRunner()

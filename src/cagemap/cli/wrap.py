@@ -260,6 +260,8 @@ def _write_shapes(request: WrapRequest, results: list[MatchResult], config: Wrap
         warnings += _write(request, _through(wrapped, _to_target(folder, result)), result, original, file)
         lines.append(f"wrote {file}\n{_figures(wrapped)}")
         warnings += [f"{name}: {message}" for message in _warnings(wrapped)]
+    for folder in request.results:
+        note_output("wrap", folder, request)
     return "\n".join(lines), list(dict.fromkeys(warnings))
 
 
