@@ -204,7 +204,7 @@ def test_results_are_a_layer_over_the_target(tmp_path: Path) -> None:
             "albedo": "./skin.<UDIM>.png",
             "roughness": "./rough.png",
             "normal": "./normal.png",
-            "height": "x.png",
+            "gloss": "x.png",
         },
         attributes={
             "skel:jointWeights": weights / weights.sum(axis=1, keepdims=True),
