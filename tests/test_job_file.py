@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 from typer.testing import CliRunner
 
 from cagemap.cli.app import app
 from cagemap.cli.job_file import JOB, WRITTEN, note_match, note_output
-from cagemap.cli.library import COMMANDS
+from cagemap.cli.library import COMMANDS, run_task
+from cagemap.cli.map_command import MapRequest
 from cagemap.cli.match import MatchRequest
+from cagemap.cli.own_map import run_map
 from cagemap.cli.progress import Stages
 from cagemap.cli.transfer_request import TransferRequest
 from cagemap.cli.wrap import run_wrap
 from cagemap.cli.wrap_request import WrapRequest
+from cagemap.errors import FormatError
 from cagemap.example import example_pair
 from cagemap.files.images import read_image, write_image
 from cagemap.files.landmarks import write_landmarks
@@ -24,7 +29,7 @@ from cagemap.files.meshes import write_mesh
 from cagemap.files.result import read_result, write_result
 from cagemap.library import plan_job, read_job, spanning_tree
 
-from example_result import identity_result
+from example_result import identity_result, textured_cube
 
 
 @pytest.fixture
@@ -103,6 +108,28 @@ def test_blend_shapes_of_several_results_are_noted_in_each(folder: Path) -> None
     for place in results:
         tasks = plan_job(read_job(place / JOB, COMMANDS, WRITTEN), "1", spanning_tree).tasks
         assert [(task.outputs, task.request["blend_shapes"]) for task in tasks[4:]] == [(("pony__deer/shapes",), True)]
+
+
+def test_a_map_that_is_given_is_taken_again(folder: Path) -> None:
+    write_mesh(folder / "large.obj", textured_cube("large.obj", 2.0))
+    write_mesh(folder / "small.obj", textured_cube("small.obj"))
+    np.save(folder / "own.npy", np.random.default_rng(1).integers(0, 98, 98))
+    request = MapRequest(folder / "own.npy", folder / "large.obj", folder / "small.obj", folder / "RESULT", level=2)
+    run_map(request, Stages())
+    job = folder / "RESULT" / JOB
+    match, picture = plan_job(read_job(job, COMMANDS, WRITTEN), "1", spanning_tree).tasks
+    (folder / "RESULT" / "again" / "small__large").mkdir(parents=True)
+    assert run_task(match)["quality"]["coverage"] <= 1.0
+    images = [read_result(place).point_map.images for place in (request.output, Path(match.request["output"]))]
+    np.testing.assert_array_equal(images[0].positions, images[1].positions)
+    assert picture.needs == (match.name,)
+    np.save(folder / "own.npy", np.arange(98))
+    assert plan_job(read_job(job, COMMANDS, WRITTEN), "1", spanning_tree).tasks[0].key != match.key
+    data = tomllib.loads(job.read_text())
+    data["pairs"][0]["landmarks"] = "../landmarks.json"
+    job.write_text(tomli_w.dumps(data))
+    with pytest.raises(FormatError, match=r"pairs\.0\.map: a map that is given takes a level only"):
+        read_job(job, COMMANDS, WRITTEN)
 
 
 @pytest.mark.slow

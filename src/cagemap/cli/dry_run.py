@@ -88,7 +88,7 @@ def dry_run(job: Job, plan: Plan, workers: int) -> str:
 
 def _seconds(task: Task, sizes: list[Size]) -> float:
     """Processor seconds of a task."""
-    named = {"landmarks", "target_points", "curves"} & {name for name, given in task.request.items() if given}
+    named = {"landmarks", "target_points", "curves", "map"} & {name for name, given in task.request.items() if given}
     side = int(task.request.get("size") or IMAGE)
     texels = side * side if task.kind == "transfer" else 0
     return task_seconds(task.kind, sizes, landmarks=bool(named), texels=texels)

@@ -36,7 +36,7 @@ _log = logging.getLogger(__name__)
 
 
 def note_match(request: Any) -> None:
-    """Write the job file of a match into its RESULT folder; one that somebody edited stays."""
+    """Write the job file of a match, or of a given map, into its RESULT folder; one that somebody edited stays."""
     folder: Path = request.output
     if (folder / JOB).exists() and not is_own(folder / JOB):
         _log.info("%s: was edited, so this match is not noted in it", folder / JOB)
@@ -46,14 +46,15 @@ def note_match(request: Any) -> None:
     if names["source"] == names["target"]:
         names = {side: f"{name}-{side}" for side, name in names.items()}
     assets = [{"name": names[side], "file": stated_path(path, folder)} for side, path in paths.items()]
-    options, pair = stated_options(request, folder), dict(names)
+    options, pair = stated_options(request, folder), dict[str, Any](names)
     for side in paths:  # a name or a file: which one it is, its words say, not its type
         mask: str | None = getattr(request, f"{side}_mask", None)
         file = mask_file(mask)
         if mask is not None and file is not None:
             options[f"{side}_mask"] = mask.replace(str(file), str(file.resolve()))
-    if "landmarks" in options:
-        pair["landmarks"] = options.pop("landmarks")
+    for name in ("landmarks", "map"):
+        if name in options:
+            pair[name] = options.pop(name)
     _write(folder / JOB, {"output": "again", "options": options, "assets": assets, "pairs": [pair]})
 
 

@@ -11,6 +11,7 @@ from pydantic import TypeAdapter
 
 from cagemap.cli.dry_run import dry_run
 from cagemap.cli.job_file import WRITTEN
+from cagemap.cli.map_command import MapRequest
 from cagemap.cli.match import (
     SIDES,
     Inputs,
@@ -21,6 +22,7 @@ from cagemap.cli.match import (
     side_levels,
 )
 from cagemap.cli.mesh_commands import require_size
+from cagemap.cli.own_map import run_map
 from cagemap.cli.progress import Stages
 from cagemap.cli.report import ReportRequest, run_report
 from cagemap.cli.transfer import run_transfer
@@ -186,15 +188,12 @@ def run_task(task: Task) -> dict[str, Any]:
         result = composed_result(way, task.request["names"])
         write_result(task.request["output"], result)
         return {"quality": result.manifest["quality"], "notes": result.manifest["notes"]}
-    given = {"landmarks": None, **task.request} if task.kind == "match" else dict(task.request)
+    if task.kind == "match":
+        return _match(task, stages)
+    given = dict(task.request)
     if task.kind == "wrap":
         given["results"] = [given.pop("result")]
     request: Any = TypeAdapter(COMMANDS[task.kind]).validate_python(given)
-    if task.kind == "match":
-        run_match(request, stages)
-        manifest = read_manifest(request.output)
-        warnings = [*landmark_messages(manifest), *manifest["quality"]["warnings"]]
-        return {name: manifest[name] for name in ("quality", "timings", "notes")} | {"warnings": warnings}
     if task.kind == "transfer":
         _, warnings = run_transfer(request, stages)
         return {"warnings": warnings}
@@ -203,6 +202,19 @@ def run_task(task: Task) -> dict[str, Any]:
         return {"warnings": warnings}
     run_report(request, stages)
     return {}
+
+
+def _match(task: Task, stages: Stages) -> dict[str, Any]:
+    """Find the map of a pair, or take the one that is given."""
+    if "map" in task.request:
+        run_map(TypeAdapter(MapRequest).validate_python(task.request), stages)
+    else:
+        run_match(TypeAdapter(MatchRequest).validate_python({"landmarks": None, **task.request}), stages)
+    manifest = read_manifest(Path(task.request["output"]))
+    warnings = [*landmark_messages(manifest), *manifest["quality"]["warnings"]]
+    return {name: manifest[name] for name in ("quality", "timings", "notes") if name in manifest} | {
+        "warnings": warnings
+    }
 
 
 def _prepare(task: Task) -> dict[str, Any]:

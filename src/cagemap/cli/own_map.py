@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cagemap.basis import Surface
+from cagemap.cli.job_file import note_match
 from cagemap.cli.map_command import MapRequest
 from cagemap.cli.progress import Stages
 from cagemap.errors import ParameterError
@@ -42,6 +43,7 @@ def run_map(request: MapRequest, stages: Stages) -> tuple[str, list[str]]:
     result = MatchResult(target, source, Landmarks.none(), point_map, quality, provenance=provenance)
     stages("write")
     write_result(request.output, result, force=request.force)
+    note_match(request)
     text = (
         f"wrote {request.output}: {len(target.vertices)} target vertices, {100 * quality.flipped_area:.2f} % of the "
         f"area folded, {100 * quality.coverage:.1f} % of the source reached"

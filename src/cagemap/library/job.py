@@ -152,6 +152,7 @@ def _resolved(path: Path, job: JobFile, kinds: dict[str, dict[str, Any]]) -> Job
         for asset in job.assets
     }
     pairs = tuple(
-        pair.model_copy(update={"landmarks": placed(pair.landmarks), "options": options(pair)}) for pair in job.pairs
+        pair.model_copy(update={"landmarks": placed(pair.landmarks), "map": placed(pair.map), "options": options(pair)})
+        for pair in job.pairs
     )
     return Job(path.resolve(), folder / job.output, assets, pairs, tuple(job.outputs), kinds, carry)

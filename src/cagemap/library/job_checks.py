@@ -11,7 +11,7 @@ from typing import Any, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 
 from cagemap.files.images import texture_files
-from cagemap.library.job_schema import PLACEHOLDER, Asset, CarryRule, JobFile, PairRule, listed
+from cagemap.library.job_schema import ALL, PLACEHOLDER, Asset, CarryRule, JobFile, PairRule, listed
 
 Place = tuple[str | int, ...]
 
@@ -122,6 +122,7 @@ def problems_of(
     yield from _file_problems(job.options, kinds["match"], folder, ("options",))
     for i, pair in enumerate(job.pairs):
         yield from _pair_problems(pair, i, names, folder)
+        yield from _map_problems(pair, i, job.assets, folder)
         yield from _option_problems(pair.options, schemas["match"], ("pairs", i, "options"))
         yield from _file_problems(pair.options, kinds["match"], folder, ("pairs", i, "options"))
     if job.carry is not None:
@@ -156,6 +157,22 @@ def _pair_problems(pair: PairRule, i: int, names: list[str], folder: Path) -> It
                 yield ("pairs", i, side), f"pairs.{i}.{side}: no asset is called {name!r}. Check the name, or add it."
     if pair.landmarks is not None and not (folder / pair.landmarks).is_file():
         yield ("pairs", i, "landmarks"), f"pairs.{i}.landmarks: {pair.landmarks} does not exist. Check the path."
+
+
+def _map_problems(pair: PairRule, i: int, assets: list[Asset], folder: Path) -> Iterator[Problem]:
+    """A map that is given is of one pair of whole meshes as their files say, at a level."""
+    if pair.map is None:
+        return
+    where = ("pairs", i, "map")
+    if not (folder / pair.map).is_file():
+        yield where, f"pairs.{i}.map: {pair.map} does not exist. Check the path."
+    if any(not isinstance(side, str) or side == ALL for side in (pair.source, pair.target)):
+        yield where, f"pairs.{i}.map: expected one source and one target. Name them, one map for each pair."
+    if pair.landmarks is not None or set(pair.options) - {"level"}:
+        yield where, f"pairs.{i}.map: a map that is given takes a level only. Remove the landmarks and other options."
+    for asset in assets:
+        if asset.name in (pair.source, pair.target) and (asset.part or asset.scheme):
+            yield where, f"pairs.{i}.map: {asset.name!r} has a part or a scheme. Name a file that is the whole mesh."
 
 
 def _carry_problems(carry: CarryRule, assets: list[Asset]) -> Iterator[Problem]:

@@ -47,12 +47,16 @@ class Asset(_Strict):
 
 
 class PairRule(_Strict):
-    """Which pairs to match: sources times targets, or the spanning tree of some assets in both directions."""
+    """Which pairs to match: sources times targets, or the spanning tree of some assets in both directions.
+
+    A ``map`` is anyone's point map of one pair, taken as `cagemap map` does in place of a match.
+    """
 
     source: str | list[str] | None = None
     target: str | list[str] | None = None
     tree: str | list[str] | None = None
     landmarks: Path | None = None
+    map: Path | None = None
     options: dict[str, Any] = {}
 
 

@@ -127,7 +127,8 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
     pairs: dict[Pair, dict[str, Any]] = {}
     for rule in job.pairs:
         for pair in _pairs(rule.source, rule.target, rule.tree, job, tree):
-            options = {**rule.options, **({} if rule.landmarks is None else {"landmarks": str(rule.landmarks)})}
+            files = {"landmarks": rule.landmarks, "map": rule.map}
+            options = {**rule.options, **{name: str(file) for name, file in files.items() if file is not None}}
             if pairs.setdefault(pair, options) != options:
                 raise FormatError(
                     f"{job.path}: {pair[0]} -> {pair[1]} is asked for twice with different options. Keep one of them."
@@ -135,6 +136,8 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
     for pair, options in pairs.items():
         source, target = (job.assets[name] for name in pair)
         sides = [("target", target), ("source", source)]
+        if "map" in options:
+            sides, options = [], {name: options[name] for name in ("map", "level") if name in options}
         if any(asset.part for _, asset in sides) or any(name.endswith("part") for name in options):
             sides = []  # which parts there are is known when both meshes have been read
         prepared = [_prepare(asset, side, options, job, version, hashes) for side, asset in sides]
@@ -227,10 +230,11 @@ def _match(
     schemes = {f"{side}_scheme": asset.scheme for side, asset in sides if asset.scheme is not None}
     inputs: dict[str, Any] = {"target": str(target.file), "source": str(source.file), **schemes, **options}
     inputs |= {f"{side}_part": asset.part for side, asset in sides if asset.part}
-    if "landmarks" not in options and source.landmarks is not None and target.landmarks is not None:
+    if not {"landmarks", "map"} & set(options) and source.landmarks is not None and target.landmarks is not None:
         inputs |= {"target_points": str(target.landmarks), "source_points": str(source.landmarks)}
     key = task_key(version, "match", hashes.of_request(inputs), [task.key for task in needs])
-    request = {**inputs, "output": str(job.output / folder), "cache": str(_cache(job))}
+    request = {**inputs, "output": str(job.output / folder)}
+    request |= {} if "map" in options else {"cache": str(_cache(job))}
     pair, before = (source.name, target.name), tuple(task.name for task in needs)
     return Task("match", f"match {pair[0]} -> {pair[1]}", key, before, request, (f"{folder}/{ARRAYS}",), pair)
 
