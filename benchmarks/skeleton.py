@@ -38,13 +38,17 @@ Turns = Mapping[str, tuple[float, float, float]]
 Sizes = Mapping[str, tuple[float, float]]
 
 
-def shares(positions: np.ndarray, triangles: np.ndarray, bones: Mapping[str, Bone], fading: float) -> np.ndarray:
-    """(n, b) share of every bone at every vertex: all the nearest's, faded over a length, of sqrt(area)."""
-    start = np.array([bone.start for bone in bones.values()])
-    along = np.array([bone.end for bone in bones.values()]) - start
+def distances(positions: np.ndarray, segments: np.ndarray) -> np.ndarray:
+    """(n, b) from every vertex to every segment (b, 2, 3)."""
+    start, along = segments[:, 0], segments[:, 1] - segments[:, 0]
     offsets = positions[:, None] - start
     at = np.clip(np.einsum("nbd,bd->nb", offsets, along) / (along**2).sum(axis=1), 0, 1)
-    away = np.linalg.norm(offsets - at[:, :, None] * along, axis=2)
+    return np.linalg.norm(offsets - at[:, :, None] * along, axis=2)
+
+
+def shares(positions: np.ndarray, triangles: np.ndarray, bones: Mapping[str, Bone], fading: float) -> np.ndarray:
+    """(n, b) share of every bone at every vertex: all the nearest's, faded over a length, of sqrt(area)."""
+    away = distances(positions, np.array([(bone.start, bone.end) for bone in bones.values()]))
     nearest = (away / [bone.radius for bone in bones.values()]).argmin(axis=1)
     areas = vertex_areas(positions, triangles)
     heat = sparse.diags_array(areas) + fading**2 * areas.sum() * sparse.csc_array(stiffness(positions, triangles))

@@ -73,8 +73,7 @@ def test_stiff_ends_are_finished_too_and_the_best_parts_of_all_come_first(
     monkeypatch.setattr(ends, "fine_fit", lambda prepared, shape, coarse, landmarks: coarse[0].positions)
     monkeypatch.setattr(ends, "fine_stage", lambda prepared, start, landmarks: start)
     monkeypatch.setattr(ends, "judged", judged)
-    monkeypatch.setattr(ends.Pullers, "choose", lambda *known: None)
-    prepared: Any = SimpleNamespace(rest=SimpleNamespace(graph=graph, masks=None), sheet=None)
+    prepared: Any = SimpleNamespace(rest=SimpleNamespace(graph=graph, pullers=lambda sheet: None), sheet=None)
     shape: Any = SimpleNamespace(rest=SimpleNamespace(graph=graph))
     maps = np.zeros((graph.n, 3, 3))
     of_both = [CoarseFit(cost, positions, maps) for cost, positions in ((1.0, soft), (9.0, stiff))]

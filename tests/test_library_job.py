@@ -172,14 +172,19 @@ def test_files_beside_an_output_go_to_the_pair_and_a_report_comes_last(folder: P
         plan(text.replace("{target}.exr", "../b.exr"))
 
 
+def refusal(folder: Path, text: str) -> str:
+    """What is said of a job file with the commands' real options."""
+    (folder / "job.toml").write_text(text)
+    with pytest.raises(FormatError) as caught:
+        read_job(folder / "job.toml", REAL, WRITTEN)
+    return str(caught.value)
+
+
 def test_problems_of_form_and_of_content_are_told_together(folder: Path) -> None:
     text = HEAD.replace("500", "-5") + ASSETS.replace("b.obj", "gone.obj") + PAIRS
     text += 'landmark = "typo.json"\n[[outputs]]\ncommand = "transfer"\ntexture = "gone.png"\nsize = 0\n'
     text += '[[outputs]]\ncommand = "transfer"\nresult = "elsewhere"\ntexture = "{source.colour}"\n'
-    (folder / "job.toml").write_text(text)
-    with pytest.raises(FormatError) as caught:
-        read_job(folder / "job.toml", REAL, WRITTEN)
-    said = str(caught.value)
+    said = refusal(folder, text)
     for words in (
         "line 3: options.vertices: input should be greater than or equal to 1, got -5",
         "line 9: assets.1.file: gone.obj does not exist",
@@ -289,10 +294,7 @@ def test_schemes_of_assets_are_those_of_meshes() -> None:
 def test_values_that_no_command_takes_are_refused_with_what_to_do(folder: Path) -> None:
     text = HEAD.replace("500", '"many"') + ASSETS.replace('"b.obj"', '"b.obj"\nscheme = "quads"') + PAIRS
     text += '[[outputs]]\ncommand = "transfer"\nbits = 17\nmaps = [["x", "{source.typo}"]]\nspace = "world"\n'
-    (folder / "job.toml").write_text(text)
-    with pytest.raises(FormatError) as caught:
-        read_job(folder / "job.toml", REAL, WRITTEN)
-    said = str(caught.value)
+    said = refusal(folder, text)
     for words in (
         "got 'many'. Give a value of this kind.",
         "assets.1.scheme: input should be 'catmull-clark', 'loop', 'bilinear' or 'none', got 'quads'. Choose one",

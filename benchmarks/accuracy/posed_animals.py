@@ -16,6 +16,7 @@ from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from benchmarks.accuracy.data import DATA, REPOSITORY
+from benchmarks.skeleton import distances
 from cagemap.basis import Surface
 from cagemap.files.obj import read_obj
 from cagemap.mesh import ControlMesh
@@ -62,11 +63,7 @@ def landmarks_of(animal: str) -> dict[str, int]:
 
 def shares(positions: np.ndarray, triangles: np.ndarray, segments: np.ndarray) -> np.ndarray:
     """(n, b) share of every bone (b, 2, 3) at every vertex: all the nearest's, then averaged over neighbours."""
-    start, along = segments[:, 0], segments[:, 1] - segments[:, 0]
-    offsets = positions[:, None] - start
-    at = np.clip(np.einsum("nbd,bd->nb", offsets, along) / (along**2).sum(axis=1), 0, 1)
-    away = np.linalg.norm(offsets - at[:, :, None] * along, axis=2)
-    weights = np.eye(len(segments))[away.argmin(axis=1)]
+    weights = np.eye(len(segments))[distances(positions, segments).argmin(axis=1)]
     n = len(positions)
     ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     joined = sparse.coo_array((np.ones(2 * len(ends)), (ends.ravel(), ends[:, ::-1].ravel())), shape=(n, n)).tocsr()

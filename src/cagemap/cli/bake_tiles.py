@@ -18,6 +18,7 @@ from cagemap.files.images import (
     UDIM_MARK,
     Image,
     check_writable,
+    first_image,
     pixel_type,
     read_image,
     read_texture,
@@ -84,7 +85,7 @@ def inputs_of(request: TransferRequest) -> list[Path]:
         request.weights,
         request.joints,
         request.detail,
-        *(texture_files(request.detail_texture) if request.detail_texture is not None else ()),
+        request.detail_texture,
         *request.blend_shapes,
         *(path for _, path in (*request.maps, *request.bases)),
     )
@@ -101,7 +102,7 @@ def read_source_image(
 ) -> SourceImage:
     """Read an image of the source; with ``channels``, refuse an output that cannot hold so many."""
     texture = read_texture(path)
-    first = texture if isinstance(texture, Image) else next(iter(texture.values()))
+    first = first_image(texture)
     dtype = first.pixels.dtype if request.bits is None else pixel_type(request.bits, request.output.suffix)
     if channels is not None:
         check_writable(request.output, dtype, written_channels(request, result, channels))

@@ -10,14 +10,24 @@ from numpy.typing import NDArray
 from cagemap.cli.transfer_request import TransferRequest, base_of
 from cagemap.errors import ParameterError
 from cagemap.files.attributes import Attributes, read_attributes
-from cagemap.files.file_rows import file_rows, given_back
+from cagemap.files.file_rows import FileRows, given_back
 from cagemap.files.usd import USD_SUFFIXES
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray
 
 
-def keep_base(request: TransferRequest, result: MatchResult, carried: Attributes) -> tuple[Attributes, list[str]]:
+def keep_base(
+    request: TransferRequest, result: MatchResult, carried: Attributes, rows: FileRows | None
+) -> tuple[Attributes, list[str]]:
     """Carried values over the target's own ones outside the masks; and what is to be said where there are none.
+
+    Parameters
+    ----------
+    request : TransferRequest
+    result : MatchResult
+    carried : dict of str to array
+    rows : FileRows or None
+        Of the target's file.
 
     Raises
     ------
@@ -31,7 +41,6 @@ def keep_base(request: TransferRequest, result: MatchResult, carried: Attributes
         return carried, [
             "outside the masks values are carried as well; --base with the target's own values keeps those"
         ]
-    rows = file_rows(request.result, result.manifest, "target", result.target.control)
     own = read_attributes(base, result.target.control, rows)
     weight = result.masks.joint(result.point_map)
     kept: Attributes = {}
@@ -50,10 +59,8 @@ def keep_base(request: TransferRequest, result: MatchResult, carried: Attributes
     return kept, []
 
 
-def in_file(request: TransferRequest, result: MatchResult, carried: Attributes) -> Attributes:
+def in_file(request: TransferRequest, carried: Attributes, rows: FileRows | None) -> Attributes:
     """Values of a part of the target's file numbered as the file: elsewhere those of ``--base``, or 0."""
-    control = result.target.control
-    rows = file_rows(request.result, result.manifest, "target", control)
     base = None if rows is None else base_of(request)
     usd = base is not None and base.suffix.lower() in USD_SUFFIXES
     own = {} if base is None or rows is None or usd else read_attributes(base, rows.whole)

@@ -13,7 +13,7 @@ import numpy as np
 from cagemap.cli.bake_tiles import write_tiles
 from cagemap.cli.progress import Stages
 from cagemap.errors import ParameterError
-from cagemap.files.images import Image, check_writable, pixel_type, read_texture, texture_pixels
+from cagemap.files.images import Image, check_writable, first_image, pixel_type, read_texture, texture_pixels
 from cagemap.geometry.triangles import fan_triangles
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -137,9 +137,8 @@ def detail_texture(mesh: ControlMesh, path: Path, kind: Filter = "smooth") -> De
     if mesh.uvs is None or mesh.uv_indices is None:
         raise ParameterError(f"{mesh.name}: expected texture coordinates for --detail-texture, the mesh has none")
     texture = read_texture(path)
-    first = texture if isinstance(texture, Image) else next(iter(texture.values()))
     triangles = fan_triangles(mesh.face_offsets, mesh.uv_indices)[0]
-    return DetailTexture(texture_pixels(texture), first, mesh.uvs, triangles, kind)
+    return DetailTexture(texture_pixels(texture), first_image(texture), mesh.uvs, triangles, kind)
 
 
 def vertex_colors(mesh: ControlMesh) -> FloatArray:

@@ -74,8 +74,9 @@ def carry_weights(request: TransferRequest, result: MatchResult, stages: Stages)
     columns = {
         name: part[:, 0] if array.ndim == 1 else part for (name, array), part in zip(given.items(), parts, strict=True)
     }
-    columns, notes = keep_base(request, result, columns)
-    write_attributes(request.output, in_file(request, result, columns), force=request.force)
+    own = file_rows(request.result, result.manifest, "target", result.target.control)
+    columns, notes = keep_base(request, result, columns, own)
+    write_attributes(request.output, in_file(request, columns, own), force=request.force)
     files = {"file": request.weights, "output": request.output}
     entry = {"kind": "weights"} | {name: stated_path(path, request.result) for name, path in files.items()}
     note_transfer(request.result, entry)

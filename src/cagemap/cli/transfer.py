@@ -123,8 +123,9 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
                 f"face corners, or {len(result.source.vertices)} vertices of level {result.source.finest}"
                 f"{other_rows(source, rows)}."
             )
-    carried, notes = keep_base(request, result, carried)
-    whole = in_file(request, result, carried)
+    own = file_rows(request.result, result.manifest, "target", result.target.control)
+    carried, notes = keep_base(request, result, carried, own)
+    whole = in_file(request, carried, own)
     write_attributes(request.output, whole, force=request.force)
     lines = []
     if request.usd is not None:

@@ -37,6 +37,7 @@ _FORMATS: dict[str, tuple[str, ...]] = {
 _CHANNELS = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
 _LARGEST_CHANNELS = 4
 _LARGEST_WINDOW = 1 << 16
+_TIFF = (".tif", ".tiff")
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +97,7 @@ def _read(file: Path) -> Image:
     finally:
         opened.close()
     array = np.asarray(pixels).reshape(spec.height, spec.width, spec.nchannels).astype(kind, copy=False)
-    tiff = file.suffix.lower() in (".tif", ".tiff")
+    tiff = file.suffix.lower() in _TIFF
     associated = tiff and spec.alpha_channel >= 0 and not spec.getattribute("oiio:UnassociatedAlpha")
     array = _on_display(array, spec) if file.suffix.lower() == ".exr" else array
     return Image(array, tuple(spec.channelnames), str(spec.getattribute("oiio:ColorSpace") or ""), associated)
@@ -199,7 +200,7 @@ def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False)
     height, width, channels = pixels.shape
     spec = oiio.ImageSpec(width, height, channels, _oiio_type(pixels.dtype))
     spec.channelnames = given.channel_names if len(given.channel_names) == channels else _CHANNELS[channels]
-    tiff = file.suffix.lower() in (".tif", ".tiff")
+    tiff = file.suffix.lower() in _TIFF
     pixels = pixels if tiff else straight(replace(given, pixels=pixels)).pixels
     spec.attribute("oiio:UnassociatedAlpha", 0 if given.associated and tiff else 1)
     spec.attribute("png:compressionLevel", 4)  # a quarter of the time of 9, a few per cent larger
@@ -317,6 +318,11 @@ def tile_pattern(path: str | Path) -> Path:
     """The name of all files of `udim_path`: with ``<UDIM>`` where the tile's number stands."""
     file = with_udim_mark(Path(path))
     return file if UDIM_MARK in file.name else file.with_name(f"{file.stem}.{UDIM_MARK}{file.suffix}")
+
+
+def first_image(texture: Image | Mapping[int, Image]) -> Image:
+    """The image, or that of the first tile: all tiles have its form."""
+    return texture if isinstance(texture, Image) else next(iter(texture.values()))
 
 
 def texture_pixels(texture: Image | Mapping[int, Image]) -> Pixels | dict[int, Pixels]:

@@ -50,15 +50,21 @@ def face_sets(prim: Any, n_faces: int) -> dict[str, Any]:
             colors.append(np.full(3, np.nan))
         result |= {"face_materials": materials, "material_names": tuple(names), "material_colors": np.array(colors)}
     if groups:
-        words: list[list[str]] = [[] for _ in range(n_faces)]
-        for name, faces in groups:
-            for face in np.unique(faces).tolist():
-                words[face].append(name)
-        titles = [" ".join(own) for own in words]
-        every = {title: number for number, title in enumerate(dict.fromkeys([*(name for name, _ in groups), *titles]))}
-        numbers = np.array([every[title] for title in titles], dtype=np.int64)
-        result |= {"face_groups": numbers, "group_names": tuple(every)}
+        result |= _joined_groups(groups, n_faces)
     return result
+
+
+def _joined_groups(groups: list[tuple[str, IndexArray]], n_faces: int) -> dict[str, Any]:
+    """Groups that may overlap as groups that do not: the given ones first, then the others that faces are in."""
+    names, inside = [name for name, _ in groups], np.zeros((n_faces, len(groups)), dtype=np.bool_)
+    for group, (_, faces) in enumerate(groups):
+        inside[faces, group] = True
+    _, first, which = np.unique(np.packbits(inside, axis=1), axis=0, return_index=True, return_inverse=True)
+    titles = [" ".join(names[group] for group in np.flatnonzero(inside[face])) for face in first.tolist()]
+    in_order = [titles[k] for k in np.argsort(first)]  # by the first face of each
+    every = {title: number for number, title in enumerate(dict.fromkeys([*names, *in_order]))}
+    numbers = np.array([every[title] for title in titles], dtype=np.int64)
+    return {"face_groups": numbers[which.ravel()], "group_names": tuple(every)}
 
 
 def _diffuse_color(material: Any) -> FloatArray:

@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from cagemap.errors import InvalidMeshError
 from cagemap.geometry.triangles import fan_triangles
@@ -25,6 +23,7 @@ from cagemap.mesh.topology import (
     face_orientation,
 )
 from cagemap.numerics.arrays import IndexArray
+from cagemap.numerics.graphs import components
 
 # Rounds in which faces at edges of more than two faces are taken out; two do for what scans have.
 ROUNDS = 20
@@ -42,8 +41,7 @@ def representatives(mesh: ControlMesh) -> IndexArray:
     links = np.concatenate([short, np.column_stack([order[:-1][same], order[1:][same]])])
     if not len(links):
         return np.arange(mesh.n_vertices)
-    graph = coo_array((np.ones(len(links), np.int8), (links[:, 0], links[:, 1])), shape=(mesh.n_vertices,) * 2)
-    labels = connected_components(graph, directed=False)[1]
+    labels = components(links[:, 0], links[:, 1], mesh.n_vertices)
     return np.unique(labels, return_index=True)[1][labels].astype(np.int64)
 
 

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.numerics.arrays import IndexArray
+from cagemap.numerics.graphs import components
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +82,7 @@ def corner_fans(mesh: ControlMesh, edges: EdgeTable) -> IndexArray:
     head_mate = np.where(parallel, following[second], second)
     rows = np.concatenate([first, following[first]])
     columns = np.concatenate([tail_mate, head_mate])
-    return _components(rows, columns, len(mesh.face_indices))
+    return components(rows, columns, len(mesh.face_indices))
 
 
 def boundary_loops(mesh: ControlMesh, edges: EdgeTable, fans: IndexArray) -> tuple[IndexArray, ...] | None:
@@ -132,7 +131,7 @@ def used_vertices(mesh: ControlMesh) -> NDArray[np.bool_]:
 
 def face_components(mesh: ControlMesh) -> IndexArray:
     """(m,) connected component of every face; faces that share a vertex are of one component."""
-    labels = _components(mesh.face_indices, mesh.face_indices[mesh.next_corners], mesh.n_vertices)
+    labels = components(mesh.face_indices, mesh.face_indices[mesh.next_corners], mesh.n_vertices)
     return _renumber(labels[mesh.face_indices[mesh.face_offsets[:-1]]])
 
 
@@ -140,7 +139,7 @@ def uv_islands(mesh: ControlMesh) -> IndexArray | None:
     """(m,) UV island of every face: faces that share a texture vertex are of one island. None without UVs."""
     if mesh.uvs is None or mesh.uv_indices is None:
         return None
-    labels = _components(mesh.uv_indices, mesh.uv_indices[mesh.next_corners], len(mesh.uvs))
+    labels = components(mesh.uv_indices, mesh.uv_indices[mesh.next_corners], len(mesh.uvs))
     return _renumber(labels[mesh.uv_indices[mesh.face_offsets[:-1]]])
 
 
@@ -179,7 +178,7 @@ def face_orientation(mesh: ControlMesh, edges: EdgeTable) -> Orientation:
     f, g = corner_faces[first], corner_faces[second]
     m = mesh.n_faces
     other = np.where(agree, 0, m)
-    labels = _components(np.concatenate([f, f + m]), np.concatenate([g + other, g + m - other]), 2 * m)
+    labels = components(np.concatenate([f, f + m]), np.concatenate([g + other, g + m - other]), 2 * m)
     upright, turned = labels[:m], labels[m:]
     if np.any(upright == turned):
         return Orientation(False, np.zeros(m, dtype=bool))
@@ -187,12 +186,6 @@ def face_orientation(mesh: ControlMesh, edges: EdgeTable) -> Orientation:
     # The larger set stays; of two equal ones that of the lowest face, whose label is the lower one.
     minority = (counts[upright] < counts[turned]) | ((counts[upright] == counts[turned]) & (upright > turned))
     return Orientation(True, minority)
-
-
-def _components(rows: IndexArray, columns: IndexArray, count: int) -> IndexArray:
-    """(count,) connected component of every node of a graph given by its links."""
-    links = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(count, count))
-    return connected_components(links, directed=False)[1].astype(np.int64)
 
 
 def _renumber(labels: IndexArray) -> IndexArray:

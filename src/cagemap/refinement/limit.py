@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_array, diags_array, eye_array
-from scipy.sparse.csgraph import connected_components
 
 from cagemap.errors import ParameterError
 from cagemap.mesh.schemes import CREASE_LIMIT, INFINITE_SHARPNESS, Bilinear, Loop
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.graphs import components
 from cagemap.refinement.limit_rings import SmoothScheme, ring_limits, ring_tangents, rings_of
 from cagemap.refinement.matrices import subdivision_matrix
 from cagemap.refinement.refinement import Refinement, state_of
@@ -218,8 +218,7 @@ def _tangents_of_sides(
         np.concatenate([forward, table.following[forward]]),
         np.concatenate([table.following[backward], backward]),
     )
-    links = csr_array((np.ones(len(pairs[0]), dtype=np.int8), pairs), shape=(table.n_corners,) * 2)
-    cut_apart, labels = cut_table(table, connected_components(links, directed=False)[1].astype(np.int64))
+    cut_apart, labels = cut_table(table, components(*pairs, table.n_corners))
     owners = np.empty(len(labels), dtype=np.int64)
     owners[cut_apart.vertices] = table.vertices
     sides = ring_tangents(topology_of_table(cut_apart), scheme, (corner | state.corner)[owners], positions[owners])

@@ -10,7 +10,7 @@ import numpy as np
 
 from cagemap.descriptors import mirror_symmetries
 from cagemap.errors import CagemapError, ParameterError
-from cagemap.files.images import Image, Pixels, read_texture, write_image
+from cagemap.files.images import Pixels, first_image, read_texture, write_image
 from cagemap.files.meshes import read_mesh
 from cagemap.files.usd import USD_SUFFIXES
 from cagemap.files.usd_space import to_standard
@@ -64,8 +64,7 @@ class Model:
 
 def read_look(path: Path) -> tuple[Pixels, bytes]:
     """A texture in 8 bits, no larger than the page needs, and its JPEG file; the first tile of several."""
-    texture = read_texture(path)
-    pixels = (texture if isinstance(texture, Image) else next(iter(texture.values()))).pixels
+    pixels = first_image(read_texture(path)).pixels
     step = max(1, -(-max(pixels.shape[:2]) // TEXTURE_SIZE))
     pixels = pixels[::step, ::step]
     if pixels.dtype != np.uint8:

@@ -12,6 +12,7 @@ from cagemap.geometry.triangles import triangle_areas
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.measures import fan_triangles, signed_volume
 from cagemap.mesh.parts import list_parts
+from cagemap.mesh.topology import EdgeTable, edge_table
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Refinement, level_triangles, limit_normals, limit_positions, triangles
 
@@ -92,15 +93,18 @@ class Shape:
         return tuple(dict.fromkeys(part.name for part in list_parts(self.control) if part.kind != "component"))
 
     @cached_property
+    def _edge_table(self) -> EdgeTable:
+        return edge_table(self.control)
+
+    @cached_property
     def edges(self) -> FloatArray:
         """(e, 2, 3) ends of the control mesh's edges, in file units."""
-        return np.asarray(self.control.positions[control_edges(self.control)])
+        return np.asarray(self.control.positions[self._edge_table.vertices])
 
     @cached_property
     def encloses(self) -> bool:
         """Whether the control mesh is closed and looks outwards, so that nobody sees its inner side."""
-        _, faces = _edges(self.control)
-        return bool((faces == 2).all()) and signed_volume(self.control) > 0
+        return bool((self._edge_table.face_counts == 2).all()) and signed_volume(self.control) > 0
 
     @cached_property
     def surface(self) -> TriangleSurface:
@@ -154,18 +158,6 @@ def shape_of(refinement: Refinement, original: Original | None = None, turn: Flo
         original=original,
         turn=np.eye(3) if turn is None else turn,
     )
-
-
-def control_edges(control: ControlMesh) -> IndexArray:
-    """(e, 2) control vertices of every edge, once."""
-    return _edges(control)[0]
-
-
-def _edges(control: ControlMesh) -> tuple[IndexArray, IndexArray]:
-    """(e, 2) ends of every edge, and how many faces have it."""
-    ends = np.sort(np.column_stack([control.face_indices, control.face_indices[control.next_corners]]), axis=1)
-    keys, faces = np.unique(ends[:, 0] * control.n_vertices + ends[:, 1], return_counts=True)
-    return np.column_stack(np.divmod(keys, control.n_vertices)), faces
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,11 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from cagemap.geometry.triangles import normalized, vertex_normals
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.graphs import components
 from cagemap.transfer.surface import TexturedSurface
 
 
@@ -114,10 +113,7 @@ def _groups(
     opposite = corner.ravel()[one] != corner.ravel()[two]
     pairs = [(one, np.where(opposite, ends[1], two)), (ends[0], np.where(opposite, two, ends[1]))]
     heads, tails = (np.concatenate([pair[side] for pair in pairs]) for side in (0, 1))
-    count = corner.size
-    links = sparse.coo_array((np.ones(len(heads), dtype=np.int8), (heads, tails)), shape=(count, count))
-    _, groups = connected_components(links.tocsr(), directed=False)
-    return np.asarray(groups.reshape(-1, 3).astype(np.int64))
+    return components(heads, tails, corner.size).reshape(-1, 3)
 
 
 def _projected(vectors: FloatArray, normals: FloatArray) -> FloatArray:

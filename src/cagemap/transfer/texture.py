@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numba
 import numpy as np
@@ -25,7 +25,7 @@ from cagemap.transfer.smooth import SmoothTile
 Pixels = NDArray[Any]
 Wrap = Literal["repeat", "clamp"]
 Filter = Literal["smooth", "linear", "nearest"]
-FILTERS = ("smooth", "linear", "nearest")
+FILTERS = get_args(Filter)
 
 FIRST_TILE = 1001
 # What lies across a border of a tile by less is there by a rounding: half a texel of a 4k image.

@@ -11,12 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.graphs import components
 from cagemap.numerics.libraries import library
 from cagemap.refinement import refine, triangulate_control
 from cagemap.transfer.packing import pack_islands
@@ -274,8 +273,7 @@ def _overlap(first: FloatArray, second: FloatArray) -> bool:
 def _islands(control: ControlMesh, corner_uvs: IndexArray, n_uvs: int) -> IndexArray:
     """(p,) island of every UV: those that polygons join."""
     following = corner_uvs[control.next_corners]
-    joined = coo_array((np.ones(len(following)), (corner_uvs, following)), shape=(n_uvs, n_uvs))
-    return np.asarray(connected_components(joined, directed=False)[1], dtype=np.int64)
+    return components(corner_uvs, following, n_uvs)
 
 
 def _equalize(control: ControlMesh, positions: FloatArray, flat: _Flat, islands: IndexArray) -> FloatArray:

@@ -9,8 +9,9 @@ from scipy.spatial import cKDTree
 
 from cagemap.errors import ParameterError
 from cagemap.maps.elastic.fit import similarity
-from cagemap.maps.elastic.graph import ElasticGraph, components
+from cagemap.maps.elastic.graph import ElasticGraph
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.graphs import components
 
 # Points around a piece that it goes with: some rings of a coarse cage.
 _AROUND = 30

@@ -20,14 +20,14 @@ from cagemap.maps.elastic.constants import (
     MOST_ENDS,
     PART_RINGS,
     PARTS_APART,
-    PULLERS,
 )
 from cagemap.maps.elastic.data import Pullers
 from cagemap.maps.elastic.fit import CoarseFit, fine_fit, fine_stage, vertex_costs
-from cagemap.maps.elastic.graph import ElasticGraph, components
+from cagemap.maps.elastic.graph import ElasticGraph
 from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair
 from cagemap.maps.pair import PointPairs
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.graphs import components
 from cagemap.numerics.threads import in_threads
 
 One = TypeVar("One")
@@ -80,7 +80,7 @@ def finished_ends(
     ranked = sorted(coarse, key=lambda ended: ended.cost)
     hopeful = [ended for ended in ranked if ended.cost <= HOPELESS_END * ranked[0].cost]
     kept = different(hopeful, lambda ended: ended.positions, shape.rest.graph.areas, ENDS_APART)[:most]
-    pullers = Pullers.choose(prepared.sheet, int(PULLERS * prepared.rest.graph.n), prepared.rest.masks)
+    pullers = prepared.rest.pullers(prepared.sheet)
 
     def finish(ended: CoarseFit) -> FineFit:
         return judged(prepared, pullers, fine_fit(prepared, shape, [ended], landmarks))

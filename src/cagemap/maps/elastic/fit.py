@@ -19,9 +19,9 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import vertex_normals
 from cagemap.maps.elastic.anchors import Anchors as Anchors
 from cagemap.maps.elastic.config import ElasticConfig, Stage
-from cagemap.maps.elastic.constants import COST_STIFFNESS, LANDMARK_ITERATIONS, PULLERS, UNSETTLED
+from cagemap.maps.elastic.constants import COST_STIFFNESS, LANDMARK_ITERATIONS, UNSETTLED
 from cagemap.maps.elastic.curves import NO_CURVES, CurvePull
-from cagemap.maps.elastic.data import Pullers, deformed_normals, pull_by_source, pull_to_source
+from cagemap.maps.elastic.data import deformed_normals, pull_by_source, pull_to_source
 from cagemap.maps.elastic.graph import extrapolate
 from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair, RestShape
 from cagemap.maps.pair import PointPairs
@@ -185,7 +185,7 @@ def run_stage(
     """
     graph, field = rest.graph, rest.field
     triangles = None if rest.mesh is None else rest.mesh.triangles
-    pullers = None if triangles is None else Pullers.choose(sheet, int(PULLERS * graph.n), rest.masks)
+    pullers = None if triangles is None else rest.pullers(sheet)
     normal_weight = config.normal_weight if triangles is None else config.fine_normal_weight
     positions, before = start, start
     guess, guess_back = None, None

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from cagemap.geometry.surface import TriangleSurface
@@ -25,6 +24,7 @@ from cagemap.maps.elastic.constants import FLAT, JOINING_ROUNDS, LEAST_STRETCH, 
 from cagemap.maps.elastic.system import BlockSystem
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization
+from cagemap.numerics.graphs import components
 from cagemap.operators.laplacian import stiffness, vertex_areas
 
 
@@ -318,12 +318,6 @@ def connected_cells(graph: ElasticGraph, cell: IndexArray) -> IndexArray:
         small, joined = (shared.coords[side][order][last].astype(np.int64) for side in (0, 1))
         piece = components(small, joined, k)[piece]
     return piece
-
-
-def components(heads: IndexArray, tails: IndexArray, n: int) -> IndexArray:
-    """(n,) number of the connected component of every vertex."""
-    edges = sparse.coo_array((np.ones(len(heads)), (heads, tails)), shape=(n, n))
-    return np.asarray(connected_components(edges, directed=False)[1], dtype=np.int64)
 
 
 def _sum_by(groups: IndexArray, values: FloatArray, count: int) -> FloatArray:

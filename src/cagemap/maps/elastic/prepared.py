@@ -11,9 +11,10 @@ from cagemap.basis import Surface
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.curves import CurvePair
 from cagemap.maps.elastic.config import ElasticConfig
-from cagemap.maps.elastic.constants import CURVE_SHARE, SHEET_VERTICES
+from cagemap.maps.elastic.constants import CURVE_SHARE, PULLERS, SHEET_VERTICES
 from cagemap.maps.elastic.counterparts import ReceivedArea
 from cagemap.maps.elastic.curves import NO_CURVES, CurvePull
+from cagemap.maps.elastic.data import Pullers
 from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph, bounded_maps, cluster_graph, mesh_graph
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.spectral.hierarchical import HierarchyConfig, search_levels
@@ -55,6 +56,10 @@ class RestShape:
     def differentials(self, positions: FloatArray) -> tuple[FloatArray, IndexArray]:
         """(n, 3, 3) maps A for positions x (n, 3), none of which folds or flattens, and which of them were bounded."""
         return bounded_maps(self.field.solve(positions), self.graph.normals)
+
+    def pullers(self, sheet: TriangleSurface) -> Pullers:
+        """Points of the source that pull at the shape, or are looked for on it."""
+        return Pullers.choose(sheet, int(PULLERS * self.graph.n), self.masks)
 
 
 @dataclass(frozen=True, eq=False)

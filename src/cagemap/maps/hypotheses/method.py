@@ -7,8 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from cagemap.geometry.closest import build_tree, closest_points
-from cagemap.maps.elastic.constants import PULLERS
-from cagemap.maps.elastic.data import Pullers
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.confidence import Confidence, MapShape, Reading
 from cagemap.maps.hypotheses.search import HypothesesConfig, found_readings
@@ -52,8 +50,7 @@ def hypothesis_map(
 
 def unreached_share(prepared: PreparedPair, found: PointMap) -> float:
     """Share of the source's area, where it is not masked, that lies `FAR` or farther from what the map leads to."""
-    mesh, masks = prepared.mesh, prepared.rest.masks
-    pullers = Pullers.choose(prepared.sheet, int(PULLERS * mesh.n), masks)
+    mesh, pullers = prepared.mesh, prepared.rest.pullers(prepared.sheet)
     image = build_tree(found.images.at(slice(0, mesh.n)).positions, mesh.triangles)
     far = closest_points(image, pullers.points)[2] > FAR
     return float(pullers.areas[far].sum() / max(pullers.areas.sum(), 1e-12))

@@ -10,13 +10,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse import csgraph
 
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.triangles import CACHED, normalized
 from cagemap.maps.projection.constants import LEAST_MENDED, ROUNDS, SWEEPS
 from cagemap.maps.quality import flipped_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.graphs import components
 from cagemap.numerics.threads import in_threads, parts
 
 BoolArray = NDArray[np.bool_]
@@ -132,8 +132,7 @@ def patches(triangles: IndexArray, inside: BoolArray) -> IndexArray:
     near = triangles[touched_triangles(triangles, inside)]
     pairs = near[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     pairs = pairs[inside[pairs].all(axis=1)]
-    graph = sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    return csgraph.connected_components(graph.tocsr(), directed=False)[1].astype(np.int64)
+    return components(pairs[:, 0], pairs[:, 1], n)
 
 
 def convex_rows(rows: IndexArray, columns: IndexArray, weights: FloatArray, inside: BoolArray) -> sparse.csr_array:

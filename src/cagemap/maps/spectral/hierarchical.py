@@ -184,10 +184,10 @@ def hierarchical_map(
     size = tuple(min(config.searched_functions, side.rows.shape[1]) for side in (target, source))
     of_joined = fit_functional_map(target, source.rows[joined][:, : size[1]], size[0])
     further = grown(config.further, config.further_functions, of_joined)
-    first = LevelMap(searched, *max((of_joined, joined), further, key=lambda found: merit(found[1])))
-    logger.info(
-        "merit of the growths, joined, and gone on: %s", [*map(merit, matches), merit(joined), merit(further[1])]
-    )
+    ends = [(of_joined, joined), further]
+    merits = [merit(match) for _, match in ends]
+    logger.info("merit joined: %.4f, gone on: %.4f", *merits)
+    first = LevelMap(searched, *ends[int(np.argmax(merits))])
     if not ladder(pair, searched) and first.functional_map.shape != basis_sizes(pair, searched):
         first = replace(first, functional_map=refit(pair, searched, first.match))  # no level below adds the rest
     beside = Beside(searched, *shared_coordinates(target, source, meshes, first.functional_map, config.further))

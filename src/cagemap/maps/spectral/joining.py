@@ -6,13 +6,15 @@ target on which two maps lie apart; outside of them the maps agree, so that what
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse import csgraph
 
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.graphs import components
+
+logger = logging.getLogger(__name__)
 
 # Maps lie apart where their images do by this, of sqrt(area).
 APART = 0.01
@@ -46,6 +48,7 @@ def joined_match(
     (n1,) array
     """
     merits = [merit(match) for match in matches]
+    logger.info("merits of the maps to join: %s", merits)
     order = np.argsort(merits)[::-1]
     best, most = matches[order[0]], merits[order[0]]
     for other in order[1:]:
@@ -65,8 +68,7 @@ def parts_apart(
     inside = np.linalg.norm(places[one] - places[other], axis=1) > apart
     edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     edges = edges[inside[edges].all(axis=1)]
-    graph = sparse.coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(one), len(one)))
-    label = csgraph.connected_components(graph.tocsr(), directed=False)[1]
+    label = components(edges[:, 0], edges[:, 1], len(one))
     members = np.flatnonzero(inside)
     order = members[np.argsort(label[members], kind="stable")]
     borders = np.flatnonzero(np.diff(label[order])) + 1
