@@ -1,10 +1,11 @@
-"""Random creased cages, refined by OpenSubdiv itself (Debian's libosd-dev) and by us."""
+"""Random creased cages, refined and taken to the limit by OpenSubdiv itself (Debian's libosd-dev) and by us."""
 
 from __future__ import annotations
 
 import shutil
 import subprocess
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,19 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from cagemap.mesh import ControlMesh, bipyramid, cube, disk, grid, icosahedron, poles, pyramid, torus, triangulated
-from cagemap.refinement import Bilinear, CatmullClark, Level, Loop, Scheme, refine
+from cagemap.refinement import (
+    Bilinear,
+    CatmullClark,
+    Level,
+    Loop,
+    Refinement,
+    Scheme,
+    limit_normals,
+    limit_positions,
+    refine,
+)
 from cagemap.refinement.face_varying import control_layout
+from cagemap.refinement.limit import limit_tangents
 from cagemap.refinement.state import control_state
 from cagemap.refinement.topology import control_table, control_topology, topology_of_table
 
@@ -28,7 +40,29 @@ TRIANGLES = ("catmull_clark", "smooth")
 # OpenSubdiv keeps sharpness in float32 (6e-8 of at most 10), and coordinates are below 5.
 TOLERANCE = 1e-6
 
-Oracle = Callable[[ControlMesh, Scheme, int], list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]]
+SMOOTH, DART, CREASE, CORNER = 1, 2, 4, 8
+
+
+@dataclass(frozen=True, eq=False)
+class Theirs:
+    """OpenSubdiv's levels (positions, UVs, faces, UV indices, holes) and what it says about the last one's vertices.
+
+    ``rings`` has, where its closed masks are not the limit of its own refinement, a vertex's ring and the matrix that
+    takes the ring one level further.
+    """
+
+    levels: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]
+    limits: np.ndarray
+    tangents: tuple[np.ndarray, np.ndarray]
+    rule: np.ndarray
+    valence: np.ndarray
+    semi: np.ndarray
+    boundary: np.ndarray
+    creases: np.ndarray
+    rings: dict[int, tuple[np.ndarray, np.ndarray]]
+
+
+Oracle = Callable[[ControlMesh, Scheme, int], Theirs]
 
 
 @pytest.fixture(scope="module")
@@ -41,11 +75,11 @@ def opensubdiv(tmp_path_factory: pytest.TempPathFactory) -> Oracle:
     if built.returncode:
         pytest.skip("OpenSubdiv is not installed (Debian: libosd-dev)")
 
-    def run(mesh: ControlMesh, scheme: Scheme, levels: int) -> list[tuple[np.ndarray, ...]]:
+    def run(mesh: ControlMesh, scheme: Scheme, levels: int) -> Theirs:
         done = subprocess.run(
             [program], input=_as_text(mesh, scheme, levels), capture_output=True, text=True, check=True
         )
-        return _levels(np.array(done.stdout.split(), dtype=np.float64), levels)
+        return _read(np.array(done.stdout.split(), dtype=np.float64), levels)
 
     return run
 
@@ -69,6 +103,7 @@ def _as_text(mesh: ControlMesh, scheme: Scheme, levels: int) -> str:
         (mesh.corner_vertices, 1),
         (mesh.crease_sharpness, 1),
         (mesh.corner_sharpness, 1),
+        (np.zeros(0) if mesh.hole_faces is None else mesh.hole_faces, 1),
     ]
     words = [str(option) for option in options]
     for array, per_item in arrays:
@@ -76,8 +111,8 @@ def _as_text(mesh: ControlMesh, scheme: Scheme, levels: int) -> str:
     return " ".join(words)
 
 
-def _levels(numbers: np.ndarray, levels: int) -> list[tuple[np.ndarray, ...]]:
-    """Positions, UVs, faces and UV indices of every level from the program's output."""
+def _read(numbers: np.ndarray, levels: int) -> Theirs:
+    """All levels and the last one's limits from the program's output."""
     result, at = [], 0
 
     def take(count: int) -> np.ndarray:
@@ -89,10 +124,20 @@ def _levels(numbers: np.ndarray, levels: int) -> list[tuple[np.ndarray, ...]]:
         positions = take(3 * int(take(1)[0])).reshape(-1, 3)
         uvs = take(3 * int(take(1)[0])).reshape(-1, 3)[:, :2]
         count, size = take(2).astype(int)
-        rows = take(2 * count * size).astype(int).reshape(count, 2, size)
-        result.append((positions, uvs, rows[:, 0], rows[:, 1]))
+        rows = take(count * (2 * size + 1)).astype(int).reshape(count, 2 * size + 1)
+        result.append((positions, uvs, rows[:, :size], rows[:, size:-1], rows[:, -1] != 0))
+    rows, rings = [], {}
+    for vertex in range(len(result[-1][0])):
+        rows.append(take(14))
+        size = int(take(1)[0])
+        if size:
+            rings[vertex] = take(size).astype(int), take(size * size).reshape(size, size)
     assert at == len(numbers)
-    return result
+    table = np.array(rows)
+    rule, valence, semi, boundary, creases = table[:, 9:].astype(int).T
+    return Theirs(
+        result, table[:, :3], (table[:, 3:6], table[:, 6:9]), rule, valence, semi > 0, boundary > 0, creases, rings
+    )
 
 
 SHAPES = [
@@ -138,6 +183,8 @@ def cages(draw: st.DrawFn) -> ControlMesh:
     chosen = draw(st.lists(st.integers(0, len(edges) - 1), max_size=8, unique=True))
     mesh = mesh.with_creases(edges[chosen], [draw(SHARPNESS) for _ in chosen])
     corners = draw(st.lists(st.integers(0, mesh.n_vertices - 1), max_size=3, unique=True))
+    holes = draw(st.lists(st.integers(0, mesh.n_faces - 1), max_size=2, unique=True))
+    mesh = replace(mesh, hole_faces=np.array(sorted(holes), dtype=np.int64)) if holes else mesh
     return mesh.with_corners(corners, [draw(SHARPNESS) for _ in corners])
 
 
@@ -145,7 +192,7 @@ def cages(draw: st.DrawFn) -> ControlMesh:
 def schemes(draw: st.DrawFn, mesh: ControlMesh) -> Scheme:
     kinds = [CatmullClark, CatmullClark, Bilinear] + ([Loop, Loop, Loop] if mesh.is_triangle_mesh else [])
     return draw(st.sampled_from(kinds))(
-        draw(st.sampled_from(BOUNDARIES[1:])),
+        draw(st.sampled_from(BOUNDARIES)),
         draw(st.sampled_from(UV_MODES)),
         draw(st.sampled_from(CREASINGS)),
         draw(st.sampled_from(TRIANGLES)),
@@ -160,15 +207,58 @@ def _canonical(faces: np.ndarray, *beside: np.ndarray) -> list[np.ndarray]:
     return [turned[order], *(np.stack([v[np.arange(len(v)), t] for t in turns.T], 1)[order] for v in beside)]
 
 
-def _agree(ours: Level, theirs: tuple[np.ndarray, ...]) -> None:
-    positions, uvs, faces, uv_indices = theirs
+def _agree(ours: Level, holes: np.ndarray, theirs: tuple[np.ndarray, ...]) -> np.ndarray:
+    """Compare a level; their vertex of each of ours."""
+    positions, uvs, faces, uv_indices, their_holes = theirs
     gaps, order = cKDTree(positions).query(ours.positions)
     assume(len(np.unique(order)) == len(positions))  # vertices in nearly one place cannot be told apart
     assert gaps.max() < TOLERANCE
-    mine, my_uvs = _canonical(order[ours.faces], ours.uvs[ours.uv_indices])
-    expected, their_uvs = _canonical(faces, uvs[uv_indices])
+    per_corner = np.repeat(holes[:, None], ours.faces.shape[1], axis=1)
+    mine, my_uvs, my_holes = _canonical(order[ours.faces], ours.uvs[ours.uv_indices], per_corner)
+    expected, their_uvs, their_holes = _canonical(
+        faces, uvs[uv_indices], np.repeat(their_holes[:, None], faces.shape[1], 1)
+    )
     np.testing.assert_array_equal(mine, expected)
+    np.testing.assert_array_equal(my_holes, their_holes)
     np.testing.assert_allclose(my_uvs, their_uvs, rtol=0, atol=TOLERANCE)
+    return order
+
+
+def _ring_limit(positions: np.ndarray, ring: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Limit position and normal (its sign means nothing) by the left eigenvectors of a ring's matrix."""
+    values, vectors = np.linalg.eig(matrix.T)
+    vectors = vectors[:, np.argsort(-values.real)[:3]].real
+    limit, first, second = vectors.T @ positions[ring]
+    return limit / vectors[:, 0].sum(), np.cross(first, second)
+
+
+def _limits_agree(ours: Refinement, order: np.ndarray, theirs: Theirs) -> None:
+    """Compare limits of the first and last level, each vertex with its copy on the last, where few are semi-sharp."""
+    scheme, last = ours.scheme, theirs.levels[-1][0]
+    limits, normals, known = theirs.limits.copy(), np.cross(*theirs.tangents), ~theirs.semi
+    for vertex, (ring, matrix) in theirs.rings.items():
+        limits[vertex], normals[vertex] = _ring_limit(last, ring, matrix)
+    lengths = np.linalg.norm(normals, axis=1)
+    # Inner creases and corners have a normal on every side, interior valence 2 has none, nor has a corner of several
+    # faces, a boundary of so many that its curve no longer leads, nor a bilinear surface.
+    one = known & ((theirs.rule == SMOOTH) | (theirs.rule == DART) | (theirs.boundary & (theirs.creases == 0)))
+    one &= np.where(
+        theirs.boundary, theirs.valence <= (3 if isinstance(scheme, CatmullClark) else 5), theirs.valence > 2
+    )
+    one &= (theirs.rule != CORNER) | (theirs.valence == 1)
+    one &= (lengths > 1e-6) & (not isinstance(scheme, Bilinear))
+    normals /= np.maximum(lengths, 1e-300)[:, None]
+    curve = one & theirs.boundary & (theirs.rule == CREASE)
+    by_mask = one & ~np.isin(np.arange(len(one)), list(theirs.rings))  # the sign of the others' normals is anyone's
+    for level in (0 if isinstance(scheme, Loop) else 1, ours.n_levels):
+        mine = order[: ours.levels[level].n_vertices]
+        gaps = np.abs(limit_positions(ours, level) - limits[mine])[known[mine]]
+        assert gaps.max(initial=0) < TOLERANCE
+        cosines = np.einsum("nx,nx->n", limit_normals(ours, level), normals[mine])
+        assert np.abs(1 - cosines[by_mask[mine]]).max(initial=0) < TOLERANCE
+        assert np.abs(1 - np.abs(cosines[one[mine]])).max(initial=0) < TOLERANCE
+        along = np.cross(limit_tangents(ours, level)[0], theirs.tangents[0][mine])[curve[mine]]
+        assert np.abs(along).max(initial=0) < TOLERANCE
 
 
 def _forgets_to_follow(mesh: ControlMesh, scheme: Scheme) -> bool:
@@ -192,8 +282,10 @@ def _compare(data: st.DataObject, opensubdiv: Oracle) -> None:
     mesh = data.draw(cages())
     scheme = data.draw(schemes(mesh))
     assume(not _forgets_to_follow(mesh, scheme))
-    for ours, theirs in zip(refine(mesh, 3, scheme).levels[1:], opensubdiv(mesh, scheme, 3), strict=True):
-        _agree(ours, theirs)
+    ours, theirs = refine(mesh, 3, scheme), opensubdiv(mesh, scheme, 3)
+    for level, their_level in enumerate(theirs.levels, 1):
+        order = _agree(ours.levels[level], ours.holes(level), their_level)
+    _limits_agree(ours, order, theirs)
 
 
 @settings(deadline=None, max_examples=200, derandomize=True)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cagemap.cli.match import MatchRequest, run_match
-from cagemap.cli.match_parts import chosen_parts
+from cagemap.cli.match_parts import asked_parts, chosen_parts
 from cagemap.cli.mesh_commands import check_files
 from cagemap.cli.progress import Stages
 from cagemap.cli.transfer import run_transfer
@@ -134,17 +134,20 @@ def test_materials_are_paired_by_name_and_their_pieces_by_landmarks() -> None:
         ("eye 0", 20),
         ("eye 1", 20),
     ]
-    pairs, alone, _ = pair_parts(scene, scene, np.zeros((0, 2), np.int64), material_pieces)
+    pairs, alone, _ = pair_parts(scene, scene, np.zeros((0, 2), np.int64), (material_pieces(scene),) * 2)
     assert {(pair.target.name, pair.source.name) for pair in pairs} == {("skin", "skin"), ("cloth", "cloth")}
     assert [part.name for part in alone] == ["eye 0", "eye 1"]  # which is which, no name says
     crossed = np.array([[8, 20], [20, 8]])
-    pairs, alone, _ = pair_parts(scene, scene, crossed, material_pieces)
+    pairs, alone, _ = pair_parts(scene, scene, crossed, (material_pieces(scene),) * 2)
     assert ("eye 0", "eye 1") in {(pair.target.name, pair.source.name) for pair in pairs}
     assert alone == ()
     found, _ = chosen_parts(scene, scene, _landmarks(crossed), "material", "material")
     assert sorted(part.target.n_faces for part in found) == [3, 3, 20, 20]
-    with pytest.raises(ParameterError, match="expected material on both sides"):
-        chosen_parts(scene, scene, _landmarks(crossed), "material", "eye")
+    found, (note,) = chosen_parts(scene, scene, _landmarks(crossed), "material", "eye")
+    assert [part.target.n_faces for part in found] == [20, 20]
+    assert "skin" in note and "cloth" in note
+    with pytest.raises(ParameterError, match="--part material: expected parts that go together by name"):
+        chosen_parts(scene, scene, Landmarks.none(), "material", "eye")
 
 
 def test_objects_that_are_subdivided_differently_are_taken_one_at_a_time() -> None:
@@ -192,14 +195,20 @@ def test_landmarks_follow_the_part_and_what_is_left_alone_is_said() -> None:
 
 
 @pytest.mark.parametrize("every", ["each", "material"])
-@pytest.mark.parametrize("other", ["body", None])
-def test_every_part_of_one_side_only_is_refused_with_a_remedy(every: str, other: str | None) -> None:
-    scene, landmarks = _scene(), _landmarks(np.array([[0, 0]]))
-    got = "body" if other else "the whole file"
-    with pytest.raises(ParameterError, match=rf"{every} on both sides.*{got} for the source.*Use --part {every}, or"):
-        chosen_parts(scene, scene, landmarks, every, other)
-    with pytest.raises(ParameterError, match=rf"{every} on both sides.*{got} for the target.*Use --part {every}, or"):
-        chosen_parts(scene, scene, landmarks, other, every)
+def test_parts_of_one_side_find_what_goes_with_them_on_the_other(every: str) -> None:
+    assert asked_parts(None, every, None) == asked_parts(None, None, every) == asked_parts(every, None, None)
+    assert asked_parts(None, every, "body") == (every, "body")
+    scene, name = _scene(), "body" if every == "each" else "material:cloth"
+    faces = len(find_part(scene, name).faces)
+    for words in ((every, name), (name, every)):
+        (chosen,), (note,) = chosen_parts(scene, scene, _landmarks(np.array([[7, 7]])), *words)
+        assert chosen.target.n_faces == chosen.source.n_faces == faces
+        assert note.endswith("of the target" if words[0] == every else "of the source")
+    lone = extract(scene, find_part(scene, "eye_left").faces)
+    for pair in (scene, lone), (lone, scene):
+        (found,), notes = chosen_parts(*pair, _landmarks(np.zeros((0, 2), dtype=np.int64)), "each", "each")
+        assert found.target.n_faces == found.source.n_faces == lone.n_faces
+        assert len(notes) == 1
 
 
 def test_landmarks_between_vertices_follow_the_part_too() -> None:

@@ -16,7 +16,7 @@ from cagemap.basis import BasisConfig
 from cagemap.cli.given_landmarks import read_given_landmarks
 from cagemap.cli.job_file import note_match
 from cagemap.cli.masks import GivenMasks, MaskOptions, mask_files, masks_on, read_masks
-from cagemap.cli.match_parts import PartInputs, chosen_parts
+from cagemap.cli.match_parts import PartInputs, asked_parts, chosen_parts
 from cagemap.cli.match_plain import ready_inputs
 from cagemap.cli.match_request import MatchRequest as MatchRequest
 from cagemap.cli.mesh_commands import require_size
@@ -142,6 +142,7 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
         side: basis_parameters(basis) | {"level": level}
         for side, basis, level in zip(SIDES, bases, levels, strict=True)
     }
+    parts = asked_parts(request.part, request.target_part, request.source_part)
     parameters = {
         "level": request.level,
         "vertices": request.vertices or (None if request.level else DEFAULT_VERTICES),
@@ -158,8 +159,7 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
         "boundary": request.boundary,
         "uv_interpolation": request.uv_interpolation,
         "creasing": request.creasing,
-        "target_part": request.target_part or request.part,
-        "source_part": request.source_part or request.part,
+        **dict(zip(("target_part", "source_part"), parts, strict=True)),
         "target_uv_set": request.target_uv_set,
         "source_uv_set": request.source_uv_set,
         "target_mask": request.target_mask,
@@ -259,7 +259,7 @@ def read_inputs(request: MatchRequest) -> Inputs:
     notes += unit_notes(request.target, request.source)
     options = MaskOptions(request.target_mask, request.source_mask, request.mask_edge)
     masks = read_masks(options, (target, source), (request.target, request.source))
-    names = request.target_part or request.part, request.source_part or request.part
+    names = asked_parts(request.part, request.target_part, request.source_part)
     if names == (None, None):
         ready = ready_inputs(PartInputs(target, source, landmarks))
         whole, notes = ready.inputs, (*notes, *ready.notes)
@@ -275,7 +275,7 @@ def read_control(path: Path, request: MatchRequest, side: str) -> ControlMesh:
     """Read the control mesh of one side, and what was asked for about its subdivision and its UVs."""
     scheme = getattr(request, f"{side}_scheme") or request.scheme
     subdivision = SubdivisionRequest(scheme, request.boundary, request.uv_interpolation, request.creasing)
-    parts = getattr(request, f"{side}_part") or request.part
+    parts = asked_parts(request.part, request.target_part, request.source_part)[SIDES.index(side)]
     mixed = parts is not None and path.suffix.lower() in USD_SUFFIXES
     control = subdivision.applied(replace(read_usd(path, mixed=True) if mixed else read_mesh(path), name=path.name))
     uv_set = getattr(request, f"{side}_uv_set")

@@ -12,7 +12,7 @@ from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks, Renumbering
 from cagemap.mesh.mesh_report import first_few
-from cagemap.mesh.parts import Part, components, extract, find_part, material_pieces, pair_parts
+from cagemap.mesh.parts import Part, components, connected_pieces, extract, find_part, material_pieces, pair_parts
 from cagemap.numerics.arrays import IndexArray
 from cagemap.refinement import default_scheme
 
@@ -29,6 +29,17 @@ class PartInputs:
     landmarks: Landmarks
 
 
+def asked_parts(part: str | None, target_part: str | None, source_part: str | None) -> tuple[str | None, str | None]:
+    """What is asked for on each side by `--part`, `--target-part` and `--source-part`.
+
+    Where one side asks for its pieces (`EACH`) or materials and the other for nothing, they are looked for among the
+    other's pieces or materials.
+    """
+    words = target_part or part, source_part or part
+    every = next((word for word in words if word in (EACH, MATERIAL)), None)
+    return words[0] or every, words[1] or every
+
+
 def chosen_parts(
     target: ControlMesh, source: ControlMesh, landmarks: Landmarks, target_part: str | None, source_part: str | None
 ) -> tuple[tuple[PartInputs, ...], tuple[str, ...]]:
@@ -41,25 +52,17 @@ def chosen_parts(
     landmarks : Landmarks
         In the files' numbers.
     target_part, source_part : str or None
-        A part's name, ``largest``, or on both sides ``each`` (connected pieces) or ``material``; None for the whole.
+        A part's name, ``largest``, ``each`` (connected pieces) or ``material``; None for the whole. See `asked_parts`.
 
     Raises
     ------
     ParameterError
-        If there is no such part, no parts go together, or ``each`` or ``material`` is asked for on one side only.
+        If there is no such part, or no parts go together.
     """
     # A part is subdivided as the whole file is, also where all its faces happen to be triangles.
     target, source = (replace(mesh, scheme=default_scheme(mesh)) for mesh in (target, source))
-    every = next((word for word in (EACH, MATERIAL) if word in (target_part, source_part)), None)
-    if every is not None and target_part != source_part:
-        target_word, source_word = (part or "the whole file" for part in (target_part, source_part))
-        raise ParameterError(
-            f"--part: expected {every} on both sides, whose parts are paired, got {target_word} for the target and "
-            f"{source_word} for the source. Use --part {every}, or name one part of each side (`cagemap check` lists "
-            "them)."
-        )
-    if every is not None:
-        return _each(target, source, landmarks, every)
+    if target_part is not None and source_part is not None and {target_part, source_part} & {EACH, MATERIAL}:
+        return _each(target, source, landmarks, (target_part, source_part))
     sides = [(target, target_part), (source, source_part)]
     parts = [None if name is None else find_part(mesh, name) for mesh, name in sides]
     inputs = _inputs(target, source, landmarks, *parts)
@@ -74,19 +77,20 @@ def chosen_parts(
 
 
 def _each(
-    target: ControlMesh, source: ControlMesh, landmarks: Landmarks, word: str
+    target: ControlMesh, source: ControlMesh, landmarks: Landmarks, words: tuple[str, str]
 ) -> tuple[tuple[PartInputs, ...], tuple[str, ...]]:
+    mine, theirs = _pieces(target, words[0]), _pieces(source, words[1])
     pairs, *alone = pair_parts(
         target,
         source,
         np.column_stack([landmarks.target_points.nearest_vertices, landmarks.source_points.nearest_vertices]),
-        material_pieces if word == MATERIAL else components,
+        (mine, theirs),
     )
     left = {side: _titled(parts) for side, parts in zip(("target", "source"), alone, strict=True) if parts}
     if not pairs:
         listed = ", ".join(f"in the {side} {names}" for side, names in left.items())
         raise ParameterError(
-            f"--part {word}: expected parts that go together by name or by landmarks, found none: {listed}. Give "
+            f"--part {next(word for word in words if word in (EACH, MATERIAL))}: expected parts that go together by name or by landmarks, found none: {listed}. Give "
             "objects or groups the same names in both files, or landmarks on each part."
         )
     notes = [
@@ -94,6 +98,13 @@ def _each(
         for side, names in left.items()
     ]
     return tuple(_inputs(target, source, landmarks, pair.target, pair.source) for pair in pairs), tuple(notes)
+
+
+def _pieces(mesh: ControlMesh, word: str) -> tuple[Part, ...]:
+    """What of a side is to be paired: all its pieces, its materials' faces, or those of the part of that name."""
+    if word == EACH:
+        return components(mesh)
+    return material_pieces(mesh) if word == MATERIAL else connected_pieces(mesh, find_part(mesh, word))
 
 
 def _titled(parts: Sequence[Part]) -> str:

@@ -170,7 +170,7 @@ class MatchRequest:
         typer.Option(
             "--part",
             help="Match only this object, group, material or component of both files, the largest, or each piece, or "
-            "each material, with its counterpart; `cagemap check` lists them.",
+            "material, with its counterpart (each, material); `cagemap check` lists them.",
             show_default=False,
         ),
     ] = None

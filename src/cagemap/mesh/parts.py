@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -64,15 +64,17 @@ def components(mesh: ControlMesh) -> tuple[Part, ...]:
 
 def material_pieces(mesh: ControlMesh) -> tuple[Part, ...]:
     """Faces of every named material; one that lies in several connected pieces gives a numbered part for each."""
-    pieces: list[Part] = []
-    for part in list_parts(mesh):
-        if part.kind != "material":
-            continue
-        labels = face_components(keep_faces(mesh, part.faces))
-        found = [part.faces[labels == label] for label in range(int(labels.max(initial=-1)) + 1)]
-        names = [part.name] if len(found) == 1 else [f"{part.name} {number}" for number in range(len(found))]
-        pieces += [Part("material", name, faces) for name, faces in zip(names, found, strict=True)]
-    return tuple(pieces)
+    return tuple(
+        piece for part in list_parts(mesh) if part.kind == "material" for piece in connected_pieces(mesh, part)
+    )
+
+
+def connected_pieces(mesh: ControlMesh, part: Part) -> tuple[Part, ...]:
+    """A part, or, where it lies in several connected pieces, a numbered part for each."""
+    labels = face_components(keep_faces(mesh, part.faces))
+    found = [part.faces[labels == label] for label in range(int(labels.max(initial=-1)) + 1)]
+    names = [part.name] if len(found) == 1 else [f"{part.name} {number}" for number in range(len(found))]
+    return tuple(Part(part.kind, name, faces) for name, faces in zip(names, found, strict=True))
 
 
 def find_part(mesh: ControlMesh, name: str) -> Part:
@@ -182,7 +184,7 @@ def pair_parts(
     target: ControlMesh,
     source: ControlMesh,
     landmarks: IndexArray,
-    pieces: Callable[[ControlMesh], tuple[Part, ...]] = components,
+    pieces: tuple[Sequence[Part], Sequence[Part]] | None = None,
 ) -> tuple[tuple[PartPair, ...], tuple[Part, ...], tuple[Part, ...]]:
     """Pair the pieces of two meshes: by landmarks that lie on both, else by name, else if just one is left over.
 
@@ -191,8 +193,8 @@ def pair_parts(
     target, source : ControlMesh
     landmarks : (p, 2) int64
         Target and source vertex of every pair.
-    pieces : callable
-        What is paired: `components` or `material_pieces`. Numbers are no names.
+    pieces : (sequence of Part, sequence of Part), optional
+        What is paired of both; their `components` by default. Numbers are no names.
 
     Returns
     -------
@@ -201,8 +203,9 @@ def pair_parts(
     alone_target, alone_source : tuple of Part
         Components that are left alone.
     """
-    mine = sorted(pieces(target), key=lambda part: -len(part.faces))
-    theirs = list(pieces(source))
+    of_target, of_source = pieces or (components(target), components(source))
+    mine = sorted(of_target, key=lambda part: -len(part.faces))
+    theirs = list(of_source)
     votes = np.zeros((len(mine), len(theirs)), dtype=np.int64)
     ends = np.column_stack([_owners(target, mine)[landmarks[:, 0]], _owners(source, theirs)[landmarks[:, 1]]])
     np.add.at(votes, tuple(ends[(ends >= 0).all(axis=1)].T), 1)

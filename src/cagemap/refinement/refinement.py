@@ -11,7 +11,7 @@ from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.geometry.triangles import fan_triangles
 from cagemap.geometry.triangles import triangles as triangles
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.schemes import SCHEMES, CatmullClark, Loop, Plain, Scheme
+from cagemap.mesh.schemes import SCHEMES, Bilinear, CatmullClark, Loop, Plain, Scheme
 from cagemap.numerics.arrays import Array, FloatArray, IndexArray
 from cagemap.refinement.face_varying import (
     UvLayout,
@@ -318,11 +318,14 @@ def state_of(refinement: Refinement, level: int) -> MeshState:
 
 
 def control_holes(control: ControlMesh, scheme: Scheme) -> BoolArray:
-    """(m,) control faces that are holes: those of the file, and under boundary ``none`` all that touch the boundary."""
+    """(m,) control faces that are holes: those of the file, and under boundary ``none`` all that touch the boundary.
+
+    Not under bilinear, where no face needs its neighbours to be known.
+    """
     holes = np.zeros(control.n_faces, dtype=bool)
     if control.hole_faces is not None:
         holes[control.hole_faces] = True
-    if scheme.boundary == "none":
+    if scheme.boundary == "none" and not isinstance(scheme, Bilinear):
         boundary = control_topology(control).boundary
         holes[control.corner_faces[boundary[control.face_indices]]] = True
     return holes
