@@ -145,7 +145,8 @@ def test_materials_are_paired_by_name_and_their_pieces_by_landmarks() -> None:
     assert sorted(part.target.n_faces for part in found) == [3, 3, 20, 20]
     found, (note,) = chosen_parts(scene, scene, _landmarks(crossed), "material", "eye")
     assert [part.target.n_faces for part in found] == [20, 20]
-    assert "skin" in note and "cloth" in note
+    assert "skin" in note
+    assert "cloth" in note
     with pytest.raises(ParameterError, match="--part material: expected parts that go together by name"):
         chosen_parts(scene, scene, Landmarks.none(), "material", "eye")
 
