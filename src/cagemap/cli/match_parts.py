@@ -88,9 +88,10 @@ def _each(
     )
     left = {side: _titled(parts) for side, parts in zip(("target", "source"), alone, strict=True) if parts}
     if not pairs:
+        word = next(word for word in words if word in (EACH, MATERIAL))
         listed = ", ".join(f"in the {side} {names}" for side, names in left.items())
         raise ParameterError(
-            f"--part {next(word for word in words if word in (EACH, MATERIAL))}: expected parts that go together by name or by landmarks, found none: {listed}. Give "
+            f"--part {word}: expected parts that go together by name or by landmarks, found none: {listed}. Give "
             "objects or groups the same names in both files, or landmarks on each part."
         )
     notes = [

@@ -74,7 +74,8 @@ def limit_normals(refinement: Refinement, level: int) -> FloatArray:
     Exact wherever the surface has one. On creases and corners, where every side has its own, the mean of all sides. It
     has none at interior vertices of valence 2, nor at boundary vertices with so many faces (more than 3 under
     Catmull-Clark, 5 under Loop) that the boundary curve no longer leads their shape, nor at sharp boundary vertices of
-    several faces, nor on bilinear surfaces; there the result is the nearest reasonable direction. It is zero where the surface itself is degenerate.
+    several faces, nor on bilinear surfaces; there the result is the nearest reasonable direction. It is zero where
+    the surface itself is degenerate.
 
     Raises
     ------
