@@ -17,7 +17,8 @@ import pytest
 from cagemap import BasisConfig, __version__
 from cagemap.cli import main
 from cagemap.cli.app import match as match_command
-from cagemap.cli.match import MatchRequest, basis_config, match_config, read_inputs
+from cagemap.cli.bases import basis_config
+from cagemap.cli.match import MatchRequest, match_config, read_inputs
 from cagemap.cli.progress import Stages
 from cagemap.example import ExamplePair, example_pair
 from cagemap.files.images import read_image, write_image

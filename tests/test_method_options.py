@@ -7,7 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from cagemap.cli.match import MatchRequest, match_config, run_match, side_bases
+from cagemap.basis import BasisConfig, hierarchical_basis
+from cagemap.cli.bases import require_level_or_vertices, side_bases, side_levels
+from cagemap.cli.match import MatchRequest, match_config, run_match
 from cagemap.cli.method import used_parameters, with_parameters
 from cagemap.cli.progress import Stages
 from cagemap.descriptors import mirror_symmetries
@@ -17,6 +19,7 @@ from cagemap.files.result import read_result
 from cagemap.files.symmetry import read_symmetry
 from cagemap.maps.spectral.hierarchical import Growth, HierarchyConfig
 from cagemap.mesh import shapes
+from cagemap.operators import AlexaWardetzky, build_operators
 from cagemap.pipeline import MatchConfig
 
 
@@ -59,6 +62,61 @@ def test_one_side_alone_leaves_the_other_as_it_is(tmp_path):
     target, source = side_bases(request)
     assert target.schedule == (9, 5)
     assert (source.schedule, source.count) == (None, 40)
+
+
+def test_each_side_has_its_own_number_of_vertices(tmp_path):
+    """`--target-vertices` goes before `--level` and `--vertices`, which are the other side's then."""
+    controls = [shapes.creature()] * 2
+    request = MatchRequest(tmp_path, tmp_path, tmp_path, tmp_path, target_vertices=2400, vertices=600)
+    assert side_levels(request, controls) == (2, 1)
+    request = MatchRequest(tmp_path, tmp_path, tmp_path, tmp_path, source_vertices=2400, level=1)
+    assert side_levels(request, controls) == (1, 2)
+    for words in ({"level": 1, "vertices": 5}, {"target_level": 1, "target_vertices": 5}):
+        with pytest.raises(ParameterError, match=r"level and --.*vertices: expected one of them, got both"):
+            require_level_or_vertices(MatchRequest(tmp_path, tmp_path, tmp_path, tmp_path, **words))
+
+
+def test_each_side_has_its_own_laplacian_accuracy_and_definition(tmp_path):
+    """What is computed follows, and the manifest says it: eigenvalues differ from those of the usual Laplacian."""
+    paths, _ = files_of(tmp_path)
+    request = MatchRequest(
+        *paths, tmp_path / "R", method="paper", level=1, schedule="12,6", laplacian="alexa-wardetzky:2",
+        source_laplacian="mean", accuracy=1e-8, target_accuracy=1e-10, source_literal=True, symmetry=False,
+        parameter=("rounds=0",),
+    )  # fmt: skip
+    with Stages() as stages:
+        run_match(request, stages)
+    result = read_result(tmp_path / "R")
+    used = result.manifest["parameters"]
+    assert (used["target_laplacian"], used["target_stabilisation"], used["source_laplacian"]) == (
+        "alexa-wardetzky", 2.0, "mean",
+    )  # fmt: skip
+    assert (used["target_accuracy"], used["source_accuracy"]) == (1e-10, 1e-8)
+    assert (used["target_literal"], used["source_literal"]) == (False, True)
+    asked = BasisConfig(schedule=(12, 6), accuracy=1e-10, laplacian="alexa-wardetzky", stabilisation=2.0)
+    assert result.target.config == asked
+    operators = build_operators(result.target.refinement, AlexaWardetzky(2.0))
+    basis = hierarchical_basis(result.target.refinement, operators, asked)
+    np.testing.assert_allclose(result.spectral.target_eigenvalues, basis.eigenvalues, rtol=1e-9, atol=1e-9)
+    assert abs(result.spectral.target_eigenvalues[5] / result.spectral.source_eigenvalues[5] - 1) > 1e-3
+    # What was read is prepared again with the same Laplacian.
+    np.testing.assert_allclose(result.target.basis.eigenvalues, basis.eigenvalues, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ({"laplacian": "cotan"}, "--laplacian: expected mean, alexa-wardetzky, de-goes-butts-desbrun, .* got 'cotan'"),
+        ({"source_laplacian": "alexa-wardetzky:x"}, "--source-laplacian: expected mean"),
+        ({"target_laplacian": "alexa-wardetzky:0"}, "stabilisation: expected a number above 0"),
+        ({"literal": True}, "--literal: expected a --schedule of the target"),
+        ({"literal": True, "schedule": "9,5", "source_k": 9}, "--literal: expected a --schedule of the source"),
+        ({"accuracy": 0.1}, "accuracy: expected a residual"),
+    ],
+)
+def test_wrong_options_of_bases_are_refused(tmp_path, words, said):
+    with pytest.raises(ParameterError, match=said):
+        side_bases(MatchRequest(tmp_path, tmp_path, tmp_path, tmp_path, **words))
 
 
 def test_parameters_reach_the_method_they_belong_to():

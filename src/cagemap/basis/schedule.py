@@ -9,6 +9,7 @@ import numpy as np
 from cagemap.basis.constants import FIXED_ACCURACY, GAP_SEARCH, LEAST_REACH, REACH
 from cagemap.basis.error_estimate import ErrorEstimate
 from cagemap.errors import ParameterError
+from cagemap.operators.polygons import named_laplacian
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,11 @@ class BasisConfig:
         Operators are those of the coarsest level with at least so many vertices, as if it were the finest; functions
         of it refine to all levels. The eigenvalues looked for change by well below 1 % at 20 000 vertices. Default: the
         finest level's, as in the paper.
+    laplacian : str
+        Of the finest level's quads: "mean" of both triangulations, "alexa-wardetzky" (the paper's) or
+        "de-goes-butts-desbrun"; see `cagemap.operators.polygons`.
+    stabilisation : float
+        lambda of the last two.
     """
 
     count: int = 300
@@ -46,6 +52,8 @@ class BasisConfig:
     accuracy: float | None = None
     literal: bool = False
     vertices: int | None = None
+    laplacian: str = "mean"
+    stabilisation: float = 1.0
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -68,7 +76,7 @@ class BasisConfig:
             raise ParameterError(
                 f"schedule: expected counts per level such as (100, 50, 50), level 0 first, got {self.schedule}"
             )
-
+        named_laplacian(self.laplacian, self.stabilisation)
         if self.literal and self.schedule is None:
             raise ParameterError(
                 "literal: expected a fixed schedule with it, as in Definition 2, got none; give schedule"

@@ -17,6 +17,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 from cagemap.numerics.threads import one_blas_thread
 from cagemap.operators import Operators, build_operators, vertex_areas
 from cagemap.operators.plain import coarsened, uncoarsened
+from cagemap.operators.polygons import named_laplacian
 from cagemap.refinement import Refinement, level_triangles, refine, triangulate_control
 
 # The basis of a plain mesh is that of its coarsest level with so many vertices for each function.
@@ -25,12 +26,13 @@ VERTICES_A_FUNCTION = 40
 
 def operators_for(refinement: Refinement, config: BasisConfig) -> Operators:
     """Operators that a basis is made from: those of all levels, or of the first ones that have enough vertices."""
+    laplacian = named_laplacian(config.laplacian, config.stabilisation)
     if config.vertices is None:
-        return build_operators(refinement)
+        return build_operators(refinement, laplacian)
     level = refinement.coarsest_level(config.vertices)
     if config.schedule is not None:
         level = min(max(level, len(config.schedule) - 1), refinement.n_levels)
-    return build_operators(refinement.up_to(level))
+    return build_operators(refinement.up_to(level), laplacian)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -150,6 +150,15 @@ def report(
             "--texture", help="Source texture to show.  [default: that of the last transfer]", show_default=False
         ),
     ] = None,
+    level: Annotated[
+        int | None,
+        typer.Option(
+            "--level",
+            min=0,
+            help="Show the map of this level of the target, of --method hfm or paper.  [default: the finest]",
+            show_default=False,
+        ),
+    ] = None,
     force: Force = False,
 ) -> None:
     """Write one HTML page: both surfaces in the same views, the map as colours, quality in plain words.
@@ -160,7 +169,7 @@ def report(
     from cagemap.cli.report import ReportRequest, run_report
 
     with Stages() as stages:
-        run_report(ReportRequest(result, output, texture, force), stages)
+        run_report(ReportRequest(result, output, texture, force, level), stages)
     say(f"Open {output} in a browser.")
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import islice
 
-from cagemap.cli.match import DEFAULT_VERTICES
+from cagemap.cli.bases import DEFAULT_VERTICES
 from cagemap.cli.subdivision import SubdivisionRequest
 from cagemap.errors import CagemapError
 from cagemap.files.meshes import read_mesh

@@ -9,18 +9,11 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
+from cagemap.cli.bases import SIDES, side_bases, side_levels
 from cagemap.cli.dry_run import dry_run
 from cagemap.cli.job_file import WRITTEN
 from cagemap.cli.map_command import MapRequest
-from cagemap.cli.match import (
-    SIDES,
-    Inputs,
-    MatchRequest,
-    read_control,
-    run_match,
-    side_bases,
-    side_levels,
-)
+from cagemap.cli.match import MatchRequest, read_control, run_match
 from cagemap.cli.mesh_commands import require_size
 from cagemap.cli.own_map import run_map
 from cagemap.cli.progress import Stages
@@ -53,7 +46,6 @@ from cagemap.library.consistency import read_consistency, write_consistency
 from cagemap.library.plan import STATE
 from cagemap.library.ways import composed_result, has_ways_round, matches_only, with_ways
 from cagemap.mesh.checks import require_valid
-from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.numerics.threads import core_count
@@ -227,7 +219,7 @@ def _prepare(task: Task) -> dict[str, Any]:
         control = plain_mesh(control).mesh
     else:
         require_valid(control)
-    level = side_levels(request, Inputs(control, control, Landmarks.none()))[side]
+    level = side_levels(request, (control, control))[side]
     require_size(control, level)
     surface = prepared(task.request["cache"], control, level, side_bases(request)[side])
     return {"vertices": surface.refinement.finest.n_vertices, "level": level}

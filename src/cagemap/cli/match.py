@@ -13,6 +13,14 @@ from typing import Any
 import numpy as np
 
 from cagemap.basis import BasisConfig
+from cagemap.cli.bases import (
+    DEFAULT_VERTICES,
+    SIDES,
+    basis_parameters,
+    require_level_or_vertices,
+    side_bases,
+    side_levels,
+)
 from cagemap.cli.given_landmarks import read_given_landmarks
 from cagemap.cli.job_file import note_match
 from cagemap.cli.masks import GivenMasks, MaskOptions, mask_files, masks_on, read_masks
@@ -23,7 +31,6 @@ from cagemap.cli.mesh_commands import require_size
 from cagemap.cli.method import read_symmetries, used_parameters, with_parameters
 from cagemap.cli.progress import Stages
 from cagemap.cli.subdivision import SubdivisionRequest
-from cagemap.errors import ParameterError
 from cagemap.files.atomic import require_no_input
 from cagemap.files.merged import merge_results
 from cagemap.files.meshes import read_mesh
@@ -40,22 +47,17 @@ from cagemap.files.result import (
 from cagemap.files.surface_store import prepared
 from cagemap.files.usd import USD_SUFFIXES, read_usd
 from cagemap.files.usd_space import unit_notes
-from cagemap.mesh import ControlMesh, Plain
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import (
     MatchConfig,
     MatchResult,
-    choose_level,
-    default_basis,
     match,
     prepare_surface,
     prepare_surfaces,
 )
 
 _log = logging.getLogger(__name__)
-
-DEFAULT_VERTICES = 200_000
-SIDES = ("target", "source")
 
 
 @dataclass(frozen=True)
@@ -113,8 +115,7 @@ class MatchSettings:
 
 def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     """Match two mesh files and write the RESULT folder; returns a summary and warnings."""
-    if request.level is not None and request.vertices is not None:
-        raise ParameterError("--level and --vertices: expected one of them, got both. --vertices chooses the level.")
+    require_level_or_vertices(request)
     bases, config = side_bases(request), match_config(request)
     started = time.perf_counter()
     stages("read")
@@ -137,7 +138,7 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
         name: {"file": path.name, "path": stated_path(path, request.output), "sha256": file_hash(path)}
         for name, path in files.items()
     }
-    levels = side_levels(request, inputs)
+    levels = side_levels(request, (inputs.target, inputs.source))
     sides = {
         side: basis_parameters(basis) | {"level": level}
         for side, basis, level in zip(SIDES, bases, levels, strict=True)
@@ -146,6 +147,8 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     parameters = {
         "level": request.level,
         "vertices": request.vertices or (None if request.level else DEFAULT_VERTICES),
+        "target_vertices": request.target_vertices,
+        "source_vertices": request.source_vertices,
         **{f"{side}_{name}": value for side, used in sides.items() for name, value in used.items()},
         "method": request.method,
         "spectral": used_parameters(config),
@@ -174,57 +177,6 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     return summary(result, request.output, time.perf_counter() - started), warnings(result)
 
 
-def basis_config(request: MatchRequest) -> BasisConfig:
-    """Parameters of both surfaces' bases, where nothing else is asked for on one side."""
-    schedule = None if request.schedule is None else parse_schedule(request.schedule)
-    usual = default_basis(request.method)
-    count = usual.count if request.k is None else request.k
-    return _asked_basis(request, count, request.tolerance, schedule)
-
-
-def side_bases(request: MatchRequest) -> tuple[BasisConfig, BasisConfig]:
-    """Parameters of the target's and the source's basis."""
-    found = []
-    for side in SIDES:
-        k, tolerance, schedule = (getattr(request, f"{side}_{name}") for name in ("k", "tolerance", "schedule"))
-        basis = basis_config(request)
-        if k is not None or tolerance is not None:  # asked for on this side, so a schedule of both does not hold here
-            basis = replace(basis, schedule=None)
-        found.append(
-            _asked_basis(
-                request,
-                basis.count if k is None else k,
-                basis.tolerance if tolerance is None else tolerance,
-                basis.schedule if schedule is None else parse_schedule(schedule, f"--{side}-schedule"),
-            )
-        )
-    return found[0], found[1]
-
-
-def _asked_basis(request: MatchRequest, count: int, tolerance: float, schedule: tuple[int, ...] | None) -> BasisConfig:
-    """Who asks for exact eigenvalues, or for the paper's levels, gets the operators of the finest level."""
-    usual = default_basis(request.method)
-    exact = schedule is not None or tolerance < usual.tolerance
-    return BasisConfig(count, tolerance, schedule, vertices=None if exact else usual.vertices)
-
-
-def side_levels(request: MatchRequest, inputs: Inputs) -> tuple[int, int]:
-    """Finest level of the target and of the source; 0 of a plain mesh, whatever is asked for both."""
-    found = []
-    for side, control in zip(SIDES, (inputs.target, inputs.source), strict=True):
-        shared = None if isinstance(control.scheme, Plain) else request.level
-        level = getattr(request, f"{side}_level") or shared
-        found.append(choose_level(control, request.vertices or DEFAULT_VERTICES) if level is None else level)
-    return found[0], found[1]
-
-
-def basis_parameters(basis: BasisConfig) -> dict[str, Any]:
-    """What decided about a basis: a schedule, or a number and a tolerance."""
-    if basis.schedule is not None:
-        return {"k": sum(basis.schedule), "schedule": list(basis.schedule)}
-    return {"k": basis.count, "tolerance": basis.tolerance}
-
-
 def match_config(request: MatchRequest) -> MatchConfig:
     """Parameters of the match that was asked for on the command line."""
     config = MatchConfig(
@@ -235,19 +187,6 @@ def match_config(request: MatchRequest) -> MatchConfig:
         answer=request.answer,
     )
     return with_parameters(config, request.parameter)
-
-
-def parse_schedule(text: str, option: str = "--schedule") -> tuple[int, ...]:
-    """Numbers of basis functions per level from text such as ``100,50,50,50``."""
-    try:
-        schedule = tuple(int(part) for part in text.split(","))
-    except ValueError:
-        schedule = ()
-    if not schedule or min(schedule) < 0 or schedule[0] < 1:
-        raise ParameterError(
-            f"{option}: expected numbers of basis functions for level 0, 1, ... such as 100,50,50,50, got {text!r}."
-        )
-    return schedule
 
 
 def read_inputs(request: MatchRequest) -> Inputs:

@@ -70,6 +70,10 @@ class MatchRequest:
     target_level: Annotated[
         int | None, typer.Option("--target-level", help="--level of the target alone.", show_default=False)
     ] = None
+    target_vertices: Annotated[
+        int | None,
+        typer.Option("--target-vertices", min=1, help="--vertices of the target alone.", show_default=False),
+    ] = None
     target_k: Annotated[int | None, typer.Option("--target-k", help="-k of the target alone.", show_default=False)] = (
         None
     )
@@ -82,6 +86,10 @@ class MatchRequest:
     source_level: Annotated[
         int | None, typer.Option("--source-level", help="--level of the source alone.", show_default=False)
     ] = None
+    source_vertices: Annotated[
+        int | None,
+        typer.Option("--source-vertices", min=1, help="--vertices of the source alone.", show_default=False),
+    ] = None
     source_k: Annotated[int | None, typer.Option("--source-k", help="-k of the source alone.", show_default=False)] = (
         None
     )
@@ -91,6 +99,40 @@ class MatchRequest:
     source_schedule: Annotated[
         str | None, typer.Option("--source-schedule", help="--schedule of the source alone.", show_default=False)
     ] = None
+    laplacian: Annotated[
+        str | None,
+        typer.Option(
+            "--laplacian",
+            help="Of quads: mean of both triangulations, alexa-wardetzky (the paper's) or de-goes-butts-desbrun, these "
+            "with :LAMBDA where it is not 1.  [default: mean]",
+            show_default=False,
+        ),
+    ] = None
+    accuracy: Annotated[
+        float | None,
+        typer.Option(
+            "--accuracy",
+            help="Convergence of the eigensolver.  [default: a thousandth of --tolerance, 1e-5 of a --schedule]",
+            show_default=False,
+        ),
+    ] = None
+    literal: Annotated[
+        bool, typer.Option("--literal", help="With --schedule: the paper's Definition 2 to the letter.")
+    ] = False
+    target_laplacian: Annotated[
+        str | None, typer.Option("--target-laplacian", help="--laplacian of the target alone.", show_default=False)
+    ] = None
+    target_accuracy: Annotated[
+        float | None, typer.Option("--target-accuracy", help="--accuracy of the target alone.", show_default=False)
+    ] = None
+    target_literal: Annotated[bool, typer.Option("--target-literal", help="--literal of the target alone.")] = False
+    source_laplacian: Annotated[
+        str | None, typer.Option("--source-laplacian", help="--laplacian of the source alone.", show_default=False)
+    ] = None
+    source_accuracy: Annotated[
+        float | None, typer.Option("--source-accuracy", help="--accuracy of the source alone.", show_default=False)
+    ] = None
+    source_literal: Annotated[bool, typer.Option("--source-literal", help="--literal of the source alone.")] = False
     method: Annotated[
         Method,
         typer.Option(

@@ -38,12 +38,15 @@ class ReportRequest:
     texture : Path, optional
         The texture to show; without it the last one that was baked from the result, if its files are still there.
     force : bool
+    level : int, optional
+        Of the target: the report is of the map of this level, of the methods that find several.
     """
 
     result: Path
     output: Path
     texture: Path | None = None
     force: bool = False
+    level: int | None = None
 
 
 def run_report(request: ReportRequest, stages: Stages) -> None:
@@ -52,6 +55,7 @@ def run_report(request: ReportRequest, stages: Stages) -> None:
     stages("read result")
     check_outputs([output], [folder / MANIFEST, folder / ARRAYS], force=force)
     result = read_result(folder)
+    result = result if request.level is None else result.at_level(request.level)
     known = [entry for entry in result.manifest.get("transfers", []) if entry.get("kind") == "texture"]
     if texture is None:
         known = [entry for entry in known if (folder / entry["image"]).is_file()]

@@ -62,7 +62,7 @@ def carry_one(request: TransferRequest, stages: Stages) -> Outcome:
     stages("read result")
     result = read_result(request.result)
     require_no_input(outputs, read_files(request.result, result.manifest))
-    return carry(request, result, stages)
+    return carry(request, result if request.level is None else result.at_level(request.level), stages)
 
 
 def _carrier(request: TransferRequest) -> Callable[[TransferRequest, MatchResult, Stages], Outcome]:

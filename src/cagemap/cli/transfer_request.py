@@ -126,6 +126,15 @@ class TransferRequest:
     write_map: Annotated[
         bool, typer.Option("--write-map", help="The map itself, for other programs: .npy, .npz, .mtx or .vts.")
     ] = False
+    level: Annotated[
+        int | None,
+        typer.Option(
+            "--level",
+            min=0,
+            help="Take the map of this level of the target, of --method hfm or paper.  [default: the finest]",
+            show_default=False,
+        ),
+    ] = None
     size: Annotated[
         int | None,
         typer.Option(

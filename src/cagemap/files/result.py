@@ -16,6 +16,7 @@ from cagemap.basis import Surface
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_folder, require_own_folder
 from cagemap.files.forms import Form, check_arrays
+from cagemap.files.level_maps import level_arrays, level_entries, read_level_maps
 from cagemap.files.manifest import (
     MANIFEST,
     REMEDY,
@@ -95,7 +96,7 @@ _DRIFT = 1e-6
 _SPECTRAL_ARRAYS = ("functional_map", "target_eigenvalues", "source_eigenvalues")
 # Entries of a manifest that are fields of a match, or say how the folder was written.
 _TYPED = {"quality", "landmark_check", "confidence", "timings", "bases", "target", "source", "landmark_names", "curves"}
-_TYPED |= {"written_by", "format", "format_version", "versions", "files"}
+_TYPED |= {"level_maps", "written_by", "format", "format_version", "versions", "files"}
 
 
 def write_result(folder: str | Path, result: MatchResult, *, force: bool = False) -> None:
@@ -126,6 +127,7 @@ def write_result(folder: str | Path, result: MatchResult, *, force: bool = False
         arrays["runner_up_images"] = result.runner_up_images
     if result.has_spectral:
         arrays |= {name: getattr(result.spectral, name) for name in _SPECTRAL_ARRAYS}
+    arrays |= level_arrays(result)
     for prefix, side, points, mask in (
         ("target", result.target, result.landmarks.target_points, result.masks.target),
         ("source", result.source, result.landmarks.source_points, result.masks.source),
@@ -193,6 +195,7 @@ def read_result(folder: str | Path) -> MatchResult:
     landmarks = stored_landmarks(record.landmark_names, (read[0].points, read[1].points), (read[0].name, read[1].name))
     check = stored_check(record.landmark_check, arrays["landmark_errors"])
     others = arrays.get("runner_up_images", np.zeros((0, 0, 3)))
+    functional_map = arrays.get("functional_map")
     return MatchResult(
         target,
         source,
@@ -201,9 +204,10 @@ def read_result(folder: str | Path) -> MatchResult:
         stored_quality(record.quality, check, arrays["landmark_errors"], arrays["trust"]),
         {stage: seconds or 0.0 for stage, seconds in record.timings.items()},
         check,
-        confidence=stored_confidence(record.confidence, point_map.images.at(slice(counts[0])), others),
+        read_level_maps(root / ARRAYS, stored, record.level_maps, (target, source), point_map, functional_map, REMEDY),
+        stored_confidence(record.confidence, point_map.images.at(slice(counts[0])), others),
         masks=Masks(read[0].mask, read[1].mask),
-        known_spectral=_spectral(arrays.get("functional_map"), *(side.eigenvalues for side in read)),
+        known_spectral=_spectral(functional_map, *(side.eigenvalues for side in read)),
         provenance={name: value for name, value in manifest.items() if name not in _TYPED},
     )
 
@@ -322,6 +326,7 @@ def _manifest(result: MatchResult) -> dict[str, Any]:
         for prefix, side in (("target", result.target), ("source", result.source))
     }
     fixed = {**written_with(), **sides, "landmark_names": list(result.landmark_names)}
+    fixed["level_maps"] = level_entries(result)
     return fixed | {name: value for name, value in result.manifest.items() if name not in {*fixed, "files"}}
 
 

@@ -22,7 +22,8 @@ def stored_basis(record: BasisRecord | None, count: int | None) -> BasisConfig:
     if record is None:
         return MAP_BASIS if not count else BasisConfig(count=count)
     schedule = None if record.schedule is None else tuple(record.schedule)
-    return BasisConfig(record.count, record.tolerance, schedule, record.accuracy, record.literal, record.vertices)
+    how = record.accuracy, record.literal, record.vertices, record.laplacian, record.stabilisation
+    return BasisConfig(record.count, record.tolerance, schedule, *how)
 
 
 def stored_landmarks(names: list[str], points: tuple[CagePoints, CagePoints], meshes: tuple[str, str]) -> Landmarks:

@@ -121,6 +121,15 @@ class BasisRecord(Record):
     accuracy: float | None = None
     literal: bool = False
     vertices: Annotated[int, Field(ge=1)] | None = None
+    laplacian: Literal["mean", "alexa-wardetzky", "de-goes-butts-desbrun"] = "mean"
+    stabilisation: Annotated[float, Field(gt=0)] = 1.0
+
+
+class LevelMapRecord(Record):
+    """Which levels of target and source a stored map belongs to."""
+
+    target: Level
+    source: Level
 
 
 class ResultRecord(Record):
@@ -139,6 +148,7 @@ class ResultRecord(Record):
     transfers: list[TransferRecord] = []
     parameters: dict[str, Any] = {}
     bases: dict[str, BasisRecord] = {}
+    level_maps: list[LevelMapRecord] = []
     versions: dict[str, str] = {}
     files: dict[str, str | None] = {}
     peak_memory_bytes: int | None = None

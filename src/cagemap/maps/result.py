@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.basis import Surface
+from cagemap.errors import ParameterError
 from cagemap.maps.curves import CurveMiss, curve_miss, curve_pairs
 from cagemap.maps.elastic.method import functional_map_of
 from cagemap.maps.elastic.prepared import PreparedPair
@@ -16,13 +17,15 @@ from cagemap.maps.hypotheses.confidence import Confidence
 from cagemap.maps.inner import inner_map, outer_map, outer_masks
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.masks import WHOLE, Masks
+from cagemap.maps.pair import point_pairs
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.quality import QualityFigures
+from cagemap.maps.quality import QualityFigures, measure_quality
 from cagemap.maps.spectral.levels import LevelMap
 from cagemap.mesh.curves import Curves
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads, one_blas_thread
+from cagemap.refinement.finest import ending_at
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +65,8 @@ class MatchResult:
     landmark_check : LandmarkCheck
         Pairs that look wrong and were left out, and notes.
     level_maps : tuple of LevelMap
-        Functional map and vertex matches of every level, of the methods that go from level to level.
+        Functional map, vertex matches and points of every level, of the methods that go from level to level; see
+        `at_level`.
     confidence : Confidence or None
         How sure the answer is, and the other answers, where fewer than three landmarks had to do.
     prepared : PreparedPair or None
@@ -116,6 +120,57 @@ class MatchResult:
             point_map=outer_map(self.point_map, target, source),
             quality=replace(self.quality, trust=target.refinement.outer_rows(self.quality.trust)),
             masks=outer_masks(self.masks, target, source),
+        )
+
+    def at_level(self, level: int) -> MatchResult:
+        """The map of one of the target's levels as a result of its own: to write, bake, draw and judge.
+
+        Parameters
+        ----------
+        level : int
+            Of the target; where several maps have it, the last one, of the finest source.
+
+        Raises
+        ------
+        ParameterError
+            If no map of that level was found.
+        """
+        if level == self.target.finest:
+            return self
+        plain = self.target.refinement.is_plain or self.source.refinement.is_plain
+        known = {} if plain else {found.levels[0]: found for found in self.level_maps if found.points is not None}
+        if level not in known:
+            has = ", ".join(map(str, sorted({*known, self.target.finest})))
+            raise ParameterError(
+                f"level {level}: expected one of the target's levels with a map, {has}. The methods hfm and paper find "
+                "one for each level that they go through, of surfaces that are subdivided"
+            )
+        found = known[level]
+        assert found.points is not None
+        sides = zip((self.target, self.source), found.levels, strict=True)
+        target, source = (Surface(ending_at(side.refinement, on), side.config) for side, on in sides)
+        point_map = PointMap.from_arrays(
+            target.triangles(target.finest), source.triangles(source.finest), found.points.triangle,
+            found.points.barycentric,
+        )  # fmt: skip
+        trusted = self.trusted
+        quality = measure_quality(point_map, point_pairs(target, source, trusted), trusted.names)
+        spectral = None
+        if self.has_spectral:
+            values = self.spectral.target_eigenvalues, self.spectral.source_eigenvalues
+            cut = (all_of[:k] for all_of, k in zip(values, found.functional_map.shape, strict=True))
+            spectral = SpectralMap(found.functional_map, *cut)
+        return replace(
+            self,
+            target=target,
+            source=source,
+            point_map=point_map,
+            quality=quality,
+            level_maps=tuple(one for one in self.level_maps if all(np.less_equal(one.levels, found.levels))),
+            confidence=None,
+            prepared=None,
+            masks=WHOLE,
+            known_spectral=spectral,
         )
 
     @property

@@ -1,10 +1,18 @@
 """Mass and stiffness of a surface, and their restriction to every level (SEC)."""
 
 from cagemap.operators.laplacian import stiffness, triangle_cotangents, vertex_areas
-from cagemap.operators.polygons import AlexaWardetzky, DeGoesButtsDesbrun, Laplacian, MeanTriangulation
+from cagemap.operators.polygons import (
+    LAPLACIANS,
+    AlexaWardetzky,
+    DeGoesButtsDesbrun,
+    Laplacian,
+    MeanTriangulation,
+    named_laplacian,
+)
 from cagemap.operators.sec import Operators, build_operators, lumped_areas, restrict
 
 __all__ = [
+    "LAPLACIANS",
     "AlexaWardetzky",
     "DeGoesButtsDesbrun",
     "Laplacian",
@@ -12,6 +20,7 @@ __all__ = [
     "Operators",
     "build_operators",
     "lumped_areas",
+    "named_laplacian",
     "restrict",
     "stiffness",
     "triangle_cotangents",

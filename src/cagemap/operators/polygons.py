@@ -96,6 +96,24 @@ class DeGoesButtsDesbrun:
         return polygon.terms(inner, len(positions))
 
 
+LAPLACIANS = ("mean", "alexa-wardetzky", "de-goes-butts-desbrun")
+
+
+def named_laplacian(name: str, stabilisation: float = 1.0) -> Laplacian:
+    """A Laplacian by its name, one of `LAPLACIANS`.
+
+    Raises
+    ------
+    ParameterError
+        If there is none of that name, or the stabilisation is not above 0.
+    """
+    if name not in LAPLACIANS:
+        raise ParameterError(f"laplacian: expected one of {', '.join(LAPLACIANS)}, got {name!r}")
+    if name == "mean":
+        return MeanTriangulation()
+    return AlexaWardetzky(stabilisation) if name == "alexa-wardetzky" else DeGoesButtsDesbrun(stabilisation)
+
+
 @dataclass(frozen=True, eq=False)
 class _Polygons:
     """Polygons of k corners each: edges, their midpoints around the centre (m, k, 3), vector areas' sizes, normals."""

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from cagemap.geometry.triangles import fan_triangles
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import keep_faces
 from cagemap.mesh.control_mesh import UvSet
@@ -63,3 +64,21 @@ def _colors(refinement: Refinement) -> FloatArray | None:
     if colors is None or not np.isfinite(colors).all():
         return None
     return np.clip(refinement.prolong(colors, 0, refinement.n_levels), 0.0, 1.0)
+
+
+def ending_at(refinement: Refinement, level: int) -> Refinement:
+    """The levels from 0 to this one as a whole surface; a control mesh of mixed polygons that is its end is in fans.
+
+    Parameters
+    ----------
+    refinement : Refinement
+    level : int
+    """
+    found, control = refinement.up_to(level), refinement.control
+    last = found.levels[-1]
+    if last.faces is not None:
+        return found
+    split, parents = fan_triangles(control.face_offsets, control.face_indices)
+    corners = None if control.uv_indices is None else fan_triangles(control.face_offsets, control.uv_indices)[0]
+    fans = replace(last, faces=split, face_parents=parents, uvs=control.uvs, uv_indices=corners)
+    return replace(found, levels=(*found.levels[:-1], fans))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -41,11 +41,14 @@ class LevelMap:
         C12 on the basis functions of these levels.
     match : (n1,) array
         Source vertex of every target vertex.
+    points : PointMap or None
+        The same as points of the source's triangles; None while the levels below are not found yet.
     """
 
     levels: LevelPair
     functional_map: FloatArray
     match: IndexArray
+    points: PointMap | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +91,7 @@ def down_the_levels(
     progress: Progress,
     beside: Beside | None = None,
 ) -> tuple[tuple[LevelMap, ...], PointMap]:
-    """Maps of a first pair of levels and of all below, and the point map T12 of the finest ones.
+    """Maps of a first pair of levels and of all below, vertex to point on each, and T12 of the finest ones.
 
     Parameters
     ----------
@@ -98,14 +101,15 @@ def down_the_levels(
         The map of the next pair of levels from the one above it.
     progress : callable
     beside : Beside, optional
-        For the step from vertices to points.
+        For the steps from vertices to points.
     """
     maps = [first]
     for levels in ladder(pair, first.levels):
         progress(f"functional and point map, levels {levels[0]} and {levels[1]}")
         maps.append(below(maps[-1], levels))
     progress("vertex to point")
-    return tuple(maps), recover_points(pair, maps[-1], beside)
+    points = [recover_points(pair, found, beside) for found in maps]
+    return tuple(replace(found, points=on) for found, on in zip(maps, points, strict=True)), points[-1]
 
 
 def basis_sizes(pair: Pair, levels: LevelPair) -> tuple[int, int]:

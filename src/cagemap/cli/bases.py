@@ -1,0 +1,133 @@
+"""Options of the bases and levels of both surfaces, as the values that surfaces are prepared with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from cagemap.basis import BasisConfig
+from cagemap.cli.match_request import MatchRequest
+from cagemap.errors import ParameterError
+from cagemap.mesh import ControlMesh, Plain
+from cagemap.operators import LAPLACIANS
+from cagemap.pipeline import choose_level, default_basis
+
+DEFAULT_VERTICES = 200_000
+SIDES = ("target", "source")
+
+
+def basis_config(request: MatchRequest) -> BasisConfig:
+    """Parameters of both surfaces' bases, where nothing else is asked for on one side."""
+    schedule = None if request.schedule is None else parse_schedule(request.schedule)
+    count = default_basis(request.method).count if request.k is None else request.k
+    made = BasisConfig(count, request.tolerance, schedule, request.accuracy, request.literal and schedule is not None)
+    return _with_vertices(_with_laplacian(made, request.laplacian, "--laplacian"), request)
+
+
+def side_bases(request: MatchRequest) -> tuple[BasisConfig, BasisConfig]:
+    """Parameters of the target's and the source's basis.
+
+    Raises
+    ------
+    ParameterError
+        If a text is no schedule or no Laplacian, or `--literal` is asked for where there is no schedule.
+    """
+    found = []
+    for side in SIDES:
+        basis = basis_config(request)
+        k, tolerance, schedule, accuracy, laplacian = (
+            getattr(request, f"{side}_{name}") for name in ("k", "tolerance", "schedule", "accuracy", "laplacian")
+        )
+        if k is not None or tolerance is not None:  # asked for on this side, so a schedule of both does not hold here
+            basis = replace(basis, schedule=None, literal=False)
+        own = basis.schedule if schedule is None else parse_schedule(schedule, f"--{side}-schedule")
+        literal = bool(request.literal or getattr(request, f"{side}_literal"))
+        if literal and own is None:
+            raise ParameterError(
+                f"--literal: expected a --schedule of the {side} with it, as in Definition 2, got none"
+            )
+        basis = replace(
+            basis,
+            count=basis.count if k is None else k,
+            tolerance=basis.tolerance if tolerance is None else tolerance,
+            schedule=own,
+            accuracy=basis.accuracy if accuracy is None else accuracy,
+            literal=literal,
+        )
+        found.append(_with_vertices(_with_laplacian(basis, laplacian, f"--{side}-laplacian"), request))
+    return found[0], found[1]
+
+
+def _with_vertices(basis: BasisConfig, request: MatchRequest) -> BasisConfig:
+    """Who asks for exact eigenvalues, or for the paper's levels, gets the operators of the finest level."""
+    usual = default_basis(request.method)
+    exact = basis.schedule is not None or basis.tolerance < usual.tolerance
+    return replace(basis, vertices=None if exact else usual.vertices)
+
+
+def _with_laplacian(basis: BasisConfig, text: str | None, option: str) -> BasisConfig:
+    """A basis of the Laplacian that is named, such as ``alexa-wardetzky`` or ``alexa-wardetzky:2``."""
+    if text is None:
+        return basis
+    name, given, number = text.partition(":")
+    try:
+        stabilisation = float(number) if given else 1.0
+    except ValueError:
+        name = ""
+    if name not in LAPLACIANS:
+        raise ParameterError(
+            f"{option}: expected {', '.join(LAPLACIANS)}, the last two with :LAMBDA after it where it is not 1, "
+            f"got {text!r}."
+        )
+    return replace(basis, laplacian=name, stabilisation=stabilisation)
+
+
+def require_level_or_vertices(request: MatchRequest) -> None:
+    """Refuse a level and a number of vertices that are asked for in one breath.
+
+    Raises
+    ------
+    ParameterError
+    """
+    for prefix in ("", "target_", "source_"):
+        if None not in (getattr(request, f"{prefix}level"), getattr(request, f"{prefix}vertices")):
+            words = [f"--{prefix}{name}".replace("_", "-") for name in ("level", "vertices")]
+            raise ParameterError(
+                f"{' and '.join(words)}: expected one of them, got both. {words[1]} chooses the level."
+            )
+
+
+def side_levels(request: MatchRequest, controls: Sequence[ControlMesh]) -> tuple[int, int]:
+    """Finest level of the target and of the source; 0 of a plain mesh, whatever is asked for both."""
+    found = []
+    for side, control in zip(SIDES, controls, strict=True):
+        level, vertices = getattr(request, f"{side}_level"), getattr(request, f"{side}_vertices")
+        if level is None and vertices is None:
+            level = None if isinstance(control.scheme, Plain) else request.level
+        wanted = vertices or request.vertices or DEFAULT_VERTICES
+        found.append(choose_level(control, wanted) if level is None else level)
+    return found[0], found[1]
+
+
+def basis_parameters(basis: BasisConfig) -> dict[str, Any]:
+    """What decided about a basis: a schedule, or a number and a tolerance; and how it was computed."""
+    how = {"accuracy": basis.solver_accuracy, "laplacian": basis.laplacian}
+    if basis.laplacian != "mean":
+        how["stabilisation"] = basis.stabilisation
+    if basis.schedule is not None:
+        return {"k": sum(basis.schedule), "schedule": list(basis.schedule), "literal": basis.literal, **how}
+    return {"k": basis.count, "tolerance": basis.tolerance, **how}
+
+
+def parse_schedule(text: str, option: str = "--schedule") -> tuple[int, ...]:
+    """Numbers of basis functions per level from text such as ``100,50,50,50``."""
+    try:
+        schedule = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        schedule = ()
+    if not schedule or min(schedule) < 0 or schedule[0] < 1:
+        raise ParameterError(
+            f"{option}: expected numbers of basis functions for level 0, 1, ... such as 100,50,50,50, got {text!r}."
+        )
+    return schedule
