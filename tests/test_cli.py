@@ -144,7 +144,12 @@ def test_refined_uvs_and_materials_come_along(run: Run, tmp_path: Path) -> None:
         (["match", *"--target box.obj --source box.obj --landmarks l.json -o R".split()], "l.json"),
         (["match", *"--target box.obj --source box.obj --landmarks l.json -o R --method magic".split()], "hfm"),
         (["transfer", "R", "--texture", "t.png", "-o", "o.png"], "cagemap match"),
+        (["transfer", "box.obj", "--texture", "t.png", "-o", "o.png"], "found a file"),
         (["report", "R"], "cagemap match"),
+        (["report", "R", "-o", "r.pdf"], "ending in .html, got '.pdf'"),
+        (["match", "--target", ".", "--source", "box.obj", "-o", "R"], "got a folder"),
+        (["wrap", "box.obj", "box.obj", "-o", "new.obj"], "meshes are given by --target and --source"),
+        (["run", "."], "got a folder"),
         (["demo", "-o", "box.obj"], "box.obj"),
         (["dance"], "dance"),
     ],
@@ -157,6 +162,12 @@ def test_wrong_requests_are_refused_in_words(run: Run, tmp_path: Path, words: li
     assert outcome.code == 2
     assert expected in outcome.err
     assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_refined_mesh_is_exported_as_gltf(run: Run, tmp_path: Path) -> None:
+    write_mesh(tmp_path / "box.obj", textured_cube("box.obj"))
+    assert run("refine", "box.obj", "--level", 1, "-o", "fine.glb").err == ""
+    assert run("refine", "box.obj", "--level", 2, "-o", "fine.glb").code == 0, "our own file is replaced"
 
 
 @pytest.fixture
@@ -187,6 +198,24 @@ def test_transfer_bakes_and_report_shows_it(run: Run, result_folder: Path, monke
     (place / "t.png").unlink()
     assert run("report", "R", "-o", "r.html").code == 0
     assert shown["texture"] is None
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--texture", "none.png", "-o", "o.png"], "none.png: expected an image, there is no such file"),
+        (["--texture", "t.png", "-o", "o.exr"], "choose --bits 16 or 32"),
+        (["--texture", "t.png", "-o", "o.png", "--bits", "12"], "8, 16 or 32"),
+        (["--texture", "t.png", "-o", "."], "got no suffix"),
+        (["--texture", "t.png", "-o", "o"], "got no suffix"),
+    ],
+)
+def test_images_that_cannot_be_are_refused_in_words(
+    run: Run, result_folder: Path, words: list[str], expected: str
+) -> None:
+    outcome = run("transfer", result_folder.name, *words)
+    assert outcome.code == 2
+    assert expected in outcome.err
 
 
 def test_report_is_written(run: Run, result_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

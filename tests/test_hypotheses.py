@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -15,9 +16,9 @@ from cagemap.maps.hypotheses.method import unreached_share
 from cagemap.maps.hypotheses.starts import AS_FILED, axis_rotations, rigid_starts, rotation_name
 from cagemap.maps.masks import WHOLE
 from cagemap.maps.point_map import PointMap
-from cagemap.mesh import ControlMesh
+from cagemap.mesh import Bilinear, ControlMesh
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.shapes import creature, cube
+from cagemap.mesh.shapes import creature, cube, voxels
 from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_pair, prepare_surface
 from cagemap.refinement import refine
 
@@ -83,6 +84,17 @@ def test_a_shape_that_is_its_own_double_has_two_answers_and_landmarks_choose() -
     assert result.quality.landmark_errors.max() < 1e-9
     assert result.quality.flipped_area < 1e-3
     assert result.quality.dirichlet < 1.05
+
+
+@pytest.mark.slow
+def test_a_box_lies_on_itself_as_the_files_stand_although_its_sides_are_all_alike() -> None:
+    control = replace(voxels(list(product(range(4), repeat=3))), scheme=Bilinear())
+    centred = control.positions - control.positions.mean(axis=0)
+    box = prepare_surface(control.with_positions(centred * (1.4, 0.8, 1.0)), 2)
+    result = match(box, box)
+    assert result.confidence is not None
+    assert result.confidence.readings[0].name == AS_FILED
+    assert errors(result).max() < 1e-3
 
 
 @pytest.mark.slow

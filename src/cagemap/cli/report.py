@@ -22,7 +22,7 @@ from cagemap.files.result import ARRAYS, MANIFEST, read_result
 from cagemap.files.rigs import read_shapes
 from cagemap.files.usd_primvars import JOINT_WEIGHTS
 from cagemap.maps.result import MatchResult
-from cagemap.report import Rides, Shape, Weights, write_report
+from cagemap.report import Rides, Shape, Weights, check_page_path, write_report
 from cagemap.wrap import level_mesh
 
 _log = logging.getLogger(__name__)
@@ -52,6 +52,7 @@ class ReportRequest:
 def run_report(request: ReportRequest, stages: Stages) -> None:
     """Write the report of a RESULT folder."""
     folder, output, texture, force = request.result, request.output, request.texture, request.force
+    check_page_path(output)
     stages("read result")
     check_outputs([output], [folder / MANIFEST, folder / ARRAYS], force=force)
     result = read_result(folder)

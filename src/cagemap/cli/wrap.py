@@ -97,7 +97,10 @@ def _check_request(request: WrapRequest) -> None:
     images = outputs_beside(request)
     many = len(request.results) > 1
     if many and not request.blend_shapes:
-        raise ParameterError("expected one RESULT, or --blend-shapes with a folder as --output for several")
+        raise ParameterError(
+            f"expected one RESULT, got {len(request.results)}. Several need --blend-shapes and a folder as --output; "
+            "meshes are given by --target and --source."
+        )
     if images and (many or request.amount != 1.0):
         raise ParameterError("images that are baked and --mhclo: expected one RESULT, and the whole --amount")
     if request.detail is not None and not bakes.images:

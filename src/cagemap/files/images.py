@@ -130,6 +130,8 @@ def _open(file: Path) -> tuple[Any, str]:
     """An image's reader, its header checked, and the number type of its pixels."""
     hints = oiio.ImageSpec()
     hints.attribute("oiio:UnassociatedAlpha", 1)
+    if not file.exists():
+        raise FormatError(f"{file}: expected an image, there is no such file. Check the name and the folder.")
     opened = oiio.ImageInput.open(str(file), hints)
     if opened is None:
         raise FormatError(
@@ -248,7 +250,8 @@ def check_writable(path: str | Path, dtype: np.dtype[Any], channels: int) -> Non
     suffix = file.suffix.lower()
     if suffix not in _FORMATS:
         raise FormatError(
-            f"{file}: expected an image name ending in {', '.join(_FORMATS)}, got {suffix or 'no suffix'}"
+            f"{file}: expected an image name ending in {', '.join(_FORMATS)}, got {suffix or 'no suffix'}. "
+            "Give another name."
         )
     if channels not in _CHANNELS:
         raise FormatError(f"{file}: expected 1 to {_LARGEST_CHANNELS} channels, got {channels}")
@@ -256,8 +259,9 @@ def check_writable(path: str | Path, dtype: np.dtype[Any], channels: int) -> Non
         raise FormatError(f"{file}: JPEG holds no alpha, got {channels} channels. Write a PNG.")
     if str(dtype) not in _FORMATS[suffix]:
         others = [other for other, types in _FORMATS.items() if str(dtype) in types]
-        remedy = f"use {' or '.join(others)}, or choose another --bits" if others else "choose --bits 8, 16 or 32"
-        raise FormatError(f"{file}: {suffix} holds {' or '.join(_FORMATS[suffix])}, got {dtype} pixels; {remedy}")
+        bits = " or ".join(str(bits) for bits in (8, 16, 32) if str(pixel_type(bits, suffix)) in _FORMATS[suffix])
+        remedy = f"Write {' or '.join(others)}, or choose --bits {bits}" if others else f"Choose --bits {bits}"
+        raise FormatError(f"{file}: {suffix} holds {' or '.join(_FORMATS[suffix])}, got {dtype} pixels. {remedy}.")
 
 
 def read_texture(path: str | Path) -> Image | dict[int, Image]:
@@ -284,7 +288,7 @@ def read_texture(path: str | Path) -> Image | dict[int, Image]:
 
 def with_udim_mark(path: Path) -> Path:
     """A name with ``%(UDIM)d`` in place of the tile's number, as some programs write it, in the one spelling."""
-    return path.with_name(path.name.replace("%(UDIM)d", UDIM_MARK))
+    return path.with_name(path.name.replace("%(UDIM)d", UDIM_MARK)) if path.name else path
 
 
 def texture_files(path: str | Path) -> list[Path]:
@@ -342,7 +346,7 @@ def pixel_type(bits: int, suffix: str) -> np.dtype[Any]:
     """
     names = {8: "uint8", 16: "float16" if suffix.lower() == ".exr" else "uint16", 32: "float32"}
     if bits not in names:
-        raise FormatError(f"bits: expected 8, 16 or 32 a channel, got {bits}")
+        raise FormatError(f"bits: expected 8, 16 or 32 a channel, got {bits}. Choose one of them.")
     return np.dtype(names[bits])
 
 

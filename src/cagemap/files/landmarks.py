@@ -107,7 +107,9 @@ def _parse(path: Path, text: str) -> dict[str, Any]:
 def _mesh_name(path: Path, data: dict[str, Any], side: str) -> str:
     name = data.get(side, "")
     if not isinstance(name, str):
-        raise FormatError(f"{path}: expected the file name of the {side} mesh, got {name!r}. The form is {_FORM}.")
+        raise FormatError(
+            f"{path}: expected the file name of the {side} mesh, got {_shown(name)}. The form is {_FORM}."
+        )
     return name.encode("utf-8", "replace").decode()
 
 

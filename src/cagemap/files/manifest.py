@@ -116,8 +116,9 @@ def read_manifest(root: Path) -> dict[str, Any]:
     """
     path = root / MANIFEST
     if not path.is_file():
+        found = f"no {MANIFEST} in it" if root.is_dir() else "a file" if root.exists() else "nothing of that name"
         raise FormatError(
-            f"{root}: expected a result folder of `cagemap match`, found no {MANIFEST} in it. "
+            f"{root}: expected a result folder of `cagemap match`, found {found}. "
             "Give the folder that was passed to `cagemap match -o`."
         )
     manifest = parse_json(read_text(path, "the manifest of a result"), path, REMEDY)

@@ -66,7 +66,7 @@ def write_mesh(path: str | Path, mesh: ControlMesh, *, like: str | Path | None =
 def mesh_files(path: str | Path, mesh: ControlMesh) -> list[Path]:
     """Files that `write_mesh` writes for a mesh."""
     file = Path(path)
-    return obj_files(file, mesh) if _extension(file) == ".obj" else [file]
+    return obj_files(file, mesh) if _extension(file, _WRITERS) == ".obj" else [file]
 
 
 def check_mesh_path(path: str | Path) -> None:
@@ -74,11 +74,10 @@ def check_mesh_path(path: str | Path) -> None:
     _extension(path, _WRITERS)
 
 
-def _extension(path: str | Path, formats: Collection[str] = tuple(_READERS)) -> str:
+def _extension(path: str | Path, formats: Collection[str] = _READERS) -> str:
     extension = Path(path).suffix.lower()
     if extension not in formats:
-        raise FormatError(
-            f"{path}: expected a mesh file ending in {', '.join(formats)}, got '{extension}'. "
-            "Export the mesh in one of these formats."
-        )
+        got = "a folder" if Path(path).is_dir() else f"'{extension}'" if extension else "a name without an ending"
+        remedy = "Export the mesh in one of these formats." if formats is _READERS else "Give another name."
+        raise FormatError(f"{path}: expected a mesh file ending in {', '.join(formats)}, got {got}. {remedy}")
     return extension

@@ -107,6 +107,9 @@ def read_job(
         data = tomllib.loads(text)
     except FileNotFoundError:
         raise FormatError(f"{file}: expected a job file, found none. Check the path.") from None
+    except IsADirectoryError:
+        inside = f"; {file / 'job.toml'} is one" if (file / "job.toml").is_file() else ""
+        raise FormatError(f"{file}: expected a job file, got a folder. Give a file in it{inside}.") from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise FormatError(f"{file}: expected a TOML file, got a mistake in it: {error}.") from None
     parsed, problems = parsed_file(data)

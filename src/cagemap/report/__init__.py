@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
 from cagemap.maps.result import MatchResult
 from cagemap.report.figures import HEIGHT, WIDTH, Figure, Gallery, Pixels, Progress, draw_gallery, draw_thumbnail
@@ -18,11 +19,25 @@ __all__ = [
     "Shape",
     "Weights",
     "build_page",
+    "check_page_path",
     "draw_gallery",
     "draw_rides",
     "draw_thumbnail",
     "write_report",
 ]
+
+
+def check_page_path(path: str | Path) -> None:
+    """Refuse a name that a browser would not open as a page.
+
+    Raises
+    ------
+    FormatError
+    """
+    suffix = Path(path).suffix
+    if suffix.lower() not in (".html", ".htm"):
+        got = f"'{suffix}'" if suffix else "a name without an ending"
+        raise FormatError(f"{path}: expected the name of a page ending in .html, got {got}. Give another name.")
 
 
 def write_report(
@@ -55,8 +70,10 @@ def write_report(
     Raises
     ------
     FormatError
-        If the file cannot be written, or cagemap did not write the one that is there and ``force`` is not given.
+        If the name is not that of an HTML file, the file cannot be written, or cagemap did not write the one that is
+        there and ``force`` is not given.
     """
+    check_page_path(path)
     gallery = draw_gallery(result, texture=texture, baked=baked, size=size, progress=progress)
     page = build_page(result, gallery, draw_rides(result, rides, size))
     with atomic_path(path, force=force) as temporary:

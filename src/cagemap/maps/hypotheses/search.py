@@ -16,7 +16,7 @@ from cagemap.maps.elastic.graph import ElasticGraph, extrapolate
 from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair
 from cagemap.maps.elastic.starts import SpectralSides, spectral_starts
 from cagemap.maps.hypotheses.confidence import Reading
-from cagemap.maps.hypotheses.starts import Start, rigid_starts
+from cagemap.maps.hypotheses.starts import AS_FILED, Start, rigid_starts
 from cagemap.maps.pair import Pair
 from cagemap.numerics.brief import Brief
 from cagemap.numerics.threads import in_threads, thread_limit
@@ -37,7 +37,8 @@ class HypothesesConfig(Brief):
     different : float
         Mean distance of two fits, of sqrt(area), from which on they are two answers.
     coarse, finished : int
-        How many different ones go on to the coarse stage of the fit, and from there to its end.
+        How many different ones go on to the coarse stage of the fit, and from there to its end; beside them, how the
+        files stand, which costs of boxy shapes alone, all sides alike, may put behind.
     hopeless : float
         A fit that costs this many times the best one is not finished.
     """
@@ -117,7 +118,7 @@ def _rough_fits(prepared: PreparedPair, pair: Pair, shape: CoarseShape, config: 
     starts = rigid_starts(small.positions, sheet.positions)
     tried = in_threads(trial, different(starts, lambda start: start.positions, small.areas, config.alike))
     ranked = sorted(tried, key=lambda one: one.rank)
-    kept = different(ranked, lambda one: one.fit.positions, small.areas, config.different)[: config.coarse]
+    kept = _first(different(ranked, lambda one: one.fit.positions, small.areas, config.different), config.coarse)
     # What starts of several names lead to has the first one's, which is the simplest.
     firsts = [
         next(t for t in tried if mean_distance(t.fit.positions, one.fit.positions, small.areas) < config.different)
@@ -145,7 +146,12 @@ def _coarse_fits(
     improved = sorted(in_threads(improve, rough), key=lambda one: one.rank)
     kept = different(improved, lambda one: one.fit.positions, graph.areas, config.different)
     hopeful = [one for one in kept if one.fit.cost <= config.hopeless * kept[0].fit.cost]
-    return hopeful[: config.finished]
+    return _first(hopeful, config.finished)
+
+
+def _first(ranked: Sequence[_Candidate], count: int) -> list[_Candidate]:
+    """The first candidates, and of the others the one that lies as the files stand."""
+    return [*ranked[:count], *(one for one in ranked[count:] if one.name == AS_FILED)]
 
 
 def _on(small: ElasticGraph, ended: CoarseFit, graph: ElasticGraph) -> CoarseFit:
