@@ -102,8 +102,8 @@ def prepare_pair(target: Surface, source: Surface, config: MatchConfig = MatchCo
     """
     config.masks.require_fit(*(side.refinement.finest.n_vertices for side in (target, source)))
     with one_blas_thread():
-        # Those of a result that was read are not made yet.
-        in_threads(lambda surface: surface.inner.basis, [target, source])
+        # The bases of a result that was read are not made yet, triangles of none.
+        in_threads(lambda surface: (surface.inner.basis, surface.inner.triangles(0)), [target, source])
         masks = inner_masks(config.masks, target, source)
         return PreparedPair.build(target.inner, source.inner, config.hierarchy, config.elastic, masks)
 

@@ -12,10 +12,11 @@ from cagemap.basis.hierarchical_basis import HierarchicalBasis
 from cagemap.basis.schedule import MAP_BASIS, BasisConfig
 from cagemap.errors import ParameterError
 from cagemap.geometry.surface import TriangleSurface
+from cagemap.geometry.triangles import surface_area
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 from cagemap.numerics.threads import one_blas_thread
-from cagemap.operators import Operators, build_operators, vertex_areas
+from cagemap.operators import Operators, build_operators
 from cagemap.operators.plain import coarsened, uncoarsened
 from cagemap.operators.polygons import named_laplacian
 from cagemap.refinement import Refinement, level_triangles, refine, triangulate_control
@@ -109,7 +110,7 @@ class Surface:
         operators: Operators | None = vars(self).get("operators")
         if operators is not None and operators.finest == self.finest:
             return operators.scale
-        return 1.0 / float(np.sqrt(vertex_areas(self.vertices, self.faces).sum()))
+        return 1.0 / float(np.sqrt(surface_area(self.vertices, self.faces)))
 
     @property
     def control(self) -> ControlMesh:

@@ -98,10 +98,12 @@ def mask_file(text: str | None) -> Path | None:
 
 def mask_files(text: str | None) -> list[Path]:
     """All files of a mask: an image's tiles, or one."""
+    path = mask_file(text)
+    if path is None:
+        return []
     from cagemap.files.images import texture_files
 
-    path = mask_file(text)
-    return [] if path is None else texture_files(path)
+    return texture_files(path)
 
 
 def read_masks(options: MaskOptions, controls: tuple[ControlMesh, ControlMesh], files: tuple[Path, Path]) -> GivenMasks:

@@ -161,12 +161,36 @@ class ThreadPool(ThreadPoolExecutor):
 
 
 def in_threads(work: Callable[[Item], Value], items: Sequence[Item], threads: int | None = None) -> list[Value]:
-    """Apply a function to every item, in threads; results in order. The first error is raised, once all have ended."""
+    """Apply a function to every item, in threads; results in order. The first error is raised, once all have ended.
+
+    Every thread takes the next item when it has done one: handing over single items costs more than a small one takes.
+    """
     threads = min(len(items), threads or core_count())
     if threads <= 1:
         return [work(item) for item in items]
+    waiting = iter(enumerate(items))  # one for all: under the interpreter's lock none gets an item twice
+    made: dict[int, Value] = {}
+    failed: dict[int, Exception] = {}
+
+    def share() -> None:
+        for place, item in waiting:
+            try:
+                made[place] = work(item)
+            except Exception as error:
+                failed[place] = error
+
     with ThreadPool(threads) as pool:
-        return list(pool.map(work, items))
+        shares = [pool.submit(share) for _ in range(threads)]
+        try:
+            for ended in shares:
+                ended.result()
+        except BaseException:  # stopped: no thread takes another item
+            for _ in waiting:
+                pass
+            raise
+    if failed:
+        raise failed[min(failed)]
+    return [made[place] for place in range(len(items))]
 
 
 def parts(count: int, size: int) -> list[slice]:
