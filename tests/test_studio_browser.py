@@ -21,12 +21,12 @@ from cagemap.mesh.cage_points import CagePoints
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pipeline import choose_level
 from cagemap.refinement import refine
+from cagemap.studio.autosave import autosave_path
 from cagemap.studio.opening import built_in_files
 from cagemap.studio.page.view import FIELD_OF_VIEW, FIRST_VIEW
 from cagemap.studio.places import places_of
 from cagemap.studio.shape import Shape, pick, shape_of
 from cagemap.studio.state import Files
-from cagemap.studio.workspace import autosave_path
 
 pytestmark = pytest.mark.slow
 VERTICES = 3000

@@ -16,9 +16,8 @@ from cagemap.errors import ParameterError
 from cagemap.files.images import write_image
 from cagemap.files.meshes import write_mesh
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.join import join_meshes
 from cagemap.mesh.parts import extract
-from cagemap.mesh.shapes import creature, cube, icosahedron
+from cagemap.mesh.shapes import creature, cube
 from cagemap.refinement import refine
 from cagemap.studio.bench import Bench, ChooseAnswer, Dress, FindMap, Found, Opened, Opening, OpenModels, perform
 from cagemap.studio.finish import FinishOptions, commands
@@ -139,13 +138,6 @@ def test_a_mesh_as_it_is_keeps_the_numbers_of_its_file(tmp_path: Path) -> None:
     places = found.images.on(opened.source.triangles, opened.source.positions)
     assert np.median(np.linalg.norm(places - points, axis=1)) < 0.02 * shape.radius
     assert found.suggestion is not None
-
-
-def test_a_file_of_several_pieces_is_refused_with_their_names_and_the_way_out(tmp_path: Path) -> None:
-    one, other = cube(), icosahedron()
-    write_mesh(tmp_path / "two.obj", join_meshes([one, other]))
-    with pytest.raises(ParameterError, match=rf"got 2: .*\({other.n_faces} faces\), .*\({one.n_faces} faces\).*--part"):
-        open_model(tmp_path / "two.obj", None, None, 1000)
 
 
 def test_a_click_lands_where_the_ray_meets_the_smooth_surface() -> None:

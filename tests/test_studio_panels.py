@@ -63,7 +63,7 @@ def test_what_is_chosen_for_the_models_is_opened_and_shown(tmp_path: Path) -> No
     files = session.open.call_args.args[0]
     assert (files.schemes, files.ups) == ((None, "none"), (None, "z"))
     shown = SetupPanel(server(), session, Choices(workspace), lambda: None)
-    shown.refresh(Studio(files=files), "")
+    shown.refresh(Studio(files=files), None)
     assert [handle.value for handle in shown._ups] == ["as the file says", "z"]
 
 

@@ -17,6 +17,7 @@ from cagemap.files.landmarks import write_landmarks
 from cagemap.files.meshes import write_mesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.shapes import cube
+from cagemap.studio.autosave import autosave_path, read_autosave
 from cagemap.studio.bench import OpenModels
 from cagemap.studio.finish import FinishOptions
 from cagemap.studio.landmark_files import PER_MESH
@@ -29,7 +30,7 @@ from cagemap.studio.session import Session
 from cagemap.studio.shape import pick
 from cagemap.studio.state import Files, Job, Studio, View
 from cagemap.studio.worker import Failure, Worker
-from cagemap.studio.workspace import Workspace, autosave_path, read_autosave
+from cagemap.studio.workspace import Workspace
 
 # The computation stands back for everything else, so that a busy machine takes long over a first map.
 PATIENCE = 150.0

@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.result import file_hash
 from cagemap.studio import landmarks as edit
+from cagemap.studio.autosave import autosave_path, read_autosave, write_autosave
 from cagemap.studio.landmarks import History, LandmarkList, Place
 from cagemap.studio.opening import chosen_files
 from cagemap.studio.state import with_message
-from cagemap.studio.workspace import Workspace, autosave_path, read_autosave, write_autosave
+from cagemap.studio.workspace import Workspace
 
 
 def place(x: float) -> Place:

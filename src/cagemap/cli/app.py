@@ -257,6 +257,21 @@ def studio(
     scheme: SchemeOption = None,
     target_scheme: TargetSchemeOption = None,
     source_scheme: SourceSchemeOption = None,
+    part: Annotated[
+        str | None,
+        typer.Option(
+            "--part",
+            help="Open this object, group, material or component of both files; `cagemap check` lists them.  "
+            "[default: all of a file in one piece, else its largest]",
+            show_default=False,
+        ),
+    ] = None,
+    target_part: Annotated[
+        str | None, typer.Option("--target-part", help="As --part, of the target alone.", show_default=False)
+    ] = None,
+    source_part: Annotated[
+        str | None, typer.Option("--source-part", help="As --part, of the source alone.", show_default=False)
+    ] = None,
 ) -> None:
     """Open both models in the browser: see the map, click landmarks where it is wrong, bake.
 
@@ -271,6 +286,7 @@ def studio(
         texture=texture,
         result=result,
         schemes=(target_scheme or scheme, source_scheme or scheme),
+        parts=(target_part or part, source_part or part),
         folder=tuple(folder or ()),
         host=host,
         port=port,

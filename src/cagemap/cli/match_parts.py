@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -12,8 +11,16 @@ from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks, Renumbering
 from cagemap.mesh.mesh_report import first_few
-from cagemap.mesh.parts import Part, components, connected_pieces, extract, find_part, material_pieces, pair_parts
-from cagemap.numerics.arrays import IndexArray
+from cagemap.mesh.parts import (
+    Part,
+    components,
+    connected_pieces,
+    extract,
+    find_part,
+    material_pieces,
+    numbers_on_part,
+    pair_parts,
+)
 from cagemap.refinement import default_scheme
 
 EACH = "each"
@@ -131,13 +138,4 @@ def _taken(mesh: ControlMesh, part: Part | None) -> tuple[ControlMesh, Renumberi
     if part is None or len(part.faces) == mesh.n_faces:
         return mesh, lambda vertices: vertices
     taken = extract(mesh, part.faces)
-    return taken, partial(_renumbered, taken, mesh)
-
-
-def _renumbered(part: ControlMesh, mesh: ControlMesh, vertices: IndexArray) -> IndexArray:
-    """Vertices of a mesh in the numbers of one of its parts, -1 where the part has them not."""
-    assert part.file_vertices is not None
-    own = np.arange(mesh.n_vertices) if mesh.file_vertices is None else mesh.file_vertices
-    number = np.full(int(own.max()) + 1, -1, dtype=np.int64)
-    number[part.file_vertices] = np.arange(part.n_vertices)
-    return number[own[vertices]]
+    return taken, numbers_on_part(taken, mesh).__getitem__

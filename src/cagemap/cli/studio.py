@@ -20,6 +20,7 @@ class StudioRequest:
     texture: Path | None = None
     result: Path | None = None
     schemes: tuple[str | None, str | None] = (None, None)
+    parts: tuple[str | None, str | None] = (None, None)
     folder: tuple[Path, ...] = ()
     host: str = "127.0.0.1"
     port: int = 8765
@@ -46,7 +47,7 @@ def run_studio(request: StudioRequest, tell: Callable[[str], None]) -> None:
     for path in request.folder:
         if not path.is_dir():
             raise ParameterError(f"--folder {path}: expected a folder, found none. Check the name.")
-    files = chosen_files(*named, request.result, request.schemes)
+    files = chosen_files(*named, request.result, request.schemes, request.parts)
     if files is None:
         folders = request.folder or (BUILT_IN_FOLDER, Path.cwd())
         if not request.folder:

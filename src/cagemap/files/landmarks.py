@@ -52,7 +52,18 @@ def read_landmarks(path: str | Path, target: str | Path, source: str | Path) -> 
         If the file names the two meshes the other way round.
     """
     file = Path(path)
-    data = _parse(file, read_text(file, "a landmark file"))
+    landmarks = entered(file, _parse(file, read_text(file, "a landmark file")))
+    return landmarks, _compare_names(file, landmarks, str(target), str(source))
+
+
+def entered(file: Path, data: dict[str, Any]) -> Landmarks:
+    """Landmarks that the content of a landmark file, or of one like it, says.
+
+    Raises
+    ------
+    FormatError
+        If a pair or a curve is not of that form; it is named by its number.
+    """
     pairs = [_pair(file, number, item) for number, item in enumerate(data.get("pairs", []))]
     landmarks = Landmarks.of_points(
         tuple(name for name, _, _ in pairs),
@@ -61,8 +72,16 @@ def read_landmarks(path: str | Path, target: str | Path, source: str | Path) -> 
         _mesh_name(file, data, "target"),
         _mesh_name(file, data, "source"),
     )
-    landmarks = replace(landmarks, curves=pair_curves(file, data.get("curves", [])))
-    return landmarks, _compare_names(file, landmarks, str(target), str(source))
+    return replace(landmarks, curves=pair_curves(file, data.get("curves", [])))
+
+
+def entries(landmarks: Landmarks) -> list[str]:
+    """What a landmark file holds of every pair, as JSON."""
+    ends = zip(landmarks.names, _ends(landmarks.source_points), _ends(landmarks.target_points), strict=True)
+    return [
+        json.dumps({"name": name, "source": source, "target": target}, ensure_ascii=False)
+        for name, source, target in ends
+    ]
 
 
 def write_landmarks(path: str | Path, landmarks: Landmarks, *, force: bool = False) -> None:
@@ -73,17 +92,14 @@ def write_landmarks(path: str | Path, landmarks: Landmarks, *, force: bool = Fal
     FormatError
         If the file cannot be written, or cagemap did not write the one that is there and ``force`` is not given.
     """
-    ends = zip(landmarks.names, _ends(landmarks.source_points), _ends(landmarks.target_points), strict=True)
-    pairs = [
-        json.dumps({"name": name, "source": source, "target": target}, ensure_ascii=False)
-        for name, source, target in ends
-    ]
     listed = ",\n  ".join(pair_entries(path, landmarks.curves))
     curves = f',\n "curves": [\n  {listed}\n ]' if listed else ""
     names = f'"source": {json.dumps(landmarks.source_name)}, "target": {json.dumps(landmarks.target_name)}'
     with atomic_path(path, force=force) as temporary:
         temporary.write_text(
-            f'{{"written_by": "{mark()}",\n {names},\n "pairs": [\n  ' + ",\n  ".join(pairs) + f"\n ]{curves}}}\n",
+            f'{{"written_by": "{mark()}",\n {names},\n "pairs": [\n  '
+            + ",\n  ".join(entries(landmarks))
+            + f"\n ]{curves}}}\n",
             encoding="utf-8",
         )
 

@@ -118,6 +118,12 @@ class CagePoints:
         """Some of the points."""
         return CagePoints(self.corners[rows], self.weights[rows])
 
+    def beside(self, others: CagePoints) -> CagePoints:
+        """These points and others."""
+        return CagePoints(
+            np.concatenate([self.corners, others.corners]), np.concatenate([self.weights, others.weights])
+        )
+
 
 def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
     """Points of a control mesh: the vertices given, and the mesh's nearest points to places in space.

@@ -99,6 +99,17 @@ class Landmarks:
             curves=self.curves.renumbered(*(corners for _, corners in sides)),
         )
 
+    def beside(self, others: Landmarks) -> Landmarks:
+        """Return these pairs and curves and others, on the same meshes."""
+        joined = Landmarks.of_points(
+            self.names + others.names,
+            self.target_points.beside(others.target_points),
+            self.source_points.beside(others.source_points),
+            self.target_name,
+            self.source_name,
+        )
+        return replace(joined, curves=self.curves.beside(others.curves))
+
     def reversed(self) -> Landmarks:
         """Return the same pairs for the map the other way round."""
         return replace(

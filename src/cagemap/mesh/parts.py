@@ -14,6 +14,7 @@ from cagemap.mesh.checks import keep_faces
 from cagemap.mesh.control_mesh import ControlMesh, UvSet
 from cagemap.mesh.topology import face_components
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.graphs import components as labelled_components
 
 KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"
@@ -43,18 +44,18 @@ class Part:
         return f"{self.kind}:{self.name}"
 
 
-def list_parts(mesh: ControlMesh) -> tuple[Part, ...]:
-    """Objects, groups and materials with a name, then components; each in file order."""
+def list_parts(mesh: ControlMesh, *, pieces: bool = True) -> tuple[Part, ...]:
+    """Objects, groups and materials with a name, then components unless told not to; each in file order."""
     parts = []
     for kind, numbers, names in _partitions(mesh):
         parts += [Part(kind, name, np.flatnonzero(numbers == number)) for number, name in enumerate(names) if name]
-    return (*(part for part in parts if len(part.faces)), *components(mesh))
+    return (*(part for part in parts if len(part.faces)), *(components(mesh) if pieces else ()))
 
 
 def components(mesh: ControlMesh) -> tuple[Part, ...]:
     """Connected pieces, named by what their faces are named by."""
     labels = face_components(mesh)
-    pieces = [np.flatnonzero(labels == label) for label in range(int(labels.max(initial=-1)) + 1)]
+    pieces = np.split(np.argsort(labels, kind="stable"), np.cumsum(np.bincount(labels))[:-1]) if len(labels) else []
     names = [str(number) for number in range(len(pieces))]
     for _, numbers, words in reversed(_partitions(mesh)):
         own = [words[numbers[faces[0]]] if np.all(numbers[faces] == numbers[faces[0]]) else "" for faces in pieces]
@@ -146,6 +147,28 @@ def extract(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
         file_vertices=vertices if earlier[0] is None else earlier[0][vertices],
         file_faces=np.asarray(faces) if earlier[1] is None else earlier[1][faces],
     )
+
+
+def numbers_on_part(part: ControlMesh, mesh: ControlMesh) -> IndexArray:
+    """(n,) number that every vertex of a mesh has on a part that `extract` took of it, -1 where the part has it not."""
+    assert part.file_vertices is not None
+    own = np.arange(mesh.n_vertices) if mesh.file_vertices is None else mesh.file_vertices
+    number = np.full(int(own.max()) + 1, -1, dtype=np.int64)
+    number[part.file_vertices] = np.arange(part.n_vertices)
+    return number[own]
+
+
+def in_one_piece(mesh: ControlMesh, parts: Sequence[Part]) -> tuple[Part, ...]:
+    """Those of the parts, which share no face, that are connected."""
+    of_face = np.full(mesh.n_faces, len(parts), dtype=np.int64)
+    for number, part in enumerate(parts):
+        of_face[part.faces] = number
+    # A vertex counts once for every part that it borders on.
+    places = mesh.face_indices * (len(parts) + 1) + of_face[mesh.corner_faces]
+    nodes, corners = np.unique(places, return_inverse=True)
+    labels = labelled_components(corners.ravel(), corners.ravel()[mesh.next_corners], len(nodes))
+    labels = labels[corners.ravel()[mesh.face_offsets[:-1]]]
+    return tuple(part for part in parts if len(part.faces) and (labels[part.faces] == labels[part.faces[0]]).all())
 
 
 def _own_scheme(part: ControlMesh) -> dict[str, Any]:

@@ -26,9 +26,10 @@ from cagemap.pipeline import (
 from cagemap.studio.landmark_files import landmarks_of
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.models import Model, open_model, read_look
+from cagemap.studio.pieces import NOTHING, Offer
 from cagemap.studio.shape import Shape
 from cagemap.studio.skins import Images, source_skin, target_skin
-from cagemap.studio.state import View
+from cagemap.studio.state import MapState, View
 
 Progress = Callable[[str], None]
 
@@ -43,7 +44,7 @@ class Opening:
     texture : Path or None
     vertices : int
         Of each previewed surface, about.
-    schemes, ups : (str or None, str or None)
+    schemes, ups, parts : (str or None, str or None)
         See `cagemap.studio.state.Files`.
     """
 
@@ -53,6 +54,7 @@ class Opening:
     vertices: int
     schemes: tuple[str | None, str | None] = (None, None)
     ups: tuple[str | None, str | None] = (None, None)
+    parts: tuple[str | None, str | None] = (None, None)
 
 
 @dataclass(frozen=True)
@@ -105,13 +107,16 @@ class Models:
 
 @dataclass(frozen=True, eq=False)
 class Opened:
-    """Answer to `OpenModels`."""
+    """Answer to `OpenModels`; offers, schemes and what is dense are of target and source, see `Model`."""
 
     target: Shape
     source: Shape
     mirrors: tuple[IndexArray | None, IndexArray | None]
     skins: tuple[bytes, bytes]
     notes: tuple[str, ...] = ()
+    offers: tuple[Offer, Offer] = (NOTHING, NOTHING)
+    schemes: tuple[str | None, str | None] = (None, None)
+    dense: tuple[bool, bool] = (False, False)
 
 
 @dataclass(frozen=True)
@@ -147,6 +152,21 @@ class Found:
     chosen: int = 0
     confidence: str = ""
     suggestion: int | None = None
+
+
+def after(known: MapState, found: Found) -> MapState:
+    """What the page knows of the map once another one is found."""
+    return MapState(
+        revision=known.revision + 1,
+        answers=found.answers,
+        chosen=found.chosen,
+        confidence=found.confidence,
+        strain=found.strain,
+        contradictions=found.contradictions,
+        notes=found.notes,
+        seconds=found.seconds,
+        suggestion=found.suggestion,
+    )
 
 
 @dataclass(frozen=True)
@@ -201,7 +221,16 @@ def perform(bench: Bench, task: Task, progress: Progress) -> tuple[Bench, Answer
             target, source = models.target, models.source
             mirrors = (target.mirror, source.mirror)
             skins = _skins(bench, task.view, None)
-            return bench, Opened(target.shape, source.shape, mirrors, skins, target.notes + source.notes)
+            return bench, Opened(
+                target.shape,
+                source.shape,
+                mirrors,
+                skins,
+                target.notes + source.notes,
+                (target.offer, source.offer),
+                (target.scheme, source.scheme),
+                (target.dense, source.dense),
+            )
         case FindMap():
             return find_map(bench, task, progress)
         case ChooseAnswer():
@@ -213,8 +242,8 @@ def perform(bench: Bench, task: Task, progress: Progress) -> tuple[Bench, Answer
 def open_models(opening: Opening, progress: Progress) -> Models:
     """Read, check and refine both models."""
     progress("reading the models")
-    sides = zip((opening.target, opening.source), opening.schemes, opening.ups, strict=True)
-    target, source = (open_model(*side, opening.vertices) for side in sides)
+    sides = zip((opening.target, opening.source), opening.schemes, opening.ups, opening.parts, strict=True)
+    target, source = (open_model(path, scheme, up, opening.vertices, part) for path, scheme, up, part in sides)
     if opening.texture is not None:
         progress("reading the texture")
         pixels, encoded = read_look(opening.texture)
@@ -327,9 +356,9 @@ def _strain(result: MatchResult) -> dict[str, float]:
 
 def _skins(bench: Bench, view: View, images: Images | None) -> tuple[bytes, bytes]:
     models = _opened(bench)
-    return _target_skin(models, images, view), source_skin(models.source.shape, models.source.look, view.mode)
+    return _target_skin(models, images, view), source_skin(models.source.shape, models.source.look, view)
 
 
 def _target_skin(models: Models, images: Images | None, view: View) -> bytes:
     target, source = models.target, models.source
-    return target_skin(target.shape, target.look, view.mode, source.shape, source.look, images, doubts=view.doubts)
+    return target_skin(target.shape, target.look, source.shape, source.look, images, view)

@@ -129,6 +129,8 @@ def commands(files: Files, options: FinishOptions, *, landmarks: bool) -> tuple[
     match += ["--landmarks", str(files.landmarks)] if landmarks else []
     for side, scheme in zip(("target", "source"), files.schemes, strict=True):
         match += [] if scheme is None else [f"--{side}-scheme", scheme]
+    for side, part in zip(("target", "source"), files.parts, strict=True):
+        match += [] if part is None else [f"--{side}-part", part]
     match += ["--vertices", str(options.vertices), "-o", str(result)]
     made = [Command("match", tuple(match), (Output(result, "the map"),))]
 

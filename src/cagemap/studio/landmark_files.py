@@ -17,8 +17,9 @@ from cagemap.files.marks import is_own
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.cage_points import NamedCurve
 from cagemap.mesh.curves import Curves
-from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, check_landmarks, paired
-from cagemap.studio.landmarks import Landmark, LandmarkList
+from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, Renumbering, check_landmarks, paired
+from cagemap.studio.autosave import autosave_path, read_autosave
+from cagemap.studio.landmarks import SIDES, Landmark, LandmarkList, Side
 from cagemap.studio.places import cage_points, places_of
 from cagemap.studio.scene import Scene
 from cagemap.studio.state import Files
@@ -52,22 +53,94 @@ def load_landmarks(
     else:
         read, notes = paired(read_points(path, target), read_points(source_points, source), target, source)
     check_landmarks(read, target, source)
-    given, read = read, read.renumbered(scene.target.from_file, scene.source.from_file)
-    if len(read) < len(given):
-        notes = (*notes, f"{len(given) - len(read)} landmarks lie on pieces that are set aside and are left out")
+    here, elsewhere = split(read, scene)
+    if elsewhere is not None and len(elsewhere):
+        notes = (*notes, f"{len(elsewhere)} landmarks lie on other parts of the files; they stay in the file")
+    if elsewhere is not None and len(elsewhere.curves):
+        names = ", ".join(elsewhere.curves.names)
+        notes = (*notes, f"curves on other parts or between vertices are not used here; they stay in the file: {names}")
+    return LandmarkList(_items(here, scene, 1), here.curves if len(here.curves) else None, elsewhere), list(notes)
+
+
+def opened_landmarks(files: Files, scene: Scene) -> tuple[LandmarkList, list[str]] | None:
+    """Landmarks of the pair's file, and notes; None where there is no such file."""
+    return load_landmarks(files.landmarks, None, scene, files) if files.landmarks.is_file() else None
+
+
+def recovered_landmarks(files: Files, scene: Scene) -> tuple[LandmarkList, list[str]] | None:
+    """Landmarks that were not saved, and notes; None where there are none."""
+    kept = autosave_path(files.landmarks)
+    if not kept.is_file():
+        return None
+    meshes = scene.target.file_mesh, scene.source.file_mesh
+    landmarks, notes = on_parts(read_autosave(kept, (meshes[0].n_vertices, meshes[1].n_vertices)), scene)
+    return landmarks, [*notes, f"recovered unsaved landmarks of {files.landmarks.name}"]
+
+
+def split(given: Landmarks, scene: Scene) -> tuple[Landmarks, Landmarks | None]:
+    """Pairs and curves in the files' numbers: those of the open parts, in their numbers, and the others as they are."""
+    here = given.renumbered(scene.target.from_file, scene.source.from_file)
+    curves = here.curves
+    drawn = [k for k in range(len(curves)) if not _has_points_between(curves.only([k]))]
+    here = replace(here, curves=curves.only(drawn))
+    pairs, lines = set(here.names), set(here.curves.names)
+    others = given.without([i for i, name in enumerate(given.names) if name in pairs])
+    others = replace(
+        others, curves=given.curves.only([k for k, name in enumerate(given.curves.names) if name not in lines])
+    )
+    return here, others if len(others) + len(others.curves) else None
+
+
+def in_files(landmarks: LandmarkList, scene: Scene) -> LandmarkList:
+    """The same list in the numbers of the models' files."""
+    numbers: dict[Side, Renumbering] = {"target": scene.target.in_file, "source": scene.source.in_file}
+    curves = landmarks.curves
+    if curves is not None:
+        sides = (numbers["target"](curves.target.points.corners), numbers["source"](curves.source.points.corners))
+        curves = curves.renumbered(*sides)
+    return replace(landmarks, items=tuple(_renumbered(item, numbers) for item in landmarks.items), curves=curves)
+
+
+def on_parts(kept: LandmarkList, scene: Scene) -> tuple[LandmarkList, list[str]]:
+    """A list in the files' numbers in those of the open parts, and what is to be said about it."""
+    numbers: dict[Side, Renumbering] = {"target": scene.target.from_file, "source": scene.source.from_file}
+    moved = tuple(_renumbered(item, numbers) for item in kept.items)
+    inside = [all(place is None or min(place.corners) >= 0 for place in (item.target, item.source)) for item in moved]
+    away = LandmarkList(tuple(item for item, here in zip(kept.items, inside, strict=True) if not here))
+    notes = [
+        f"{item.name}, not yet complete, lies on another part and is left out"
+        for item in away.items
+        if not item.complete
+    ]
+    given = landmarks_of(away, scene.target.file_mesh, scene.source.file_mesh)
+    if kept.elsewhere is not None:
+        given = given.beside(kept.elsewhere)
+    here, elsewhere = split(replace(given, curves=kept.curves or Curves.none()), scene)
+    items = tuple(item for item, here in zip(moved, inside, strict=True) if here)
+    items += _items(here, scene, 1 + max((item.number for item in items), default=0))
+    if elsewhere is not None and len(elsewhere):
+        notes.append(f"{len(elsewhere)} landmarks lie on other parts of the files; they are kept for these")
+    return LandmarkList(items, here.curves if len(here.curves) else None, elsewhere), notes
+
+
+def _items(landmarks: Landmarks, scene: Scene, first: int) -> tuple[Landmark, ...]:
+    """Landmarks of the open parts as the studio has them, numbered from the first number on."""
     ends = zip(
-        read.names,
-        places_of(scene.target, read.target_points),
-        places_of(scene.source, read.source_points),
+        landmarks.names,
+        places_of(scene.target, landmarks.target_points),
+        places_of(scene.source, landmarks.source_points),
         strict=True,
     )
-    items = tuple(Landmark(number, *end) for number, end in enumerate(ends, 1))
-    curves = read.curves
-    between = [name for k, name in enumerate(curves.names) if _has_points_between(curves.only([k]))]
-    if between:
-        notes = (*notes, f"curves through points between vertices are left out here: {', '.join(between)}")
-        curves = curves.only([k for k, name in enumerate(curves.names) if name not in between])
-    return LandmarkList(items, curves if len(curves) else None), list(notes)
+    return tuple(Landmark(number, *end) for number, end in enumerate(ends, first))
+
+
+def _renumbered(item: Landmark, numbers: dict[Side, Renumbering]) -> Landmark:
+    for side in SIDES:
+        place = item.on(side)
+        if place is not None:
+            a, b, c = numbers[side](np.array(place.corners)).tolist()
+            item = item.at(side, replace(place, corners=(a, b, c)))
+    return item
 
 
 def save_landmarks(path: Path, landmarks: LandmarkList, scene: Scene, files: Files) -> tuple[Path, ...]:
@@ -85,6 +158,7 @@ def save_landmarks(path: Path, landmarks: LandmarkList, scene: Scene, files: Fil
     """
     target, source = scene.target.file_mesh, scene.source.file_mesh
     complete = landmarks_of(landmarks, target, source).renumbered(scene.target.in_file, scene.source.in_file)
+    complete = complete if landmarks.elsewhere is None else complete.beside(landmarks.elsewhere)
     ending = next((ending for ending in PER_MESH if path.name.lower().endswith(ending)), None)
     if ending is not None:
         stem = path.name[: -len(ending)]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from cagemap.mesh.curves import Curves
+from cagemap.mesh.landmarks import Landmarks
 
 Side = Literal["target", "source"]
 SIDES: tuple[Side, Side] = ("target", "source")
@@ -79,10 +80,13 @@ class LandmarkList:
     items : tuple of Landmark
     curves : Curves or None
         Of the file that they came from; shown, used and saved again as they are.
+    elsewhere : Landmarks or None
+        Pairs and curves of the file that do not lie on the open parts, in the files' numbers; saved again as they are.
     """
 
     items: tuple[Landmark, ...] = ()
     curves: Curves | None = None
+    elsewhere: Landmarks | None = None
 
     def __len__(self) -> int:
         return len(self.items)
@@ -181,6 +185,7 @@ class Proposal:
 
 def _free_name(landmarks: LandmarkList, wanted: str) -> str:
     taken = {item.name for item in landmarks.items}
+    taken.update(() if landmarks.elsewhere is None else landmarks.elsewhere.names)
     if wanted not in taken:
         return wanted
     return next(name for k in range(2, len(taken) + 3) if (name := f"{wanted} ({k})") not in taken)

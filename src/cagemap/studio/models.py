@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.descriptors import mirror_symmetries
-from cagemap.errors import CagemapError, ParameterError
+from cagemap.errors import CagemapError, InvalidMeshError, ParameterError
 from cagemap.files.images import Pixels, first_image, read_texture, write_image
 from cagemap.files.meshes import read_mesh
-from cagemap.files.usd import USD_SUFFIXES
+from cagemap.files.usd import USD_SUFFIXES, read_usd
 from cagemap.files.usd_space import to_standard
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
@@ -20,15 +20,20 @@ from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.parts import components
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
+from cagemap.mesh.structure_checks import structure_problems
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pipeline import choose_level
 from cagemap.refinement import refine, with_options
+from cagemap.studio.pieces import NOTHING, Offer, Taken, rest_of, take_part
 from cagemap.studio.shape import Original, Shape, shape_of
 from cagemap.studio.skins import Look
 from cagemap.transfer import face_colors
 
 # Largest side of the texture in the page; the bake uses the whole image.
 TEXTURE_SIZE = 1024
+# A triangle mesh of so many faces is rather a scan than a cage.
+DENSE = 20_000
+NO_SCHEME = "none"
 # From a file whose z axis points up to the view, for rows.
 _Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
@@ -48,6 +53,12 @@ class Model:
         The control vertex across the mirror plane.
     notes : tuple of str
         What was done to a mesh to take it as it is.
+    offer : Offer
+        Parts of its file.
+    scheme : str or None
+        How it is subdivided, as asked for or, where it is no cage, as it is.
+    dense : bool
+        Whether it is subdivided although it looks like a scan.
     """
 
     level: int
@@ -55,6 +66,9 @@ class Model:
     look: Look
     mirror: IndexArray | None
     notes: tuple[str, ...] = ()
+    offer: Offer = NOTHING
+    scheme: str | None = None
+    dense: bool = False
 
     @property
     def control(self) -> ControlMesh:
@@ -77,13 +91,13 @@ def read_look(path: Path) -> tuple[Pixels, bytes]:
         return pixels, file.read_bytes()
 
 
-def open_model(path: Path, scheme: str | None, up: str | None, vertices: int) -> Model:
+def open_model(path: Path, scheme: str | None, up: str | None, vertices: int, part: str | None = None) -> Model:
     """Read, check and refine one model.
 
     Parameters
     ----------
     path : Path
-    scheme, up : str or None
+    scheme, up, part : str or None
         See `cagemap.studio.state.Files`.
     vertices : int
         Of the surface, about.
@@ -91,23 +105,51 @@ def open_model(path: Path, scheme: str | None, up: str | None, vertices: int) ->
     Raises
     ------
     ParameterError
-        If a mesh that is subdivided has several connected pieces.
+        If there is no such part, or it has several connected pieces.
     InvalidMeshError, FormatError
         If it cannot be taken or read.
     """
-    control = replace(read_mesh(path), name=path.name)
-    turn = upright(path, control, up)
+    usd = path.suffix.lower() in USD_SUFFIXES
+    whole = replace(read_usd(path, mixed=True) if usd else read_mesh(path), name=path.name)
+    if structure_problems(whole):
+        require_valid(whole)
+    turn = upright(path, whole, up)
     if scheme is not None:
-        control = replace(with_options(control, scheme), object_schemes=())
-    if isinstance(control.scheme, Plain):
-        ready = plain_mesh(control)
-        shape = shape_of(refine(ready.mesh, 0), Original(control, ready.vertex_of), turn)
-        return Model(0, shape, _own_look(ready.mesh), None, ready.notes)
-    _require_one_piece(control)
-    require_valid(control)
-    level = choose_level(control, vertices)
-    mirror = next((plane.image for plane in mirror_symmetries(control)), None)
-    return Model(level, shape_of(refine(control, level), turn=turn), _own_look(control), mirror)
+        whole = replace(with_options(whole, scheme), object_schemes=())
+    taken = take_part(whole, part, plain=isinstance(whole.scheme, Plain))
+    if isinstance(taken.mesh.scheme, Plain):
+        return _as_it_is(taken, whole, turn)
+    _require_one_piece(taken.mesh)
+    dense = scheme is None and is_dense(taken.mesh)
+    try:
+        require_valid(taken.mesh)
+    except InvalidMeshError as error:
+        if not dense:
+            raise
+        again = take_part(with_options(whole, NO_SCHEME), part, plain=True)
+        model = _as_it_is(again, whole, turn)
+        return replace(model, notes=(f"{path.name} is no cage and is taken as it is: {error}", *model.notes))
+    level = choose_level(taken.mesh, vertices)
+    original = Original(whole, taken.vertex_of) if len(taken.left) else None
+    shape = shape_of(refine(taken.mesh, level), original, turn)
+    mirror = next((plane.image for plane in mirror_symmetries(taken.mesh)), None)
+    look = replace(_own_look(taken.mesh), rest=rest_of(whole, taken.left, level))
+    return Model(level, shape, look, mirror, offer=taken.offer, scheme=scheme, dense=dense)
+
+
+def is_dense(mesh: ControlMesh) -> bool:
+    """Whether a mesh looks like a scan rather than a cage: many triangles, and nothing said about subdivision."""
+    stated = mesh.scheme is not None or mesh.crease_edges is not None
+    return mesh.is_triangle_mesh and not stated and mesh.n_faces >= DENSE
+
+
+def _as_it_is(taken: Taken, whole: ControlMesh, turn: FloatArray) -> Model:
+    """A part, or a whole file, that is not subdivided."""
+    ready = plain_mesh(taken.mesh)
+    vertex_of = np.where(taken.vertex_of < 0, -1, ready.vertex_of[taken.vertex_of])
+    shape = shape_of(refine(ready.mesh, 0), Original(whole, vertex_of), turn)
+    look = replace(_own_look(ready.mesh), rest=rest_of(whole, taken.left, 0))
+    return Model(0, shape, look, None, ready.notes, taken.offer, NO_SCHEME)
 
 
 def _require_one_piece(control: ControlMesh) -> None:
@@ -115,9 +157,8 @@ def _require_one_piece(control: ControlMesh) -> None:
     if len(pieces) > 1:
         listed = first_few(f"{part.title} ({len(part.faces)} faces)" for part in pieces)
         raise ParameterError(
-            f"{control.name}: expected a model of one connected piece, got {len(pieces)}: {listed}. Export the "
-            "piece that is meant as a file of its own; or match it without the studio: cagemap match --part largest "
-            "(--target-part NAME, --source-part NAME, --part each)."
+            f"{control.name}: expected a part of one connected piece, got {len(pieces)}: {listed}. Choose one of "
+            "these; `cagemap match --part each` maps all of them."
         )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,14 +21,28 @@ BUILT_IN_FOLDER = Path("cagemap-studio")
 TEXTURE_SIZE = 1024
 
 
-Schemes = tuple[str | None, str | None]
-AS_FILED: Schemes = (None, None)
+Stated = tuple[str | None, str | None]
+AS_FILED: Stated = (None, None)
 
 
-def default_files(folder: Path, target: Path, source: Path, texture: Path | None, schemes: Schemes = AS_FILED) -> Files:
+def default_files(folder: Path, target: Path, source: Path, texture: Path | None, schemes: Stated = AS_FILED) -> Files:
     """Files of a pair: landmarks and result beside each other in the folder, named after it."""
     pair = f"{source.stem}__{target.stem}"
     return Files(target, source, texture, folder / f"{pair}.json", folder / f"{pair}_RESULT", schemes)
+
+
+def result_of(files: Files, parts: Stated) -> Path:
+    """RESULT folder for other parts of the same files, so that one part's does not replace another's."""
+    named = "__".join(
+        file.stem if part is None else f"{file.stem}_{word_of(part)}"
+        for file, part in zip((files.source, files.target), (parts[1], parts[0]), strict=True)
+    )
+    return files.result.with_name(f"{named}_RESULT")
+
+
+def word_of(part: str) -> str:
+    """A part's name as a piece of a file name."""
+    return re.sub(r"[^\w-]+", "_", part.rpartition("/")[2].rpartition(":")[2])[:40]
 
 
 def chosen_files(
@@ -36,7 +51,8 @@ def chosen_files(
     landmarks: Path | None,
     texture: Path | None,
     result: Path | None,
-    schemes: Schemes = AS_FILED,
+    schemes: Stated = AS_FILED,
+    parts: Stated = AS_FILED,
 ) -> Files | None:
     """Files named on the command line; None if there are none. A RESULT folder alone names the models it was made of.
 
@@ -48,13 +64,17 @@ def chosen_files(
     if target is None and source is None:
         if result is not None:
             made = result_files(result, landmarks, texture)
-            return replace(made, schemes=(schemes[0] or made.schemes[0], schemes[1] or made.schemes[1]))
-        if landmarks or texture or any(schemes):
+            return replace(
+                made,
+                schemes=(schemes[0] or made.schemes[0], schemes[1] or made.schemes[1]),
+                parts=(parts[0] or made.parts[0], parts[1] or made.parts[1]),
+            )
+        if landmarks or texture or any(schemes) or any(parts):
             raise ParameterError("expected --target and --source beside the other options. Name both models.")
         return None
     if target is None or source is None:
         raise ParameterError("expected --target and --source, got one of them. Name both models, or none.")
-    return _named(target, source, landmarks, texture, result, schemes)
+    return _named(target, source, landmarks, texture, result, schemes, parts)
 
 
 def result_files(result: Path, landmarks: Path | None, texture: Path | None) -> Files:
@@ -76,9 +96,16 @@ def result_files(result: Path, landmarks: Path | None, texture: Path | None) -> 
             f"--result {result}: expected its models where they were, and unchanged; they are not. "
             "Name them with --target and --source."
         )
-    return _named(
-        target, source, landmarks or pairs, texture, result, (_scheme(manifest, "target"), _scheme(manifest, "source"))
-    )
+    schemes = _scheme(manifest, "target"), _scheme(manifest, "source")
+    parts = _part(manifest, "target"), _part(manifest, "source")
+    return _named(target, source, landmarks or pairs, texture, result, schemes, parts)
+
+
+def _part(manifest: dict[str, Any], side: str) -> str | None:
+    """Part of a model that a RESULT is of; None where it is of all, or of several."""
+    parameters = manifest.get("parameters")
+    name = parameters.get(f"{side}_part") if isinstance(parameters, dict) else None
+    return name if isinstance(name, str) and name not in ("each", "material") else None
 
 
 def _scheme(manifest: dict[str, Any], side: str) -> str | None:
@@ -95,7 +122,8 @@ def _named(
     landmarks: Path | None,
     texture: Path | None,
     result: Path | None,
-    schemes: Schemes,
+    schemes: Stated,
+    parts: Stated,
 ) -> Files:
     usual = default_files(target.resolve().parent, target.resolve(), source.resolve(), None)
     return Files(
@@ -105,6 +133,7 @@ def _named(
         usual.landmarks if landmarks is None else landmarks.resolve(),
         usual.result if result is None else result.resolve(),
         schemes,
+        parts=parts,
     )
 
 

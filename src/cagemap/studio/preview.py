@@ -59,7 +59,8 @@ class Preview:
     def open(self, files: Files) -> None:
         """Open two models; what was wished of others is forgotten."""
         with self._wake:
-            self._models = Opening(files.target, files.source, files.texture, self._vertices, files.schemes, files.ups)
+            asked = files.schemes, files.ups, files.parts
+            self._models = Opening(files.target, files.source, files.texture, self._vertices, *asked)
             self._opening = True
             self._finding, self._choosing, self._dressing = None, None, False
             self._wake.notify()

@@ -10,6 +10,7 @@ from cagemap.geometry.closest import build_tree, closest_points
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.studio.landmarks import LandmarkList, Place, Proposal, Side, other
+from cagemap.studio.pieces import NOTHING, Offer
 from cagemap.studio.places import place_at, places_of
 from cagemap.studio.shape import Hit, Shape
 from cagemap.studio.skins import Images
@@ -32,6 +33,10 @@ class Scene:
         The map.
     skins : two bytes
         Binary glTF files of target and source.
+    offers : two Offer
+        Parts of their files.
+    dense : two bool
+        Whether a model is subdivided although it looks like a scan.
     """
 
     target: Shape
@@ -39,10 +44,17 @@ class Scene:
     mirrors: tuple[IndexArray | None, IndexArray | None]
     skins: tuple[bytes, bytes]
     images: Images | None = None
+    offers: tuple[Offer, Offer] = (NOTHING, NOTHING)
+    dense: tuple[bool, bool] = (False, False)
 
     def shape(self, side: Side) -> Shape:
         """One of the models."""
         return self.target if side == "target" else self.source
+
+    @property
+    def leaves_any(self) -> bool:
+        """Whether a file has parts that are not open."""
+        return any(shape.leaves_any for shape in (self.target, self.source))
 
     def warm(self) -> None:
         """Work out ahead what the first click asks for."""

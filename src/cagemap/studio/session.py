@@ -2,36 +2,41 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import threading
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from cagemap.errors import CagemapError, ParameterError
+from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
-from cagemap.studio.bench import Dressed, Found, Opened, Task
+from cagemap.studio.autosave import autosave_path, kept_parts, write_autosave
+from cagemap.studio.bench import Dressed, Found, Opened, Task, after
 from cagemap.studio.finish import Command, FinishOptions, commands
-from cagemap.studio.landmark_files import load_landmarks, save_landmarks
+from cagemap.studio.held import Held
+from cagemap.studio.landmark_files import (
+    in_files,
+    load_landmarks,
+    opened_landmarks,
+    recovered_landmarks,
+    save_landmarks,
+)
 from cagemap.studio.landmarks import History, LandmarkList, Place, Side
+from cagemap.studio.opening import result_of
 from cagemap.studio.places import place_of, vertex_place
 from cagemap.studio.preview import Preview
 from cagemap.studio.runner import CANCELLED, Runner
 from cagemap.studio.scene import Scene, mirrored, probed, proposed
 from cagemap.studio.shape import pick
 from cagemap.studio.skins import Images
-from cagemap.studio.state import Files, MapState, Output, Studio, View, with_message
+from cagemap.studio.state import Files, MapState, Output, View
 from cagemap.studio.worker import STOPPED, Failure
-from cagemap.studio.workspace import Workspace, autosave_path, read_autosave, write_autosave
+from cagemap.studio.workspace import Workspace
 
 log = logging.getLogger(__name__)
 
-Listener = Callable[[Studio, Scene | None], None]
 
-
-class Session:
+class Session(Held):
     """Holds the state; every method may be called from any thread, and none of them waits for a computation.
 
     Parameters
@@ -42,39 +47,23 @@ class Session:
     """
 
     def __init__(self, workspace: Workspace, vertices: int) -> None:
+        super().__init__()
         self.workspace = workspace
-        self._lock = threading.RLock()
-        self._state = Studio()
-        self._scene: Scene | None = None
-        self._listeners: list[Listener] = []
         self._cancelled = False
         self._runner = Runner(lambda job: self._change(finish_job=job), self._written, self._ended)
         self._preview = Preview(vertices, self._wanted, lambda job: self._change(preview_job=job), self._receive)
 
-    # What pages read
-
-    @property
-    def state(self) -> Studio:
-        """The state now."""
-        return self._state
-
-    @property
-    def scene(self) -> Scene | None:
-        """Models and map now."""
-        return self._scene
-
-    def subscribe(self, listener: Listener) -> None:
-        """Have a function told of every change, after it."""
-        with self._lock:
-            self._listeners.append(listener)
-            listener(self._state, self._scene)
-
     # Files
 
     def open(self, files: Files) -> None:
-        """Open two models; landmarks come from the autosave where there is one, else from their file."""
+        """Open two models; landmarks come from the autosave where there is one, else from their file.
+
+        Parts that are not named are those of the autosave.
+        """
         with self._guarded():
             files = self.workspace.within(files)
+            (target, source), kept = files.parts, kept_parts(autosave_path(files.landmarks))
+            files = replace(files, parts=(target or kept[0], source or kept[1]))
             with self._lock:
                 self._scene = None
                 self._change(
@@ -88,6 +77,21 @@ class Session:
                     saved=True,
                 )
                 self._preview.open(files)
+
+    def choose_part(self, side: Side, title: str | None) -> None:
+        """Open another part of one of the files, with its landmarks; what is not saved is kept for its own parts."""
+        with self._guarded(), self._lock:
+            files, scene = self._open()
+            target, source = (offer.opened for offer in scene.offers)
+            parts = (title, source) if side == "target" else (target, title)
+            self.open(replace(files, parts=parts, result=result_of(files, parts)))
+
+    def take_as_it_is(self, side: Side) -> None:
+        """Open one of the models anew, without subdividing it."""
+        with self._guarded(), self._lock:
+            files, _ = self._open()
+            target, source = files.schemes
+            self.open(replace(files, schemes=("none", source) if side == "target" else (target, "none")))
 
     def save(self, path: Path | None = None) -> None:
         """Write the landmarks that both models have."""
@@ -116,10 +120,6 @@ class Session:
             self._say("note", f"added {added.name}")
             return True
         return False
-
-    def report(self, error: CagemapError) -> None:
-        """Show an error."""
-        self._say("error", f"{type(error).__name__}: {error}")
 
     # Landmarks
 
@@ -209,7 +209,7 @@ class Session:
         with self._lock:
             before = self._state.view
             self._change(view=view)
-            if (view.mode, view.doubts) != (before.mode, before.doubts) and self._scene is not None:
+            if replace(view, cages=before.cages, linked=before.linked) != before and self._scene is not None:
                 self._preview.dress()
 
     def match_again(self) -> None:
@@ -298,8 +298,13 @@ class Session:
             case Failure():
                 self._say("error", f"{answer.kind}: {answer.message}")
             case Opened():
-                self._scene = Scene(answer.target, answer.source, answer.mirrors, answer.skins)
-                self._change()
+                offers = answer.offers
+                self._scene = Scene(
+                    answer.target, answer.source, answer.mirrors, answer.skins, None, offers, answer.dense
+                )
+                if self._state.files is not None:  # as they were opened, so that the finish opens them alike
+                    parts = offers[0].opened, offers[1].opened
+                    self._change(files=replace(self._state.files, parts=parts, schemes=answer.schemes))
                 for note in answer.notes:
                     self._say("note", note)
                 self._first_landmarks()
@@ -307,18 +312,7 @@ class Session:
                 if self._state.map.revision == 0:  # the page has its models by now, and the processor is free
                     threading.Thread(target=self._scene.warm, name="studio warm-up", daemon=True).start()
                 self._scene = replace(self._scene, images=answer.images, skins=(answer.skin, self._scene.skins[1]))
-                found = replace(
-                    self._state.map,
-                    revision=self._state.map.revision + 1,
-                    strain=answer.strain,
-                    contradictions=answer.contradictions,
-                    notes=answer.notes,
-                    seconds=answer.seconds,
-                    answers=answer.answers,
-                    chosen=answer.chosen,
-                    confidence=answer.confidence,
-                    suggestion=answer.suggestion,
-                )
+                found = after(self._state.map, answer)
                 self._change(map=found, proposal=proposed(self._scene, self._state.history.present))
             case Dressed() if self._scene is not None:
                 self._scene = replace(self._scene, skins=answer.skins)
@@ -329,20 +323,15 @@ class Session:
     def _first_landmarks(self) -> None:
         """Landmarks of newly opened models: what a killed studio left unsaved, else what the file holds."""
         files, scene = self._open()
-        kept = autosave_path(files.landmarks)
-        recovered = None
-        if kept.is_file():
+        for read, saved in ((recovered_landmarks, False), (opened_landmarks, True)):
             with self._guarded():
-                recovered = read_autosave(kept, (scene.target.n_control, scene.source.n_control))
-        if recovered is not None:
-            self._change(history=History(recovered), saved=False)
-            self._say("note", f"recovered unsaved landmarks of {files.landmarks.name}")
-        elif files.landmarks.is_file():
-            with self._guarded():
-                landmarks, notes = load_landmarks(files.landmarks, None, scene, files)
-                self._change(history=History(landmarks), saved=True)
-                for note in notes:
-                    self._say("note", note)
+                found = read(files, scene)
+                if found is not None:
+                    landmarks, notes = found
+                    self._change(history=History(landmarks), saved=saved)
+                    for note in notes:
+                        self._say("note", note)
+                    break
         self._find(fresh=True)
 
     def _edit(self, landmarks: LandmarkList, *, select: bool = False) -> None:
@@ -358,9 +347,10 @@ class Session:
         self._change(history=history, saved=False, proposal=proposed(self._scene, history.present))
         if history.present.get(self._state.selected) is None:
             self._change(selected=None)
-        if self._state.files is not None:
+        files, scene = self._state.files, self._scene
+        if files is not None and scene is not None:
             with self._guarded():
-                write_autosave(autosave_path(self._state.files.landmarks), history.present)
+                write_autosave(autosave_path(files.landmarks), in_files(history.present, scene), files.parts)
         if (history.present.complete, history.present.curves) != (before.complete, before.curves):
             self._find(fresh=False)
 
@@ -372,26 +362,3 @@ class Session:
         if self._state.files is None or self._scene is None:
             raise ParameterError("expected two open models, there are none yet. Choose a target and a source.")
         return self._state.files, self._scene
-
-    def _say(self, kind: str, text: str) -> None:
-        with self._lock:
-            self._change(messages=with_message(self._state.messages, "error" if kind == "error" else "note", text))
-
-    def _change(self, **fields: object) -> None:
-        with self._lock:
-            self._state = replace(self._state, **fields)  # type: ignore[arg-type]
-            for listener in self._listeners:
-                listener(self._state, self._scene)
-
-    @contextlib.contextmanager
-    def _guarded(self) -> Iterator[None]:
-        """Turn errors into messages of the page."""
-        try:
-            yield
-        except CagemapError as error:
-            self.report(error)
-        except OSError as error:
-            self._say("error", f"{error.filename or 'file'}: {error.strerror or error}")
-        except Exception as error:  # a fault of ours must not end the studio
-            log.exception("internal error")
-            self._say("error", f"internal error, {type(error).__name__}: {error}")

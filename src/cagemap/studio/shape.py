@@ -83,6 +83,11 @@ class Shape:
         return self.control.name
 
     @property
+    def leaves_any(self) -> bool:
+        """Whether its file has parts that are not this one."""
+        return self.original is not None and self.original.mesh.n_faces > self.control.n_faces
+
+    @property
     def n_control(self) -> int:
         """Number of control vertices."""
         return self.control.n_vertices

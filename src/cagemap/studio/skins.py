@@ -11,13 +11,17 @@ from cagemap.files.images import Pixels
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pictures.colors import position_colors, to_linear
 from cagemap.studio.glb import Primitive, glb
+from cagemap.studio.pieces import Rest
 from cagemap.studio.shape import Shape
-from cagemap.studio.state import Mode
+from cagemap.studio.state import Mode, View
 
 WHITE = np.ones(3)
 CLAY = np.array([0.42, 0.41, 0.40])
 DOUBT = np.array([0.85, 0.02, 0.02])
 DOUBT_OPACITY = 0.45
+# Parts that are left alone.
+REST = np.array([0.5, 0.5, 0.5])
+REST_OPACITY = 0.3
 # Light on a matt model: from all sides, more from above, and from two lamps, before it to the left and behind it.
 AMBIENT, ABOVE = 0.34, 0.10
 LAMPS = ((np.array([-0.45, 0.75, 0.85]), 0.52), (np.array([0.6, 0.25, -0.9]), 0.30))
@@ -43,11 +47,14 @@ class Look:
         The same as a JPEG file.
     colors : (faces, 3) float64 or None
         Linear material colours of the control faces.
+    rest : Rest or None
+        Parts of the file that are left alone.
     """
 
     texture: Pixels | None = None
     encoded: bytes | None = None
     colors: FloatArray | None = None
+    rest: Rest | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,20 +77,21 @@ class Images:
         return np.asarray(np.einsum("nc,ncd->nd", self.barycentric, values[triangles[self.triangle]]))
 
 
-def source_skin(shape: Shape, look: Look, mode: Mode) -> bytes:
+def source_skin(shape: Shape, look: Look, view: View) -> bytes:
     """The source in its own look, or painted with a pattern; a binary glTF file in view coordinates."""
+    mode, beside = view.mode, _beside(shape, look, view)
     if mode == "texture" and look.encoded is not None and shape.uvs is not None and shape.uv_triangles is not None:
-        return glb([_split_at_seams(shape, shape.uvs, shape.uv_triangles)], look.encoded)
-    return glb([_painted(shape, _vertex_pattern(shape, mode)) if mode in ("colours", "checker") else _own(shape, look)])
+        return glb([_split_at_seams(shape, shape.uvs, shape.uv_triangles), *beside], look.encoded)
+    painted = mode in ("colours", "checker")
+    return glb([_painted(shape, _vertex_pattern(shape, mode)) if painted else _own(shape, look), *beside])
 
 
-def target_skin(
-    shape: Shape, own: Look, mode: Mode, source: Shape, look: Look, images: Images | None, *, doubts: bool
-) -> bytes:
+def target_skin(shape: Shape, own: Look, source: Shape, look: Look, images: Images | None, view: View) -> bytes:
     """The target as it is, or with the source's look through the map; a binary glTF file in view coordinates."""
+    mode, beside = view.mode, _beside(shape, own, view)
     if images is None or mode == "plain":
-        return glb([_own(shape, own)])
-    doubtful = [_doubtful(shape, images)] if doubts else []
+        return glb([_own(shape, own), *beside])
+    doubtful = [*beside, *([_doubtful(shape, images)] if view.doubts else [])]
     if mode == "texture" and look.encoded is not None and source.uvs is not None and source.uv_triangles is not None:
         uvs = images.on(source.uv_triangles, source.uvs)
         crossing = crossing_triangles(shape, source, images, uvs)
@@ -192,6 +200,15 @@ def _doubtful(shape: Shape, images: Images) -> Primitive:
     vertices, triangles = _part(shape.triangles[chosen])
     drawn = _drawn(shape, vertices, triangles, DOUBT, opacity=DOUBT_OPACITY)
     return replace(drawn, positions=drawn.positions + _LIFT * shape.turned(shape.normals[vertices]))
+
+
+def _beside(shape: Shape, look: Look, view: View) -> list[Primitive]:
+    """Parts of the file that are left alone, grey and seen through, so that they hide nothing."""
+    rest = look.rest
+    if rest is None or not view.rest:
+        return []
+    lit = light_on(shape.turned(rest.normals))[:, None] * REST
+    return [Primitive(shape.to_view(rest.positions), rest.triangles, lit, opacity=REST_OPACITY)]
 
 
 def _part(triangles: IndexArray) -> tuple[IndexArray, IndexArray]:

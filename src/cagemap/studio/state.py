@@ -32,6 +32,9 @@ class Files:
         How target and source are subdivided, "none" for a mesh as it is; None: as the file says.
     ups : (str or None, str or None)
         Axis of target and source that points up in the view, "y" or "z"; None: as a USD file says, else y.
+    parts : (str or None, str or None)
+        Part of either file that is meant, as `cagemap match --part` takes it; None: the whole file. A file of several
+        pieces is opened with its largest one where none is named, and that one is named here from then on.
     """
 
     target: Path
@@ -41,6 +44,7 @@ class Files:
     result: Path
     schemes: tuple[str | None, str | None] = (None, None)
     ups: tuple[str | None, str | None] = (None, None)
+    parts: tuple[str | None, str | None] = (None, None)
 
 
 @dataclass(frozen=True)
@@ -58,12 +62,15 @@ class View:
         Doubtful places of the map in red.
     linked : bool
         Turning one model turns the other.
+    rest : bool
+        Parts of the files that are not open, in grey.
     """
 
     mode: Mode = "texture"
     cages: bool = False
     doubts: bool = True
     linked: bool = True
+    rest: bool = True
 
 
 @dataclass(frozen=True)

@@ -1,23 +1,18 @@
-"""Which files the page may touch, and the autosave beside the landmark file."""
+"""Which files the page may touch."""
 
 from __future__ import annotations
 
 import itertools
-import json
 import os
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
-from cagemap.errors import FormatError, ParameterError
+from cagemap.errors import ParameterError
 from cagemap.files.atomic import atomic_path
-from cagemap.files.curves import pair_curves, pair_entries
-from cagemap.files.marks import mark
 from cagemap.files.obj import named_material_files
-from cagemap.files.text import read_text
 from cagemap.files.usd import USD_SUFFIXES
 from cagemap.files.usd_named import named_files
-from cagemap.studio.landmarks import Landmark, LandmarkList, Place
 
 MESHES = (".obj", ".ply", ".stl", ".off", ".usd", ".usda", ".usdc", ".usdz")
 IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
@@ -26,7 +21,6 @@ TABLES = (".npy", ".npz", ".csv")
 # What may be added through the page.
 ADDED = tuple(dict.fromkeys((*MESHES, ".mtl", *IMAGES, *LANDMARKS, *TABLES)))
 Named = TypeVar("Named")
-_AUTOSAVE = "cagemap-studio-autosave"
 # A listing longer than this helps nobody.
 _LONGEST_LISTING = 500
 # Entries of a folder that are looked at: somebody may start in a folder of everything.
@@ -136,75 +130,3 @@ class Workspace:
             return os.path.relpath(path, self.folders[0])
         except ValueError:  # another drive
             return str(path)
-
-
-def autosave_path(landmarks: Path) -> Path:
-    """Where unsaved landmarks are kept."""
-    return landmarks.with_name(f".{landmarks.name}.autosave")
-
-
-def write_autosave(path: Path, landmarks: LandmarkList) -> None:
-    """Keep all landmarks, also the one that waits for its other place."""
-    items = [
-        {"number": item.number, "name": item.name, "target": _entry(item.target), "source": _entry(item.source)}
-        for item in landmarks.items
-    ]
-    curves = [] if landmarks.curves is None else list(map(json.loads, pair_entries(path, landmarks.curves)))
-    kept = {"format": _AUTOSAVE, "mark": mark(), "items": items, "curves": curves}
-    with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(kept, indent=1), encoding="utf-8")
-
-
-def read_autosave(path: Path, vertices: tuple[int, int]) -> LandmarkList:
-    """Read kept landmarks; a file that cannot be used is moved aside, so that the next autosave does not replace it.
-
-    Parameters
-    ----------
-    vertices : (int, int)
-        Control vertices of target and source.
-
-    Raises
-    ------
-    FormatError
-        If the file is not one of ours, is damaged, or was made for other models.
-    """
-    try:
-        data = json.loads(read_text(path, "an autosave of the studio"))
-        if data["format"] != _AUTOSAVE:
-            raise KeyError("format")
-        items = tuple(
-            Landmark(
-                int(entry["number"]),
-                str(entry["name"]),
-                _place(entry["target"], vertices[0]),
-                _place(entry["source"], vertices[1]),
-            )
-            for entry in data["items"]
-        )
-        curves = pair_curves(path, data["curves"])
-        for side, count in ((curves.target, vertices[0]), (curves.source, vertices[1])):
-            if side.points.corners.max(initial=-1) >= count:
-                raise ValueError(f"a curve of a model that has more than {count} control vertices")
-    except (ValueError, KeyError, TypeError, FormatError) as error:
-        aside = next(name for k in itertools.count(1) if not (name := path.with_name(f"{path.name}.{k}")).exists())
-        path.rename(aside)
-        raise FormatError(
-            f"{path}: expected an autosave of the studio for these models, found something else ({error!r}). "
-            f"It was moved to {aside.name}."
-        ) from None
-    return LandmarkList(items, curves if len(curves) else None)
-
-
-def _entry(place: Place | None) -> dict[str, Any] | None:
-    return None if place is None else {"position": place.position, "corners": place.corners, "weights": place.weights}
-
-
-def _place(entry: Any, vertices: int) -> Place | None:
-    if entry is None:
-        return None
-    x, y, z = map(float, entry["position"])
-    a, b, c = map(int, entry["corners"])
-    u, v, w = map(float, entry["weights"])
-    if not 0 <= min(a, b, c) <= max(a, b, c) < vertices:
-        raise ValueError(f"control vertices {a}, {b}, {c} of a model that has {vertices}")
-    return Place((x, y, z), (a, b, c), (u, v, w))

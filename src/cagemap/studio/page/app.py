@@ -121,22 +121,11 @@ class StudioApp:
     def _refresh(self, state: Studio, scene: Scene | None) -> None:
         # The panels first, in messages of their own: a page takes them at once, what is drawn with the next picture.
         self._work.refresh(state)
-        self._setup.refresh(state, parts_text(state, scene))
+        self._setup.refresh(state, scene)
         for server in self._servers.values():
             server.flush()
         for view in self._views:
             view.refresh(state, scene)
-
-
-def parts_text(state: Studio, scene: Scene | None) -> str:
-    """Names of both models' parts."""
-    if scene is None:
-        return ""
-    lines = [
-        f"**{shape.name}**, {len(shape.positions):,} vertices" + (f": {', '.join(shape.parts)}" if shape.parts else "")
-        for shape in (scene.target, scene.source)
-    ]
-    return "\n\n".join(lines)
 
 
 def run_studio(request: StudioRequest, tell: Callable[[str], None]) -> None:

@@ -14,7 +14,9 @@ from cagemap.mesh.schemes import SCHEMES
 from cagemap.studio.opening import default_files
 from cagemap.studio.page.choices import NONE, Choices, put
 from cagemap.studio.page.finish_panel import FinishPanel
-from cagemap.studio.page.texts import landmark_table, map_text, status_text
+from cagemap.studio.page.part_choices import PartChoices
+from cagemap.studio.page.texts import landmark_table, map_text, parts_text, status_text
+from cagemap.studio.scene import Scene
 from cagemap.studio.session import Session
 from cagemap.studio.state import MODES, Files, Studio
 from cagemap.studio.workspace import IMAGES, LANDMARKS, MESHES
@@ -45,23 +47,25 @@ class SetupPanel:
             gui.add_button("Open", icon=viser.Icon.FOLDER_OPEN).on_click(lambda _: self._open())
             upload = gui.add_upload_button("Add a file", hint="copies a file of yours into the studio's folder")
             upload.on_upload(lambda event: self._upload(event.target.value))
+            self._parts = PartChoices(gui, session)
         with gui.add_folder("View"):
             view = session.state.view
             self._mode = gui.add_dropdown("Show", MODES, initial_value=view.mode)
             self._doubts = gui.add_checkbox("Doubtful places", view.doubts, hint="red where the map folds or strains")
             self._cages = gui.add_checkbox("Cages", view.cages)
             self._linked = gui.add_checkbox("Turn together", view.linked)
-            for handle in (self._mode, self._doubts, self._cages, self._linked):
+            self._rest = gui.add_checkbox("Other parts", view.rest, visible=False, hint="of the files, in grey")
+            for handle in (self._mode, self._doubts, self._cages, self._linked, self._rest):
                 handle.on_update(lambda _: self._show())
             gui.add_button("Frame", icon=viser.Icon.FOCUS_CENTERED).on_click(lambda _: frame())
         with gui.add_folder("Finish"):
             self._finish = FinishPanel(gui, session, choices)
-        self._parts = gui.add_markdown("")
+        self._names = gui.add_markdown("")
         self._shown: Files | None = None
         gui.main_panel.dock_left()
         gui.main_panel.set_width(WIDTH)
 
-    def refresh(self, state: Studio, parts: str) -> None:
+    def refresh(self, state: Studio, scene: Scene | None) -> None:
         """Show the state as it is now."""
         if state.files is not None and state.files != self._shown:
             self._shown = files = state.files
@@ -76,7 +80,10 @@ class SetupPanel:
         put(self._cages, "value", view.cages)
         put(self._linked, "value", view.linked)
         put(self._mode, "value", view.mode)
-        put(self._parts, "content", parts)
+        put(self._rest, "value", view.rest)
+        put(self._rest, "visible", scene is not None and scene.leaves_any)
+        put(self._names, "content", parts_text(scene))
+        self._parts.refresh(scene)
         self._finish.refresh(state)
 
     def _show(self) -> None:
@@ -86,6 +93,7 @@ class SetupPanel:
             doubts=self._doubts.value,
             cages=self._cages.value,
             linked=self._linked.value,
+            rest=self._rest.value,
         )
         if view != self._session.state.view:
             self._session.show(view)

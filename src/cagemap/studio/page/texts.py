@@ -7,6 +7,7 @@ from urllib.parse import quote
 
 from cagemap.studio.downloads import ALL
 from cagemap.studio.page.colors import css, landmark_color
+from cagemap.studio.scene import Scene
 from cagemap.studio.state import Output, Studio
 
 # Rows of the list before it scrolls, in pixels.
@@ -84,3 +85,15 @@ def _link(output: Output) -> str:
         return f"{what}: {name}"
     tab = ' target="_blank" rel="noopener"' if output.path.suffix.lower() == ".html" else ""
     return f'{what}: <a href="/files/{quote(output.path.name, safe="")}"{tab} style="color:#9ecbff">{name}</a>'
+
+
+def parts_text(scene: Scene | None) -> str:
+    """Names of both models' parts."""
+    if scene is None:
+        return ""
+    lines = []
+    for shape, offer in zip((scene.target, scene.source), scene.offers, strict=True):
+        part = "" if offer.opened is None else f", {offer.opened.partition(':')[2]}"
+        names = f": {', '.join(shape.parts)}" if shape.parts else ""
+        lines.append(f"**{shape.name}**{part}, {len(shape.positions):,} vertices{names}")
+    return "\n\n".join(lines)

@@ -1,0 +1,132 @@
+"""What is not saved yet, kept beside the landmark file, in the numbers of the models' files."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from cagemap.errors import FormatError
+from cagemap.files.atomic import atomic_path
+from cagemap.files.curves import pair_entries
+from cagemap.files.landmarks import entered, entries
+from cagemap.files.marks import mark
+from cagemap.files.text import read_text
+from cagemap.mesh.curves import Curves
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.studio.landmarks import Landmark, LandmarkList, Place
+
+_AUTOSAVE = "cagemap-studio-autosave"
+_NUMBERS = "of the files"
+
+Parts = tuple[str | None, str | None]
+
+
+def autosave_path(landmarks: Path) -> Path:
+    """Where unsaved landmarks are kept."""
+    return landmarks.with_name(f".{landmarks.name}.autosave")
+
+
+def write_autosave(path: Path, landmarks: LandmarkList, parts: Parts = (None, None)) -> None:
+    """Keep all landmarks, also the one that waits for its other place.
+
+    Parameters
+    ----------
+    path : Path
+    landmarks : LandmarkList
+        In the files' numbers.
+    parts : (str or None, str or None)
+        That are open.
+    """
+    items = [
+        {"number": item.number, "name": item.name, "target": _entry(item.target), "source": _entry(item.source)}
+        for item in landmarks.items
+    ]
+    others = landmarks.elsewhere or Landmarks.none()
+    curves = (landmarks.curves or Curves.none()).beside(others.curves)
+    kept = {
+        "format": _AUTOSAVE,
+        "numbers": _NUMBERS,
+        "mark": mark(),
+        "parts": parts,
+        "items": items,
+        "pairs": list(map(json.loads, entries(others))),
+        "curves": list(map(json.loads, pair_entries(path, curves))),
+    }
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(kept, indent=1), encoding="utf-8")
+
+
+def kept_parts(path: Path) -> Parts:
+    """Parts that were open when landmarks were kept; none without a readable autosave, which `read_autosave` names."""
+    try:
+        data = json.loads(read_text(path, "an autosave of the studio"))
+        target, source = data["parts"]
+    except (ValueError, KeyError, TypeError, FormatError):
+        return None, None
+    return target if isinstance(target, str) else None, source if isinstance(source, str) else None
+
+
+def read_autosave(path: Path, vertices: tuple[int, int]) -> LandmarkList:
+    """Read kept landmarks; a file that cannot be used is moved aside, so that the next autosave does not replace it.
+
+    Parameters
+    ----------
+    path : Path
+    vertices : (int, int)
+        Vertices of the target's and the source's file.
+
+    Returns
+    -------
+    landmarks : LandmarkList
+        In the files' numbers; which curves lie on the open parts is not known yet.
+
+    Raises
+    ------
+    FormatError
+        If the file is not one of ours, is damaged, or was made for other models.
+    """
+    try:
+        data = json.loads(read_text(path, "an autosave of the studio"))
+        if (data["format"], data["numbers"]) != (_AUTOSAVE, _NUMBERS):
+            raise KeyError("format")
+        items = tuple(
+            Landmark(
+                int(entry["number"]),
+                str(entry["name"]),
+                _place(entry["target"], vertices[0]),
+                _place(entry["source"], vertices[1]),
+            )
+            for entry in data["items"]
+        )
+        others = entered(path, {"pairs": data["pairs"], "curves": data["curves"]})
+        sides = (others.target_points, others.curves.target), (others.source_points, others.curves.source)
+        for (points, lines), count in zip(sides, vertices, strict=True):
+            if max(points.corners.max(initial=-1), lines.points.corners.max(initial=-1)) >= count:
+                raise ValueError(f"landmarks of a model that has more than {count} vertices")
+    except (ValueError, KeyError, TypeError, FormatError) as error:
+        aside = next(name for k in itertools.count(1) if not (name := path.with_name(f"{path.name}.{k}")).exists())
+        path.rename(aside)
+        raise FormatError(
+            f"{path}: expected an autosave of the studio for these models, found something else ({error!r}). "
+            f"It was moved to {aside.name}."
+        ) from None
+    curves = others.curves if len(others.curves) else None
+    return LandmarkList(items, curves, replace(others, curves=Curves.none()) if len(others) else None)
+
+
+def _entry(place: Place | None) -> dict[str, Any] | None:
+    return None if place is None else {"position": place.position, "corners": place.corners, "weights": place.weights}
+
+
+def _place(entry: Any, vertices: int) -> Place | None:
+    if entry is None:
+        return None
+    x, y, z = map(float, entry["position"])
+    a, b, c = map(int, entry["corners"])
+    u, v, w = map(float, entry["weights"])
+    if not 0 <= min(a, b, c) <= max(a, b, c) < vertices:
+        raise ValueError(f"vertices {a}, {b}, {c} of a model that has {vertices}")
+    return Place((x, y, z), (a, b, c), (u, v, w))
