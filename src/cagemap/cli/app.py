@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from cagemap import __version__
+from cagemap.cli.functions_command import functions
 from cagemap.cli.map_command import map_file
 from cagemap.cli.match_command import match
 from cagemap.cli.options import (
@@ -296,5 +297,6 @@ def studio(
     run_studio(request, say)
 
 
+app.command()(functions)
 app.command()(wrap)
 app.command("map")(map_file)

@@ -22,7 +22,7 @@ def basis_config(request: MatchRequest) -> BasisConfig:
     schedule = None if request.schedule is None else parse_schedule(request.schedule)
     count = default_basis(request.method).count if request.k is None else request.k
     made = BasisConfig(count, request.tolerance, schedule, request.accuracy, request.literal and schedule is not None)
-    return _with_vertices(_with_laplacian(made, request.laplacian, "--laplacian"), request)
+    return _with_vertices(with_laplacian(made, request.laplacian, "--laplacian"), request)
 
 
 def side_bases(request: MatchRequest) -> tuple[BasisConfig, BasisConfig]:
@@ -55,7 +55,7 @@ def side_bases(request: MatchRequest) -> tuple[BasisConfig, BasisConfig]:
             accuracy=basis.accuracy if accuracy is None else accuracy,
             literal=literal,
         )
-        found.append(_with_vertices(_with_laplacian(basis, laplacian, f"--{side}-laplacian"), request))
+        found.append(_with_vertices(with_laplacian(basis, laplacian, f"--{side}-laplacian"), request))
     return found[0], found[1]
 
 
@@ -66,7 +66,7 @@ def _with_vertices(basis: BasisConfig, request: MatchRequest) -> BasisConfig:
     return replace(basis, vertices=None if exact else usual.vertices)
 
 
-def _with_laplacian(basis: BasisConfig, text: str | None, option: str) -> BasisConfig:
+def with_laplacian(basis: BasisConfig, text: str | None, option: str) -> BasisConfig:
     """A basis of the Laplacian that is named, such as ``alexa-wardetzky`` or ``alexa-wardetzky:2``."""
     if text is None:
         return basis
