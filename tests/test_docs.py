@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
 import re
@@ -10,8 +11,11 @@ from pathlib import Path
 import pytest
 
 import cagemap
+from cagemap.cli.words import OPTIONS, in_options
 
 ROOT = Path(__file__).resolve().parents[1]
+SOURCE = ROOT / "src" / "cagemap"
+ABOVE = ("cli", "studio", "library")  # rooms that know of the command line
 PAPER_MAP = (ROOT / "docs" / "paper_map.md").read_text(encoding="utf-8")
 
 
@@ -119,3 +123,18 @@ def test_the_architecture_names_every_file_of_the_maps_room() -> None:
     above = text.split("| room |")[0]
     files = {path.stem for path in (ROOT / "src" / "cagemap" / "maps").glob("*.py")} - {"__init__"}
     assert files <= set(re.findall(r"`(\w+)`", above))
+
+
+def test_only_the_command_line_names_its_options() -> None:
+    """Rooms below it say what Python calls a thing; `cagemap.cli.words.OPTIONS` translates, and has nothing unused."""
+    below = [path for path in SOURCE.glob("*/**/*.py") if path.relative_to(SOURCE).parts[0] not in ABOVE]
+    texts = {
+        node.value
+        for path in below
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    }
+    assert len(below) > 150
+    assert [text for text in texts if re.search(r"(^|[\s(`>])--[a-z]{2}", text)] == []
+    assert [python for python in OPTIONS if not any(python in text for text in texts)] == []
+    assert in_options("allow it (`force=True`).") == "allow it (--force)."

@@ -231,7 +231,7 @@ def test_the_result_tells_of_it(misled):
     assert found.landmark_errors[number] == found.suspects[0].distance
     (message,) = landmark_messages(found.manifest)
     assert wrong.names[number] in message
-    assert "--trust-landmarks" in message
+    assert "`check_landmarks=False`" in message
 
 
 def test_trusted_landmarks_are_met_even_if_wrong(pair, misled):

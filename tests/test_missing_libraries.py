@@ -69,7 +69,7 @@ def test_pictures_and_layouts_name_the_library_they_miss(without_embreex_and_xat
     mesh = cube()
     with pytest.raises(MissingLibraryError, match="pictures: expected the library embreex"):
         _ = Model(mesh.positions, np.array([[0, 1, 2]])).scene
-    with pytest.raises(MissingLibraryError, match=r"--unwrap.*expected the library xatlas"):
+    with pytest.raises(MissingLibraryError, match=r"`unwrap`.*expected the library xatlas"):
         unwrap(mesh)
 
 

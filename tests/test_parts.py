@@ -59,7 +59,7 @@ def test_parts_are_listed_with_their_sizes(tmp_path: Path) -> None:
     write_obj(tmp_path / "scene.obj", _scene())
     text, sound = check_files([tmp_path / "scene.obj"])
     assert not sound
-    assert "--part" in text
+    assert "`find_part`" in text
     assert "object:eye_right     20 faces" in text
 
 
@@ -266,7 +266,7 @@ def _match(folder: Path, name: str, **options: object) -> tuple[str, list[str]]:
 
 
 def test_a_file_of_several_pieces_says_how_to_go_on(folder: Path) -> None:
-    with pytest.raises(InvalidMeshError, match="--part"):
+    with pytest.raises(InvalidMeshError, match="`find_part` NAME"):
         _match(folder, "REFUSED")
 
 

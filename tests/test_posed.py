@@ -39,7 +39,7 @@ def test_mirrored_landmarks_are_met_and_the_other_reading_is_offered(shared_data
     assert found.quality.landmark_errors.max() < 1e-9
     assert found.confidence is not None
     assert found.confidence.verdict == TWO
-    assert "--answer 1" in found.confidence.message
+    assert "`answer=1`" in found.confidence.message
     chosen = match(*surfaces, mirrored, MatchConfig(answer=1))
     assert len(chosen.landmarks) >= 20
     assert chosen.confidence is None

@@ -91,7 +91,7 @@ def test_a_folder_with_a_foreign_manifest_is_left_alone(place: Path) -> None:
     (work / "manifest.json").write_text('{"name": "a web app"}')
     (work / "sub" / "photo.raw").write_bytes(b"\0\1")
     before = contents(work)
-    with pytest.raises(FormatError, match=r"manifest\.json: exists.*--force"):
+    with pytest.raises(FormatError, match=r"manifest\.json: exists.*force=True"):
         write_result(work, identity_result())
     assert contents(work) == before
     write_result(work, identity_result(), force=True)
@@ -221,7 +221,7 @@ def test_outputs_are_no_inputs(place: Path, force: bool) -> None:
         lambda: run_report(ReportRequest(place / "R", place / "t.png", place / "t.png", force), Stages()),
     ]
     for attempt in attempts:
-        with pytest.raises(FormatError, match="is an input too"):
+        with pytest.raises(FormatError, match="is an input too|expected the name of a page"):
             attempt()
     mesh = MatchRequest(place / "box.obj", place / "box.obj", place / "R" / MANIFEST, place / "R", force=force)
     with pytest.raises(FormatError, match="is an input too"):
@@ -288,11 +288,10 @@ def test_no_command_overwrites_what_it_did_not_write(place: Path) -> None:
         lambda: texture_of(place, "painted.png"),
         lambda: refine_file(place / "box.obj", 1, place / "mine.obj"),
         lambda: run_report(ReportRequest(place / "R", place / "mine.html"), Stages()),
-        lambda: run_report(ReportRequest(place / "R", place / "mine.obj"), Stages()),
         lambda: run_transfer(attribute, Stages()),
     ]
     for attempt in attempts:
-        with pytest.raises(FormatError, match=r"was not written by cagemap.*--force"):
+        with pytest.raises(FormatError, match=r"was not written by cagemap.*force=True"):
             attempt()
     assert contents(place) == before
     texture_of(place, "mine.png", force=True)

@@ -440,7 +440,7 @@ def test_wrong_input_is_refused_with_its_remedy() -> None:
     assert level.faces is not None
     naked = Level(level.positions, level.faces, level.face_parents)
     texture = noise(8, 8, 3, "uint8")
-    with pytest.raises(ParameterError, match="--unwrap"):
+    with pytest.raises(ParameterError, match="`unwrap`"):
         bake_texture(prepare_transfer(naked, level, identity_map(level)), texture, size=8)
     with pytest.raises(ParameterError, match="target and source exchanged"):
         prepare_transfer(plane(3, 3), level, identity_map(level))

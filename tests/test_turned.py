@@ -31,7 +31,7 @@ def test_an_end_as_good_that_turns_a_limb_is_named_where_it_differs_most() -> No
     assert doubt is not None
     assert (doubt.verdict, doubt.deciding, doubt.readings[0].name) == (LOOK, limb, AS_GIVEN)
     assert f"target vertex {limb}" in doubt.message
-    assert "--answer 1" in doubt.message
+    assert "`answer=1`" in doubt.message
     # One end, a dear one, or one that only slides along the surface leave nothing open.
     slid = FineFit(1.01e-4, places + np.array([0.01, 0, 0]))
     assert turned_limbs((best,), found, surface) is None

@@ -312,7 +312,7 @@ def test_meshes_of_different_schemes_are_read_for_their_parts(tmp_path: Path) ->
     eye.CreateFaceVertexIndicesAttr(ball.face_indices.tolist())
     eye.CreateSubdivisionSchemeAttr("loop")
     stage.Save()
-    with pytest.raises(FormatError, match="--part NAME"):
+    with pytest.raises(FormatError, match="`find_part` NAME"):
         read_usd(path)
     mixed = read_usd(path, mixed=True)
     part = extract(mixed, find_part(mixed, "eye").faces)

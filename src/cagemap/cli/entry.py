@@ -10,7 +10,7 @@ from types import FrameType
 from typing import Any, NoReturn
 
 from cagemap.cli.app import app
-from cagemap.cli.words import set_verbosity, tolerate_odd_names
+from cagemap.cli.words import in_options, set_verbosity, tolerate_odd_names
 from cagemap.errors import CagemapError
 
 WRONG_INPUT, INTERNAL, SIGNALLED = 2, 70, 128
@@ -81,5 +81,5 @@ def _run() -> None:
 
 
 def _fail(message: str, code: int) -> NoReturn:
-    sys.stderr.write(f"cagemap: error: {message}\n")
+    sys.stderr.write(f"cagemap: error: {in_options(message)}\n")
     raise SystemExit(code)

@@ -9,6 +9,23 @@ from collections.abc import Iterable
 
 _log = logging.getLogger("cagemap.cli")
 
+# What the rooms below name as Python has it, and how the command line calls it.
+OPTIONS = {
+    "`force=True`": "--force",
+    "`check_landmarks=False`": "--trust-landmarks",
+    "`Landmarks.reversed()`": "--exchange-landmarks",
+    "`answer=1`": "--answer 1",
+    "`find_part`": "--part",
+    "`unwrap`": "--unwrap",
+}
+
+
+def in_options(text: str) -> str:
+    """A message of the rooms below in the words of the command line."""
+    for python, option in OPTIONS.items():
+        text = text.replace(python, option)
+    return text
+
 
 class _StandardError(logging.Handler):
     """``cagemap: warning: ...`` for warnings, ``cagemap: ...`` for what is only said when asked for."""
@@ -16,7 +33,7 @@ class _StandardError(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         level = "" if record.levelno < logging.WARNING else f"{record.levelname.lower()}: "
         try:
-            sys.stderr.write(f"cagemap: {level}{self.format(record)}\n")
+            sys.stderr.write(f"cagemap: {level}{in_options(self.format(record))}\n")
             sys.stderr.flush()
         except BrokenPipeError:
             _forget(sys.stderr.fileno())
@@ -43,7 +60,7 @@ def say(text: str) -> None:
     if not _log.isEnabledFor(logging.WARNING):
         return
     try:
-        sys.stdout.write(f"{text}\n")
+        sys.stdout.write(f"{in_options(text)}\n")
         sys.stdout.flush()
     except BrokenPipeError:
         _forget(sys.stdout.fileno())

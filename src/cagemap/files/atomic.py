@@ -157,7 +157,7 @@ def require_replaceable(path: str | Path, *, force: bool = False, owned: Owned =
     if not force and status.st_size and not owned(target):
         raise FormatError(
             f"{file}: exists, and was not written by cagemap or was changed since, so it is not overwritten. Give "
-            "another name, or allow it with force (--force)."
+            "another name, or allow it (`force=True`)."
         )
 
 
@@ -183,7 +183,7 @@ def require_own_folder(path: str | Path, names: Iterable[str], *, force: bool = 
     if not force and not present and any(target.iterdir()):
         raise FormatError(
             f"{folder}: the folder holds files but no {' and '.join(names)}, so it is not a result of an earlier run "
-            "and nothing is written to it. Give another name, or allow it with force (--force)."
+            "and nothing is written to it. Give another name, or allow it (`force=True`)."
         )
 
 

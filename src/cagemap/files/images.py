@@ -260,7 +260,7 @@ def check_writable(path: str | Path, dtype: np.dtype[Any], channels: int) -> Non
     if str(dtype) not in _FORMATS[suffix]:
         others = [other for other, types in _FORMATS.items() if str(dtype) in types]
         bits = " or ".join(str(bits) for bits in (8, 16, 32) if str(pixel_type(bits, suffix)) in _FORMATS[suffix])
-        remedy = f"Write {' or '.join(others)}, or choose --bits {bits}" if others else f"Choose --bits {bits}"
+        remedy = f"Write {' or '.join(others)}, or choose {bits} bits" if others else f"Choose {bits} bits"
         raise FormatError(f"{file}: {suffix} holds {' or '.join(_FORMATS[suffix])}, got {dtype} pixels. {remedy}.")
 
 
@@ -337,7 +337,7 @@ def texture_pixels(texture: Image | Mapping[int, Image]) -> Pixels | dict[int, P
 
 
 def pixel_type(bits: int, suffix: str) -> np.dtype[Any]:
-    """Number type for ``--bits``: 8 and 16 are integers (16 is half float in EXR), 32 is float.
+    """Number type for bits a channel: 8 and 16 are integers (16 is half float in EXR), 32 is float.
 
     Raises
     ------

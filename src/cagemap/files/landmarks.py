@@ -212,8 +212,7 @@ def _compare_names(path: Path, landmarks: Landmarks, target: str, source: str) -
         raise DirectionError(
             f"{path}: expected landmarks for target {Path(target).name} and source {Path(source).name}, got target "
             f"{landmarks.target_name} and source {landmarks.source_name}, which is the other way round. Exchange "
-            "--target and --source, or say --exchange-landmarks to use the pairs reversed (in Python, "
-            "Landmarks.reversed())."
+            "target and source, or use the pairs reversed (`Landmarks.reversed()`)."
         )
     return (
         f"{path.name} was made for target {landmarks.target_name} and source {landmarks.source_name} and is used for "

@@ -172,7 +172,7 @@ def read_usd(path: str | Path, *, mixed: bool = False) -> ControlMesh:
     if len(schemes) > 1:
         raise FormatError(
             f"{file}: expected meshes that are all subdivided alike, got {' and '.join(schemes)} (of "
-            f"{', '.join(schemes.values())}). Name the one that is meant, --part NAME."
+            f"{', '.join(schemes.values())}). Match the one that is meant (`find_part` NAME)."
         )
     return joined
 
@@ -193,8 +193,8 @@ def one_mesh(path: str | Path, meshes: tuple[UsdMesh, ...], control: ControlMesh
     chosen = [mesh for mesh in meshes if mesh.path in words]
     if len(chosen) != 1:
         raise FormatError(
-            f"{path}: expected one mesh, got {', '.join(mesh.path for mesh in meshes)}. Match one by --part, or make "
-            "what is meant a file of its own."
+            f"{path}: expected one mesh, got {', '.join(mesh.path for mesh in meshes)}. Match one of them "
+            "(`find_part` NAME), or make what is meant a file of its own."
         )
     return chosen[0]
 

@@ -164,7 +164,7 @@ def _answers(result: MatchResult, gallery: Gallery) -> str:
     )
     lead = (
         "Colours say where on the source a point goes, as above: one of the two maps has the source's colours in the "
-        "right places. A landmark where they differ decides; <code>--answer 1</code> takes the other."
+        "right places. A landmark where they differ decides; answer 1 of a match is the other."
     )
     return _section("Two answers: which is right?", lead, body)
 

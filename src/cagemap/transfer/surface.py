@@ -69,8 +69,7 @@ class TexturedSurface:
         """
         if self.uvs is None or self.uv_triangles is None:
             raise ParameterError(
-                "expected a surface with texture coordinates, got none: unwrap its control mesh first "
-                "(cagemap.transfer.unwrap, or --unwrap on the command line)"
+                "expected a surface with texture coordinates, got none: unwrap its control mesh first (`unwrap`)"
             )
         return self.uvs, self.uv_triangles
 

@@ -86,7 +86,7 @@ def _smooth_positions(control: ControlMesh) -> FloatArray:
 
 def _charts(positions: FloatArray, triangles: IndexArray) -> _Charts:
     """Cut a triangle mesh into flat charts, in the mesh's own length unit, none mirrored."""
-    xatlas = library("xatlas", "UV layouts (--unwrap)")
+    xatlas = library("xatlas", "UV layouts (`unwrap`)")
     atlas = xatlas.Atlas()
     atlas.add_mesh(positions.astype(np.float32), triangles.astype(np.uint32))
     charting, packing = xatlas.ChartOptions(), xatlas.PackOptions()

@@ -119,7 +119,7 @@ def wrap(
     if config.level >= finest:
         raise ParameterError(
             f"fit level: expected a level below the map's own, 0 to {finest - 1}, got {config.level}; "
-            "match at a higher --level to fit a finer net"
+            "match at a higher level to fit a finer net"
         )
     if point_map.target.n != target.finest.n_vertices:
         raise ParameterError(

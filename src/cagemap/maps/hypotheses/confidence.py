@@ -139,20 +139,19 @@ class Confidence:
         if any(reading.exchange for reading in self.readings):
             return (
                 "two answers: the landmarks surround each other in the opposite sense on the two surfaces. The map "
-                f"meets them {self.readings[0].name}; {self.readings[1].name} there is another: --answer 1 (in "
-                "Python MatchConfig(answer=1))"
+                f"meets them {self.readings[0].name}; {self.readings[1].name} there is another (`answer=1`)"
             )
         if self.readings[0].name == AS_GIVEN:
             return (
                 f"look at it: {self.readings[1].name} the landmarks are met nearly as cheaply ({self.gap:.2f} times "
-                f"the cost). A landmark at target vertex {self.deciding} decides; --answer 1 takes the other map"
+                f"the cost). A landmark at target vertex {self.deciding} decides; `answer=1` takes the other map"
             )
         answer = f"without landmarks the target lies on the source {self.readings[0].name}"
         if self.verdict == SURE:
             return f"{answer}; no other way fits nearly as well: sure"
         if self.verdict == TWO:
             return (
-                f"two answers: {answer}, but {self.readings[1].name} fits as well (--answer 1). A landmark at "
+                f"two answers: {answer}, but {self.readings[1].name} fits as well (`answer=1`). A landmark at "
                 f"target vertex {self.deciding} decides"
             )
         hint = f", first at target vertex {self.deciding}" if self.deciding is not None else ""

@@ -92,8 +92,8 @@ class LandmarkSuspect:
             f"landmark '{self.name}' looks wrong and was left out: its distances to the other landmarks do not fit, a "
             "map that follows it costs much more, and without it the map leads "
             f"{100 * self.distance:.0f} % of the model's size away from source vertex {self.source_vertex}, to near "
-            f"vertex {self.nearest_vertex}. Check this pair; --trust-landmarks (in Python "
-            "MatchConfig(check_landmarks=False)) keeps all pairs as they are"
+            f"vertex {self.nearest_vertex}. Check this pair, or trust all pairs as they "
+            "are (`check_landmarks=False`)"
         )
 
 
