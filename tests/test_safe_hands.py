@@ -221,7 +221,7 @@ def test_outputs_are_no_inputs(place: Path, force: bool) -> None:
         lambda: run_report(ReportRequest(place / "R", place / "t.png", place / "t.png", force), Stages()),
     ]
     for attempt in attempts:
-        with pytest.raises(FormatError, match="is an input too|expected the name of a page"):
+        with pytest.raises(FormatError, match=r"is an input too|expected the name of a page"):
             attempt()
     mesh = MatchRequest(place / "box.obj", place / "box.obj", place / "R" / MANIFEST, place / "R", force=force)
     with pytest.raises(FormatError, match="is an input too"):

@@ -295,7 +295,8 @@ def _components_problem(mesh: ControlMesh, labels: IndexArray) -> Problem | None
         SEVERAL,
         f"expected one connected piece, got {len(sizes)} of {first_few(sizes.tolist())} faces, which begin at faces",
         tuple(first_faces.tolist()),
-        f"Match a part (`find_part` NAME, largest, or each; the check lists them), or delete the pieces not wanted.{copy}",
+        "Match a part (`find_part` NAME, largest, or each; the check lists them), or delete the pieces not "
+        f"wanted.{copy}",
     )
 
 
