@@ -65,6 +65,10 @@ class CurvePair:
     target: SurfaceCurve
     source: SurfaceCurve
 
+    def reversed(self) -> CurvePair:
+        """The same with the source in the target's place."""
+        return CurvePair(self.name, self.source, self.target)
+
 
 @dataclass(frozen=True)
 class CurveMiss:

@@ -37,6 +37,10 @@ class Masks:
         """Whether anything is masked."""
         return self.target is not None or self.source is not None
 
+    def reversed(self) -> Masks:
+        """The same with the source in the target's place."""
+        return Masks(self.source, self.target)
+
     def for_vertices(self, vertices: IndexArray) -> Masks:
         """The same of some target vertices, in their order."""
         return self if self.target is None else Masks(self.target[vertices], self.source)

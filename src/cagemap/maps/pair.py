@@ -65,6 +65,10 @@ class PointPairs:
     def __len__(self) -> int:
         return len(self.target)
 
+    def reversed(self) -> PointPairs:
+        """The same pairs and curves with the source in the target's place."""
+        return PointPairs(self.source, self.target, tuple(curve.reversed() for curve in self.curves))
+
     def only(self, kept: Sequence[int] | IndexArray) -> PointPairs:
         """The pairs at some places."""
         rows = np.asarray(kept, dtype=np.int64)

@@ -32,6 +32,12 @@ PARTS_APART = 0.02
 LEAST_PART = 5e-4
 PART_RINGS = 3
 
+# The mean with the inverse of the reversed fit: length, of sqrt(area), of its smoothing; distance from the inverse's
+# mesh at which a vertex counts a quarter; and how far apart opposite normals are where the inverse is read.
+INVERSE_SMOOTHING = 0.02
+INVERSE_GAP = 0.01
+INVERSE_FACING = 0.02
+
 # What it lies on
 
 # Vertices from which a level of the source is fine enough to lie on while fitting.

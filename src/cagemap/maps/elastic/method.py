@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from cagemap.basis import Surface
+from cagemap.maps.elastic.both_ways import both_ways
 from cagemap.maps.elastic.constants import DOUBTFUL
 from cagemap.maps.elastic.ends import FineFit, finished_ends, mean_distance
 from cagemap.maps.elastic.fit import coarse_fit, fine_fit
@@ -61,6 +62,7 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
     landmark coordinates; from where it sends some vertices, and from the landmarks alone, the coarse stage of the
     elastic fit starts. Where these two end apart, limbs may be turned: spectral upsampling makes further starts of the
     spectral map's end, and the fine stage goes on from all that lie apart, and from where a stiffer coarse stage ends.
+    The best of these ends is moved half-way to what it is seen from the source (`both_ways`).
     Where they end alike, no joint needs the soft stage, and the stiffer one spreads the strain more evenly.
 
     Parameters
@@ -85,7 +87,8 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
         with ThreadPool(1) as aside:
             other = aside.submit(coarse_fit, stiff, sheet, start, places, stiffer)
             ends += in_threads(lambda rough: coarse_fit(shape, sheet, rough, places, elastic), starts)
-            return finished_ends(prepared, shape, ends, pair.landmarks, stiff=[other.result()])
+            first, *others = finished_ends(prepared, shape, ends, pair.landmarks, stiff=[other.result()])
+            return replace(first, positions=both_ways(prepared, pair.landmarks, first.positions)), *others
     # The start from the landmarks is another one here: differentials are smoothed over the stiffer stage's length.
     both: list[FloatArray | None] = [start, None]
     ends = in_threads(lambda rough: coarse_fit(stiff, sheet, rough, places, stiffer), both)

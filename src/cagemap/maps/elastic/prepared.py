@@ -160,6 +160,15 @@ class PreparedPair:
         """The source's finest surface, which maps lead to."""
         return self.source.triangles(self.source.finest)
 
+    @cached_property
+    def reversed(self) -> PreparedPair:
+        """The source in the target's place and the other way round, on the same levels; made when first asked for."""
+        target, source = self.source, self.target
+        mesh, masks = target.triangles(self.levels[1]), self.rest.masks.reversed()
+        rest = RestShape.build(self.graphs[1], mesh, self.elastic.fine.smoothing, masks)
+        sheet = source.triangles(source.refinement.coarsest_level(SHEET_VERTICES))
+        return PreparedPair(target, source, self.hierarchy, self.elastic, self.levels[::-1], rest, sheet)
+
     def coarse(self, kept: IndexArray | None = None, curves: tuple[CurvePair, ...] = ()) -> CoarseShape:
         """Clusters of the target's mesh, each of the kept vertices (p,) one of its own; landmarks, or none."""
         kept = np.zeros(0, dtype=np.int64) if kept is None else kept

@@ -1,0 +1,95 @@
+"""A fit and what its inverse becomes: their mean leaves out half of what the energy prefers one way only."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cagemap.basis import BasisConfig, Surface, hierarchical_basis
+from cagemap.maps.curves import CurvePair, SurfaceCurve
+from cagemap.maps.elastic.both_ways import both_ways, inverse, smoothed
+from cagemap.maps.elastic.prepared import PreparedPair
+from cagemap.maps.masks import Masks
+from cagemap.maps.pair import PointPairs
+from cagemap.maps.spectral.hierarchical import HierarchyConfig
+from cagemap.mesh.shapes import creature
+from cagemap.operators import build_operators
+from cagemap.refinement import refine
+
+
+@pytest.fixture(scope="module")
+def prepared() -> PreparedPair:
+    """A creature on itself, fitted at 1500 vertices."""
+    refinement = refine(creature(), 2)
+    operators = build_operators(refinement)
+    surface = Surface.of(refinement, operators, hierarchical_basis(refinement, operators, BasisConfig(count=4)))
+    return PreparedPair.build(surface, surface, HierarchyConfig(search_vertices=1000))
+
+
+def slid(prepared: PreparedPair, by: float) -> np.ndarray:
+    """Places on the source that all lie too far in front."""
+    mesh = prepared.mesh
+    moved = mesh.positions + by * np.array([0.0, 0.0, 1.0])
+    return moved - np.einsum("nd,nd->n", moved - mesh.positions, mesh.vertex_normals)[:, None] * mesh.vertex_normals
+
+
+def test_the_inverse_of_a_motion_is_the_motion_back(prepared: PreparedPair) -> None:
+    mesh = prepared.mesh
+    rotation = np.linalg.qr(np.random.default_rng(3).standard_normal((3, 3)))[0]
+    rotation *= np.sign(np.linalg.det(rotation))
+    places, gaps = inverse(mesh, mesh.positions, mesh)
+    np.testing.assert_allclose(places, mesh.positions, atol=1e-9)
+    assert gaps.max() < 1e-9
+    turned = type(mesh)(mesh.positions @ rotation.T, mesh.triangles)
+    places, gaps = inverse(mesh, turned.positions, turned)
+    np.testing.assert_allclose(places, mesh.positions, atol=1e-7)
+    far, _ = inverse(mesh, turned.positions + 1e-3, turned)
+    assert 1e-4 < np.linalg.norm(far - mesh.positions, axis=1).mean() < 2e-3
+
+
+def test_half_of_a_slide_is_taken_back(prepared: PreparedPair) -> None:
+    """The way back from a slid fit of a shape onto itself ends where it should: half of the slide is left."""
+    landmarks = np.arange(0, prepared.target.refinement.levels[0].n_vertices, 4)
+    on = prepared.on_source
+    pairs = PointPairs.of_vertices(on, on, landmarks, landmarks)
+    start = slid(prepared, 0.01)
+    start[landmarks] = prepared.mesh.positions[landmarks]
+    before = np.linalg.norm(start - prepared.mesh.positions, axis=1).mean()
+    after = np.linalg.norm(both_ways(prepared, pairs, start) - prepared.mesh.positions, axis=1).mean()
+    assert 0.4 * before < after < 0.65 * before
+    still = both_ways(prepared, pairs, prepared.mesh.positions)
+    assert np.linalg.norm(still - prepared.mesh.positions, axis=1).max() < 2e-3
+
+
+def test_what_is_not_trusted_follows_its_surroundings(prepared: PreparedPair) -> None:
+    n, rng = prepared.mesh.n, np.random.default_rng(5)
+    same = np.tile([1.0, -2.0, 3.0], (n, 1))
+    np.testing.assert_allclose(smoothed(prepared, same, rng.uniform(size=n)), same, atol=1e-6)
+    wild, trust = same.copy(), np.ones(n)
+    wild[7], trust[7] = 100.0, 0.0
+    np.testing.assert_allclose(smoothed(prepared, wild, trust)[7], same[7], atol=1e-2)
+    assert np.abs(smoothed(prepared, wild, np.ones(n))[7] - same[7]).max() > 1.0
+
+
+def test_a_reversed_pair_has_its_sides_exchanged(prepared: PreparedPair) -> None:
+    other = refine(creature(), 2)
+    operators = build_operators(other)
+    basis = hierarchical_basis(other, operators, BasisConfig(count=4))
+    source = Surface.of(other, operators, basis)
+    masks = Masks(np.linspace(0, 1, other.finest.n_vertices), None)
+    pair = PreparedPair.build(prepared.target, source, HierarchyConfig(search_vertices=1000), masks=masks)
+    back = pair.reversed
+    assert (back.target, back.source) == (pair.source, pair.target)
+    assert back.levels == pair.levels[::-1]
+    assert back.mesh.n == back.rest.graph.n == source.triangles(back.levels[0]).n
+    assert (back.rest.masks.target, back.rest.masks.source) == (None, masks.target)
+    assert back.sheet.n >= back.mesh.n
+    vertices = np.arange(4)
+    on = pair.on_source
+    line = SurfaceCurve(PointPairs.of_vertices(on, on, vertices, vertices).target, False)
+    closed = SurfaceCurve(line.points, True)
+    pairs = PointPairs.of_vertices(on, on, vertices, vertices + 9)
+    turned = PointPairs(pairs.target, pairs.source, (CurvePair("rim", line, closed),)).reversed()
+    np.testing.assert_array_equal(turned.target.positions, pairs.source.positions)
+    assert turned.curves[0].target.closed
+    assert not turned.curves[0].source.closed
