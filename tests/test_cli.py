@@ -22,9 +22,9 @@ from cagemap.cli.match import MatchRequest, match_config, read_inputs
 from cagemap.cli.progress import Stages
 from cagemap.example import ExamplePair, example_pair
 from cagemap.files.images import read_image, write_image
-from cagemap.files.landmark_points import write_points
 from cagemap.files.landmarks import read_landmarks, write_landmarks
 from cagemap.files.meshes import read_mesh, write_mesh
+from cagemap.files.point_forms import write_points
 from cagemap.files.result import file_hash, read_result, write_result
 from cagemap.files.surface_store import prepared
 from cagemap.mesh import cube, icosahedron

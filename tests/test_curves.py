@@ -15,9 +15,10 @@ from typer.testing import CliRunner
 from cagemap.basis.prepare import prepare_surfaces
 from cagemap.cli.app import app
 from cagemap.errors import FormatError, InvalidLandmarksError
-from cagemap.files.landmark_points import read_points, write_points
+from cagemap.files.landmark_points import read_points
 from cagemap.files.landmarks import read_landmarks, write_landmarks
 from cagemap.files.meshes import write_mesh
+from cagemap.files.point_forms import write_points
 from cagemap.files.result import ARRAYS, read_result, write_result
 from cagemap.geometry.polylines import Polyline
 from cagemap.maps.curves import curve_pairs, edge_vertices, refined_edges

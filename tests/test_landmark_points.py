@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,10 @@ from hypothesis import strategies as st
 
 from cagemap import match, prepare_surface, update_match
 from cagemap.errors import FormatError, InvalidLandmarksError
-from cagemap.files.landmark_points import read_points, write_points
+from cagemap.files.landmark_points import read_points
+from cagemap.files.point_forms import POINT_FORMS, PointForm, write_points
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.cage_points import NamedCurve
 from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, check_landmarks, on_cage, paired
 from cagemap.mesh.measures import fan_triangles
 from cagemap.mesh.shapes import creature, cube
@@ -25,15 +28,50 @@ def some_points() -> NamedPoints:
     return NamedPoints(("tip & end", "side"), np.array([4, -1]), np.array([NOWHERE, (0.5, 0.25, -1.0)]), "cube.obj")
 
 
-@pytest.mark.parametrize("name", ["points.json", "points.pp"])
-def test_what_is_written_reads_back(tmp_path: Path, name: str) -> None:
-    points = some_points()
-    write_points(tmp_path / name, points, cube())
-    found = read_points(tmp_path / name)
-    assert found.names == points.names
-    ours, theirs = on_cage(points, cube()), on_cage(found, cube())
-    np.testing.assert_allclose(ours.of(cube().positions), theirs.of(cube().positions), atol=1e-12)
-    np.testing.assert_array_equal(theirs.vertices, [4, -1])
+NAMES = st.text(st.characters(exclude_categories=("C", "Z")), min_size=1, max_size=6).filter(lambda name: name.strip())
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.data())
+@pytest.mark.parametrize("form", POINT_FORMS, ids=lambda form: form.ending)
+def test_what_is_written_reads_back(
+    tmp_path_factory: pytest.TempPathFactory, form: PointForm, data: st.DataObject
+) -> None:
+    mesh = creature()
+    names = tuple(data.draw(st.lists(NAMES, unique=True, max_size=6)))
+    vertices = np.array(data.draw(st.permutations(range(mesh.n_vertices)))[: len(names)], dtype=np.int64)
+    vertices[data.draw(st.lists(st.booleans(), min_size=len(names), max_size=len(names)))] = -1
+    corners = fan_triangles(mesh)[0][data.draw(st.integers(0, 20)) + np.arange(len(names))]
+    between = mesh.positions[corners].mean(axis=1).reshape(-1, 3)
+    points = NamedPoints(names, vertices, np.where(vertices[:, None] >= 0, np.nan, between), "creature.obj")
+    line = NamedCurve("a line", mesh.face_indices[:4], mesh.positions[mesh.face_indices[:4]], closed=True)
+    if form.curves:
+        points = replace(points, curves=(line,))
+    file = tmp_path_factory.mktemp("points") / f"a.target{form.ending}"
+    write_points(file, points, mesh)
+    found = read_points(file, mesh)
+    assert found.names == (names if form.names else tuple(f"point {k}" for k in range(len(names))))
+    ours, theirs = on_cage(points, mesh), on_cage(found, mesh)
+    np.testing.assert_allclose(ours.of(mesh.positions), theirs.of(mesh.positions), atol=1e-9)
+    np.testing.assert_array_equal(theirs.vertices, vertices)
+    assert [(curve.name, curve.closed) for curve in found.curves] == [("a line", True)] * form.curves
+    for curve in found.curves:
+        places = np.where(curve.vertices[:, None] >= 0, mesh.positions[np.maximum(curve.vertices, 0)], curve.positions)
+        np.testing.assert_allclose(places, line.positions, atol=1e-9)
+    # What it wrote it may write again, where the form has a place for a mark.
+    if form.ending == ".txt":
+        with pytest.raises(FormatError):
+            write_points(file, points, mesh)
+    else:
+        write_points(file, points, mesh)
+    assert bool(form.lost(replace(points, curves=(line,)))) == (not form.curves)
+
+
+def test_a_form_that_is_not_known_is_refused(tmp_path: Path) -> None:
+    for name in ("points.md", "points"):
+        with pytest.raises(FormatError, match=r"\.fcsv"):
+            write_points(tmp_path / name, some_points(), cube())
+    assert not list(tmp_path.iterdir())
 
 
 def test_other_programs_forms(tmp_path: Path) -> None:

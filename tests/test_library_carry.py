@@ -15,8 +15,9 @@ from cagemap.cli.app import app
 from cagemap.cli.library import COMMANDS
 from cagemap.errors import FormatError
 from cagemap.example import example_pair
-from cagemap.files.landmark_points import read_points, write_points
+from cagemap.files.landmark_points import read_points
 from cagemap.files.meshes import write_mesh
+from cagemap.files.point_forms import write_points
 from cagemap.files.result import read_manifest, write_result
 from cagemap.geometry.points import SurfacePoints
 from cagemap.library import Plan, plan_job, read_job, spanning_tree

@@ -8,11 +8,12 @@ from types import SimpleNamespace
 from typing import Any
 from unittest.mock import MagicMock
 
+from cagemap.files.point_forms import POINT_FORMS
 from cagemap.studio.opening import default_files
 from cagemap.studio.page.choices import NONE, Choices
-from cagemap.studio.page.panels import SetupPanel, WorkPanel
+from cagemap.studio.page.panels import FORMS, MOST_ANSWERS, SetupPanel, WorkPanel, with_ending
 from cagemap.studio.page.view import Marker, ModelView
-from cagemap.studio.state import Files, Studio
+from cagemap.studio.state import Files, MapState, Studio
 from cagemap.studio.workspace import Workspace
 
 
@@ -20,6 +21,7 @@ def server() -> Any:
     """Something that has viser's fields, each of its own."""
     made = MagicMock()
     made.gui.add_text.side_effect = lambda label, value="", **_: MagicMock(value=value)
+    made.gui.add_button.side_effect = lambda label, **_: MagicMock(label=label)
     made.gui.add_dropdown.side_effect = lambda label, options, **_: MagicMock(value=options[0], options=options)
     return made
 
@@ -86,3 +88,27 @@ def test_a_landmark_dropped_beside_the_model_returns(tmp_path: Path) -> None:
     drag("end", None)
     assert [tuple(node.position) for node in nodes] == [(0.0, 0.5, 0.0)] * 2
     assert not session.move.called
+
+
+def test_another_form_has_another_ending() -> None:
+    assert set(FORMS.values()) == {".json", *(form.ending for form in POINT_FORMS)}
+    name = "a.b.json"
+    for ending in FORMS.values():
+        name = with_ending(name, ending)
+        assert name == f"a.b{ending}"
+    assert with_ending("marks", ".pp") == "marks.pp"
+
+
+def test_every_other_answer_is_a_button(tmp_path: Path) -> None:
+    workspace = Workspace.of(tmp_path)
+    session = MagicMock(workspace=workspace, state=Studio(map=MapState(answers=("as it is", "turned"), chosen=0)))
+    panel = WorkPanel(server(), session, Choices(workspace))
+    panel.refresh(session.state)
+    assert [button.visible for button in panel._answers] == [True, True] + [False] * (MOST_ANSWERS - 2)
+    assert [button.label for button in panel._answers[:2]] == ["as it is", "turned"]
+    panel._choose_answer(0, None)
+    assert not session.choose_answer.called
+    panel._choose_answer(1, None)
+    session.choose_answer.assert_called_once_with(1)
+    panel.refresh(Studio(map=MapState(answers=("as it is",))))
+    assert not any(button.visible for button in panel._answers)

@@ -15,12 +15,13 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images import write_image
 from cagemap.files.landmarks import write_landmarks
 from cagemap.files.meshes import write_mesh
+from cagemap.files.point_forms import POINT_FORMS
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.shapes import cube
 from cagemap.studio.autosave import autosave_path, read_autosave
 from cagemap.studio.bench import OpenModels
 from cagemap.studio.finish import FinishOptions
-from cagemap.studio.landmark_files import PER_MESH
+from cagemap.studio.landmark_files import points_file
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.opening import default_files
 from cagemap.studio.places import vertex_place
@@ -193,7 +194,10 @@ def click_between(session: Session, side: str) -> np.ndarray:
     return hit.position
 
 
-@pytest.mark.parametrize("name", ["", "other.json", "both.pp", "both.points.json"])
+PER_MESH = [f"both{form.ending}" for form in POINT_FORMS]
+
+
+@pytest.mark.parametrize("name", ["", "other.json", *PER_MESH])
 def test_a_click_between_vertices_stays_where_it_was(opened: Session, folder: Path, name: str) -> None:
     clicked = [click_between(opened, side) for side in ("target", "source")]
     item = opened.state.history.present.complete[0]
@@ -202,17 +206,20 @@ def test_a_click_between_vertices_stays_where_it_was(opened: Session, folder: Pa
         assert max(place.weights) < 0.9
     opened.save_as(name)
     opened.remove(1)
-    ending = next((ending for ending in PER_MESH if name.endswith(ending)), None)
-    if ending is None:
+    if name not in PER_MESH:
         assert opened.state.files.landmarks.name == (name or "b__a.json")
         opened.load(Path(name or "b__a.json"))
     else:
         assert opened.state.files.landmarks.name == "b__a.json"
-        opened.load(Path(f"both.target{ending}"), Path(f"both.source{ending}"))
+        opened.load(points_file(Path(name), "target"), points_file(Path(name), "source"))
+        for side in ("target", "source"):  # Wrap's form has no mark, so that nothing is written over it
+            points_file(folder / name, side).unlink()
+        said = [message.text for message in opened.state.messages if "order alone" in message.text]
+        assert bool(said) == (name == "both.txt")
     again = opened.state.history.present.complete[0]
     for side in ("target", "source"):
         np.testing.assert_allclose(again.on(side).position, item.on(side).position, atol=1e-6)
-    for refused in ("refused.txt", "refused.mrk.json"):
+    for refused in ("refused.md", "refused"):
         opened.save_as(refused)
         assert "Choose such a name" in opened.state.messages[-1].text
         assert not (folder / refused).exists()

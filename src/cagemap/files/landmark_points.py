@@ -1,6 +1,7 @@
 """Points and curves of one mesh, by name, as people keep them: our own JSON, MeshLab, 3D Slicer, Wrap, CSV.
 
 A file per mesh instead of one per pair: N meshes need N files, and any two of them are matched by the names they share.
+`cagemap.files.point_forms` writes them.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ import io
 import json
 import math
 import re
-from html import escape
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -18,9 +18,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files.atomic import atomic_path
-from cagemap.files.curves import MESH_FORM, curve_through, mesh_curves, mesh_entries
-from cagemap.files.marks import mark
+from cagemap.files.curves import MESH_FORM, curve_through, mesh_curves
 from cagemap.files.text import read_text
 from cagemap.mesh.cage_points import NamedCurve, NamedPoints
 from cagemap.mesh.control_mesh import ControlMesh
@@ -63,49 +61,6 @@ def read_points(path: str | Path, mesh: ControlMesh | None = None) -> NamedPoint
     else:
         return _json(file, text, mesh)
     return _points(found, "")
-
-
-def write_points(path: str | Path, points: NamedPoints, mesh: ControlMesh, *, force: bool = False) -> None:
-    """Write named points: MeshLab's form if the name ends in .pp, otherwise ours.
-
-    Parameters
-    ----------
-    path : path
-    points : NamedPoints
-    mesh : ControlMesh
-        MeshLab's points are places in space: those of its vertices.
-    force : bool
-        Write over a file that cagemap did not write.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be written, or MeshLab's form is asked for curves, which it does not have.
-    """
-    entries = zip(points.names, points.vertices.tolist(), points.positions.tolist(), strict=True)
-    if str(path).lower().endswith(".pp"):
-        if points.curves:
-            raise FormatError(f"{path}: expected points alone, got curves, which MeshLab's form has not. Write .json.")
-        places = mesh.positions[np.maximum(points.vertices, 0)]
-        places = np.where(points.vertices[:, None] >= 0, places, points.positions)
-        lines = [
-            f'<point name="{_attribute(name)}" x="{x!r}" y="{y!r}" z="{z!r}" active="1"/>'
-            for name, (x, y, z) in zip(points.names, places.tolist(), strict=True)
-        ]
-        body = "\n ".join(lines)
-        text = f"<!DOCTYPE PickedPoints>\n<PickedPoints>\n <!-- {mark()} -->\n {body}\n</PickedPoints>\n"
-    else:
-        shown = [
-            json.dumps({"name": name} | ({"vertex": vertex} if vertex >= 0 else {"position": at}), ensure_ascii=False)
-            for name, vertex, at in entries
-        ]
-        listed = ",\n  ".join(shown)
-        entered = ",\n  ".join(mesh_entries(points.curves))
-        curves = f',\n "curves": [\n  {entered}\n ]' if entered else ""
-        head = f'{{"written_by": "{mark()}",\n "mesh": {json.dumps(points.mesh_name)},'
-        text = f'{head}\n "points": [\n  {listed}\n ]{curves}}}\n'
-    with atomic_path(path, force=force) as temporary:
-        temporary.write_text(text, encoding="utf-8")
 
 
 def _points(found: Named, mesh_name: str, curves: tuple[NamedCurve, ...] = ()) -> NamedPoints:
@@ -263,8 +218,3 @@ def _place(path: Path, name: str, values: Any) -> tuple[float, float, float]:
     if not all(map(math.isfinite, (x, y, z))):
         raise FormatError(f"{path}: '{name}': expected finite numbers, got {values}.")
     return x, y, z
-
-
-def _attribute(text: str) -> str:
-    """Text as the value of an XML attribute."""
-    return escape(text).replace("\n", "&#10;").replace("\r", "&#13;").replace("\t", "&#9;")

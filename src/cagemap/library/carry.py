@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from cagemap.basis import Surface
-from cagemap.files.landmark_points import read_points, write_points
+from cagemap.files.landmark_points import read_points
+from cagemap.files.point_forms import write_points
 from cagemap.files.result import file_hash, read_result
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface

@@ -10,24 +10,20 @@ from pathlib import Path
 
 import numpy as np
 
-from cagemap.errors import CagemapError, FormatError
-from cagemap.files.landmark_points import read_points, write_points
+from cagemap.errors import CagemapError
+from cagemap.files.landmark_points import read_points
 from cagemap.files.landmarks import read_landmarks, write_landmarks
 from cagemap.files.marks import is_own
+from cagemap.files.point_forms import is_of_pairs, point_form, write_points
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.cage_points import NamedCurve
-from cagemap.mesh.curves import Curves
+from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, Renumbering, check_landmarks, paired
 from cagemap.studio.autosave import autosave_path, read_autosave
 from cagemap.studio.landmarks import SIDES, Landmark, LandmarkList, Side
 from cagemap.studio.places import cage_points, places_of
 from cagemap.studio.scene import Scene
 from cagemap.studio.state import Files
-
-# Names that ask for a file a mesh instead of one for the pair.
-PER_MESH = (".points.json", ".pp")
-# 3D Slicer's form, which is read, not written.
-SLICER = ".mrk.json"
 
 
 def load_landmarks(
@@ -143,46 +139,50 @@ def _renumbered(item: Landmark, numbers: dict[Side, Renumbering]) -> Landmark:
     return item
 
 
-def save_landmarks(path: Path, landmarks: LandmarkList, scene: Scene, files: Files) -> tuple[Path, ...]:
-    """Write complete landmarks; returns what was written.
+def save_landmarks(
+    path: Path, landmarks: LandmarkList, scene: Scene, files: Files
+) -> tuple[tuple[Path, ...], tuple[str, ...]]:
+    """Write complete landmarks; returns what was written, and what it could not hold.
 
-    One file of pairs; a name that ends in ``.pp`` or ``.points.json`` asks for one file a mesh, NAME.target.pp and
-    NAME.source.pp. The landmark file that is open may be one that a person made or edited, and one of ours may hold the
-    landmarks of other models: it is copied aside before it is replaced.
+    One file of pairs; a name with the ending of one of `cagemap.files.point_forms` asks for one file a mesh,
+    NAME.target.pp and NAME.source.pp. The landmark file that is open may be one that a person made or edited, and one
+    of ours may hold the landmarks of other models: it is copied aside before it is replaced.
 
     Raises
     ------
     FormatError
-        If the name asks for a form that is not written, a file cannot be written, or another file of that name is there
-        that cagemap did not write.
+        If the name asks for no form, a file cannot be written, or another file of that name is there that cagemap did
+        not write.
     """
     target, source = scene.target.file_mesh, scene.source.file_mesh
-    complete = landmarks_of(landmarks, target, source).renumbered(scene.target.in_file, scene.source.in_file)
+    complete = landmarks_of(landmarks, scene.target.control, scene.source.control)
+    complete = complete.renumbered(scene.target.in_file, scene.source.in_file)
     complete = complete if landmarks.elsewhere is None else complete.beside(landmarks.elsewhere)
-    ending = next((ending for ending in PER_MESH if path.name.lower().endswith(ending)), None)
-    if ending is not None:
-        stem = path.name[: -len(ending)]
-        paths = tuple(path.with_name(f"{stem}.{side}{ending}") for side in ("target", "source"))
-        sides = (
-            (complete.target_points, complete.curves.target, target),
-            (complete.source_points, complete.curves.source, source),
+    if not is_of_pairs(path):
+        sides: tuple[tuple[Side, CagePoints, CageCurves, ControlMesh], ...] = (
+            ("target", complete.target_points, complete.curves.target, target),
+            ("source", complete.source_points, complete.curves.source, source),
         )
-        for file, (points, curves, control) in zip(paths, sides, strict=True):
-            named = _named(complete.names, points, control)
-            lines = tuple(
-                NamedCurve(name, vertices := curves.at([k]).points.vertices, control.positions[vertices], bool(closed))
-                for k, (name, closed) in enumerate(zip(complete.curves.names, curves.closed, strict=True))
-            )
-            write_points(file, replace(named, curves=lines), control)
-        return paths
-    if path.suffix.lower() != ".json" or path.name.lower().endswith(SLICER):
-        known = ", ".join((".json", *PER_MESH))
-        raise FormatError(f"{path.name}: expected a landmark file that ends in one of {known}. Choose such a name.")
+        made = [
+            (points_file(path, side), _named(complete, points, curves, control), control)
+            for side, points, curves, control in sides
+        ]
+        form = point_form(path)
+        for file, named, control in made:
+            write_points(file, named if form.curves else replace(named, curves=()), control)
+        return tuple(file for file, _, _ in made), form.lost(made[0][1])
     is_open = path == files.landmarks
     if path.is_file() and (is_open or is_own(path)) and not _is_of_this_pair(path, scene, files):
         shutil.copy2(path, next(name for name in _aside(path) if not name.exists()))
     write_landmarks(path, complete, force=is_open)
-    return (path,)
+    return (path,), ()
+
+
+def points_file(path: Path, side: Side) -> Path:
+    """File of one mesh's points, for the name that was given for both."""
+    ending = point_form(path).ending
+    stem = path.name[: -len(ending)] if path.name.lower().endswith(ending) else path.stem
+    return path.with_name(f"{stem}.{side}{ending}")
 
 
 def _is_of_this_pair(path: Path, scene: Scene, files: Files) -> bool:
@@ -214,10 +214,16 @@ def _has_points_between(curves: Curves) -> bool:
     return any(bool((side.points.vertices < 0).any()) for side in (curves.target, curves.source))
 
 
-def _named(names: tuple[str, ...], points: CagePoints, control: ControlMesh) -> NamedPoints:
+def _named(landmarks: Landmarks, points: CagePoints, curves: CageCurves, control: ControlMesh) -> NamedPoints:
+    """One side of landmarks, in the numbers of its mesh."""
     vertices = points.vertices
     positions = np.where(vertices[:, None] >= 0, np.nan, points.of(control.positions))
-    return NamedPoints(names, vertices, positions, control.name)
+    lines = tuple(
+        NamedCurve(name, line.vertices, line.of(control.positions), bool(closed))
+        for k, (name, closed) in enumerate(zip(landmarks.curves.names, curves.closed, strict=True))
+        for line in (curves.at([k]).points,)
+    )
+    return NamedPoints(landmarks.names, vertices, positions, control.name, lines)
 
 
 def _aside(path: Path) -> Iterator[Path]:

@@ -263,7 +263,9 @@ class Session(Held):
     def _save(self, path: Path | None = None) -> None:
         files, scene = self._open()
         target = files.landmarks if path is None else self.workspace.require(path)
-        written = save_landmarks(target, self._state.history.present, scene, files)
+        written, lost = save_landmarks(target, self._state.history.present, scene, files)
+        for note in lost:
+            self._say("note", note)
         self._say("note", f"saved {', '.join(map(self.workspace.show, written))}")
         if written == (target,):  # a file a mesh is for other programs; the file of pairs stays the open one
             self._change(files=replace(files, landmarks=target), saved=True)

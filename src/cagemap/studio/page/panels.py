@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,18 @@ from cagemap.studio.workspace import IMAGES, LANDMARKS, MESHES
 
 WIDTH = 270
 AS_FILED = "as the file says"
+# Ways in which two models may agree that have a button.
+MOST_ANSWERS = 6
+# What landmarks are saved as, and the endings that ask for it.
+FORMS = {
+    "pairs (.json)": ".json",
+    "points (.points.json)": ".points.json",
+    "MeshLab (.pp)": ".pp",
+    "3D Slicer (.mrk.json)": ".mrk.json",
+    "3D Slicer (.fcsv)": ".fcsv",
+    "table (.csv)": ".csv",
+    "Wrap (.txt)": ".txt",
+}
 
 
 class SetupPanel:
@@ -166,6 +179,10 @@ class WorkPanel:
             self._mirror = gui.add_button("Mirror", icon=viser.Icon.FLIP_VERTICAL, disabled=True)
             self._mirror.on_click(lambda _: self._on_selected(session.mirror))
             self._file = gui.add_text("File", "")
+            self._form = gui.add_dropdown(
+                "Save as", tuple(FORMS), hint="a program that has one mesh gets one file each"
+            )
+            self._form.on_update(lambda event: self._choose_form(event.client))
             self._save = gui.add_button("Save landmarks", icon=viser.Icon.DEVICE_FLOPPY)
             self._save.on_click(lambda _: session.save_as(self._file.value))
             with gui.add_folder("Load landmarks", expand_by_default=False):
@@ -175,8 +192,9 @@ class WorkPanel:
                 self._load.on_click(lambda _: self._loaded())
         with gui.add_folder("Map"):
             self._map = gui.add_html("")
-            self._answers = gui.add_dropdown("Answer", (NONE,), hint="other ways in which target and source may agree")
-            self._answers.on_update(lambda event: self._choose_answer(event.client))
+            self._answers = [gui.add_button(NONE, visible=False) for _ in range(MOST_ANSWERS)]
+            for index, button in enumerate(self._answers):
+                button.on_click(partial(self._choose_answer, index))
             gui.add_button("Match again", icon=viser.Icon.REFRESH).on_click(lambda _: session.match_again())
         gui.add_command("Undo", hotkey="Z", modifier="cmd/ctrl").on_trigger(lambda _: session.undo())
         gui.add_command("Redo", hotkey="Z", modifier="cmd/ctrl+shift").on_trigger(lambda _: session.redo())
@@ -204,11 +222,21 @@ class WorkPanel:
         if state.files is not None and state.files.landmarks != self._shown:
             self._shown = state.files.landmarks
             put(self._file, "value", self._session.workspace.show(state.files.landmarks))
+            put(self._form, "value", next(iter(FORMS)))
         put(self._map, "content", map_text(state))
-        answers = tuple(f"{number + 1} {name}" for number, name in enumerate(state.map.answers)) or (NONE,)
-        if tuple(self._answers.options) != answers:
-            self._answers.options = answers
-        put(self._answers, "value", answers[min(state.map.chosen, len(answers) - 1)])
+        self._refresh_answers(state)
+
+    def _refresh_answers(self, state: Studio) -> None:
+        """A button for every way in which the models may agree, where there are several."""
+        answers = state.map.answers if len(state.map.answers) > 1 else ()
+        for index, button in enumerate(self._answers):
+            here = index < len(answers)
+            if here:
+                chosen = index == state.map.chosen
+                put(button, "label", answers[index])
+                put(button, "color", "blue" if chosen else "gray")
+                put(button, "icon", viser.Icon.CHECK if chosen else None)
+            put(button, "visible", here)
 
     def _refresh_status(self, state: Studio) -> None:
         job = state.finish_job or state.preview_job
@@ -227,9 +255,14 @@ class WorkPanel:
         if client is not None:  # by a person, not by `refresh`
             self._session.select(self._numbers.get(self._chosen.value))
 
-    def _choose_answer(self, client: object) -> None:
-        if client is not None and self._answers.value in self._answers.options:
-            self._session.choose_answer(list(self._answers.options).index(self._answers.value))
+    def _choose_answer(self, index: int, _: object) -> None:
+        if index != self._session.state.map.chosen:
+            self._session.choose_answer(index)
+
+    def _choose_form(self, client: object) -> None:
+        """Another program's file has another ending."""
+        if client is not None:
+            put(self._file, "value", with_ending(self._file.value, FORMS[self._form.value]))
 
     def _rename(self, client: object) -> None:
         number = self._session.state.selected
@@ -249,3 +282,9 @@ class WorkPanel:
         number = self._session.state.selected
         if number is not None:
             change(number)
+
+
+def with_ending(name: str, ending: str) -> str:
+    """A file name with the ending of another form."""
+    old = max((known for known in FORMS.values() if name.lower().endswith(known)), key=len, default="")
+    return name[: len(name) - len(old)] + ending
