@@ -204,7 +204,7 @@ def test_transfer_bakes_and_report_shows_it(run: Run, result_folder: Path, monke
     ("words", "expected"),
     [
         (["--texture", "none.png", "-o", "o.png"], "none.png: expected an image, there is no such file"),
-        (["--texture", "t.png", "-o", "o.exr"], "choose --bits 16 or 32"),
+        (["--texture", "t.png", "-o", "o.exr"], "choose 16 or 32 bits"),
         (["--texture", "t.png", "-o", "o.png", "--bits", "12"], "8, 16 or 32"),
         (["--texture", "t.png", "-o", "."], "got no suffix"),
         (["--texture", "t.png", "-o", "o"], "got no suffix"),
