@@ -6,75 +6,184 @@ import io
 import queue
 import zipfile
 from pathlib import Path
+from typing import Any
 
+import pytest
 import typer
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cagemap.cli import app
+from cagemap.cli.detail_bakes import KINDS
+from cagemap.cli.masks import IMAGE_SUFFIXES, mask_file
+from cagemap.cli.match_request import MASK_FILES
+from cagemap.cli.option_list import REQUESTS, all_options
+from cagemap.errors import ParameterError
+from cagemap.files.attributes import SUFFIXES as VALUE_SUFFIXES
 from cagemap.studio.downloads import ALL, content
-from cagemap.studio.finish import FinishOptions, WrapOptions, commands
+from cagemap.studio.finish import SHARED, FinishOptions, commands, planned
+from cagemap.studio.finish_layout import ADVANCED, FOLDS, LEFT_OUT, SIZE, VERTICES, folds, keys, on_the_page
 from cagemap.studio.opening import default_files
-from cagemap.studio.runner import Runner, stage_of
-from cagemap.studio.state import Output
+from cagemap.studio.options import Key, Option, Value, catalogue
+from cagemap.studio.runner import Runner, outputs_of, stage_of
+from cagemap.studio.state import Message, Output
+from cagemap.studio.workspace import Workspace
 from test_obj import QUICK
+
+OPTIONS = all_options()
+SHOWN = (*keys(FOLDS), VERTICES, SIZE)
 
 
 def test_a_finish_is_the_commands_that_one_would_type(tmp_path: Path) -> None:
     files = default_files(tmp_path, tmp_path / "cow.obj", tmp_path / "spot.obj", tmp_path / "spot.png")
-    todo = commands(files, FinishOptions(vertices=5000, size=256, unwrap=True), landmarks=True)
+    asked = FinishOptions(given={VERTICES: 5000, SIZE: 256, ("transfer", "unwrap"): True})
+    todo = commands(OPTIONS, files, asked, landmarks=True)
     assert [command.title for command in todo] == ["match", "texture", "report"]
     assert "--landmarks" in todo[0].arguments
-    assert "--landmarks" not in commands(files, FinishOptions(), landmarks=False)[0].arguments
+    assert "--landmarks" not in commands(OPTIONS, files, FinishOptions(), landmarks=False)[0].arguments
     assert str(todo[1]).startswith(
         f"cagemap transfer {files.result} --texture {tmp_path / 'spot.png'} --size 256 --unwrap"
     )
 
 
-OPTIONS = st.builds(
+def test_every_option_is_on_the_page_or_left_out_for_a_reason_that_the_page_of_docs_gives() -> None:
+    assert {*SHOWN, *LEFT_OUT, *SHARED} <= {*OPTIONS}
+    assert len({*SHOWN}) == len(SHOWN)
+    assert not {*SHOWN} & {*LEFT_OUT}
+    studio = (Path(__file__).parents[1] / "docs" / "studio.md").read_text(encoding="utf-8")
+    assert [OPTIONS[key].flag for key in LEFT_OUT if f"`{OPTIONS[key].flag}`" not in studio] == []
+
+
+def test_an_option_that_is_new_to_the_command_line_is_on_the_page() -> None:
+    grain = Option("transfer", "grain", "--grain", "How coarse.", "number", 1.0)
+    more = {**OPTIONS, **catalogue([grain])}
+    assert folds(more)[-1].title == ADVANCED
+    assert keys(folds(more)[len(FOLDS) :]) == (grain.key,)
+    files = default_files(Path("/w"), Path("/w/cow.obj"), Path("/w/spot.obj"), Path("/w/spot.png"))
+    todo = commands(more, files, FinishOptions(given={grain.key: 2.0}), landmarks=False)
+    assert "--grain 2.0" in str(todo[1])
+
+
+def test_words_that_the_command_line_knows_by_other_means_are_the_same() -> None:
+    assert OPTIONS["transfer", "bake"].choices == KINDS
+    assert {*MASK_FILES} == {*VALUE_SUFFIXES, *IMAGE_SUFFIXES}
+    assert all(mask_file(f"not:a{suffix}") is not None for suffix in MASK_FILES)
+
+
+def values(option: Option) -> st.SearchStrategy[Value]:
+    """What the page may say for an option."""
+    file = Path(f"/w/{option.name}.obj")
+    made: dict[str, st.SearchStrategy[Value]] = {
+        "flag": st.booleans(),
+        "output": st.booleans(),
+        "choice": st.sampled_from(option.choices or ("none",)),
+        "several": st.sets(st.sampled_from(option.choices or ("none",))).map(lambda some: tuple(sorted(some))),
+        "whole": st.integers(int(option.least or 0), 8) if (option.least or 0) <= 8 else st.just(option.least),
+        "number": st.floats(0, 1),
+        "text": st.just("body"),
+        "name or file": st.sampled_from(["body", "not:body", "/w/mask.png"]),
+        "file": st.just(file),
+        "files": st.just((file, file.with_suffix(".npz"))),
+        "named files": st.just((("", file), ("normal map", file))),
+    }
+    return made[option.kind]
+
+
+GIVEN: Any = st.fixed_dictionaries({}, optional={key: values(OPTIONS[key]) for key in SHOWN})
+ASKED = st.builds(
     FinishOptions,
-    vertices=st.integers(1000, 10**6),
-    size=st.none() | st.just(512),
-    bits=st.none() | st.sampled_from([8, 16, 32]),
     texture=st.booleans(),
-    as_color=st.booleans(),
-    displacement=st.none() | st.just(Path("height.exr")),
-    scale=st.floats(-2, 2),
-    midlevel=st.none() | st.floats(-1, 1),
-    normal_map=st.none() | st.just(Path("normals.png")),
-    vector_displacement=st.none() | st.just(Path("vectors.exr")),
-    space=st.sampled_from(["tangent", "object"]),
-    green=st.sampled_from(["up", "down"]),
-    attribute=st.none() | st.just(Path("age.csv")),
-    material_colors=st.booleans(),
-    source_uvs=st.booleans(),
-    weights=st.none() | st.just(Path("weights.npz")),
-    influences=st.integers(0, 8),
-    joints=st.none() | st.just(Path("joints.json")),
-    blend_shapes=st.none() | st.just(Path("smile.obj")),
-    write_map=st.sampled_from(["", ".npy", ".mhclo"]),
-    wrap=st.none() | st.builds(WrapOptions, st.integers(0, 3), st.floats(0, 1), st.just(1e-4), st.booleans()),
-    unwrap=st.booleans(),
+    maps=st.sampled_from([(), (("roughness", Path("/w/rough.png")),)]),
+    map_form=st.sampled_from(["", ".npy", ".mhclo"]),
+    image_form=st.sampled_from(["", ".exr"]),
+    wrap=st.booleans(),
     report=st.booleans(),
+    name=st.sampled_from(["", "hero"]),
+    given=GIVEN,
 )
 
 
 @QUICK
-@given(options=OPTIONS)
-def test_the_command_line_understands_every_finish(options: FinishOptions) -> None:
+@given(asked=ASKED)
+def test_the_command_line_understands_every_finish(asked: FinishOptions) -> None:
     files = default_files(Path("/w"), Path("/w/cow.obj"), Path("/w/spot.obj"), Path("/w/spot.png"))
-    todo = commands(files, options, landmarks=True)
+    todo = commands(OPTIONS, files, asked, landmarks=True)
     known = typer.main.get_command(app).commands
     for command in todo:
         name, *words = command.arguments
         known[name].make_context(name, words)  # raises where an option is unknown or a value is none
-    written = [output.path for command in todo for output in command.outputs]
+    written = [command.output for command in todo]
     # No two commands write the same file, and none writes what another reads.
     assert len(set(written)) == len(written)
-    assert not set(written) & {files.target, files.source, files.texture, *options.paths}
-    # Every option that is asked for is in some command.
-    words = {word for command in todo for word in command.arguments}
-    assert {str(path) for path in options.paths} <= words
+    assert not set(written) & {files.target, files.source, files.texture}
+    # Every option that is asked for is in some command, unless what it belongs to is not.
+    typed = {command.arguments[0]: set(command.arguments) for command in todo}
+    for key in (key for key in asked.given if key[0] == "match"):
+        said = OPTIONS[key].words(asked.given[key])
+        assert not said or said[0] in typed["match"]
+    for carried in ("normal_map", "displacement", "weights", "attribute", "blend_shapes"):
+        assert (("transfer", carried) in asked.given) == any(
+            OPTIONS["transfer", carried].flag in command.arguments
+            for command in todo
+            if command.arguments[0] == "transfer"
+        )
+
+
+def given_values(**given: Value) -> dict[Key, Value]:
+    return {("transfer", name): value for name, value in given.items()}
+
+
+def test_own_images_lie_under_what_they_are_named_after() -> None:
+    files = default_files(Path("/w"), Path("/w/cow.obj"), Path("/w/spot.obj"), Path("/w/spot.png"))
+    own = (("", Path("/w/c.png")), ("Normal Map", Path("/w/n.png")), ("ao", Path("/w/ao.png")))
+    asked = FinishOptions(given=given_values(bases=own, normal_map=Path("/w/bumps.png"), bake=("ao",)))
+    texture, normals, baked = commands(OPTIONS, files, asked, landmarks=False)[1:4]
+    assert "--base /w/c.png" in str(texture)
+    assert "--base /w/n.png" in str(normals)
+    assert "--base ao=/w/ao.png" in str(baked)
+    with_maps = FinishOptions(maps=(("roughness", Path("/w/r.png")),), given=given_values(bases=own))
+    assert "--base color=/w/c.png" in str(commands(OPTIONS, files, with_maps, landmarks=False)[1])
+
+
+def test_links_that_lead_out_of_the_folders_are_neither_read_nor_written(tmp_path: Path) -> None:
+    inside, outside = tmp_path / "in", tmp_path / "out"
+    for folder in (inside, outside, inside / "shapes"):
+        folder.mkdir()
+    for name in ("secret.obj", "secret.png"):
+        (outside / name).write_text("secret")
+    workspace = Workspace.of(inside)
+    files = default_files(inside, inside / "cow.obj", inside / "spot.obj", inside / "spot.png")
+
+    def refused(asked: FinishOptions) -> None:
+        with pytest.raises(ParameterError, match="outside"):
+            planned(OPTIONS, workspace, files, asked, landmarks=False)
+
+    shapes = FinishOptions(given=given_values(blend_shapes=(Path("shapes"),)))
+    planned(OPTIONS, workspace, files, shapes, landmarks=False)
+    (inside / "shapes" / "smile.obj").symlink_to(outside / "secret.obj")
+    refused(shapes)
+    (inside / "skin.1001.png").touch()
+    (inside / "skin.1002.png").symlink_to(outside / "secret.png")
+    refused(FinishOptions(given=given_values(normal_map=Path("skin.<UDIM>.png"))))
+    refused(FinishOptions(given={("match", "target_mask"): "not:../out/secret.png"}))
+    (inside / "cow_from_spot.1002.png").symlink_to(outside / "secret.png")
+    refused(FinishOptions())
+    with pytest.raises(ParameterError, match="Name"):
+        planned(OPTIONS, workspace, files, FinishOptions(name="../hero"), landmarks=False)
+
+
+def test_tiles_are_listed_as_one_image_and_folders_where_they_may_be_chosen(tmp_path: Path) -> None:
+    for name in ("skin.1001.png", "skin.1002.png", "photo_1024.png", "faces/smile.obj"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    assert Workspace.of(tmp_path).listing((".png",)) == ("photo_1024.png", "skin.<UDIM>.png")
+    assert Workspace.of(tmp_path).listing((".obj", "/")) == ("faces", "faces/smile.obj")
+
+
+def test_a_message_says_where_on_the_page_its_remedy_is() -> None:
+    text = on_the_page(OPTIONS, "x.png: exists. Give another name, or allow it with force (--force).")
+    assert text.endswith("(On this page --force: Overwrite, under Files.)")
+    assert on_the_page(OPTIONS, "too many landmarks") == "too many landmarks"
 
 
 def test_downloads_are_the_outputs_and_nothing_else(tmp_path: Path) -> None:
@@ -94,19 +203,41 @@ def test_downloads_are_the_outputs_and_nothing_else(tmp_path: Path) -> None:
             "RESULT/map.npz": b"map",
             "cow.png": b"png",
         }
+    folder, kind = content(outputs, "RESULT.zip") or (b"", "")
+    with zipfile.ZipFile(io.BytesIO(folder)) as archive:
+        assert archive.namelist() == ["RESULT/map.npz"]
     assert content((), ALL) is None
 
 
-def test_a_failing_command_gives_its_own_words(tmp_path: Path) -> None:
+def test_a_failing_command_gives_its_own_words_and_the_others_go_on(tmp_path: Path) -> None:
     files = default_files(tmp_path, tmp_path / "cow.obj", tmp_path / "spot.obj", None)
-    ended: queue.Queue[str | None] = queue.Queue()
-    Runner(lambda _: None, lambda _: None, ended.put).start(commands(files, FinishOptions(), landmarks=True))
-    words = ended.get(timeout=60)
-    assert words is not None
-    assert words.startswith("match:")
-    assert "error" in words
+    told: list[Message] = []
+    ended: queue.Queue[Message] = queue.Queue()
+    runner = Runner(lambda _: None, lambda _: None, told.append, ended.put)
+    todo = commands(OPTIONS, files, FinishOptions(), landmarks=True)
+    runner.start(todo)
+    assert ended.get(timeout=60).kind == "error"
+    # Nothing can be done without a map.
+    assert [message.text.partition(":")[0] for message in told] == ["match"]
+    assert "cow.obj" in told[0].text
+    told.clear()
+    check = type(todo[0])("check", ("--version",), tmp_path / "x")
+    runner.start((check, todo[1], check, todo[1]))
+    assert ended.get(timeout=60).text.endswith(": report, report")
+    assert [message.kind for message in told] == ["error", "error"]
+
+
+def test_what_a_command_wrote_in_folders_is_told_as_the_folder(tmp_path: Path) -> None:
+    files = default_files(tmp_path, tmp_path / "cow.obj", tmp_path / "spot.obj", None)
+    (match, *_) = commands(OPTIONS, files, FinishOptions(), landmarks=False)
+    inside = (files.result / "map.npz", files.result / "manifest.json", tmp_path / "a.png", tmp_path.parent / "b.png")
+    assert [output.path.name for output in outputs_of(match, inside)] == [files.result.name, "a.png"]
 
 
 def test_stages_are_read_from_verbose_commands() -> None:
     assert stage_of("cagemap: stage: functional map\n") == "functional map"
     assert stage_of("wrote stage: nothing") is None
+
+
+def test_every_command_of_a_finish_is_asked_by_its_request() -> None:
+    assert {key[0] for key in OPTIONS} == {*REQUESTS}

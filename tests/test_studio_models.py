@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from cagemap.cli.option_list import all_options
 from cagemap.errors import ParameterError
 from cagemap.files.images import write_image
 from cagemap.files.meshes import write_mesh
@@ -132,7 +133,7 @@ def test_a_mesh_as_it_is_keeps_the_numbers_of_its_file(tmp_path: Path) -> None:
     again, _ = load_landmarks(files.landmarks, None, scene, files)
     assert [item.target for item in again.items] == [item.target for item in picked.items]
     # The finish says so too, and the map of a mesh onto itself takes vertices to themselves.
-    assert "--target-scheme none" in str(commands(files, FinishOptions(), landmarks=True)[0])
+    assert "--target-scheme none" in str(commands(all_options(), files, FinishOptions(), landmarks=True)[0])
     bench, found = perform(bench, FindMap(opening, landmarks(bench, 0, 17, 33, 60, 90, 120), View()), lambda _: None)
     assert isinstance(found, Found)
     places = found.images.on(opened.source.triangles, opened.source.positions)

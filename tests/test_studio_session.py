@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cagemap.cli.option_list import all_options
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images import write_image
 from cagemap.files.landmarks import write_landmarks
@@ -24,6 +25,7 @@ from cagemap.studio.finish import FinishOptions
 from cagemap.studio.landmark_files import points_file
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.opening import default_files
+from cagemap.studio.options import Value
 from cagemap.studio.places import vertex_place
 from cagemap.studio.preview import Preview
 from cagemap.studio.scene import carried
@@ -59,7 +61,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def session(folder: Path) -> Iterator[Session]:
-    session = Session(Workspace.of(folder), 300)
+    session = Session(Workspace.of(folder), 300, all_options())
     yield session
     session.close()
 
@@ -266,7 +268,7 @@ def test_the_next_landmark_is_proposed_on_both_models(opened: Session) -> None:
 def test_a_kill_of_the_session_loses_nothing(opened: Session, folder: Path) -> None:
     click(opened, "target", 4)
     opened.rename(1, "corner")
-    other = Session(Workspace.of(folder), 300)
+    other = Session(Workspace.of(folder), 300, all_options())
     try:
         other.open(opened.state.files)
         until(lambda: other.state.history.present.items, other)
@@ -354,7 +356,7 @@ def test_errors_are_messages_and_paths_outside_are_refused(opened: Session, tmp_
     opened.accept()  # nothing waits
     opened.mirror(1)  # nothing to mirror
     assert opened.state.messages[-1].kind == "error"
-    opened.finish(FinishOptions(displacement=tmp_path / "secret.png"))
+    opened.finish(FinishOptions(given={("transfer", "displacement"): tmp_path / "secret.png"}))
     assert opened.state.finish_job is None
 
 
@@ -367,7 +369,13 @@ def test_no_word_of_the_page_reaches_outside(opened: Session, folder: Path, path
     opened.save_as(path)
     opened.load(Path(path))
     opened.load(files.target, Path(path))
-    opened.finish(FinishOptions(weights=Path(path)))
+    for key, option in opened.options.items():
+        named: dict[str, Value] = {"file": Path(path), "files": (Path(path),), "named files": (("a", Path(path)),)}
+        named |= {"name or file": f"not:{path}.png"}
+        if option.kind in named:
+            opened.finish(FinishOptions(given={key: named[option.kind]}))
+    opened.finish(FinishOptions(maps=(("roughness", Path(path)),)))
+    opened.finish(FinishOptions(name=path))
     for name in ("target", "source", "texture", "landmarks", "result"):
         opened.open(replace(files, **{name: Path(path)}))
     assert opened.state.messages[-1].kind == "error"
@@ -396,7 +404,7 @@ def test_a_cancelled_finish_leaves_nothing_and_the_next_one_runs(opened: Session
         return any(text in message.text for message in opened.state.messages)
 
     before = files()
-    options = FinishOptions(vertices=300, report=False, size=8)
+    options = FinishOptions(report=False, given={("match", "vertices"): 300, ("transfer", "size"): 8})
     opened.finish(options)
     until(at_work, opened)
     opened.finish(options)

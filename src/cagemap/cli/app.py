@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from cagemap import __version__
+from cagemap.cli.command import asks
 from cagemap.cli.functions_command import functions
 from cagemap.cli.map_command import map_file
 from cagemap.cli.match_command import match
@@ -23,6 +24,7 @@ from cagemap.cli.options import (
     TargetSchemeOption,
     UvOption,
 )
+from cagemap.cli.report_request import ReportRequest
 from cagemap.cli.transfer_command import transfer
 from cagemap.cli.words import say, set_verbosity
 from cagemap.cli.wrap_command import wrap
@@ -142,36 +144,18 @@ app.command()(transfer)
 
 
 @app.command()
-def report(
-    result: ResultFolder,
-    output: Annotated[Path, typer.Option("-o", "--output", help="HTML file to write.")] = Path("report.html"),
-    texture: Annotated[
-        Path | None,
-        typer.Option(
-            "--texture", help="Source texture to show.  [default: that of the last transfer]", show_default=False
-        ),
-    ] = None,
-    level: Annotated[
-        int | None,
-        typer.Option(
-            "--level",
-            min=0,
-            help="Show the map of this level of the target, of --method hfm or paper.  [default: the finest]",
-            show_default=False,
-        ),
-    ] = None,
-    force: Force = False,
-) -> None:
+@asks(ReportRequest)
+def report(request: ReportRequest) -> None:
     """Write one HTML page: both surfaces in the same views, the map as colours, quality in plain words.
 
     The page needs nothing beside it: mail it, print it.
     """
     from cagemap.cli.progress import Stages
-    from cagemap.cli.report import ReportRequest, run_report
+    from cagemap.cli.report import run_report
 
     with Stages() as stages:
-        run_report(ReportRequest(result, output, texture, force, level), stages)
-    say(f"Open {output} in a browser.")
+        run_report(request, stages)
+    say(f"Open {request.output} in a browser.")
 
 
 @app.command()

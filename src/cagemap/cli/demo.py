@@ -6,7 +6,8 @@ from pathlib import Path
 
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.progress import Stages
-from cagemap.cli.report import ReportRequest, run_report
+from cagemap.cli.report import run_report
+from cagemap.cli.report_request import ReportRequest
 from cagemap.cli.transfer import run_transfer
 from cagemap.cli.transfer_request import TransferRequest
 from cagemap.errors import FormatError

@@ -17,7 +17,8 @@ from cagemap.cli.match import MatchRequest, read_control, run_match
 from cagemap.cli.mesh_commands import require_size
 from cagemap.cli.own_map import run_map
 from cagemap.cli.progress import Stages
-from cagemap.cli.report import ReportRequest, run_report
+from cagemap.cli.report import run_report
+from cagemap.cli.report_request import ReportRequest
 from cagemap.cli.transfer import run_transfer
 from cagemap.cli.transfer_request import TransferRequest
 from cagemap.cli.wrap import run_wrap

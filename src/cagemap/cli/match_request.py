@@ -13,11 +13,15 @@ from cagemap.cli.options import (
     CreasingOption,
     Force,
     Method,
+    NameOrFile,
     SchemeOption,
     SourceSchemeOption,
     TargetSchemeOption,
     UvOption,
 )
+
+# What a mask is read from; anything else is a name.
+MASK_FILES = (".npy", ".npz", ".csv", ".json", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
 
 
 @dataclass(frozen=True)
@@ -238,9 +242,12 @@ class MatchRequest:
             "faces (.npz, .csv), an image over its UVs; not:... for all but that.",
             show_default=False,
         ),
+        NameOrFile(MASK_FILES),
     ] = None
     source_mask: Annotated[
-        str | None, typer.Option("--source-mask", help="The same of the source.", show_default=False)
+        str | None,
+        typer.Option("--source-mask", help="The same of the source.", show_default=False),
+        NameOrFile(MASK_FILES),
     ] = None
     mask_edge: Annotated[
         float | None,

@@ -19,6 +19,20 @@ class OneOf:
     choices: tuple[object, ...]
 
 
+@dataclass(frozen=True)
+class SomeOf:
+    """Words that an option may list, with commas between them."""
+
+    parts: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class NameOrFile:
+    """An option is a file where it ends in one of these, else a name."""
+
+    suffixes: tuple[str, ...]
+
+
 Space = Annotated[
     str,
     typer.Option("--space", help="Of normals and vectors: tangent (MikkTSpace) or object."),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from cagemap.cli.job_file import note_output
 from cagemap.cli.progress import Stages
+from cagemap.cli.report_request import ReportRequest
 from cagemap.errors import CagemapError, FormatError
 from cagemap.files.atomic import check_outputs
 from cagemap.files.attributes import read_attributes
@@ -26,27 +27,6 @@ from cagemap.report import Rides, Shape, Weights, check_page_path, write_report
 from cagemap.wrap import level_mesh
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class ReportRequest:
-    """What `cagemap report` is asked for.
-
-    Attributes
-    ----------
-    result, output : Path
-    texture : Path, optional
-        The texture to show; without it the last one that was baked from the result, if its files are still there.
-    force : bool
-    level : int, optional
-        Of the target: the report is of the map of this level, of the methods that find several.
-    """
-
-    result: Path
-    output: Path
-    texture: Path | None = None
-    force: bool = False
-    level: int | None = None
 
 
 def run_report(request: ReportRequest, stages: Stages) -> None:

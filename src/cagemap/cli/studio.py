@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from cagemap.cli.option_list import all_options
 from cagemap.errors import ParameterError
 from cagemap.studio.opening import BUILT_IN_FOLDER, built_in_files, chosen_files
 
@@ -61,5 +62,6 @@ def run_studio(request: StudioRequest, tell: Callable[[str], None]) -> None:
                 raise ParameterError(f"{model}: expected a mesh file, found none. Check the name.")
         chosen = (files.landmarks, files.target, files.source, files.texture, files.result)
         folders = (*request.folder, *(path.parent for path in chosen if path is not None))
-    page = PageRequest(files, folders, request.host, request.port, request.vertices, not request.no_browser)
+    served = request.host, request.port, request.vertices, not request.no_browser
+    page = PageRequest(files, all_options(), folders, *served)
     run_page(page, tell)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from cagemap.cli.options import Force, Green, OneOf, ResultFolder, Space
+from cagemap.cli.options import Force, Green, OneOf, ResultFolder, SomeOf, Space
 
 # A summary, and warnings.
 Outcome = tuple[str, list[str]]
@@ -84,6 +84,7 @@ class TransferRequest:
             "commas.",
             show_default=False,
         ),
+        SomeOf(("normal", "displacement", "vector-displacement", "ao", "colors", "texture")),
     ] = ()
     detail: Annotated[
         Path | None,

@@ -356,9 +356,26 @@ def _strain(result: MatchResult) -> dict[str, float]:
 
 def _skins(bench: Bench, view: View, images: Images | None) -> tuple[bytes, bytes]:
     models = _opened(bench)
-    return _target_skin(models, images, view), source_skin(models.source.shape, models.source.look, view)
+    return _target_skin(models, images, view), source_skin(models.source.shape, models.source.look, _map_view(view))
 
 
 def _target_skin(models: Models, images: Images | None, view: View) -> bytes:
     target, source = models.target, models.source
-    return target_skin(target.shape, target.look, source.shape, source.look, images, view)
+    if view.mode == "baked" and view.baked is not None:
+        return _baked_skin(models, view)
+    return target_skin(target.shape, target.look, source.shape, source.look, images, _map_view(view))
+
+
+def _map_view(view: View) -> View:
+    """How the map is shown where no baked image is."""
+    return replace(view, mode="texture") if view.mode == "baked" else view
+
+
+def _baked_skin(models: Models, view: View) -> bytes:
+    """The target with an image that was baked, in its own layout or the one that was made for it."""
+    assert view.baked is not None
+    shape = models.target.shape
+    if shape.uvs is None and view.layout is not None:
+        shape = open_model(view.layout, None, None, len(shape.positions)).shape
+    pixels, encoded = read_look(view.baked)
+    return source_skin(shape, replace(models.target.look, texture=pixels, encoded=encoded), _map_view(view))

@@ -16,17 +16,25 @@ _PACKED = (".png", ".jpg", ".jpeg", ".exr", ".npz", ".usdz", ".zip")
 
 
 def content(outputs: Iterable[Output], name: str) -> tuple[bytes, str] | None:
-    """Content and media type of an output of that very name, or of all as a zip; None if there is no such file.
+    """Content and media type of an output of that very name; folders, and all together, are zips; None for other names.
 
     The name is compared, never joined to a folder.
     """
     listed = tuple(outputs)
     if name == ALL and listed:
         return zipped(listed), "application/zip"
+    folder = next((one for one in listed if one.path.is_dir() and archive_name(one.path) == name), None)
+    if folder is not None:
+        return zipped((folder,)), "application/zip"
     found = next((output.path for output in listed if output.path.name == name and output.path.is_file()), None)
     if found is None:
         return None
     return found.read_bytes(), mimetypes.guess_type(found.name)[0] or "application/octet-stream"
+
+
+def archive_name(folder: Path) -> str:
+    """What a folder is called as one file."""
+    return f"{folder.name}.zip"
 
 
 def zipped(outputs: Iterable[Output]) -> bytes:

@@ -3,25 +3,57 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 
-from cagemap.files.images import texture_files
-from cagemap.studio.state import Files, Output
+from cagemap.errors import ParameterError
+from cagemap.files.images import UDIM_MARK
+from cagemap.files.usd import USD_SUFFIXES
+from cagemap.studio.opening import word_of
+from cagemap.studio.options import Key, NamedFiles, Option, Options, Value
+from cagemap.studio.state import Files
+from cagemap.studio.workspace import Workspace
 
 DEFAULT_VERTICES = 200_000
+# Said once on the page and meant by several commands: field of a command, and the one that it is asked by.
+SHARED: dict[Key, Key] = {
+    **{("wrap", name): ("transfer", name) for name in ("space", "green", "rays", "size", "detail", "detail_texture")},
+    **{(command, "force"): ("match", "force") for command in ("transfer", "wrap", "report")},
+}
+# The open texture among other maps of its material.
+COLOR = "color"
+_IMAGE = ("size", "bits", "filter", "unwrap", "bases", "force")
 
 
 @dataclass(frozen=True)
-class WrapOptions:
-    """How the target's cage is given the source's shape, in the words of `cagemap wrap`."""
+class Carry:
+    """One run of `cagemap transfer`: the field that says what is carried, and those that belong to it."""
 
-    fit_level: int = 0
-    amount: float = 1.0
-    fairness: float = 1e-4
-    symmetric: bool = False
-    displacement: bool = False
-    vector_displacement: bool = False
+    title: str
+    wants: str
+    takes: tuple[str, ...]
+
+
+CARRIES = (
+    Carry("texture", "texture", ("as_color", "usd", *_IMAGE)),
+    Carry("normal map", "normal_map", ("space", "green", *_IMAGE)),
+    Carry("displacement", "displacement", ("scale", "midlevel", *_IMAGE)),
+    Carry("vector displacement", "vector_displacement", ("space", "scale", "midlevel", *_IMAGE)),
+    Carry("material colours", "material_colors", ("size", "bits", "unwrap", "bases", "force")),
+    Carry("detail", "bake", ("detail", "detail_texture", "rays", "space", "green", *_IMAGE)),
+    Carry("attribute", "attribute", ("usd", "bases", "force")),
+    Carry("UVs of the source", "source_uvs", ("force",)),
+    Carry("skin weights", "weights", ("influences", "joints", "usd", "bases", "force")),
+    Carry("joints", "joints", ("force",)),
+    Carry("blend shapes", "blend_shapes", ("usd", "force")),
+    Carry("map for other programs", "write_map", ("force",)),
+)
+# Options of `cagemap transfer` that belong to some of what is carried; any other belongs to all of it.
+_KNOWN = {"output"} | {name for carry in CARRIES for name in (carry.wants, *carry.takes)}
+# Options of `cagemap wrap` that belong to its images.
+_WRAPPED = ("size", "space", "green", "rays", "detail", "detail_texture", "texture", "force")
 
 
 @dataclass(frozen=True)
@@ -30,62 +62,48 @@ class FinishOptions:
 
     Attributes
     ----------
-    vertices : int
-        Of each surface, about.
-    size, bits : int or None
-        Texels a side, bits a channel; None: as the source image.
     texture : bool
         Bake the open texture.
-    as_color : bool
-        Although it looks like a normal map.
-    displacement, normal_map, vector_displacement, attribute : Path or None
-        Files of the source to carry.
-    scale, midlevel : float, float or None
-        What the displacement's values mean.
-    space, green : str
-        Of normals and vectors.
-    material_colors, source_uvs : bool
-    weights, joints, blend_shapes : Path or None
-        Of the source's rig.
-    influences : int
-        Joints a vertex at most; 0: all.
-    write_map : str
+    maps : tuple of (str, Path)
+        Further images over the source's UVs, by name.
+    map_form : str
         Ending of the file for the map itself; '' for none.
-    wrap : WrapOptions or None
-    unwrap : bool
-        Lay out the target, which has no UVs.
-    report : bool
+    image_form : str
+        Ending of all images; '': as the source's image.
+    wrap, report : bool
+    name : str
+        What files are called by, and the RESULT folder; '': the target, and the open pair's RESULT.
+    given : mapping of (command, field) to value
+        Options that are not as usual.
     """
 
-    vertices: int = DEFAULT_VERTICES
-    size: int | None = None
-    bits: int | None = None
     texture: bool = True
-    as_color: bool = False
-    displacement: Path | None = None
-    scale: float = 1.0
-    midlevel: float | None = None
-    normal_map: Path | None = None
-    vector_displacement: Path | None = None
-    space: str = "tangent"
-    green: str = "up"
-    attribute: Path | None = None
-    material_colors: bool = False
-    source_uvs: bool = False
-    weights: Path | None = None
-    influences: int = 4
-    joints: Path | None = None
-    blend_shapes: Path | None = None
-    write_map: str = ""
-    wrap: WrapOptions | None = None
-    unwrap: bool = False
+    maps: NamedFiles = ()
+    map_form: str = ""
+    image_form: str = ""
+    wrap: bool = False
     report: bool = True
+    name: str = ""
+    given: Mapping[Key, Value] = field(default_factory=lambda: MappingProxyType({}))
 
-    @property
-    def paths(self) -> tuple[Path, ...]:
-        """Files that are named."""
-        values = (getattr(self, field.name) for field in fields(self))
-        return tuple(value for value in values if isinstance(value, Path))
+    def giving(self, values: Mapping[Key, Value]) -> FinishOptions:
+        """The same with other values of some options."""
+        return replace(self, given={**self.given, **values})
+
+    def placed(self, options: Options, require: Callable[[Path], Path]) -> FinishOptions:
+        """The same with every path as ``require`` gives it.
+
+        Raises
+        ------
+        ParameterError
+            If one lies outside the chosen folders, or the name is none of a file.
+        """
+        if self.name and (Path(self.name).name != self.name or self.name.startswith(".")):
+            raise ParameterError(f"Name: expected what files begin with, without a folder, got {self.name!r}.")
+        images = Option("transfer", "maps", "--texture", "", "named files")
+        given = {key: options[key].placed(value, require) for key, value in self.given.items()}
+        maps: NamedFiles = images.placed(self.maps, require)  # type: ignore[assignment]
+        return replace(self, maps=maps, given=given)
 
 
 @dataclass(frozen=True)
@@ -97,107 +115,236 @@ class Command:
     title : str
     arguments : tuple of str
         After ``cagemap``.
-    outputs : tuple of Output
-        What it may write; the first one always.
+    output : Path
+        What ``-o`` names; other files may be written beside it.
+    makes : str
+        What that is; '' for the title.
     """
 
     title: str
     arguments: tuple[str, ...]
-    outputs: tuple[Output, ...]
+    output: Path
+    makes: str = ""
 
     def __str__(self) -> str:
         return shlex.join(("cagemap", *self.arguments))
 
-    def written(self) -> tuple[Output, ...]:
-        """What is there of it; every tile of a layout of several."""
-        found = []
-        for output in self.outputs:
-            found += [replace(output, path=file) for file in texture_files(output.path) if file.exists()]
-        return tuple(found)
+
+def planned(
+    options: Options, workspace: Workspace, files: Files, asked: FinishOptions, *, landmarks: bool
+) -> tuple[Command, ...]:
+    """The commands that finish what is open, all that they read and write inside the chosen folders.
+
+    Raises
+    ------
+    ParameterError
+        If a file lies outside them, or a link leads there.
+    """
+    todo = commands(options, files, asked.placed(options, workspace.require), landmarks=landmarks)
+    for command in todo:
+        workspace.require_outputs(command.output)
+    return todo
 
 
-def commands(files: Files, options: FinishOptions, *, landmarks: bool) -> tuple[Command, ...]:
+def commands(options: Options, files: Files, asked: FinishOptions, *, landmarks: bool) -> tuple[Command, ...]:
     """The commands that finish what is open.
 
     Parameters
     ----------
+    options : mapping
+        Of the command line.
+    files : Files
+    asked : FinishOptions
     landmarks : bool
         Whether the landmark file holds any.
     """
-    result, folder, stem = files.result, files.result.parent, files.target.stem
-    match = ["match", "--target", str(files.target), "--source", str(files.source)]
-    match += ["--landmarks", str(files.landmarks)] if landmarks else []
-    for side, scheme in zip(("target", "source"), files.schemes, strict=True):
-        match += [] if scheme is None else [f"--{side}-scheme", scheme]
-    for side, part in zip(("target", "source"), files.parts, strict=True):
-        match += [] if part is None else [f"--{side}-part", part]
-    match += ["--vertices", str(options.vertices), "-o", str(result)]
-    made = [Command("match", tuple(match), (Output(result, "the map"),))]
-
-    def carried(source: Path, *, name: str | None = None) -> Path:
-        return folder / f"{stem}_from_{source.stem if name is None else name}{source.suffix}"
-
-    def transfer(title: str, kind: list[str], output: Path, *, bake: bool = False) -> None:
-        arguments = ["transfer", str(result), *kind, *(_bake_words(options) if bake else []), "-o", str(output)]
-        unwrapped = Output(output.with_name(f"{output.stem}_unwrapped.obj"), "the target with a layout")
-        outputs = (Output(output, title), *([unwrapped] if bake and options.unwrap else []))
-        made.append(Command(title, tuple(arguments), outputs))
-
-    if options.texture and files.texture is not None:
-        kind = ["--texture", str(files.texture), *(["--as-color"] if options.as_color else [])]
-        transfer("texture", kind, carried(files.texture), bake=True)
-    if options.normal_map is not None:
-        kind = ["--normal-map", str(options.normal_map), "--space", options.space, "--green", options.green]
-        transfer("normal map", kind, carried(options.normal_map), bake=True)
-    if options.displacement is not None:
-        kind = ["--displacement", str(options.displacement), "--scale", str(options.scale)]
-        kind += [] if options.midlevel is None else ["--midlevel", str(options.midlevel)]
-        transfer("displacement", kind, carried(options.displacement), bake=True)
-    if options.vector_displacement is not None:
-        kind = ["--vector-displacement", str(options.vector_displacement), "--space", options.space]
-        transfer("vector displacement", kind, carried(options.vector_displacement), bake=True)
-    if options.material_colors:
-        transfer("material colours", ["--material-colors"], folder / f"{stem}_material_colors.png", bake=True)
-    if options.attribute is not None:
-        transfer("attribute", ["--attribute", str(options.attribute)], carried(options.attribute))
-    if options.source_uvs:
-        transfer("UVs of the source", ["--source-uvs"], folder / f"{stem}_with_uvs_of_{files.source.stem}.obj")
-    if options.weights is not None:
-        kind = ["--weights", str(options.weights), "--influences", str(options.influences)]
-        kind += [] if options.joints is None else ["--joints", str(options.joints)]
-        transfer("skin weights", kind, carried(options.weights))
-    elif options.joints is not None:
-        transfer("joints", ["--joints", str(options.joints)], carried(options.joints))
-    if options.blend_shapes is not None:
-        transfer("blend shapes", ["--blend-shapes", str(options.blend_shapes)], folder / f"{stem}_blend_shapes.npz")
-    if options.write_map:
-        transfer(
-            "map for other programs", ["--write-map"], folder / f"{stem}_on_{files.source.stem}{options.write_map}"
-        )
-    if options.wrap is not None:
-        made.append(_wrap_command(files, options.wrap, options.size))
-    if options.report:
-        report = folder / f"{result.name}.html"
-        made.append(Command("report", ("report", str(result), "-o", str(report)), (Output(report, "report"),)))
+    if asked.name:
+        files = replace(files, result=files.result.with_name(f"{asked.name}_RESULT"))
+    writer = _Writer(options, files, asked)
+    made = [writer.match(landmarks=landmarks)]
+    for carry in CARRIES:
+        command = writer.transfer(carry, [other.output for other in made])
+        made += [] if command is None else [command]
+    made += [writer.wrap()] if asked.wrap else []
+    made += [writer.report()] if asked.report else []
     return tuple(made)
 
 
-def _bake_words(options: FinishOptions) -> list[str]:
-    words = [] if options.size is None else ["--size", str(options.size)]
-    words += [] if options.bits is None else ["--bits", str(options.bits)]
-    return [*words, *(["--unwrap"] if options.unwrap else [])]
+@dataclass(frozen=True)
+class _Writer:
+    """Writes down commands for what is asked."""
+
+    options: Options
+    files: Files
+    asked: FinishOptions
+
+    @property
+    def stem(self) -> str:
+        """What files are called by."""
+        part = self.files.parts[0]
+        own = self.files.target.stem if part is None else f"{self.files.target.stem}_{word_of(part)}"
+        return self.asked.name or own
+
+    def value(self, command: str, name: str) -> Value:
+        """What is asked for an option."""
+        key = SHARED.get((command, name), (command, name))
+        return self.asked.given.get(key, self.options[key].default)
+
+    def words(self, command: str, names: Iterable[str]) -> list[str]:
+        """What is typed for some options."""
+        return [word for name in names for word in self.options[command, name].words(self.value(command, name))]
+
+    def match(self, *, landmarks: bool) -> Command:
+        """The map at full resolution."""
+        files = self.files
+        own: dict[str, Value] = {
+            "target": files.target,
+            "source": files.source,
+            "landmarks": files.landmarks if landmarks else None,
+            "target_scheme": files.schemes[0],
+            "source_scheme": files.schemes[1],
+            "target_part": files.parts[0],
+            "source_part": files.parts[1],
+        }
+        stated = [word for name, value in own.items() for word in self.options["match", name].words(value)]
+        others = [name for command, name in self.options if command == "match" and name not in own]
+        words = self.words("match", others)
+        if self.value("match", "level") is None and self.value("match", "vertices") is None:
+            words += ["--vertices", str(DEFAULT_VERTICES)]
+        return Command("match", ("match", *stated, *words, "-o", str(files.result)), files.result, "the map")
+
+    def transfer(self, carry: Carry, taken: list[Path]) -> Command | None:
+        """One thing carried, unless it is not asked for; into a file of its own."""
+        carried = self._texture() if carry.wants == "texture" else self.words("transfer", [carry.wants])
+        if carry.wants == "write_map":
+            carried = ["--write-map"] if self.asked.map_form else []
+        if not carried:
+            return None
+        output = self._output(carry)
+        if output in taken:
+            output = output.with_name(f"{output.stem}_{carry.wants}{output.suffix}")
+        others = (name for command, name in self.options if command == "transfer" and name not in _KNOWN)
+        words = [word for name in (*carry.takes, *others) for word in self._belonging(carry, name, output)]
+        arguments = ("transfer", str(self.files.result), *carried, *words, "-o", str(output))
+        return Command(carry.title, arguments, output)
+
+    def _texture(self) -> list[str]:
+        """The open texture, alone or as one of the maps of its material."""
+        own = self.files.texture if self.asked.texture else None
+        if not self.asked.maps:
+            return [] if own is None else ["--texture", str(own)]
+        maps = (*(() if own is None else ((COLOR, own),)), *self.asked.maps)
+        return [word for name, path in maps for word in ("--texture", f"{name}={path}")]
+
+    def _belonging(self, carry: Carry, name: str, output: Path) -> list[str]:
+        """What is typed for an option that belongs to something carried."""
+        value = self.value("transfer", name)
+        if name == "usd":
+            return ["--usd", str(output.with_suffix(".usda"))] if value else []
+        if name == "bases":
+            return self.options["transfer", name].words(self._bases(carry))
+        if name == "detail_texture" and "texture" not in _parts(self.value("transfer", "bake")):
+            return []  # said for the wrapped cage alone
+        return self.options["transfer", name].words(value)
+
+    def _bases(self, carry: Carry) -> NamedFiles:
+        """The target's own images or values under what is carried: each has the name of that, or of none."""
+        given: NamedFiles = self.value("transfer", "bases")  # type: ignore[assignment]
+        if carry.wants == "bake":
+            kinds = _parts(self.value("transfer", "bake"))
+            return tuple((kind, path) for kind in kinds for name, path in given if _plain(name) == _plain(kind))
+        if carry.wants != "texture":
+            return tuple(("", path) for name, path in given if _plain(name) == _plain(carry.wants))
+        if not self.asked.maps:
+            return tuple(("", path) for name, path in given if name in ("", "texture", COLOR))
+        names = {_plain(name): name for name, _ in self.asked.maps} | {"": COLOR, "texture": COLOR, COLOR: COLOR}
+        return tuple((names[_plain(name)], path) for name, path in given if _plain(name) in names)
+
+    def _output(self, carry: Carry) -> Path:
+        folder, stem, source = self.files.result.parent, self.stem, self.files.source
+        value = self.value("transfer", carry.wants)
+        match carry.wants:
+            case "texture":
+                first = (self.files.texture if self.asked.texture else None) or self.asked.maps[0][1]
+                return self._image(first)
+            case "normal_map" | "displacement" | "vector_displacement" if isinstance(value, Path):
+                return self._image(value)
+            case "material_colors":
+                return folder / f"{stem}_material_colors{self.asked.image_form or '.png'}"
+            case "bake":
+                kinds = _parts(value)
+                only = f"_{kinds[0]}" if len(kinds) == 1 else ""
+                detail = self.value("transfer", "detail")
+                lies = detail.stem if isinstance(detail, Path) else source.stem
+                return folder / f"{stem}_from_{lies}{only}{self.asked.image_form or '.png'}"
+            case "source_uvs":
+                return folder / f"{stem}_with_uvs_of_{source.stem}{_mesh_form(self.files.target)}"
+            case "blend_shapes":
+                meshes = all(path.suffix.lower() in ("", ".obj", ".ply") for path in _paths(value))
+                return folder / f"{stem}_blend_shapes{'' if meshes else '.npz'}"
+            case "write_map":
+                return folder / f"{stem}_on_{source.stem}{self.asked.map_form}"
+            case _:
+                assert isinstance(value, Path)
+                usual = ".json" if carry.wants == "joints" else ".npz"
+                form = usual if value.suffix.lower() in USD_SUFFIXES else value.suffix
+                return folder / f"{stem}_from_{value.stem}{form}"
+
+    def _image(self, image: Path) -> Path:
+        """Where an image of the source is baked to; every tile of the target's layout gets its number."""
+        stem = image.stem.replace(UDIM_MARK, "").rstrip("._-")
+        return self.files.result.parent / f"{self.stem}_from_{stem}{self.asked.image_form or image.suffix}"
+
+    def wrap(self) -> Command:
+        """The target's cage in the source's shape."""
+        options, files = self.options, self.files
+        folder, name = files.result.parent, f"{self.stem}_as_{files.source.stem}"
+        mesh = folder / f"{name}{_mesh_form(files.target)}"
+        own = [option for (command, _), option in options.items() if command == "wrap"]
+        written = [option.name for option in own if option.kind == "output"]
+        words = self.words("wrap", [one.name for one in own if one.name not in (*written, *_WRAPPED)])
+        for one in written:
+            if self.value("wrap", one):
+                form = ".mhclo" if one == "mhclo" else self.asked.image_form or _wrapped_form(one)
+                words += [options["wrap", one].flag, str(folder / f"{name}_{one}{form}")]
+        images = [one for one in written if one != "mhclo" and self.value("wrap", one)]
+        if images:
+            words += self.words("wrap", ("size", "space", "green", "rays"))
+        if self.value("wrap", "baked") and self.value("wrap", "detail_texture") is None:
+            words += options["wrap", "texture"].words(files.texture)
+        elif self.value("wrap", "baked"):
+            words += self.words("wrap", ("detail_texture",))
+        if [one for one in images if one != "baked"] or "--detail-texture" in words:
+            words += self.words("wrap", ("detail",))
+        words += self.words("wrap", ("force",))
+        return Command("wrap", ("wrap", str(files.result), *words, "-o", str(mesh)), mesh)
+
+    def report(self) -> Command:
+        """The page about the map."""
+        result = self.files.result
+        page = result.with_name(f"{result.name}.html")
+        return Command("report", ("report", str(result), *self.words("report", ("force",)), "-o", str(page)), page)
 
 
-def _wrap_command(files: Files, wrap: WrapOptions, size: int | None) -> Command:
-    folder, name = files.result.parent, f"{files.target.stem}_as_{files.source.stem}"
-    mesh = folder / f"{name}{files.target.suffix if files.target.suffix.lower() in ('.obj', '.ply') else '.obj'}"
-    words = ["wrap", str(files.result), "--fit-level", str(wrap.fit_level), "--amount", str(wrap.amount)]
-    words += ["--fairness", str(wrap.fairness), *(["--symmetric"] if wrap.symmetric else [])]
-    outputs = [Output(mesh, "the target in the source's shape")]
-    for kind, wanted in (("displacement", wrap.displacement), ("vector-displacement", wrap.vector_displacement)):
-        if wanted:
-            image = folder / f"{name}_{kind.replace('-', '_')}.exr"
-            words += [f"--{kind}", str(image)]
-            outputs.append(Output(image, f"what is still missing, as {kind.replace('-', ' ')}"))
-    words += ["--size", str(size)] if size is not None and len(outputs) > 1 else []
-    return Command("wrap", (*words, "-o", str(mesh)), tuple(outputs))
+def _parts(value: Value) -> tuple[str, ...]:
+    return tuple(map(str, value)) if isinstance(value, tuple) else ()
+
+
+def _paths(value: Value) -> list[Path]:
+    return [one for one in value if isinstance(one, Path)] if isinstance(value, tuple) else []
+
+
+def _plain(name: str) -> str:
+    """A name as one may say it: normal map, Normal-Map, normal_map."""
+    return name.strip().lower().replace(" ", "_").replace("-", "_")
+
+
+def _mesh_form(target: Path) -> str:
+    """The target's own format, where meshes are written in it."""
+    suffix = target.suffix.lower()
+    return ".usda" if suffix == ".usdz" else suffix if suffix in (".obj", ".ply", *USD_SUFFIXES) else ".obj"
+
+
+def _wrapped_form(name: str) -> str:
+    """Offsets are floats."""
+    return ".exr" if "displacement" in name else ".png"

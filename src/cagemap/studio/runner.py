@@ -5,14 +5,17 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from pathlib import Path
 
 from cagemap.studio.finish import Command
-from cagemap.studio.state import Job, Output
+from cagemap.studio.state import Job, Message, Output
+from cagemap.studio.wrote import files_wrote
 
 CANCELLED = "cancelled"
 # Share of what is left of a command that each of its stages is taken for: how many there are is not known.
 _STAGE = 0.15
+_ERROR, _WARNING = "cagemap: error: ", "cagemap: warning: "
 
 
 class Runner:
@@ -24,23 +27,26 @@ class Runner:
         Told of every command and stage, and None at the end.
     on_output : callable
         Told of everything that was written.
+    on_message : callable
+        Told of warnings, and of what went wrong with a command, in its own words.
     on_end : callable
-        Told what went wrong, in the command's own words, or None.
+        Told what there is to say of the whole.
     """
 
     def __init__(
         self,
         on_job: Callable[[Job | None], None],
         on_output: Callable[[Output], None],
-        on_end: Callable[[str | None], None],
+        on_message: Callable[[Message], None],
+        on_end: Callable[[Message], None],
     ) -> None:
-        self._on_job, self._on_output, self._on_end = on_job, on_output, on_end
+        self._on_job, self._on_output, self._on_message, self._on_end = on_job, on_output, on_message, on_end
         self._lock = threading.Lock()
         self._process: subprocess.Popen[str] | None = None
         self._cancelled = False
 
     def start(self, todo: tuple[Command, ...]) -> None:
-        """Begin; returns at once."""
+        """Begin; returns at once. Without the first command, the map, there is nothing to do for the others."""
         self._cancelled = False
         self._on_job(Job("finish", "starting", 0.0, can_cancel=True))
         threading.Thread(target=self._work, args=(todo,), name="studio finish", daemon=True).start()
@@ -49,55 +55,77 @@ class Runner:
         """End the running command; what it has not finished writing leaves no trace."""
         with self._lock:
             self._cancelled = True
-            if self._process is not None and self._process.poll() is None:
-                self._process.terminate()
+            if self._process is not None and self._process.stdin is not None:
+                self._process.stdin.close()  # which it watches
 
     def _work(self, todo: tuple[Command, ...]) -> None:
+        failed: list[str] = []
         try:
-            words = next((words for words in self._all(todo) if words is not None), None)
+            for number, command in enumerate(todo):
+                done = self._run(command, number, len(todo))
+                if self._cancelled or (not done and number == 0):
+                    failed += [] if done else [command.title]
+                    break
+                failed += [] if done else [command.title]
         except Exception as error:  # whatever happens, the finish has an end
-            words = f"finish: {type(error).__name__}: {error}"
+            failed.append(f"{type(error).__name__}: {error}")
         self._on_job(None)
-        self._on_end(words)
+        if self._cancelled:
+            self._on_end(Message("note", f"finish: {CANCELLED}"))
+        elif failed:
+            self._on_end(Message("error", f"finish: not everything could be made: {', '.join(failed)}"))
+        else:
+            self._on_end(Message("note", "finish: done"))
 
-    def _all(self, todo: tuple[Command, ...]) -> Iterator[str | None]:
-        """What went wrong with each command."""
-        for number, command in enumerate(todo):
-            words = self._run(command, number, len(todo))
-            for output in command.written() if words is None else ():
-                self._on_output(output)
-            yield words
-
-    def _run(self, command: Command, number: int, count: int) -> str | None:
-        """Run one command to its end; what went wrong."""
+    def _run(self, command: Command, number: int, count: int) -> bool:
+        """Run one command to its end; whether it did what it should."""
         left = 1.0
 
         def tell(stage: str) -> None:
             self._on_job(Job(f"finish {number + 1}/{count}", stage, (number + 1 - left) / count, can_cancel=True))
 
         tell(command.title)
-        call = [sys.executable, "-c", "from cagemap.cli import main; main()", "-v", *command.arguments]
+        call = [sys.executable, "-m", "cagemap.cli.told", "-v", *command.arguments]
         with self._lock:
             if self._cancelled:
-                return CANCELLED
-            self._process = subprocess.Popen(call, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-        lines: list[str] = []
-        assert self._process.stdout is not None
-        for line in self._process.stdout:
-            lines.append(line.rstrip())
+                return False
+            self._process = subprocess.Popen(
+                call, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+            )
+        process, lines = self._process, list[str]()
+        assert process.stdout is not None
+        written: tuple[Path, ...] = ()
+        for line in map(str.rstrip, process.stdout):
+            lines.append(line)
             if (stage := stage_of(line)) is not None:
                 left *= 1 - _STAGE
                 tell(f"{command.title}: {stage}")
-        code = self._process.wait()
-        if code == 0:
-            return None
-        if self._cancelled:
-            return CANCELLED
-        errors = [line for line in lines if "error" in line] or lines[-3:] or [f"exit code {code}"]
-        return f"{command.title}: " + "\n".join(errors)
+            elif line.startswith(_WARNING):
+                self._on_message(Message("note", f"{command.title}: {line.removeprefix(_WARNING)}"))
+            written = files_wrote(line) or written
+        code = process.wait()
+        for output in outputs_of(command, written):
+            self._on_output(output)
+        if code and not self._cancelled:
+            self._on_message(Message("error", f"{command.title}: {_reason(lines, code)}"))
+        return code == 0
+
+
+def outputs_of(command: Command, files: tuple[Path, ...]) -> tuple[Output, ...]:
+    """Files that a command wrote, and folders in place of what is in them."""
+    folder = command.output.parent.resolve()
+    found = (file.relative_to(folder).parts[0] for file in files if file.is_relative_to(folder))
+    return tuple(Output(folder / name, command.makes or command.title) for name in dict.fromkeys(found))
 
 
 def stage_of(line: str) -> str | None:
     """The stage that a line of a verbose command announces."""
     head, separator, stage = line.partition("stage:")
     return stage.strip() if separator and head.startswith("cagemap") else None
+
+
+def _reason(lines: list[str], code: int) -> str:
+    """Why a command failed, in its own words: its error is the last that it says."""
+    at = next((number for number, line in enumerate(lines) if line.startswith(_ERROR)), None)
+    words = lines[-3:] if at is None else [lines[at].removeprefix(_ERROR), *lines[at + 1 :]]
+    return "\n".join(words) or f"exit code {code}"

@@ -12,7 +12,8 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
 from cagemap.studio.autosave import autosave_path, kept_parts, write_autosave
 from cagemap.studio.bench import Dressed, Found, Opened, Task, after
-from cagemap.studio.finish import Command, FinishOptions, commands
+from cagemap.studio.finish import Command, FinishOptions, planned
+from cagemap.studio.finish_layout import on_the_page
 from cagemap.studio.held import Held
 from cagemap.studio.landmark_files import (
     in_files,
@@ -23,13 +24,14 @@ from cagemap.studio.landmark_files import (
 )
 from cagemap.studio.landmarks import History, LandmarkList, Place, Side
 from cagemap.studio.opening import result_of
+from cagemap.studio.options import Options
 from cagemap.studio.places import place_of, vertex_place
 from cagemap.studio.preview import Preview
-from cagemap.studio.runner import CANCELLED, Runner
+from cagemap.studio.runner import Runner
 from cagemap.studio.scene import Scene, mirrored, probed, proposed
 from cagemap.studio.shape import pick
 from cagemap.studio.skins import Images
-from cagemap.studio.state import Files, MapState, Output, View
+from cagemap.studio.state import Files, MapState, Message, Output, View, baked_view
 from cagemap.studio.worker import STOPPED, Failure
 from cagemap.studio.workspace import Workspace
 
@@ -44,13 +46,15 @@ class Session(Held):
     workspace : Workspace
     vertices : int
         Of each previewed surface, about.
+    options : mapping
+        What the commands of a finish can be asked.
     """
 
-    def __init__(self, workspace: Workspace, vertices: int) -> None:
+    def __init__(self, workspace: Workspace, vertices: int, options: Options) -> None:
         super().__init__()
-        self.workspace = workspace
+        self.workspace, self.options = workspace, options
         self._cancelled = False
-        self._runner = Runner(lambda job: self._change(finish_job=job), self._written, self._ended)
+        self._runner = Runner(lambda job: self._change(finish_job=job), self._written, self._told, self._ended)
         self._preview = Preview(vertices, self._wanted, lambda job: self._change(preview_job=job), self._receive)
 
     # Files
@@ -209,8 +213,12 @@ class Session(Held):
         with self._lock:
             before = self._state.view
             self._change(view=view)
-            if replace(view, cages=before.cages, linked=before.linked) != before and self._scene is not None:
+            if replace(before, cages=view.cages, linked=view.linked) != view and self._scene is not None:
                 self._preview.dress()
+
+    def look_at(self, image: Path | None) -> None:
+        """Show an image that was baked on the target; None: the map."""
+        self.show(baked_view(self._state, image))
 
     def match_again(self) -> None:
         """Compute the map from the start, with the landmarks there are."""
@@ -235,8 +243,10 @@ class Session(Held):
     def plan(self, options: FinishOptions) -> tuple[Command, ...]:
         """The commands that a finish would run."""
         files, scene = self._open()
-        named = replace(self.workspace.within(options), unwrap=scene.target.uvs is None)
-        return commands(files, named, landmarks=self._state.history.present.decides)
+        landmarks = self._state.history.present.decides
+        answer = 0 if landmarks else self._state.map.chosen
+        asked = options.giving({("transfer", "unwrap"): scene.target.uvs is None, ("match", "answer"): answer})
+        return planned(self.options, self.workspace, files, asked, landmarks=landmarks)
 
     def finish(self, options: FinishOptions) -> None:
         """Map at full resolution, bake and report; saves the landmarks first."""
@@ -273,13 +283,16 @@ class Session(Held):
 
     def _written(self, output: Output) -> None:
         with self._lock:
-            self._change(outputs=(*self._state.outputs, output))
+            if output.path not in [other.path for other in self._state.outputs]:
+                self._change(outputs=(*self._state.outputs, output))
 
-    def _ended(self, words: str | None) -> None:
-        if words in (None, CANCELLED):
-            self._say("note", f"finish: {words or 'done'}")
-        else:
-            self._say("error", str(words))
+    def _told(self, message: Message) -> None:
+        self._say(message.kind, on_the_page(self.options, message.text))
+
+    def _ended(self, message: Message) -> None:
+        self._say(message.kind, message.text)
+        if self._state.images:
+            self.look_at(self._state.images[0])
 
     def _wanted(self) -> tuple[LandmarkList, View, Images | None]:
         state, scene = self._state, self._scene

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
 from cagemap.studio.landmarks import History, Proposal
 
-Mode = Literal["texture", "colours", "checker", "plain"]
-MODES: tuple[Mode, ...] = ("texture", "colours", "checker", "plain")
+Mode = Literal["texture", "colours", "checker", "plain", "baked"]
+MODES: tuple[Mode, ...] = ("texture", "colours", "checker", "plain", "baked")
+# Images that the view can show.
+SHOWN = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
+# Ends the name of a mesh that a layout was made for.
+_UNWRAPPED = "_unwrapped"
 # Messages that stay in the page; older ones go.
 MOST_MESSAGES = 5
 
@@ -55,7 +59,8 @@ class View:
     ----------
     mode : str
         "texture": the source's image, on the target through the map; "colours" and "checker": a pattern of the source,
-        there and through the map; "plain": each model as it is.
+        there and through the map; "plain": each model as it is; "baked": an image that was baked, in the target's own
+        layout.
     cages : bool
         Control meshes as lines.
     doubts : bool
@@ -64,6 +69,10 @@ class View:
         Turning one model turns the other.
     rest : bool
         Parts of the files that are not open, in grey.
+    baked : Path or None
+        The image that "baked" shows.
+    layout : Path or None
+        The mesh that has the layout, where the target has none itself.
     """
 
     mode: Mode = "texture"
@@ -71,6 +80,8 @@ class View:
     doubts: bool = True
     linked: bool = True
     rest: bool = True
+    baked: Path | None = None
+    layout: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -207,6 +218,21 @@ class Studio:
     messages: tuple[Message, ...] = ()
     outputs: tuple[Output, ...] = ()
     saved: bool = True
+
+    @property
+    def images(self) -> tuple[Path, ...]:
+        """Images among the outputs that lie in the target's layout."""
+        made = (output.path for output in self.outputs if output.what != "wrap")
+        return tuple(path for path in made if path.suffix.lower() in SHOWN)
+
+
+def baked_view(state: Studio, image: Path | None) -> View:
+    """The view that shows an image that was baked; None: the map as a texture."""
+    if image is None:
+        return replace(state.view, mode="texture", baked=None, layout=None)
+    meshes = (output.path for output in state.outputs if output.path.stem.endswith(_UNWRAPPED))
+    layout = next((path for path in meshes if image.stem.startswith(path.stem.removesuffix(_UNWRAPPED))), None)
+    return replace(state.view, mode="baked", baked=image, layout=layout)
 
 
 def with_message(messages: tuple[Message, ...], kind: Literal["error", "note"], text: str) -> tuple[Message, ...]:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import glob
 import itertools
 import os
+import re
+from collections import Counter
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TypeVar
 
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import atomic_path
+from cagemap.files.images import UDIM_MARK
 from cagemap.files.obj import named_material_files
 from cagemap.files.usd import USD_SUFFIXES
 from cagemap.files.usd_named import named_files
@@ -21,6 +25,8 @@ TABLES = (".npy", ".npz", ".csv")
 # What may be added through the page.
 ADDED = tuple(dict.fromkeys((*MESHES, ".mtl", *IMAGES, *LANDMARKS, *TABLES)))
 Named = TypeVar("Named")
+# Number of a tile, before an image's ending.
+_TILE = re.compile(r"^(.*[._])1\d{3}(\.(?:png|jpe?g|tiff?|exr))$", re.IGNORECASE)
 # A listing longer than this helps nobody.
 _LONGEST_LISTING = 500
 # Entries of a folder that are looked at: somebody may start in a folder of everything.
@@ -75,16 +81,36 @@ class Workspace:
         paths = {name: self.require(path) for name, path in given.items() if isinstance(path, Path)}
         return replace(value, **paths)  # type: ignore[type-var]
 
+    def require_outputs(self, output: Path) -> None:
+        """Refuse to write where links of its name lead out of the folders: an output, its tiles, what is beside it.
+
+        Raises
+        ------
+        ParameterError
+        """
+        self.require(output)
+        beside = (file for file in output.parent.glob(f"{glob.escape(output.stem)}*") if file.is_symlink())
+        inside = (file for file in output.rglob("*") if file.is_symlink()) if output.is_dir() else ()
+        for file in (*beside, *inside):
+            self.require(file)
+
     def listing(self, suffixes: tuple[str, ...]) -> tuple[str, ...]:
-        """Names of the files with these suffixes, two folders deep, as `require` takes them."""
+        """Names of the files with these suffixes, two folders deep, as `require` takes them.
+
+        Tiles of an image stand there as one, with ``<UDIM>`` for their numbers; with "/" among the suffixes, folders
+        that hold such files as well.
+        """
         found: dict[Path, None] = {}
         for folder in self.folders:
             entries = itertools.chain(folder.glob("*"), folder.glob("*/*"))
             for path in sorted(itertools.islice(entries, _MOST_ENTRIES)):
                 hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
-                if path.suffix.lower() in suffixes and not hidden and path.is_file():
-                    found.setdefault(path)
-        return tuple(self.show(path) for path in itertools.islice(found, _LONGEST_LISTING))
+                if path.suffix.lower() not in suffixes or hidden or not path.is_file():
+                    continue
+                if "/" in suffixes and path.parent != folder:
+                    found.setdefault(path.parent)
+                found.setdefault(path)
+        return tuple(self.show(path) for path in itertools.islice(_without_tiles(list(found)), _LONGEST_LISTING))
 
     def add(self, name: str, content: bytes) -> Path:
         """Put a file into the first folder, under its name or, where that is taken, with a number behind it.
@@ -130,3 +156,14 @@ class Workspace:
             return os.path.relpath(path, self.folders[0])
         except ValueError:  # another drive
             return str(path)
+
+
+def _without_tiles(files: list[Path]) -> list[Path]:
+    """Files, with one name for all tiles of an image that has a first and another one."""
+    names = {file: _TILE.sub(rf"\g<1>{UDIM_MARK}\g<2>", file.name) for file in files}
+    patterns = {file: file.with_name(name) for file, name in names.items() if name != file.name}
+    sets = Counter(patterns.values())
+    first = {pattern for file, pattern in patterns.items() if file.name == pattern.name.replace(UDIM_MARK, "1001")}
+    whole = {pattern for pattern in first if sets[pattern] > 1}
+    shown = (patterns[file] if patterns.get(file) in whole else file for file in files)
+    return list(dict.fromkeys(shown))

@@ -15,6 +15,7 @@ import viser
 
 from cagemap.studio.downloads import content
 from cagemap.studio.landmarks import SIDES
+from cagemap.studio.options import Options
 from cagemap.studio.page.cameras import Cameras
 from cagemap.studio.page.choices import Choices
 from cagemap.studio.page.door import LOOPBACK, Door, new_token
@@ -37,6 +38,8 @@ class StudioRequest:
     ----------
     files : Files or None
         Opened at the start.
+    options : mapping
+        What the commands of a finish can be asked.
     folders : tuple of Path
         The page reads and writes nothing outside them.
     host : str
@@ -47,6 +50,7 @@ class StudioRequest:
     """
 
     files: Files | None
+    options: Options
     folders: tuple[Path, ...]
     host: str = "127.0.0.1"
     port: int = 8765
@@ -65,7 +69,7 @@ class StudioApp:
     """
 
     def __init__(self, request: StudioRequest) -> None:
-        self.session = Session(Workspace.of(*request.folders), request.vertices)
+        self.session = Session(Workspace.of(*request.folders), request.vertices, request.options)
         secret = new_token()
         # viser prints the addresses of its own ports, which answer nobody.
         with guarded(secret), contextlib.redirect_stdout(io.StringIO()):

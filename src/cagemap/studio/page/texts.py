@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 from urllib.parse import quote
 
-from cagemap.studio.downloads import ALL
+from cagemap.studio.downloads import ALL, archive_name
 from cagemap.studio.page.colors import css, landmark_color
 from cagemap.studio.scene import Scene
 from cagemap.studio.state import Output, Studio
@@ -80,11 +80,10 @@ def outputs_text(state: Studio) -> str:
 
 
 def _link(output: Output) -> str:
-    what, name = html.escape(output.what), html.escape(output.path.name)
-    if output.path.is_dir():
-        return f"{what}: {name}"
+    file = archive_name(output.path) if output.path.is_dir() else output.path.name
+    what, name = html.escape(output.what), html.escape(file)
     tab = ' target="_blank" rel="noopener"' if output.path.suffix.lower() == ".html" else ""
-    return f'{what}: <a href="/files/{quote(output.path.name, safe="")}"{tab} style="color:#9ecbff">{name}</a>'
+    return f'{what}: <a href="/files/{quote(file, safe="")}"{tab} style="color:#9ecbff">{name}</a>'
 
 
 def parts_text(scene: Scene | None) -> str:
