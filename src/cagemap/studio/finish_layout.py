@@ -164,6 +164,7 @@ VERTICES, SIZE = ("match", "vertices"), ("transfer", "size")
 _SIDES = ("target_", "source_")
 _OPENED = "chosen under Models"
 _EIGEN = "how the spectral basis is computed: for research"
+_ALIKE = "both models have about as many"
 _SPECTRAL = ("tolerance", "schedule", "laplacian", "accuracy", "literal")
 _PLACE = "the page names what it writes"
 # Not on the page, and why.
