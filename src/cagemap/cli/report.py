@@ -14,7 +14,7 @@ from cagemap.cli.job_file import note_output
 from cagemap.cli.progress import Stages
 from cagemap.cli.report_request import ReportRequest
 from cagemap.errors import CagemapError, FormatError
-from cagemap.files.atomic import check_outputs
+from cagemap.files.atomic import check_outputs, require_no_input
 from cagemap.files.attributes import read_attributes
 from cagemap.files.file_rows import file_rows
 from cagemap.files.images import Image, Pixels, read_image, read_texture
@@ -32,8 +32,9 @@ _log = logging.getLogger(__name__)
 def run_report(request: ReportRequest, stages: Stages) -> None:
     """Write the report of a RESULT folder."""
     folder, output, texture, force = request.result, request.output, request.texture, request.force
-    check_page_path(output)
     stages("read result")
+    require_no_input([output], [folder / MANIFEST, folder / ARRAYS, *([] if texture is None else [texture])])
+    check_page_path(output)
     check_outputs([output], [folder / MANIFEST, folder / ARRAYS], force=force)
     result = read_result(folder)
     result = result if request.level is None else result.at_level(request.level)
