@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cagemap.cli.option_list import all_options
 from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.files.landmarks import read_landmarks
 from cagemap.files.meshes import write_mesh
@@ -205,8 +206,8 @@ def hypothesis_scenes() -> dict[str, Scene]:
 def test_the_finish_matches_the_open_parts_into_a_folder_of_their_own(folder: Path) -> None:
     files = chosen_files(folder / "a.obj", folder / "b.obj", None, None, None, parts=("eye", None))
     assert files is not None
-    assert "--target-part eye" in str(commands(files, FinishOptions(), landmarks=False)[0])
-    assert "--source-part" not in str(commands(files, FinishOptions(), landmarks=False)[0])
+    assert "--target-part eye" in str(commands(all_options(), files, FinishOptions(), landmarks=False)[0])
+    assert "--source-part" not in str(commands(all_options(), files, FinishOptions(), landmarks=False)[0])
     results = {
         result_of(files, parts).name for parts in ((None, None), ("object:eye", None), ("object:hat", "group:x/y"))
     }
