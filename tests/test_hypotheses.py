@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from cagemap.errors import InvalidLandmarksError
+from cagemap.files.merged import merge_results
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence, MapShape, Reading
 from cagemap.maps.hypotheses.method import unreached_share
@@ -17,7 +18,9 @@ from cagemap.maps.hypotheses.starts import AS_FILED, axis_rotations, rigid_start
 from cagemap.maps.masks import WHOLE
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import Bilinear, ControlMesh
+from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.parts import extract
 from cagemap.mesh.shapes import creature, cube, voxels
 from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_pair, prepare_surface
 from cagemap.refinement import refine
@@ -71,11 +74,17 @@ def test_a_bent_twin_is_found_without_landmarks_however_its_axes_lie() -> None:
 
 @pytest.mark.slow
 def test_a_shape_that_is_its_own_double_has_two_answers_and_landmarks_choose() -> None:
-    cage = cube()
+    scene = join_meshes([creature(), cube()])
+    cage = extract(scene, np.arange(creature().n_faces, scene.n_faces))
     target, source = prepare_surface(cage, 3), prepare_surface(cage, 3)
     undecided = match(target, source)
     assert undecided.confidence is not None
     assert undecided.confidence.verdict == TWO
+    # The message counts as the file does, also in a result of several parts, which stand one after another.
+    assert f"vertex {int(undecided.confidence.deciding or 0) + creature().n_vertices} " in undecided.confidence.message
+    merged = merge_results([undecided, undecided], {}).confidence
+    assert merged is not None
+    assert merged.message == f"the part of 6 faces: {undecided.confidence.message}"
     # Any corner may come to lie on any other, and an edge then on any of the three that leave it.
     other = cage.positions[0] * (-1, 1, 1)
     places = [int(np.argmin(np.linalg.norm(cage.positions - at, axis=1))) for at in (cage.positions[0], other)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 from cagemap.cli.match import MatchRequest, run_match
@@ -40,7 +41,13 @@ def run_demo(folder: Path, stages: Stages, *, force: bool = False) -> tuple[Path
     run_match(MatchRequest(target, source, landmarks, result, vertices=VERTICES, force=force), stages)
     run_transfer(TransferRequest(result, baked, texture=texture, force=force), stages)
     run_report(ReportRequest(result, report, force=force), stages)
-    by_hand = "\n".join(
+    files = (target, source, landmarks, result, texture, baked, report)
+    return report, _by_hand(*(shlex.quote(str(file)) for file in files))
+
+
+def _by_hand(target: str, source: str, landmarks: str, result: str, texture: str, baked: str, report: str) -> str:
+    """The commands that do the same."""
+    return "\n".join(
         [
             f"  cagemap match --target {target} --source {source} --landmarks {landmarks} "
             f"--vertices {VERTICES} -o {result}",
@@ -48,4 +55,3 @@ def run_demo(folder: Path, stages: Stages, *, force: bool = False) -> tuple[Path
             f"  cagemap report {result} -o {report}",
         ]
     )
-    return report, by_hand

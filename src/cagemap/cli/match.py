@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shlex
 import time
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -257,13 +258,13 @@ def match_meshes(inputs: Inputs, settings: MatchSettings, stages: Stages) -> Mat
 def summary(result: MatchResult, folder: Path, seconds: float) -> str:
     """A few lines for the terminal."""
     manifest = result.manifest
-    quality = manifest["quality"]
+    quality, typed = manifest["quality"], shlex.quote(str(folder))
     lines = [
         f"{result.source.control.name} -> {result.target.control.name}: {len(result.target.vertices):,} target and "
         f"{len(result.source.vertices):,} source vertices in {seconds:.1f} s",
         f"  {landmark_summary(result)}{_assured(manifest)}",
         f"  {100 * quality['flipped_area']:.2f} % folded, {100 * quality['coverage']:.1f} % of the source covered",
-        f"wrote {folder}; next: cagemap transfer {folder} --texture IMG -o OUT.png, or cagemap report {folder}",
+        f"wrote {folder}; next: cagemap transfer {typed} --texture IMG -o OUT.png, or cagemap report {typed}",
     ]
     return "\n".join(lines)
 

@@ -152,11 +152,19 @@ def _least_confidence(parts: Sequence[MatchResult]) -> Confidence | None:
                 replace(
                     part.confidence,
                     deciding=None if deciding is None else deciding + start,
+                    part=_title(part.target.control),
                     readings=tuple(replace(one, positions=one.positions[:0]) for one in part.confidence.readings),
                 )
             )
         start += part.target.control.n_vertices
     return max(known, key=lambda one: _DOUBT.index(one.verdict), default=None)
+
+
+def _title(part: ControlMesh) -> str:
+    """What a part is called in messages: its object's name, where it has one of its own, and its size."""
+    objects = [] if part.face_objects is None else np.unique(part.face_objects).tolist()
+    name = f"part '{part.object_names[objects[0]]}'" if len(objects) == 1 and len(part.object_names) > 1 else "the part"
+    return f"{name} of {part.n_faces} faces"
 
 
 def _merged_checks(parts: Sequence[MatchResult]) -> LandmarkCheck:

@@ -78,7 +78,8 @@ def stored_confidence(record: ConfidenceRecord | None, answer: SurfacePoints, ot
     )
     gap = np.inf if record.gap is None else record.gap
     shape = MapShape(record.folded, record.aspect, record.unreached)
-    return Confidence(record.verdict, record.cost, gap, readings, record.deciding, shape)
+    numbers = record.deciding, shape, record.file_vertex
+    return Confidence(record.verdict, record.cost, gap, readings, *numbers, record.part)
 
 
 # Mean distance, of sqrt(area), from which a curve counts as missed.

@@ -68,6 +68,8 @@ class ConfidenceRecord(Record):
     cost: float
     gap: float | None = None
     deciding: Annotated[int, Field(ge=0)] | None = None
+    file_vertex: Annotated[int, Field(ge=0)] | None = None
+    part: str = ""
     readings: Annotated[list[ReadingRecord], Field(min_length=1)]
     folded: float = 0.0
     aspect: float = 1.0

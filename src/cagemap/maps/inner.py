@@ -59,8 +59,13 @@ def outer_masks(masks: Masks, target: Surface, source: Surface) -> Masks:
 
 
 def outer_confidence(confidence: Confidence, prepared: PreparedPair) -> Confidence:
-    """Answers for the level that is deformed, as answers for all vertices of a plain target, in its own numbers."""
-    refinement = prepared.target.refinement
+    """Answers for the level that is deformed, as answers for all vertices of a plain target, in its own numbers.
+
+    The vertex that decides gets its number in the target's file too, where the target is a part of it.
+    """
+    refinement, numbers = prepared.target.refinement, prepared.target.outer.control.file_vertices
+    if numbers is not None and confidence.deciding is not None:
+        confidence = replace(confidence, file_vertex=int(numbers[confidence.deciding]))
     if prepared.target.outer is prepared.target:
         return confidence
 

@@ -108,6 +108,10 @@ class Confidence:
         Control vertex of the target where the two best answers differ most: a landmark there decides.
     shape : MapShape
         Of the answer.
+    file_vertex : int or None
+        Number of `deciding` in the target's file, where the target is a part of it.
+    part : str
+        Whose answer this is, where a result has several parts.
     """
 
     verdict: str
@@ -116,6 +120,8 @@ class Confidence:
     readings: tuple[Reading, ...]
     deciding: int | None
     shape: MapShape = MapShape()
+    file_vertex: int | None = None
+    part: str = ""
 
     @classmethod
     def of(cls, readings: tuple[Reading, ...], control_vertices: int, shape: MapShape = MapShape()) -> Confidence:
@@ -135,7 +141,12 @@ class Confidence:
 
     @property
     def message(self) -> str:
-        """One or two sentences for a user."""
+        """One or two sentences for a user, who counts vertices as the file does."""
+        return f"{self.part}: {self._sentences}" if self.part else self._sentences
+
+    @property
+    def _sentences(self) -> str:
+        vertex = self.deciding if self.file_vertex is None else self.file_vertex
         if any(reading.exchange for reading in self.readings):
             return (
                 "two answers: the landmarks surround each other in the opposite sense on the two surfaces. The map "
@@ -144,7 +155,7 @@ class Confidence:
         if self.readings[0].name == AS_GIVEN:
             return (
                 f"look at it: {self.readings[1].name} the landmarks are met nearly as cheaply ({self.gap:.2f} times "
-                f"the cost). A landmark at target vertex {self.deciding} decides; `answer=1` takes the other map"
+                f"the cost). A landmark at target vertex {vertex} decides; `answer=1` takes the other map"
             )
         answer = f"without landmarks the target lies on the source {self.readings[0].name}"
         if self.verdict == SURE:
@@ -152,9 +163,9 @@ class Confidence:
         if self.verdict == TWO:
             return (
                 f"two answers: {answer}, but {self.readings[1].name} fits as well (`answer=1`). A landmark at "
-                f"target vertex {self.deciding} decides"
+                f"target vertex {vertex} decides"
             )
-        hint = f", first at target vertex {self.deciding}" if self.deciding is not None else ""
+        hint = f", first at target vertex {vertex}" if self.deciding is not None else ""
         missing = self.shape.unreached
         why = f"nothing comes to {100 * missing:.0f} % of the source" if missing > SURE_UNREACHED else DIFFERENT
         return f"look at it: {answer}, and {why}. Landmarks make it better{hint}"
@@ -175,6 +186,8 @@ class Confidence:
                 for reading in self.readings
             ],
             "deciding": self.deciding,
+            "file_vertex": self.file_vertex,
+            "part": self.part,
             "folded": self.shape.folded,
             "aspect": self.shape.aspect,
             "unreached": self.shape.unreached,
