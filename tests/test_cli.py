@@ -318,6 +318,8 @@ def test_a_normal_map_is_not_taken_for_colours_without_a_word(run: Run, result_f
         if pixels is not None:
             write_image(place / name, pixels)
         assert run("transfer", "R", "--texture", name, "--size", 16, "-o", "o.png").err == "", name
+    assert run("transfer", "R", "--normal-map", "n.png", "--size", 16, "-o", "o.png").err == ""
+    assert "is it a normal map" in run("transfer", "R", "--normal-map", "sky.png", "--size", 16, "-o", "o.png").err
 
 
 @pytest.mark.parametrize("option", ["--scale", "--midlevel"])

@@ -9,8 +9,10 @@ import re
 from pathlib import Path
 
 import pytest
+import typer
 
 import cagemap
+from cagemap.cli.app import app
 from cagemap.cli.words import OPTIONS, in_options
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -111,6 +113,26 @@ def test_every_command_option_is_documented_and_exists(document: Path) -> None:
         assert missing <= {"--symmetry", "--version"}, missing
         written = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", text))
         assert written <= options, written - options
+
+
+def command_lines() -> list[str]:
+    """Lines of all documents that a reader may type, what is optional left out."""
+    lines = []
+    for document in documents():
+        text = document.read_text(encoding="utf-8").replace("\\\n", " ")
+        blocks = re.findall(r"^```\w*\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+        lines += [line for block in blocks for line in block.splitlines()]
+        lines += re.findall(r"^    (\S.*)$", text, re.MULTILINE)
+    typed = (re.sub(r"\[.*?\]|\.\.\.", "", line.split("#")[0]) for line in lines if line.startswith("cagemap "))
+    return [" ".join(line.split()) for line in typed]
+
+
+@pytest.mark.parametrize("line", command_lines())
+def test_every_command_line_can_be_typed_as_it_stands(line: str) -> None:
+    """No option is spelt wrongly, misses its value or has one too many, and no argument is missing."""
+    commands, (name, *words) = typer.main.get_command(app).commands, line.split()[1:]  # type: ignore[attr-defined]
+    if name in commands:  # options of the whole program come before the command
+        commands[name].make_context(name, ["3" if word in ("L", "N") else word for word in words])
 
 
 def test_the_architecture_names_every_file_of_the_maps_room() -> None:

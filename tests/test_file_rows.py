@@ -151,7 +151,7 @@ def test_a_wrapped_part_stays_in_its_file(folder: Path) -> None:
     np.testing.assert_array_equal(wrapped.face_indices, scene.face_indices)
     np.testing.assert_allclose(wrapped.positions[:first], scene.positions[:first], rtol=0, atol=0)
     assert np.abs(wrapped.positions - scene.positions).max() < 0.05 * np.ptp(scene.positions)
-    assert any("stays where it is" in text for text in warnings)
+    assert any("stay where they are" in text for text in warnings)
 
 
 def test_suggested_landmarks_can_be_matched_again(folder: Path) -> None:

@@ -30,9 +30,12 @@ from cagemap.files.usd_write import UsdResults
 from cagemap.maps.result import MatchResult
 from cagemap.transfer import BakeOptions, bake_displacement, bake_face_colors, bake_texture, face_colors
 from cagemap.transfer.displacement import Displacement
-from cagemap.transfer.normal_maps import looks_like_normal_map
+from cagemap.transfer.normal_maps import looks_like_normal_map, share_of_normals
 from cagemap.transfer.texture import Pixels
 from cagemap.transfer.vectors import Green, Space, bake_normal_map, bake_vector_displacement
+
+# Share of an image's colours that are directions, below which it is hardly a normal map. JPEG leaves most of them so.
+FEWEST_NORMALS = 0.3
 
 
 def carry_texture(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
@@ -101,6 +104,12 @@ def carry_normal_map(request: TransferRequest, result: MatchResult, stages: Stag
     assert request.normal_map is not None
     given = read_source_image(request, result, request.normal_map, 3)
     prepared = prepare_bake(request, result, stages)
+    share = share_of_normals(given.first.pixels)
+    if share < FEWEST_NORMALS:
+        prepared.warnings.append(
+            f"{request.normal_map}: only {100 * share:.0f} % of its colours are directions; is it a normal map? "
+            "Colours go through --texture."
+        )
 
     def bake(options: BakeOptions) -> Pixels:
         return bake_normal_map(

@@ -214,7 +214,8 @@ def _write(
         rows = rows_of(original, result.target.control)
         whole = mesh if rows is None else rows.whole.with_positions(rows.placed(mesh.positions))
         write_obj_positions(output, original, whole, force=request.force)
-        return [] if rows is None else [f"{original.name}: what was not matched of it stays where it is"]
+        left = 0 if rows is None else whole.n_vertices - len(np.unique(rows.vertices))
+        return [f"{original.name}: {left} vertices that were not matched stay where they are"] if left else []
     check_outputs(mesh_files(output, mesh), [], force=request.force)
     both_usd = all(path is not None and path.suffix.lower() in USD_SUFFIXES for path in (output, original))
     if wrapped.level == 0 and both_usd:

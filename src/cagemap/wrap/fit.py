@@ -57,8 +57,10 @@ class WrapConfig:
     def __post_init__(self) -> None:
         if self.level < 0 or self.rounds < 0:
             raise ParameterError(f"level and rounds: expected 0 or more, got {self.level} and {self.rounds}")
-        if not (0 < self.fairness < np.inf and 0 <= self.anchor < np.inf):
-            raise ParameterError(f"fairness > 0, anchor >= 0 expected, got {self.fairness} and {self.anchor}")
+        if not 0 < self.fairness < np.inf:
+            raise ParameterError(f"fairness: expected a number above 0, got {self.fairness}; the default is 1e-4")
+        if not 0 <= self.anchor < np.inf:
+            raise ParameterError(f"anchor: expected 0 or more, got {self.anchor}; the default is 0.003")
 
 
 @dataclass(frozen=True, eq=False)
