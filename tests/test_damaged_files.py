@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 
 from cagemap.basis import BasisConfig
+from cagemap.cli.job_file import WRITTEN
+from cagemap.cli.library import COMMANDS
 from cagemap.cli.masks import read_mask
 from cagemap.cli.progress import Stages
 from cagemap.cli.transfer import run_transfer
@@ -31,21 +33,30 @@ from cagemap.files.meshes import read_mesh, write_mesh
 from cagemap.files.mhclo import bind, read_mhclo, write_mhclo
 from cagemap.files.ply import write_ply
 from cagemap.files.result import ARRAYS, MANIFEST, read_result, write_result
+from cagemap.files.rigs import read_shapes, read_skeleton, write_shapes, write_skeleton
 from cagemap.files.surface_store import load_surface, prepared, save_surface
 from cagemap.files.symmetry import read_symmetry
+from cagemap.library import Task, read_job
+from cagemap.library.run import kept_outcome
 from cagemap.mesh import icosahedron, shapes
 from cagemap.mesh.landmarks import on_cage
+from cagemap.mesh.skeleton import Skeleton
 from cagemap.pipeline import prepare_surface
 from cagemap.report import build_page
 from cagemap.report.figures import Gallery
+from cagemap.studio.autosave import kept_parts, read_autosave, write_autosave
+from cagemap.studio.landmarks import Landmark, LandmarkList, Place
+from cagemap.studio.opening import result_files
 
 from example_result import identity_result, textured_cube
 
+TASK = Task("match", "a", "k", (), {}, ())
+NOTE = f".cagemap/done/{TASK.slug}.json"  # what a run of a job keeps of a task that is done
 Generator = np.random.Generator
 SEED = 2019
 # What an entry of a JSON file may be instead.
 OTHERS: list[Any] = [None, True, -1, 0, 7, 2**70, 1e300, float("nan"), "", "x" * 300, "\ud800", "a\0b", "../.."]
-OTHERS += [[], [[]], {}, {"a": 1}, [1, "b"]]
+OTHERS += [[], [[]], {}, {"a": 1}, [1, "b"], float("inf")]
 WORDS = [
     b"nan",
     b"1e400",
@@ -57,6 +68,7 @@ WORDS = [
     b"f 1 2",
     b"\n",
     b"\xed\xa0",
+    b"a = " + b"[" * 20_000,
     b"{",
     b"",
 ]
@@ -173,6 +185,45 @@ def write_guests(place: Path) -> None:
     write_attributes(place / "mask.csv", {"m": np.linspace(0, 1, 8)})
 
 
+def write_states(place: Path) -> None:
+    """Files by which cagemap goes on with its own work, and rigs."""
+    corner = Place((0.0, 0.0, 0.0), (0, 1, 2), (0.25, 0.25, 0.5))
+    kept = LandmarkList((Landmark(1, "nose", corner, corner), Landmark(2, "chin", corner, None)))
+    write_autosave(place / "autosave.json", kept)
+    write_mesh(place / "cube.obj", shapes.cube())
+    (place / "job.toml").write_text(
+        'output = "out"\n[options]\nvertices = 500\n[carry]\nsource = "a"\nfolder = "carried"\n'
+        + "".join(f'[[assets]]\nname = "{name}"\nfile = "cube.obj"\nlandmarks = "l.json"\n' for name in "ab")
+        + '[[pairs]]\nsource = "a"\ntarget = ["b"]\n[[outputs]]\ncommand = "transfer"\noutput = "t.png"\n'
+        'texture = "t.png"\nsize = 64\n'
+    )
+    note = {
+        "key": "k",
+        "outputs": {"cube.obj": (place / "cube.obj").stat().st_size},
+        "seconds": 1.0,
+        "figures": {"flipped": 0.0},
+    }
+    (place / ".cagemap" / "done").mkdir(parents=True)
+    (place / NOTE).write_text(json.dumps(note))
+    joints = Skeleton(("a", "b"), ("", "a"), np.zeros((2, 3)), np.ones((2, 3)), np.stack([np.eye(3)] * 2))
+    write_skeleton(place / "joints.json", joints)
+    write_shapes(place / "shapes.npz", {"smile": np.ones((8, 3))}, shapes.cube(), [])
+
+
+def use_autosave(path: Path) -> None:
+    """What the studio reads when it opens; a damaged file is moved aside."""
+    kept_parts(path)
+    for item in read_autosave(path, (8, 8)).items:
+        for place in (item.target, item.source):
+            assert place is None or np.isfinite([*place.position, *place.weights]).all()
+
+
+def use_note(path: Path) -> None:
+    """What a run reads of the one before."""
+    if kept_outcome(path.parents[2], TASK) is None:
+        raise FormatError("done again")
+
+
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One sound file of every kind."""
@@ -191,6 +242,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_attributes(place / "n.csv", {"whole": np.arange(20), "b": rng.random((20, 2))})
     save_surface(place / "s.npz", prepare_surface(shapes.cube(), 2, BasisConfig(count=6)))
     write_guests(place)
+    write_states(place)
     return place
 
 
@@ -225,6 +277,14 @@ GUESTS: dict[str, Callable[[Path], object]] = {
     "mask.png": use_mask,
     "mask.csv": use_mask,
 }
+STATES: dict[str, Callable[[Path], object]] = {
+    "autosave.json": use_autosave,
+    "job.toml": lambda path: read_job(path, COMMANDS, WRITTEN),
+    NOTE: use_note,
+    "joints.json": read_skeleton,
+    "shapes.npz": lambda path: read_shapes([path], shapes.cube()),
+}
+JSON_STATES = [name for name in STATES if name.endswith(".json")]
 READERS: dict[str, Callable[[Path], object]] = {
     "box.obj": read_mesh,
     "box.mtl": lambda path: read_mesh(path.with_name("box.obj")),
@@ -242,6 +302,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "t.exr": read_image,
     "s.npz": load_surface,
     **GUESTS,
+    **STATES,
     f"R/{MANIFEST}": lambda path: use_result(path.parent),
     f"R/{ARRAYS}": lambda path: use_result(path.parent),
 }
@@ -249,6 +310,7 @@ READERS: dict[str, Callable[[Path], object]] = {
 
 def use_result(folder: Path) -> None:
     """All that is done with a result: a page about it, and a texture through it."""
+    outcome(lambda: result_files(folder, None, None))
     result = read_result(folder)
     build_page(result, Gallery("map", (), (), ()))
     request = TransferRequest(folder, folder / "baked.png", texture=folder.parent / "t.png", size=8, force=True)
@@ -271,7 +333,9 @@ def test_changed_bytes(scene: Path, tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [f"R/{MANIFEST}", "l.json", "lc.json", "c.json", "p.mrk.json", "wrap.json"])
+@pytest.mark.parametrize(
+    "name", [f"R/{MANIFEST}", "l.json", "lc.json", "c.json", "p.mrk.json", "wrap.json", *JSON_STATES]
+)
 def test_changed_entries(scene: Path, tmp_path: Path, name: str) -> None:
     rng = np.random.default_rng([SEED, 11])
     place = shutil.copytree(scene, tmp_path / "work")
@@ -318,7 +382,7 @@ def test_images_without_texels_and_cut_short_are_refused_by_name(tmp_path: Path,
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [f"R/{ARRAYS}", "s.npz"])
+@pytest.mark.parametrize("name", [f"R/{ARRAYS}", "s.npz", "shapes.npz"])
 def test_changed_arrays(scene: Path, tmp_path: Path, name: str) -> None:
     """Checksums of the archive are right, and its arrays are not."""
     rng = np.random.default_rng([SEED, 12])

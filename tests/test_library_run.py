@@ -112,11 +112,22 @@ def test_two_runs_at_once_do_a_task_once(tmp_path: Path) -> None:
 
 def test_leftovers_of_a_killed_run_are_removed_and_a_user_s_files_are_not(tmp_path: Path) -> None:
     folder = tmp_path / "one"
-    (folder / ".out.abc.part").mkdir(parents=True)
-    (folder / ".out.def.part.txt").write_text("half")
+    (tmp_path / ".one.k2_ab8xz.part").mkdir(parents=True)
+    folder.mkdir()
+    (folder / ".out.x7c9_d0e.part.txt").write_text("half")
     (folder / "thesis.tex").write_text("mine")
+    (folder / ".out.old.parts").mkdir()  # nearly such a name
+    (folder / ".out.old.parts" / "photo.raw").write_text("mine")
+    (folder / ".out.mine.part.txt").write_text("mine")
     execute(task(tmp_path, "one"), tmp_path, write_name)
-    assert sorted(path.name for path in folder.iterdir()) == ["out.txt", "thesis.tex"]
+    assert sorted(path.name for path in folder.iterdir()) == [
+        ".out.mine.part.txt",
+        ".out.old.parts",
+        "out.txt",
+        "thesis.tex",
+    ]
+    assert (folder / ".out.old.parts" / "photo.raw").read_text() == "mine"
+    assert not (tmp_path / ".one.k2_ab8xz.part").exists()
 
 
 def test_preparations_of_what_is_done_are_not_repeated(tmp_path: Path) -> None:

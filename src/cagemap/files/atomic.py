@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import shutil
 import stat
 import tempfile
@@ -255,6 +256,17 @@ def _reserve(target: Path) -> Path:
     temporary = Path(name)
     temporary.chmod(0o666 & ~_umask())
     return temporary
+
+
+def leftovers(final: str | Path) -> list[Path]:
+    """Temporary files and folders that a killed process left of a file or folder; nobody else's have such names."""
+    target = _real(final)
+    ours = [
+        rf"\.{re.escape(target.stem)}\.\w{{8}}\.part{re.escape(target.suffix)}",
+        rf"\.{re.escape(target.name)}\.\w{{8}}\.part",
+    ]
+    found = target.parent.iterdir() if target.parent.is_dir() else ()
+    return [path for path in found if any(re.fullmatch(name, path.name) for name in ours)]
 
 
 def _umask() -> int:

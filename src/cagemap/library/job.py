@@ -110,6 +110,8 @@ def read_job(
     except IsADirectoryError:
         inside = f"; {file / 'job.toml'} is one" if (file / "job.toml").is_file() else ""
         raise FormatError(f"{file}: expected a job file, got a folder. Give a file in it{inside}.") from None
+    except RecursionError:
+        raise FormatError(f"{file}: expected a TOML file, got brackets within brackets without end.") from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise FormatError(f"{file}: expected a TOML file, got a mistake in it: {error}.") from None
     parsed, problems = parsed_file(data)

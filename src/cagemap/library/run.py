@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cagemap.errors import CagemapError, FormatError, ParameterError
-from cagemap.files.atomic import atomic_path, files_written
+from cagemap.files.atomic import atomic_path, files_written, leftovers
 from cagemap.files.marks import mark
 from cagemap.library.plan import AROUND, RESULT, STATE, Plan, Task
 from cagemap.numerics.threads import core_count
@@ -333,7 +333,7 @@ def _remove_leftovers(root: Path, task: Task) -> None:
     """Remove temporary files that a killed run of this very task left behind; the task's lock is held."""
     for output in task.outputs:
         for place in (root / output, (root / output).parent):
-            for left in place.parent.glob(f".{place.stem}.*.part*"):
+            for left in leftovers(place):
                 if left.is_dir():
                     shutil.rmtree(left)
                 else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,8 @@ from cagemap.studio.landmarks import Landmark, LandmarkList, Place
 
 _AUTOSAVE = "cagemap-studio-autosave"
 _NUMBERS = "of the files"
+# How far weights of three corners may be from 1 in sum.
+_SUM = 1e-3
 
 Parts = tuple[str | None, str | None]
 
@@ -64,7 +67,7 @@ def kept_parts(path: Path) -> Parts:
     try:
         data = json.loads(read_text(path, "an autosave of the studio"))
         target, source = data["parts"]
-    except (ValueError, KeyError, TypeError, FormatError):
+    except (ValueError, KeyError, TypeError, RecursionError, FormatError):
         return None, None
     return target if isinstance(target, str) else None, source if isinstance(source, str) else None
 
@@ -106,7 +109,7 @@ def read_autosave(path: Path, vertices: tuple[int, int]) -> LandmarkList:
         for (points, lines), count in zip(sides, vertices, strict=True):
             if max(points.corners.max(initial=-1), lines.points.corners.max(initial=-1)) >= count:
                 raise ValueError(f"landmarks of a model that has more than {count} vertices")
-    except (ValueError, KeyError, TypeError, FormatError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError, FormatError) as error:
         aside = next(name for k in itertools.count(1) if not (name := path.with_name(f"{path.name}.{k}")).exists())
         path.rename(aside)
         raise FormatError(
@@ -129,4 +132,6 @@ def _place(entry: Any, vertices: int) -> Place | None:
     u, v, w = map(float, entry["weights"])
     if not 0 <= min(a, b, c) <= max(a, b, c) < vertices:
         raise ValueError(f"vertices {a}, {b}, {c} of a model that has {vertices}")
+    if not (all(map(math.isfinite, (x, y, z, u, v, w))) and abs(u + v + w - 1.0) < _SUM):
+        raise ValueError(f"a place at {x}, {y}, {z} with weights {u}, {v}, {w}")
     return Place((x, y, z), (a, b, c), (u, v, w))
