@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,7 +30,7 @@ from cagemap.transfer.detail import (
     detail_over,
     own_transfer,
 )
-from cagemap.transfer.exact import corner_samples, lookup_matrix, make_exact
+from cagemap.transfer.exact import Aim, Landing, corner_samples, lookup_matrix, make_exact
 from cagemap.transfer.occlusion import ambient_occlusion
 from cagemap.transfer.texels import texel_coordinates
 from test_cli import Run, result_folder, run  # noqa: F401
@@ -37,6 +38,12 @@ from transfer_scenes import crossed_cube, identity_map, plane
 
 SIZE = 64
 PLAIN = BakeOptions(supersample=1)
+
+
+def to(wanted: np.ndarray) -> Callable[[np.ndarray], Aim]:
+    """Lookups are to read these values (k, c), all channels alike."""
+    k, c = wanted.shape
+    return lambda _: Aim(wanted, np.broadcast_to(np.eye(c), (k, c, c)))
 
 
 def waves(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -104,15 +111,36 @@ def test_lookups_become_exact_by_the_least_change() -> None:
     image = rng.normal(size=(20, 30, 2)).astype(np.float32)
     places, wanted = rng.uniform((0, 0), (30, 20), (40, 2)), rng.normal(size=(40, 2))
     before = image.copy()
-    make_exact(image, places, wanted)
+    make_exact(image, places, to(wanted))
     lookups = lookup_matrix(places, 20, 30).toarray()
     np.testing.assert_allclose(lookups @ image.reshape(-1, 2), wanted, atol=0.05)
     least = np.linalg.lstsq(lookups, wanted - lookups @ before.reshape(-1, 2))[0]
     assert np.abs((image - before).reshape(-1, 2) - least).max() < 0.05 * np.abs(least).max()
     # What is right already stays as it is, to the last bit.
     again = image.copy()
-    make_exact(again, places, lookups @ again.reshape(-1, 2).astype(np.float64))
+    make_exact(again, places, to(lookups @ again.reshape(-1, 2).astype(np.float64)))
     np.testing.assert_array_equal(again, image)
+
+
+def test_displaced_corners_that_share_their_texels_lie_on_the_surface_and_may_slide_along_it() -> None:
+    """Twelve corners in one texel, over a plane that they are all as far from; feet of their own pull them apart."""
+    rng = np.random.default_rng(5)
+    normal, along = np.array([0.6, 0.0, 0.8]), np.array([0.8, 0.0, -0.6])
+    corners = np.array([3 * along, [0, 3, 0], -3 * along, [0, -3, 0]]) + 0.1 * normal
+    surface = TriangleSurface(corners, np.array([[0, 1, 2], [0, 2, 3]]))
+    assert np.einsum("d,td->t", normal, surface.normals).min() > 0.999
+    places = 2.0 + rng.random((12, 2)) * 0.9
+    points = rng.uniform(-0.5, 0.5, (12, 1)) * along + rng.uniform(-0.5, 0.5, (12, 1)) * np.array([0, 1.0, 0])
+    scattered = 0.1 * normal + rng.normal(0.0, 0.2, (12, 1)) * along
+    heights, frame = {}, np.broadcast_to(np.stack([along, [0, 1, 0], normal]), (12, 3, 3))
+    for slides in (True, False):
+        image = np.zeros((5, 5, 3), dtype=np.float32)
+        normals = np.broadcast_to(normal, (12, 3))
+        make_exact(image, places, Landing(surface, points, normals, scattered, np.full(12, slides), frame))
+        heights[slides] = lookup_matrix(places, 5, 5) @ image.reshape(-1, 3)
+    np.testing.assert_allclose(heights[True][:, 2], 0.1, atol=2e-3)
+    assert np.abs(heights[True][:, :2]).max() < 1e-3  # what does not matter does not move
+    assert np.abs(heights[False][:, 0]).max() > 0.02  # ... and what does, does
 
 
 def test_detail_grows_and_turns_with_the_target(wavy: Detail) -> None:
@@ -190,7 +218,7 @@ def test_corners_outside_the_image_change_nothing_in_it() -> None:
     assert uvs.min() >= 0
     assert uvs.max() <= 1
     empty = np.ones((4, 4, 1), dtype=np.float32)
-    make_exact(empty, np.zeros((0, 2)), np.zeros((0, 1)))
+    make_exact(empty, np.zeros((0, 2)), to(np.zeros((0, 1))))
     assert (empty == 1).all()
 
 

@@ -26,7 +26,7 @@ from cagemap.numerics.threads import parts
 from cagemap.refinement import Level
 from cagemap.transfer.baking import BakeOptions, Canvas, Transfer, bake, make_canvas, prepare_transfer, to_dtype, unit
 from cagemap.transfer.displacement import Displacement, scale_ratio
-from cagemap.transfer.exact import corner_samples, make_exact
+from cagemap.transfer.exact import Landing, corner_samples, make_exact
 from cagemap.transfer.locate import Samples
 from cagemap.transfer.lookups import plan_samples
 from cagemap.transfer.meeting import REACH, Met, meet
@@ -34,6 +34,8 @@ from cagemap.transfer.texels import texel_coordinates
 from cagemap.transfer.texture import Pixels, lay_texture, look_up
 from cagemap.transfer.vectors import Green, Space, Turn, bake_turned, check_space, displacement_order, normal_encoder
 
+# Corners that follow the detail by this much may slide along it.
+_WHOLE = 1.0 - 1e-9
 # Rows of an image whose lengths are turned into values at a time.
 _ROWS = 256
 
@@ -164,9 +166,12 @@ def bake_detail_vectors(
     options, kept = options or BakeOptions(), np.dtype(dtype)
     middle, encode = _length_encoder(transfer, detail, scale, kept)
 
-    def give(samples: Samples) -> FloatArray:
+    def seen(samples: Samples) -> tuple[Met, FloatArray]:
         met = _met(transfer, detail, samples)
-        shares = met.near * _following(transfer, detail, samples)
+        return met, met.near * _following(transfer, detail, samples)
+
+    def give(samples: Samples) -> FloatArray:
+        met, shares = seen(samples)
         return np.asarray(shares[:, None] * (met.foot.positions - met.points))
 
     check_space(space)
@@ -175,8 +180,12 @@ def bake_detail_vectors(
     plain = np.dtype(np.float32)
     vectors = bake_turned(transfer, canvas, counts, give, np.asarray, space, order, plain, options)
     uvs, samples, triangle, inside = corner_samples(transfer, options.tile)
-    own = Turn.of(transfer, space).back(give(samples), samples, triangle, inside)
-    make_exact(vectors, texel_coordinates(uvs, *vectors.shape[:2]), own[:, np.argsort(order)])
+    (met, shares), turn = seen(samples), Turn.of(transfer, space)
+    axes = np.broadcast_to(np.eye(3)[:, None], (3, len(uvs), 3))
+    turned = np.stack([turn.back(axis, samples, triangle, inside) for axis in axes], axis=2)[:, np.argsort(order)]
+    straight = shares[:, None] * (met.foot.positions - met.points)
+    landing = Landing(detail.surface, met.points, met.normals, straight, shares >= _WHOLE, turned)
+    make_exact(vectors, texel_coordinates(uvs, *vectors.shape[:2]), landing)
     pixels = vectors if kept == plain else np.empty(vectors.shape, dtype=kept)
     for rows in parts(len(vectors), _ROWS):
         pixels[rows] = to_dtype(encode(vectors[rows]), kept)

@@ -57,7 +57,7 @@ def meet(surface: TriangleSurface, points: FloatArray, normals: FloatArray) -> M
     points, normals : (s, 3) float64
         Of the source at unit area; unit length.
     """
-    first, distance = _nearest_facing(surface, points, normals, None)
+    first, distance = nearest_facing(surface, points, normals)
     triangle, barycentric = first.triangle.copy(), first.barycentric.copy()
     heights, met = np.zeros(len(points)), np.zeros(len(points), dtype=np.bool_)
     open_, foot = np.arange(len(points)), first
@@ -66,7 +66,7 @@ def meet(surface: TriangleSurface, points: FloatArray, normals: FloatArray) -> M
         slope = np.einsum("sd,sd->s", along, across)
         ahead = np.einsum("sd,sd->s", foot.positions - origin, across) / np.where(slope > _GRAZING, slope, np.inf)
         ahead = np.clip(ahead, -REACH, REACH)
-        foot, missed = _nearest_facing(surface, origin + ahead[:, None] * along, along, foot.triangle)
+        foot, missed = nearest_facing(surface, origin + ahead[:, None] * along, along, foot.triangle)
         here = (missed < _MET) & (slope > _GRAZING)
         done = open_[here]
         heights[done], triangle[done], barycentric[done] = ahead[here], foot.triangle[here], foot.barycentric[here]
@@ -79,8 +79,8 @@ def meet(surface: TriangleSurface, points: FloatArray, normals: FloatArray) -> M
     return Met(points, normals, place, np.where(met, heights, aside), distance <= REACH)
 
 
-def _nearest_facing(
-    surface: TriangleSurface, points: FloatArray, normals: FloatArray, guess: IndexArray | None
+def nearest_facing(
+    surface: TriangleSurface, points: FloatArray, normals: FloatArray, guess: IndexArray | None = None
 ) -> tuple[SurfacePoints, FloatArray]:
     """The nearest points whose triangle faces the way of the normals, or any where none in reach does; and how far."""
     triangle, barycentric, distance = closest_points(

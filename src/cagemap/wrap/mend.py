@@ -30,7 +30,7 @@ _STIFFEST, _SHARE = 1e3, 0.05
 _SMALL = 0.0005
 # What folds elsewhere stays as it is once it is as stiff as this.
 _STIFFEST_FOLD = 1e8
-_RELEASED_ROUNDS, _RELEASED_RINGS = 10, 1
+_RELEASED_ROUNDS, _RELEASED_RINGS = 5, 1
 # Rings of points around them that move; points that the samples in reach of these depend on lie in three more.
 _MOVING, _AROUND = 2, 3
 # A face is thin beyond so many times the 99th percentile of all faces at rest, where it has grown by as much.
@@ -110,8 +110,11 @@ def mend(
         moving = np.setdiff1d(_grown(graph, corners, _MOVING), lone)
         if not len(moving):
             continue
-        count = _RELEASED_ROUNDS if len(lost) else _ROUNDS
-        positions = adjust(_move_part(graph, data, config, positions, moving, similar, stiffness, count))
+        positions = _move_part(graph, data, config, positions, moving, similar, stiffness, _ROUNDS)
+        near = np.intersect1d(moving, _grown(graph, lost, _MOVING + _RELEASED_RINGS))
+        if len(near):  # what is carried along has further to go
+            positions = _move_part(graph, data, config, positions, near, similar, stiffness, _RELEASED_ROUNDS)
+        positions = adjust(positions)
     return positions
 
 

@@ -25,7 +25,7 @@ _SMOOTHING = 0.01
 # A closest point on the other side of a thin part is further away than one with the right normal, by this length.
 NORMAL_WEIGHT = 0.03
 # A round's system is solved to this part of what it starts with, in so many steps at most: the next round differs more.
-_ACCURACY, _STEPS = 1e-3, 200
+_ACCURACY, _STEPS = 3e-3, 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +41,8 @@ class Fitting:
         Points that move.
     similar : (k,) int64
         Points whose differential is a similarity: turned and scaled, and not sheared.
+    transposed : (n, s) csr_array
+        S^T of the samples.
     laplacian : (n, n) csr_array
     field : DifferentialField
     factors : Factorization
@@ -52,6 +54,7 @@ class Fitting:
     config: WrapConfig
     moving: IndexArray
     similar: IndexArray
+    transposed: sparse.csr_array
     laplacian: sparse.csr_array
     field: DifferentialField
     factors: Factorization
@@ -67,14 +70,16 @@ class Fitting:
     ) -> Fitting:
         """Factor the systems that all rounds share; by default all points move."""
         laplacian = graph.laplacian()
-        weighted = data.samples.T @ sparse.diags_array(data.weights) @ data.samples
+        transposed = sparse.csr_array(data.samples.T)
+        weighted = transposed @ sparse.diags_array(data.weights) @ data.samples
         matrix = sparse.csr_array(weighted + config.fairness * laplacian)
         if moving is None:
             moving = np.arange(graph.n)
         else:
             matrix = matrix[moving][:, moving]
         field = DifferentialField.build(graph, laplacian, _SMOOTHING)
-        return cls(graph, data, config, moving, similar, laplacian, field, factor(sparse.csc_array(matrix)))
+        factors = factor(sparse.csc_array(matrix))
+        return cls(graph, data, config, moving, similar, transposed, laplacian, field, factors)
 
     def elastic_pull(self, positions: FloatArray) -> FloatArray:
         """(n, 3) right side of the energy, with the differentials of positions (n, 3)."""
@@ -94,7 +99,7 @@ def start(fitting: Fitting) -> FloatArray:
     What moves is whole pieces of the net: nothing else pulls at them.
     """
     data, moving, positions = fitting.data, fitting.moving, fitting.graph.positions.copy()
-    right = data.samples.T @ (data.weights[:, None] * data.images.positions)
+    right = fitting.transposed @ (data.weights[:, None] * data.images.positions)
     positions[moving] = fitting.factors.solve(right[moving])
     positions[moving] = fitting.factors.solve((right + fitting.elastic_pull(positions))[moving])
     return positions
@@ -146,7 +151,7 @@ class Pull:
         along = np.where(held, 1.0, fitting.config.anchor) * data.weights
         heights = np.einsum("sd,sd->s", feet.normals, feet.positions)
         pulls = (across * heights)[:, None] * feet.normals + along[:, None] * images.positions
-        return cls(fitting, feet, across, along, data.samples.T @ pulls + fitting.elastic_pull(positions))
+        return cls(fitting, feet, across, along, fitting.transposed @ pulls + fitting.elastic_pull(positions))
 
     def times(self, positions: FloatArray) -> FloatArray:
         """(n, 3) the system's matrix times positions (n, 3)."""
@@ -155,7 +160,7 @@ class Pull:
         heights = np.einsum("sd,sd->s", normals, places)
         pulls = (self.across * heights)[:, None] * normals + self.along[:, None] * places
         elastic = fitting.config.fairness * (fitting.laplacian @ positions)
-        return np.asarray(fitting.data.samples.T @ pulls + elastic)
+        return np.asarray(fitting.transposed @ pulls + elastic)
 
     def solve(self, positions: FloatArray) -> FloatArray:
         """(n, 3) the solution, over the points that move, from positions (n, 3)."""
