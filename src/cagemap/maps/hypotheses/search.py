@@ -8,15 +8,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cagemap.maps.elastic.config import Stage
-from cagemap.maps.elastic.constants import MOST_ENDS
+from cagemap.maps.elastic.constants import MOST_ENDS, SHEET_VERTICES
 from cagemap.maps.elastic.curves import CurvePull
-from cagemap.maps.elastic.ends import different, finished_ends, mean_distance
+from cagemap.maps.elastic.ends import different, finished_ends, judged, mean_distance
 from cagemap.maps.elastic.fit import CoarseFit, coarse_fit
 from cagemap.maps.elastic.graph import ElasticGraph, extrapolate
 from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair
 from cagemap.maps.elastic.starts import SpectralSides, spectral_starts
 from cagemap.maps.hypotheses.confidence import Reading
 from cagemap.maps.hypotheses.starts import AS_FILED, Start, rigid_starts
+from cagemap.maps.masks import WHOLE
 from cagemap.maps.pair import Pair
 from cagemap.numerics.brief import Brief
 from cagemap.numerics.threads import in_threads, thread_limit
@@ -99,8 +100,21 @@ def found_readings(
         ended = finished_ends(prepared, shape, candidate.fits, pair.landmarks, most)[0]
         return Reading(candidate.name, ended.cost, ended.positions, candidate.doubt)
 
-    readings = sorted(in_threads(finish, candidates), key=lambda reading: reading.doubt * reading.cost)
+    least = least_cost(prepared)
+    readings = sorted(in_threads(finish, candidates), key=lambda reading: reading.doubt * max(reading.cost, least))
     return tuple(different(readings, lambda reading: reading.positions, prepared.rest.graph.areas, config.different))
+
+
+def least_cost(prepared: PreparedPair) -> float:
+    """What the target costs where it lies on itself: chords and samples, which tell nothing of how a fit is.
+
+    What costs less is as good as what costs as much: a box turned upon itself stretches affinely, which is free, and
+    its samples may fall better.
+    """
+    target, own = prepared.target, replace(prepared.rest, masks=WHOLE)
+    sheet = target.triangles(target.refinement.coarsest_level(SHEET_VERTICES))
+    on_itself = replace(prepared, rest=own, sheet=sheet)
+    return judged(on_itself, own.pullers(sheet), prepared.rest.graph.positions).cost
 
 
 def _rough_fits(prepared: PreparedPair, pair: Pair, shape: CoarseShape, config: HypothesesConfig) -> list[_Candidate]:
