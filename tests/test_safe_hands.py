@@ -19,6 +19,7 @@ from cagemap.cli.mesh_commands import refine_file
 from cagemap.cli.progress import Stages
 from cagemap.cli.report import run_report
 from cagemap.cli.report_request import ReportRequest
+from cagemap.cli.suggest import run_suggest
 from cagemap.cli.transfer import run_transfer
 from cagemap.cli.transfer_request import TransferRequest
 from cagemap.cli.wrap import run_wrap
@@ -256,6 +257,7 @@ def test_what_a_match_read_is_no_output_of_what_follows(place: Path, force: bool
         lambda: transfer(models / "a.png", texture=place / "t.png", size=16, unwrap=True),
         lambda: transfer(models, blend_shapes=(place / "shapes.npz",)),
         lambda: transfer(place / "a.png", texture=place / "t.png", usd=models / "large.obj"),
+        lambda: run_suggest(place / "R", models / "large.obj", 1, force=force),
         lambda: wrapped(models / "large.obj"),
         lambda: wrapped(models, blend_shapes=True),
         lambda: wrapped(place / "w.obj", normal_map=place / "t.png", texture=place / "t.png", baked=place / "b.png"),

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cagemap.files.atomic import check_outputs
+from cagemap.files.atomic import check_outputs, require_no_input
 from cagemap.files.landmarks import write_landmarks
-from cagemap.files.result import ARRAYS, MANIFEST, read_result
+from cagemap.files.result import ARRAYS, MANIFEST, read_files, read_result
 from cagemap.maps.landmarks.suggest import free_partners, suggested_vertices
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import CagePoints, Landmarks
@@ -20,6 +20,7 @@ def run_suggest(folder: Path, output: Path, count: int, *, force: bool = False) 
     """Write the landmarks of a result and some more; returns a few lines for the terminal."""
     check_outputs([output], [folder / MANIFEST, folder / ARRAYS], force=force)
     result = read_result(folder)
+    require_no_input([output], read_files(folder, result.manifest))
     landmarks = _in_files(suggested_landmarks(result, count), result)
     write_landmarks(output, landmarks, force=force)
     new = landmarks.names[-count:]
