@@ -14,6 +14,8 @@ import pytest
 
 from cagemap.basis import BasisConfig
 from cagemap.cli import main
+from cagemap.cli.job_file import note_match
+from cagemap.cli.match_request import MatchRequest
 from cagemap.cli.words import set_verbosity
 from cagemap.example import example_pair
 from cagemap.files.landmarks import write_landmarks
@@ -94,6 +96,13 @@ def test_names_that_are_no_text_are_written_as_escapes(tmp_path: Path) -> None:
     checked = subprocess.run([*COMMAND, "check", name], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert checked.returncode == 0, checked.stderr
     assert r"b\udcffx.obj" in checked.stdout
+
+
+def test_a_match_of_a_name_that_is_no_text_has_no_job_file(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "R").mkdir()
+    note_match(MatchRequest(tmp_path / "a\udc80.obj", tmp_path / "b.obj", None, tmp_path / "R"))
+    assert "no text" in caplog.text
+    assert list((tmp_path / "R").iterdir()) == []
 
 
 def test_a_cache_knows_the_code(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -106,5 +106,10 @@ def _default(field: Field[Any]) -> Any:
 
 
 def _write(path: Path, data: dict[str, Any]) -> None:
+    try:
+        content = f"# {mark()}\n# Repeat: cagemap run {path.name}\n{tomli_w.dumps(data)}".encode()
+    except UnicodeEncodeError:
+        _log.warning("%s: is not written, for a file's name is no text, and a job file holds text alone", path)
+        return
     with atomic_path(path) as temporary:
-        temporary.write_text(f"# {mark()}\n# Repeat: cagemap run {path.name}\n{tomli_w.dumps(data)}", encoding="utf-8")
+        temporary.write_bytes(content)
