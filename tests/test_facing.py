@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from cagemap.basis import BasisConfig
+from cagemap.maps.spectral import facing
 from cagemap.maps.spectral.facing import LevelMesh, with_normals
+from cagemap.maps.spectral.hierarchical import search_near_few, search_samples
 from cagemap.maps.spectral.samples import Samples, fit_both_ways, fit_functional_map
 from cagemap.maps.spectral.search import nearest_both_ways, nearest_rows
 from cagemap.mesh import shapes
@@ -70,3 +72,19 @@ def test_each_surface_counts_as_much_as_the_other(creature):
     np.testing.assert_allclose(
         fit_both_ways(samples, samples, matches, (9, 7)), fit_both_ways(scaled, samples, matches, (9, 7)), atol=1e-12
     )
+
+
+def test_few_searched_in_full_lead_all_others(creature, monkeypatch):
+    """A third of the vertices find those near them; nearly all find what a search among all would, and no far place."""
+    mesh, samples = creature
+    monkeypatch.setattr(facing, "FEW", 200)
+    mesh = LevelMesh(mesh.surface, 1)  # what follows from FEW is kept with a mesh
+    assert mesh.near.shape == (len(samples.areas), 200)
+    assert (np.diff(mesh.near.indptr) == facing.NEAR).all()
+    np.testing.assert_array_equal(mesh.near[mesh.few].toarray().diagonal(), 1.0)  # each of the few is near itself
+    functional_map = np.eye(40) + 0.02 * RNG.standard_normal((40, 40))
+    found = search_near_few((samples, samples), functional_map, (mesh, mesh))
+    wanted = search_samples(samples, samples, functional_map)
+    assert np.mean(found == wanted) > 0.9
+    places = mesh.surface.triangles(1).positions
+    assert np.linalg.norm(places[found] - places[wanted], axis=1).max() < 0.3

@@ -141,6 +141,8 @@ def test_levels_without_functions_are_not_searched():
     assert search_levels(surface, surface, HierarchyConfig(search_vertices=100)) == (2, 2)
     usual = prepare_surface(shapes.creature(), 2, BasisConfig(schedule=(50, 10)))
     assert search_levels(usual, surface, HierarchyConfig(search_vertices=100)) == (0, 2)
+    own = HierarchyConfig(search_vertices=100, source_search_vertices=10**6)
+    assert search_levels(usual, usual, own) == (0, usual.finest)
 
 
 def test_wrong_input_is_refused_before_anything_expensive(pony):
@@ -158,11 +160,11 @@ def test_wrong_input_is_refused_before_anything_expensive(pony):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("direction", ["forward", "backward"])
-@pytest.mark.parametrize(("method", "bound"), [("hfm", 3.0), ("elastic", 1.0)])
+@pytest.mark.parametrize(("method", "bound"), [("hfm", 2.6), ("elastic", 1.0)])
 def test_ground_truth_on_humans(shared_data, method, bound, direction):
     """Mean error x100 of sqrt(area), 14 landmarks, 25k vertices: issue 3's bar for ours.
 
-    The hierarchical functional map has both hands half a turn off in one direction, 2.92 (docs/accuracy.md).
+    The hierarchical functional map, here with 150 functions, has 0.88 and 2.45; one direction's hands are its hardest.
 
     female1605 and male1591 in other identities than the ones whose surfaces coincide.
     """

@@ -13,6 +13,7 @@ from matplotlib import pyplot as plt
 
 from benchmarks.paper import basis_figures, map_figures, tables
 from benchmarks.paper.data import folder
+from benchmarks.paper.levels import table_of_levels
 
 # What the paper says of each.
 FIGURES: dict[str, tuple[Callable[[], map_figures.Drawn], str]] = {
@@ -47,6 +48,10 @@ TABLES: dict[str, tuple[Callable[[], str], str]] = {
     "methods": (
         tables.table_of_methods,
         "Ours. Mean errors, x100 of sqrt(area), of the methods by level and landmarks.",
+    ),
+    "levels": (
+        table_of_levels,
+        "More levels. Mean errors, x100 of sqrt(area), where the finest level is 1, 2 or 3.",
     ),
 }
 

@@ -9,13 +9,20 @@ search to the other side. They are compared in the source's own pose, so that po
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from scipy import sparse
+from scipy.spatial import cKDTree
 
 from cagemap.basis import Surface
 from cagemap.geometry.triangles import vertex_normals
-from cagemap.maps.spectral.samples import Samples
+from cagemap.maps.spectral.samples import Samples, spread
 from cagemap.numerics.arrays import FloatArray, IndexArray
+
+# Vertices of a level that are searched in full, where there are more, and how many of them stand for each other vertex.
+FEW = 3000
+NEAR = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +42,21 @@ class LevelMesh:
     def triangles(self) -> IndexArray:
         """(t, 3) vertices."""
         return self.surface.triangles(self.level).triangles
+
+    @cached_property
+    def few(self) -> IndexArray:
+        """Vertices that are searched for among all others' few before the rest are."""
+        return spread(len(self.surface.triangles(self.level).positions), FEW)
+
+    @cached_property
+    def near(self) -> sparse.csr_array:
+        """(n, few) the nearest of the few of every vertex, in space."""
+        places = self.surface.triangles(self.level).positions
+        count = min(NEAR, len(self.few))
+        _, nearest = cKDTree(places[self.few]).query(places, k=count, workers=1)
+        starts = np.arange(0, count * len(places) + 1, count, dtype=np.int32)
+        columns = np.asarray(nearest, dtype=np.int32).ravel()
+        return sparse.csr_array((np.ones(len(columns)), columns, starts), shape=(len(places), len(self.few)))
 
     def coefficients(self, count: int) -> FloatArray:
         """(count, 3) positions in the leading basis functions."""

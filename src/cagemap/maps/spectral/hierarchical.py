@@ -14,6 +14,7 @@ import logging
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import sparse
 
 from cagemap.basis import Surface
 from cagemap.errors import ParameterError
@@ -36,7 +37,7 @@ from cagemap.maps.spectral.samples import (
     spread,
     subset,
 )
-from cagemap.maps.spectral.search import nearest_both_ways, nearest_rows
+from cagemap.maps.spectral.search import nearest_both_ways, nearest_candidates, nearest_rows
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.brief import Brief
 from cagemap.numerics.threads import in_threads
@@ -46,8 +47,9 @@ logger = logging.getLogger(__name__)
 Grown = tuple[FloatArray, IndexArray]
 
 FEWEST_FUNCTIONS = 3
-# Samples of either surface for every function of the last band.
+# Samples of either surface for every function that a band is found with, and the fewest.
 SAMPLES = 20
+FEWEST_SAMPLES = 1000
 # The search levels have this many functions on both sides, where the bases do.
 ENOUGH_FUNCTIONS = 50
 # Landmarks that harmonic coordinates need.
@@ -85,10 +87,11 @@ class Growth:
             )
 
 
-# A map may settle with a hand or foot half a turn off. Which weights avoid that differs from pair to pair and from hand
-# to hand; each finds a right one somewhere, and joined they have most. Few first functions leave most to the bands.
+# A map may settle with a hand or foot half a turn off. Which weights and bands avoid that differs from pair to pair and
+# from hand to hand; each finds a right one somewhere, and joined they have most.
 GROWTHS = tuple(
-    Growth(12, 1.5, coordinate_weight, normal_weight)
+    Growth(first, factor, coordinate_weight, normal_weight)
+    for first, factor in ((12, 1.55), (15, 1.6), (20, 1.5))
     for coordinate_weight in (0.1, 0.33, 1.0)
     for normal_weight in (0.1, 0.3, 0.6)
 )
@@ -105,6 +108,8 @@ class HierarchyConfig(Brief):
         Of eq. 13 and of the map beside the descriptors, the same on all levels.
     search_vertices : int
         The point map is searched in full at each side's coarsest level with at least this many vertices.
+    source_search_vertices : int
+        The same of the source alone; 0: as the target's.
     searched_functions : int
         Basis functions up to which all growths find bands with full searches.
     further_functions : int
@@ -123,6 +128,7 @@ class HierarchyConfig(Brief):
     descriptors: DescriptorConfig = DescriptorConfig()
     weights: MapWeights = MapWeights()
     search_vertices: int = 3000
+    source_search_vertices: int = 0
     searched_functions: int = 150
     further_functions: int = 300
     growths: tuple[Growth, ...] = GROWTHS
@@ -206,16 +212,17 @@ def covered(match: IndexArray, source: Samples) -> float:
 def search_levels(target: Surface, source: Surface, config: HierarchyConfig) -> LevelPair:
     """The levels whose point map is searched in full: the coarsest ones with enough vertices and basis functions."""
 
-    def first(surface: Surface) -> int:
+    def first(surface: Surface, vertices: int) -> int:
         functions = min(ENOUGH_FUNCTIONS, surface.basis.count)
         enough = (
             i
             for i, level in enumerate(surface.refinement.levels)
-            if len(level.positions) >= config.search_vertices and surface.basis.size(i) >= functions
+            if len(level.positions) >= vertices and surface.basis.size(i) >= functions
         )
         return next(enough, surface.finest)
 
-    return first(target), first(source)
+    own = config.source_search_vertices or config.search_vertices
+    return first(target, config.search_vertices), first(source, own)
 
 
 def grown_map(
@@ -256,17 +263,16 @@ def grown_map(
     if min(most) < FEWEST_FUNCTIONS:
         raise ParameterError(f"expected at least {FEWEST_FUNCTIONS} basis functions on both surfaces, got {most}")
     target, source = weighted(target, growth), weighted(source, growth)
-    chosen = spread(len(target.areas), SAMPLES * last), spread(len(source.areas), SAMPLES * last)
-    few = subset(target, chosen[0]), subset(source, chosen[1])
 
     def matched(functional_map: FloatArray, sizes: tuple[int, int]) -> FloatArray:
         """What the point map of C says about so many functions."""
         if meshes is None:
-            match = search_samples(*few, functional_map)
-            return fit_functional_map(few[0], few[1].rows[match][:, : sizes[1]], sizes[0])
+            match = search_samples(target, source, functional_map)
+            return fit_functional_map(target, source.rows[match][:, : sizes[1]], sizes[0])
         facing = with_normals((target, source), meshes, functional_map, growth.normal_weight)
-        matches = search_both_ways(subset(facing[0], chosen[0]), subset(facing[1], chosen[1]), functional_map)
-        return fit_both_ways(*few, matches, sizes)
+        count = max(FEWEST_SAMPLES, SAMPLES * max(sizes))
+        few = [subset(side, spread(len(side.areas), count)) for side in facing]
+        return fit_both_ways(few[0], few[1], search_both_ways(few[0], few[1], functional_map), sizes)
 
     if start is None:
         first = min(growth.first, *most)
@@ -277,12 +283,17 @@ def grown_map(
     _, *further = sizes_between(first, stop, growth.factor)
     for k in further:
         of_match = matched(functional_map, (min(k, most[0]), min(k, most[1])))
-        functional_map = extended(constraints, functional_map.shape, of_match, weights)
+        known = constraints.leading(*of_match.shape)
+        low = of_match[: functional_map.shape[0], : functional_map.shape[1]]
+        if meshes is None:  # few samples say too little of the low functions by themselves
+            low = solve_functional_map(constraints.leading(*low.shape), weights, match=low)
+        functional_map = extend_functional_map(low, known, weights, match=of_match)
     of_match = matched(functional_map, functional_map.shape)
     functional_map = solve_functional_map(constraints.leading(*functional_map.shape), weights, match=of_match)
-    if meshes is not None:
-        target, source = with_normals((target, source), meshes, functional_map, growth.normal_weight)
-    return functional_map, search_samples(target, source, functional_map)
+    if meshes is None:
+        return functional_map, search_samples(target, source, functional_map)
+    facing = with_normals((target, source), meshes, functional_map, growth.normal_weight)
+    return functional_map, search_near_few(facing, functional_map, meshes)
 
 
 def weighted(samples: Samples, growth: Growth) -> Samples:
@@ -299,15 +310,18 @@ def shared_coordinates(
     return one.coordinates, two.coordinates
 
 
-def extended(constraints: Constraints, low: tuple[int, int], of_match: FloatArray, weights: MapWeights) -> FloatArray:
-    """C_l by descriptors and map on the low functions, and beside it the blocks of the next band (eqs. 14-16)."""
-    coarse = solve_functional_map(constraints.leading(*low), weights, match=of_match[: low[0], : low[1]])
-    return extend_functional_map(coarse, constraints.leading(*of_match.shape), weights, match=of_match)
-
-
 def search_samples(target: Samples, source: Samples, functional_map: FloatArray) -> IndexArray:
     """Nearest source sample of every target sample in the embedding (paper, 5.4)."""
     return nearest_rows(embed_target(target, functional_map.shape[0]), embed_source(source, functional_map))
+
+
+def search_near_few(
+    sides: tuple[Samples, Samples], functional_map: FloatArray, meshes: tuple[LevelMesh, LevelMesh]
+) -> IndexArray:
+    """The same for all vertices of a level: a few of them are searched in full, all others near these ones' matches."""
+    rows = embed_target(sides[0], functional_map.shape[0]), embed_source(sides[1], functional_map)
+    match = nearest_rows(*(of[mesh.few] for of, mesh in zip(rows, meshes, strict=True)))
+    return nearest_candidates(*rows, meshes[0].near, sparse.csc_array(meshes[1].near), match)
 
 
 def search_both_ways(target: Samples, source: Samples, functional_map: FloatArray) -> tuple[IndexArray, IndexArray]:
