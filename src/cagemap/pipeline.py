@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 from cagemap.basis import Surface
 from cagemap.basis.prepare import ENOUGH as ENOUGH
+from cagemap.basis.prepare import METHODS as METHODS
 from cagemap.basis.prepare import choose_level as choose_level
 from cagemap.basis.prepare import default_basis as default_basis
 from cagemap.basis.prepare import prepare_surface as prepare_surface
@@ -35,11 +36,10 @@ from cagemap.maps.spectral.hierarchical import HierarchyConfig, hierarchical_map
 from cagemap.maps.spectral.paper import PaperConfig, paper_map
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.numerics.brief import Brief
+from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads, one_blas_thread
 
 logger = logging.getLogger(__name__)
-
-METHODS = ("elastic", "hfm", "paper")
 
 
 @dataclass(frozen=True, repr=False)
@@ -84,6 +84,10 @@ class MatchConfig(Brief):
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise ParameterError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
+        if not all(isinstance(one, tuple | list) and len(one) == 2 for one in self.symmetries):
+            raise ParameterError(
+                "symmetries: expected pairs of arrays, the target's images and the source's, got others"
+            )
         if self.answer < 0:
             raise ParameterError(f"answer: expected 0 or more, got {self.answer}")
         if self.answer and self.method != "elastic":
@@ -92,6 +96,7 @@ class MatchConfig(Brief):
             raise ParameterError(f"masks: expected the method elastic, which alone knows them, got {self.method!r}")
 
 
+@kinds_checked
 def prepare_pair(target: Surface, source: Surface, config: MatchConfig = MatchConfig()) -> PreparedPair:
     """All of an elastic match that no landmark changes: keep it, and further landmarks cost only what they must.
 
@@ -108,6 +113,7 @@ def prepare_pair(target: Surface, source: Surface, config: MatchConfig = MatchCo
         return PreparedPair.build(target.inner, source.inner, config.hierarchy, config.elastic, masks)
 
 
+@kinds_checked
 def match(
     target: Surface,
     source: Surface,
@@ -168,6 +174,7 @@ def match(
     return MatchResult(target, source, landmarks, point_map, quality, timings, level_maps=level_maps).outer()
 
 
+@kinds_checked
 def match_pair(
     prepared: PreparedPair,
     landmarks: Landmarks | None = None,
@@ -216,6 +223,7 @@ def match_pair(
     return other_answer(found, config.answer, config, progress=progress) if config.answer else found
 
 
+@kinds_checked
 def update_match(
     before: MatchResult,
     landmarks: Landmarks,
@@ -305,6 +313,7 @@ def other_answer(
     return replace(judged, confidence=before.confidence)
 
 
+@kinds_checked
 def pair_of(target: Surface, source: Surface, landmarks: Landmarks, config: MatchConfig = MatchConfig()) -> Pair:
     """Two surfaces with their landmarks, and with the symmetries that are given or found (paper, 5.2)."""
     if config.symmetries and (target.refinement.is_plain or source.refinement.is_plain):
@@ -318,6 +327,7 @@ def pair_of(target: Surface, source: Surface, landmarks: Landmarks, config: Matc
     return replace(pair, symmetries=symmetries)
 
 
+@kinds_checked
 def judge(
     target: Surface,
     point_map: PointMap,

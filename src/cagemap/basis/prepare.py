@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import islice
 
 from cagemap.basis.construction import hierarchical_basis
@@ -12,6 +12,7 @@ from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.schemes import Plain
+from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads, one_blas_thread
 from cagemap.operators.plain import refined
 from cagemap.refinement import Scheme, default_scheme
@@ -22,12 +23,15 @@ Progress = Callable[[str], None]
 # A level counts as having the vertices asked for from this share on; the next one has four times as many.
 ENOUGH = 0.75
 MOST_LEVELS = 12
+# Names of the methods that find a map.
+METHODS = ("elastic", "hfm", "paper")
 
 
 def silent(stage: str) -> None:
     """Report no progress."""
 
 
+@kinds_checked
 def choose_level(control: ControlMesh, vertices: int, scheme: Scheme | None = None) -> int:
     """Coarsest level of at least 1 with about this many vertices or more (three quarters count as enough).
 
@@ -53,11 +57,21 @@ def choose_level(control: ControlMesh, vertices: int, scheme: Scheme | None = No
     return next((level for level, n in enumerate(counts, 1) if n >= ENOUGH * vertices), MOST_LEVELS)
 
 
+@kinds_checked
 def default_basis(method: str) -> BasisConfig:
-    """The basis that a method reads all of: 150 functions for "elastic", 300 for the paper's."""
+    """The basis that a method reads all of: 150 functions for "elastic", 300 for "hfm" and "paper".
+
+    Raises
+    ------
+    ParameterError
+        For any other name.
+    """
+    if method not in METHODS:
+        raise ParameterError(f"method: expected one of {', '.join(METHODS)}, got '{method}'")
     return MAP_BASIS if method == "elastic" else BasisConfig()
 
 
+@kinds_checked
 def prepare_surface(
     control: ControlMesh,
     level: int,
@@ -106,6 +120,7 @@ def prepare_surface(
         )
 
 
+@kinds_checked
 def prepare_surfaces(
     target: ControlMesh,
     source: ControlMesh,
@@ -134,6 +149,8 @@ def prepare_surfaces(
     InvalidMeshError, ParameterError
         See `prepare_surface`.
     """
+    if not isinstance(levels, Sequence) or len(levels) != 2:
+        raise ParameterError(f"levels: expected two, the target's and the source's, got {levels}")
     configs = config if isinstance(config, tuple) else (config, config)
     progress(f"prepare {target.name} and {source.name}")
     with one_blas_thread():  # before the threads start: the setting is the process's

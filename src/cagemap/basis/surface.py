@@ -137,7 +137,14 @@ class Surface:
         """The triangles of a level between its vertices' places on the finest surface, at unit area.
 
         n-gons of the control mesh are fans, quads split by the one rule of `cagemap.refinement.triangles`.
+
+        Raises
+        ------
+        ParameterError
+            If there is no such level.
         """
+        if not 0 <= level < len(self.refinement.levels):
+            raise ParameterError(f"level: expected 0 to {len(self.refinement.levels) - 1}, got {level}")
         return self._levels[level]
 
     @cached_property

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.marks import mark
+from cagemap.numerics.kinds import kinds_checked
 
 Pixels = NDArray[Any]
 
@@ -67,6 +68,7 @@ class Image:
         return self.pixels.shape[0], self.pixels.shape[1]
 
 
+@kinds_checked
 def read_image(path: str | Path) -> Image:
     """Read an image with 1 to 4 channels.
 
@@ -185,6 +187,7 @@ def read_image_form(path: str | Path) -> tuple[np.dtype[Any], int]:
     return np.dtype(kind), channels
 
 
+@kinds_checked
 def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False) -> None:
     """Write an image, whole or not at all; the suffix chooses the format.
 
@@ -196,7 +199,7 @@ def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False)
         If the format is unknown, does not hold the pixels' type exactly, or the file cannot be written.
     """
     file = Path(path)
-    given = image if isinstance(image, Image) else Image(image, ())
+    given = image if isinstance(image, Image) else Image(np.asarray(image), ())
     pixels = given.pixels[:, :, None] if given.pixels.ndim == 2 else given.pixels
     check_writable(file, pixels.dtype, pixels.shape[2] if pixels.ndim == 3 else 0)
     height, width, channels = pixels.shape

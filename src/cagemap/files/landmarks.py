@@ -15,6 +15,7 @@ from cagemap.files.curves import pair_curves, pair_entries
 from cagemap.files.marks import mark
 from cagemap.files.text import read_text
 from cagemap.mesh.landmarks import CagePoints, Landmarks
+from cagemap.numerics.kinds import kinds_checked
 
 _FORM = (
     '{"source": "a.obj", "target": "b.obj", "pairs": [{"name": "nose", "source": 3, "target": 7}, ...]}, or '
@@ -26,6 +27,7 @@ _ROUNDING = 1e-4
 End = tuple[tuple[int, int, int], tuple[float, float, float]]
 
 
+@kinds_checked
 def read_landmarks(path: str | Path, target: str | Path, source: str | Path) -> tuple[Landmarks, tuple[str, ...]]:
     """Read a landmark file for a map from a target mesh to a source mesh.
 

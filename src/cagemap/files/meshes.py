@@ -17,6 +17,7 @@ from cagemap.files.usd import USD_SUFFIXES, read_usd
 from cagemap.files.usd_space import stage_space
 from cagemap.files.usd_write import write_usd
 from cagemap.mesh import ControlMesh
+from cagemap.numerics.kinds import kinds_checked
 
 _READERS = {".obj": read_obj, ".ply": read_ply, ".off": read_off, ".stl": read_stl}
 _READERS |= dict.fromkeys(USD_SUFFIXES, read_usd)
@@ -24,6 +25,7 @@ _WRITERS = {".obj": write_obj, ".ply": write_ply, ".off": write_off, ".glb": wri
 _WRITERS |= dict.fromkeys((".usd", ".usda", ".usdc"), write_usd)
 
 
+@kinds_checked
 def read_mesh(path: str | Path) -> ControlMesh:
     """Read a mesh of an ``.obj``, ``.ply``, ``.off``, ``.stl`` or USD file, as numbered there; arrays are read-only.
 
@@ -39,6 +41,7 @@ def read_mesh(path: str | Path) -> ControlMesh:
     return mesh
 
 
+@kinds_checked
 def write_mesh(path: str | Path, mesh: ControlMesh, *, like: str | Path | None = None, force: bool = False) -> None:
     """Write a mesh to an ``.obj``, ``.ply``, ``.off`` or USD file, or export it as ``.glb``.
 

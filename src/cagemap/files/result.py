@@ -56,6 +56,7 @@ from cagemap.maps.result import MatchResult, SpectralMap
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads
 from cagemap.refinement import Scheme, refine
 from cagemap.refinement.counts import vertex_counts
@@ -99,6 +100,7 @@ _TYPED = {"quality", "landmark_check", "confidence", "timings", "bases", "target
 _TYPED |= {"level_maps", "written_by", "format", "format_version", "versions", "files"}
 
 
+@kinds_checked
 def write_result(folder: str | Path, result: MatchResult, *, force: bool = False) -> None:
     """Write a RESULT folder; an older result there is replaced, and only when the new one is complete.
 
@@ -164,6 +166,7 @@ def _is_own(path: Path) -> bool:
         return False
 
 
+@kinds_checked
 def read_result(folder: str | Path) -> MatchResult:
     """Read a RESULT folder: the match that was written, without what a new match or functional map would need.
 

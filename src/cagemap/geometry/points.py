@@ -12,7 +12,7 @@ from cagemap.errors import ParameterError
 from cagemap.geometry.closest import closest_points
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import CACHED
-from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
+from cagemap.numerics.arrays import FloatArray, IndexArray, read_only, real_numbers, whole_numbers
 from cagemap.numerics.threads import in_threads, parts
 
 # By how much barycentric coordinates may miss a sum of 1, or be negative: rounding of single precision files.
@@ -42,8 +42,8 @@ class SurfacePoints:
     barycentric: FloatArray
 
     def __post_init__(self) -> None:
-        triangle = np.ascontiguousarray(self.triangle, dtype=np.int64)
-        barycentric = np.ascontiguousarray(self.barycentric, dtype=np.float64)
+        triangle = np.ascontiguousarray(whole_numbers(self.triangle, "triangle"))
+        barycentric = np.ascontiguousarray(real_numbers(self.barycentric, "barycentric"))
         if triangle.ndim != 1 or barycentric.shape != (len(triangle), 3):
             raise ParameterError(
                 f"expected points as triangle (m,) and barycentric (m, 3), got {triangle.shape} and {barycentric.shape}"
@@ -75,7 +75,7 @@ class SurfacePoints:
         ParameterError
             If there is no such vertex or no triangle has it.
         """
-        vertices = np.asarray(vertices, dtype=np.int64)
+        vertices = whole_numbers(vertices, "vertices")
         bad = vertices[(vertices < 0) | (vertices >= surface.n)]
         if not len(bad):
             triangle = surface.vertex_triangles[vertices]
@@ -93,6 +93,10 @@ class SurfacePoints:
         ParameterError
             If a row is not a point of a triangle.
         """
+        if not sparse.issparse(matrix) and np.ndim(matrix) != 2:
+            raise ParameterError(
+                f"matrix: expected a sparse or dense one (m, {surface.n}), got {type(matrix).__name__}"
+            )
         rows = sparse.csr_array(matrix)
         counts = np.diff(rows.indptr)
         if rows.shape[1] != surface.n or not np.all((counts >= 1) & (counts <= 3)):
@@ -145,7 +149,15 @@ class SurfacePoints:
             See `cagemap.geometry.closest.closest_points`.
         guess : (m,) int64, optional
             Triangles that are probably near.
+
+        Raises
+        ------
+        ParameterError
+            If the points are no finite places in space.
         """
+        points = real_numbers(points, "points")
+        if points.ndim != 2 or points.shape[1] != 3 or not np.all(np.isfinite(points)):
+            raise ParameterError(f"points: expected finite places (m, 3), got {points.shape}: {points.ravel()[:3]} ...")
         triangle, barycentric, _ = closest_points(
             surface.tree, points, normals, normal_weight=normal_weight, guess=guess
         )
@@ -186,10 +198,11 @@ class SurfacePoints:
         ParameterError
             If there is not one row for each vertex.
         """
-        if len(values) != self.surface.n:
+        values = np.asarray(values)
+        if values.ndim == 0 or len(values) != self.surface.n:
             raise ParameterError(
                 f"expected a value for each of the {self.surface.n} vertices of the surface that the points lie on, "
-                f"got {len(values)}: do they belong to the other surface, or to another level?"
+                f"got an array {values.shape}: do they belong to the other surface, or to another level?"
             )
         found = np.empty((len(self), *values.shape[1:]))
 

@@ -20,7 +20,7 @@ from cagemap.geometry.triangles import (
     triangles,
     vertex_normals,
 )
-from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
+from cagemap.numerics.arrays import FloatArray, IndexArray, read_only, real_numbers, whole_numbers
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -45,8 +45,8 @@ class TriangleSurface:
     scale: float = 1.0
 
     def __post_init__(self) -> None:
-        positions = np.ascontiguousarray(self.positions, dtype=np.float64)
-        triangles = np.ascontiguousarray(self.triangles, dtype=np.int64)
+        positions = np.ascontiguousarray(real_numbers(self.positions, "positions"))
+        triangles = np.ascontiguousarray(whole_numbers(self.triangles, "triangles"))
         if positions.ndim != 2 or positions.shape[1] != 3 or triangles.ndim != 2 or triangles.shape[1] != 3:
             raise ParameterError(
                 f"expected positions (n, 3) and triangles (t, 3), got {positions.shape} and {triangles.shape}"

@@ -8,10 +8,12 @@ from scipy.sparse.csgraph import dijkstra
 
 from cagemap.errors import ParameterError
 from cagemap.geometry.surface import TriangleSurface
-from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.arrays import FloatArray, real_numbers
+from cagemap.numerics.kinds import kinds_checked
 from cagemap.refinement import Refinement
 
 
+@kinds_checked
 def vertex_mask(refinement: Refinement, values: FloatArray) -> FloatArray:
     """(n_f,) mask of the finest vertices from values (n_0,) at control vertices (a vertex group), refined with them.
 
@@ -24,6 +26,7 @@ def vertex_mask(refinement: Refinement, values: FloatArray) -> FloatArray:
     return np.clip(refinement.prolong(given, 0, refinement.n_levels), 0.0, 1.0)
 
 
+@kinds_checked
 def face_mask(refinement: Refinement, values: FloatArray) -> FloatArray:
     """(n_f,) mask of the finest vertices from values (m_0,) at control faces (a face set).
 
@@ -44,6 +47,7 @@ def face_mask(refinement: Refinement, values: FloatArray) -> FloatArray:
     return mask
 
 
+@kinds_checked
 def soft_edge(surface: TriangleSurface, mask: FloatArray, width: float) -> FloatArray:
     """(n,) a mask that rises from 0 at its border to its value at a distance inside it; outside it stays 0.
 
@@ -58,10 +62,11 @@ def soft_edge(surface: TriangleSurface, mask: FloatArray, width: float) -> Float
     Raises
     ------
     ParameterError
-        If the width is negative.
+        If the width is negative, or the mask has not one number from 0 to 1 for each vertex.
     """
     if not width >= 0.0:
         raise ParameterError(f"mask edge: expected a width of 0 or more, of sqrt(area), got {width}")
+    mask = _checked(mask, surface.n, "vertex of the surface")
     outside = np.flatnonzero(mask <= 0.0)
     if width == 0.0 or not len(outside):
         return mask
@@ -76,10 +81,10 @@ def soft_edge(surface: TriangleSurface, mask: FloatArray, width: float) -> Float
 
 
 def _checked(values: FloatArray, count: int, place: str) -> FloatArray:
-    given = np.asarray(values, dtype=np.float64)
+    given = real_numbers(values, "mask")
     if given.shape != (count,) or not np.all((given >= 0) & (given <= 1)):
         raise ParameterError(
             f"mask: expected {count} numbers from 0 to 1, one a {place}, got shape {given.shape}"
-            + (f" from {np.nanmin(given):g} to {np.nanmax(given):g}" if given.size else "")
+            + (f" from {given.min():g} to {given.max():g}" if given.size else "")
         )
     return given

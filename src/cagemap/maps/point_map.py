@@ -10,6 +10,7 @@ from cagemap.errors import ParameterError
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.kinds import kinds_checked
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -39,6 +40,7 @@ class PointMap:
             )
 
     @classmethod
+    @kinds_checked
     def from_arrays(
         cls, target: TriangleSurface, source: TriangleSurface, triangle: IndexArray, barycentric: FloatArray
     ) -> PointMap:
@@ -46,11 +48,13 @@ class PointMap:
         return cls(target, SurfacePoints(source, triangle, barycentric))
 
     @classmethod
+    @kinds_checked
     def from_vertices(cls, target: TriangleSurface, source: TriangleSurface, vertices: IndexArray) -> PointMap:
         """A map given as a source vertex (n1,) for each target vertex."""
         return cls(target, SurfacePoints.from_vertices(source, vertices))
 
     @classmethod
+    @kinds_checked
     def from_matrix(cls, target: TriangleSurface, source: TriangleSurface, matrix: sparse.csr_array) -> PointMap:
         """A map given as P12 (n1, n2), each row the weights of the corners of one source triangle."""
         return cls(target, SurfacePoints.from_matrix(source, matrix))

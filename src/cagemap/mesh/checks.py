@@ -30,10 +30,12 @@ from cagemap.mesh.topology import (
     valences,
 )
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.kinds import kinds_checked
 
 SEVERAL = "several components"
 
 
+@kinds_checked
 def check_mesh(mesh: ControlMesh) -> MeshReport:
     """Count the elements of a control mesh and list everything that keeps the method from taking it.
 

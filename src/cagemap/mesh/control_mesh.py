@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.mesh.schemes import Scheme
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers, whole_numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,10 +115,12 @@ class ControlMesh:
         ParameterError
             If the positions are not (n, 3), or a vertex number is no whole number.
         """
-        vertices = np.array(positions, dtype=np.float64)
+        vertices = np.array(real_numbers(positions, f"{name}: positions"))  # type: ignore[arg-type]
         if vertices.size and (vertices.ndim != 2 or vertices.shape[1] != 3):
             raise ParameterError(f"{name}: expected positions (n, 3), got an array {vertices.shape}. Give x, y and z.")
-        lists = [np.atleast_1d(np.asarray(face)) for face in faces]  # type: ignore[attr-defined]
+        if isinstance(faces, str) or not isinstance(faces, Iterable):
+            raise ParameterError(f"{name}: expected faces as lists of vertex numbers, got {faces!r}")
+        lists = [np.atleast_1d(np.asarray(face)) for face in faces]
         sizes = np.array([len(face) for face in lists], dtype=np.int64)
         offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
         given = np.concatenate(lists) if lists else np.zeros(0, dtype=np.int64)
@@ -163,8 +166,17 @@ class ControlMesh:
         return self.face_indices[self.face_offsets[index] : self.face_offsets[index + 1]]
 
     def with_positions(self, positions: FloatArray) -> ControlMesh:
-        """Return the same connectivity with other vertex positions."""
-        return replace(self, positions=np.asarray(positions, dtype=np.float64))
+        """Return the same connectivity with other vertex positions.
+
+        Raises
+        ------
+        ParameterError
+            If there is not one position for each vertex.
+        """
+        given = real_numbers(positions, f"{self.name}: positions")
+        if given.shape != self.positions.shape:
+            raise ParameterError(f"{self.name}: expected positions {self.positions.shape}, got an array {given.shape}")
+        return replace(self, positions=given)
 
     def with_uv_set(self, name: str) -> ControlMesh:
         """Return the same mesh with the set of that name in use.
@@ -201,5 +213,19 @@ class ControlMesh:
         return replace(self, corner_vertices=corners, corner_sharpness=values)
 
     def with_uvs(self, uvs: FloatArray | None, uv_indices: IndexArray | None) -> ControlMesh:
-        """Return the same mesh with other texture coordinates."""
-        return replace(self, uvs=uvs, uv_indices=uv_indices)
+        """Return the same mesh with other texture coordinates, (p, 2) and one of them for every corner, or with none.
+
+        Raises
+        ------
+        ParameterError
+            If the arrays are no such coordinates.
+        """
+        if uvs is None or uv_indices is None:
+            return replace(self, uvs=None, uv_indices=None)
+        places, indices = real_numbers(uvs, f"{self.name}: uvs"), whole_numbers(uv_indices, f"{self.name}: uv_indices")
+        if places.ndim != 2 or places.shape[1] != 2 or indices.shape != self.face_indices.shape:
+            raise ParameterError(
+                f"{self.name}: expected uvs (p, 2) and uv_indices {self.face_indices.shape}, one for every corner of "
+                f"the faces, got {places.shape} and {indices.shape}"
+            )
+        return replace(self, uvs=places, uv_indices=indices)

@@ -18,7 +18,7 @@ from cagemap.mesh.cage_points import repeats, shared_names
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.curves import Curves, curve_faults, paired_curves
 from cagemap.mesh.mesh_report import first_few
-from cagemap.numerics.arrays import IndexArray
+from cagemap.numerics.arrays import IndexArray, whole_numbers
 
 Renumbering = Callable[[IndexArray], IndexArray]
 
@@ -39,6 +39,11 @@ class Landmarks:
         The landmarks wherever they lie; the control vertices if not given.
     curves : Curves
         Pairs of polylines: each goes onto the other, whatever point of it onto whatever point.
+
+    Raises
+    ------
+    InvalidLandmarksError, ParameterError
+        If names are no texts, or vertices no whole numbers.
     """
 
     names: tuple[str, ...]
@@ -51,7 +56,11 @@ class Landmarks:
     curves: Curves = field(default_factory=Curves.none)
 
     def __post_init__(self) -> None:
+        if isinstance(self.names, str) or not all(isinstance(name, str) for name in self.names or ()):
+            raise InvalidLandmarksError(f"landmarks: expected a name for every pair, got names={self.names!r}")
+        object.__setattr__(self, "names", tuple(self.names or ()))
         for side in ("target", "source"):
+            object.__setattr__(self, side, whole_numbers(getattr(self, side), f"landmarks: {side}"))
             vertices, points = getattr(self, side), getattr(self, f"{side}_points")
             known = len(points.corners) == len(vertices) and np.array_equal(points.vertices, vertices)
             if not known:

@@ -19,6 +19,7 @@ from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
 from cagemap.mesh.topology import used_vertices
 from cagemap.numerics.arrays import IndexArray
+from cagemap.numerics.kinds import kinds_checked
 
 
 @dataclass(frozen=True)
@@ -117,6 +118,7 @@ class PlainMesh:
         return self.vertex_of[vertices]
 
 
+@kinds_checked
 def plain_mesh(mesh: ControlMesh) -> PlainMesh:
     """Make a triangle or quad mesh ready to be matched as it is (scheme none), and say what was done to it.
 

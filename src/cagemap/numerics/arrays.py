@@ -5,12 +5,53 @@ from __future__ import annotations
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from cagemap.errors import ParameterError
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
 Array = TypeVar("Array", bound=NDArray)  # type: ignore[type-arg]
+
+
+def whole_numbers(values: ArrayLike, what: str) -> IndexArray:
+    """Values as int64; floats only where nothing is lost.
+
+    Raises
+    ------
+    ParameterError
+        If they are no whole numbers.
+    """
+    given = np.asarray(values)
+    if not given.size:
+        return np.zeros(given.shape, dtype=np.int64)
+    whole = given.dtype.kind in "iu" or (given.dtype.kind == "f" and bool(np.all(given == np.floor(given))))
+    if not whole or not np.all(np.abs(given) < 2.0**63):
+        raise ParameterError(f"{what}: expected whole numbers, got {given.dtype} values such as {given.ravel()[:3]}")
+    return np.ascontiguousarray(given, dtype=np.int64)
+
+
+def real_numbers(values: ArrayLike, what: str) -> FloatArray:
+    """Values as float64.
+
+    Raises
+    ------
+    ParameterError
+        If they are no real numbers.
+    """
+    try:
+        given = np.asarray(values)
+        if given.dtype.kind not in "biufO":
+            raise ValueError
+        return np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ParameterError(f"{what}: expected an array of real numbers, got {_shown(values)}") from None
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def read_only(array: Array) -> Array:

@@ -11,7 +11,9 @@ import numpy as np
 from numba import njit
 from scipy import sparse
 
+from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.kinds import kinds_checked
 from cagemap.operators.laplacian import gathered
 from cagemap.operators.polygons import Laplacian, MeanTriangulation
 from cagemap.refinement import Refinement, triangulate_control
@@ -117,6 +119,7 @@ def restrict_pair(
     return coarse_mass, coarse_stiffness
 
 
+@kinds_checked
 def build_operators(refinement: Refinement, laplacian: Laplacian = MeanTriangulation()) -> Operators:
     """Operators of every level of a refinement, normalised to unit area of the finest level.
 
@@ -126,11 +129,18 @@ def build_operators(refinement: Refinement, laplacian: Laplacian = MeanTriangula
     laplacian : Laplacian
         Of the finest level's polygons: `MeanTriangulation`, `AlexaWardetzky` (the paper's) or `DeGoesButtsDesbrun`.
 
+    Raises
+    ------
+    ParameterError
+        If the laplacian is none.
+
     Notes
     -----
     O(n_f) time and memory; a restricted matrix has about 25 nonzeros a row just below the finest level, 50
     further down.
     """
+    if not callable(getattr(laplacian, "face_terms", None)):
+        raise ParameterError(f"laplacian: expected one such as AlexaWardetzky(1.0), got {laplacian!r}")
     finest = refinement.levels[-1]
     faces = triangulate_control(refinement.control) if finest.faces is None else finest.faces
     weights, areas = laplacian.face_terms(finest.positions, faces)

@@ -13,6 +13,7 @@ from cagemap.geometry.triangles import triangles as triangles
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.schemes import SCHEMES, Bilinear, CatmullClark, Loop, Plain, Scheme
 from cagemap.numerics.arrays import Array, FloatArray, IndexArray
+from cagemap.numerics.kinds import kinds_checked
 from cagemap.refinement.face_varying import (
     UvLayout,
     control_layout,
@@ -250,6 +251,7 @@ def with_options(
     return replace(control, scheme=kind(**options))
 
 
+@kinds_checked
 def refine(control: ControlMesh, levels: int, scheme: Scheme | None = None) -> Refinement:
     """Subdivide a control mesh ``levels`` times.
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
 from cagemap.maps.result import MatchResult
+from cagemap.numerics.kinds import kinds_checked
 from cagemap.report.figures import HEIGHT, WIDTH, Figure, Gallery, Pixels, Progress, draw_gallery, draw_thumbnail
 from cagemap.report.page import build_page
 from cagemap.report.rides import NOTHING, Panel, Rides, Shape, Weights, draw_rides
@@ -40,6 +41,7 @@ def check_page_path(path: str | Path) -> None:
         raise FormatError(f"{path}: expected the name of a page ending in .html, got {got}. Give another name.")
 
 
+@kinds_checked
 def write_report(
     path: str | Path,
     result: MatchResult,

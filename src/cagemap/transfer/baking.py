@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -21,6 +21,7 @@ from cagemap.geometry.triangles import triangle_areas, triangle_neighbors
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import ThreadPool, core_count
 from cagemap.refinement import Level
 from cagemap.transfer.dilation import LARGEST_SIDE, dilate
@@ -93,7 +94,22 @@ class BakeOptions:
     threads: int | None = None
     filter: Filter = "smooth"
 
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        if self.tile != 0 and not 1001 <= self.tile <= 1999:
+            raise ParameterError(f"tile: expected 0 or a UDIM number from 1001 on, got {self.tile}")
+        if self.supersample is not None and self.supersample < 1:
+            raise ParameterError(f"supersample: expected 1 or more samples a side, got {self.supersample}")
+        if self.dilation is not None and self.dilation < 0:
+            raise ParameterError(f"dilation: expected 0 or more texels, got {self.dilation}")
+        if self.wrap not in get_args(Wrap) or self.filter not in get_args(Filter):
+            raise ParameterError(
+                f"wrap and filter: expected one of {get_args(Wrap)} and of {get_args(Filter)}, got {self.wrap!r} and "
+                f"{self.filter!r}"
+            )
 
+
+@kinds_checked
 def prepare_transfer(
     target: Level,
     source: Level,
@@ -137,6 +153,7 @@ def target_tiles(target: Level) -> list[int]:
     return [int(tile) for tile in np.unique(udim_of(cells))] if cells.any() else [0]
 
 
+@kinds_checked
 def bake_texture(
     transfer: Transfer,
     texture: Pixels | Mapping[int, Pixels],

@@ -15,6 +15,7 @@ from numpy.typing import DTypeLike
 from cagemap.errors import ParameterError
 from cagemap.geometry.triangles import triangle_areas
 from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import parts
 from cagemap.transfer.baking import BakeOptions, Transfer, bake, make_canvas, unit
 from cagemap.transfer.locate import Samples, target_barycentric
@@ -45,6 +46,7 @@ class Displacement:
     scale: float
 
 
+@kinds_checked
 def bake_displacement(
     transfer: Transfer,
     texture: Pixels | Mapping[int, Pixels],

@@ -8,6 +8,7 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import parts
 from cagemap.refinement import Level
 from cagemap.transfer.baking import (
@@ -57,6 +58,7 @@ def painted_mask(level: Level, image: Pixels | Mapping[int, Pixels]) -> FloatArr
     return np.clip(np.divide(sums, times, out=np.zeros(level.n_vertices), where=times > 0), 0.0, 1.0)
 
 
+@kinds_checked
 def bake_mask(transfer: Transfer, *, size: int | tuple[int, int], options: BakeOptions | None = None) -> Pixels:
     """How much of every texel of the target is transferred: the product of both masks, linear in the triangles.
 
@@ -114,6 +116,16 @@ def blend(baked: Pixels, base: Pixels, weight: Pixels) -> Pixels:
     return result
 
 
+def _fitting(baked: Pixels, weight: Pixels) -> int:
+    """Number of channels of an image that a weight fits."""
+    if np.ndim(baked) != 3 or np.shape(weight) != (*np.shape(baked)[:2], 1):
+        raise ParameterError(
+            f"expected an image (h, w, c) and a weight (h, w, 1) of its size, got {np.shape(baked)} and "
+            f"{np.shape(weight)}"
+        )
+    return int(baked.shape[2])
+
+
 def with_alpha(baked: Pixels, weight: Pixels) -> Pixels:
     """What was baked with the weight as its alpha, multiplied into the one that it has.
 
@@ -123,7 +135,7 @@ def with_alpha(baked: Pixels, weight: Pixels) -> Pixels:
         Of one to four channels.
     weight : (h, w, 1) float array
     """
-    channels = baked.shape[2]
+    channels = _fitting(baked, weight)
     one = unit(baked.dtype)
     has_alpha = channels in (2, 4)
     alpha = weight * (baked[..., -1:].astype(np.float64) if has_alpha else one)

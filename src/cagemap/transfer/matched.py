@@ -7,10 +7,12 @@ from collections.abc import Mapping
 from numpy.typing import DTypeLike
 
 from cagemap.maps.result import MatchResult
+from cagemap.numerics.kinds import kinds_checked
 from cagemap.transfer.baking import BakeOptions, Transfer, bake_texture, prepare_transfer
 from cagemap.transfer.texture import Pixels
 
 
+@kinds_checked
 def transfer_of(result: MatchResult) -> Transfer:
     """Put a match into the form that bakes need; keep it for several images.
 
@@ -23,6 +25,7 @@ def transfer_of(result: MatchResult) -> Transfer:
     return prepare_transfer(target.finest, result.source.refinement.finest, result.point_map, result.masks, holes)
 
 
+@kinds_checked
 def bake(
     result: MatchResult,
     texture: Pixels | Mapping[int, Pixels],

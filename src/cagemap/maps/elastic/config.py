@@ -92,3 +92,14 @@ class ElasticConfig(Brief):
     landmark_weight: float = 1e2
     curve_weight: float = 1.0
     response: Stage = Stage(8, (2e-4, 2e-4), 1e-2, momentum=0.6)
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        if self.coarse_vertices < 4:
+            raise ParameterError(f"coarse_vertices: expected at least 4, got {self.coarse_vertices}; 1500 is usual")
+        weights = (
+            *(self.normal_weight, self.fine_normal_weight, self.landmark_weight, self.curve_weight),
+            *self.projection_normal_weights,
+        )
+        if not all(0.0 <= weight < np.inf for weight in weights):
+            raise ParameterError(f"weights of the elastic fit: expected numbers of 0 or more, got {weights}")

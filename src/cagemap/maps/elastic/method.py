@@ -19,6 +19,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import held_vertices, project, unfold
 from cagemap.maps.spectral.samples import FIT_SAMPLES, Samples, fit_functional_map, spread
 from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import ThreadPool, in_threads
 
 
@@ -50,6 +51,7 @@ def elastic_answers(
     return unfold(point_map, held_vertices(pair.landmarks), prepared.elastic), found
 
 
+@kinds_checked
 def fit(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: None) -> FloatArray:
     """Places (n, 3) near the source of the target's vertices of the level that is deformed: the first of `fits`."""
     return fits(prepared, pair, progress)[0].positions
@@ -116,6 +118,7 @@ def updated_map(
     return unfold(project(prepared, moved, pair.landmarks), held_vertices(pair.landmarks), prepared.elastic)
 
 
+@kinds_checked
 def functional_map_of(target: Surface, source: Surface, point_map: PointMap) -> FloatArray:
     """C12 = Phi~1^+ P12 Phi~2 of a point map of the finest levels, on a sample of its vertices (paper, 2.1.2)."""
     chosen = spread(len(point_map.images), FIT_SAMPLES)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
+from cagemap.errors import ParameterError
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import vertex_normals
@@ -15,10 +16,12 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.constants import FACING, LEAST_COSINE, MEETING_STEPS, MET
 from cagemap.maps.projection.lay_out import lay_out_parts
 from cagemap.maps.projection.relax import relax_folds
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers, whole_numbers
+from cagemap.numerics.kinds import kinds_checked
 from cagemap.refinement import Refinement
 
 
+@kinds_checked
 def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -> PointMap:
     """Closest points of the source, in position and normal, of the subdivision surface through fitted points.
 
@@ -34,7 +37,16 @@ def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -
     -------
     PointMap
         Of the finest levels; it may fold.
+
+    Raises
+    ------
+    ParameterError
+        If the places are not those of that level's vertices.
     """
+    count = prepared.mesh.n
+    fitted = real_numbers(fitted, "fitted")
+    if fitted.shape != (count, 3) or not np.all(np.isfinite(fitted)):
+        raise ParameterError(f"fitted: expected finite places ({count}, 3), as `fit` gives them, got {fitted.shape}")
     target = prepared.target.triangles(prepared.target.finest)
     positions = carried(prepared, fitted)
     normals = vertex_normals(positions, target.triangles)
@@ -77,6 +89,7 @@ def held_vertices(landmarks: PointPairs) -> IndexArray:
     return np.unique(np.concatenate([vertices[vertices >= 0], landmarks.target.corners[vertices < 0].ravel()]))
 
 
+@kinds_checked
 def unfold(point_map: PointMap, held: IndexArray, config: ElasticConfig = ElasticConfig()) -> PointMap:
     """A map without most of its folds: relaxed where they are small, laid out where whole parts fold.
 
@@ -86,7 +99,15 @@ def unfold(point_map: PointMap, held: IndexArray, config: ElasticConfig = Elasti
     held : (p,) int64
         Target vertices whose images stay (landmarks).
     config : ElasticConfig
+
+    Raises
+    ------
+    ParameterError
+        If a held vertex is none of the target's.
     """
+    held = whole_numbers(held, "held")
+    if held.size and not 0 <= held.min() <= held.max() < point_map.target.n:
+        raise ParameterError(f"held: expected vertices 0 to {point_map.target.n - 1}, got {held.min()} to {held.max()}")
     weight = config.projection_normal_weights[0]
     images, flipped = relax_folds(point_map.images, point_map.target.triangles, held, normal_weight=weight)
     return PointMap(point_map.target, lay_out_parts(images, flipped, point_map.target, held))
