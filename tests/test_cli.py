@@ -219,7 +219,7 @@ def test_images_that_cannot_be_are_refused_in_words(
 
 
 def test_report_is_written(run: Run, result_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(write_report.__kwdefaults__, "size", (24, 18))
+    monkeypatch.setitem(inspect.unwrap(write_report).__kwdefaults__, "size", (24, 18))
     outcome = run("report", "R", "-o", "r.html")
     assert outcome.code == 0, outcome.err
     assert "r.html" in outcome.out

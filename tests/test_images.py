@@ -70,8 +70,8 @@ def test_channel_names_are_kept(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "dtype", "remedy"),
-    [("a.png", "float32", r"use \.tif"), ("a.exr", "uint8", r"use \.png"), ("a.jpg", "uint16", "--bits"),
-     ("a.bmp", "uint8", "ending in"), ("a", "uint8", "no suffix"), ("a.png", "int32", "--bits 8, 16 or 32")],
+    [("a.png", "float32", r"Write \.tif"), ("a.exr", "uint8", r"Write \.png"), ("a.jpg", "uint16", "choose 8 bits"),
+     ("a.bmp", "uint8", "ending in"), ("a", "uint8", "no suffix"), ("a.png", "int32", "Choose 8 or 16 bits")],
 )  # fmt: skip
 def test_what_a_format_cannot_hold_is_refused(tmp_path: Path, name: str, dtype: str, remedy: str) -> None:
     with pytest.raises(FormatError, match=remedy):

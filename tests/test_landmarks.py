@@ -127,7 +127,7 @@ def test_points_that_are_none_are_refused(tmp_path: Path, end: dict[str, object]
 def test_direction_by_name(tmp_path: Path, file: tuple[str, str], here: tuple[str, str], verdict: str) -> None:
     path = write_file(tmp_path, *file)
     if verdict == "refused":
-        with pytest.raises(DirectionError, match=r"(?s)other way round.*Exchange.*--target.*reversed\(\)"):
+        with pytest.raises(DirectionError, match=r"(?s)other way round.*Exchange.*target and source.*reversed\(\)"):
             read_landmarks(path, target=here[1], source=here[0])
         return
     marks, notes = read_landmarks(path, target=here[1], source=here[0])

@@ -177,7 +177,7 @@ def edit(folder: Path, **changes: object) -> None:
 
 
 def test_missing_folder_manifest_or_arrays_are_named(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match=r"nowhere.*manifest\.json"):
+    with pytest.raises(FormatError, match=r"nowhere.*nothing of that name"):
         read_result(tmp_path / "nowhere")
     (folder / ARRAYS).unlink()
     with pytest.raises(FormatError, match=r"map\.npz: is missing"):

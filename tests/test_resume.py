@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,7 +54,7 @@ def test_bakes_are_those_of_the_match(matched: MatchResult, read: MatchResult) -
 def test_both_are_reported(
     matched: MatchResult, read: MatchResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(write_report.__kwdefaults__, "size", (16, 12))
+    monkeypatch.setitem(inspect.unwrap(write_report).__kwdefaults__, "size", (16, 12))
     cagemap.write_report(tmp_path / "read.html", read)
     cagemap.write_report(tmp_path / "fresh.html", matched)
     assert "left out" in (tmp_path / "fresh.html").read_text()

@@ -27,7 +27,7 @@ def whole_numbers(values: ArrayLike, what: str) -> IndexArray:
     if not given.size:
         return np.zeros(given.shape, dtype=np.int64)
     whole = given.dtype.kind in "iu" or (given.dtype.kind == "f" and bool(np.all(given == np.floor(given))))
-    if not whole or not np.all(np.abs(given) < 2.0**63):
+    if not whole or (given.dtype.kind in "uf" and not np.all(np.abs(given) < 2.0**63)):
         raise ParameterError(f"{what}: expected whole numbers, got {given.dtype} values such as {given.ravel()[:3]}")
     return np.ascontiguousarray(given, dtype=np.int64)
 

@@ -102,11 +102,9 @@ class BakeOptions:
             raise ParameterError(f"supersample: expected 1 or more samples a side, got {self.supersample}")
         if self.dilation is not None and self.dilation < 0:
             raise ParameterError(f"dilation: expected 0 or more texels, got {self.dilation}")
-        if self.wrap not in get_args(Wrap) or self.filter not in get_args(Filter):
-            raise ParameterError(
-                f"wrap and filter: expected one of {get_args(Wrap)} and of {get_args(Filter)}, got {self.wrap!r} and "
-                f"{self.filter!r}"
-            )
+        for name, value, known in (("wrap", self.wrap, get_args(Wrap)), ("filter", self.filter, get_args(Filter))):
+            if value not in known:
+                raise ParameterError(f"{name}: expected {', '.join(known)}, got {value!r}")
 
 
 @kinds_checked
