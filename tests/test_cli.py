@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 import os
 import re
 import subprocess
@@ -93,6 +94,15 @@ def test_check_reports_and_judges(run: Run, tmp_path: Path) -> None:
     both = run("check", "bad.obj", "good.obj")
     assert both.code == 1
     assert "duplicate faces" in both.out
+    listed = run("check", "--json", "bad.obj", "good.obj", "missing.obj")
+    assert listed.code == 1
+    bad, fine, gone = json.loads(listed.out)
+    assert (bad["usable"], fine["usable"], gone["usable"]) == (False, True, False)
+    assert "duplicate faces" in [problem["kind"] for problem in bad["problems"]]
+    assert fine["n_faces"] == 6
+    assert "missing.obj" in gone["error"]
+    assert run("-q", "check", "good.obj").out == ""
+    assert "duplicate faces" in run("-q", "check", "bad.obj").out
     missing = run("check", "missing.obj", "good.obj")
     assert missing.code == 1
     assert "missing.obj" in missing.out

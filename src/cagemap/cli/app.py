@@ -100,16 +100,17 @@ def check(
     meshes: Annotated[
         list[Path], typer.Argument(metavar="MESH...", help="Control meshes, .obj, .ply or USD.", show_default=False)
     ],
+    as_json: Annotated[bool, typer.Option("--json", help="Say the same as JSON, for scripts.")] = False,
 ) -> None:
     """Tell whether control meshes can be used, and if not, what to mend and where.
 
     A mesh must be manifold, consistently oriented and in one piece; boundaries are fine. Exit code 1 if any has a
     problem.
     """
-    from cagemap.cli.mesh_commands import check_files
+    from cagemap.cli import mesh_commands
 
-    text, sound = check_files(meshes)
-    say(text)
+    text, sound = (mesh_commands.check_values if as_json else mesh_commands.check_files)(meshes)
+    say(text, always=not sound)
     if not sound:
         raise typer.Exit(1)
 
@@ -206,7 +207,7 @@ def run(
 
     with Stages() as stages:
         text, complete = run_job(RunRequest(job, scheduler, workers, dry_run), stages)
-    say(text)
+    say(text, always=not complete)
     if not complete:
         raise typer.Exit(1)
 

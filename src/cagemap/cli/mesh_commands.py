@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from itertools import takewhile
 from pathlib import Path
+from typing import Any
 
 from cagemap.cli.subdivision import SubdivisionRequest
 from cagemap.errors import CagemapError, ParameterError
@@ -12,7 +15,7 @@ from cagemap.files.atomic import check_outputs
 from cagemap.files.meshes import check_mesh_path, mesh_files, read_mesh, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import check_mesh, require_valid
-from cagemap.mesh.parts import list_parts
+from cagemap.mesh.parts import Part, list_parts
 from cagemap.refinement import Scheme, finest_mesh
 from cagemap.refinement import refine as refine_mesh
 from cagemap.refinement.counts import vertex_counts
@@ -37,12 +40,31 @@ def check_files(paths: Sequence[Path]) -> tuple[str, bool]:
     return "\n\n".join(parts), sound
 
 
+def check_values(paths: Sequence[Path]) -> tuple[str, bool]:
+    """The same as JSON: a list with the fields of a `MeshReport` and the parts of each file, or why it is not read."""
+    found: list[dict[str, Any]] = []
+    for path in paths:
+        try:
+            mesh = read_mesh(path)
+            report = check_mesh(mesh)
+        except CagemapError as error:
+            found.append({"file": str(path), "usable": False, "error": str(error)})
+            continue
+        parts = [{"name": part.title, "faces": len(part.faces)} for part in _parts(mesh)]
+        found.append({"file": str(path), "usable": report.is_valid, **asdict(report), "parts": parts})
+    return json.dumps(found, indent=1, default=int), all(one["usable"] for one in found)
+
+
+def _parts(mesh: ControlMesh) -> tuple[Part, ...]:
+    try:
+        return list_parts(mesh)
+    except (IndexError, ValueError):
+        return ()  # what keeps the mesh from having parts is among its problems
+
+
 def _part_lines(mesh: ControlMesh) -> str:
     """Objects, groups, materials and components with their sizes, where there is anything to choose from."""
-    try:
-        found = list_parts(mesh)
-    except (IndexError, ValueError):
-        return ""  # what keeps the mesh from having parts is among its problems
+    found = _parts(mesh)
     if len(found) < 2:
         return ""
     width = max(len(part.title) for part in found[:MOST_PARTS])

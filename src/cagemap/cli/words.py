@@ -55,9 +55,9 @@ def set_verbosity(verbose: int, quiet: bool) -> None:
     logger.setLevel(logging.ERROR if quiet else levels[min(verbose, 2)])
 
 
-def say(text: str) -> None:
-    """Write a command's result, unless asked to be quiet; a reader who has gone is no error."""
-    if not _log.isEnabledFor(logging.WARNING):
+def say(text: str, *, always: bool = False) -> None:
+    """Write a command's result, unless asked to be quiet of what went well; a reader who has gone is no error."""
+    if not always and not _log.isEnabledFor(logging.WARNING):
         return
     try:
         sys.stdout.write(f"{in_options(text)}\n")
