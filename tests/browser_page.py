@@ -19,6 +19,34 @@ import pytest
 # A loaded machine without a graphics card needs long for what takes a user's machine a moment.
 PATIENCE = 150.0
 WINDOW = (1280, 720)
+# Ends when a text has changed and, where asked for, so many pictures later the other frame has drawn what came with it.
+PRESSED = """
+const [label, block, pattern, frames, done] = arguments, text = () => document.getElementById(block)?.innerText ?? '';
+const before = text(), other = parent.document.getElementById('target').contentWindow;
+const changed = () => pattern ? new RegExp(pattern).test(text()) : text() != before;
+const begin = performance.now();
+[...document.querySelectorAll('button')].find(b => b.innerText.trim() == label).click();
+const look = () => {
+    const drawn = left => left ? other.requestAnimationFrame(() => drawn(left - 1)) : done(performance.now() - begin);
+    if (changed()) drawn(frames);
+    else if (performance.now() - begin > 120000) done(-1);
+    else setTimeout(look, 4);
+};
+look();
+"""
+# What a frame's canvas shows, small; a screenshot would have the software renderer draw the whole page once more.
+LOOK = """
+const [size, done] = arguments;
+requestAnimationFrame(() => {
+    const canvas = [...document.querySelectorAll('canvas')].find(canvas => canvas.width);
+    const small = document.createElement('canvas');
+    small.width = small.height = size;
+    const pen = small.getContext('2d');
+    if (canvas) pen.drawImage(canvas, 0, 0, size, size);
+    done([...pen.getImageData(0, 0, size, size).data].map(v => String.fromCharCode(v)).join(''));
+});
+"""
+LOOK_SIZE = 160
 
 
 @contextmanager
@@ -106,6 +134,63 @@ class Page:
         found = re.match(r"map (\d+)", self.text("map"))
         return int(found[1]) if found else 0
 
+    def choose(self, side: str, label: str, value: str, *, exact: bool = True) -> str:
+        """Open a dropdown and take an entry, or the first one that holds some text; returns what it shows then."""
+
+        def entry() -> Any:
+            options = self.browser.find_elements("css selector", "[role=option]")
+            shown = [option for option in options if option.is_displayed()]
+            return next((one for one in shown if one.text == value or (not exact and value in one.text)), None)
+
+        field = self.field(side, label)
+        self.browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", field)
+        field.click()
+        found = self.until(entry, f"{value!r} among {label}")
+        text = str(found.text)
+        found.click()
+        return text
+
+    def value(self, side: str, label: str) -> str:
+        """What a field shows."""
+        return str(self.field(side, label).get_attribute("value"))
+
+    def unfold(self, side: str, label: str) -> None:
+        """Open a folder that is folded up."""
+        self.into(side)
+        look = """return [...document.querySelectorAll('*')].find(
+            e => [...e.childNodes].some(n => n.nodeType == 3 && n.data.trim() == arguments[0]))"""
+        found = self.until(lambda: self.browser.execute_script(look, label), f"a folder {label!r}")
+        self.browser.execute_script("arguments[0].scrollIntoView(); arguments[0].click()", found)
+
+    def answers(self) -> list[str]:
+        """Buttons of the ways in which the models may agree."""
+        self.into("source")
+        look = "return [...document.querySelectorAll('button')].map(b => b.innerText.trim())"
+        labels = list(self.browser.execute_script(look))
+        return labels[: labels.index("Match again")]
+
+    def switch(self, side: str, label: str) -> None:
+        """Press a checkbox."""
+        self.browser.execute_script("arguments[0].click()", self.field(side, label))
+
+    def pressed(self, label: str, block: str, pattern: str = "", pictures: int = 0) -> float:
+        """Seconds from pressing a button of the right panel to a block's new text, as the page's own clock tells.
+
+        Parameters
+        ----------
+        label, block : str
+            The button, and the block of text.
+        pattern : str
+            What the text is then; any other than before if not given.
+        pictures : int
+            That the left frame draws after it.
+        """
+        self.into("source")
+        waited = self.browser.execute_async_script(PRESSED, label, block, pattern, pictures)
+        if waited < 0:
+            raise TimeoutError(f"{label}: {self.texts()}")
+        return float(waited) / 1000
+
     def button(self, side: str, label: str) -> None:
         """Press a button."""
         self.into(side)
@@ -130,26 +215,42 @@ class Page:
         field.send_keys(Keys.CONTROL, "a")
         field.send_keys(value, Keys.TAB)
 
-    def settle(self, side: str) -> None:
-        """Wait until a frame stands still: panels and the first view arrive late on a loaded machine."""
-        before = self.picture(side)
-        for _ in range(20):
-            time.sleep(0.7)
-            now = self.picture(side)
-            if now.shape == before.shape and np.array_equal(now, before):
-                return
-            before = now
+    def look(self, side: str) -> np.ndarray:
+        """What a frame's canvas shows, (160, 160, 3)."""
 
-    def click(self, side: str, point: tuple[float, float]) -> None:
+        def taken() -> str:
+            self.into(side)
+            return str(self.browser.execute_async_script(LOOK, LOOK_SIZE))
+
+        pixels = np.frombuffer(self.until(taken, f"the {side}").encode("latin-1"), dtype=np.uint8)
+        return pixels.reshape(LOOK_SIZE, LOOK_SIZE, 4)[..., :3].astype(float)
+
+    def settle(self, side: str) -> np.ndarray:
+        """Wait until a frame stands still: panels and the first view arrive late on a loaded machine."""
+        before = self.look(side)
+        for _ in range(40):
+            time.sleep(0.3)
+            now = self.look(side)
+            if before.any() and np.array_equal(now, before):
+                break
+            before = now
+        return before
+
+    def click(self, side: str, point: tuple[float, float], *, shift: bool = False) -> None:
         """Click a model; (0, 0) is the middle of the frame's canvas, (1, 1) its upper right corner."""
         from selenium.webdriver import ActionChains
+        from selenium.webdriver.common.keys import Keys
 
         self.settle(side)
         self.into(side)
         canvas = self.browser.find_element("css selector", "canvas")
         size = canvas.size
         x, y = round(point[0] * size["width"] / 2), round(-point[1] * size["height"] / 2)
-        ActionChains(self.browser, duration=10).move_to_element_with_offset(canvas, x, y).click().perform()
+        actions = ActionChains(self.browser, duration=10).move_to_element_with_offset(canvas, x, y)
+        if shift:
+            actions.key_down(Keys.SHIFT).click().key_up(Keys.SHIFT).perform()
+        else:
+            actions.click().perform()
 
     def drag(self, side: str, start: tuple[float, float], end: tuple[float, float]) -> None:
         """Press at one point of a model's canvas, move to another, release; points as in `click`."""

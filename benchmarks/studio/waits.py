@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import statistics
 import time
 from collections.abc import Callable, Iterator
@@ -24,21 +23,6 @@ Rows = list[tuple[str, str]]
 # Spread of red, of 255, that no empty canvas has.
 DRAWN = 12.0
 
-# Ends when a text has changed and, where asked for, so many pictures later the other frame has drawn what came with it.
-PRESSED = """
-const [label, block, pattern, frames, done] = arguments, text = () => document.getElementById(block)?.innerText ?? '';
-const before = text(), other = parent.document.getElementById('target').contentWindow;
-const changed = () => pattern ? new RegExp(pattern).test(text()) : text() != before;
-const begin = performance.now();
-[...document.querySelectorAll('button')].find(b => b.innerText.trim() == label).click();
-const look = () => {
-    const drawn = left => left ? other.requestAnimationFrame(() => drawn(left - 1)) : done(performance.now() - begin);
-    if (changed()) drawn(frames);
-    else if (performance.now() - begin > 120000) done(-1);
-    else setTimeout(look, 4);
-};
-look();
-"""
 # The canvas with the model; another one lies over it, of no size.
 CANVAS = "[...document.querySelectorAll('canvas')].find(canvas => canvas.width)"
 # Spread of what the canvas shows. A screenshot would have the software renderer draw the whole page once more.
@@ -157,12 +141,12 @@ def live_rows(page: Page) -> Rows:
     for k in range(6):
         page.click("target", (-0.2, 0.05 * k - 0.1))
         page.until(lambda: "accept the proposal" in page.text("status"), "half a landmark")
-        updates.append(pressed(page, "Accept proposal", "map", f"^map {page.revision() + 1},", frames=2))
+        updates.append(page.pressed("Accept proposal", "map", f"^map {page.revision() + 1},", pictures=2))
         own.append(float(computed(page).split()[0]))
     answers = []
-    pressed(page, "Match again", "status", "finding the map")
+    page.pressed("Match again", "status", "finding the map")
     for _ in range(6):
-        answers.append(pressed(page, "Undo", "list"))
+        answers.append(page.pressed("Undo", "list"))
     page.until(lambda: "finding" not in page.text("status"), "the end of the computation")
     # The first one is not counted: it comes to compiled code that was not loaded yet.
     return [
@@ -226,15 +210,6 @@ def many_rows(files: Files, vertices: int, count: int) -> Rows:
         page.until(lambda: page.revision() == 1, "the first map")
         rows.append((f"{title}: from there to the map", f"{time.perf_counter() - begin:.1f} s"))
         return rows + [(f"{title}: {name}", value) for name, value in live_rows(page)]
-
-
-def pressed(page: Page, label: str, block: str, pattern: str = "", frames: int = 0) -> float:
-    """Seconds from pressing a button to a block's new text, and some pictures more, as the page's own clock tells."""
-    page.into("source")
-    waited = page.browser.execute_async_script(PRESSED, label, block, pattern, frames)
-    if waited < 0:
-        raise TimeoutError(f"{label}: {json.dumps(page.texts())}")
-    return float(waited) / 1000
 
 
 def computed(page: Page) -> str:

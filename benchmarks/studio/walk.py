@@ -7,7 +7,6 @@ import tempfile
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from tests.browser_page import Page, chromium, studio
 
@@ -39,24 +38,6 @@ class Walk:
         self.lines.append(f"| {what} | {clicks} | {time.perf_counter() - self.begin:.1f} |")
 
 
-def choose(page: Page, label: str, value: str) -> None:
-    """Open a dropdown of the left panel and take an entry: two clicks."""
-    from selenium.webdriver.common.by import By
-
-    page.field("target", label).click()
-
-    def entry() -> Any:
-        options = page.browser.find_elements(By.CSS_SELECTOR, "[role=option]")
-        return next((option for option in options if option.is_displayed() and option.text == value), None)
-
-    page.until(entry, f"{value} among {label}").click()
-
-
-def value(page: Page, label: str) -> str:
-    """What a dropdown shows."""
-    return str(page.field("target", label).get_attribute("value"))
-
-
 def walk(vertices: int | None, picture: Path | None = None) -> list[str]:
     """Walk; rows of the table. ``vertices``: of the finish, its own default if None."""
     with tempfile.TemporaryDirectory() as temporary, chromium() as browser:
@@ -69,9 +50,9 @@ def walk(vertices: int | None, picture: Path | None = None) -> list[str]:
             page = Page(browser, address)
             page.until(lambda: "Choose a target" in page.text("status"), "the page")
             steps.step("the page is there (it opens by itself)", 0)
-            choose(page, "Target", "cow.obj")
-            choose(page, "Source", "spot.obj")
-            page.until(lambda: value(page, "Texture") == "spot_texture.png", "the guessed texture")
+            page.choose("target", "Target", "cow.obj")
+            page.choose("target", "Source", "spot.obj")
+            page.until(lambda: page.value("target", "Texture") == "spot_texture.png", "the guessed texture")
             steps.step("*Target* cow.obj, *Source* spot.obj; the texture is guessed", 4)
             page.button("target", "Open")
             page.until(lambda: page.revision() == 1, "the first map")

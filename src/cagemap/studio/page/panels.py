@@ -58,7 +58,9 @@ class SetupPanel:
                 hint = "axis that points up, for the view alone; only USD files say it, in others it is y"
                 self._ups = _two_dropdowns(gui, "up", (AS_FILED, "y", "z"), hint)
             gui.add_button("Open", icon=viser.Icon.FOLDER_OPEN).on_click(lambda _: self._open())
-            upload = gui.add_upload_button("Add a file", hint="copies a file of yours into the studio's folder")
+            upload = gui.add_upload_button(
+                "Add a file", color="gray", hint="copies a file of yours into the studio's folder"
+            )
             upload.on_upload(lambda event: self._upload(event.target.value))
             self._parts = PartChoices(gui, session)
         with gui.add_folder("View"):
@@ -70,7 +72,9 @@ class SetupPanel:
             self._rest = gui.add_checkbox("Other parts", view.rest, visible=False, hint="of the files, in grey")
             for handle in (self._mode, self._doubts, self._cages, self._linked, self._rest):
                 handle.on_update(lambda _: self._show())
-            gui.add_button("Frame", icon=viser.Icon.FOCUS_CENTERED).on_click(lambda _: frame())
+            gui.add_button("Frame", icon=viser.Icon.FOCUS_CENTERED, color="gray", hint="the whole models").on_click(
+                lambda _: frame()
+            )
         with gui.add_folder("Finish"):
             self._finish = FinishPanel(gui, session, choices)
         self._names = gui.add_markdown("")
@@ -160,42 +164,41 @@ class WorkPanel:
         self._progress = gui.add_progress_bar(0.0, animated=True, visible=False)
         self._cancel = gui.add_button("Cancel", icon=viser.Icon.X, visible=False)
         self._cancel.on_click(lambda _: self._cancelled())
-        with gui.add_folder("Landmarks"):
-            self._accept = gui.add_button("Accept proposal", icon=viser.Icon.CHECK, color="green", disabled=True)
-            self._accept.on_click(lambda _: session.accept())
-            self._next = gui.add_button("Next landmark", icon=viser.Icon.BULB, hint="where one more tells most")
-            self._next.on_click(lambda _: session.next_landmark())
-            self._undo = gui.add_button("Undo", icon=viser.Icon.ARROW_BACK_UP)
-            self._undo.on_click(lambda _: session.undo())
-            self._redo = gui.add_button("Redo", icon=viser.Icon.ARROW_FORWARD_UP)
-            self._redo.on_click(lambda _: session.redo())
-            self._list = gui.add_html("")
-            self._chosen = gui.add_dropdown("Selected", (NONE,))
-            self._chosen.on_update(lambda event: self._select(event.client))
-            self._name = gui.add_text("Name", "", disabled=True)
-            self._name.on_update(lambda event: self._rename(event.client))
-            self._delete = gui.add_button("Delete", icon=viser.Icon.TRASH, disabled=True)
-            self._delete.on_click(lambda _: self._on_selected(session.remove))
-            self._mirror = gui.add_button("Mirror", icon=viser.Icon.FLIP_VERTICAL, disabled=True)
-            self._mirror.on_click(lambda _: self._on_selected(session.mirror))
-            self._file = gui.add_text("File", "")
-            self._form = gui.add_dropdown(
-                "Save as", tuple(FORMS), hint="a program that has one mesh gets one file each"
-            )
-            self._form.on_update(lambda event: self._choose_form(event.client))
-            self._save = gui.add_button("Save landmarks", icon=viser.Icon.DEVICE_FLOPPY)
-            self._save.on_click(lambda _: session.save_as(self._file.value))
-            with gui.add_folder("Load landmarks", expand_by_default=False):
-                self._pairs = choices.dropdown(gui, "From", LANDMARKS, "a file of pairs, or of the target's points")
-                self._points = choices.dropdown(gui, "And", LANDMARKS, "the source's points, where they are a file")
-                self._load = gui.add_button("Load", icon=viser.Icon.FOLDER_OPEN)
-                self._load.on_click(lambda _: self._loaded())
         with gui.add_folder("Map"):
             self._map = gui.add_html("")
             self._answers = [gui.add_button(NONE, visible=False) for _ in range(MOST_ANSWERS)]
             for index, button in enumerate(self._answers):
                 button.on_click(partial(self._choose_answer, index))
-            gui.add_button("Match again", icon=viser.Icon.REFRESH).on_click(lambda _: session.match_again())
+            again = gui.add_button("Match again", icon=viser.Icon.REFRESH, color="gray", hint="from the start")
+            again.on_click(lambda _: session.match_again())
+        with gui.add_folder("Landmarks"):
+            self._accept = gui.add_button("Accept proposal", icon=viser.Icon.CHECK, color="green", disabled=True)
+            self._accept.on_click(lambda _: session.accept())
+            self._next = gui.add_button("Next landmark", icon=viser.Icon.BULB, hint="where one more tells most")
+            self._next.on_click(lambda _: session.next_landmark())
+            self._steps = gui.add_button_group("", ("Undo", "Redo"))
+            self._steps.on_click(lambda _: session.undo() if self._steps.value == "Undo" else session.redo())
+            self._list = gui.add_html("")
+            self._chosen = gui.add_dropdown("Selected", (NONE,))
+            self._chosen.on_update(lambda event: self._select(event.client))
+            self._name = gui.add_text("Name", "", visible=False)
+            self._name.on_update(lambda event: self._rename(event.client))
+            self._changes = gui.add_button_group("", ("Delete", "Mirror"), visible=False)
+            self._changes.on_click(
+                lambda _: self._on_selected(session.remove if self._changes.value == "Delete" else session.mirror)
+            )
+            self._file = gui.add_text("File", "")
+            self._form = gui.add_dropdown(
+                "Save as", tuple(FORMS), hint="a program that has one mesh gets one file each"
+            )
+            self._form.on_update(lambda event: self._choose_form(event.client))
+            self._save = gui.add_button("Save landmarks", icon=viser.Icon.DEVICE_FLOPPY, color="gray")
+            self._save.on_click(lambda _: session.save_as(self._file.value))
+            with gui.add_folder("Load landmarks", expand_by_default=False):
+                self._pairs = choices.dropdown(gui, "From", LANDMARKS, "a file of pairs, or of the target's points")
+                self._points = choices.dropdown(gui, "And", LANDMARKS, "the source's points, where they are a file")
+                self._load = gui.add_button("Load", icon=viser.Icon.FOLDER_OPEN, color="gray")
+                self._load.on_click(lambda _: self._loaded())
         gui.add_command("Undo", hotkey="Z", modifier="cmd/ctrl").on_trigger(lambda _: session.undo())
         gui.add_command("Redo", hotkey="Z", modifier="cmd/ctrl+shift").on_trigger(lambda _: session.redo())
         gui.main_panel.dock_right()
@@ -213,10 +216,8 @@ class WorkPanel:
         selected = state.history.present.get(state.selected)
         put(self._chosen, "value", NONE if selected is None else f"{selected.number} {selected.name}")
         put(self._name, "value", "" if selected is None else selected.name)
-        for handle in (self._name, self._delete, self._mirror):
-            put(handle, "disabled", selected is None)
-        put(self._undo, "disabled", not state.history.past)
-        put(self._redo, "disabled", not state.history.future)
+        for handle in (self._name, self._changes):
+            put(handle, "visible", selected is not None)
         put(self._next, "disabled", state.map.revision == 0)
         put(self._accept, "disabled", state.proposal is None)
         if state.files is not None and state.files.landmarks != self._shown:

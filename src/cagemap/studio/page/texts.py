@@ -15,9 +15,10 @@ LIST_HEIGHT = 180
 
 
 def landmark_table(state: Studio) -> str:
-    """The list: colour, number, name and strain of every landmark."""
+    """The list: colour, number, name and strain of every landmark; first what contradicts, then the newest."""
     rows = []
-    for item in state.history.present.items:
+    listed = sorted(state.history.present.items[::-1], key=lambda item: item.name not in state.map.contradictions)
+    for item in listed:
         strain = state.map.strain.get(item.name)
         wrong = state.map.contradictions.get(item.name)
         shown = "…" if not item.complete else "" if strain is None else f"{100 * strain:.1f} %"

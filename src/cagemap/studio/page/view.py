@@ -142,6 +142,7 @@ class ModelView:
             shape.to_view(points)[side.segments].astype(np.float32),
             colors=colors[side.segments],
             thickness=3.0,
+            thickness_units="screen",
         )
 
     def _show_probe(self, probe: Probe | None, shape: Shape) -> None:
@@ -178,7 +179,9 @@ class ModelView:
             self._cage.visible = visible
         elif visible:
             points = shape.to_view(shape.edges).astype(np.float32)
-            self._cage = self.server.scene.add_line_segments("/cage", points, colors=CAGE_COLOR, thickness=1.0)
+            self._cage = self.server.scene.add_line_segments(
+                "/cage", points, colors=CAGE_COLOR, thickness=1.0, thickness_units="screen"
+            )
 
     def _hide_cage(self) -> None:
         if self._cage is not None:
