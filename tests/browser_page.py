@@ -100,11 +100,11 @@ class Page:
         self.browser, self.address = browser, address
         browser.get(address)
 
-    def until(self, done: Callable[[], Any], what: str) -> Any:
+    def until(self, done: Callable[[], Any], what: str, patience: float = PATIENCE) -> Any:
         """Wait until something is so."""
         from selenium.common.exceptions import WebDriverException
 
-        end = time.monotonic() + PATIENCE
+        end = time.monotonic() + patience
         while time.monotonic() < end:
             try:
                 if value := done():
@@ -113,7 +113,7 @@ class Page:
                 pass
             time.sleep(0.05)
         self.browser.switch_to.default_content()
-        pytest.fail(f"{what}: not within {PATIENCE:.0f} s; the page says {self.texts()}")
+        pytest.fail(f"{what}: not within {patience:.0f} s; the page says {self.texts()}")
 
     def into(self, side: str) -> None:
         """Look into one of the two frames."""

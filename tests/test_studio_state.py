@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ from cagemap.studio import landmarks as edit
 from cagemap.studio.autosave import autosave_path, read_autosave, write_autosave
 from cagemap.studio.landmarks import History, LandmarkList, Place
 from cagemap.studio.opening import chosen_files
-from cagemap.studio.state import with_message
+from cagemap.studio.state import Output, Studio, View, baked_view, with_message
 from cagemap.studio.workspace import Workspace
 
 
@@ -25,6 +26,16 @@ def place(x: float) -> Place:
 
 def pair(landmarks: LandmarkList, x: float) -> LandmarkList:
     return edit.place(edit.place(landmarks, "target", place(x)), "source", place(-x))
+
+
+def test_the_view_shows_what_was_baked_in_the_layout_that_it_lies_in() -> None:
+    names = ("a.png", "tiles.1001.png", "wrapped.png", "RESULT", "a_unwrapped.obj")
+    outputs = tuple(Output(Path(name), "wrap" if name == "wrapped.png" else "texture") for name in names)
+    state = Studio(outputs=outputs)
+    assert state.images == (Path("a.png"),)
+    shown = baked_view(state, Path("a.png"))
+    assert (shown.mode, shown.baked, shown.layout) == ("baked", Path("a.png"), Path("a_unwrapped.obj"))
+    assert baked_view(replace(state, view=shown), None) == View()
 
 
 def test_two_clicks_make_a_landmark_and_a_third_begins_the_next() -> None:

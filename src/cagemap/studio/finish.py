@@ -305,8 +305,8 @@ class _Writer:
         words = self.words("wrap", [one.name for one in own if one.name not in (*written, *_WRAPPED)])
         for one in written:
             if self.value("wrap", one):
-                form = ".mhclo" if one == "mhclo" else self.asked.image_form or _wrapped_form(one)
-                words += [options["wrap", one].flag, str(folder / f"{name}_{one}{form}")]
+                image = f"{name}_{one}{self.asked.image_form or _wrapped_form(one)}"
+                words += [options["wrap", one].flag, str(folder / (f"{name}.mhclo" if one == "mhclo" else image))]
         images = [one for one in written if one != "mhclo" and self.value("wrap", one)]
         if images:
             words += self.words("wrap", ("size", "space", "green", "rays"))

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from cagemap.errors import ParameterError
 from cagemap.files.images import texture_files
 
 Kind = Literal[
@@ -117,6 +116,5 @@ def _placed(path: Path, require: Callable[[Path], Path]) -> Path:
     else:
         files = [file for file in texture_files(found) if file.is_symlink()]
     for file in files:
-        if require(file) == file:
-            raise ParameterError(f"{file}: expected a file, got a link that leads nowhere.")
+        require(file)
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -12,6 +13,8 @@ Mode = Literal["texture", "colours", "checker", "plain", "baked"]
 MODES: tuple[Mode, ...] = ("texture", "colours", "checker", "plain", "baked")
 # Images that the view can show.
 SHOWN = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
+# Ends the name of one of several tiles.
+_TILE = re.compile(r"\.1\d{3}$")
 # Ends the name of a mesh that a layout was made for.
 _UNWRAPPED = "_unwrapped"
 # Messages that stay in the page; older ones go.
@@ -221,8 +224,8 @@ class Studio:
 
     @property
     def images(self) -> tuple[Path, ...]:
-        """Images among the outputs that lie in the target's layout."""
-        made = (output.path for output in self.outputs if output.what != "wrap")
+        """Images among the outputs that cover the target's layout: no tiles, and none of the wrapped cage's."""
+        made = (output.path for output in self.outputs if output.what != "wrap" and not _TILE.search(output.path.stem))
         return tuple(path for path in made if path.suffix.lower() in SHOWN)
 
 
