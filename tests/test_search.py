@@ -14,13 +14,12 @@ from cagemap.maps.spectral.search import (
     strongest_parents,
 )
 from cagemap.maps.spectral.vertex_to_point import (
-    closest_on_triangle,
     vertex_to_point,
     vertex_triangles,
 )
 from cagemap.mesh import shapes
 from cagemap.refinement import refine, triangles
-from search_reference import nearest_candidates_reference, vertex_to_point_reference
+from search_reference import closest_on_triangle, nearest_candidates_reference, vertex_to_point_reference
 
 RNG = np.random.default_rng(271)
 

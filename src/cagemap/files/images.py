@@ -25,7 +25,6 @@ from cagemap.numerics.kinds import kinds_checked
 Pixels = NDArray[Any]
 
 UDIM_MARK = "<UDIM>"
-_PIXEL_TYPES = ("uint8", "uint16", "float16", "float32")
 # What each format holds exactly. Wider types are refused rather than rounded behind the user's back.
 _FORMATS: dict[str, tuple[str, ...]] = {
     ".png": ("uint8", "uint16"),

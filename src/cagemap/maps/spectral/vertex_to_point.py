@@ -63,40 +63,6 @@ def vertex_to_point(
     return triangle, barycentric
 
 
-def closest_on_triangle(gram: FloatArray, offset: FloatArray) -> FloatArray:
-    """Barycentric coordinates of the nearest point of a triangle, in any dimension (slow twin of the kernel).
-
-    Parameters
-    ----------
-    gram : (2, 2) array
-        Inner products of the edge vectors from corner 0.
-    offset : (2,) array
-        Inner products of these edges with the vector from corner 0 to the point.
-
-    Returns
-    -------
-    (3,) array
-    """
-    best, best_value = np.zeros(3), np.inf
-    determinant = gram[0, 0] * gram[1, 1] - gram[0, 1] ** 2
-    candidates = []
-    if determinant > 0.0:
-        u, v = np.linalg.solve(gram, offset)
-        if u >= 0.0 and v >= 0.0 and u + v <= 1.0:
-            candidates.append((u, v))
-    candidates.append((np.clip(offset[0] / max(gram[0, 0], 1e-300), 0.0, 1.0), 0.0))
-    candidates.append((0.0, np.clip(offset[1] / max(gram[1, 1], 1e-300), 0.0, 1.0)))
-    across = gram[0, 0] - 2.0 * gram[0, 1] + gram[1, 1]
-    s = np.clip((gram[0, 0] - gram[0, 1] - offset[0] + offset[1]) / max(across, 1e-300), 0.0, 1.0)
-    candidates.append((1.0 - s, s))
-    for u, v in candidates:
-        uv = np.array([u, v])
-        value = uv @ gram @ uv - 2.0 * uv @ offset
-        if value < best_value:
-            best, best_value = np.array([1.0 - u - v, u, v]), value
-    return best
-
-
 @njit(cache=True)
 def _closest_uv(aa, ab, bb, pa, pb):  # type: ignore[no-untyped-def]
     """(u, v, squared distance less the constant) of the point of a triangle nearest to a point."""
