@@ -16,10 +16,11 @@ from cagemap.geometry.flips import delaunay
 from cagemap.geometry.triangles import triangle_normals
 from cagemap.maps.hypotheses.confidence import Confidence, Reading
 from cagemap.maps.inner import inner_reading, outer_confidence
-from cagemap.mesh import ControlMesh, Plain, creature, cube, grid, torus
+from cagemap.mesh import ControlMesh, Plain, creature, cube, grid, mend, torus
 from cagemap.mesh.checks import check_mesh, require_valid
 from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.measures import signed_volume
 from cagemap.mesh.parts import extract
 from cagemap.mesh.plain import plain_mesh
 from cagemap.numerics.arrays import FloatArray, read_only
@@ -138,7 +139,7 @@ def test_sheets_that_share_an_edge_or_a_point_are_cut_apart() -> None:
 
 def test_inwards_is_turned_and_faces_of_all_sizes_are_split() -> None:
     sphere = ball()
-    corners = sphere.face_indices.reshape(-1, 3)[:, ::-1]
+    corners = sphere.face_indices.reshape(-1, 3)[:, [0, 2, 1]]
     plain = plain_mesh(ControlMesh.from_faces(sphere.positions, corners))
     assert plain.repairs.turned_faces == sphere.n_faces
     assert np.array_equal(plain.mesh.face_indices, sphere.face_indices)
@@ -180,6 +181,18 @@ def test_what_is_no_surface_is_refused_by_name(faces: list[list[int]], message: 
     positions[2] = np.nan
     with pytest.raises(InvalidMeshError, match="finite positions"):
         plain_mesh(ControlMesh.from_faces(positions, [[0, 1, 2]]))
+
+
+def test_a_mesh_of_skew_quads_looks_outwards_once_it_is_turned_round() -> None:
+    """Quads turned round by another corner are split otherwise: here both ways round enclosed less than nothing."""
+    corners = np.array([[0, 0, 0], [1, 1, 1], [1, 0, 1], [0, 1, 1], [1, 0, 0], [1, 0, 1], [1, 1, 0], [1, 1, 1]])
+    faces = [[4, 5, 1, 0], [1, 3, 2, 0], [2, 3, 7, 6], [4, 6, 7, 5], [2, 6, 4, 0], [1, 5, 7, 3]]
+    given_mesh = ControlMesh.from_faces(2.0 * corners - 1.0, faces)
+    whole = mend.turned(given_mesh, np.ones(6, dtype=bool))
+    assert signed_volume(whole) == pytest.approx(-signed_volume(given_mesh))
+    ready = plain_mesh(given_mesh).mesh
+    assert signed_volume(ready) > 0
+    assert not check_mesh(ready).problems
 
 
 @settings(max_examples=60, deadline=None)

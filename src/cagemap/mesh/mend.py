@@ -151,11 +151,11 @@ def oriented(mesh: ControlMesh) -> tuple[ControlMesh, int]:
 
 
 def turned(mesh: ControlMesh, faces: NDArray[np.bool_]) -> ControlMesh:
-    """With some faces (m,) turned round; all have one size."""
+    """With some faces (m,) turned round; all have one size. First corners stay, and with them how a quad is split."""
     if not faces.any():
         return mesh
     corners = np.arange(len(mesh.face_indices)).reshape(mesh.n_faces, -1)
-    corners[faces] = corners[faces, ::-1]
+    corners[faces, 1:] = corners[faces, :0:-1]
     return with_corners_of(mesh, np.arange(mesh.n_faces), mesh.face_offsets, corners.ravel())
 
 
