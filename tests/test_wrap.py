@@ -11,7 +11,7 @@ import pytest
 from cagemap.descriptors import mirror_symmetries
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images import read_image
-from cagemap.files.meshes import read_mesh
+from cagemap.files.meshes import read_mesh, write_mesh
 from cagemap.files.obj_layout import write_obj_positions
 from cagemap.geometry.closest import closest_points
 from cagemap.geometry.points import SurfacePoints
@@ -21,6 +21,7 @@ from cagemap.mesh import ControlMesh, cube, disk, torus
 from cagemap.refinement import Refinement, refine
 from cagemap.transfer.meeting import meet
 from cagemap.wrap import WrapConfig, level_mesh, missing_detail, wrap
+from cagemap.wrap.mend import fit_net
 from test_cli import Run, result_folder, run  # noqa: F401
 
 from example_result import identity_result
@@ -269,6 +270,47 @@ def test_the_command_refuses_and_writes_nothing(run: Run, result_folder: Path) -
         assert refused.code == 2, (arguments, refused.err)
         assert message in refused.err, refused.err
     assert sorted(place.rglob("*")) == before
+
+
+def test_a_fit_that_went_astray_is_tried_with_more_pull_of_the_map(
+    ring: tuple[Refinement, Refinement], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The closer one counts: never a worse one than without the second try."""
+    target, source = ring
+    point_map = same_vertices(target, source)
+    tried: list[float] = []
+
+    def seen(*given: object) -> np.ndarray:
+        config = given[2]
+        assert isinstance(config, WrapConfig)
+        tried.append(config.anchor)
+        return fit_net(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("cagemap.wrap.wrapping.fit_net", seen)
+    once = wrap(target, point_map, WrapConfig(anchor=0.02))
+    monkeypatch.setattr("cagemap.wrap.wrapping._ASTRAY", 0.0)
+    twice = wrap(target, point_map, WrapConfig(anchor=0.02))
+    np.testing.assert_allclose(tried, [0.02, 0.02, 0.06])
+    assert twice.residual.mean <= once.residual.mean
+
+
+@pytest.mark.parametrize("suffix", ["npy", "npz", "mtx", "vts"])
+def test_anyone_s_map_wraps_without_a_match(run: Run, result_folder: Path, suffix: str) -> None:  # noqa: F811
+    """Our own map, written out and given back as a file; no level is named, and the match's is not the default one."""
+    place = result_folder.parent
+    result = identity_result()
+    for side, name in ((result.target, "t.obj"), (result.source, "s.obj")):
+        write_mesh(place / name, side.control)
+    assert not run("transfer", "R", "--write-map", "-o", f"map.{suffix}").code
+    pair = ("--target", "t.obj", "--source", "s.obj", "--map", f"map.{suffix}")
+    done = run("wrap", *pair, "-o", "new.obj")
+    assert done.code == 0, done.err
+    places = read_mesh(place / "new.obj").positions
+    np.testing.assert_allclose(places, result.source.control.positions, atol=2e-2 * np.ptp(places))
+    refused = run("wrap", *pair, "-o", "other.obj", "--scheme", "loop")
+    assert refused.code == 2
+    assert "--map" in refused.err
+    assert not (place / "other.obj").exists()
 
 
 def test_the_report_shows_the_wrapped_cage_while_it_is_there(run: Run, result_folder: Path) -> None:  # noqa: F811

@@ -10,7 +10,7 @@ from cagemap.cli.map_command import MapRequest
 from cagemap.cli.progress import Stages
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import require_no_input
-from cagemap.files.maps import dense_map, read_images
+from cagemap.files.maps import dense_map, read_images, source_level
 from cagemap.files.meshes import read_mesh
 from cagemap.files.result import ARRAYS, MANIFEST, check_result_folder, file_hash, stated_path, write_result
 from cagemap.maps.quality import measure_quality
@@ -30,6 +30,9 @@ def run_map(request: MapRequest, stages: Stages) -> tuple[str, list[str]]:
     require_no_input([request.output / name for name in (ARRAYS, MANIFEST)], files.values())
     stages("read")
     target, source = (_surface(path, request.level) for path in (request.target, request.source))
+    level = None if request.level is not None else source_level(request.map, source.refinement)
+    if level is not None and level != source.refinement.n_levels:
+        source = _surface(request.source, level)
     places = target.triangles(target.finest), source.triangles(source.finest)
     # A map may count the vertices of any level: those of a coarser one are the first of every finer one.
     point_map = dense_map(read_images(request.map, places[1]), target.refinement, places[0])

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from cagemap.cli.job_file import note_output
+from cagemap.cli.map_command import MapRequest
 from cagemap.cli.match import MatchRequest, run_match
+from cagemap.cli.own_map import run_map
 from cagemap.cli.progress import Stages
 from cagemap.cli.transfer import carry_one
 from cagemap.cli.transfer_request import Outcome, TransferRequest
@@ -44,30 +46,40 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import one_blas_thread
 from cagemap.wrap import WrapConfig, Wrapped, level_mesh, wrap
 
+# Less of the target's area than this without a counterpart is not told: single triangles.
+_TOLD = 5e-4
+
 
 def run_wrap(request: WrapRequest, stages: Stages) -> Outcome:
     """Wrap the target of one or several results, and write the cages; returns a summary and warnings."""
     _check_request(request)
-    given = (request.target, request.source, request.landmarks)
+    given = (request.target, request.source, request.landmarks, request.map)
     if not any(given):
         return _with_texture(request, *_run(request, stages), stages)
     if request.results or request.target is None or request.source is None:
         raise ParameterError("expected RESULT folders, or --target and --source together to match first")
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder) / "result"
-        asked = MatchRequest(
-            request.target,
-            request.source,
-            request.landmarks,
-            result,
-            scheme=request.scheme,
-            target_scheme=request.target_scheme,
-            source_scheme=request.source_scheme,
-        )
-        _, warnings = run_match(asked, stages)
+        _, warnings = _found(request, request.target, request.source, result, stages)
         request = replace(request, results=(result,))
         summary, more = _with_texture(request, *_run(request, stages), stages)
         return summary, warnings + more
+
+
+def _found(request: WrapRequest, target: Path, source: Path, result: Path, stages: Stages) -> Outcome:
+    """Write the RESULT to wrap with: of a match, or of a point map of the user's."""
+    if request.map is not None:
+        return run_map(MapRequest(request.map, target, source, result), stages)
+    asked = MatchRequest(
+        target,
+        source,
+        request.landmarks,
+        result,
+        scheme=request.scheme,
+        target_scheme=request.target_scheme,
+        source_scheme=request.source_scheme,
+    )
+    return run_match(asked, stages)
 
 
 def _with_texture(request: WrapRequest, summary: str, warnings: list[str], stages: Stages) -> Outcome:
@@ -90,8 +102,11 @@ def _check_request(request: WrapRequest) -> None:
         raise ParameterError(
             "--texture (or --detail-texture) and --baked: expected an image and the one to write, got one of them"
         )
-    if not request.target and any((request.scheme, request.target_scheme, request.source_scheme)):
+    schemes = (request.scheme, request.target_scheme, request.source_scheme)
+    if not request.target and any(schemes):
         raise ParameterError("--scheme: expected with --target and --source; a RESULT has its schemes already")
+    if request.map is not None and (request.landmarks is not None or any(schemes)):
+        raise ParameterError("--map: expected no --landmarks and no --scheme, since nothing is matched")
     bakes = wrap_bakes(request)
     bakes.check()
     images = outputs_beside(request)
@@ -106,7 +121,7 @@ def _check_request(request: WrapRequest) -> None:
     if request.detail is not None and not bakes.images:
         raise ParameterError("--detail: expected an image to bake from it, such as --normal-map")
     inputs = [folder / name for folder in request.results for name in (MANIFEST, ARRAYS)]
-    named = (request.target, request.source, request.landmarks, request.weights, request.detail)
+    named = (request.target, request.source, request.landmarks, request.map, request.weights, request.detail)
     inputs += [path for path in named if path is not None]
     inputs += textures_read(request)
     if request.blend_shapes:
@@ -294,7 +309,7 @@ def _figures(wrapped: Wrapped) -> str:
         f"  distance to the source, % of sqrt(area): mean {100 * residual.mean:.4f}, 99 % within "
         f"{100 * residual.p99:.3f}, largest {100 * residual.largest:.2f} at ({place})"
     )
-    if residual.left_out > 0:
+    if residual.left_out > _TOLD:
         text += f"\n  {100 * residual.left_out:.1f} % of the target has no counterpart and follows its surroundings"
     return text
 

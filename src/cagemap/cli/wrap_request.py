@@ -20,7 +20,8 @@ class WrapRequest:
         typer.Argument(metavar="[RESULT]...", help="Folder that `cagemap match` wrote.", show_default=False),
     ]
     output: Annotated[
-        Path, typer.Option("-o", "--output", help="Mesh to write, .obj or .ply; a folder with --blend-shapes.")
+        Path,
+        typer.Option("-o", "--output", help="Mesh to write: .obj, .ply, .off, .usd; a folder with --blend-shapes."),
     ]
     target: Annotated[
         Path | None,
@@ -31,6 +32,14 @@ class WrapRequest:
     ] = None
     landmarks: Annotated[
         Path | None, typer.Option("--landmarks", help="JSON file of corresponding vertices.", show_default=False)
+    ] = None
+    map: Annotated[
+        Path | None,
+        typer.Option(
+            "--map",
+            help="With --target and --source, a point map of any method instead of a match: .npy, .npz, .mtx or .vts.",
+            show_default=False,
+        ),
     ] = None
     scheme: SchemeOption = None
     target_scheme: TargetSchemeOption = None

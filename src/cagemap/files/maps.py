@@ -19,7 +19,7 @@ from cagemap.files.text import read_text
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.point_map import PointMap
-from cagemap.refinement import Refinement
+from cagemap.refinement import Refinement, level_triangles
 
 SUFFIXES = (".npy", ".npz", ".mtx", ".vts")
 _REMEDY = "Write it again."
@@ -67,6 +67,24 @@ def read_images(path: str | Path, source: TriangleSurface) -> SurfacePoints:
     raise FormatError(
         f"{file}: expected 'triangle' and 'barycentric', or a sparse matrix written by SciPy, found {', '.join(arrays)}"
     )
+
+
+def source_level(path: str | Path, source: Refinement) -> int | None:
+    """The source's level, from 1, that a map is of, where its file says so: vertices are the same in all.
+
+    It is the coarsest with all its triangles, or the one with as many vertices as a matrix has columns.
+    """
+    file = Path(path)
+    suffix = file.suffix.lower()
+    if suffix not in (".npz", ".mtx") or not file.is_file():
+        return None
+    levels = range(1, source.n_levels + 1)
+    arrays = {} if suffix == ".mtx" else read_npz(file, _REMEDY)
+    numbers = arrays.get("triangle")
+    if numbers is not None and numbers.dtype.kind in "iu" and numbers.size:
+        return next((level for level in levels if numbers.max() < len(level_triangles(source, level))), None)
+    columns = _matrix_market(file).shape[1] if suffix == ".mtx" else np.ravel(arrays.get("shape", 0))[-1]
+    return next((level for level in levels if source.levels[level].n_vertices == columns), None)
 
 
 def _matrix_market(file: Path) -> sparse.csr_array:

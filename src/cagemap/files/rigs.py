@@ -154,10 +154,16 @@ def _read_offset(file: Path, mesh: ControlMesh, rest: ControlMesh) -> FloatArray
 def _read_offsets(file: Path, rest: ControlMesh, rows: FileRows | None) -> dict[str, FloatArray]:
     arrays = taken(read_npz(file, "Write it again, with one array (vertices, 3) for each shape."), rows)
     for name, array in arrays.items():
-        if array.shape != (rest.n_vertices, 3) or array.dtype.kind not in "iuf" or not np.isfinite(array).all():
+        if array.shape != (rest.n_vertices, 3) or array.dtype.kind not in "iuf":
             raise FormatError(
                 f"{file}: expected displacements of shape ({rest.n_vertices}, 3) in '{name}', one a vertex of "
                 f"{rest.name}, found {array.dtype} of shape {array.shape}"
+            )
+        unknown = np.flatnonzero(~np.isfinite(array).all(axis=1))
+        if len(unknown):
+            raise FormatError(
+                f"{file}: expected finite displacements in '{name}', found others at {len(unknown)} vertices of "
+                f"{rest.name}, such as {unknown[:5].tolist()} (0-based). Write it again, with 0 where nothing moves."
             )
     return {name: array.astype(np.float64) for name, array in arrays.items()}
 

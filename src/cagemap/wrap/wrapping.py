@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -23,6 +23,12 @@ from cagemap.wrap.net import control_net, face_aspects, folded_faces
 
 # A vertex that follows less than this has no counterpart, and its distance to the source is no error.
 _FOLLOWS = 0.5
+# Where more than a hundredth of a surface is further away than this, part of it has slid into a wrong place: it is
+# fitted again with so much more pull of the map, and the closer one counts.
+_ASTRAY, _HELD = 0.01, 3.0
+
+# Triangles, barycentric coordinates and distances of closest points.
+Closest = tuple[IndexArray, FloatArray, FloatArray]
 
 
 @dataclass(frozen=True)
@@ -130,10 +136,19 @@ def wrap(
     net = control_net(target, config.level, point_map.target.scale)
     data = fit_data(net, point_map.images, weights, boundary_vertices(point_map.target))
     adjust = partial(mirrored, symmetry) if symmetry is not None else _as_it_is
-    positions = mend(net, data, config, fit_net(net, data, config, adjust), adjust)
     source = point_map.source
+
+    def fitted(config: WrapConfig) -> tuple[Residual, FloatArray, Closest]:
+        positions = mend(net, data, config, fit_net(net, data, config, adjust), adjust)
+        closest = closest_points(source.tree, net.surface(positions), guess=point_map.triangle)
+        return residual_of(closest[2], weights, point_map.target), positions, closest
+
+    first = fitted(config)
+    if first[0].p99 > _ASTRAY:
+        held = fitted(replace(config, anchor=_HELD * config.anchor))
+        first = min(first, held, key=lambda fit: fit[0].mean)
+    residual, positions, (triangle, barycentric, distance) = first
     surface = net.surface(positions)
-    triangle, barycentric, distance = closest_points(source.tree, surface, guess=point_map.triangle)
     at_rest = net.graph.positions
     folded = folded_faces(net, positions) & ~folded_faces(net, at_rest)
     aspects = [np.percentile(face_aspects(net.mesh, x), 99) for x in (positions, at_rest)]
@@ -144,7 +159,7 @@ def wrap(
         closest=PointMap.from_arrays(point_map.target, source, triangle, barycentric),
         distance=distance,
         follow=weights,
-        residual=residual_of(distance, weights, point_map.target),
+        residual=residual,
         folded=np.flatnonzero(folded),
         aspect=float(aspects[0] / aspects[1]),
     )
