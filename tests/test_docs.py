@@ -115,6 +115,13 @@ def test_every_command_option_is_documented_and_exists(document: Path) -> None:
         assert written <= options, written - options
 
 
+@pytest.mark.parametrize("document", documents(), ids=lambda path: path.name)
+def test_every_program_that_figures_come_from_is_there(document: Path) -> None:
+    for module in re.findall(r"python -m (benchmarks[\w.]*|examples[\w.]*)", document.read_text(encoding="utf-8")):
+        place = ROOT / module.rstrip(".").replace(".", "/")
+        assert place.with_suffix(".py").exists() or (place / "__main__.py").exists(), f"{document.name}: {module}"
+
+
 def command_lines() -> list[str]:
     """Lines of all documents that a reader may type, what is optional left out."""
     lines = []
