@@ -25,7 +25,9 @@ def values_with_arrays() -> list[type]:
             continue
         for one in vars(importlib.import_module(module.name)).values():
             if isinstance(one, type) and dataclasses.is_dataclass(one) and one.__module__ == module.name:
-                if any(ARRAYS.search(str(field.type)) for field in dataclasses.fields(one)):
+                # Words of help texts in annotations are no types.
+                types = [re.sub(r"""(["']).*?\1""", "", str(field.type)) for field in dataclasses.fields(one)]
+                if any(ARRAYS.search(kind) for kind in types):
                     found.append(one)
     return found
 
