@@ -167,7 +167,7 @@ class Page:
         self.into("source")
         look = "return [...document.querySelectorAll('button')].map(b => b.innerText.trim())"
         labels = list(self.browser.execute_script(look))
-        return labels[: labels.index("Match again")]
+        return [label for label in labels[: labels.index("Match again")] if re.match(r"\d+ \u00b7", label)]
 
     def switch(self, side: str, label: str) -> None:
         """Press a checkbox."""

@@ -155,7 +155,7 @@ def every_form_is_saved_and_read(page: Page, files: Files, count: int) -> None:
 
 def test_parts_are_chosen_and_other_answers_are_one_click_away(tmp_path: Path, browser: Any) -> None:
     eye = cube()
-    eye = eye.with_positions(0.3 * eye.positions * [1.0, 1.2, 1.4] + np.array([0.0, 4.0, 0.0]))
+    eye = eye.with_positions(0.3 * eye.positions + np.array([0.0, 4.0, 0.0]))
     for name in ("a.obj", "b.obj"):
         write_mesh(tmp_path / name, join_meshes([named(eye, "eye"), named(creature(), "body")]))
     files = default_files(tmp_path, tmp_path / "a.obj", tmp_path / "b.obj", None)
@@ -176,7 +176,7 @@ def test_parts_are_chosen_and_other_answers_are_one_click_away(tmp_path: Path, b
             page.choose("target", f"{side} part", "object:eye (6 faces)")
             page.until(lambda side=side: page.value("target", f"{side} part").startswith("object:eye"), "the eye")
             page.until(lambda: page.revision() == 1, "the map of it")
-        # A box on a box: other answers are buttons.
+        # A cube on a cube: other answers are buttons.
         before = page.text("map")
         page.button("source", page.answers()[1])
         page.until(lambda: page.revision() == 2, "the other answer")

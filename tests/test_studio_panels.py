@@ -105,7 +105,7 @@ def test_every_other_answer_is_a_button(tmp_path: Path) -> None:
     panel = WorkPanel(server(), session, Choices(workspace))
     panel.refresh(session.state)
     assert [button.visible for button in panel._answers] == [True, True] + [False] * (MOST_ANSWERS - 2)
-    assert [button.label for button in panel._answers[:2]] == ["as it is", "turned"]
+    assert [button.label for button in panel._answers[:2]] == ["1 \u00b7 as it is", "2 \u00b7 turned"]
     panel._choose_answer(0, None)
     assert not session.choose_answer.called
     panel._choose_answer(1, None)

@@ -234,7 +234,7 @@ class WorkPanel:
             here = index < len(answers)
             if here:
                 chosen = index == state.map.chosen
-                put(button, "label", answers[index])
+                put(button, "label", f"{index + 1} \u00b7 {answers[index]}")
                 put(button, "color", "blue" if chosen else "gray")
                 put(button, "icon", viser.Icon.CHECK if chosen else None)
             put(button, "visible", here)

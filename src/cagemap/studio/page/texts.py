@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import re
 from urllib.parse import quote
 
 from cagemap.studio.downloads import ALL, archive_name
@@ -12,6 +13,8 @@ from cagemap.studio.state import Output, Studio
 
 # Rows of the list before it scrolls, in pixels.
 LIST_HEIGHT = 180
+# How the package says to ask for another answer, which is a button here.
+_KEYWORD = re.compile(r" \(`answer=\d+`\)")
 
 
 def landmark_table(state: Studio) -> str:
@@ -66,7 +69,7 @@ def map_text(state: Studio) -> str:
     if known.revision == 0:
         return '<div id="map" style="font-size:12px;padding:0 8px">no map yet</div>'
     lines = [f"map {known.revision}, {known.seconds:.1f} s"]
-    lines += [known.confidence] if known.confidence else []
+    lines += [_KEYWORD.sub("", known.confidence)] if known.confidence else []
     lines += list(known.contradictions.values()) + list(known.notes)
     shown = "<br>".join(html.escape(line) for line in lines)
     return f'<div id="map" style="font-size:12px;padding:0 8px">{shown}</div>'
