@@ -142,9 +142,13 @@ class Page:
             shown = [option for option in options if option.is_displayed()]
             return next((one for one in shown if one.text == value or (not exact and value in one.text)), None)
 
-        field = self.field(side, label)
-        self.browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", field)
-        field.click()
+        def unrolled() -> bool:
+            field = self.field(side, label)
+            self.browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", field)
+            field.click()
+            return True
+
+        self.until(unrolled, f"the list of {label}")  # a folder opens slowly
         found = self.until(entry, f"{value!r} among {label}")
         text = str(found.text)
         found.click()
