@@ -164,7 +164,7 @@ def test_wrong_input_is_refused_before_anything_expensive(pony):
 def test_ground_truth_on_humans(shared_data, method, bound, direction):
     """Mean error x100 of sqrt(area), 14 landmarks, 25k vertices: issue 3's bar for ours.
 
-    The hierarchical functional map, here with 150 functions, has 0.88 and 2.45; one direction's hands are its hardest.
+    The hierarchical functional map, here with 150 functions, has 0.83 and 1.59; one direction's hands are its hardest.
 
     female1605 and male1591 in other identities than the ones whose surfaces coincide.
     """

@@ -154,8 +154,12 @@ def one_way(target, source, matches, sizes):
 
 
 @pytest.mark.slow
-def test_extended_blocks_matter_to_the_hierarchical_map(judged, monkeypatch):
-    """Noise in what eqs. 14-16 find makes the whole method's map worse by half at least: before, it changed nothing."""
+def test_extended_blocks_matter_to_the_hierarchical_map(shared_data, monkeypatch):
+    """Noise in what eqs. 14-16 find makes the whole method's map worse by half at least: before, it changed nothing.
+
+    With the bases that the method asks for, 300 functions: 0.75 and 1.50 measured.
+    """
+    judged = Judged(HUMANS["female1605__male1591"], BasisConfig(), 14)
     usual = judged.errors(*hierarchical_map(judged.pair))[-1]
     assert usual < 1.3
     monkeypatch.setattr(hierarchical, "extend_functional_map", noise_beside)
@@ -165,10 +169,12 @@ def test_extended_blocks_matter_to_the_hierarchical_map(judged, monkeypatch):
 @pytest.mark.slow
 def test_descriptors_and_matches_both_ways_help_every_band(judged, monkeypatch):
     """Without descriptors beside the map it is plain upsampling, and worse; so it is without the source's matches."""
-    config = HierarchyConfig(growths=THREE)
-    usual = judged.errors(*hierarchical_map(judged.pair, config))[-1]
+    config = HierarchyConfig()
     map_alone = replace(config, weights=replace(config.weights, match=1e9))
+    usual = judged.errors(*hierarchical_map(judged.pair, config))[-1]
     assert judged.errors(*hierarchical_map(judged.pair, map_alone))[-1] > 1.02 * usual
+    config = replace(config, growths=THREE)
+    usual = judged.errors(*hierarchical_map(judged.pair, config))[-1]
     monkeypatch.setattr(hierarchical, "fit_both_ways", one_way)
     assert judged.errors(*hierarchical_map(judged.pair, config))[-1] > 1.1 * usual
 

@@ -283,11 +283,7 @@ def grown_map(
     _, *further = sizes_between(first, stop, growth.factor)
     for k in further:
         of_match = matched(functional_map, (min(k, most[0]), min(k, most[1])))
-        known = constraints.leading(*of_match.shape)
-        low = of_match[: functional_map.shape[0], : functional_map.shape[1]]
-        if meshes is None:  # few samples say too little of the low functions by themselves
-            low = solve_functional_map(constraints.leading(*low.shape), weights, match=low)
-        functional_map = extend_functional_map(low, known, weights, match=of_match)
+        functional_map = extended(constraints, functional_map.shape, of_match, weights)
     of_match = matched(functional_map, functional_map.shape)
     functional_map = solve_functional_map(constraints.leading(*functional_map.shape), weights, match=of_match)
     if meshes is None:
@@ -308,6 +304,12 @@ def shared_coordinates(
     sides = weighted(target, growth), weighted(source, growth)
     one, two = with_normals(sides, meshes, functional_map, growth.normal_weight)
     return one.coordinates, two.coordinates
+
+
+def extended(constraints: Constraints, low: tuple[int, int], of_match: FloatArray, weights: MapWeights) -> FloatArray:
+    """C_l by descriptors and map on the low functions, and beside it the blocks of the next band (eqs. 14-16)."""
+    coarse = solve_functional_map(constraints.leading(*low), weights, match=of_match[: low[0], : low[1]])
+    return extend_functional_map(coarse, constraints.leading(*of_match.shape), weights, match=of_match)
 
 
 def search_samples(target: Samples, source: Samples, functional_map: FloatArray) -> IndexArray:
