@@ -21,7 +21,7 @@ from cagemap.cli.progress import Stages
 from cagemap.cli.transfer_request import TransferRequest
 from cagemap.cli.wrap import run_wrap
 from cagemap.cli.wrap_request import WrapRequest
-from cagemap.errors import FormatError
+from cagemap.errors import FormatError, ParameterError
 from cagemap.example import example_pair
 from cagemap.files.images import read_image, write_image
 from cagemap.files.landmarks import write_landmarks
@@ -115,6 +115,8 @@ def test_a_map_that_is_given_is_taken_again(folder: Path) -> None:
     write_mesh(folder / "small.obj", textured_cube("small.obj"))
     np.save(folder / "own.npy", np.random.default_rng(1).integers(0, 98, 98))
     request = MapRequest(folder / "own.npy", folder / "large.obj", folder / "small.obj", folder / "RESULT", level=2)
+    with pytest.raises(ParameterError, match=r"--level 13: small.obj would have too many|--level 13: large.obj would"):
+        run_map(replace(request, level=13), Stages())  # not MemoryError, nor the whole machine's memory
     run_map(request, Stages())
     job = folder / "RESULT" / JOB
     match, picture = plan_job(read_job(job, COMMANDS, WRITTEN), "1", spanning_tree).tasks

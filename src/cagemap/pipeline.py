@@ -294,7 +294,10 @@ def other_answer(
     """
     readings = () if before.confidence is None else before.confidence.readings
     if not 0 <= index < len(readings):
-        raise ParameterError(f"answer {index}: expected one of the {len(readings)} that the match found, from 0")
+        found = (
+            f"one of the {len(readings)} that the match found, from 0" if readings else "0: the match found no other"
+        )
+        raise ParameterError(f"answer {index}: expected {found}")
     config, landmarks = replace(config, masks=before.masks, answer=0), before.landmarks
     prepared = before.prepared or prepare_pair(before.target, before.source, config)
     if readings[index].exchange:

@@ -7,6 +7,7 @@ from pathlib import Path
 from cagemap.basis import Surface
 from cagemap.cli.job_file import note_match
 from cagemap.cli.map_command import MapRequest
+from cagemap.cli.mesh_commands import require_size
 from cagemap.cli.progress import Stages
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import require_no_input
@@ -59,4 +60,6 @@ def _surface(path: Path, level: int | None) -> Surface:
     require_valid(control)
     if level is not None and level < 1:
         raise ParameterError(f"--level: expected 1 or more, got {level}")
-    return Surface(refine(control, level or choose_level(control, DEFAULT_VERTICES), control.scheme))
+    finest = level or choose_level(control, DEFAULT_VERTICES)
+    require_size(control, finest)
+    return Surface(refine(control, finest, control.scheme))
