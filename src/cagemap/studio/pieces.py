@@ -95,9 +95,9 @@ def take_part(mesh: ControlMesh, name: str | None, *, plain: bool) -> Taken:
     ParameterError
         If there is no such part, or it is to be subdivided in several ways.
     """
-    single = int(face_components(mesh).max(initial=0)) == 0
-    whole = (single and not mesh.object_schemes) or plain
-    offered = _offered(mesh)
+    count = 1 + int(face_components(mesh).max(initial=0))
+    whole = (count == 1 and not mesh.object_schemes) or plain
+    offered = _offered(mesh, count)
     if name is None and not whole:
         name = max(components(mesh), key=lambda part: len(part.faces)).title
     part = None if name is None else _canonical(find_part(mesh, name), offered)
@@ -137,17 +137,26 @@ def rest_of(mesh: ControlMesh, faces: IndexArray, level: int) -> Rest | None:
     return Rest(positions, TriangleSurface(positions, triangles, 1.0).vertex_normals, triangles)
 
 
-def _offered(mesh: ControlMesh) -> tuple[Part, ...]:
-    """Parts in one piece that are not all of it, the largest first; of those with the same faces the first one."""
-    specks = int(face_components(mesh).max(initial=0)) >= _SPECKS
-    named = list_parts(mesh, pieces=not specks)
-    parts = [part for kind in KINDS for part in in_one_piece(mesh, [one for one in named if one.kind == kind])]
+def _offered(mesh: ControlMesh, count: int) -> tuple[Part, ...]:
+    """Parts in one piece that are not all of it, the largest first; of those with the same faces the first one.
+
+    Parameters
+    ----------
+    mesh : ControlMesh
+    count : int
+        Of its connected pieces.
+    """
+    named = list_parts(mesh, pieces=1 < count < _SPECKS)
+    parts: list[Part] = []
+    for kind in KINDS:
+        found = [part for part in named if part.kind == kind]
+        parts += in_one_piece(mesh, found) if found and kind != "component" else found
     different: dict[bytes, Part] = {}
     for part in parts:
         if len(part.faces) < mesh.n_faces:
             different.setdefault(part.faces.tobytes(), part)
-    found = sorted(different.values(), key=lambda part: (-len(part.faces), KINDS.index(part.kind)))
-    return tuple(found[:MOST_OFFERED])
+    largest = sorted(different.values(), key=lambda part: (-len(part.faces), KINDS.index(part.kind)))
+    return tuple(largest[:MOST_OFFERED])
 
 
 def _canonical(part: Part, offered: tuple[Part, ...]) -> Part:
