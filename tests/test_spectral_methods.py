@@ -194,7 +194,7 @@ def test_joining_takes_each_hand_from_the_map_that_has_it_right(shared_data, mon
         return joined
 
     monkeypatch.setattr(hierarchical, "joined_match", halves)
-    growths = Growth(15, 1.35, 0.33, 0.3), Growth(20, 1.5, 0.33, 0.1)
+    growths = Growth(12, 1.55, 0.33, 0.1), Growth(12, 1.55, 0.1, 0.3)
     hierarchical_map(judged.pair, HierarchyConfig(growths=growths, further_functions=150))
     assert errors["mixed"] > 1.1 * errors["joined"]
 
