@@ -64,7 +64,7 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
     landmark coordinates; from where it sends some vertices, and from the landmarks alone, the coarse stage of the
     elastic fit starts. Where these two end apart, limbs may be turned: spectral upsampling makes further starts of the
     spectral map's end, and the fine stage goes on from all that lie apart, and from where a stiffer coarse stage ends.
-    The best of these ends is moved half-way to what it is seen from the source (`both_ways`).
+    The best of these ends is moved half-way to what it is seen from the source (`both_ways`), unless there are masks.
     Where they end alike, no joint needs the soft stage, and the stiffer one spreads the strain more evenly.
 
     Parameters
@@ -90,6 +90,8 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
             other = aside.submit(coarse_fit, stiff, sheet, start, places, stiffer)
             ends += in_threads(lambda rough: coarse_fit(shape, sheet, rough, places, elastic), starts)
             first, *others = finished_ends(prepared, shape, ends, pair.landmarks, stiff=[other.result()])
+            if prepared.rest.masks.any:  # what is masked is fitted back as well, and drags what is not with it
+                return first, *others
             return replace(first, positions=both_ways(prepared, pair.landmarks, first.positions)), *others
     # The start from the landmarks is another one here: differentials are smoothed over the stiffer stage's length.
     both: list[FloatArray | None] = [start, None]
