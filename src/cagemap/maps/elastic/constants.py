@@ -88,5 +88,11 @@ GRADIENTS = 4
 SOLVED = 1e-9
 # alpha at which coarse fits from different starts are compared.
 COST_STIFFNESS = 1e-3
+# Root mean square distance, of sqrt(area), within which the deformed mesh lies on the source as well as flat triangles
+# can: 3e-6 to 1e-5 between cages of one shape, 4e-5 and more between shapes. There alpha doubles in every iteration,
+# as long as it keeps lying, up to where the coarse stages begin.
+LYING = 2e-5
+STIFFENING = 2.0
+STIFFEST = 5e-2
 # Share of the vertices with bounded differentials above which a stage goes on.
 UNSETTLED = 0.005

@@ -71,6 +71,13 @@ class Pull:
     triangles: IndexArray
     feet: FloatArray
 
+    def distance(self, positions: FloatArray) -> float:
+        """Root mean square distance of the vertices (n, 3) that pull, each from its own plane; one foot a vertex."""
+        offsets = positions - self.feet
+        squared = float(np.einsum("na,nab,nb->", offsets, self.blocks, offsets))
+        total = float(self.weights.sum())
+        return float(np.sqrt(max(squared, 0.0) / total)) if total > 0 else float("inf")
+
     def scaled(self, factors: FloatArray) -> Pull:
         """Every vertex's term times a factor (n,)."""
         return replace(

@@ -19,7 +19,14 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import vertex_normals
 from cagemap.maps.elastic.anchors import Anchors as Anchors
 from cagemap.maps.elastic.config import ElasticConfig, Stage
-from cagemap.maps.elastic.constants import COST_STIFFNESS, LANDMARK_ITERATIONS, UNSETTLED
+from cagemap.maps.elastic.constants import (
+    COST_STIFFNESS,
+    LANDMARK_ITERATIONS,
+    LYING,
+    STIFFENING,
+    STIFFEST,
+    UNSETTLED,
+)
 from cagemap.maps.elastic.curves import NO_CURVES, CurvePull
 from cagemap.maps.elastic.data import deformed_normals, pull_by_source, pull_to_source
 from cagemap.maps.elastic.graph import extrapolate
@@ -182,6 +189,9 @@ def run_stage(
     source vertex on the deformed target, which is what fills fingers, ears and lips; parts of either that have no
     counterpart do not pull (`cagemap.maps.elastic.counterparts`). The alternation creeps along the
     surface, where only the energy pulls; momentum makes it three times faster.
+
+    Where the mesh lies on the source, softening would only let it slide: the stiffness is then the largest that keeps
+    it there (Morozov's discrepancy principle). That is so between cages of one shape.
     """
     graph, field = rest.graph, rest.field
     triangles = None if rest.mesh is None else rest.mesh.triangles
@@ -189,8 +199,10 @@ def run_stage(
     normal_weight = config.normal_weight if triangles is None else config.fine_normal_weight
     positions, before = start, start
     guess, guess_back = None, None
+    alpha, miss = 0.0, np.inf
     with ThreadPool(1) as aside:
-        for iteration, alpha in enumerate(stage.ramped(), start=1):
+        for iteration, ramped in enumerate(stage.ramped(), start=1):
+            alpha = float(ramped) if miss > LYING else float(max(ramped, min(STIFFENING * alpha, STIFFEST)))
             if triangles is None:
                 differentials = aside.submit(rest.differentials, positions)
                 normals = deformed_normals(graph, differentials.result()[0])
@@ -199,6 +211,7 @@ def run_stage(
             pull = pull_to_source(graph, sheet, positions, normals, guess, normal_weight, rest.masks)
             blocks, right, guess = pull.blocks, pull.right, pull.triangles
             if triangles is not None and pullers is not None and rest.received is not None:
+                miss = pull.distance(positions)
                 back = pull_by_source(
                     triangles,
                     pullers,
