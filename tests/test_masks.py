@@ -10,8 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cagemap.cli.map_command import MapRequest
 from cagemap.cli.masks import MaskOptions, mask_file, read_mask, read_masks
 from cagemap.cli.match import MatchRequest, run_match
+from cagemap.cli.own_map import run_map
 from cagemap.cli.progress import Stages
 from cagemap.cli.transfer import run_transfer
 from cagemap.cli.transfer_request import TransferRequest
@@ -20,6 +22,7 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.attributes import read_attributes, write_attributes
 from cagemap.files.images import Image, read_image, write_image
 from cagemap.files.landmarks import write_landmarks
+from cagemap.files.maps import write_map
 from cagemap.files.meshes import read_mesh
 from cagemap.files.obj import write_obj
 from cagemap.files.result import read_result, write_result
@@ -280,6 +283,51 @@ def test_outside_the_mask_the_texture_is_the_base(scene: Path) -> None:
     write_image(scene / "small.png", np.zeros((16, 16, 4), dtype=np.uint8))
     with pytest.raises(ParameterError, match="base image: expected 16 x 16 texels of 3 channels"):
         _run_transfer(scene, "no.png", texture=scene / "texture.png", bases=(("", scene / "small.png"),))
+
+
+def test_masks_of_a_transfer_are_beside_those_of_the_match(scene: Path) -> None:
+    _run_match(scene, "WHOLE")
+    alphas = []
+    for result, masks in (
+        ("RESULT", {}),
+        ("WHOLE", {"target_mask": "front", "source_mask": "not:hind"}),
+        ("RESULT", {"target_mask": "front", "source_mask": "not:hind", "mask_edge": 0.0}),
+    ):
+        request = TransferRequest(scene / result, scene / "further.png", texture=scene / "texture.png", **masks)
+        with Stages() as stages:
+            run_transfer(request, stages)
+        alphas.append(read_image(scene / "further.png").pixels[..., 3].astype(int))
+    at_match, later, both = alphas
+    # The maps differ where nothing pulls, so the source's soft edge lies a little elsewhere.
+    assert np.abs(later - at_match).mean() < 5
+    assert np.all(both <= at_match)
+    write_image(scene / "painted.png", np.full((64, 64), 128, dtype=np.uint8))
+    _run_transfer(scene, "further.png", texture=scene / "texture.png", target_mask=str(scene / "painted.png"))
+    half = read_image(scene / "further.png").pixels[..., 3]
+    assert np.abs(half - at_match * (128 / 255)).max() <= 1
+    with pytest.raises(ParameterError, match="--mask-edge: expected --target-mask"):
+        _run_transfer(scene, "no.png", texture=scene / "texture.png", mask_edge=0.1)
+    with pytest.raises(ParameterError, match="target mask: expected some of the surface to count"):
+        _run_transfer(scene, "no.png", texture=scene / "texture.png", target_mask="hind")
+    with pytest.raises(FormatError, match="is an input too"):
+        _run_transfer(scene, "painted.png", texture=scene / "texture.png", target_mask=str(scene / "painted.png"))
+
+
+def test_masks_of_a_wrap_and_of_a_map_leave_parts_out(scene: Path) -> None:
+    with Stages() as stages:
+        part, _ = run_wrap(WrapRequest((scene / "WHOLE",), scene / "part.obj", target_mask="front"), stages)
+        every, _ = run_wrap(WrapRequest((scene / "WHOLE",), scene / "all.obj"), stages)
+    assert "has no counterpart and follows its surroundings" in part
+    assert "has no counterpart" not in every
+    write_map(scene / "map.npz", read_result(scene / "WHOLE").point_map)
+    asked = MapRequest(
+        scene / "map.npz", scene / "target.obj", scene / "source.obj", scene / "MAP", 2, target_mask="front"
+    )
+    with Stages() as stages:
+        run_map(asked, stages)
+    found = read_result(scene / "MAP")
+    assert found.masks.source is None
+    assert 0.2 < np.mean(found.masks.target == 0) < 0.8
 
 
 def test_labels_do_not_mix_with_those_of_the_base(scene: Path) -> None:

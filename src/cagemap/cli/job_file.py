@@ -47,11 +47,6 @@ def note_match(request: Any) -> None:
         names = {side: f"{name}-{side}" for side, name in names.items()}
     assets = [{"name": names[side], "file": stated_path(path, folder)} for side, path in paths.items()]
     options, pair = stated_options(request, folder), dict[str, Any](names)
-    for side in paths:  # a name or a file: which one it is, its words say, not its type
-        mask: str | None = getattr(request, f"{side}_mask", None)
-        file = mask_file(mask)
-        if mask is not None and file is not None:
-            options[f"{side}_mask"] = mask.replace(str(file), str(file.resolve()))
     for name in ("landmarks", "map"):
         if name in options:
             pair[name] = options.pop(name)
@@ -86,7 +81,9 @@ def stated_options(request: Any, folder: Path) -> dict[str, Any]:
         value = getattr(request, field.name)
         if field.name in _PLACES or value is None or value == _default(field):
             continue
-        options[field.name] = _stated(value, folder)
+        # A name or a file: which one it is, its words say, not its type.
+        file = mask_file(value) if field.name in ("target_mask", "source_mask") else None
+        options[field.name] = _stated(value, folder) if file is None else value.replace(str(file), str(file.resolve()))
     return options
 
 

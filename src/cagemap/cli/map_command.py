@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from cagemap.cli.command import asks
-from cagemap.cli.options import Force
+from cagemap.cli.options import Force, MaskEdgeOption, SourceMaskOption, TargetMaskOption
 from cagemap.cli.words import say, warn
 
 
@@ -27,6 +27,9 @@ class MapRequest:
             "--level", min=1, help="Level of both surfaces.  [default: about 50000 vertices]", show_default=False
         ),
     ] = None
+    target_mask: TargetMaskOption = None
+    source_mask: SourceMaskOption = None
+    mask_edge: MaskEdgeOption = None
     force: Force = False
 
 

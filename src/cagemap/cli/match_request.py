@@ -12,16 +12,15 @@ from cagemap.cli.options import (
     BoundaryOption,
     CreasingOption,
     Force,
+    MaskEdgeOption,
     Method,
-    NameOrFile,
     SchemeOption,
+    SourceMaskOption,
     SourceSchemeOption,
+    TargetMaskOption,
     TargetSchemeOption,
     UvOption,
 )
-
-# What a mask is read from; anything else is a name.
-MASK_FILES = (".npy", ".npz", ".csv", ".json", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
 
 
 @dataclass(frozen=True)
@@ -234,31 +233,9 @@ class MatchRequest:
         str | None,
         typer.Option("--source-uv-set", help="UV set of the source that its images belong to.", show_default=False),
     ] = None
-    target_mask: Annotated[
-        str | None,
-        typer.Option(
-            "--target-mask",
-            help="Match and transfer only this of the target: a group or other part by name, values at vertices or "
-            "faces (.npz, .csv), an image over its UVs; not:... for all but that.",
-            show_default=False,
-        ),
-        NameOrFile(MASK_FILES),
-    ] = None
-    source_mask: Annotated[
-        str | None,
-        typer.Option("--source-mask", help="The same of the source.", show_default=False),
-        NameOrFile(MASK_FILES),
-    ] = None
-    mask_edge: Annotated[
-        float | None,
-        typer.Option(
-            "--mask-edge",
-            min=0.0,
-            help="Width of the masks' soft edge, as a share of the model's size.  [default: 0.02 of sets of faces, 0 "
-            "of values and images]",
-            show_default=False,
-        ),
-    ] = None
+    target_mask: TargetMaskOption = None
+    source_mask: SourceMaskOption = None
+    mask_edge: MaskEdgeOption = None
     cache: Annotated[
         Path | None,
         typer.Option(

@@ -33,6 +33,9 @@ class NameOrFile:
     suffixes: tuple[str, ...]
 
 
+# What a mask's name ends in where it is a file.
+MASK_FILES = (".npy", ".npz", ".csv", ".json", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
+
 Space = Annotated[
     str,
     typer.Option("--space", help="Of normals and vectors: tangent (MikkTSpace) or object."),
@@ -81,6 +84,33 @@ CreasingOption = Annotated[
     CreasingName | None,
     typer.Option(
         "--creasing", help="How creases soften.  [default: as the file says, else uniform]", show_default=False
+    ),
+]
+
+
+TargetMaskOption = Annotated[
+    str | None,
+    typer.Option(
+        "--target-mask",
+        help="Only this of the target counts: a group or other part by name, values at vertices or faces (.npz, .csv), "
+        "an image over its UVs; not:... for all but that.",
+        show_default=False,
+    ),
+    NameOrFile(MASK_FILES),
+]
+SourceMaskOption = Annotated[
+    str | None,
+    typer.Option("--source-mask", help="The same of the source.", show_default=False),
+    NameOrFile(MASK_FILES),
+]
+MaskEdgeOption = Annotated[
+    float | None,
+    typer.Option(
+        "--mask-edge",
+        min=0.0,
+        help="Width of the masks' soft edge, as a share of the model's size.  [default: 0.02 of sets of faces, 0 "
+        "of values and images]",
+        show_default=False,
     ),
 ]
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from cagemap.basis import Surface
 from cagemap.cli.job_file import note_match
 from cagemap.cli.map_command import MapRequest
+from cagemap.cli.masks import MaskOptions, mask_files, masks_on, read_masks
 from cagemap.cli.mesh_commands import require_size
 from cagemap.cli.progress import Stages
 from cagemap.errors import ParameterError
@@ -27,6 +28,8 @@ DEFAULT_VERTICES = 50_000
 def run_map(request: MapRequest, stages: Stages) -> tuple[str, list[str]]:
     """Judge a map and write it as a RESULT folder; returns a summary and warnings."""
     files = {"target": request.target, "source": request.source, "map": request.map}
+    for side, text in (("target", request.target_mask), ("source", request.source_mask)):
+        files.update({f"{side}_mask_{i}": path for i, path in enumerate(mask_files(text))})
     check_result_folder(request.output, force=request.force)
     require_no_input([request.output / name for name in (ARRAYS, MANIFEST)], files.values())
     stages("read")
@@ -37,14 +40,20 @@ def run_map(request: MapRequest, stages: Stages) -> tuple[str, list[str]]:
     places = target.triangles(target.finest), source.triangles(source.finest)
     # A map may count the vertices of any level: those of a coarser one are the first of every finer one.
     point_map = dense_map(read_images(request.map, places[1]), target.refinement, places[0])
+    options = MaskOptions(request.target_mask, request.source_mask, request.mask_edge)
+    given = read_masks(options, (target.control, source.control), (request.target, request.source))
+    masks = masks_on(given, (target, source))
+    masks.require_fit(places[0].n, places[1].n)
     stages("quality")
-    quality = measure_quality(point_map)
+    quality = measure_quality(point_map, masks=masks)
     entries = {
         name: {"file": path.name, "path": stated_path(path, request.output), "sha256": file_hash(path)}
         for name, path in files.items()
     }
-    provenance = {"parameters": {"method": "map of the user's", "level": request.level}, "inputs": entries}
-    result = MatchResult(target, source, Landmarks.none(), point_map, quality, provenance=provenance)
+    asked = {"target_mask": request.target_mask, "source_mask": request.source_mask, "mask_edge": request.mask_edge}
+    parameters = {"method": "map of the user's", "level": request.level, **asked}
+    provenance = {"parameters": parameters, "inputs": entries}
+    result = MatchResult(target, source, Landmarks.none(), point_map, quality, masks=masks, provenance=provenance)
     stages("write")
     write_result(request.output, result, force=request.force)
     note_match(request)

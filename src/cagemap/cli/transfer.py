@@ -15,7 +15,9 @@ from cagemap.cli.carry_images import (
     carry_texture,
     carry_vector_displacement,
 )
+from cagemap.cli.further_masks import with_masks
 from cagemap.cli.job_file import note_output
+from cagemap.cli.masks import MaskOptions
 from cagemap.cli.progress import Stages
 from cagemap.cli.rig import carry_blend_shapes, carry_skeleton, carry_weights, write_point_map
 from cagemap.cli.transfer_request import Outcome, TransferRequest
@@ -62,7 +64,9 @@ def carry_one(request: TransferRequest, stages: Stages) -> Outcome:
     stages("read result")
     result = read_result(request.result)
     require_no_input(outputs, read_files(request.result, result.manifest))
-    return carry(request, result if request.level is None else result.at_level(request.level), stages)
+    result = result if request.level is None else result.at_level(request.level)
+    options = MaskOptions(request.target_mask, request.source_mask, request.mask_edge)
+    return carry(request, with_masks(result, options, request.result), stages)
 
 
 def _carrier(request: TransferRequest) -> Callable[[TransferRequest, MatchResult, Stages], Outcome]:

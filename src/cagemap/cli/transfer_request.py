@@ -8,7 +8,17 @@ from typing import Annotated
 
 import typer
 
-from cagemap.cli.options import Force, Green, OneOf, ResultFolder, SomeOf, Space
+from cagemap.cli.options import (
+    Force,
+    Green,
+    MaskEdgeOption,
+    OneOf,
+    ResultFolder,
+    SomeOf,
+    SourceMaskOption,
+    Space,
+    TargetMaskOption,
+)
 
 # A summary, and warnings.
 Outcome = tuple[str, list[str]]
@@ -168,11 +178,14 @@ class TransferRequest:
         tuple[tuple[str, Path], ...],
         typer.Option(
             "--base",
-            help="The target's own image (or values), which stays outside the masks of the match; for several maps as "
+            help="The target's own image (or values), which stays outside the masks; for several maps as "
             "NAME=IMAGE.  [default: alpha]",
             show_default=False,
         ),
     ] = ()
+    target_mask: TargetMaskOption = None
+    source_mask: SourceMaskOption = None
+    mask_edge: MaskEdgeOption = None
     unwrap: Annotated[
         bool,
         typer.Option(

@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from cagemap.cli.further_masks import with_masks
 from cagemap.cli.job_file import note_output
 from cagemap.cli.map_command import MapRequest
+from cagemap.cli.masks import MaskOptions, mask_files
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.own_map import run_map
 from cagemap.cli.progress import Stages
@@ -87,7 +89,14 @@ def _with_texture(request: WrapRequest, summary: str, warnings: list[str], stage
     if request.texture is None or request.baked is None:
         return summary, warnings
     carry = TransferRequest(
-        request.results[0], request.baked, texture=request.texture, size=request.size, force=request.force
+        request.results[0],
+        request.baked,
+        texture=request.texture,
+        size=request.size,
+        target_mask=request.target_mask,
+        source_mask=request.source_mask,
+        mask_edge=request.mask_edge,
+        force=request.force,
     )
     more, others = carry_one(carry, stages)
     return f"{summary}\n{more}", warnings + others
@@ -123,7 +132,7 @@ def _check_request(request: WrapRequest) -> None:
     inputs = [folder / name for folder in request.results for name in (MANIFEST, ARRAYS)]
     named = (request.target, request.source, request.landmarks, request.map, request.weights, request.detail)
     inputs += [path for path in named if path is not None]
-    inputs += textures_read(request)
+    inputs += [*textures_read(request), *mask_files(request.target_mask), *mask_files(request.source_mask)]
     if request.blend_shapes:
         if request.output.exists() and not request.output.is_dir():
             raise ParameterError(f"{request.output}: --blend-shapes writes a folder of OBJ files, got a file")
@@ -136,7 +145,8 @@ def _check_request(request: WrapRequest) -> None:
 def _run(request: WrapRequest, stages: Stages) -> Outcome:
     config = WrapConfig(level=request.fit_level, fairness=request.fairness)
     stages("read result")
-    results = [read_result(folder) for folder in request.results]
+    options = MaskOptions(request.target_mask, request.source_mask, request.mask_edge)
+    results = [with_masks(read_result(folder), options, folder) for folder in request.results]
     if not results:
         raise ParameterError("expected a RESULT folder of `cagemap match`, or --target and --source")
     if len({mesh_hash(result.target.control) for result in results}) > 1:

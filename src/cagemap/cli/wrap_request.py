@@ -8,7 +8,17 @@ from typing import Annotated
 
 import typer
 
-from cagemap.cli.options import Force, Green, SchemeOption, SourceSchemeOption, Space, TargetSchemeOption
+from cagemap.cli.options import (
+    Force,
+    Green,
+    MaskEdgeOption,
+    SchemeOption,
+    SourceMaskOption,
+    SourceSchemeOption,
+    Space,
+    TargetMaskOption,
+    TargetSchemeOption,
+)
 
 
 @dataclass(frozen=True)
@@ -59,6 +69,9 @@ class WrapRequest:
             show_default=False,
         ),
     ] = None
+    target_mask: TargetMaskOption = None
+    source_mask: SourceMaskOption = None
+    mask_edge: MaskEdgeOption = None
     symmetric: Annotated[bool, typer.Option("--symmetric", help="Keep a mirror symmetric cage symmetric.")] = False
     blend_shapes: Annotated[
         bool, typer.Option("--blend-shapes", help="Write a folder: the cage at rest, and one mesh for every RESULT.")
