@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.io import mmwrite
 
 from cagemap.basis import BasisConfig
 from cagemap.cli.job_file import WRITTEN
@@ -177,6 +178,8 @@ def write_guests(place: Path) -> None:
     point_map = identity_result().point_map
     for suffix in (".npy", ".npz", ".mtx", ".vts"):
         write_map(place / f"m{suffix}", point_map)
+    mmwrite(place / "dense.mtx", point_map.matrix().toarray()[:, :9])
+    (place / "painted.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\n#MRGB ff102030ff405060\n#MRGB ff708090\nf 1 2 3\n")
     base = shapes.cube()
     write_mhclo(place / "b.mhclo", bind(base.positions, base, np.zeros(8, dtype=np.int64)), Path("b.obj"))
     for name in ("y.json", "y.txt"):
@@ -266,11 +269,12 @@ def use_points(path: Path) -> None:
 
 
 GUESTS: dict[str, Callable[[Path], object]] = {
+    "painted.obj": read_mesh,
     "binary.stl": read_mesh,
     "text.stl": read_mesh,
     **dict.fromkeys(("p.mrk.json", "p.fcsv", "p.pp", "p.csv", "p_vertices.csv", "wrap.json", "c.json"), use_points),
     "lc.json": lambda path: read_landmarks(path, "deer.obj", "pony.obj"),
-    **dict.fromkeys(("m.npy", "m.npz", "m.mtx", "m.vts"), use_map),
+    **dict.fromkeys(("m.npy", "m.npz", "m.mtx", "dense.mtx", "m.vts"), use_map),
     "b.mhclo": read_mhclo,
     "y.json": read_symmetry,
     "y.txt": read_symmetry,

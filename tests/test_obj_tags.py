@@ -159,3 +159,23 @@ def test_a_malformed_vertex_colour_is_named(tmp_path: Path) -> None:
     path.write_text(TAGGED.replace("0.5 0.25 1", "0.5 green 1"))
     with pytest.raises(FormatError, match="three colour values"):
         read_obj(path)
+
+
+def test_polypaint_becomes_vertex_colours(tmp_path: Path) -> None:
+    text = "v 0 0 0\nv 1 0 0\nv 1 1 0\n#MRGB ff102030ff405060\n#MRGB ff708090\nf 1 2 3\n"
+    (tmp_path / "a.obj").write_text(text)
+    colors = np.array([[0x10, 0x20, 0x30], [0x40, 0x50, 0x60], [0x70, 0x80, 0x90]]) / 255
+    np.testing.assert_array_equal(read_obj(tmp_path / "a.obj").vertex_colors, colors)
+    (tmp_path / "a.obj").write_text(text.replace("f 1 2 3", "f 1 2 \\\n3"))  # a continued line takes comments away
+    np.testing.assert_array_equal(read_obj(tmp_path / "a.obj").vertex_colors, colors)
+    (tmp_path / "a.obj").write_text(text.replace("v 1 1 0", "v 1 1 0 1 0.5 0"))  # what the vertices themselves say wins
+    np.testing.assert_array_equal(read_obj(tmp_path / "a.obj").vertex_colors[2], [1, 0.5, 0])
+    for old, new in (
+        ("ff708090", "ff70809"),
+        ("ff708090", "ff7080zz"),
+        ("#MRGB ff708090\n", ""),
+        ("ff7", "ff1122ffff7"),
+    ):
+        (tmp_path / "a.obj").write_text(text.replace(old, new))
+        with pytest.raises(FormatError, match="#MRGB"):
+            read_obj(tmp_path / "a.obj")

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import sparse
+from scipy.io import mmwrite
 
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images import write_image
@@ -175,6 +176,26 @@ def test_maps_come_back_from_files(tmp_path: Path, ring: Refinement, suffix: str
     np.testing.assert_allclose(again.positions, point_map.images.positions, rtol=0, atol=atol)
     with pytest.raises(FormatError, match="each vertex of the target"):
         dense_map(again.at(slice(100)), ring, surface)
+
+
+def test_dense_matrices_are_read_where_they_are_small(tmp_path: Path, ring: Refinement) -> None:
+    surface, file = surface_of(ring), tmp_path / "map.mtx"
+    t = np.random.default_rng(3).integers(0, len(surface.triangles), surface.n)
+    point_map = PointMap.from_arrays(surface, surface, t, np.tile([0.5, 0.25, 0.25], (surface.n, 1)))
+    mmwrite(file, point_map.matrix().toarray(), comment="from elsewhere")
+    np.testing.assert_allclose(read_images(file, surface).positions, point_map.images.positions, atol=1e-12)
+    head = "%%MatrixMarket matrix array real general\n"
+    for text, found in (
+        ("100000 100000\n1\n", "at most .* numbers of a dense matrix, found 100000 x 100000"),
+        ("2 2\n1\n0\n0\n", "not 2 x 2 finite numbers"),
+        ("2 2\n1\n0\nnan\n1\n", "not 2 x 2 finite numbers"),
+        ("2 2\n1\n0\nx\n1\n", "could not convert"),
+        ("-2 2\n1\n", "a size of -2 x 2"),
+        ("", "found not enough values"),
+    ):
+        file.write_text(head + text)
+        with pytest.raises(FormatError, match=found):
+            read_images(file, surface)
 
 
 def test_a_map_of_control_vertices_is_refined(ring: Refinement) -> None:

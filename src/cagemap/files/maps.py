@@ -5,6 +5,8 @@ Vertex numbers count from 0, but in ``.vts`` from 1, as its users have it.
 
 from __future__ import annotations
 
+import re
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +25,8 @@ from cagemap.refinement import Refinement, level_triangles
 
 SUFFIXES = (".npy", ".npz", ".mtx", ".vts")
 _REMEDY = "Write it again."
+# Of a dense matrix, 0.5 GB: 7000 vertices a side. Nearly all of them are zeros, which the sparse form leaves out.
+DENSE_ENTRIES = 1 << 26
 
 
 def read_images(path: str | Path, source: TriangleSurface) -> SurfacePoints:
@@ -30,7 +34,8 @@ def read_images(path: str | Path, source: TriangleSurface) -> SurfacePoints:
 
     - ``.npy``, ``.vts`` (text): a source vertex for each.
     - ``.npz``: ``triangle`` and ``barycentric``, or a sparse matrix as SciPy writes it.
-    - ``.mtx`` (Matrix Market): a sparse matrix, each row the weights of the corners of one source triangle.
+    - ``.mtx`` (Matrix Market): a matrix, each row the weights of the corners of one source triangle; its dense form
+      (``array``) up to `DENSE_ENTRIES`.
 
     Raises
     ------
@@ -88,8 +93,10 @@ def source_level(path: str | Path, source: Refinement) -> int | None:
 
 
 def _matrix_market(file: Path) -> sparse.csr_array:
-    """A sparse matrix of Matrix Market's coordinate form; SciPy's own reader crashes natively on damaged files."""
+    """A matrix of Matrix Market's coordinate or array form; SciPy's own reader crashes natively on damaged files."""
     head, _, rest = read_text(file, "a sparse matrix").partition("\n")
+    if head.lower().split()[1:] in (["matrix", "array", "real", "general"], ["matrix", "array", "integer", "general"]):
+        return _dense(file, rest)
     lines = [line for line in rest.splitlines() if line.strip() and not line.startswith("%")]
     words = head.lower().split()
     form = "expected a sparse matrix (Matrix Market: matrix coordinate real general)"
@@ -116,6 +123,31 @@ def _matrix_market(file: Path) -> sparse.csr_array:
         return sparse.csr_array((values, (i, j)), shape=(n, m))
     except (ValueError, IndexError, OverflowError) as error:
         raise FormatError(f"{file}: {form}, found {error}. {_REMEDY}") from error
+
+
+def _dense(file: Path, text: str) -> sparse.csr_array:
+    """What stands below the first line of Matrix Market's array form: its size, then all numbers, column by column."""
+    form = "expected a dense matrix (Matrix Market: its size, then one number a line, column by column)"
+    text = re.sub(r"(?m)^\s*%.*$", "", text).lstrip()
+    first, _, rest = text.partition("\n")
+    try:
+        n, m = (int(word) for word in first.split())
+        if min(n, m) < 1:
+            raise ValueError(f"a size of {n} x {m}")
+    except ValueError as error:
+        raise FormatError(f"{file}: {form}, found {error}. {_REMEDY}") from error
+    if n * m > DENSE_ENTRIES:
+        raise FormatError(
+            f"{file}: expected at most {DENSE_ENTRIES} numbers of a dense matrix, found {n} x {m}. Write it in the "
+            "coordinate form (scipy.io.mmwrite of a sparse matrix), which leaves the zeros out."
+        )
+    try:
+        numbers = np.loadtxt(StringIO(rest), ndmin=1, max_rows=n * m + 1)
+    except ValueError as error:
+        raise FormatError(f"{file}: {form}, found {error}. {_REMEDY}") from error
+    if numbers.shape != (n * m,) or not np.isfinite(numbers).all():
+        raise FormatError(f"{file}: {form}, found not {n} x {m} finite numbers. {_REMEDY}")
+    return sparse.csr_array(numbers.reshape(m, n).T)
 
 
 def _vertices(file: Path, numbers: NDArray[np.generic]) -> NDArray[np.int64]:

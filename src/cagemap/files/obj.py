@@ -14,6 +14,7 @@ from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path, require_replaceable
 from cagemap.files.marks import mark
 from cagemap.files.mtl import read_material_colors, write_materials
+from cagemap.files.obj_polypaint import KEYWORD, polypaint
 from cagemap.files.obj_tags import Tags, parse_tags
 from cagemap.files.obj_text import obj_statements
 from cagemap.files.text import at_line, check_writable_name, decoded, read_text
@@ -54,7 +55,8 @@ def read_obj(path: str | Path) -> ControlMesh:
 
     Vertices and faces keep the numbering of the ``v`` and ``f`` lines. Polygons stay polygons, texture coordinates
     keep their own indices, ``usemtl`` becomes a per-face material with the ``Kd`` colour of its ``.mtl`` (NaN where
-    that is missing), ``o`` and ``g`` a per-face object and group, six numbers on a ``v`` line a position and a colour,
+    that is missing), ``o`` and ``g`` a per-face object and group, six numbers on a ``v`` line a position and a colour
+    (else ZBrush's polypaint, `cagemap.files.obj_polypaint`),
     and ``t`` lines creases, corners, holes and options (`cagemap.files.obj_tags`). Normals, points, lines and smoothing
     groups are ignored; several objects become one mesh.
 
@@ -91,7 +93,7 @@ def read_obj(path: str | Path) -> ControlMesh:
         face_materials=face_materials,
         material_names=names,
         material_colors=_read_colors(statements, names) if names else None,
-        vertex_colors=_read_vertex_colors(statements),
+        vertex_colors=_read_vertex_colors(statements, len(positions)),
         face_objects=face_objects,
         object_names=objects,
         face_groups=face_groups,
@@ -112,7 +114,7 @@ def _split_statements(path: Path, text: str) -> _Statements:
     continuations = None
     if "\\" in text:
         # A comment may end in a backslash (a Windows path) without swallowing the line that follows.
-        text = re.sub(r"(?m)^ *#.*$", "", text)
+        text = re.sub(rf"(?m)^ *(?!{KEYWORD})#.*$", "", text)
         text = re.sub(r"\\ *\n", "\0", text)
         continuations = np.array([line.count("\0") for line in text.split("\n")], dtype=np.int64)
         text = text.replace("\0", " ")
@@ -268,14 +270,18 @@ def _read_names(statements: _Statements, face_rows: IndexArray, kind: int) -> tu
     return names, np.array([number.get(name, -1) for name in stated], dtype=np.int64)[used]
 
 
-def _read_vertex_colors(statements: _Statements) -> FloatArray | None:
-    """(n, 3) the three numbers after a position, where a line has six; None if no line has."""
+def _read_vertex_colors(statements: _Statements, n_vertices: int) -> FloatArray | None:
+    """(n, 3) the three numbers after a position, where a line has six; else polypaint; None if there is neither."""
     texts = [statements.lines[row] for row in statements.rows(_POSITION)]
-    if max((text.count(" ") for text in texts), default=0) < 6:
-        return None
-    lines = [text.partition("#")[0].split() for text in texts]
+    several = max((text.count(" ") for text in texts), default=0) >= 6
+    lines = [text.partition("#")[0].split() for text in texts] if several else []
     if not any(len(fields) == 7 for fields in lines):
-        return None
+        painted = [row for row, line in enumerate(statements.lines) if line.startswith(KEYWORD)]
+
+        def fail(number: int, expected: str) -> FormatError:
+            return statements.fail(painted[number], expected, "Export the mesh again, or take these lines out.")
+
+        return polypaint([statements.lines[row] for row in painted], n_vertices, fail)
     unknown = (np.nan, np.nan, np.nan)
     try:
         table = [tuple(map(float, fields[4:7])) if len(fields) == 7 else unknown for fields in lines]
