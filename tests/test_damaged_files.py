@@ -178,7 +178,7 @@ def write_guests(place: Path) -> None:
     point_map = identity_result().point_map
     for suffix in (".npy", ".npz", ".mtx", ".vts"):
         write_map(place / f"m{suffix}", point_map)
-    mmwrite(place / "dense.mtx", point_map.matrix().toarray()[:, :9])
+    mmwrite(place / "dense.mtx", point_map.matrix().toarray()[:9])
     (place / "painted.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\n#MRGB ff102030ff405060\n#MRGB ff708090\nf 1 2 3\n")
     base = shapes.cube()
     write_mhclo(place / "b.mhclo", bind(base.positions, base, np.zeros(8, dtype=np.int64)), Path("b.obj"))

@@ -142,7 +142,7 @@ def _dense(file: Path, text: str) -> sparse.csr_array:
             "coordinate form (scipy.io.mmwrite of a sparse matrix), which leaves the zeros out."
         )
     try:
-        numbers = np.loadtxt(StringIO(rest), ndmin=1, max_rows=n * m + 1)
+        numbers = np.loadtxt(StringIO(rest), ndmin=1) if rest.strip() else np.zeros(0)
     except ValueError as error:
         raise FormatError(f"{file}: {form}, found {error}. {_REMEDY}") from error
     if numbers.shape != (n * m,) or not np.isfinite(numbers).all():
