@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from cagemap.cli import app
 from cagemap.cli.detail_bakes import KINDS
 from cagemap.cli.masks import IMAGE_SUFFIXES, mask_file
-from cagemap.cli.match_request import MASK_FILES
 from cagemap.cli.option_list import REQUESTS, all_options
+from cagemap.cli.options import MASK_FILES
 from cagemap.errors import ParameterError
 from cagemap.files.attributes import SUFFIXES as VALUE_SUFFIXES
 from cagemap.studio.downloads import ALL, content

@@ -187,6 +187,11 @@ LEFT_OUT: dict[Key, str] = {
     ("match", "cache"): "for many pairs, see library.md",
     **{(command, "output"): _PLACE for command in ("match", "transfer", "wrap", "report")},
     ("transfer", "texture"): _OPENED,
+    **{
+        (command, name): "masks of the match, under Masks, hold for all that is made with it"
+        for command in ("transfer", "wrap")
+        for name in ("target_mask", "source_mask", "mask_edge")
+    },
     ("transfer", "write_map"): "Map file, under Files",
     ("transfer", "unwrap"): "a target without UVs gets a layout by itself",
     **{("wrap", name): "the pair that is open is wrapped" for name in ("target", "source", "landmarks", "scheme")},
