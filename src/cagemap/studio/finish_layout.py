@@ -194,7 +194,10 @@ LEFT_OUT: dict[Key, str] = {
     },
     ("transfer", "write_map"): "Map file, under Files",
     ("transfer", "unwrap"): "a target without UVs gets a layout by itself",
-    **{("wrap", name): "the pair that is open is wrapped" for name in ("target", "source", "landmarks", "scheme")},
+    **{
+        ("wrap", name): "the pair that is open is wrapped"
+        for name in ("target", "source", "landmarks", "map", "scheme")
+    },
     **{("wrap", f"{side}scheme"): _OPENED for side in _SIDES},
     ("wrap", "blend_shapes"): "one pair is open; several results become shapes on the command line",
     ("wrap", "texture"): "Texture, under Wrap",
