@@ -21,7 +21,7 @@ from cagemap.studio.opening import built_in_files
 from cagemap.studio.state import Files
 from test_studio_finish_files import VERTICES, compared, rich_finish, same, write_inputs
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.browser]
 # Labels of the fields of `rich_finish` in their folds, and what is chosen or typed there.
 ASKED: dict[str, dict[str, str | bool]] = {
     "More images": {

@@ -28,7 +28,7 @@ from cagemap.studio.places import places_of
 from cagemap.studio.shape import Shape, pick, shape_of
 from cagemap.studio.state import Files
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.browser]
 VERTICES = 3000
 # Of the first view; no landmark of the pair is near on either model.
 FLANK = (-0.2, 0.0)

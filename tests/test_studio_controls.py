@@ -28,7 +28,7 @@ from cagemap.studio.page.panels import FORMS
 from cagemap.studio.state import Files
 from test_studio_parts import named
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.browser]
 VERTICES = 3000
 # Of the first view; no landmark of the built-in pair is near on either model.
 FLANK = (-0.2, 0.0)
