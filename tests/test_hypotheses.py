@@ -14,8 +14,9 @@ from cagemap.files.merged import merge_results
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence, MapShape, Reading
 from cagemap.maps.hypotheses.method import unreached_share
+from cagemap.maps.hypotheses.search import least_cost
 from cagemap.maps.hypotheses.starts import AS_FILED, axis_rotations, rigid_starts, rotation_name
-from cagemap.maps.masks import WHOLE
+from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import Bilinear, ControlMesh
 from cagemap.mesh.join import join_meshes
@@ -107,6 +108,17 @@ def test_a_box_lies_on_itself_as_the_files_stand_although_its_sides_are_all_alik
     assert result.confidence is not None
     assert result.confidence.readings[0].name == AS_FILED
     assert errors(result).max() < 1e-3
+
+
+def test_what_a_target_costs_on_itself_shrinks_with_what_masks_leave_of_either_side() -> None:
+    surface = prepare_surface(creature(), 1)
+    whole = least_cost(prepare_pair(surface, surface))
+    part = np.where(np.arange(len(surface.vertices)) % 4 == 0, 1.0, 0.0)
+    prepared = prepare_pair(surface, surface, MatchConfig(masks=Masks(part)))
+    areas = prepared.rest.graph.areas
+    assert least_cost(prepared) == pytest.approx(whole * areas[part[: len(areas)] > 0].sum())
+    back = prepare_pair(surface, surface, MatchConfig(masks=Masks(None, part)))
+    assert 0.1 * whole < least_cost(back) < 0.5 * whole
 
 
 @pytest.mark.slow

@@ -87,6 +87,13 @@ def test_numbers_of_numpy_and_paths_as_text_are_of_the_right_kind() -> None:
             function(wrong, 2, "x", "a", True, None)  # type: ignore[arg-type]
 
 
+def test_arguments_that_do_not_fit_are_refused_by_python_with_the_function_s_name() -> None:
+    with pytest.raises(TypeError, match=r"^refine\(\) missing 2 required"):
+        cagemap.refine()  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match=r"^refine\(\) got an unexpected keyword argument 'depth'"):
+        cagemap.refine(cube(), 1, depth=2)  # type: ignore[call-arg]
+
+
 @cache
 def scene() -> Any:
     """A creature on itself."""
@@ -179,6 +186,7 @@ HOUSE: dict[str, Callable[[Any], object]] = {
     "fewer names than landmarks": lambda s: cagemap.match(
         s.surface, s.surface, Landmarks(("a",), np.array([1, 2]), np.array([1, 2]))
     ),
+    "a number for names": lambda s: Landmarks(4, np.arange(4), np.arange(4)),  # type: ignore[arg-type]
     "one name for all": lambda s: Landmarks("nose", np.arange(4), np.arange(4)),  # type: ignore[arg-type]
     "an added landmark beyond the mesh": lambda s: cagemap.update_match(s.result, marks([1, 2, 9999])),
     # maps
@@ -273,6 +281,10 @@ def test_arrays_of_every_layout_and_type_give_the_same() -> None:
     for triangle in (images[0].astype(np.int32), images[0].astype(float), images[0].tolist()):
         same = PointMap.from_arrays(s.triangles, s.triangles, triangle, images[1])
         np.testing.assert_array_equal(same.triangle, images[0])
+    for names in (np.array(["a", "b", "c"]), iter("abc"), ["a", "b", "c"]):
+        assert Landmarks(names, [0, 1, 2], [0, 1, 2]).names == ("a", "b", "c")  # type: ignore[arg-type]
+    levels: Any = np.array([1, 2])
+    assert [one.finest for one in cagemap.prepare_surfaces(s.mesh, s.mesh, levels)] == [1, 2]
     small = marks(np.array([0, 50, 100], np.uint8), [0, 50, 100])
     assert small.target.dtype == np.int64
     assert operator.eq(*map(tuple, (small.target, small.source)))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from itertools import islice
 
+import numpy as np
+
 from cagemap.basis.construction import hierarchical_basis
 from cagemap.basis.schedule import MAP_BASIS, BasisConfig
 from cagemap.basis.surface import Surface, on_levels, operators_for
@@ -149,7 +151,7 @@ def prepare_surfaces(
     InvalidMeshError, ParameterError
         See `prepare_surface`.
     """
-    if not isinstance(levels, Sequence) or len(levels) != 2:
+    if not isinstance(levels, Sequence | np.ndarray) or len(levels) != 2:
         raise ParameterError(f"levels: expected two, the target's and the source's, got {levels}")
     configs = config if isinstance(config, tuple) else (config, config)
     progress(f"prepare {target.name} and {source.name}")

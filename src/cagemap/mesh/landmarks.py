@@ -5,7 +5,7 @@ A point is a control vertex, or lies anywhere on the control mesh: three vertice
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -56,9 +56,10 @@ class Landmarks:
     curves: Curves = field(default_factory=Curves.none)
 
     def __post_init__(self) -> None:
-        if isinstance(self.names, str) or not all(isinstance(name, str) for name in self.names or ()):
+        names = None if isinstance(self.names, str) or not isinstance(self.names, Iterable) else tuple(self.names)
+        if names is None or not all(isinstance(name, str) for name in names):
             raise InvalidLandmarksError(f"landmarks: expected a name for every pair, got names={self.names!r}")
-        object.__setattr__(self, "names", tuple(self.names or ()))
+        object.__setattr__(self, "names", names)
         for side in ("target", "source"):
             object.__setattr__(self, side, whole_numbers(getattr(self, side), f"landmarks: {side}"))
             vertices, points = getattr(self, side), getattr(self, f"{side}_points")

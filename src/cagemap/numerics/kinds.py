@@ -12,6 +12,8 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
+import numpy as np
+
 from cagemap.errors import ParameterError
 
 P = ParamSpec("P")
@@ -48,7 +50,11 @@ def kinds_checked(function: Callable[P, R]) -> Callable[P, R]:
     @wraps(function)
     def door(*args: P.args, **kwargs: P.kwargs) -> R:
         expected = _expected(function)
-        for name, value in parameters.bind(*args, **kwargs).arguments.items():
+        try:
+            given = parameters.bind(*args, **kwargs).arguments
+        except TypeError:  # too many arguments or too few: the function itself says so by its name
+            given = {}
+        for name, value in given.items():
             kinds = expected.get(name)
             if kinds and not any(_is(value, kind) for kind in kinds):
                 raise ParameterError(_message(function.__name__, name, kinds, value))
@@ -73,7 +79,7 @@ def _word(value: object) -> str:
 
 def _is(value: object, kind: type) -> bool:
     if kind is bool:
-        return isinstance(value, bool) or type(value).__name__ == "bool"
+        return isinstance(value, bool | np.bool_)
     if kind is int:
         try:
             operator.index(value)  # type: ignore[arg-type]

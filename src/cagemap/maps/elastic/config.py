@@ -20,7 +20,8 @@ class Stage:
     iterations : int
     stiffness : (float, float)
         Weight alpha of the energy against the data, first and last; it falls geometrically over the first ``ramp`` of
-        the iterations. sqrt(alpha) is the length, of sqrt(area), below which the energy outweighs the data.
+        the iterations. sqrt(alpha) is the length, of sqrt(area), below which the energy outweighs the data. On a mesh
+        that lies on the source it rises instead, see `cagemap.maps.elastic.fit.run_stage`.
     smoothing : float
         epsilon: its square root is the length over which differentials are smoothed.
     ramp : float

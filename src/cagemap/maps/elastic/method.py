@@ -64,7 +64,8 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
     landmark coordinates; from where it sends some vertices, and from the landmarks alone, the coarse stage of the
     elastic fit starts. Where these two end apart, limbs may be turned: spectral upsampling makes further starts of the
     spectral map's end, and the fine stage goes on from all that lie apart, and from where a stiffer coarse stage ends.
-    The best of these ends is moved half-way to what it is seen from the source (`both_ways`), unless there are masks.
+    The best of these ends is moved half-way to what it is seen from the source (`both_ways`), unless there are masks;
+    its cost stays that of the end, to compare with the others'.
     Where they end alike, no joint needs the soft stage, and the stiffer one spreads the strain more evenly.
 
     Parameters

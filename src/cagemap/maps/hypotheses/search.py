@@ -76,7 +76,7 @@ def found_readings(
     config: HypothesesConfig = HypothesesConfig(),
     progress: Callable[[str], None] = lambda stage: None,
 ) -> tuple[Reading, ...]:
-    """Different ways in which the target lies on the source, fitted, cheapest first.
+    """Different ways in which the target lies on the source, fitted, best first: by cost and doubt.
 
     Landmarks of the pair, if there are any, are held by all of them. Positions are those of the vertices of the level
     that is deformed.
@@ -109,12 +109,13 @@ def least_cost(prepared: PreparedPair) -> float:
     """What the target costs where it lies on itself: chords and samples, which tell nothing of how a fit is.
 
     What costs less is as good as what costs as much: a box turned upon itself stretches affinely, which is free, and
-    its samples may fall better.
+    its samples may fall better. Under masks a fit costs less because less of it counts, and so does this.
     """
-    target, own = prepared.target, replace(prepared.rest, masks=WHOLE)
+    target, rest, own = prepared.target, prepared.rest, replace(prepared.rest, masks=WHOLE)
     sheet = target.triangles(target.refinement.coarsest_level(SHEET_VERTICES))
     on_itself = replace(prepared, rest=own, sheet=sheet)
-    return judged(on_itself, own.pullers(sheet), prepared.rest.graph.positions).cost
+    counts = rest.graph.areas @ rest.masks.of_target(rest.graph.n), rest.pullers(prepared.sheet).areas.sum()
+    return float(min(counts)) * judged(on_itself, own.pullers(sheet), rest.graph.positions).cost
 
 
 def _rough_fits(prepared: PreparedPair, pair: Pair, shape: CoarseShape, config: HypothesesConfig) -> list[_Candidate]:
