@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -65,6 +66,14 @@ def test_what_is_written_reads_back(
     else:
         write_points(file, points, mesh)
     assert bool(form.lost(replace(points, curves=(line,)))) == (not form.curves)
+
+
+def test_markups_say_what_they_are(tmp_path: Path) -> None:
+    """The word that 3D Slicer looks for (vtkMRMLMarkupsJsonStorageNode), and LPS, in which it reads meshes."""
+    write_points(tmp_path / "a.mrk.json", some_points(), cube())
+    content = json.loads((tmp_path / "a.mrk.json").read_text())
+    assert re.fullmatch(r".*markups-schema-v1\.[0-9]+\.[0-9]+\.json#*", content["@schema"])
+    assert [markup["coordinateSystem"] for markup in content["markups"]] == ["LPS"]
 
 
 def test_a_form_that_is_not_known_is_refused(tmp_path: Path) -> None:

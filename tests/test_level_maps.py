@@ -7,7 +7,9 @@ import json
 import numpy as np
 import pytest
 
+from cagemap.cli.map_command import MapRequest
 from cagemap.cli.match import MatchRequest, run_match
+from cagemap.cli.own_map import run_map
 from cagemap.cli.progress import Stages
 from cagemap.cli.report import ReportRequest, run_report
 from cagemap.cli.transfer import run_transfer
@@ -19,7 +21,7 @@ from cagemap.files.landmarks import write_landmarks
 from cagemap.files.maps import read_images
 from cagemap.files.meshes import write_mesh
 from cagemap.files.npz import write_npz
-from cagemap.files.result import ARRAYS, MANIFEST, read_result
+from cagemap.files.result import ARRAYS, MANIFEST, note_transfer, read_result
 from cagemap.maps.spectral.levels import LevelMap, recover_points
 from cagemap.pipeline import MatchConfig, pair_of
 
@@ -96,6 +98,26 @@ def test_a_level_is_baked_written_and_drawn(matched):
     np.testing.assert_array_equal(places.triangle, result.level_maps[0].points.triangle)
     page = (matched / "r.html").read_text()
     assert f"{result.target.control.n_vertices:,}" in page
+    with Stages() as stages, pytest.raises(FormatError, match="those of the file are of one with"):
+        run_map(MapRequest(matched / "m.npz", matched / "deer.obj", matched / "pony.obj", matched / "M"), stages)
+
+
+def test_a_report_shows_what_its_level_baked(matched, monkeypatch):
+    """The image of the level that is shown, not the last one; and no wrapped net that this level has not."""
+    shown = {}
+    monkeypatch.setattr("cagemap.cli.report.write_report", lambda output, *_, **given: shown.update({output: given}))
+    with Stages() as stages:
+        for level in (None, 0):
+            output = matched / f"shown_{level}.png"
+            given = TransferRequest(matched / "R", output, texture=matched / "pony.png", level=level, size=64)
+            run_transfer(given, stages)
+        write_mesh(matched / "net.obj", example_pair(64).target)
+        note_transfer(matched / "R", {"kind": "wrap", "output": "../net.obj", "fit_level": 1})
+        for level in (None, 0, 1):
+            run_report(ReportRequest(matched / "R", matched / f"{level}.html", level=level), stages)
+    for level, baked in ((None, None), (0, 0), (1, None)):
+        expected = read_image(matched / f"shown_{baked}.png").pixels
+        np.testing.assert_array_equal(shown[matched / f"{level}.html"]["baked"], expected)
 
 
 @pytest.mark.parametrize("name", ["level_0_match", "level_1_triangle", "level_0_functional_map"])
@@ -110,4 +132,28 @@ def test_damaged_levels_are_refused(matched, tmp_path, name):
     wrong = np.full((3, 3, 3), 0.5) if name.endswith("map") else np.full_like(arrays[name], 10**7)
     write_npz(tmp_path / ARRAYS, arrays | {name: wrong})
     with pytest.raises(FormatError, match=name):
+        read_result(tmp_path)
+
+
+def test_points_of_levels_lie_in_their_triangles_but_for_rounding(matched, tmp_path):
+    manifest = json.loads((matched / "R" / MANIFEST).read_text())
+    (tmp_path / MANIFEST).write_text(json.dumps(manifest | {"files": {}}))
+    arrays = dict(np.load(matched / "R" / ARRAYS))
+    places = arrays["level_0_barycentric"].copy()
+    places[0] = -1e-17, 0.4, 0.6
+    write_npz(tmp_path / ARRAYS, arrays | {"level_0_barycentric": places})
+    assert read_result(tmp_path).level_maps[0].points.barycentric[0, 0] == -1e-17
+    places[0] = -0.5, 0.5, 1.0
+    write_npz(tmp_path / ARRAYS, arrays | {"level_0_barycentric": places})
+    with pytest.raises(FormatError, match="level_0_barycentric lie outside"):
+        read_result(tmp_path)
+
+
+@pytest.mark.parametrize("levels", [[(0, 0), (1, 1)], [(0, 0), (2, 1), (1, 2)], [(0, 0), (1, 1), (1, 1)]])
+def test_levels_that_do_not_end_at_the_finest_are_refused(matched, tmp_path, levels):
+    manifest = json.loads((matched / "R" / MANIFEST).read_text())
+    entries = [{"target": one, "source": other} for one, other in levels]
+    (tmp_path / MANIFEST).write_text(json.dumps(manifest | {"files": {}, "level_maps": entries}))
+    write_npz(tmp_path / ARRAYS, dict(np.load(matched / "R" / ARRAYS)))
+    with pytest.raises(FormatError, match=r"end at \(1, 2\)"):
         read_result(tmp_path)

@@ -108,7 +108,8 @@ def test_each_side_has_its_own_laplacian_accuracy_and_definition(tmp_path):
     [
         ({"laplacian": "cotan"}, "--laplacian: expected mean, alexa-wardetzky, de-goes-butts-desbrun, .* got 'cotan'"),
         ({"source_laplacian": "alexa-wardetzky:x"}, "--source-laplacian: expected mean"),
-        ({"target_laplacian": "alexa-wardetzky:0"}, "stabilisation: expected a number above 0"),
+        ({"target_laplacian": "alexa-wardetzky:0"}, "stabilisation: expected a finite number above 0"),
+        ({"laplacian": "mean:2"}, "the last two with :LAMBDA"),
         ({"literal": True}, "--literal: expected a --schedule of the target"),
         ({"literal": True, "schedule": "9,5", "source_k": 9}, "--literal: expected a --schedule of the source"),
         ({"accuracy": 0.1}, "accuracy: expected a residual"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,6 +20,7 @@ from cagemap.operators import (
     DeGoesButtsDesbrun,
     MeanTriangulation,
     build_operators,
+    named_laplacian,
     stiffness,
     triangle_cotangents,
     vertex_areas,
@@ -293,8 +296,9 @@ def test_collapsed_faces_do_no_harm(laplacian):
     assert values[0] > -1e-9 * values[-1]
 
 
-@pytest.mark.parametrize("wrong", [0.0, -1.0, float("nan")])
+@pytest.mark.parametrize("wrong", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_stabilisation_is_positive(wrong):
-    for kind in (AlexaWardetzky, DeGoesButtsDesbrun):
+    # Also where it means nothing: a RESULT with such a number would not be read again.
+    for kind in (AlexaWardetzky, DeGoesButtsDesbrun, partial(named_laplacian, "mean")):
         with pytest.raises(ParameterError, match="stabilisation"):
             kind(wrong)

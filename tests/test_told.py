@@ -48,3 +48,23 @@ def test_a_command_ends_with_whoever_runs_it_and_leaves_nothing_half_written(tmp
     assert "stopped" in process.stdout.read()
     assert process.wait() == SIGNALLED + signal.SIGTERM
     assert sorted(os.listdir(tmp_path)) == ["a.obj", "b.obj"]
+
+
+def test_a_command_that_waits_for_its_threads_ends_too() -> None:
+    waiting = (
+        "import threading; from cagemap.cli import app, entry, told; "
+        "entry.app = lambda: (print('waits', flush=True), threading.Event().wait()); told.run()"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", waiting],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert process.stdin is not None
+    assert process.stdout.readline() == "waits\n"
+    process.stdin.close()
+    assert "stopped" in process.stdout.read()  # by itself, not by force once patience is over
+    assert process.wait() == SIGNALLED + signal.SIGTERM

@@ -12,9 +12,10 @@ from scipy.io import mmwrite
 
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images import write_image
-from cagemap.files.maps import dense_map, read_images, write_map
+from cagemap.files.maps import dense_map, read_images, source_level, write_map
 from cagemap.files.meshes import read_mesh, write_mesh
 from cagemap.files.mhclo import bind, read_mhclo, write_mhclo
+from cagemap.files.npz import write_npz
 from cagemap.files.result import read_result
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
@@ -178,11 +179,28 @@ def test_maps_come_back_from_files(tmp_path: Path, ring: Refinement, suffix: str
         dense_map(again.at(slice(100)), ring, surface)
 
 
-def test_dense_matrices_are_read_where_they_are_small(tmp_path: Path, ring: Refinement) -> None:
+def test_a_map_file_says_which_level_its_triangles_are_of(tmp_path: Path, ring: Refinement) -> None:
+    surface, file = surface_of(ring), tmp_path / "map.npz"
+    write_map(file, PointMap.from_vertices(surface, surface, np.zeros(surface.n, dtype=np.int64)))
+    assert source_level(file, ring) == ring.n_levels  # though coarser levels have these triangles as well
+    coarse = surface_of(ring.up_to(1))
+    write_map(file, PointMap.from_vertices(coarse, coarse, np.arange(coarse.n)))
+    assert source_level(file, ring) == 1
+    with pytest.raises(FormatError, match=f"those of the file are of one with {coarse.n}"):
+        read_images(file, surface)
+    for damaged in ({"shape": np.zeros(0)}, {"triangle": np.zeros(0), "source_size": np.zeros(0)}):
+        write_npz(file, damaged)
+        assert source_level(file, ring) is None
+
+
+def test_dense_matrices_are_read_where_they_are_small(
+    tmp_path: Path, ring: Refinement, monkeypatch: pytest.MonkeyPatch
+) -> None:
     surface, file = surface_of(ring), tmp_path / "map.mtx"
     t = np.random.default_rng(3).integers(0, len(surface.triangles), surface.n)
     point_map = PointMap.from_arrays(surface, surface, t, np.tile([0.5, 0.25, 0.25], (surface.n, 1)))
     mmwrite(file, point_map.matrix().toarray(), comment="from elsewhere")
+    monkeypatch.setattr("cagemap.files.maps._PIECE", 1000)  # so that it is read in many
     np.testing.assert_allclose(read_images(file, surface).positions, point_map.images.positions, atol=1e-12)
     head = "%%MatrixMarket matrix array real general\n"
     for text, found in (
@@ -190,6 +208,7 @@ def test_dense_matrices_are_read_where_they_are_small(tmp_path: Path, ring: Refi
         ("2 2\n1\n0\n0\n", "not 2 x 2 finite numbers"),
         ("2 2\n1\n0\nnan\n1\n", "not 2 x 2 finite numbers"),
         ("2 2\n1\n0\nx\n1\n", "could not convert"),
+        ("2 2\n1\n0\n0\n1\n1\n", "more than 2 x 2 numbers"),
         ("-2 2\n1\n", "a size of -2 x 2"),
         ("", "found not enough values"),
     ):

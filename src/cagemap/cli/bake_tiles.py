@@ -273,7 +273,8 @@ def finish(request: TransferRequest, prepared: Prepared, entry: dict[str, Any]) 
     outputs = [udim_path(request.output, tile) for tile in prepared.tiles]
     mesh = None if prepared.mesh is None else stated_path(prepared.mesh, request.result)
     stated = stated_path(outputs[0], request.result)
-    note_transfer(request.result, {**entry, "output": stated, "tiles": prepared.tiles, "mesh": mesh})
+    level = {} if request.level is None else {"level": request.level}
+    note_transfer(request.result, {**entry, **level, "output": stated, "tiles": prepared.tiles, "mesh": mesh})
     written = [*outputs, *([prepared.mesh] if prepared.mesh else [])]
     summary = f"wrote {', '.join(map(str, written))}; {entry['size']} x {entry['size']} texels"
     if prepared.transfer.masks.any:

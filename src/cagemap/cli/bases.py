@@ -75,7 +75,7 @@ def with_laplacian(basis: BasisConfig, text: str | None, option: str) -> BasisCo
         stabilisation = float(number) if given else 1.0
     except ValueError:
         name = ""
-    if name not in LAPLACIANS:
+    if name not in LAPLACIANS or (given and name == "mean"):
         raise ParameterError(
             f"{option}: expected {', '.join(LAPLACIANS)}, the last two with :LAMBDA after it where it is not 1, "
             f"got {text!r}."

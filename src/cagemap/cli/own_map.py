@@ -61,6 +61,8 @@ def run_map(request: MapRequest, stages: Stages) -> tuple[str, list[str]]:
         f"wrote {request.output}: {len(target.vertices)} target vertices, {100 * quality.flipped_area:.2f} % of the "
         f"area folded, {100 * quality.coverage:.1f} % of the source reached"
     )
+    if level is not None:
+        text += f"\n  its points are taken for those of level {level} of {request.source.name}; --level says another"
     return text, list(quality.warnings)
 
 

@@ -36,8 +36,8 @@ def run_report(request: ReportRequest, stages: Stages) -> None:
     require_no_input([output], [folder / MANIFEST, folder / ARRAYS, *([] if texture is None else [texture])])
     check_page_path(output)
     check_outputs([output], [folder / MANIFEST, folder / ARRAYS], force=force)
-    result = read_result(folder)
-    result = result if request.level is None else result.at_level(request.level)
+    whole = read_result(folder)
+    result = whole if request.level is None else whole.at_level(request.level)
     known = [entry for entry in result.manifest.get("transfers", []) if entry.get("kind") == "texture"]
     if texture is None:
         known = [entry for entry in known if (folder / entry["image"]).is_file()]
@@ -47,7 +47,8 @@ def run_report(request: ReportRequest, stages: Stages) -> None:
     pixels = None if texture is None else _single(texture)
     baked = None
     for entry in known:
-        if texture is not None and _same(folder / entry["image"], texture):
+        shown = entry.get("level", whole.target.finest) == result.target.finest
+        if shown and texture is not None and _same(folder / entry["image"], texture):
             try:
                 result, baked = _baked(folder, result, entry)
             except FormatError as error:
@@ -76,6 +77,8 @@ def rides_of(folder: Path, result: MatchResult) -> Rides:
 def _wrapped(rides: Rides, folder: Path, entry: dict[str, Any], result: MatchResult) -> Rides:
     cage = read_mesh(folder / entry["output"])
     level = int(entry.get("fit_level", 0))
+    if level > result.target.finest:
+        raise FormatError(f"{entry['output']}: is a wrapped net of level {level}, finer than the map that is shown")
     rows = file_rows(folder, result.manifest, "target", result.target.control)
     if rows is not None and level == 0 and cage.n_vertices == rows.whole.n_vertices:
         cage = result.target.control.with_positions(cage.positions[rows.vertices])

@@ -37,7 +37,11 @@ def run() -> None:
 def _follow_input() -> None:
     while os.read(0, 1024):  # no buffer, whose lock would be held while the interpreter ends
         pass
-    _thread.interrupt_main(signal.SIGTERM)
+    main_thread = threading.main_thread().ident
+    if hasattr(signal, "pthread_kill") and main_thread is not None:
+        signal.pthread_kill(main_thread, signal.SIGTERM)  # unlike an interrupt, also ends waiting for other threads
+    else:
+        _thread.interrupt_main(signal.SIGTERM)
     time.sleep(PATIENCE)
     os._exit(SIGNALLED + signal.SIGTERM)
 

@@ -42,6 +42,9 @@ from cagemap.transfer import (
 )
 from cagemap.transfer.texture import FILTERS
 
+# What is carried whole, whatever masks say.
+_WHOLE = ("--source-uvs", "--joints", "--write-map")
+
 
 def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
     """Carry one thing from source to target, write it and note it; returns a summary and warnings."""
@@ -89,6 +92,13 @@ def _carrier(request: TransferRequest) -> Callable[[TransferRequest, MatchResult
     if len(chosen) != 1:
         raise ParameterError(
             f"expected one of {', '.join(options)}, got {' and '.join(chosen) or 'none'}. Run once for each."
+        )
+    masks = {"--target-mask": request.target_mask, "--source-mask": request.source_mask}
+    given_masks = [option for option, mask in masks.items() if mask is not None]
+    if given_masks and chosen[0] in _WHOLE:
+        raise ParameterError(
+            f"{' and '.join(given_masks)}: expected images, values, weights or blend shapes, got {chosen[0]}, which is "
+            "carried whole. Leave the mask out."
         )
     return options[chosen[0]][1]
 

@@ -18,6 +18,8 @@ from cagemap.errors import FormatError
 
 # Beyond this, squares and volumes overflow.
 _LARGEST = 1e100
+# What barycentric coordinates may lie beside [0, 1] and a sum of 1.
+_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,12 @@ def check_arrays(
     for name, form in present.items():
         _check_shape(path, name, arrays[name], form, sizes, remedy)
     return {name: _checked(path, name, arrays[name], form, sizes, remedy) for name, form in present.items()}
+
+
+def lie_in_triangles(barycentric: NDArray[Any]) -> bool:
+    """Whether barycentric coordinates (n, 3) are those of points of their triangles, but for rounding."""
+    sums = barycentric.sum(axis=1)
+    return bool(np.all(barycentric >= -_ROUNDING) and np.all(np.abs(sums - 1) <= _ROUNDING))
 
 
 def check_offsets(path: Path, name: str, offsets: NDArray[Any], count: int, remedy: str) -> None:

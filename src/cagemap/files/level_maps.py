@@ -11,7 +11,8 @@ from typing import Any
 from numpy.typing import NDArray
 
 from cagemap.basis import Surface
-from cagemap.files.forms import Form, check_arrays
+from cagemap.errors import FormatError
+from cagemap.files.forms import Form, check_arrays, lie_in_triangles
 from cagemap.files.schema import LevelMapRecord
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
@@ -62,19 +63,22 @@ def read_level_maps(
     FormatError
         If arrays are missing, or are no maps of their levels.
     """
-    if functional_map is None:
+    if functional_map is None or not entries:
         return ()
     target, source = surfaces
+    levels, finest = [(entry.target, entry.source) for entry in entries], (target.finest, source.finest)
+    if levels[-1] != finest or any(one > finest[0] or other > finest[1] for one, other in levels):
+        raise FormatError(f"{path}: expected levels of maps that end at {finest}, the manifest has {levels}. {remedy}")
     maps = []
     for i, entry in enumerate(entries):
         last = i == len(entries) - 1
-        sides = target.triangles(min(entry.target, target.finest)), source.triangles(min(entry.source, source.finest))
+        sides = target.triangles(entry.target), source.triangles(entry.source)
         forms = {f"level_{i}_match": Form(("n1",), below="n2")}
         if not last:
             forms |= {
                 f"level_{i}_functional_map": Form((f"k1_{i}", f"k2_{i}")),
                 f"level_{i}_triangle": Form(("n1",), below="t2"),
-                f"level_{i}_barycentric": Form(("n1", 3), share=True),
+                f"level_{i}_barycentric": Form(("n1", 3)),
             }
         sizes = {"n1": sides[0].n, "n2": sides[1].n, "t2": len(sides[1].triangles)}
         arrays = check_arrays(path, stored, forms, sizes, remedy)
@@ -82,6 +86,8 @@ def read_level_maps(
         if not last:
             c = arrays[f"level_{i}_functional_map"]
             places = arrays[f"level_{i}_triangle"], arrays[f"level_{i}_barycentric"]
+            if not lie_in_triangles(places[1]):
+                raise FormatError(f"{path}: level_{i}_barycentric lie outside their triangles. {remedy}")
             points = PointMap.from_arrays(*sides, *places)
         maps.append(LevelMap((entry.target, entry.source), c, arrays[f"level_{i}_match"], points))
     return tuple(maps)

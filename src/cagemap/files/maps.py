@@ -6,7 +6,7 @@ Vertex numbers count from 0, but in ``.vts`` from 1, as its users have it.
 from __future__ import annotations
 
 import re
-from io import StringIO
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -24,9 +24,14 @@ from cagemap.maps.point_map import PointMap
 from cagemap.refinement import Refinement, level_triangles
 
 SUFFIXES = (".npy", ".npz", ".mtx", ".vts")
+# Beside triangles in an archive: the number of vertices of the source that they are of.
+SOURCE_SIZE = "source_size"
 _REMEDY = "Write it again."
 # Of a dense matrix, 0.5 GB: 7000 vertices a side. Nearly all of them are zeros, which the sparse form leaves out.
 DENSE_ENTRIES = 1 << 26
+_PIECE = 1 << 24
+# Comments and blank lines before the size of a dense matrix.
+_COMMENTS = re.compile(r"(?:[ \t\r]*(?:%[^\n]*)?\n)*")
 
 
 def read_images(path: str | Path, source: TriangleSurface) -> SurfacePoints:
@@ -62,6 +67,12 @@ def read_images(path: str | Path, source: TriangleSurface) -> SurfacePoints:
         return SurfacePoints.from_matrix(source, _matrix_market(file))
     arrays = read_npz(file, _REMEDY)
     if {"triangle", "barycentric"} <= set(arrays):
+        n = _last(arrays.get(SOURCE_SIZE))
+        if n not in (None, source.n):
+            raise FormatError(
+                f"{file}: expected triangles of a source with {source.n} vertices, those of the file are of one with "
+                f"{n}. Give the level that has them, or write the map as .npy: vertices are the same on all levels."
+            )
         return SurfacePoints(source, _vertices(file, arrays["triangle"]), arrays["barycentric"])
     if {"indices", "indptr", "data", "shape"} <= set(arrays):
         try:
@@ -77,7 +88,8 @@ def read_images(path: str | Path, source: TriangleSurface) -> SurfacePoints:
 def source_level(path: str | Path, source: Refinement) -> int | None:
     """The source's level, from 1, that a map is of, where its file says so: vertices are the same in all.
 
-    It is the coarsest with all its triangles, or the one with as many vertices as a matrix has columns.
+    It is the one with as many vertices as the file says, or as a matrix has columns; else the coarsest with all its
+    triangles.
     """
     file = Path(path)
     suffix = file.suffix.lower()
@@ -85,11 +97,19 @@ def source_level(path: str | Path, source: Refinement) -> int | None:
         return None
     levels = range(1, source.n_levels + 1)
     arrays = {} if suffix == ".mtx" else read_npz(file, _REMEDY)
-    numbers = arrays.get("triangle")
-    if numbers is not None and numbers.dtype.kind in "iu" and numbers.size:
+    numbers, n = arrays.get("triangle"), _last(arrays.get(SOURCE_SIZE))
+    if n is None and numbers is not None and numbers.dtype.kind in "iu" and numbers.size:
         return next((level for level in levels if numbers.max() < len(level_triangles(source, level))), None)
-    columns = _matrix_market(file).shape[1] if suffix == ".mtx" else np.ravel(arrays.get("shape", 0))[-1]
-    return next((level for level in levels if source.levels[level].n_vertices == columns), None)
+    if numbers is None:
+        n = _matrix_market(file).shape[1] if suffix == ".mtx" else _last(arrays.get("shape"))
+    return next((level for level in levels if source.levels[level].n_vertices == n), None)
+
+
+def _last(numbers: NDArray[np.generic] | None) -> int | None:
+    """The last of some whole numbers; None where there are none."""
+    if numbers is None or not numbers.size or numbers.dtype.kind not in "iu":
+        return None
+    return int(np.ravel(numbers)[-1])
 
 
 def _matrix_market(file: Path) -> sparse.csr_array:
@@ -128,10 +148,11 @@ def _matrix_market(file: Path) -> sparse.csr_array:
 def _dense(file: Path, text: str) -> sparse.csr_array:
     """What stands below the first line of Matrix Market's array form: its size, then all numbers, column by column."""
     form = "expected a dense matrix (Matrix Market: its size, then one number a line, column by column)"
-    text = re.sub(r"(?m)^\s*%.*$", "", text).lstrip()
-    first, _, rest = text.partition("\n")
+    comments = _COMMENTS.match(text)
+    start = 0 if comments is None else comments.end()
+    end = _line_end(text, start)
     try:
-        n, m = (int(word) for word in first.split())
+        n, m = (int(word) for word in text[start:end].split())
         if min(n, m) < 1:
             raise ValueError(f"a size of {n} x {m}")
     except ValueError as error:
@@ -141,13 +162,32 @@ def _dense(file: Path, text: str) -> sparse.csr_array:
             f"{file}: expected at most {DENSE_ENTRIES} numbers of a dense matrix, found {n} x {m}. Write it in the "
             "coordinate form (scipy.io.mmwrite of a sparse matrix), which leaves the zeros out."
         )
+    numbers, known = np.empty(n * m), 0
     try:
-        numbers = np.loadtxt(StringIO(rest), ndmin=1) if rest.strip() else np.zeros(0)
+        for piece in _pieces(text, end):
+            found = np.array(piece.split(), dtype=np.float64)
+            if known + len(found) > n * m:
+                raise ValueError(f"more than {n} x {m} numbers")
+            numbers[known : known + len(found)] = found
+            known += len(found)
     except ValueError as error:
         raise FormatError(f"{file}: {form}, found {error}. {_REMEDY}") from error
-    if numbers.shape != (n * m,) or not np.isfinite(numbers).all():
+    if known != n * m or not np.isfinite(numbers).all():
         raise FormatError(f"{file}: {form}, found not {n} x {m} finite numbers. {_REMEDY}")
     return sparse.csr_array(numbers.reshape(m, n).T)
+
+
+def _pieces(text: str, start: int) -> Iterator[str]:
+    """A text from some place on, cut at line ends: all its words at once would take many times the room of numbers."""
+    while start < len(text):
+        end = _line_end(text, start + _PIECE)
+        yield text[start:end]
+        start = end
+
+
+def _line_end(text: str, start: int) -> int:
+    end = text.find("\n", start)
+    return len(text) if end < 0 else end
 
 
 def _vertices(file: Path, numbers: NDArray[np.generic]) -> NDArray[np.int64]:
@@ -205,4 +245,8 @@ def write_map(path: str | Path, point_map: PointMap, *, force: bool = False) -> 
         elif suffix == ".mtx":
             io.mmwrite(temporary, sparse.coo_array(point_map.matrix()), comment=mark())
         else:
-            write_npz(temporary, {"triangle": point_map.triangle, "barycentric": point_map.barycentric})
+            source = np.array(point_map.source.n)
+            write_npz(
+                temporary,
+                {"triangle": point_map.triangle, "barycentric": point_map.barycentric, SOURCE_SIZE: source},
+            )

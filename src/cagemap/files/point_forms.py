@@ -23,6 +23,12 @@ from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.measures import fan_triangles
 from cagemap.numerics.arrays import FloatArray
 
+# By this word, no address of today, 3D Slicer tells a file of markups from other JSON; some of its versions ask for it.
+_MARKUPS_SCHEMA = (
+    "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
+    "markups-schema-v1.0.3.json#"
+)
+
 
 @dataclass(frozen=True)
 class PointForm:
@@ -134,7 +140,8 @@ def _markups(points: NamedPoints, mesh: ControlMesh) -> str:
         labels = tuple(f"{curve.name}-{number}" for number in range(1, 1 + len(curve.vertices)))
         kind = "ClosedCurve" if curve.closed else "Curve"
         markups.append(_markup(kind, curve.name, labels, _places(curve, mesh)))
-    return json.dumps({"written_by": mark(), "markups": markups}, indent=1, ensure_ascii=False) + "\n"
+    content = {"written_by": mark(), "@schema": _MARKUPS_SCHEMA, "markups": markups}
+    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 
 def _markup(kind: str, name: str, labels: tuple[str, ...], places: FloatArray) -> dict[str, Any]:

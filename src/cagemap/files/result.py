@@ -15,7 +15,7 @@ import numpy as np
 from cagemap.basis import Surface
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_folder, require_own_folder
-from cagemap.files.forms import Form, check_arrays
+from cagemap.files.forms import Form, check_arrays, lie_in_triangles
 from cagemap.files.level_maps import level_arrays, level_entries, read_level_maps
 from cagemap.files.manifest import (
     MANIFEST,
@@ -89,9 +89,6 @@ _FORMS = {
     "landmark_errors": Form(("p",)),
     "runner_up_images": Form(("r", "c1", 3), optional=True),
 }
-# What barycentric coordinates may lie beside [0, 1] and a sum of 1.
-_ROUNDING = 1e-6
-
 # What stored vertices may differ from those that the control mesh gives, of its size: other libraries round otherwise.
 _DRIFT = 1e-6
 _SPECTRAL_ARRAYS = ("functional_map", "target_eigenvalues", "source_eigenvalues")
@@ -296,14 +293,12 @@ def _side_forms(number: int) -> dict[str, Form]:
 
 def _check_parts(root: Path, arrays: dict[str, Any], source_triangles: IndexArray, record: ResultRecord) -> None:
     """Refuse parts that are sound but do not belong together."""
-    barycentric, pairs = arrays["barycentric"], len(arrays["landmark_errors"])
+    pairs = len(arrays["landmark_errors"])
     faults = {
         "source_triangles are not those of source_faces": not np.array_equal(
             arrays["source_triangles"], source_triangles
         ),
-        "barycentric coordinates lie outside their triangles": bool(
-            np.any(barycentric < -_ROUNDING) or np.any(np.abs(barycentric.sum(axis=1) - 1) > _ROUNDING)
-        ),
+        "barycentric coordinates lie outside their triangles": not lie_in_triangles(arrays["barycentric"]),
         "as many landmark_names as landmarks are expected": len(record.landmark_names) not in (0, pairs),
         "landmark_check names pairs that are not there": any(
             suspect.pair >= pairs for suspect in (record.landmark_check.suspects if record.landmark_check else [])

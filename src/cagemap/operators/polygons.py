@@ -109,6 +109,7 @@ def named_laplacian(name: str, stabilisation: float = 1.0) -> Laplacian:
     """
     if name not in LAPLACIANS:
         raise ParameterError(f"laplacian: expected one of {', '.join(LAPLACIANS)}, got {name!r}")
+    _check(stabilisation)
     if name == "mean":
         return MeanTriangulation()
     return AlexaWardetzky(stabilisation) if name == "alexa-wardetzky" else DeGoesButtsDesbrun(stabilisation)
@@ -152,8 +153,8 @@ class _Polygons:
 
 
 def _check(stabilisation: float) -> None:
-    if not stabilisation > 0.0:
+    if not 0.0 < stabilisation < np.inf:
         raise ParameterError(
-            f"stabilisation: expected a number above 0, got {stabilisation}; 1 is usual, and without it functions such "
-            "as +1 and -1 in turn over a quad's corners cost nothing"
+            f"stabilisation: expected a finite number above 0, got {stabilisation}; 1 is usual, and without it "
+            "functions such as +1 and -1 in turn over a quad's corners cost nothing"
         )
