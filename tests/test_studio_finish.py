@@ -26,7 +26,7 @@ from cagemap.studio.finish_layout import ADVANCED, FOLDS, LEFT_OUT, SIZE, VERTIC
 from cagemap.studio.opening import default_files
 from cagemap.studio.options import Key, Option, Value, catalogue
 from cagemap.studio.runner import Runner, outputs_of, stage_of
-from cagemap.studio.state import Message, Output
+from cagemap.studio.state import Job, Message, Output
 from cagemap.studio.workspace import Workspace
 from test_obj import QUICK
 
@@ -166,6 +166,8 @@ def test_links_that_lead_out_of_the_folders_are_neither_read_nor_written(tmp_pat
     (inside / "skin.1002.png").symlink_to(outside / "secret.png")
     refused(FinishOptions(given=given_values(normal_map=Path("skin.<UDIM>.png"))))
     refused(FinishOptions(given={("match", "target_mask"): "not:../out/secret.png"}))
+    with pytest.raises(ParameterError, match="outside"):  # the open texture as well
+        workspace.within(default_files(inside, files.target, files.source, inside / "skin.<UDIM>.png"))
     (inside / "cow_from_spot.1002.png").symlink_to(outside / "secret.png")
     refused(FinishOptions())
     with pytest.raises(ParameterError, match="Name"):
@@ -225,6 +227,19 @@ def test_a_failing_command_gives_its_own_words_and_the_others_go_on(tmp_path: Pa
     runner.start((check, todo[1], check, todo[1]))
     assert ended.get(timeout=60).text.endswith(": report, report")
     assert [message.kind for message in told] == ["error", "error"]
+
+
+def test_a_cancelled_run_says_so_whatever_begins_after_it(tmp_path: Path) -> None:
+    ended: queue.Queue[Message] = queue.Queue()
+
+    def on_job(job: Job | None) -> None:
+        if job is None:  # the next one begins
+            runner._cancelled = False
+
+    runner = Runner(on_job, lambda _: None, lambda _: None, ended.put)
+    runner._cancelled = True
+    runner._work(())
+    assert ended.get(timeout=10).text == "finish: cancelled"
 
 
 def test_what_a_command_wrote_in_folders_is_told_as_the_folder(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +13,9 @@ from cagemap.files.point_forms import POINT_FORMS
 from cagemap.studio.opening import default_files
 from cagemap.studio.page.choices import NONE, Choices
 from cagemap.studio.page.panels import FORMS, MOST_ANSWERS, SetupPanel, WorkPanel, with_ending
+from cagemap.studio.page.texts import parts_text
 from cagemap.studio.page.view import Marker, ModelView
+from cagemap.studio.pieces import NOTHING
 from cagemap.studio.state import Files, MapState, Studio
 from cagemap.studio.workspace import Workspace
 
@@ -67,6 +70,45 @@ def test_what_is_chosen_for_the_models_is_opened_and_shown(tmp_path: Path) -> No
     shown = SetupPanel(server(), session, Choices(workspace), lambda: None)
     shown.refresh(Studio(files=files), None)
     assert [handle.value for handle in shown._ups] == ["as the file says", "z"]
+
+
+def test_how_a_model_is_taken_is_not_said_of_the_next_one(tmp_path: Path) -> None:
+    workspace = Workspace.of(tmp_path)
+    panel = SetupPanel(server(), MagicMock(workspace=workspace, state=Studio()), Choices(workspace), lambda: None)
+    files = pair(tmp_path, "scan.ply", "b.obj")
+    panel.refresh(Studio(files=replace(files, schemes=("none", None), ups=("z", None))), None)
+    panel._forget(1, SimpleNamespace(client=object()))
+    panel._forget(0, SimpleNamespace(client=None))
+    assert (panel._schemes[0].value, panel._ups[0].value) == ("none", "z")
+    panel._ups[0].value = "y"  # chosen since
+    panel._forget(0, SimpleNamespace(client=object()))
+    assert (panel._schemes[0].value, panel._ups[0].value) == ("as the file says", "y")
+
+
+def test_the_view_changes_by_what_a_person_pressed_alone(tmp_path: Path) -> None:
+    workspace = Workspace.of(tmp_path)
+    session = MagicMock(workspace=workspace, state=Studio())
+    panel = SetupPanel(server(), session, Choices(workspace), lambda: None)
+    panel._show("cages", SimpleNamespace(client=None, target=SimpleNamespace(value=True)))
+    assert not session.show_as.called
+    panel._show("cages", SimpleNamespace(client=object(), target=SimpleNamespace(value=True)))
+    session.show_as.assert_called_once_with(cages=True)
+
+
+def test_what_is_chosen_stays_chosen_where_it_is_not_listed(tmp_path: Path) -> None:
+    deep = tmp_path / "a" / "b" / "c" / "cow.obj"
+    choices = Choices(Workspace.of(tmp_path))
+    handle = choices.dropdown(server().gui, "Target", (".obj",))
+    choices.choose(handle, deep)
+    (tmp_path / "new.obj").touch()
+    choices.refresh()
+    assert (handle.value, tuple(handle.options)) == ("a/b/c/cow.obj", (NONE, "new.obj", "a/b/c/cow.obj"))
+
+
+def test_names_of_files_and_parts_are_shown_as_they_are() -> None:
+    shape = SimpleNamespace(name="<i>.obj", positions=[0] * 5, parts=("a*b*", "<b>"))
+    said = parts_text(SimpleNamespace(target=shape, source=shape, offers=(NOTHING, NOTHING)))
+    assert "&lt;i&gt;.obj</b>, 5 vertices: a*b*, &lt;b&gt;" in said
 
 
 def test_a_landmark_dropped_beside_the_model_returns(tmp_path: Path) -> None:

@@ -16,23 +16,29 @@ from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.files.landmarks import read_landmarks
 from cagemap.files.meshes import write_mesh
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.mesh.parts import extract, in_one_piece, list_parts, numbers_on_part
 from cagemap.mesh.shapes import creature, cube, icosahedron, triangulated
 from cagemap.refinement import refine
-from cagemap.studio.autosave import autosave_path, kept_parts, write_autosave
+from cagemap.studio.autosave import autosave_path, kept_parts, read_autosave, write_autosave
 from cagemap.studio.bench import Bench, Opening, OpenModels, perform
 from cagemap.studio.finish import FinishOptions, commands
 from cagemap.studio.landmark_files import in_files, load_landmarks, on_parts, recovered_landmarks, save_landmarks
-from cagemap.studio.landmarks import Landmark, LandmarkList, place
+from cagemap.studio.landmarks import Landmark, LandmarkList, keep_elsewhere, place
 from cagemap.studio.models import DENSE, open_model
-from cagemap.studio.opening import chosen_files, default_files, result_of
+from cagemap.studio.opening import chosen_files, default_files, result_of, with_parts
 from cagemap.studio.page.part_choices import WHOLE, labels
+from cagemap.studio.pieces import take_part
 from cagemap.studio.places import vertex_place
 from cagemap.studio.scene import Scene
+from cagemap.studio.session import Session
 from cagemap.studio.skins import source_skin
 from cagemap.studio.state import View
+from cagemap.studio.worker import Failure
+from cagemap.studio.workspace import Workspace
+from test_studio_session import Idle
 
 
 def named(mesh: ControlMesh, name: str) -> ControlMesh:
@@ -211,7 +217,99 @@ def test_the_finish_matches_the_open_parts_into_a_folder_of_their_own(folder: Pa
     results = {
         result_of(files, parts).name for parts in ((None, None), ("object:eye", None), ("object:hat", "group:x/y"))
     }
-    assert results == {"b__a_RESULT", "b__a_eye_RESULT", "b_y__a_hat_RESULT"}
+    assert results == {"b__a_RESULT", "b__a_eye_RESULT", "b_group_x_y__a_hat_RESULT"}
+
+
+def test_no_two_parts_share_a_file(folder: Path) -> None:
+    files = default_files(folder, folder / "a.obj", folder / "b.obj", folder / "skin.png")
+    titles = (None, "object:eye", "object:/char/left/eye", "object:/char/right/eye", "material:eye", "object:::")
+    titles += ("object:" + "long" * 20 + "_L", "object:" + "long" * 20 + "_R")
+    pairs = [(target, source) for target in titles for source in titles]
+    for name in ("", "hero"):
+        asked = FinishOptions(name=name, wrap=True, map_form=".npy", given={("transfer", "material_colors"): True})
+        written = [
+            command.output
+            for pair in pairs
+            for command in commands(all_options(), with_parts(files, pair), asked, landmarks=False)
+        ]
+        assert len(set(written)) == len(written)
+    # A RESULT that was named by a person keeps its name; the pair's own gets the parts' names.
+    assert with_parts(files, ("eye", None)).result.name == "b__a_eye_RESULT"
+    mine = replace(files, result=folder / "mine")
+    assert with_parts(mine, ("eye", None)).result == mine.result
+
+
+def session_of(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
+    """A session whose computations never give an answer."""
+    monkeypatch.setattr("cagemap.studio.preview.Worker", Idle)
+    return Session(Workspace.of(folder), 300, all_options())
+
+
+def test_the_whole_file_can_be_chosen_while_a_part_has_unsaved_landmarks(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
+    session = session_of(folder, monkeypatch)
+    session.open(replace(files, parts=("object:eye", "object:eye")))
+    session._scene = opened(folder, "eye")
+    session._edit(lambda present: place(present, "target", vertex_place(session._scene.target, 0)))
+    assert kept_parts(autosave_path(files.landmarks)) == ("object:eye", "object:eye")
+    session.choose_part("target", None)
+    assert session._preview.models.parts[0] is None
+    session.open(files)  # not named, they are those of the autosave
+    assert session._preview.models.parts == ("object:eye", "object:eye")
+    session.close()
+
+
+def test_an_autosave_of_a_part_that_is_gone_keeps_nobody_out(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
+    write_autosave(autosave_path(files.landmarks), LandmarkList(), ("object:nose", None))
+    session = session_of(folder, monkeypatch)
+    session.open(files)
+    models = session._preview.models
+    assert models.parts == ("object:nose", None)
+    session._receive(OpenModels(models, View()), Failure("ParameterError", "no nose"))
+    assert "no nose" in session.state.messages[-1].text
+    assert session._preview.models.parts == (None, None)
+    again = session._preview.models
+    session._receive(OpenModels(again, View()), Failure("ParameterError", "no file"))
+    assert session._preview.models is again
+    session.close()
+
+
+def test_loaded_landmarks_leave_those_of_other_parts(folder: Path) -> None:
+    scene = opened(folder, "body")
+    away = Landmarks(("mark 10", "hat"), np.array([2, 5]), np.array([2, 5]), "a.obj", "b.obj")
+    before = LandmarkList(elsewhere=away)
+    loaded = keep_elsewhere(list_of(scene, 10), before)
+    assert loaded.elsewhere.names == ("mark 10 (2)", "hat")
+    np.testing.assert_array_equal(loaded.elsewhere.target, [2, 5])
+    files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
+    save_landmarks(files.landmarks, loaded, scene, files)
+    assert len(read_landmarks(files.landmarks, "a.obj", "b.obj")[0]) == 3
+    # A file that has some there replaces them.
+    said = replace(list_of(scene, 10), elsewhere=away.without([0]))
+    assert keep_elsewhere(said, before).elsewhere.names == ("hat",)
+    assert keep_elsewhere(list_of(scene, 10), LandmarkList()).elsewhere is None
+
+
+def test_curves_alone_on_other_parts_are_kept_by_the_autosave(folder: Path) -> None:
+    corners = creature().face_indices[:4] + 8
+    lines = CageCurves.of_vertices((corners.tolist(),), (True,))
+    away = replace(Landmarks.none(), curves=Curves(("rim",), lines, lines))
+    kept = autosave_path(folder / "a.json")
+    write_autosave(kept, LandmarkList(elsewhere=away))
+    n = figure().n_vertices
+    assert read_autosave(kept, (n, n)).curves.names == ("rim",)
+
+
+def test_a_file_whose_one_part_is_all_of_it_can_be_shown(tmp_path: Path) -> None:
+    body = creature()
+    front = (body.positions[body.face_indices].reshape(-1, 4, 3).mean(1)[:, 2] > 0).astype(np.int64)
+    mesh = replace(body, face_materials=front, material_names=("back", "front"), object_schemes=("catmull-clark",))
+    offer = take_part(mesh, None, plain=False).offer
+    assert offer.titles
+    assert offer.opened in labels(offer).values()
 
 
 def test_a_result_opens_the_parts_that_it_is_of(folder: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -31,7 +32,7 @@ from cagemap.studio.preview import Preview
 from cagemap.studio.scene import carried
 from cagemap.studio.session import Session
 from cagemap.studio.shape import pick
-from cagemap.studio.state import Files, Job, Studio, View
+from cagemap.studio.state import Files, Job, Message, Output, Studio, View
 from cagemap.studio.worker import Failure, Worker
 from cagemap.studio.workspace import Workspace
 
@@ -445,6 +446,92 @@ def test_a_view_that_changes_with_the_landmarks_is_drawn_on_both(opened: Session
         opened.match_again()
         opened.show(View("checker"))
     until(lambda: opened.scene.skins[0] != before[0] and opened.scene.skins[1] != before[1], opened)
+
+
+def baked(session: Session, folder: Path) -> Path:
+    """An image as a bake leaves it, on the model."""
+    image = folder.resolve() / "b.png"
+    with session._lock:
+        session._change(outputs=(Output(image, "texture"),))
+        session._finishing = session.state.wish
+        session._ended(Message("note", "finish: done"))
+    assert (session.state.view.mode, session.state.view.baked) == ("baked", image)
+    return image
+
+
+def test_a_bake_of_an_earlier_map_is_not_shown_as_that_of_now(opened: Session, folder: Path) -> None:
+    shown: list[View] = []
+    baked(opened, folder)
+    click(opened, "target", 2)
+    assert opened.state.view.mode == "baked"  # half a landmark changes no map
+    opened.accept()
+    shown.append(opened.state.view)
+    baked(opened, folder)
+    opened.match_again()
+    shown.append(opened.state.view)
+    baked(opened, folder)
+    opened.undo()
+    shown.append(opened.state.view)
+    assert shown == [View()] * 3
+    # Nor is one that ends after the landmarks have changed.
+    with opened._lock:
+        opened._finishing = opened.state.wish
+        opened.redo()
+        opened._ended(Message("note", "finish: done"))
+    assert opened.state.view == View()
+    assert "before the last changes" in opened.state.messages[-1].text
+    # Nor on other models, nor while the next one is made of other options.
+    baked(opened, folder)
+    opened.finish(FinishOptions(given={("match", "vertices"): 300}))
+    assert opened.state.view == View()
+    opened.cancel_finish()
+    until(lambda: opened.state.finish_job is None, opened)
+    until(lambda: any("cancelled" in message.text for message in opened.state.messages), opened)
+    baked(opened, folder)
+    opened.open(opened.state.files)
+    assert opened.state.view == View()
+    until(lambda: opened.state.map.revision >= 1, opened)
+
+
+def test_what_was_baked_is_shown_where_there_is_any(opened: Session, folder: Path) -> None:
+    opened.show_as(mode="baked")
+    assert opened.state.view.mode == "texture"
+    assert "Press Bake" in opened.state.messages[-1].text
+    image = baked(opened, folder)
+    opened.look_at(None)
+    opened.show_as(mode="baked", cages=True)
+    assert opened.state.view == View("baked", cages=True, baked=image)
+
+
+def test_changes_of_two_pages_at_once_are_both_kept(opened: Session) -> None:
+    for vertex in (0, 3):
+        click(opened, "target", vertex)
+        opened.accept()
+    with opened._lock:
+        changes = [
+            threading.Thread(target=opened.rename, args=(1, "nose")),
+            threading.Thread(target=opened.remove, args=(2,)),
+        ]
+        for change in changes:
+            change.start()
+        time.sleep(0.2)
+        click(opened, "target", 5)
+    for change in changes:
+        change.join()
+    assert [item.name for item in opened.state.history.present.items] == ["nose", "landmark 3"]
+
+
+def test_an_autosave_of_the_name_to_save_as_is_moved_aside(opened: Session, folder: Path) -> None:
+    theirs = autosave_path(folder / "other.json")
+    theirs.write_text("unsaved")
+    click(opened, "target", 0)
+    opened.accept()
+    opened.save_as("other.json")
+    click(opened, "target", 3)
+    assert theirs.with_name(f"{theirs.name}.1").read_text() == "unsaved"
+    for path in folder.glob(".*autosave*"):
+        path.unlink()
+    opened.save_as("b__a.json")
 
 
 def test_a_probe_points_at_both_models(opened: Session) -> None:

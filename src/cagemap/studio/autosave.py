@@ -47,7 +47,7 @@ def write_autosave(path: Path, landmarks: LandmarkList, parts: Parts = (None, No
         {"number": item.number, "name": item.name, "target": _entry(item.target), "source": _entry(item.source)}
         for item in landmarks.items
     ]
-    others = landmarks.elsewhere or Landmarks.none()
+    others = Landmarks.none() if landmarks.elsewhere is None else landmarks.elsewhere
     curves = (landmarks.curves or Curves.none()).beside(others.curves)
     kept = {
         "format": _AUTOSAVE,
@@ -110,14 +110,18 @@ def read_autosave(path: Path, vertices: tuple[int, int]) -> LandmarkList:
             if max(points.corners.max(initial=-1), lines.points.corners.max(initial=-1)) >= count:
                 raise ValueError(f"landmarks of a model that has more than {count} vertices")
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError, FormatError) as error:
-        aside = next(name for k in itertools.count(1) if not (name := path.with_name(f"{path.name}.{k}")).exists())
-        path.rename(aside)
         raise FormatError(
             f"{path}: expected an autosave of the studio for these models, found something else ({error!r}). "
-            f"It was moved to {aside.name}."
+            f"It was moved to {set_aside(path).name}."
         ) from None
     curves = others.curves if len(others.curves) else None
     return LandmarkList(items, curves, replace(others, curves=Curves.none()) if len(others) else None)
+
+
+def set_aside(path: Path) -> Path:
+    """Move an autosave out of the way of the next one; returns where it is."""
+    aside = next(name for k in itertools.count(1) if not (name := path.with_name(f"{path.name}.{k}")).exists())
+    return path.rename(aside)
 
 
 def _entry(place: Place | None) -> dict[str, Any] | None:

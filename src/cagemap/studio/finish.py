@@ -158,9 +158,10 @@ def commands(options: Options, files: Files, asked: FinishOptions, *, landmarks:
     landmarks : bool
         Whether the landmark file holds any.
     """
-    if asked.name:
-        files = replace(files, result=files.result.with_name(f"{asked.name}_RESULT"))
     writer = _Writer(options, files, asked)
+    if asked.name:
+        words = f"{writer.stem}_from{writer.giver}" if writer.giver else writer.stem
+        writer = replace(writer, files=replace(files, result=files.result.with_name(f"{words}_RESULT")))
     made = [writer.match(landmarks=landmarks)]
     for carry in CARRIES:
         command = writer.transfer(carry, [other.output for other in made])
@@ -180,10 +181,16 @@ class _Writer:
 
     @property
     def stem(self) -> str:
-        """What files are called by."""
+        """What files begin with: what is asked for or the target, and its part."""
         part = self.files.parts[0]
-        own = self.files.target.stem if part is None else f"{self.files.target.stem}_{word_of(part)}"
-        return self.asked.name or own
+        own = self.asked.name or self.files.target.stem
+        return own if part is None else f"{own}_{word_of(part)}"
+
+    @property
+    def giver(self) -> str:
+        """The source's part, behind what says where something comes from."""
+        part = self.files.parts[1]
+        return "" if part is None else f"_{word_of(part)}"
 
     def value(self, command: str, name: str) -> Value:
         """What is asked for an option."""
@@ -261,8 +268,12 @@ class _Writer:
         return tuple((names[_plain(name)], path) for name, path in given if _plain(name) in names)
 
     def _output(self, carry: Carry) -> Path:
-        folder, stem, source = self.files.result.parent, self.stem, self.files.source
-        value = self.value("transfer", carry.wants)
+        says, ending = self._named(carry)
+        return self.files.result.parent / f"{self.stem}{says}{self.giver}{ending}"
+
+    def _named(self, carry: Carry) -> tuple[str, str]:
+        """What the name of an output says of it, before and after the source's part."""
+        source, value = self.files.source, self.value("transfer", carry.wants)
         match carry.wants:
             case "texture":
                 first = (self.files.texture if self.asked.texture else None) or self.asked.maps[0][1]
@@ -270,35 +281,34 @@ class _Writer:
             case "normal_map" | "displacement" | "vector_displacement" if isinstance(value, Path):
                 return self._image(value)
             case "material_colors":
-                return folder / f"{stem}_material_colors{self.asked.image_form or '.png'}"
+                return "_material_colors", self.asked.image_form or ".png"
             case "bake":
                 kinds = _parts(value)
                 only = f"_{kinds[0]}" if len(kinds) == 1 else ""
                 detail = self.value("transfer", "detail")
                 lies = detail.stem if isinstance(detail, Path) else source.stem
-                return folder / f"{stem}_from_{lies}{only}{self.asked.image_form or '.png'}"
+                return f"_from_{lies}", f"{only}{self.asked.image_form or '.png'}"
             case "source_uvs":
-                return folder / f"{stem}_with_uvs_of_{source.stem}{_mesh_form(self.files.target)}"
+                return f"_with_uvs_of_{source.stem}", _mesh_form(self.files.target)
             case "blend_shapes":
                 meshes = all(path.suffix.lower() in ("", ".obj", ".ply") for path in _paths(value))
-                return folder / f"{stem}_blend_shapes{'' if meshes else '.npz'}"
+                return "_blend_shapes", "" if meshes else ".npz"
             case "write_map":
-                return folder / f"{stem}_on_{source.stem}{self.asked.map_form}"
+                return f"_on_{source.stem}", self.asked.map_form
             case _:
                 assert isinstance(value, Path)
                 usual = ".json" if carry.wants == "joints" else ".npz"
-                form = usual if value.suffix.lower() in USD_SUFFIXES else value.suffix
-                return folder / f"{stem}_from_{value.stem}{form}"
+                return f"_from_{value.stem}", usual if value.suffix.lower() in USD_SUFFIXES else value.suffix
 
-    def _image(self, image: Path) -> Path:
+    def _image(self, image: Path) -> tuple[str, str]:
         """Where an image of the source is baked to; every tile of the target's layout gets its number."""
         stem = image.stem.replace(UDIM_MARK, "").rstrip("._-")
-        return self.files.result.parent / f"{self.stem}_from_{stem}{self.asked.image_form or image.suffix}"
+        return f"_from_{stem}", self.asked.image_form or image.suffix
 
     def wrap(self) -> Command:
         """The target's cage in the source's shape."""
         options, files = self.options, self.files
-        folder, name = files.result.parent, f"{self.stem}_as_{files.source.stem}"
+        folder, name = files.result.parent, f"{self.stem}_as_{files.source.stem}{self.giver}"
         mesh = folder / f"{name}{_mesh_form(files.target)}"
         own = [option for (command, _), option in options.items() if command == "wrap"]
         written = [option.name for option in own if option.kind == "output"]

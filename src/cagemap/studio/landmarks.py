@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -124,6 +124,12 @@ def place(landmarks: LandmarkList, side: Side, where: Place) -> LandmarkList:
     return replace(landmarks, items=(*landmarks.items, Landmark(number, name).at(side, where)))
 
 
+def begin(landmarks: LandmarkList, side: Side, where: Place) -> LandmarkList:
+    """Begin a new landmark in place of the one that waits for its other place, if there is one."""
+    waiting = landmarks.open
+    return place(landmarks if waiting is None else remove(landmarks, waiting.number), side, where)
+
+
 def move(landmarks: LandmarkList, number: int, side: Side, where: Place) -> LandmarkList:
     """Move one end of a landmark."""
     item = landmarks.get(number)
@@ -183,9 +189,36 @@ class Proposal:
     place: Place
 
 
+def keep_elsewhere(landmarks: LandmarkList, before: LandmarkList) -> LandmarkList:
+    """Keep what lies on other parts where a new list says nothing of them; a name that is taken gets a number."""
+    said, kept = (Landmarks.none() if one.elsewhere is None else one.elsewhere for one in (landmarks, before))
+    pairs = Landmarks.none() if len(said) else replace(kept, curves=Curves.none())
+    curves = Curves.none() if len(said.curves) else kept.curves
+    here = landmarks.curves or Curves.none()
+    pairs = replace(pairs, names=_apart(pairs.names, (item.name for item in landmarks.items)))
+    curves = replace(curves, names=_apart(curves.names, (*here.names, *said.curves.names)))
+    both = said.beside(replace(pairs, curves=curves))
+    return replace(landmarks, elsewhere=both if len(both) + len(both.curves) else None)
+
+
+def _apart(names: tuple[str, ...], others: Iterable[str]) -> tuple[str, ...]:
+    """Names, with a number behind those that others have."""
+    known = set(others)
+    taken = known | set(names)
+    made = []
+    for name in names:
+        made.append(_free(taken, name) if name in known else name)
+        taken.add(made[-1])
+    return tuple(made)
+
+
 def _free_name(landmarks: LandmarkList, wanted: str) -> str:
     taken = {item.name for item in landmarks.items}
     taken.update(() if landmarks.elsewhere is None else landmarks.elsewhere.names)
+    return _free(taken, wanted)
+
+
+def _free(taken: set[str], wanted: str) -> str:
     if wanted not in taken:
         return wanted
     return next(name for k in range(2, len(taken) + 3) if (name := f"{wanted} ({k})") not in taken)

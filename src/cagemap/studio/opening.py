@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import zlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,10 +16,13 @@ from cagemap.files.landmarks import write_landmarks
 from cagemap.files.meshes import write_mesh
 from cagemap.files.result import MANIFEST, input_file
 from cagemap.files.text import read_text
+from cagemap.mesh.parts import KINDS
 from cagemap.studio.state import Files
 
 BUILT_IN_FOLDER = Path("cagemap-studio")
 TEXTURE_SIZE = 1024
+# Letters of a part's name in a file's.
+_LONGEST_WORD = 40
 
 
 Stated = tuple[str | None, str | None]
@@ -40,9 +44,26 @@ def result_of(files: Files, parts: Stated) -> Path:
     return files.result.with_name(f"{named}_RESULT")
 
 
+def with_parts(files: Files, parts: Stated) -> Files:
+    """The same files with other parts open; a RESULT folder that is named after the pair gets the parts' names."""
+    usual = files.result == result_of(files, AS_FILED)
+    return replace(files, parts=parts, result=result_of(files, parts) if usual else files.result)
+
+
 def word_of(part: str) -> str:
-    """A part's name as a piece of a file name."""
-    return re.sub(r"[^\w-]+", "_", part.rpartition("/")[2].rpartition(":")[2])[:40]
+    """A part's name as a piece of a file name: all of it, so that ``left/eye`` and ``right/eye`` are told apart.
+
+    Examples
+    --------
+    >>> word_of("object:eye"), word_of("object:/char/left/eye"), word_of("material:eye")
+    ('eye', 'char_left_eye', 'material_eye')
+    """
+    kind, _, name = part.partition(":")
+    kind, name = (kind, name) if kind in KINDS else ("object", part)
+    word = re.sub(r"[^\w-]+", "_", name if kind == "object" else f"{kind}_{name}").strip("_")
+    if 0 < len(word) <= _LONGEST_WORD:
+        return word
+    return f"{word[9 - _LONGEST_WORD :]}_{zlib.crc32(part.encode('utf-8', 'surrogatepass')):08x}"
 
 
 def chosen_files(

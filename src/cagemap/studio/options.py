@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from cagemap.files.images import texture_files
-
 Kind = Literal[
     "flag", "choice", "several", "whole", "number", "text", "name or file", "file", "files", "named files", "output"
 ]
@@ -69,7 +67,7 @@ class Option:
         return [self.flag, str(value)]
 
     def placed(self, value: Value, require: Callable[[Path], Path]) -> Value:
-        """A value with its paths as ``require`` gives them; files that a folder or a set of tiles stands for as well.
+        """A value with its paths as ``require`` gives them; files in a folder as well.
 
         Raises
         ------
@@ -111,10 +109,7 @@ def _placed_one(one: object, require: Callable[[Path], Path]) -> object:
 
 def _placed(path: Path, require: Callable[[Path], Path]) -> Path:
     found = require(path)
-    if found.is_dir():
-        files = [file for file in found.iterdir() if file.is_symlink()]
-    else:
-        files = [file for file in texture_files(found) if file.is_symlink()]
-    for file in files:
-        require(file)
+    for file in found.iterdir() if found.is_dir() else ():
+        if file.is_symlink():
+            require(file)
     return found

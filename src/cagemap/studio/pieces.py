@@ -106,7 +106,7 @@ def take_part(mesh: ControlMesh, name: str | None, *, plain: bool) -> Taken:
         part = None
     if part is not None and part.title not in titles:
         titles, sizes = (part.title, *titles), (len(part.faces), *sizes)
-    offer = Offer(titles, sizes, None if part is None else part.title, whole)
+    offer = Offer(titles, sizes, None if part is None else part.title, whole or part is None)
     if part is None:
         return Taken(mesh, np.arange(mesh.n_vertices), np.zeros(0, dtype=np.int64), offer)
     # A part is subdivided as the whole file is, also where all its faces happen to be triangles.

@@ -69,13 +69,14 @@ class Runner:
                 failed += [] if done else [command.title]
         except Exception as error:  # whatever happens, the finish has an end
             failed.append(f"{type(error).__name__}: {error}")
-        self._on_job(None)
         if self._cancelled:
-            self._on_end(Message("note", f"finish: {CANCELLED}"))
+            end = Message("note", f"finish: {CANCELLED}")
         elif failed:
-            self._on_end(Message("error", f"finish: not everything could be made: {', '.join(failed)}"))
+            end = Message("error", f"finish: not everything could be made: {', '.join(failed)}")
         else:
-            self._on_end(Message("note", "finish: done"))
+            end = Message("note", "finish: done")
+        self._on_job(None)  # from here on another run may begin
+        self._on_end(end)
 
     def _run(self, command: Command, number: int, count: int) -> bool:
         """Run one command to its end; whether it did what it should."""

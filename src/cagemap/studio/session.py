@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
-from cagemap.studio.autosave import autosave_path, kept_parts, write_autosave
-from cagemap.studio.bench import Dressed, Found, Opened, Task, after
+from cagemap.studio.autosave import Parts, autosave_path, kept_parts, set_aside, write_autosave
+from cagemap.studio.bench import Dressed, Found, Opened, OpenModels, Task, after
 from cagemap.studio.finish import Command, FinishOptions, planned
 from cagemap.studio.finish_layout import on_the_page
 from cagemap.studio.held import Held
@@ -23,7 +24,7 @@ from cagemap.studio.landmark_files import (
     save_landmarks,
 )
 from cagemap.studio.landmarks import History, LandmarkList, Place, Side
-from cagemap.studio.opening import result_of
+from cagemap.studio.opening import result_of, with_parts
 from cagemap.studio.options import Options
 from cagemap.studio.places import place_of, vertex_place
 from cagemap.studio.preview import Preview
@@ -31,7 +32,7 @@ from cagemap.studio.runner import Runner
 from cagemap.studio.scene import Scene, mirrored, probed, proposed
 from cagemap.studio.shape import pick
 from cagemap.studio.skins import Images
-from cagemap.studio.state import Files, MapState, Message, Output, View, baked_view
+from cagemap.studio.state import AFRESH, Files, Message, Output, View, baked_view, changed_view, map_view
 from cagemap.studio.worker import STOPPED, Failure
 from cagemap.studio.workspace import Workspace
 
@@ -54,6 +55,9 @@ class Session(Held):
         super().__init__()
         self.workspace, self.options = workspace, options
         self._cancelled = False
+        self._adding = threading.Lock()
+        self._asked_parts: Parts = (None, None)
+        self._finishing: object = None
         self._runner = Runner(lambda job: self._change(finish_job=job), self._written, self._told, self._ended)
         self._preview = Preview(vertices, self._wanted, lambda job: self._change(preview_job=job), self._receive)
 
@@ -67,20 +71,7 @@ class Session(Held):
         with self._guarded():
             files = self.workspace.within(files)
             (target, source), kept = files.parts, kept_parts(autosave_path(files.landmarks))
-            files = replace(files, parts=(target or kept[0], source or kept[1]))
-            with self._lock:
-                self._scene = None
-                self._change(
-                    files=files,
-                    history=History(),
-                    selected=None,
-                    proposal=None,
-                    map=MapState(),
-                    probe=None,
-                    outputs=(),
-                    saved=True,
-                )
-                self._preview.open(files)
+            self._begin(replace(files, parts=(target or kept[0], source or kept[1])), files.parts)
 
     def choose_part(self, side: Side, title: str | None) -> None:
         """Open another part of one of the files, with its landmarks; what is not saved is kept for its own parts."""
@@ -88,7 +79,8 @@ class Session(Held):
             files, scene = self._open()
             target, source = (offer.opened for offer in scene.offers)
             parts = (title, source) if side == "target" else (target, title)
-            self.open(replace(files, parts=parts, result=result_of(files, parts)))
+            chosen = replace(files, parts=parts, result=result_of(files, parts))
+            self._begin(self.workspace.within(chosen), parts)
 
     def take_as_it_is(self, side: Side) -> None:
         """Open one of the models anew, without subdividing it."""
@@ -103,13 +95,16 @@ class Session(Held):
             self._save(path)
 
     def load(self, path: Path, source_points: Path | None = None) -> None:
-        """Replace the landmarks by those of a file of pairs, or of a file a mesh; undo brings the old ones back."""
+        """Replace the landmarks by those of a file of pairs, or of a file a mesh; undo brings the old ones back.
+
+        Those on other parts are replaced only by a file that has some there.
+        """
         with self._guarded(), self._lock:
             files, scene = self._open()
             file = self.workspace.require(path)
             second = None if source_points is None else self.workspace.require(source_points)
             landmarks, notes = load_landmarks(file, second, scene, files)
-            self._edit(landmarks)
+            self._edit(lambda present: edit.keep_elsewhere(landmarks, present))
             for note in notes:
                 self._say("note", note)
 
@@ -119,7 +114,7 @@ class Session(Held):
 
     def add_file(self, name: str, content: bytes) -> bool:
         """Put a file into the first folder, under a name that is free."""
-        with self._guarded():
+        with self._guarded(), self._adding:
             added = self.workspace.add(name, content)
             self._say("note", f"added {added.name}")
             return True
@@ -132,7 +127,7 @@ class Session(Held):
         with self._guarded(), self._lock:
             place = self.place_under(side, origin, direction)
             if place is not None:
-                self._edit(edit.place(self._state.history.present, side, place), select=True)
+                self._edit(lambda present: edit.place(present, side, place), select=True)
 
     def probe(self, side: Side, origin: FloatArray, direction: FloatArray) -> None:
         """Ask where the map takes the point of a model that a ray meets; a ray beside it ends the asking."""
@@ -153,7 +148,7 @@ class Session(Held):
             proposal = self._state.proposal
             if proposal is None:
                 raise ParameterError("expected a landmark that waits for its other place, and a map; click a model")
-            self._edit(edit.move(self._state.history.present, proposal.number, proposal.side, proposal.place))
+            self._edit(lambda present: edit.move(present, proposal.number, proposal.side, proposal.place))
 
     def next_landmark(self) -> None:
         """Begin the landmark that would tell most; both its places are proposed, to be accepted or corrected."""
@@ -162,22 +157,19 @@ class Session(Held):
             vertex = self._state.map.suggestion
             if vertex is None:
                 raise ParameterError("next landmark: expected a map to judge; there is none yet")
-            present = self._state.history.present
-            if present.open is not None:
-                present = edit.remove(present, present.open.number)
-            self._edit(edit.place(present, "target", vertex_place(scene.target, vertex)), select=True)
+            self._edit(lambda present: edit.begin(present, "target", vertex_place(scene.target, vertex)), select=True)
 
     def move(self, number: int, side: Side, place: Place) -> None:
         """Move one end of a landmark."""
-        self._edit(edit.move(self._state.history.present, number, side, place))
+        self._edit(lambda present: edit.move(present, number, side, place))
 
     def remove(self, number: int) -> None:
         """Leave a landmark out."""
-        self._edit(edit.remove(self._state.history.present, number))
+        self._edit(lambda present: edit.remove(present, number))
 
     def rename(self, number: int, name: str) -> None:
         """Give a landmark another name."""
-        self._edit(edit.rename(self._state.history.present, number, name))
+        self._edit(lambda present: edit.rename(present, number, name))
 
     def mirror(self, number: int) -> None:
         """Add the counterpart of a landmark across both models' mirror planes."""
@@ -190,7 +182,7 @@ class Session(Held):
                     "mirror: expected a complete landmark beside the mirror plane of two symmetric models; "
                     "this one lies on it, or a model has none. Place the counterpart by hand."
                 )
-            self._edit(after)
+            self._edit(lambda _: after)
 
     def undo(self) -> None:
         """One step back."""
@@ -216,18 +208,26 @@ class Session(Held):
             if replace(before, cages=view.cages, linked=view.linked) != view and self._scene is not None:
                 self._preview.dress()
 
+    def show_as(self, **fields: object) -> None:
+        """Change some fields of the view; what was baked last is shown where no baked image was chosen."""
+        with self._guarded(), self._lock:
+            self.show(changed_view(self._state, **fields))
+
     def look_at(self, image: Path | None) -> None:
         """Show an image that was baked on the target; None: the map."""
-        self.show(baked_view(self._state, image))
+        with self._lock:
+            self.show(baked_view(self._state, image))
 
     def match_again(self) -> None:
         """Compute the map from the start, with the landmarks there are."""
-        self._find(fresh=True)
+        with self._lock:
+            self._find(fresh=True)
 
     def choose_answer(self, index: int) -> None:
         """Go on from another of the landmark-free answers."""
         with self._lock:
             if self._scene is not None and 0 <= index < len(self._state.map.answers):
+                self.show(map_view(self._state.view))
                 self._preview.choose(index)
 
     def cancel_preview(self) -> None:
@@ -256,7 +256,9 @@ class Session(Held):
             todo = self.plan(options)
             if self._state.history.present.decides:
                 self._save()
+            self.show(map_view(self._state.view))  # what is baked anew is drawn anew
             self._change(outputs=())
+            self._finishing = self._state.wish
             self._runner.start(todo)
 
     def cancel_finish(self) -> None:
@@ -270,6 +272,13 @@ class Session(Held):
 
     # Inside
 
+    def _begin(self, files: Files, asked: Parts) -> None:
+        """Open models; parts are those of the files, or those that were asked for where the files' are not there."""
+        with self._lock:
+            self._scene, self._asked_parts = None, asked
+            self._change(files=files, view=map_view(self._state.view), **AFRESH)
+            self._preview.open(files)
+
     def _save(self, path: Path | None = None) -> None:
         files, scene = self._open()
         target = files.landmarks if path is None else self.workspace.require(path)
@@ -278,6 +287,8 @@ class Session(Held):
             self._say("note", note)
         self._say("note", f"saved {', '.join(map(self.workspace.show, written))}")
         if written == (target,):  # a file a mesh is for other programs; the file of pairs stays the open one
+            if target != files.landmarks and autosave_path(target).is_file():
+                set_aside(autosave_path(target))  # of another time
             self._change(files=replace(files, landmarks=target), saved=True)
             autosave_path(files.landmarks).unlink(missing_ok=True)
 
@@ -290,9 +301,12 @@ class Session(Held):
         self._say(message.kind, on_the_page(self.options, message.text))
 
     def _ended(self, message: Message) -> None:
-        self._say(message.kind, message.text)
-        if self._state.images:
-            self.look_at(self._state.images[0])
+        with self._lock:
+            self._say(message.kind, message.text)
+            if self._state.images and self._finishing == self._state.wish:
+                self.look_at(self._state.images[0])
+            elif self._state.images:
+                self._say("note", "what was baked is of the map before the last changes; press Bake for the map of now")
 
     def _wanted(self) -> tuple[LandmarkList, View, Images | None]:
         state, scene = self._state, self._scene
@@ -312,6 +326,9 @@ class Session(Held):
                 self._say("note", "cancelled; the map stays as it was")
             case Failure():
                 self._say("error", f"{answer.kind}: {answer.message}")
+                files = self._state.files
+                if isinstance(task, OpenModels) and files is not None and files.parts != self._asked_parts:
+                    self._begin(replace(files, parts=self._asked_parts), self._asked_parts)  # the autosave's are gone
             case Opened():
                 offers = answer.offers
                 self._scene = Scene(
@@ -319,7 +336,7 @@ class Session(Held):
                 )
                 if self._state.files is not None:  # as they were opened, so that the finish opens them alike
                     parts = offers[0].opened, offers[1].opened
-                    self._change(files=replace(self._state.files, parts=parts, schemes=answer.schemes))
+                    self._change(files=replace(with_parts(self._state.files, parts), schemes=answer.schemes))
                 for note in answer.notes:
                     self._say("note", note)
                 self._first_landmarks()
@@ -349,8 +366,9 @@ class Session(Held):
                     break
         self._find(fresh=True)
 
-    def _edit(self, landmarks: LandmarkList, *, select: bool = False) -> None:
-        with self._guarded(), self._lock:
+    def _edit(self, change: Callable[[LandmarkList], LandmarkList], *, select: bool = False) -> None:
+        with self._guarded(), self._lock:  # another page may be about to change them too
+            landmarks = change(self._state.history.present)
             self._set_history(self._state.history.then(landmarks))
             if select and landmarks.items:
                 self._change(selected=(landmarks.open or landmarks.items[-1]).number)
@@ -371,6 +389,7 @@ class Session(Held):
 
     def _find(self, *, fresh: bool) -> None:
         if self._scene is not None:
+            self.show(map_view(self._state.view))  # a baked image is of an earlier map
             self._preview.find(fresh=fresh)
 
     def _open(self) -> tuple[Files, Scene]:

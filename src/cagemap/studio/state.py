@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
+from cagemap.errors import ParameterError
 from cagemap.studio.landmarks import History, Proposal
 
 Mode = Literal["texture", "colours", "checker", "plain", "baked"]
@@ -96,7 +97,7 @@ class MapState:
     revision : int
         Counts maps; 0 while there is none.
     answers : tuple of str
-        The landmark-free answers, best first; empty where landmarks decided.
+        The landmark-free answers, best first; empty while there was no match without landmarks.
     chosen : int
         Which answer the map started from.
     confidence : str
@@ -223,19 +224,53 @@ class Studio:
     saved: bool = True
 
     @property
+    def wish(self) -> tuple[object, ...]:
+        """What decides the map of a finish: models, and landmarks or the answer that is chosen without any."""
+        files, present = self.files, self.history.present
+        models = None if files is None else (files.target, files.source, files.schemes, files.parts)
+        return models, present.complete, present.curves, 0 if present.decides else self.map.chosen
+
+    @property
     def images(self) -> tuple[Path, ...]:
         """Images among the outputs that cover the target's layout: no tiles, and none of the wrapped cage's."""
         made = (output.path for output in self.outputs if output.what != "wrap" and not _TILE.search(output.path.stem))
         return tuple(path for path in made if path.suffix.lower() in SHOWN)
 
 
+# Fields of what is known of two models that are opened, before anything is.
+AFRESH: dict[str, object] = {
+    name: getattr(Studio(), name) for name in ("history", "selected", "proposal", "map", "probe", "outputs", "saved")
+}
+
+
+def map_view(view: View) -> View:
+    """The view without any baked image."""
+    return replace(view, mode="texture" if view.mode == "baked" else view.mode, baked=None, layout=None)
+
+
 def baked_view(state: Studio, image: Path | None) -> View:
-    """The view that shows an image that was baked; None: the map as a texture."""
+    """The view that shows an image that was baked; None: the map, as a texture where a baked image was shown."""
     if image is None:
-        return replace(state.view, mode="texture", baked=None, layout=None)
+        return map_view(state.view)
     meshes = (output.path for output in state.outputs if output.path.stem.endswith(_UNWRAPPED))
     layout = next((path for path in meshes if image.stem.startswith(path.stem.removesuffix(_UNWRAPPED))), None)
     return replace(state.view, mode="baked", baked=image, layout=layout)
+
+
+def changed_view(state: Studio, **fields: object) -> View:
+    """The view with other fields; a baked image, where none was chosen, is the first of the last bake.
+
+    Raises
+    ------
+    ParameterError
+        If there is no baked image.
+    """
+    view = replace(state.view, **fields)  # type: ignore[arg-type]
+    if view.mode != "baked" or view.baked is not None:
+        return view
+    if not state.images:
+        raise ParameterError("Show: expected a baked image, there is none yet. Press Bake.")
+    return baked_view(replace(state, view=view), state.images[0])
 
 
 def with_message(messages: tuple[Message, ...], kind: Literal["error", "note"], text: str) -> tuple[Message, ...]:

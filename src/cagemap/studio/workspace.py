@@ -13,7 +13,7 @@ from typing import TypeVar
 
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import atomic_path
-from cagemap.files.images import UDIM_MARK
+from cagemap.files.images import UDIM_MARK, texture_files
 from cagemap.files.obj import named_material_files
 from cagemap.files.usd import USD_SUFFIXES
 from cagemap.files.usd_named import named_files
@@ -56,8 +56,14 @@ class Workspace:
         Raises
         ------
         ParameterError
-            If it lies outside the folders, also by way of links.
+            If it lies outside the folders, also by way of links; or, of an image's tiles, any does.
         """
+        resolved = self._inside(path)
+        for tile in texture_files(resolved) if resolved.suffix.lower() in IMAGES else ():
+            self._inside(tile)
+        return resolved
+
+    def _inside(self, path: str | Path) -> Path:
         try:
             resolved = (self.folders[0] / path).resolve()
         except (OSError, RuntimeError, ValueError) as error:  # a loop of links, a character that no name has

@@ -32,9 +32,10 @@ class Choices:
         """List what is there now; what is chosen stays chosen."""
         for handle, suffixes in self._made:
             value, listed = handle.value, (NONE, *self._workspace.listing(suffixes))
+            listed = listed if value in listed else (*listed, value)
             if tuple(handle.options) != listed:
                 handle.options = listed
-                put(handle, "value", value if value in listed else NONE)
+                put(handle, "value", value)
 
     def path(self, handle: Any) -> Path | None:
         """The chosen file.

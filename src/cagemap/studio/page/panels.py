@@ -52,6 +52,8 @@ class SetupPanel:
             self._source = choices.dropdown(gui, "Source", MESHES, "gives: the model that has the texture")
             self._texture = choices.dropdown(gui, "Texture", IMAGES, "an image over the source's UVs")
             self._source.on_update(lambda event: self._guess_texture(event.client))
+            for number, handle in enumerate((self._target, self._source)):
+                handle.on_update(partial(self._forget, number))
             with gui.add_folder("As what", expand_by_default=False):
                 hint = "how it is subdivided; none: taken as it is, such as a scan"
                 self._schemes = _two_dropdowns(gui, "scheme", (AS_FILED, *SCHEMES), hint)
@@ -70,14 +72,15 @@ class SetupPanel:
             self._cages = gui.add_checkbox("Cages", view.cages)
             self._linked = gui.add_checkbox("Turn together", view.linked)
             self._rest = gui.add_checkbox("Other parts", view.rest, visible=False, hint="of the files, in grey")
-            for handle in (self._mode, self._doubts, self._cages, self._linked, self._rest):
-                handle.on_update(lambda _: self._show())
+            fields = {"mode": self._mode, "doubts": self._doubts, "cages": self._cages, "linked": self._linked}
+            for name, handle in (fields | {"rest": self._rest}).items():
+                handle.on_update(partial(self._show, name))
             gui.add_button("Frame", icon=viser.Icon.FOCUS_CENTERED, color="gray", hint="the whole models").on_click(
                 lambda _: frame()
             )
         with gui.add_folder("Finish"):
             self._finish = FinishPanel(gui, session, choices)
-        self._names = gui.add_markdown("")
+        self._names = gui.add_html("")
         self._shown: Files | None = None
         gui.main_panel.dock_left()
         gui.main_panel.set_width(WIDTH)
@@ -103,17 +106,9 @@ class SetupPanel:
         self._parts.refresh(scene)
         self._finish.refresh(state)
 
-    def _show(self) -> None:
-        view = replace(
-            self._session.state.view,
-            mode=self._mode.value,
-            doubts=self._doubts.value,
-            cages=self._cages.value,
-            linked=self._linked.value,
-            rest=self._rest.value,
-        )
-        if view != self._session.state.view:
-            self._session.show(view)
+    def _show(self, name: str, event: Any) -> None:
+        if event.client is not None:  # by a person, not by `refresh`
+            self._session.show_as(**{name: event.target.value})
 
     def _guess_texture(self, client: object) -> None:
         """An image named after the source is most likely its texture; that of another source is not."""
@@ -121,6 +116,14 @@ class SetupPanel:
         named = [name for name in self._texture.options if Path(name).stem.startswith(stem)]
         if client is not None:
             put(self._texture, "value", named[0] if named else NONE)
+
+    def _forget(self, number: int, event: Any) -> None:
+        """How the open model is taken is not said of another one, unless it was chosen since."""
+        if event.client is None or self._shown is None:
+            return
+        for handles, stated in ((self._schemes, self._shown.schemes), (self._ups, self._shown.ups)):
+            if handles[number].value == (stated[number] or AS_FILED):
+                put(handles[number], "value", AS_FILED)
 
     def _open(self) -> None:
         folder = self._session.workspace.folders[0]
@@ -193,7 +196,7 @@ class WorkPanel:
             )
             self._form.on_update(lambda event: self._choose_form(event.client))
             self._save = gui.add_button("Save landmarks", icon=viser.Icon.DEVICE_FLOPPY, color="gray")
-            self._save.on_click(lambda _: session.save_as(self._file.value))
+            self._save.on_click(lambda _: self._saved())
             with gui.add_folder("Load landmarks", expand_by_default=False):
                 self._pairs = choices.dropdown(gui, "From", LANDMARKS, "a file of pairs, or of the target's points")
                 self._points = choices.dropdown(gui, "And", LANDMARKS, "the source's points, where they are a file")
@@ -269,6 +272,10 @@ class WorkPanel:
         number = self._session.state.selected
         if client is not None and number is not None:
             self._session.rename(number, self._name.value)
+
+    def _saved(self) -> None:
+        self._session.save_as(self._file.value)
+        self._choices.refresh()
 
     def _loaded(self) -> None:
         try:

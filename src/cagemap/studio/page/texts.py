@@ -98,5 +98,6 @@ def parts_text(scene: Scene | None) -> str:
     for shape, offer in zip((scene.target, scene.source), scene.offers, strict=True):
         part = "" if offer.opened is None else f", {offer.opened.partition(':')[2]}"
         names = f": {', '.join(shape.parts)}" if shape.parts else ""
-        lines.append(f"**{shape.name}**{part}, {len(shape.positions):,} vertices{names}")
-    return "\n\n".join(lines)
+        said = html.escape(f"{part}, {len(shape.positions):,} vertices{names}")
+        lines.append(f"<p><b>{html.escape(shape.name)}</b>{said}</p>")
+    return f'<div id="names" style="font-size:12px;padding:0 8px">{"".join(lines)}</div>'
