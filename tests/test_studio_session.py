@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -417,6 +418,30 @@ def test_a_cancelled_finish_leaves_nothing_and_the_next_one_runs(opened: Session
     opened.finish(replace(options, texture=False))
     until(lambda: said("finish: done"), opened)
     assert [output.what for output in opened.state.outputs] == ["the map"]
+    # The map is there: another bake of it does not compute it again, unless something has changed.
+    result = opened.state.files.result
+    manifest = (result / "manifest.json").stat().st_mtime_ns
+    todo = opened.plan(replace(options, report=True))
+    left = [opened._last.left_of(todo, opened.state)]
+    assert left == [todo[1:]]
+    opened._change(messages=())
+    opened.finish(replace(options, texture=False))
+    until(lambda: said("finish: done"), opened)
+    assert [output.what for output in opened.state.outputs] == ["the map"]
+    assert (result / "manifest.json").stat().st_mtime_ns == manifest
+    last = opened._last._made
+    other = opened.plan(options.giving({("match", "vertices"): 301}))
+    click(opened, "target", 0)
+    opened.accept()
+    moved, before_that = opened.state, replace(opened.state, history=opened.state.history.undo().undo())
+    assert opened._last.left_of(todo, before_that) == todo[1:]
+    for commands, state in ((other, before_that), (todo, moved)):
+        opened._last._made = last
+        assert opened._last.left_of(commands, state) == commands
+    for changed in (opened.state.files.target, result / "manifest.json"):
+        opened._last._made = last
+        os.utime(changed, ns=(1, 1))
+        assert opened._last.left_of(todo, before_that) == todo
     for path in files() - before:
         path.unlink()
 

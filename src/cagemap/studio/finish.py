@@ -22,6 +22,8 @@ SHARED: dict[Key, Key] = {
     **{("wrap", name): ("transfer", name) for name in ("space", "green", "rays", "size", "detail", "detail_texture")},
     **{(command, "force"): ("match", "force") for command in ("transfer", "wrap", "report")},
 }
+# What the first command makes.
+MAP = "the map"
 # The open texture among other maps of its material.
 COLOR = "color"
 _IMAGE = ("size", "bits", "filter", "unwrap", "bases", "force")
@@ -218,7 +220,7 @@ class _Writer:
         words = self.words("match", others)
         if self.value("match", "level") is None and self.value("match", "vertices") is None:
             words += ["--vertices", str(DEFAULT_VERTICES)]
-        return Command("match", ("match", *stated, *words, "-o", str(files.result)), files.result, "the map")
+        return Command("match", ("match", *stated, *words, "-o", str(files.result)), files.result, MAP)
 
     def transfer(self, carry: Carry, taken: list[Path]) -> Command | None:
         """One thing carried, unless it is not asked for; into a file of its own."""

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from cagemap.studio.finish import Command
+from cagemap.studio.finish import MAP, Command
 from cagemap.studio.state import Job, Message, Output
 from cagemap.studio.wrote import files_wrote
 
@@ -46,7 +46,7 @@ class Runner:
         self._cancelled = False
 
     def start(self, todo: tuple[Command, ...]) -> None:
-        """Begin; returns at once. Without the first command, the map, there is nothing to do for the others."""
+        """Begin; returns at once. Where the map cannot be made, there is nothing to do for the others."""
         self._cancelled = False
         self._on_job(Job("finish", "starting", 0.0, can_cancel=True))
         threading.Thread(target=self._work, args=(todo,), name="studio finish", daemon=True).start()
@@ -63,7 +63,7 @@ class Runner:
         try:
             for number, command in enumerate(todo):
                 done = self._run(command, number, len(todo))
-                if self._cancelled or (not done and number == 0):
+                if self._cancelled or (not done and command.makes == MAP):
                     failed += [] if done else [command.title]
                     break
                 failed += [] if done else [command.title]

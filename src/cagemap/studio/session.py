@@ -24,6 +24,7 @@ from cagemap.studio.landmark_files import (
     save_landmarks,
 )
 from cagemap.studio.landmarks import History, LandmarkList, Place, Side
+from cagemap.studio.last_map import LastMap
 from cagemap.studio.opening import result_of, with_parts
 from cagemap.studio.options import Options
 from cagemap.studio.places import place_of, vertex_place
@@ -58,6 +59,7 @@ class Session(Held):
         self._adding = threading.Lock()
         self._asked_parts: Parts = (None, None)
         self._finishing: object = None
+        self._last = LastMap()
         self._runner = Runner(lambda job: self._change(finish_job=job), self._written, self._told, self._ended)
         self._preview = Preview(vertices, self._wanted, lambda job: self._change(preview_job=job), self._receive)
 
@@ -95,10 +97,7 @@ class Session(Held):
             self._save(path)
 
     def load(self, path: Path, source_points: Path | None = None) -> None:
-        """Replace the landmarks by those of a file of pairs, or of a file a mesh; undo brings the old ones back.
-
-        Those on other parts are replaced only by a file that has some there.
-        """
+        """Replace the landmarks by those of a file of pairs, or of a file a mesh; on other parts if it has any there."""
         with self._guarded(), self._lock:
             files, scene = self._open()
             file = self.workspace.require(path)
@@ -233,8 +232,7 @@ class Session(Held):
     def cancel_preview(self) -> None:
         """Stop the preview's computation; the map stays as it was."""
         with self._lock:
-            running = self._state.preview_job is not None
-            self._cancelled = running
+            self._cancelled = running = self._state.preview_job is not None
         if running:
             self._preview.stop()
 
@@ -257,9 +255,10 @@ class Session(Held):
             if self._state.history.present.decides:
                 self._save()
             self.show(map_view(self._state.view))  # what is baked anew is drawn anew
-            self._change(outputs=())
+            left = self._last.left_of(todo, self._state)
+            self._change(outputs=() if left == todo else (Output(todo[0].output, todo[0].makes),))
             self._finishing = self._state.wish
-            self._runner.start(todo)
+            self._runner.start(left)
 
     def cancel_finish(self) -> None:
         """End the finish; what was written whole stays."""
@@ -294,6 +293,7 @@ class Session(Held):
 
     def _written(self, output: Output) -> None:
         with self._lock:
+            self._last.written(output)
             if output.path not in [other.path for other in self._state.outputs]:
                 self._change(outputs=(*self._state.outputs, output))
 

@@ -72,7 +72,12 @@ class SetupPanel:
             self._cages = gui.add_checkbox("Cages", view.cages)
             self._linked = gui.add_checkbox("Turn together", view.linked)
             self._rest = gui.add_checkbox("Other parts", view.rest, visible=False, hint="of the files, in grey")
-            fields = {"mode": self._mode, "doubts": self._doubts, "cages": self._cages, "linked": self._linked}
+            fields: dict[str, Any] = {
+                "mode": self._mode,
+                "doubts": self._doubts,
+                "cages": self._cages,
+                "linked": self._linked,
+            }
             for name, handle in (fields | {"rest": self._rest}).items():
                 handle.on_update(partial(self._show, name))
             gui.add_button("Frame", icon=viser.Icon.FOCUS_CENTERED, color="gray", hint="the whole models").on_click(
