@@ -97,7 +97,7 @@ class Session(Held):
             self._save(path)
 
     def load(self, path: Path, source_points: Path | None = None) -> None:
-        """Replace the landmarks by those of a file of pairs, or of a file a mesh; on other parts if it has any there."""
+        """Replace the landmarks by those of a file of pairs, or of a file a mesh; on other parts if it has any."""
         with self._guarded(), self._lock:
             files, scene = self._open()
             file = self.workspace.require(path)
