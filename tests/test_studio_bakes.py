@@ -60,23 +60,6 @@ class FoldedPage(Page):
             return field?.offsetParent && field.closest('[aria-hidden=true]') === null ? field : null;"""
         return self.until(lambda: self.browser.execute_script(look, self.fold, label), f"{label!r} in {self.fold!r}")
 
-    def choose(self, side: str, label: str, value: str) -> None:
-        """Take an entry of a dropdown."""
-
-        def opened() -> bool:  # folds take a moment to open
-            field = self.field(side, label)
-            self.browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", field)
-            field.click()
-            return True
-
-        self.until(opened, f"the entries of {label}")
-
-        def entry() -> Any:
-            options = self.browser.find_elements("css selector", "[role=option]")
-            return next((one for one in options if one.is_displayed() and one.text == value), None)
-
-        self.until(entry, f"{value!r} among {label}").click()
-
     def filled(self, label: str, text: str) -> bool:
         """Type into a field, once that can be done."""
         self.fill("target", label, text)
