@@ -124,7 +124,7 @@ class Page:
 
     def text(self, name: str) -> str:
         """Text of one of the panels' blocks."""
-        self.into("target" if name in ("outputs", "names") else "source")
+        self.into("target" if name == "outputs" else "source")
         return str(self.browser.execute_script("return document.getElementById(arguments[0])?.innerText ?? ''", name))
 
     def texts(self) -> dict[str, str]:
@@ -205,17 +205,6 @@ class Page:
         press = "return [...document.querySelectorAll('button')].find(b => b.innerText.trim() == arguments[0])"
         found = self.until(lambda: self.browser.execute_script(press, label), f"a button {label!r}")
         self.browser.execute_script("arguments[0].scrollIntoView(); arguments[0].click()", found)
-
-    def has_button(self, side: str, label: str) -> bool:
-        """Whether there is a button."""
-        self.into(side)
-        look = "return [...document.querySelectorAll('button')].some(b => b.innerText.trim() == arguments[0])"
-        return bool(self.browser.execute_script(look, label))
-
-    def upload(self, side: str, path: Path) -> None:
-        """Choose a file for the upload button."""
-        self.into(side)
-        self.browser.find_element("css selector", "input[type=file]").send_keys(str(path))
 
     def field(self, side: str, label: str) -> Any:
         """The input beside a label."""

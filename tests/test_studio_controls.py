@@ -26,7 +26,7 @@ from cagemap.studio.landmark_files import points_file
 from cagemap.studio.opening import built_in_files, default_files
 from cagemap.studio.page.panels import FORMS
 from cagemap.studio.state import Files
-from test_studio_parts import dense, named
+from test_studio_parts import named
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
 VERTICES = 3000
@@ -84,7 +84,6 @@ def test_every_control_does_what_it_says(files: Files, browser: Any) -> None:
         views_change_what_is_shown(page)
         count = landmarks_are_placed_named_and_mirrored(page, files)
         every_form_is_saved_and_read(page, files, count)
-        faults_are_named_and_a_scan_is_taken_as_it_is(page, files)
 
 
 def views_change_what_is_shown(page: Page) -> None:
@@ -148,48 +147,10 @@ def every_form_is_saved_and_read(page: Page, files: Files, count: int) -> None:
             page.button("source", "Save landmarks")
             page.until(written[ending].is_file, f"{ending} on disk")
     assert "order alone" in page.text("status")
-    (files.landmarks.parent / "wrong.json").write_text("{")
-    page.button("source", "Delete")
-    page.until(lambda: f"{count - 1} landmarks" in page.text("list"), "one landmark fewer")
     page.unfold("source", "Load landmarks")
-    page.choose("source", "From", "landmarks.target.mrk.json")
-    page.choose("source", "And", "landmarks.source.mrk.json")
-    page.button("source", "Load")
-    page.until(lambda: f"{count} landmarks" in page.text("list"), "the landmarks of a file each")
-    page.button("source", "Undo")
-    page.until(lambda: f"{count - 1} landmarks" in page.text("list"), "one landmark fewer again")
-    page.choose("source", "And", "(none)")
     page.choose("source", "From", "landmarks.json")
     page.button("source", "Load")
     page.until(lambda: f"{count} landmarks" in page.text("list"), "the landmarks of the file")
-    page.button("source", "Save landmarks")  # lists what has come since
-    page.choose("source", "From", "wrong.json")
-    page.button("source", "Load")
-    page.until(lambda: "wrong.json: expected JSON" in page.text("status"), "what is wrong with the file")
-    assert f"{count} landmarks" in page.text("list")
-
-
-def faults_are_named_and_a_scan_is_taken_as_it_is(page: Page, files: Files) -> None:
-    there = files.target.parent / ".elsewhere"
-    there.mkdir()
-    (there / "broken.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n")
-    write_mesh(there / "scan.obj", dense())
-    for name in ("broken.obj", "scan.obj"):
-        page.upload("target", there / name)
-        page.until((files.target.parent / name).is_file, f"{name} in the folder")
-        page.until(lambda name=name: f"added {name}" in page.text("status"), f"{name} in the lists")
-    page.choose("target", "Target", "broken.obj")
-    page.button("target", "Open")
-    page.until(
-        lambda: "Error: " in page.text("status") and "broken.obj" in page.text("status"), "what is wrong with it"
-    )
-    page.choose("target", "Target", "scan.obj")
-    page.button("target", "Open")
-    page.until(lambda: page.has_button("target", "Take the target as it is"), "the offer")
-    page.button("source", "Cancel")  # its map as a cage
-    page.button("target", "Take the target as it is")
-    page.until(lambda: not page.has_button("target", "Take the target as it is"), "the scan as it is")
-    assert "scan.obj" in page.text("names")
 
 
 def test_parts_are_chosen_and_other_answers_are_one_click_away(tmp_path: Path, browser: Any) -> None:

@@ -82,7 +82,6 @@ class StudioApp:
         choices = Choices(self.session.workspace)
         self._setup = SetupPanel(target, self.session, choices, lambda: cameras.frame(FIRST_VIEW))
         self._work = WorkPanel(source, self.session, choices)
-        target.on_client_connect(lambda _: choices.refresh())  # files that have come since
         self._changed, self._closed = threading.Event(), False
         self.session.subscribe(lambda *_: self._changed.set())
         threading.Thread(target=self._follow, name="studio page", daemon=True).start()
