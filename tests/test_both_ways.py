@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from cagemap.basis import BasisConfig, Surface, hierarchical_basis
+from cagemap.geometry.closest import build_tree, closest_points
 from cagemap.maps.curves import CurvePair, SurfaceCurve
 from cagemap.maps.elastic.both_ways import both_ways, inverse, smoothed
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import PointPairs
 from cagemap.maps.spectral.hierarchical import HierarchyConfig
+from cagemap.mesh.parts import extract
 from cagemap.mesh.shapes import creature
 from cagemap.operators import build_operators
 from cagemap.refinement import refine
@@ -93,3 +95,22 @@ def test_a_reversed_pair_has_its_sides_exchanged(prepared: PreparedPair) -> None
     np.testing.assert_array_equal(turned.target.positions, pairs.source.positions)
     assert turned.curves[0].target.closed
     assert not turned.curves[0].source.closed
+
+
+def test_a_whole_body_is_not_fitted_back_from_a_part_of_it(prepared: PreparedPair) -> None:
+    """The way back would drag what the part has onto what it lacks."""
+    whole = creature()
+    middles = np.array([whole.positions[whole.face(face)].mean(axis=0) for face in range(whole.n_faces)])
+    part = extract(whole, np.flatnonzero(middles[:, 2] < np.quantile(middles[:, 2], 0.75)))
+    refinement = refine(part, 2)
+    operators = build_operators(refinement)
+    source = Surface.of(refinement, operators, hierarchical_basis(refinement, operators, BasisConfig(count=4)))
+    pair = PreparedPair.build(prepared.target, source, HierarchyConfig(search_vertices=1000))
+    corners = np.arange(0, part.n_vertices, 4)
+    assert part.file_vertices is not None
+    landmarks = PointPairs.of_vertices(prepared.on_source, pair.on_source, part.file_vertices[corners], corners)
+    # All of the body in the size of the part, and what the part lacks on its edge.
+    at_home = prepared.mesh.positions * pair.mesh.positions.std() / prepared.mesh.positions.std()
+    at, barycentric, _ = closest_points(build_tree(pair.sheet.positions, pair.sheet.triangles), at_home)
+    ended = np.einsum("mk,mkd->md", barycentric, pair.sheet.positions[pair.sheet.triangles[at]])
+    np.testing.assert_array_equal(both_ways(pair, landmarks, ended), ended)

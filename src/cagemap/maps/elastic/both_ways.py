@@ -13,7 +13,13 @@ from scipy import sparse
 
 from cagemap.geometry.closest import build_tree, closest_points
 from cagemap.geometry.surface import TriangleSurface
-from cagemap.maps.elastic.constants import INVERSE_FACING, INVERSE_GAP, INVERSE_SMOOTHING
+from cagemap.maps.elastic.constants import (
+    INVERSE_FACING,
+    INVERSE_FAR,
+    INVERSE_GAP,
+    INVERSE_LOST,
+    INVERSE_SMOOTHING,
+)
 from cagemap.maps.elastic.fit import fine_stage
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.pair import PointPairs
@@ -23,6 +29,8 @@ from cagemap.numerics.factorization import factor
 
 def both_ways(prepared: PreparedPair, landmarks: PointPairs, positions: FloatArray) -> FloatArray:
     """Places (n, 3) half-way between a fine fit's and those by the fine fit of the reversed pair that starts there.
+
+    Places as they are where the source has no counterpart of much of the target: of that the way back knows nothing.
 
     Parameters
     ----------
@@ -36,6 +44,9 @@ def both_ways(prepared: PreparedPair, landmarks: PointPairs, positions: FloatArr
     start, _ = inverse(mesh, positions, back.mesh)
     returned = fine_stage(back, start, landmarks.reversed())
     places, gaps = inverse(back.mesh, returned, mesh)
+    areas = prepared.rest.graph.areas
+    if areas[gaps > INVERSE_FAR].sum() > INVERSE_LOST * areas.sum():
+        return positions
     met = 1.0 / (1.0 + (gaps / INVERSE_GAP) ** 2) ** 2
     return positions + smoothed(prepared, 0.5 * (places - positions), met)
 
