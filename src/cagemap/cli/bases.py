@@ -33,9 +33,9 @@ def side_bases(request: MatchRequest) -> tuple[BasisConfig, BasisConfig]:
     ParameterError
         If a text is no schedule or no Laplacian, or `--literal` is asked for where there is no schedule.
     """
-    found = []
+    found, of_both = [], basis_config(request)
     for side in SIDES:
-        basis = basis_config(request)
+        basis = of_both
         k, tolerance, schedule, accuracy, laplacian = (
             getattr(request, f"{side}_{name}") for name in ("k", "tolerance", "schedule", "accuracy", "laplacian")
         )

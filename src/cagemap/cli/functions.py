@@ -45,7 +45,7 @@ def run_functions(request: FunctionsRequest, stages: Stages) -> str:
         read_mesh(request.mesh)
     )
     require_valid(control)
-    points = _points(request, control)
+    points = _points(request, kinds, control)
     level = choose_level(control, DEFAULT_VERTICES) if request.level is None else request.level
     require_size(control, level)
     surface = prepare_surface(control, level, basis, progress=stages)
@@ -135,9 +135,9 @@ def _basis(request: FunctionsRequest) -> BasisConfig:
     return with_laplacian(basis, request.laplacian, "--laplacian")
 
 
-def _points(request: FunctionsRequest, control: ControlMesh) -> IndexArray:
+def _points(request: FunctionsRequest, kinds: tuple[str, ...], control: ControlMesh) -> IndexArray:
     """Control vertices that kernels start from; none where there are none."""
-    if not any(kind.endswith("kernels") for kind in _kinds(request)):
+    if not any(kind.endswith("kernels") for kind in kinds):
         return np.zeros(0, dtype=np.int64)
     try:
         numbers = [int(word) for word in (request.points or "").split(",")]

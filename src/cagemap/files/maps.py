@@ -30,7 +30,7 @@ _REMEDY = "Write it again."
 # Of a dense matrix, 0.5 GB: 7000 vertices a side. Nearly all of them are zeros, which the sparse form leaves out.
 DENSE_ENTRIES = 1 << 26
 _PIECE = 1 << 24
-# Comments and blank lines before the size of a dense matrix.
+# Comments and blank lines before the size of a matrix.
 _COMMENTS = re.compile(r"(?:[ \t\r]*(?:%[^\n]*)?\n)*")
 
 
@@ -101,7 +101,7 @@ def source_level(path: str | Path, source: Refinement) -> int | None:
     if n is None and numbers is not None and numbers.dtype.kind in "iu" and numbers.size:
         return next((level for level in levels if numbers.max() < len(level_triangles(source, level))), None)
     if numbers is None:
-        n = _matrix_market(file).shape[1] if suffix == ".mtx" else _last(arrays.get("shape"))
+        n = _columns(file) if suffix == ".mtx" else _last(arrays.get("shape"))
     return next((level for level in levels if source.levels[level].n_vertices == n), None)
 
 
@@ -110,6 +110,12 @@ def _last(numbers: NDArray[np.generic] | None) -> int | None:
     if numbers is None or not numbers.size or numbers.dtype.kind not in "iu":
         return None
     return int(np.ravel(numbers)[-1])
+
+
+def _columns(file: Path) -> int | None:
+    """How many columns a Matrix Market file says that it has; its entries are not looked at."""
+    words = _size_line(read_text(file, "a sparse matrix").partition("\n")[2])[0].split()
+    return int(words[1]) if len(words) > 1 and re.fullmatch("[0-9]{1,18}", words[1]) else None
 
 
 def _matrix_market(file: Path) -> sparse.csr_array:
@@ -148,11 +154,9 @@ def _matrix_market(file: Path) -> sparse.csr_array:
 def _dense(file: Path, text: str) -> sparse.csr_array:
     """What stands below the first line of Matrix Market's array form: its size, then all numbers, column by column."""
     form = "expected a dense matrix (Matrix Market: its size, then one number a line, column by column)"
-    comments = _COMMENTS.match(text)
-    start = 0 if comments is None else comments.end()
-    end = _line_end(text, start)
+    size, end = _size_line(text)
     try:
-        n, m = (int(word) for word in text[start:end].split())
+        n, m = (int(word) for word in size.split())
         if min(n, m) < 1:
             raise ValueError(f"a size of {n} x {m}")
     except ValueError as error:
@@ -175,6 +179,14 @@ def _dense(file: Path, text: str) -> sparse.csr_array:
     if known != n * m or not np.isfinite(numbers).all():
         raise FormatError(f"{file}: {form}, found not {n} x {m} finite numbers. {_REMEDY}")
     return sparse.csr_array(numbers.reshape(m, n).T)
+
+
+def _size_line(text: str) -> tuple[str, int]:
+    """The line below comments and blank ones, and where it ends."""
+    comments = _COMMENTS.match(text)
+    start = 0 if comments is None else comments.end()
+    end = _line_end(text, start)
+    return text[start:end], end
 
 
 def _pieces(text: str, start: int) -> Iterator[str]:

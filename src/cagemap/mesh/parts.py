@@ -55,12 +55,19 @@ def list_parts(mesh: ControlMesh, *, pieces: bool = True) -> tuple[Part, ...]:
 def components(mesh: ControlMesh) -> tuple[Part, ...]:
     """Connected pieces, named by what their faces are named by."""
     labels = face_components(mesh)
-    pieces = np.split(np.argsort(labels, kind="stable"), np.cumsum(np.bincount(labels))[:-1]) if len(labels) else []
+    pieces = _members(labels)
     names = [str(number) for number in range(len(pieces))]
     for _, numbers, words in reversed(_partitions(mesh)):
         own = [words[numbers[faces[0]]] if np.all(numbers[faces] == numbers[faces[0]]) else "" for faces in pieces]
         names = [word if word and own.count(word) == 1 else name for word, name in zip(own, names, strict=True)]
     return tuple(Part("component", name, faces) for name, faces in zip(names, pieces, strict=True))
+
+
+def _members(labels: IndexArray) -> list[IndexArray]:
+    """Places of every label, from 0 on, in order."""
+    if not len(labels):
+        return []
+    return np.split(np.argsort(labels, kind="stable"), np.cumsum(np.bincount(labels))[:-1])
 
 
 def material_pieces(mesh: ControlMesh) -> tuple[Part, ...]:
@@ -72,8 +79,7 @@ def material_pieces(mesh: ControlMesh) -> tuple[Part, ...]:
 
 def connected_pieces(mesh: ControlMesh, part: Part) -> tuple[Part, ...]:
     """A part, or, where it lies in several connected pieces, a numbered part for each."""
-    labels = face_components(keep_faces(mesh, part.faces))
-    found = [part.faces[labels == label] for label in range(int(labels.max(initial=-1)) + 1)]
+    found = [part.faces[piece] for piece in _members(face_components(keep_faces(mesh, part.faces)))]
     names = [part.name] if len(found) == 1 else [f"{part.name} {number}" for number in range(len(found))]
     return tuple(Part(part.kind, name, faces) for name, faces in zip(names, found, strict=True))
 

@@ -172,11 +172,7 @@ LEFT_OUT: dict[Key, str] = {
     **{("match", f"{side}{name}"): _EIGEN for side in ("", *_SIDES) for name in _SPECTRAL},
     **{("match", f"{side}k"): _EIGEN for side in _SIDES},
     ("match", "parameter"): _EIGEN,
-    **{
-        ("match", f"{side}{name}"): "both models have about as many"
-        for side in _SIDES
-        for name in ("level", "vertices")
-    },
+    **{("match", f"{side}{name}"): _ALIKE for side in _SIDES for name in ("level", "vertices")},
     **{(command, "level"): "maps of single levels: for research" for command in ("transfer", "report")},
     **{("match", f"{side}symmetry"): "self-maps as lists of vertices: for research" for side in _SIDES},
     **{("match", name): _OPENED for name in ("target", "source", "scheme", "target_scheme", "source_scheme")},

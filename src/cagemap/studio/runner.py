@@ -63,10 +63,9 @@ class Runner:
         try:
             for number, command in enumerate(todo):
                 done = self._run(command, number, len(todo))
-                if self._cancelled or (not done and command.makes == MAP):
-                    failed += [] if done else [command.title]
-                    break
                 failed += [] if done else [command.title]
+                if self._cancelled or (not done and command.makes == MAP):
+                    break
         except Exception as error:  # whatever happens, the finish has an end
             failed.append(f"{type(error).__name__}: {error}")
         if self._cancelled:

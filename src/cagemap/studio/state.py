@@ -9,11 +9,10 @@ from typing import Literal
 
 from cagemap.errors import ParameterError
 from cagemap.studio.landmarks import History, Proposal
+from cagemap.studio.workspace import IMAGES
 
 Mode = Literal["texture", "colours", "checker", "plain", "baked"]
 MODES: tuple[Mode, ...] = ("texture", "colours", "checker", "plain", "baked")
-# Images that the view can show.
-SHOWN = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
 # Ends the name of one of several tiles.
 _TILE = re.compile(r"\.1\d{3}$")
 # Ends the name of a mesh that a layout was made for.
@@ -234,7 +233,7 @@ class Studio:
     def images(self) -> tuple[Path, ...]:
         """Images among the outputs that cover the target's layout: no tiles, and none of the wrapped cage's."""
         made = (output.path for output in self.outputs if output.what != "wrap" and not _TILE.search(output.path.stem))
-        return tuple(path for path in made if path.suffix.lower() in SHOWN)
+        return tuple(path for path in made if path.suffix.lower() in IMAGES)
 
 
 # Fields of what is known of two models that are opened, before anything is.

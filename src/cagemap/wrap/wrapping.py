@@ -144,7 +144,7 @@ def wrap(
         return residual_of(closest[2], weights, point_map.target), positions, closest
 
     first = fitted(config)
-    if first[0].p99 > _ASTRAY:
+    if first[0].p99 > _ASTRAY and config.anchor > 0:
         held = fitted(replace(config, anchor=_HELD * config.anchor))
         first = min(first, held, key=lambda fit: fit[0].mean)
     residual, positions, (triangle, barycentric, distance) = first

@@ -78,7 +78,7 @@ class FinishPanel:
                 given[key] = value
         if given.get(("match", "level")) is not None:
             del given[VERTICES]
-        asked = FinishOptions(
+        return FinishOptions(
             texture=self._texture.value,
             maps=self._maps.value(),  # type: ignore[arg-type]
             map_form="" if self._map.value == NO_MAP else self._map.value,
@@ -88,7 +88,6 @@ class FinishPanel:
             name=str(self._name.value).strip(),
             given=given,
         )
-        return asked
 
     def _fold(self, gui: Any, fold: Fold, usual: FinishOptions) -> None:
         """Options of a fold, and what the page asks there besides."""
