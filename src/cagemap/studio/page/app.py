@@ -77,10 +77,10 @@ class StudioApp:
         for server in self._servers.values():
             server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)
         target, source = self._servers["target"], self._servers["source"]
-        cameras = Cameras(self.session, (target, source))
+        cameras = Cameras(self.session, (target, source), FIRST_VIEW)
         self._views = (ModelView(target, "target", self.session), ModelView(source, "source", self.session))
         choices = Choices(self.session.workspace)
-        self._setup = SetupPanel(target, self.session, choices, lambda: cameras.frame(FIRST_VIEW))
+        self._setup = SetupPanel(target, self.session, choices, cameras.frame)
         self._work = WorkPanel(source, self.session, choices)
         self._changed, self._closed = threading.Event(), False
         self.session.subscribe(lambda *_: self._changed.set())

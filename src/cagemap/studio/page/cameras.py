@@ -1,9 +1,16 @@
-"""Turning one model turns the other: cameras of all frames follow the one that moved."""
+"""Turning one model turns the other: cameras of all frames follow the one that moved.
+
+viser reports every pose that a camera takes, whoever asked for it. A frame that was told a pose is listened to again
+once it has reported that pose: what comes before was on its way, or is what viser begins with. Without this, two frames
+told of each other's former poses, and could end with a first view that nobody asked for.
+"""
 
 from __future__ import annotations
 
 import threading
+import time
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import viser
@@ -13,6 +20,8 @@ from cagemap.studio.session import Session
 
 # Poses closer than this, of a model's radius, are the same: frames answer a pose with their own rounding of it.
 _SAME = 2e-3
+# Seconds after which a frame that reports something else than it was told has been moved by hand since.
+_LATE = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,45 +38,100 @@ class Pose:
         return all(np.abs(one - two).max() < _SAME for one, two in pairs)
 
 
-class Cameras:
-    """Links the cameras of several viser servers while the session's view says so."""
+@dataclass
+class _Frame:
+    """A connected frame: what it was told and has not reported yet, and since when; whether it ever reported a pose."""
 
-    def __init__(self, session: Session, servers: tuple[viser.ViserServer, ...]) -> None:
-        self._session, self._servers = session, servers
+    told: Pose | None
+    since: float
+    arrived: bool = False
+
+
+class Cameras:
+    """Links the cameras of several viser servers while the session's view says so.
+
+    Parameters
+    ----------
+    session : Session
+    servers : tuple of viser.ViserServer
+    first : (x, y, z)
+        Where cameras are at first, looking at the whole model.
+    """
+
+    def __init__(
+        self, session: Session, servers: tuple[viser.ViserServer, ...], first: tuple[float, float, float]
+    ) -> None:
+        self._session = session
+        self._first = Pose(np.array(first), np.zeros(3), np.array([0.0, 1.0, 0.0]))
         self._lock = threading.Lock()
-        self._last: Pose | None = None
+        self._last = self._first
+        self._frames: dict[Any, _Frame] = {}
         for server in servers:
             server.on_client_connect(self._connected)
+            server.on_client_disconnect(self._disconnected)
 
-    def frame(self, position: tuple[float, float, float]) -> None:
+    def frame(self) -> None:
         """Put every camera back to where it looks at the whole model."""
-        pose = Pose(np.array(position), np.zeros(3), np.array([0.0, 1.0, 0.0]))
         with self._lock:
-            self._last = pose
-            for client in self._clients():
-                _set(client, pose)
+            self._last = self._first
+            for client in self._frames:
+                self._tell(client, self._first)
 
-    def _clients(self) -> list[viser.ClientHandle]:
-        return [client for server in self._servers for client in server.get_clients().values()]
+    # viser awaits what is async, so that poses are taken in the order in which they came.
 
-    def _connected(self, client: viser.ClientHandle) -> None:
+    async def _connected(self, client: viser.ClientHandle) -> None:
         with self._lock:
-            if self._last is not None and self._session.state.view.linked:
-                _set(client, self._last)
-        client.camera.on_update(lambda _: self._moved(client))
+            pose = self._last if self._session.state.view.linked else self._first
+            self._frames[client] = _Frame(pose, time.monotonic())
+
+        async def moved(_: viser.CameraHandle) -> None:
+            self._moved(client)
+
+        client.camera.on_update(moved)
+
+    async def _disconnected(self, client: viser.ClientHandle) -> None:
+        with self._lock:
+            self._frames.pop(client, None)
 
     def _moved(self, client: viser.ClientHandle) -> None:
-        if not self._session.state.view.linked:
-            return
-        camera = client.camera
-        pose = Pose(camera.position, camera.look_at, camera.up_direction)
+        pose = _pose(client)
         with self._lock:
-            if self._last is not None and pose.near(self._last):
+            frame = self._frames.get(client)
+            if frame is None or self._awaits(client, frame, pose):
+                return
+            if pose.near(self._last) or not self._session.state.view.linked:
                 return
             self._last = pose
-            for other in self._clients():
+            for other in self._frames:
                 if other is not client:
-                    _set(other, pose)
+                    self._tell(other, pose)
+
+    def _awaits(self, client: viser.ClientHandle, frame: _Frame, pose: Pose) -> bool:
+        """Whether a report only answers what the frame was told, or comes from before that."""
+        if frame.told is None:
+            return False
+        if pose.near(frame.told):
+            frame.told, frame.arrived = None, True
+            return True
+        if not frame.arrived:  # also its first report, which comes right after the connection
+            _set(client, frame.told)
+            return True
+        if time.monotonic() < frame.since + _LATE:
+            return True
+        frame.told = None
+        return False
+
+    def _tell(self, client: viser.ClientHandle, pose: Pose) -> None:
+        frame = self._frames[client]
+        if frame.told is None and pose.near(_pose(client)):  # it would not answer
+            return
+        frame.told, frame.since = pose, time.monotonic()
+        _set(client, pose)
+
+
+def _pose(client: viser.ClientHandle) -> Pose:
+    camera = client.camera
+    return Pose(camera.position, camera.look_at, camera.up_direction)
 
 
 def _set(client: viser.ClientHandle, pose: Pose) -> None:
