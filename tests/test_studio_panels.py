@@ -9,7 +9,7 @@ from types import SimpleNamespace
 from typing import Any
 from unittest.mock import MagicMock
 
-from cagemap.files.point_forms import POINT_FORMS
+from cagemap.studio.landmarks import History, Landmark, LandmarkList
 from cagemap.studio.opening import default_files
 from cagemap.studio.page.choices import NONE, Choices
 from cagemap.studio.page.panels import FORMS, MOST_ANSWERS, SetupPanel, WorkPanel, with_ending
@@ -44,6 +44,32 @@ def test_the_name_to_save_under_is_that_of_the_open_pair(tmp_path: Path) -> None
     assert panel._file.value == "mine.json"  # typed, and not yet saved
     panel.refresh(Studio(files=pair(workspace.folders[0], "horse.obj", "zebra.obj")))
     assert panel._file.value == "zebra__horse.json"
+
+
+def test_a_name_that_is_being_typed_is_left_as_it_is(tmp_path: Path) -> None:
+    workspace = Workspace.of(tmp_path)
+    session = MagicMock(workspace=workspace)
+    panel: Any = WorkPanel(server(), session, Choices(workspace))
+
+    def known(name: str) -> Studio:
+        landmarks = LandmarkList((Landmark(1, name), Landmark(2, "eye")))
+        return Studio(files=pair(tmp_path, "a.obj", "b.obj"), history=History(landmarks), selected=1)
+
+    def type_(text: str) -> None:
+        panel._name.value = text
+        panel._rename(client=object())
+
+    session.state = known("landmark 1")
+    panel.refresh(session.state)
+    type_("ey")
+    type_("eye")
+    type_("eye_")
+    for late in ("landmark 1", "ey", "eye (2)"):  # what the session made of the letters before; eye is another's
+        panel.refresh(known(late))
+        assert panel._name.value == "eye_"
+    panel.refresh(known("eye_"))
+    panel.refresh(known("landmark 1"))  # undone
+    assert panel._name.value == "landmark 1"
 
 
 def test_a_new_source_brings_its_texture_or_none(tmp_path: Path) -> None:
@@ -133,7 +159,6 @@ def test_a_landmark_dropped_beside_the_model_returns(tmp_path: Path) -> None:
 
 
 def test_another_form_has_another_ending() -> None:
-    assert set(FORMS.values()) == {".json", *(form.ending for form in POINT_FORMS)}
     name = "a.b.json"
     for ending in FORMS.values():
         name = with_ending(name, ending)

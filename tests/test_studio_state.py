@@ -16,7 +16,7 @@ from cagemap.studio import landmarks as edit
 from cagemap.studio.autosave import autosave_path, read_autosave, write_autosave
 from cagemap.studio.landmarks import History, LandmarkList, Place
 from cagemap.studio.opening import chosen_files
-from cagemap.studio.state import Output, Studio, View, baked_view, with_message
+from cagemap.studio.state import MapState, Output, Studio, View, baked_view, with_message
 from cagemap.studio.workspace import Workspace
 
 
@@ -97,7 +97,7 @@ def test_undo_and_redo_walk_the_same_way_back_and_forth(todo: list[str]) -> None
         elif step == "remove" and len(present):
             history = history.then(edit.remove(present, present.items[0].number))
         elif step == "rename" and len(present):
-            history = history.then(edit.rename(present, present.items[-1].number, f"name {x}"))
+            history = history.renamed(present.items[-1].number, f"name {x}")
         elif step == "undo":
             history = history.undo()
         elif step == "redo":
@@ -110,6 +110,28 @@ def test_undo_and_redo_walk_the_same_way_back_and_forth(todo: list[str]) -> None
     for expected in reversed(forward[:-1]):
         history = history.redo()
         assert history.present == expected
+
+
+def test_a_name_typed_letter_by_letter_is_one_step() -> None:
+    history = History().then(pair(pair(LandmarkList(), 1.0), 2.0))
+    before = history
+    for typed in ("e", "ey", "eye"):
+        history = history.renamed(1, typed)
+    assert history.undo().present == before.present
+    other = history.renamed(2, "nose")
+    assert other.undo().present == history.present
+    assert other.renamed(1, "ear").undo().present == other.present
+
+
+def test_what_is_known_of_a_landmark_goes_with_its_name() -> None:
+    before = pair(pair(LandmarkList(), 1.0), 2.0)
+    first, second = (item.name for item in before.items)
+    known = MapState(strain={first: 0.1, second: 0.2}, contradictions={second: "far"})
+    named = edit.rename(edit.rename(before, 1, "nose"), 2, first)
+    assert named.goes_by == before.goes_by
+    assert known.under_names(before, named) == MapState(strain={"nose": 0.1, first: 0.2}, contradictions={first: "far"})
+    other = edit.rename(edit.move(before, 1, "target", place(3.0)), 1, "nose")
+    assert known.under_names(before, other) == known  # another place, of which nothing is known
 
 
 def test_a_new_step_forgets_what_was_undone() -> None:

@@ -10,8 +10,8 @@ import numpy as np
 
 from cagemap.basis import Surface
 from cagemap.errors import ParameterError
-from cagemap.files.attributes import SUFFIXES as VALUE_SUFFIXES
 from cagemap.files.attributes import read_attributes
+from cagemap.files.suffixes import IMAGE_SUFFIXES, VALUE_SUFFIXES
 from cagemap.files.usd import USD_SUFFIXES, read_usd_meshes
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.mask_values import face_mask, soft_edge, vertex_mask
@@ -24,7 +24,6 @@ from cagemap.refinement import Refinement
 if TYPE_CHECKING:  # a match without masks starts without images and their library
     from cagemap.files.images import Pixels
 
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
 # Width of the soft edge of a set of faces, in units of sqrt(area), where nothing else is said.
 DEFAULT_EDGE = 0.02
 # Before a name: everything but that.

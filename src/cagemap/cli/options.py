@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from cagemap.cli.subdivision import BoundaryName, CreasingName, SchemeName, UvName
+from cagemap.files.suffixes import IMAGE_SUFFIXES, VALUE_SUFFIXES
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class NameOrFile:
 
 
 # What a mask's name ends in where it is a file.
-MASK_FILES = (".npy", ".npz", ".csv", ".json", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")
+MASK_FILES = (*VALUE_SUFFIXES, *IMAGE_SUFFIXES)
 
 Space = Annotated[
     str,

@@ -14,11 +14,10 @@ from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.file_rows import FileRows, prim_rows, taken
 from cagemap.files.npz import read_npy, read_npz, write_npz
+from cagemap.files.suffixes import VALUE_SUFFIXES
 from cagemap.files.usd import USD_SUFFIXES, in_world, one_mesh, read_usd_meshes
 from cagemap.files.vertex_groups import groups_text, read_groups
 from cagemap.mesh import ControlMesh
-
-SUFFIXES = (".npy", ".npz", ".csv", ".json")
 
 Attributes = dict[str, NDArray[Any]]
 
@@ -113,8 +112,10 @@ def write_attributes(path: str | Path, attributes: Mapping[str, NDArray[Any]], *
 
 def check_attribute_path(file: Path) -> None:
     """Refuse a file name that `write_attributes` would refuse, before any work is done for it."""
-    if file.suffix.lower() not in SUFFIXES:
-        raise FormatError(f"{file}: expected a name ending in {', '.join(SUFFIXES)}, got {file.suffix or 'no suffix'}")
+    if file.suffix.lower() not in VALUE_SUFFIXES:
+        raise FormatError(
+            f"{file}: expected a name ending in {', '.join(VALUE_SUFFIXES)}, got {file.suffix or 'no suffix'}"
+        )
 
 
 def _read_numpy(file: Path) -> Attributes:

@@ -102,6 +102,11 @@ class LandmarkList:
         return bool(self.complete) or self.curves is not None
 
     @property
+    def goes_by(self) -> tuple[object, ...]:
+        """What a map goes by: places and curves, whatever they are called."""
+        return tuple((item.target, item.source) for item in self.complete), self.curves
+
+    @property
     def open(self) -> Landmark | None:
         """The landmark that waits for its other place."""
         return next((item for item in self.items if not item.complete), None)
@@ -244,6 +249,19 @@ class History:
         if landmarks == self.present:
             return self
         return History(landmarks, (*self.past, self.present)[-LONGEST_HISTORY:])
+
+    def renamed(self, number: int, name: str) -> History:
+        """Go on with another name of a landmark; names are typed letter by letter, which is one step together."""
+        before = self.past[-1].get(number) if self.past else None
+        item = self.present.get(number)
+        typing = (
+            before is not None
+            and item is not None
+            and before.name != item.name
+            and self.past[-1]._with(replace(before, name=item.name)) == self.present
+        )
+        base = replace(self, present=self.past[-1], past=self.past[:-1]) if typing else self
+        return base.then(rename(base.present, number, name))
 
     def undo(self) -> History:
         """One step back, if there is one."""

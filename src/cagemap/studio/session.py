@@ -12,7 +12,7 @@ from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
 from cagemap.studio.autosave import Parts, autosave_path, kept_parts, set_aside, write_autosave
-from cagemap.studio.bench import Dressed, Found, Opened, OpenModels, Task, after
+from cagemap.studio.bench import ChooseAnswer, Dressed, FindMap, Found, Opened, OpenModels, Task, after
 from cagemap.studio.finish import Command, FinishOptions, planned
 from cagemap.studio.finish_layout import on_the_page
 from cagemap.studio.held import Held
@@ -114,8 +114,7 @@ class Session(Held):
     def add_file(self, name: str, content: bytes) -> bool:
         """Put a file into the first folder, under a name that is free."""
         with self._guarded(), self._adding:
-            added = self.workspace.add(name, content)
-            self._say("note", f"added {added.name}")
+            self._say("note", f"added {self.workspace.add(name, content).name}")
             return True
         return False
 
@@ -168,7 +167,8 @@ class Session(Held):
 
     def rename(self, number: int, name: str) -> None:
         """Give a landmark another name."""
-        self._edit(lambda present: edit.rename(present, number, name))
+        with self._guarded(), self._lock:
+            self._set_history(self._state.history.renamed(number, name))
 
     def mirror(self, number: int) -> None:
         """Add the counterpart of a landmark across both models' mirror planes."""
@@ -340,12 +340,12 @@ class Session(Held):
                 for note in answer.notes:
                     self._say("note", note)
                 self._first_landmarks()
-            case Found() if self._scene is not None:
+            case Found() if self._scene is not None and isinstance(task, FindMap | ChooseAnswer):
                 if self._state.map.revision == 0:  # the page has its models by now, and the processor is free
                     threading.Thread(target=self._scene.warm, name="studio warm-up", daemon=True).start()
                 self._scene = replace(self._scene, images=answer.images, skins=(answer.skin, self._scene.skins[1]))
-                found = after(self._state.map, answer)
-                self._change(map=found, proposal=proposed(self._scene, self._state.history.present))
+                known = after(self._state.map, answer).under_names(task.landmarks, self._state.history.present)
+                self._change(map=known, proposal=proposed(self._scene, self._state.history.present))
             case Dressed() if self._scene is not None:
                 self._scene = replace(self._scene, skins=answer.skins)
                 self._change()
@@ -377,14 +377,15 @@ class Session(Held):
         before = self._state.history.present
         if history == self._state.history:
             return
-        self._change(history=history, saved=False, proposal=proposed(self._scene, history.present))
+        known = self._state.map.under_names(before, history.present)
+        self._change(history=history, saved=False, map=known, proposal=proposed(self._scene, history.present))
         if history.present.get(self._state.selected) is None:
             self._change(selected=None)
         files, scene = self._state.files, self._scene
         if files is not None and scene is not None:
             with self._guarded():
                 write_autosave(autosave_path(files.landmarks), in_files(history.present, scene), files.parts)
-        if (history.present.complete, history.present.curves) != (before.complete, before.curves):
+        if history.present.goes_by != before.goes_by:
             self._find(fresh=False)
 
     def _find(self, *, fresh: bool) -> None:

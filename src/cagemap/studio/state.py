@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from cagemap.errors import ParameterError
-from cagemap.studio.landmarks import History, Proposal
+from cagemap.studio.landmarks import History, LandmarkList, Proposal
 from cagemap.studio.workspace import IMAGES
 
 Mode = Literal["texture", "colours", "checker", "plain", "baked"]
@@ -122,6 +122,17 @@ class MapState:
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
     suggestion: int | None = None
+
+    def under_names(self, before: LandmarkList, now: LandmarkList) -> MapState:
+        """What is known of landmarks, under the names that they have now."""
+        names = {
+            item.name: same.name
+            for item in before.items
+            if (same := now.get(item.number)) is not None and replace(item, name=same.name) == same
+        }
+        strain = {names.get(name, name): value for name, value in self.strain.items()}
+        contradictions = {names.get(name, name): why for name, why in self.contradictions.items()}
+        return replace(self, strain=strain, contradictions=contradictions)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,9 @@ from typing import Any
 import viser
 
 from cagemap.errors import CagemapError, ParameterError
+from cagemap.files.point_forms import POINT_FORMS
 from cagemap.mesh.schemes import SCHEMES
+from cagemap.studio.landmarks import Landmark, rename
 from cagemap.studio.opening import default_files
 from cagemap.studio.page.choices import NONE, Choices, put
 from cagemap.studio.page.finish_panel import FinishPanel
@@ -27,15 +29,7 @@ AS_FILED = "as the file says"
 # Ways in which two models may agree that have a button.
 MOST_ANSWERS = 6
 # What landmarks are saved as, and the endings that ask for it.
-FORMS = {
-    "pairs (.json)": ".json",
-    "points (.points.json)": ".points.json",
-    "MeshLab (.pp)": ".pp",
-    "3D Slicer (.mrk.json)": ".mrk.json",
-    "3D Slicer (.fcsv)": ".fcsv",
-    "table (.csv)": ".csv",
-    "Wrap (.txt)": ".txt",
-}
+FORMS = {"pairs (.json)": ".json"} | {f"{form.title} ({form.ending})": form.ending for form in POINT_FORMS}
 
 
 class SetupPanel:
@@ -166,6 +160,8 @@ class WorkPanel:
         self._session, self._choices = session, choices
         self._numbers: dict[str, int] = {}
         self._shown: Path | None = None
+        self._named: tuple[int | None, str] = (None, "")
+        self._typed: list[tuple[int | None, str]] = []
         gui = server.gui
         gui.set_panel_label("source")
         self._status = gui.add_html("")
@@ -223,7 +219,7 @@ class WorkPanel:
             self._chosen.options = labels
         selected = state.history.present.get(state.selected)
         put(self._chosen, "value", NONE if selected is None else f"{selected.number} {selected.name}")
-        put(self._name, "value", "" if selected is None else selected.name)
+        self._refresh_name(selected)
         for handle in (self._name, self._changes):
             put(handle, "visible", selected is not None)
         put(self._next, "disabled", state.map.revision == 0)
@@ -234,6 +230,18 @@ class WorkPanel:
             put(self._form, "value", next(iter(FORMS)))
         put(self._map, "content", map_text(state))
         self._refresh_answers(state)
+
+    def _refresh_name(self, selected: Landmark | None) -> None:
+        """Show another name than before; one that is being typed is left as it is, the page may be letters ahead."""
+        named = (None, "") if selected is None else (selected.number, selected.name)
+        if named == self._named:
+            return
+        self._named = named
+        if named in self._typed:
+            del self._typed[: self._typed.index(named) + 1]
+        else:
+            self._typed.clear()
+            put(self._name, "value", named[1])
 
     def _refresh_answers(self, state: Studio) -> None:
         """A button for every way in which the models may agree, where there are several."""
@@ -276,7 +284,10 @@ class WorkPanel:
     def _rename(self, client: object) -> None:
         number = self._session.state.selected
         if client is not None and number is not None:
-            self._session.rename(number, self._name.value)
+            name = str(self._name.value)
+            renamed = rename(self._session.state.history.present, number, name).get(number)
+            self._typed.append((number, name if renamed is None else renamed.name))
+            self._session.rename(number, name)
 
     def _saved(self) -> None:
         self._session.save_as(self._file.value)
