@@ -152,6 +152,8 @@ def test_verdicts_follow_cost_and_gap() -> None:
     # Cheap and alone, but folded or sheared: an animal squeezed into a head.
     assert Confidence.of((best,), 3, MapShape(folded=0.03)).verdict == LOOK
     assert Confidence.of((best,), 3, MapShape(aspect=2.0)).verdict == LOOK
+    # Held by a landmark at its chin, so that there is no rival: most of it is right, neck, tail and thighs are not.
+    assert Confidence.of((best,), 3, MapShape(aspect=1.58, sheared=3.95)).verdict == LOOK
     missing = Confidence.of((best,), 3, MapShape(unreached=0.04))
     assert missing.verdict == LOOK
     assert "nothing comes to 4 % of the source" in missing.message
@@ -176,7 +178,7 @@ def test_a_limb_that_nothing_comes_to_is_unreached() -> None:
 def test_the_shape_of_a_map_counts_folds_and_shear() -> None:
     surface = TriangleSurface.from_faces(refine(creature(), 1).finest.positions, refine(creature(), 1).finest.faces)
     same = PointMap.from_vertices(surface, surface, np.arange(surface.n))
-    assert MapShape.of(same) == MapShape(folded=0.0, aspect=pytest.approx(1.0))
+    assert MapShape.of(same) == MapShape(folded=0.0, aspect=pytest.approx(1.0), sheared=pytest.approx(1.0))
     crushed = PointMap.from_vertices(surface, surface, np.random.default_rng(1).permutation(surface.n))
     assert MapShape.of(crushed).folded > 0.3
     assert MapShape.of(crushed).aspect > 2.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from cagemap.basis import Surface
 from cagemap.basis.prepare import choose_level, prepare_surface
 from cagemap.files.obj import read_obj
 from cagemap.maps.point_map import PointMap
+from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import match
 
 # Largest error of a right map, x100 of sqrt(area): the mean over a human, the median over an animal's named places.
@@ -76,16 +78,44 @@ def judged(found: PointMap, target: Model, source: Model, surfaces: Surfaces) ->
     return Judgement("places", 100 * float(np.median(away.diagonal())), exchanged)
 
 
-def row(surfaces: Surfaces, target: Model, source: Model) -> dict:
-    """What a match without landmarks says of itself, and what is true."""
-    found = match(surfaces.of(target), surfaces.of(source))
+def right_landmarks(surfaces: Surfaces, target: Model, source: Model, count: int) -> Landmarks | None:
+    """So many pairs of control vertices that are right, or what a person might take for such between kinds; the same
+    ones every time.
+
+    Between humans the control vertex nearest to the truth, between animals of a kind named places. Between kinds what
+    is foremost, highest and hindmost.
+    """
+    if not count:
+        return None
+    choose, sides = random.Random(f"{target.name} {source.name}"), (surfaces.of(target), surfaces.of(source))
+    if target.kind == source.kind == "human":
+        truth = surfaces.bodies.truth(target.body, source.body)
+        known = np.flatnonzero(truth.known[: sides[0].control.n_vertices]).tolist()
+        vertices = np.array(choose.sample(known, count))
+        true = truth.on(sides[1].triangles(sides[1].finest)).positions[vertices]
+        cage = sides[1].triangles(sides[1].finest).positions[: sides[1].control.n_vertices]
+        pairs = list(zip(vertices.tolist(), np.linalg.norm(true[:, None] - cage, axis=2).argmin(axis=1), strict=True))
+    elif target.kind == source.kind:
+        shared = sorted(target.places.keys() & source.places.keys())
+        pairs = [(target.places[name], source.places[name]) for name in choose.sample(shared, count)]
+    else:
+        heights = [side.control.positions @ np.array([[0, 0, 1], [0, 1, 0], [0, 0, -1]]).T for side in sides]
+        pairs = [(int(heights[0][:, i].argmax()), int(heights[1][:, i].argmax())) for i in range(count)]
+    names = tuple(f"landmark {i}" for i in range(count))
+    return Landmarks(names, *np.array(pairs, dtype=np.int64).T)
+
+
+def row(surfaces: Surfaces, target: Model, source: Model, landmarks: int) -> dict:
+    """What a match with few landmarks or none says of itself, and what is true."""
+    found = match(surfaces.of(target), surfaces.of(source), right_landmarks(surfaces, target, source, landmarks))
     said = found.confidence
     assert said is not None
     verdict = judged(found.point_map, target, source, surfaces)
     return {
-        "target": target.name, "source": source.name, "vertices": surfaces.bodies.vertices,
+        "target": target.name, "source": source.name, "vertices": surfaces.bodies.vertices, "landmarks": landmarks,
         "said": said.verdict, "cost": said.cost, "gap": None if np.isinf(said.gap) else said.gap,
         "folded": said.shape.folded, "aspect": said.shape.aspect, "unreached": said.shape.unreached,
+        "sheared": said.shape.sheared,
         "names": [reading.name for reading in said.readings],
         "costs": [1e4 * reading.cost for reading in said.readings],
         "doubt": said.readings[0].doubt,

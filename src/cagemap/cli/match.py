@@ -297,9 +297,9 @@ def warnings(result: MatchResult) -> list[str]:
 
 
 def _assured(manifest: dict[str, Any]) -> str:
-    """What is said of a map without landmarks that is sure, for the summary; nothing of others."""
+    """What is said of a map with few landmarks or none that is sure, for the summary; nothing of others."""
     sure = (manifest.get("confidence") or {}).get("verdict") == "sure"
-    return f"; {_confidence(manifest).removeprefix('without landmarks ')}" if sure else ""
+    return f"; {_confidence(manifest)}" if sure else ""
 
 
 def _confidence(manifest: dict[str, Any]) -> str:

@@ -77,7 +77,7 @@ def stored_confidence(record: ConfidenceRecord | None, answer: SurfacePoints, ot
         for i, reading in enumerate(record.readings)
     )
     gap = np.inf if record.gap is None else record.gap
-    shape = MapShape(record.folded, record.aspect, record.unreached)
+    shape = MapShape(record.folded, record.aspect, record.unreached, record.sheared)
     numbers = record.deciding, shape, record.file_vertex
     return Confidence(record.verdict, record.cost, gap, readings, *numbers, record.part)
 
