@@ -7,12 +7,16 @@ from dataclasses import replace
 import numpy as np
 
 from cagemap.geometry.closest import build_tree, closest_points
+from cagemap.maps.elastic.both_ways import both_ways
+from cagemap.maps.elastic.ends import judged
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.confidence import Confidence, MapShape, Reading
 from cagemap.maps.hypotheses.search import HypothesesConfig, found_readings
+from cagemap.maps.hypotheses.tips import AS_CHEAP
 from cagemap.maps.pair import Pair, Progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import held_vertices, project, unfold
+from cagemap.numerics.arrays import FloatArray
 
 # With fewer landmarks, they only help to choose among hypotheses; from here on they start a map of their own.
 FEWEST_LANDMARKS = 3
@@ -37,7 +41,8 @@ def hypothesis_map(
     progress : callable
         Called with the name of each stage.
     """
-    readings = found_readings(prepared, pair, config, progress)
+    best, *others = found_readings(prepared, pair, config, progress)
+    readings = replace(best, positions=half_way(prepared, pair, best)), *others
     progress("projection")
     found = map_of_reading(prepared, pair, readings[0])
     shape = MapShape.of(found, unreached_share(prepared, found))
@@ -46,6 +51,18 @@ def hypothesis_map(
         vertex = pair.target.refinement.outer(np.array([confidence.deciding]))
         confidence = replace(confidence, deciding=int(vertex[0]))
     return found, confidence
+
+
+def half_way(prepared: PreparedPair, pair: Pair, reading: Reading) -> FloatArray:
+    """Positions of a reading half-way to what it is seen from the source (`both_ways`), where they cost hardly more.
+
+    Under masks as they are: what is masked would be fitted back as well, and drag what is not with it.
+    """
+    if prepared.rest.masks.any:
+        return reading.positions
+    moved = both_ways(prepared, pair.landmarks, reading.positions)
+    cost = judged(prepared, prepared.rest.pullers(prepared.sheet), moved).cost
+    return moved if cost <= AS_CHEAP * reading.cost else reading.positions
 
 
 def unreached_share(prepared: PreparedPair, found: PointMap) -> float:

@@ -17,6 +17,7 @@ from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair
 from cagemap.maps.elastic.starts import SpectralSides, spectral_starts
 from cagemap.maps.hypotheses.confidence import Reading
 from cagemap.maps.hypotheses.starts import AS_FILED, Start, rigid_starts
+from cagemap.maps.hypotheses.tips import Tips, led_by_tips
 from cagemap.maps.masks import WHOLE
 from cagemap.maps.pair import Pair
 from cagemap.numerics.brief import Brief
@@ -94,10 +95,12 @@ def found_readings(
     progress("coarse fits")
     candidates = _coarse_fits(prepared, pair, shape, rough, config)
     progress("elastic fits")
+    tips = Tips.of(prepared, pair)
 
     def finish(candidate: _Candidate) -> Reading:
         most = MOST_ENDS if candidate is candidates[0] else 1
         ended = finished_ends(prepared, shape, candidate.fits, pair.landmarks, most)[0]
+        ended = led_by_tips(prepared, pair, tips, ended)
         return Reading(candidate.name, ended.cost, ended.positions, candidate.doubt)
 
     least = least_cost(prepared)

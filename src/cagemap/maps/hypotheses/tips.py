@@ -1,0 +1,155 @@
+"""Tips of limbs, tails, noses and ears, from one shape alone, and a fit that is led by those that lie near each other.
+
+Between species the energy leaves an ear or a hoof beside its counterpart, and drags what is around it along.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
+
+from cagemap.maps.elastic.ends import FineFit, judged
+from cagemap.maps.elastic.fit import coarse_fit, fine_fit
+from cagemap.maps.elastic.graph import ElasticGraph
+from cagemap.maps.elastic.prepared import PreparedPair
+from cagemap.maps.pair import Pair
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import thread_limit
+
+# Places, far from each other, that stand for the surface in mean distances.
+STATIONS = 60
+# Height of a tip over the highest pass to a higher one, of sqrt(area): ears have 0.01 to 0.05, feet 0.1 to 0.3.
+LEAST_HEIGHT = 0.01
+# Tips of two surfaces that a fit leaves so close are the same, of sqrt(area); a fit that leaves all of them closer than
+# `MET` needs no help, and a tip this near to a landmark is the landmark's.
+NEAR, MET, TAKEN = 0.2, 0.02, 0.05
+# What a fit that meets the tips may cost, of the one that does not: the energy does not know ears from cheeks.
+AS_CHEAP = 1.15
+
+
+@dataclass(frozen=True, eq=False)
+class Tips:
+    """Tips of both surfaces.
+
+    Attributes
+    ----------
+    vertices : (e,) int64
+        Of the target's level that is deformed.
+    places : (e2, 3) float64
+        On the source.
+    """
+
+    vertices: IndexArray
+    places: FloatArray
+
+    @classmethod
+    def of(cls, prepared: PreparedPair, pair: Pair) -> Tips:
+        """Those that are neither masked nor at a landmark."""
+        target, source = prepared.graphs
+        masks, found = prepared.rest.masks, []
+        for graph, counts, given in (
+            (target, masks.of_target(target.n), pair.landmarks.target.positions),
+            (source, masks.of_source(source.n), pair.landmarks.source.positions),
+        ):
+            vertices = tips(graph)
+            away = np.linalg.norm(graph.positions[vertices, None] - given, axis=2).min(axis=1, initial=np.inf)
+            found.append(vertices[(counts[vertices] > 0) & (away > TAKEN)])
+        return cls(found[0], source.positions[found[1]])
+
+    def pairs(self, positions: FloatArray) -> IndexArray:
+        """(q, 2) tips of target and source that are each other's nearest where a fit puts the target's vertices."""
+        images = positions[self.vertices]
+        if not len(images) or not len(self.places):
+            return np.zeros((0, 2), dtype=np.int64)
+        distance, there = (np.asarray(found) for found in cKDTree(self.places).query(images))
+        back = np.asarray(cKDTree(images).query(self.places)[1])
+        mutual = (distance < NEAR) & (back[there] == np.arange(len(images)))
+        if not np.any(distance[mutual] > MET):
+            return np.zeros((0, 2), dtype=np.int64)
+        return np.column_stack([np.flatnonzero(mutual), there[mutual]])
+
+
+def led_by_tips(prepared: PreparedPair, pair: Pair, tips: Tips, ended: FineFit) -> FineFit:
+    """A fit from where another one ended, whose coarse stage holds the tips; the other one where it is much cheaper.
+
+    The fine stage holds landmarks only: what was no counterpart slips away.
+    """
+    pairs, landmarks = tips.pairs(ended.positions), pair.landmarks
+    if not len(pairs):
+        return ended
+    shape = prepared.coarse(np.concatenate([pair.target_landmarks, tips.vertices[pairs[:, 0]]]), landmarks.curves)
+    places = np.vstack([landmarks.source.positions, tips.places[pairs[:, 1]]])
+    with thread_limit(1):
+        led = coarse_fit(shape, prepared.sheet, ended.positions[shape.vertices], places, prepared.elastic)
+    pullers = prepared.rest.pullers(prepared.sheet)
+    again = judged(prepared, pullers, fine_fit(prepared, shape, [led], landmarks))
+    return again if again.cost <= AS_CHEAP * ended.cost else ended
+
+
+def tips(graph: ElasticGraph, least: float = LEAST_HEIGHT) -> IndexArray:
+    """(e,) vertices that are farther from the whole surface than all around them, highest first.
+
+    Height is the mean geodesic distance to the surface (Hilaga et al. 2001); a tip's own is taken over the highest
+    pass that leads to a higher one (topological persistence, Edelsbrunner et al. 2002).
+
+    Parameters
+    ----------
+    graph : ElasticGraph
+    least : float
+        Height that a tip has at least.
+    """
+    heights = mean_distances(graph)
+    peaks, above = prominences(heights, graph.heads, graph.tails)
+    kept = above >= least
+    return peaks[kept][np.argsort(-above[kept], kind="stable")]
+
+
+def mean_distances(graph: ElasticGraph, stations: int = STATIONS) -> FloatArray:
+    """(n,) mean distance along the edges to the whole surface, by some vertices, each far from the others."""
+    lengths = np.linalg.norm(graph.edges, axis=1)
+    edges = sparse.csr_array((lengths, (graph.heads, graph.tails)), shape=(graph.n, graph.n))
+    rows, vertex, nearest = [], 0, np.full(graph.n, np.inf)
+    for _ in range(min(stations, graph.n)):
+        rows.append(dijkstra(edges, indices=[vertex])[0])
+        nearest = np.minimum(nearest, rows[-1])
+        vertex = int(nearest.argmax())
+    distances = np.array(rows)
+    shares = np.bincount(distances.argmin(axis=0), graph.areas, len(rows))
+    reached = np.isfinite(distances)  # a piece of its own knows only itself
+    return np.asarray((shares @ np.where(reached, distances, 0.0)) / (shares @ reached))
+
+
+def prominences(heights: FloatArray, heads: IndexArray, tails: IndexArray) -> tuple[IndexArray, FloatArray]:
+    """Local maxima (q,) of heights on a graph, and how far one has to come down from each to reach a higher one.
+
+    Parameters
+    ----------
+    heights : (n,) float64
+    heads, tails : (2 m,) int64
+        Every edge in both directions.
+    """
+    order = np.argsort(heights, kind="stable")
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order))
+    best = rank.copy()
+    np.maximum.at(best, heads, rank[tails])
+    up = order[best]
+    while not np.array_equal(up[up], up):  # every vertex climbs to its peak
+        up = up[up]
+    peaks, basin = np.unique(up, return_inverse=True)
+    across = basin[heads] < basin[tails]
+    basins, passes = np.column_stack([basin[heads], basin[tails]])[across], np.minimum(rank[heads], rank[tails])[across]
+    descending = np.argsort(-passes, kind="stable")
+    _, highest = np.unique(basins[descending], axis=0, return_index=True)  # the highest pass between any two basins
+    above, joined = np.full(len(peaks), np.inf), np.arange(len(peaks))
+    for edge in descending[np.sort(highest)].tolist():
+        a, b = joined[basins[edge]].tolist()
+        if a != b:
+            lower, higher = (a, b) if rank[peaks[a]] < rank[peaks[b]] else (b, a)
+            above[lower] = heights[peaks[lower]] - heights[order[passes[edge]]]
+            joined[joined == lower] = higher
+    return peaks, above

@@ -1,0 +1,92 @@
+"""Tips of limbs: found by shape alone, paired where a fit puts them near each other, and met by a fit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cagemap.basis import Surface
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.maps.elastic.ends import FineFit
+from cagemap.maps.elastic.graph import mesh_graph
+from cagemap.maps.elastic.prepared import PreparedPair
+from cagemap.maps.hypotheses.tips import AS_CHEAP, MET, NEAR, Tips, led_by_tips, mean_distances, prominences, tips
+from cagemap.maps.masks import Masks
+from cagemap.mesh.join import join_meshes
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.shapes import creature, cube
+from cagemap.pipeline import MatchConfig, pair_of, prepare_pair, prepare_surface
+from cagemap.refinement import refine
+
+# Cells of the creature: feet, tail, ears, nose.
+ENDS = np.array([(x, 0, z) for x in (-1, 1) for z in (0, 5)] + [(0, 3, -2), (-1, 7, 5), (1, 7, 5), (0, 6, 7)])
+TAIL, NOSE = 4, 7
+
+
+@pytest.fixture(scope="module")
+def surface() -> Surface:
+    return prepare_surface(creature(), 1)
+
+
+@pytest.fixture(scope="module")
+def prepared(surface: Surface) -> PreparedPair:
+    return prepare_pair(surface, surface)
+
+
+def ends_of(surface: Surface, positions: np.ndarray) -> np.ndarray:
+    """Number of the nearest end of places at unit area."""
+    places = positions / surface.triangles(surface.finest).scale
+    return np.asarray(np.linalg.norm(places[:, None] - ENDS, axis=2).argmin(axis=1))
+
+
+def test_a_peak_stands_above_the_pass_to_a_higher_one() -> None:
+    heights = np.array([0.0, 3.0, 1.0, 5.0, 2.0, 4.0, 0.5])
+    ends = np.arange(6), np.arange(1, 7)
+    peaks, above = prominences(heights, np.concatenate(ends), np.concatenate(ends[::-1]))
+    assert dict(zip(peaks.tolist(), above.tolist(), strict=True)) == {1: 2.0, 3: np.inf, 5: 2.0}
+
+
+def test_tips_are_where_limbs_end(surface: Surface, prepared: PreparedPair) -> None:
+    places = prepared.rest.graph.positions[tips(prepared.rest.graph)]
+    assert sorted(ends_of(surface, places)) == list(range(len(ENDS)))
+    scale = surface.triangles(surface.finest).scale
+    assert np.linalg.norm(places / scale - ENDS[ends_of(surface, places)], axis=1).max() < 1.0  # within the cell
+
+
+def test_a_piece_of_its_own_has_finite_distances() -> None:
+    far = cube().with_positions(cube().positions + 50.0)
+    finest = refine(join_meshes([creature(), far]), 1).finest
+    mesh = TriangleSurface.from_faces(finest.positions, finest.faces)
+    heights = mean_distances(mesh_graph(mesh, mesh.triangles))
+    assert np.isfinite(heights).all()
+    assert heights[-1] < heights[:100].min()  # the cube knows itself only, and is small
+
+
+def test_what_is_masked_or_has_a_landmark_is_no_tip(surface: Surface) -> None:
+    positions = surface.triangles(surface.finest).positions
+    tail = np.linalg.norm(positions / surface.triangles(surface.finest).scale - ENDS[TAIL], axis=1) < 1.5
+    prepared = prepare_pair(surface, surface, MatchConfig(masks=Masks(source=1.0 - tail)))
+    cage = surface.triangles(surface.finest).positions[: surface.control.n_vertices]
+    nose = int(np.linalg.norm(cage / surface.triangles(surface.finest).scale - ENDS[NOSE], axis=1).argmin())
+    pair = pair_of(surface, surface, Landmarks(("nose",), np.array([nose]), np.array([nose])))
+    found = Tips.of(prepared, pair)
+    assert set(range(8)) - set(ends_of(surface, positions[found.vertices])) == {NOSE}
+    assert set(range(8)) - set(ends_of(surface, found.places)) == {NOSE, TAIL}
+
+
+def test_a_fit_is_led_to_tips_that_it_missed(surface: Surface, prepared: PreparedPair) -> None:
+    pair = pair_of(surface, surface, Landmarks.none())
+    found, rest = Tips.of(prepared, pair), prepared.rest.graph.positions
+    there = FineFit(1e-4, rest)
+    assert led_by_tips(prepared, pair, found, there) is there  # nothing is missed
+    tail = np.linalg.norm(rest - found.places[ends_of(surface, found.places) == TAIL], axis=1) < 0.12
+    assert 3 * MET < 0.15 < NEAR
+    bent = rest + tail[:, None] * np.array([0.15, 0.0, 0.0])
+    pairs = found.pairs(bent)
+    assert np.array_equal(
+        ends_of(surface, rest[found.vertices[pairs[:, 0]]]), ends_of(surface, found.places[pairs[:, 1]])
+    )
+    led = led_by_tips(prepared, pair, found, FineFit(1e-2, bent))
+    assert np.linalg.norm(led.positions - rest, axis=1)[found.vertices].max() < MET
+    cheap = FineFit(0.5 * led.cost / AS_CHEAP, bent)
+    assert led_by_tips(prepared, pair, found, cheap) is cheap
