@@ -48,12 +48,14 @@ def test_mirrored_landmarks_are_met_and_the_other_reading_is_offered(shared_data
 
 @pytest.mark.slow
 def test_shins_of_a_crouching_body_stay_where_they_belong(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Fitted one way only, shins slide towards bent knees: 1.08 for 0.98 (three other pairs lose 3 to 5 % without).
+    # With neither stage shins slide towards bent knees: 1.15. Seen from both sides, but not posed, 1.05; posed, but not
+    # seen from both sides, 0.79; with both 0.72.
     bodies = Bodies(5000)
     pair = ("male1591", "female_old_heavy", "crouch"), ("female1605", "male_young", "")
     figures = row(bodies, *pair, 14)
-    monkeypatch.setattr("cagemap.maps.elastic.method.both_ways", lambda prepared, landmarks, positions: positions)
-    one_way = row(bodies, *pair, 14)
     assert figures["left_out"] == []
-    assert figures["mean"] < 1.1
-    assert figures["mean"] < 0.95 * one_way["mean"]
+    assert figures["mean"] < 0.85
+    for stage, worse in (("both_ways", 1.04), ("fit_in_pose", 1.2)):
+        with monkeypatch.context() as without:
+            without.setattr(f"cagemap.maps.elastic.method.{stage}", lambda prepared, landmarks, positions: positions)
+            assert row(bodies, *pair, 14)["mean"] > worse * figures["mean"], stage

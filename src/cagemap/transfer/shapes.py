@@ -23,6 +23,7 @@ from cagemap.geometry.triangles import corner_sums, triangle_normals, vertex_nor
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization, factor
+from cagemap.numerics.rotations import nearest_rotations
 from cagemap.refinement import Refinement, level_triangles
 from cagemap.transfer.interpolation import interpolate_linearly
 from cagemap.transfer.locate import triangle_frames, walk_from
@@ -121,7 +122,7 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
         masses,
         found,
         turns,
-        _nearest_rotations(around),
+        nearest_rotations(around),
         linear.at(point_map.triangle[:n], point_map.barycentric[:n]),
         ridge,
         sparse.csc_array(matrix),
@@ -261,14 +262,7 @@ def _rotations(
     normals = triangle_normals(places, triangles)
     normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
     stretch = np.sqrt(np.einsum("tab,tab->t", differential, differential) / 2)
-    return _nearest_rotations(differential + stretch[:, None, None] * across[:, :, None] * normals[:, None, :])
-
-
-def _nearest_rotations(maps: FloatArray) -> FloatArray:
-    """(t, 3, 3) rotations nearest to linear maps."""
-    left, _, right = np.linalg.svd(maps)
-    left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
-    return left @ right
+    return nearest_rotations(differential + stretch[:, None, None] * across[:, :, None] * normals[:, None, :])
 
 
 def _deformation(before: FloatArray, after: FloatArray, triangles: IndexArray) -> FloatArray:

@@ -6,6 +6,7 @@ import numpy as np
 
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.rotations import nearest_rotations
 
 # Weights fall with the fourth power of the distance: a joint in a limb is carried by the ring of surface around it.
 _POWER = 2.0
@@ -50,6 +51,4 @@ def carry_joints(point_map: PointMap, joints: FloatArray) -> tuple[FloatArray, F
         mixed = np.einsum("n,na,nb->ab", weights, moved, target - after)
         linear[row] = np.linalg.solve(moments, mixed)
         carried[row] = after + (joint - before) @ linear[row]
-    u, _, vt = np.linalg.svd(linear)
-    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
-    return carried / point_map.target.scale, u @ vt
+    return carried / point_map.target.scale, nearest_rotations(linear)

@@ -32,6 +32,18 @@ PARTS_APART = 0.02
 LEAST_PART = 5e-4
 PART_RINGS = 3
 
+# The target in the source's pose: what it weighs that limbs stay rigid, against an end that shows the pose (its square
+# root is a length of sqrt(area), 1 loses hands); smoothing of its differentials, see `Stage`; how often joints are
+# looked for, over which length, of sqrt(area), the least weight of their edges, and rounds of rotations and places each
+# time; and how often the target is posed and fitted.
+POSING_STIFFNESS = 0.1
+POSING_SMOOTHING = 1e-3
+JOINTS_FOUND = 2
+JOINT_SMOOTHING = 0.02
+LOOSEST = 0.02
+POSING_ROUNDS = 5
+POSES_FOUND = 2
+
 # The mean with the inverse of the reversed fit: length, of sqrt(area), of its smoothing; distance from the inverse's
 # mesh at which a vertex counts a quarter; and how far apart opposite normals are where the inverse is read.
 INVERSE_SMOOTHING = 0.02

@@ -9,6 +9,7 @@ import numpy as np
 
 from cagemap.basis import Surface
 from cagemap.geometry.surface import TriangleSurface
+from cagemap.geometry.triangles import vertex_normals
 from cagemap.maps.curves import CurvePair
 from cagemap.maps.elastic.config import ElasticConfig
 from cagemap.maps.elastic.constants import CURVE_SHARE, PULLERS, SHEET_VERTICES
@@ -52,6 +53,13 @@ class RestShape:
         laplacian = graph.laplacian()
         field = DifferentialField.build(graph, laplacian, smoothing)
         return cls(graph, field, mesh, None if mesh is None else ReceivedArea.build(graph, laplacian), masks)
+
+    def at(self, positions: FloatArray, smoothing: float) -> RestShape:
+        """The same mesh at rest at other positions (n, 3), with the weights of its edges and areas as they are."""
+        assert self.mesh is not None
+        normals = vertex_normals(positions, self.mesh.triangles)
+        graph = replace(self.graph, positions=positions, normals=normals)
+        return replace(self, graph=graph, field=DifferentialField.build(graph, graph.laplacian(), smoothing))
 
     def differentials(self, positions: FloatArray) -> tuple[FloatArray, IndexArray]:
         """(n, 3, 3) maps A for positions x (n, 3), none of which folds or flattens, and which of them were bounded."""
