@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import gc
 import os
 import signal
 import sys
@@ -14,6 +16,9 @@ from cagemap.cli.words import in_options, set_verbosity, tolerate_odd_names
 from cagemap.errors import CagemapError
 
 WRONG_INPUT, INTERNAL, SIGNALLED = 2, 70, 128
+
+# New objects after which Python looks for cycles of garbage among all there are: loading makes many that stay.
+COLLECTED_AFTER = 100_000
 
 
 class Stop:
@@ -47,6 +52,7 @@ class Stop:
 
 def main() -> None:
     """Run the command line; problems become one message and an exit code, never a traceback."""
+    _collect_seldom()
     tolerate_odd_names()
     set_verbosity(0, quiet=False)
     with Stop() as stop:
@@ -57,6 +63,12 @@ def main() -> None:
             if stop.signal is None or code == 0:
                 raise
             _fail("stopped; outputs that were not finished are as they were before.", SIGNALLED + stop.signal)
+
+
+def _collect_seldom() -> None:
+    """Look for cycles of garbage seldom, and not once more when the process ends."""
+    gc.set_threshold(COLLECTED_AFTER, *gc.get_threshold()[1:])
+    atexit.register(gc.freeze)
 
 
 def _run() -> None:
