@@ -10,7 +10,16 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.elastic.ends import FineFit
 from cagemap.maps.elastic.graph import mesh_graph
 from cagemap.maps.elastic.prepared import PreparedPair
-from cagemap.maps.hypotheses.tips import AS_CHEAP, MET, NEAR, Tips, led_by_tips, mean_distances, prominences, tips
+from cagemap.maps.hypotheses.tips import (
+    AS_CHEAP,
+    MET,
+    NEAR,
+    Tips,
+    led_by_tips,
+    mean_distances,
+    prominences,
+    tip_vertices,
+)
 from cagemap.maps.masks import Masks
 from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks
@@ -47,7 +56,7 @@ def test_a_peak_stands_above_the_pass_to_a_higher_one() -> None:
 
 
 def test_tips_are_where_limbs_end(surface: Surface, prepared: PreparedPair) -> None:
-    places = prepared.rest.graph.positions[tips(prepared.rest.graph)]
+    places = prepared.rest.graph.positions[tip_vertices(prepared.rest.graph)]
     assert sorted(ends_of(surface, places)) == list(range(len(ENDS)))
     scale = surface.triangles(surface.finest).scale
     assert np.linalg.norm(places / scale - ENDS[ends_of(surface, places)], axis=1).max() < 1.0  # within the cell

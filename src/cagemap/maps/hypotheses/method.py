@@ -11,7 +11,7 @@ from cagemap.maps.elastic.both_ways import both_ways
 from cagemap.maps.elastic.ends import judged
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.confidence import Confidence, MapShape, Reading
-from cagemap.maps.hypotheses.search import HypothesesConfig, found_readings
+from cagemap.maps.hypotheses.search import found_readings
 from cagemap.maps.hypotheses.tips import AS_CHEAP
 from cagemap.maps.pair import Pair, Progress
 from cagemap.maps.point_map import PointMap
@@ -27,7 +27,6 @@ FAR = 0.05
 def hypothesis_map(
     prepared: PreparedPair,
     pair: Pair,
-    config: HypothesesConfig = HypothesesConfig(),
     progress: Progress = lambda stage: None,
 ) -> tuple[PointMap, Confidence]:
     """Point map T12 of the finest levels by the cheapest hypothesis, which meets the landmarks there are.
@@ -37,11 +36,10 @@ def hypothesis_map(
     prepared : PreparedPair
     pair : Pair
         With any number of landmarks; meant for fewer than `FEWEST_LANDMARKS`.
-    config : HypothesesConfig
     progress : callable
         Called with the name of each stage.
     """
-    best, *others = found_readings(prepared, pair, config, progress)
+    best, *others = found_readings(prepared, pair, progress)
     readings = replace(best, positions=half_way(prepared, pair, best)), *others
     progress("projection")
     found = map_of_reading(prepared, pair, readings[0])

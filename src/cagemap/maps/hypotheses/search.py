@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,39 +19,19 @@ from cagemap.maps.hypotheses.confidence import Reading
 from cagemap.maps.hypotheses.starts import AS_FILED, Start, rigid_starts
 from cagemap.maps.hypotheses.tips import Tips, led_by_tips
 from cagemap.maps.masks import WHOLE
-from cagemap.maps.pair import Pair
-from cagemap.numerics.brief import Brief
+from cagemap.maps.pair import Pair, Progress
 from cagemap.numerics.threads import in_threads, thread_limit
 
-
-@dataclass(frozen=True, repr=False)
-class HypothesesConfig(Brief):
-    """Parameters of the search; the defaults are the measured ones.
-
-    Attributes
-    ----------
-    rough_vertices : int
-        Size of the graph on which all starts are tried.
-    rough : Stage
-        Of those trials: from stiff, which turns and shifts as a whole, to soft.
-    alike : float
-        Mean distance of two starts, of sqrt(area), below which one of them is enough.
-    different : float
-        Mean distance of two fits, of sqrt(area), from which on they are two answers.
-    coarse, finished : int
-        How many different ones go on to the coarse stage of the fit, and from there to its end; beside them, how the
-        files stand, which costs of boxy shapes alone, all sides alike, may put behind.
-    hopeless : float
-        A fit that costs this many times the best one is not finished.
-    """
-
-    rough_vertices: int = 400
-    rough: Stage = field(default_factory=lambda: Stage(14, (1.0, 2e-4), 1e-2, momentum=0.6))
-    alike: float = 0.03
-    different: float = 0.08
-    coarse: int = 4
-    finished: int = 3
-    hopeless: float = 2.5
+# Size of the graph on which all starts are tried, from stiff, which turns and shifts as a whole, to soft.
+ROUGH_VERTICES = 400
+ROUGH = Stage(14, (1.0, 2e-4), 1e-2, momentum=0.6)
+# Mean distance, of sqrt(area), of two starts below which one of them is enough, and of two fits that are two answers.
+ALIKE, DIFFERENT = 0.03, 0.08
+# How many different ones go on to the coarse stage of the fit, and from there to its end; beside them, how the files
+# stand, which costs of boxy shapes alone, all sides alike, may put behind.
+COARSE, FINISHED = 4, 3
+# A fit that costs this many times the best one is not finished.
+HOPELESS = 2.5
 
 
 @dataclass(frozen=True)
@@ -74,8 +54,7 @@ class _Candidate:
 def found_readings(
     prepared: PreparedPair,
     pair: Pair,
-    config: HypothesesConfig = HypothesesConfig(),
-    progress: Callable[[str], None] = lambda stage: None,
+    progress: Progress = lambda stage: None,
 ) -> tuple[Reading, ...]:
     """Different ways in which the target lies on the source, fitted, best first: by cost and doubt.
 
@@ -86,14 +65,13 @@ def found_readings(
     ----------
     prepared : PreparedPair
     pair : Pair
-    config : HypothesesConfig
     progress : callable
     """
     progress("hypotheses")
     shape = prepared.coarse(pair.target_landmarks, pair.landmarks.curves)
-    rough = _rough_fits(prepared, pair, shape, config)
+    rough = _rough_fits(prepared, pair, shape)
     progress("coarse fits")
-    candidates = _coarse_fits(prepared, pair, shape, rough, config)
+    candidates = _coarse_fits(prepared, pair, shape, rough)
     progress("elastic fits")
     tips = Tips.of(prepared, pair)
 
@@ -105,7 +83,7 @@ def found_readings(
 
     least = least_cost(prepared)
     readings = sorted(in_threads(finish, candidates), key=lambda reading: reading.doubt * max(reading.cost, least))
-    return tuple(different(readings, lambda reading: reading.positions, prepared.rest.graph.areas, config.different))
+    return tuple(different(readings, lambda reading: reading.positions, prepared.rest.graph.areas, DIFFERENT))
 
 
 def least_cost(prepared: PreparedPair) -> float:
@@ -121,9 +99,9 @@ def least_cost(prepared: PreparedPair) -> float:
     return float(min(counts)) * judged(on_itself, own.pullers(sheet), rest.graph.positions).cost
 
 
-def _rough_fits(prepared: PreparedPair, pair: Pair, shape: CoarseShape, config: HypothesesConfig) -> list[_Candidate]:
+def _rough_fits(prepared: PreparedPair, pair: Pair, shape: CoarseShape) -> list[_Candidate]:
     """The different ends of all rigid starts on a small graph, cheapest first, brought to the coarse graph."""
-    staged = replace(prepared.elastic, coarse=config.rough, coarse_vertices=config.rough_vertices)
+    staged = replace(prepared.elastic, coarse=ROUGH, coarse_vertices=ROUGH_VERTICES)
     curves = CurvePull.on_mesh(prepared.mesh, pair.landmarks.curves)
     rough = CoarseShape.build(prepared.rest.graph, pair.target_landmarks, staged, prepared.rest.masks, curves)
     small, sheet, places = rough.rest.graph, prepared.sheet, pair.landmarks.source.positions
@@ -134,12 +112,12 @@ def _rough_fits(prepared: PreparedPair, pair: Pair, shape: CoarseShape, config: 
             return _Candidate(start.name, start.doubt, (ended,))
 
     starts = rigid_starts(small.positions, sheet.positions)
-    tried = in_threads(trial, different(starts, lambda start: start.positions, small.areas, config.alike))
+    tried = in_threads(trial, different(starts, lambda start: start.positions, small.areas, ALIKE))
     ranked = sorted(tried, key=lambda one: one.rank)
-    kept = _first(different(ranked, lambda one: one.fit.positions, small.areas, config.different), config.coarse)
+    kept = _first(different(ranked, lambda one: one.fit.positions, small.areas, DIFFERENT), COARSE)
     # What starts of several names lead to has the first one's, which is the simplest.
     firsts = [
-        next(t for t in tried if mean_distance(t.fit.positions, one.fit.positions, small.areas) < config.different)
+        next(t for t in tried if mean_distance(t.fit.positions, one.fit.positions, small.areas) < DIFFERENT)
         for one in kept
     ]
     return [
@@ -149,7 +127,7 @@ def _rough_fits(prepared: PreparedPair, pair: Pair, shape: CoarseShape, config: 
 
 
 def _coarse_fits(
-    prepared: PreparedPair, pair: Pair, shape: CoarseShape, rough: Sequence[_Candidate], config: HypothesesConfig
+    prepared: PreparedPair, pair: Pair, shape: CoarseShape, rough: Sequence[_Candidate]
 ) -> list[_Candidate]:
     """Coarse fits of each rough one: from where it is, and from what spectral upsampling makes of that."""
     graph, sheet, places, elastic = shape.rest.graph, prepared.sheet, pair.landmarks.source.positions, prepared.elastic
@@ -162,9 +140,9 @@ def _coarse_fits(
         return replace(candidate, fits=tuple(sorted([own, *others], key=lambda ended: ended.cost)))
 
     improved = sorted(in_threads(improve, rough), key=lambda one: one.rank)
-    kept = different(improved, lambda one: one.fit.positions, graph.areas, config.different)
-    hopeful = [one for one in kept if one.fit.cost <= config.hopeless * kept[0].fit.cost]
-    return _first(hopeful, config.finished)
+    kept = different(improved, lambda one: one.fit.positions, graph.areas, DIFFERENT)
+    hopeful = [one for one in kept if one.fit.cost <= HOPELESS * kept[0].fit.cost]
+    return _first(hopeful, FINISHED)
 
 
 def _first(ranked: Sequence[_Candidate], count: int) -> list[_Candidate]:

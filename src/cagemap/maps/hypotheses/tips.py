@@ -55,7 +55,7 @@ class Tips:
             (target, masks.of_target(target.n), pair.landmarks.target.positions),
             (source, masks.of_source(source.n), pair.landmarks.source.positions),
         ):
-            vertices = tips(graph)
+            vertices = tip_vertices(graph)
             away = np.linalg.norm(graph.positions[vertices, None] - given, axis=2).min(axis=1, initial=np.inf)
             found.append(vertices[(counts[vertices] > 0) & (away > TAKEN)])
         return cls(found[0], source.positions[found[1]])
@@ -90,30 +90,24 @@ def led_by_tips(prepared: PreparedPair, pair: Pair, tips: Tips, ended: FineFit) 
     return again if again.cost <= AS_CHEAP * ended.cost else ended
 
 
-def tips(graph: ElasticGraph, least: float = LEAST_HEIGHT) -> IndexArray:
+def tip_vertices(graph: ElasticGraph) -> IndexArray:
     """(e,) vertices that are farther from the whole surface than all around them, highest first.
 
     Height is the mean geodesic distance to the surface (Hilaga et al. 2001); a tip's own is taken over the highest
-    pass that leads to a higher one (topological persistence, Edelsbrunner et al. 2002).
-
-    Parameters
-    ----------
-    graph : ElasticGraph
-    least : float
-        Height that a tip has at least.
+    pass that leads to a higher one (topological persistence, Edelsbrunner et al. 2002), `LEAST_HEIGHT` at least.
     """
     heights = mean_distances(graph)
     peaks, above = prominences(heights, graph.heads, graph.tails)
-    kept = above >= least
+    kept = above >= LEAST_HEIGHT
     return peaks[kept][np.argsort(-above[kept], kind="stable")]
 
 
-def mean_distances(graph: ElasticGraph, stations: int = STATIONS) -> FloatArray:
+def mean_distances(graph: ElasticGraph) -> FloatArray:
     """(n,) mean distance along the edges to the whole surface, by some vertices, each far from the others."""
     lengths = np.linalg.norm(graph.edges, axis=1)
     edges = sparse.csr_array((lengths, (graph.heads, graph.tails)), shape=(graph.n, graph.n))
     rows, vertex, nearest = [], 0, np.full(graph.n, np.inf)
-    for _ in range(min(stations, graph.n)):
+    for _ in range(min(STATIONS, graph.n)):
         rows.append(dijkstra(edges, indices=[vertex])[0])
         nearest = np.minimum(nearest, rows[-1])
         vertex = int(nearest.argmax())
