@@ -171,6 +171,20 @@ def test_points_far_away_and_wrong_vertices_are_refused() -> None:
         on_cage(NamedPoints(("x",), np.array([8]), np.full((1, 3), np.nan)), cube())
 
 
+def test_points_in_another_unit_are_refused_where_all_of_them_are_near() -> None:
+    # Metres beside a body in decimetres that stands about its origin: every place is inside it, and near to it.
+    body = replace(cube(), positions=cube().positions * [0.12, 1.0, 0.12])
+    names, between = ("a", "b", "c"), np.full(3, -1)
+    places = body.positions[[0, 3, 6]]
+    assert on_cage(NamedPoints(names, between, places), body).vertices.tolist() == [0, 3, 6]
+    for scale in (0.1, 0.01):
+        with pytest.raises(InvalidLandmarksError, match="in another unit"):
+            on_cage(NamedPoints(names, between, scale * places), body)
+    # Three places beside each other, picked a little off the surface, are what they are.
+    close = places[:1] + 0.004 * np.eye(3)
+    on_cage(NamedPoints(names, between, close), body)
+
+
 def test_landmarks_keep_their_points_through_reversal_and_selection() -> None:
     between = CagePoints(np.array([[0, 1, 2], [3, 3, 3]]), np.array([[0.5, 0.25, 0.25], [1.0, 0, 0]]))
     corners = CagePoints.of_vertices(np.array([4, 5]))

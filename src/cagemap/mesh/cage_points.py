@@ -20,6 +20,9 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 AT_VERTEX = 1.0 - 1e-6
 # A place in space farther from the mesh than this share of the mesh's size (the diagonal of its box) is none of it.
 FAR = 0.1
+# Places that are typically farther from the mesh than this share of the size of their own box are in another unit: a
+# hundredth of a body, about a point inside it, is near to it everywhere.
+SHRUNK = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +134,7 @@ def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
     Raises
     ------
     InvalidLandmarksError
-        If a vertex is out of range or a place is far from the mesh.
+        If a vertex is out of range, or places are far from the mesh or in another unit.
     """
     outside = np.flatnonzero(points.vertices >= mesh.n_vertices)
     if len(outside):
@@ -152,6 +155,13 @@ def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
             raise InvalidLandmarksError(
                 f"expected landmark points on or near {mesh.name}, whose size is {size:.3g}, got distances {listed}. "
                 "The points may belong to another mesh, or be in another unit or axis order."
+            )
+        spread, typical = float(np.linalg.norm(np.ptp(points.positions[free], axis=0))), float(np.median(distances))
+        if len(free) >= 3 and typical > max(SHRUNK * spread, 0.1 * FAR * size):
+            raise InvalidLandmarksError(
+                f"expected landmark points on {mesh.name}, whose size is {size:.3g}, got {len(free)} within "
+                f"{spread:.3g} of each other that are typically {typical:.3g} away from it. They look like points in "
+                "another unit: scale them as the mesh is."
             )
         corners[free], weights[free] = triangles[held_by], barycentric
     return CagePoints(corners, weights)
