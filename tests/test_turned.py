@@ -36,3 +36,9 @@ def test_an_end_as_good_that_turns_a_limb_is_named_where_it_differs_most() -> No
     slid = FineFit(1.01e-4, places + np.array([0.01, 0, 0]))
     assert turned_limbs((best,), found, surface) is None
     assert turned_limbs((best, dear, slid), found, surface) is None
+    # What the first end was moved on to says nothing about another end that was not.
+    moved = FineFit(1e-4, places, moved=turned)
+    assert turned_limbs((moved, slid), found, surface) is None
+    known = turned_limbs((moved, cheap), found, surface)
+    assert known is not None
+    np.testing.assert_array_equal(known.readings[0].positions, turned)

@@ -45,11 +45,20 @@ class FineFit:
         Of the vertices of the target's mesh, near the source.
     costs : (n,) float64
         Share of the cost that every vertex has; empty if nobody asked.
+    moved : (n, 3) float64 or None
+        What became of it where joints are in doubt, see `cagemap.maps.elastic.method.fits`; other ends are not moved,
+        so that it compares with them by its own positions.
     """
 
     cost: float
     positions: FloatArray
     costs: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    moved: FloatArray | None = field(default=None, repr=False)
+
+    @property
+    def answer(self) -> FloatArray:
+        """(n, 3) what the map is made of."""
+        return self.positions if self.moved is None else self.moved
 
 
 def finished_ends(

@@ -48,14 +48,14 @@ def elastic_answers(
     """`elastic_map`, and where else the fit ended, see `fits`; the first of these is the map's own end."""
     found = fits(prepared, pair, progress)
     progress("projection")
-    point_map = project(prepared, found[0].positions, pair.landmarks)
+    point_map = project(prepared, found[0].answer, pair.landmarks)
     return unfold(point_map, held_vertices(pair.landmarks), prepared.elastic), found
 
 
 @kinds_checked
 def fit(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: None) -> FloatArray:
     """Places (n, 3) near the source of the target's vertices of the level that is deformed: the first of `fits`."""
-    return fits(prepared, pair, progress)[0].positions
+    return fits(prepared, pair, progress)[0].answer
 
 
 def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: None) -> tuple[FineFit, ...]:
@@ -96,7 +96,7 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
             if prepared.rest.masks.any:  # what is masked is fitted back as well, and drags what is not with it
                 return first, *others
             alike = fit_in_pose(prepared, pair, first.positions)
-            return replace(first, positions=both_ways(prepared, pair.landmarks, alike)), *others
+            return replace(first, moved=both_ways(prepared, pair.landmarks, alike)), *others
     # The start from the landmarks is another one here: differentials are smoothed over the stiffer stage's length.
     both: list[FloatArray | None] = [start, None]
     ends = in_threads(lambda rough: coarse_fit(stiff, sheet, rough, places, stiffer), both)

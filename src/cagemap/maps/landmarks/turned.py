@@ -31,7 +31,7 @@ def turned_limbs(ends: Sequence[FineFit], found: PointMap, target: Surface) -> C
     for other in ends[1:]:
         apart = np.linalg.norm(best.positions[:count] - other.positions[:count], axis=1)
         if other.cost <= AS_GOOD * best.cost and apart.max() >= TURNED_BY:
-            readings = (Reading(AS_GIVEN, best.cost, best.positions), Reading(TURNED, other.cost, other.positions))
+            readings = (Reading(AS_GIVEN, best.cost, best.answer), Reading(TURNED, other.cost, other.positions))
             gap = other.cost / max(best.cost, 1e-12)
             deciding = int(target.refinement.outer(np.array([apart.argmax()]))[0])
             return Confidence(LOOK, 1e4 * best.cost, gap, readings, deciding, MapShape.of(found))
