@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from cagemap.files.obj import read_obj
 from cagemap.geometry.points import SurfacePoints
+from cagemap.geometry.surface import TriangleSurface
+from cagemap.maps.point_map import PointMap
 from cagemap.mesh import torus
-from cagemap.refinement import refine
+from cagemap.refinement import Refinement, refine
+from cagemap.wrap import wrap
 from cagemap.wrap.fit import WrapConfig, fit_data
 from cagemap.wrap.mend import fit_net, mend
 from cagemap.wrap.net import control_net, face_aspects, folded_faces
 from cagemap.wrap.rounds import Fitting, Pull
-from test_wrap import dented, ring_and_ball, same_vertices
+from test_wrap import dented, ring_and_ball, same_vertices, surface_of
 
 
 def test_a_round_solves_its_system() -> None:
@@ -103,6 +108,46 @@ def test_where_the_map_folds_the_net_does_not(monkeypatch: pytest.MonkeyPatch, s
     size = np.ptp(mended, axis=0).max()
     true = fit_net(net, replace(data, images=point_map.images), WrapConfig())
     assert np.abs(mended - true).max() < 0.2 * size  # the map is off by 0.3
+
+
+def test_what_still_folds_in_the_end_is_laid_flat(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two corners have changed places, and nothing is fitted anew: the means of their neighbours unfold them."""
+    monkeypatch.setattr("cagemap.wrap.mend._MENDINGS", 0)
+    monkeypatch.setattr("cagemap.wrap.mend._FLAT_AREA", 0.1)
+    target = refine(torus(24, 12), 1)
+    point_map = same_vertices(target, target)
+    net = control_net(target, 0, point_map.target.scale)
+    data = fit_data(net, point_map.images, np.ones(point_map.target.n), np.zeros(point_map.target.n, dtype=bool))
+    spoilt = net.graph.positions.copy()
+    one, two = net.mesh.face_indices[:2]
+    spoilt[[one, two]] = spoilt[[two, one]]
+    assert folded_faces(net, spoilt).any()
+    mended = mend(net, data, WrapConfig(), spoilt)
+    assert not folded_faces(net, mended).any()
+    moved = np.flatnonzero((mended != spoilt).any(axis=1))
+    assert np.linalg.norm(net.graph.positions[moved] - net.graph.positions[one], axis=1).max() < 0.25
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("names", [("base", "female1605"), ("proxy741", "base")], ids="<-".join)
+def test_faces_of_a_body_neither_fold_nor_grow_thin(shared_data: Path, names: tuple[str, str]) -> None:
+    """Along true maps between bodies whose fingers, toes and mouths differ."""
+    levels = {"base": 1, "female1605": 2, "proxy741": 3}
+
+    def surfaces(*identities: str) -> list[tuple[Refinement, TriangleSurface]]:
+        found = []
+        for name, identity in zip(names, identities, strict=True):
+            body = refine(read_obj(shared_data / "humans" / f"{name}_{identity}.obj"), levels[name])
+            found.append((body, surface_of(body)))
+        return found
+
+    (_, there), (_, here) = surfaces("neutral", "neutral")  # these lie on each other
+    images = SurfacePoints.nearest(here, there.positions, there.vertex_normals, normal_weight=0.03)
+    (target, surface), (_, source) = surfaces("female_old_heavy", "male_young")
+    wrapped = wrap(target, PointMap.from_arrays(surface, source, images.triangle, images.barycentric))
+    assert not len(wrapped.folded)
+    assert wrapped.aspect <= 1.5
+    assert wrapped.residual.mean <= 1.2e-3
 
 
 def test_a_small_piece_of_its_own_that_folds_goes_with_what_is_around_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -46,14 +46,10 @@ class LonePieces:
         ParameterError
             If that is all of it.
         """
-        piece = components(graph.heads, graph.tails, graph.n)
-        sizes = np.bincount(piece)
-        alone = np.bincount(piece[free], minlength=len(sizes)) == sizes
-        if alone.all():
+        points, ends = whole_pieces(graph, free)
+        if len(points) == graph.n:
             raise ParameterError("expected a part of the target that follows the source, got weights of 0 everywhere")
-        points = np.argsort(piece, kind="stable")
-        points = points[alone[piece[points]]]
-        return cls(graph, points, np.cumsum(sizes[alone]), np.flatnonzero(~alone[piece]))
+        return cls(graph, points, ends, np.setdiff1d(np.arange(graph.n), points))
 
     def carried(self, positions: FloatArray) -> FloatArray:
         """(n, 3) positions with every piece moved by the similarity that the points nearest to it at rest follow."""
@@ -67,3 +63,12 @@ class LonePieces:
             rotation, scale, shift = similarity(rest[near], positions[near])
             moved[own] = scale * rest[own] @ rotation.T + shift
         return moved
+
+
+def whole_pieces(graph: ElasticGraph, points: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """Connected pieces of a graph that lie in points (k,) as a whole, one after the other, and where each ends."""
+    piece = components(graph.heads, graph.tails, graph.n)
+    sizes = np.bincount(piece)
+    whole = np.bincount(piece[points], minlength=len(sizes)) == sizes
+    order = np.argsort(piece, kind="stable")
+    return order[whole[piece[order]]], np.cumsum(sizes[whole])

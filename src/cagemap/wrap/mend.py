@@ -7,11 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from cagemap.maps.elastic.graph import ElasticGraph
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.factorization import factor
 from cagemap.wrap.fit import FitData, WrapConfig
-from cagemap.wrap.lone import LonePieces
+from cagemap.wrap.lone import LonePieces, whole_pieces
 from cagemap.wrap.net import ControlNet, face_aspects, folded_faces
 from cagemap.wrap.rounds import Fitting, rounds, start
 
@@ -19,18 +21,21 @@ from cagemap.wrap.rounds import Fitting, rounds, start
 _CARRYING_ROUNDS = 30
 # Points of the net that samples pull at by less than this share of the largest pull are free.
 _FREE = 1e-6
-# Each time the net is made this much stiffer at the corners of bad faces, so often at most.
-_STIFFENING, _MENDINGS, _ROUNDS = 10.0, 20, 2
-# Around thin faces it becomes less than this, and ten times that at most: they cost distance to the source.
-_STIFFEST_THIN = 99.0
+# Each time the net is made this much stiffer at the corners of bad faces, so often at most, and where they are small.
+_STIFFENING, _MENDINGS, _MENDINGS_SMALL, _ROUNDS = 10.0, 20, 8, 2
+# Around thin faces it becomes less than this, and ten times that at most: they cost distance to the source. Small ones
+# cost less of it.
+_STIFFEST_THIN, _STIFFEST_THIN_SMALL = 99.0, 999.0
 # What still folds at this stiffness has no room on the source: it is carried along, with the samples that depend on it
 # by more than this share.
 _STIFFEST, _SHARE = 1e3, 0.05
 # Only small parts are: a point whose ring has less than this share of the area. Of a coarse cage it would be a limb.
 _SMALL = 0.0005
-# What folds elsewhere stays as it is once it is as stiff as this.
+# What folds elsewhere is laid flat before it is fitted again, and stays as it is once it is as stiff as this.
 _STIFFEST_FOLD = 1e8
 _RELEASED_ROUNDS, _RELEASED_RINGS = 5, 1
+# What folds in the end stays flat, with a ring of points more each time, so often and up to this share of the area.
+_LAYINGS, _FLAT_AREA = 8, 0.01
 # Rings of points around them that move; points that the samples in reach of these depend on lie in three more.
 _MOVING, _AROUND = 2, 3
 # A face is thin beyond so many times the 99th percentile of all faces at rest, where it has grown by as much.
@@ -91,11 +96,16 @@ def mend(
     lone = LonePieces.find(graph, free_points(data)).points
     folded_at_rest, aspects = folded_faces(net, rest), face_aspects(net.mesh, rest)
     least = _THIN * np.maximum(aspects, np.percentile(aspects, 99))
-    for _ in range(_MENDINGS if config.rounds else 0):
+    if not config.rounds:
+        return positions
+    for mending in range(_MENDINGS):
         folded = _corners(net, folded_faces(net, positions) & ~folded_at_rest)
         folded = folded[small[folded] | (stiffness[folded] < _STIFFEST_FOLD)]
         thin = _corners(net, face_aspects(net.mesh, positions) > least)
-        corners = np.setdiff1d(np.union1d(folded, thin[stiffness[thin] < _STIFFEST_THIN]), lone)
+        thin = thin[stiffness[thin] < np.where(small[thin], _STIFFEST_THIN_SMALL, _STIFFEST_THIN)]
+        corners = np.setdiff1d(np.union1d(folded, thin), lone)
+        if mending >= _MENDINGS_SMALL:
+            folded, corners = folded[~small[folded]], corners[~small[corners]]
         if not len(corners):
             break
         stiffness[corners] = np.minimum(_STIFFENING * stiffness[corners], _STIFFEST_FOLD)
@@ -110,12 +120,47 @@ def mend(
         moving = np.setdiff1d(_grown(graph, corners, _MOVING), lone)
         if not len(moving):
             continue
+        again = folded[~small[folded] & (stiffness[folded] > _STIFFENING)]
+        positions = _laid_flat(graph, positions, np.intersect1d(again, moving))
         positions = _move_part(graph, data, config, positions, moving, similar, stiffness, _ROUNDS)
         near = np.intersect1d(moving, _grown(graph, lost, _MOVING + _RELEASED_RINGS))
         if len(near):  # what is carried along has further to go
             positions = _move_part(graph, data, config, positions, near, similar, stiffness, _RELEASED_ROUNDS)
         positions = adjust(positions)
-    return positions
+    return _without_folds(net, positions, folded_at_rest, lone, adjust)
+
+
+def _without_folds(
+    net: ControlNet, positions: FloatArray, folded_at_rest: NDArray[np.bool_], lone: IndexArray, adjust: Adjust
+) -> FloatArray:
+    """(n, 3) the net with the last faces that fold laid flat, where they are small; the one with the fewest folds."""
+    graph, best, fewest = net.graph, positions, net.mesh.n_faces + 1
+    flat = lone[:0]
+    for laying in range(_LAYINGS + 1):
+        folded = folded_faces(net, positions) & ~folded_at_rest
+        if (count := int(np.count_nonzero(folded))) < fewest:
+            best, fewest = positions, count
+        corners = _grown(graph, _corners(net, folded), min(laying, 1))
+        flat = np.setdiff1d(np.union1d(flat, corners), lone)
+        if not count or graph.areas[flat].sum() > _FLAT_AREA:
+            break
+        positions = adjust(_laid_flat(graph, positions, flat))
+    return best
+
+
+def _laid_flat(graph: ElasticGraph, positions: FloatArray, flat: IndexArray) -> FloatArray:
+    """(n, 3) a net in which some points (m,) are the means of their neighbours; pieces of nothing else stay.
+
+    Tutte's placement: in a plane, inside a convex border, no face of a patch folds whose points are such means.
+    """
+    flat = flat[~np.isin(flat, whole_pieces(graph, flat)[0])]
+    if not len(flat):
+        return positions
+    around = np.setdiff1d(_grown(graph, flat, 1), flat)
+    rows = replace(graph, weights=np.ones(len(graph.heads))).laplacian()[flat]
+    moved = positions.copy()
+    moved[flat] = factor(sparse.csc_array(rows[:, flat])).solve(-(rows[:, around] @ positions[around]))
+    return moved
 
 
 def free_points(data: FitData) -> IndexArray:
