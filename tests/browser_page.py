@@ -16,8 +16,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cagemap.studio.page.view import FIRST_VIEW
+
 # A loaded machine without a graphics card needs long for what takes a user's machine a moment.
-PATIENCE = 150.0
+PATIENCE = 60.0
 WINDOW = (1280, 720)
 # Seconds after which a list that has not come is asked for again.
 AGAIN = 2.0
@@ -31,7 +33,7 @@ const begin = performance.now();
 const look = () => {
     const drawn = left => left ? other.requestAnimationFrame(() => drawn(left - 1)) : done(performance.now() - begin);
     if (changed()) drawn(frames);
-    else if (performance.now() - begin > 120000) done(-1);
+    else if (performance.now() - begin > 50000) done(-1);
     else setTimeout(look, 4);
 };
 look();
@@ -49,6 +51,18 @@ requestAnimationFrame(() => {
 });
 """
 LOOK_SIZE = 160
+# Where a frame's camera and canvas are, once the model is in it and viser takes clicks; a click means what it is drawn
+# as from there. viser sends clicks and drags only when it has heard what is asked for.
+STANDS = """
+const mutable = window.__viserMutable, camera = mutable?.camera, canvas = mutable?.canvas;
+if (!camera || !canvas || !window.__viserPointer?.hasSceneClickFilter()) return null;
+if (!Object.keys(mutable.nodeRefFromName).some(name => name.startsWith('/skin/'))) return null;
+const box = canvas.getBoundingClientRect();
+const [x, y, z] = camera.position.toArray();  // of a scene that viser turns about y
+return [-x, y, -z, box.left, box.top, box.width, box.height, window.innerWidth];
+"""
+# Of the first view's position, in a model's radius.
+SAME_VIEW = 1e-3
 
 
 @contextmanager
@@ -86,7 +100,7 @@ def chromium() -> Iterator[Any]:
     flags += ["--enable-unsafe-swiftshader", f"--window-size={WINDOW[0]},{WINDOW[1]}"]
     for flag in flags:
         options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"performance": "ALL"})
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     browser = webdriver.Chrome(service=Service(driver), options=options)
     browser.set_script_timeout(PATIENCE)
     try:
@@ -124,7 +138,7 @@ class Page:
 
     def text(self, name: str) -> str:
         """Text of one of the panels' blocks."""
-        self.into("target" if name == "outputs" else "source")
+        self.into("target" if name in ("outputs", "names") else "source")
         return str(self.browser.execute_script("return document.getElementById(arguments[0])?.innerText ?? ''", name))
 
     def texts(self) -> dict[str, str]:
@@ -134,6 +148,11 @@ class Page:
     def revision(self) -> int:
         """Number of the map that is shown."""
         found = re.match(r"map (\d+)", self.text("map"))
+        return int(found[1]) if found else 0
+
+    def landmarks(self) -> int:
+        """How many complete landmarks the list names."""
+        found = re.match(r"(\d+) landmarks", self.text("list"))
         return int(found[1]) if found else 0
 
     def choose(self, side: str, label: str, value: str, *, exact: bool = True) -> str:
@@ -193,18 +212,33 @@ class Page:
         pictures : int
             That the left frame draws after it.
         """
-        self.into("source")
+        self.enabled("source", label)
         waited = self.browser.execute_async_script(PRESSED, label, block, pattern, pictures)
         if waited < 0:
             raise TimeoutError(f"{label}: {self.texts()}")
         return float(waited) / 1000
 
     def button(self, side: str, label: str) -> None:
-        """Press a button."""
+        """Press a button; what enables it may come a moment after the text that tells of it."""
+        self.browser.execute_script("arguments[0].scrollIntoView(); arguments[0].click()", self.enabled(side, label))
+
+    def enabled(self, side: str, label: str) -> Any:
+        """A button, once it can be pressed."""
         self.into(side)
-        press = "return [...document.querySelectorAll('button')].find(b => b.innerText.trim() == arguments[0])"
-        found = self.until(lambda: self.browser.execute_script(press, label), f"a button {label!r}")
-        self.browser.execute_script("arguments[0].scrollIntoView(); arguments[0].click()", found)
+        look = """return [...document.querySelectorAll('button')].find(
+            b => b.innerText.trim() == arguments[0] && !b.disabled)"""
+        return self.until(lambda: self.browser.execute_script(look, label), f"a button {label!r}")
+
+    def has_button(self, side: str, label: str) -> bool:
+        """Whether there is a button."""
+        self.into(side)
+        look = "return [...document.querySelectorAll('button')].some(b => b.innerText.trim() == arguments[0])"
+        return bool(self.browser.execute_script(look, label))
+
+    def upload(self, side: str, path: Path) -> None:
+        """Choose a file for the upload button."""
+        self.into(side)
+        self.browser.find_element("css selector", "input[type=file]").send_keys(str(path))
 
     def field(self, side: str, label: str) -> Any:
         """The input beside a label."""
@@ -233,24 +267,43 @@ class Page:
         pixels = np.frombuffer(self.until(taken, f"the {side}").encode("latin-1"), dtype=np.uint8)
         return pixels.reshape(LOOK_SIZE, LOOK_SIZE, 4)[..., :3].astype(float)
 
+    def framed(self, side: str) -> None:
+        """Look into a frame and wait until its model is seen as at first: panels and the view arrive on their own."""
+        self.into(side)
+
+        def stands() -> bool:
+            before = self.browser.execute_script(STANDS)
+            if before is None or np.abs(np.array(before[:3]) - FIRST_VIEW).max() > SAME_VIEW:
+                return False
+            time.sleep(0.1)
+            return bool(before == self.browser.execute_script(STANDS))
+
+        self.until(stands, f"the first view of the {side}")
+
     def settle(self, side: str) -> np.ndarray:
-        """Wait until a frame stands still: panels and the first view arrive late on a loaded machine."""
-        before = self.look(side)
-        for _ in range(40):
-            time.sleep(0.3)
-            now = self.look(side)
-            if before.any() and np.array_equal(now, before):
-                break
-            before = now
-        return before
+        """What a frame's canvas shows once two looks in a row are the same."""
+        seen = [self.look(side)]
+
+        def still() -> bool:
+            time.sleep(0.2)
+            seen.append(self.look(side))
+            return bool(seen[-1].any() and np.array_equal(seen[-1], seen[-2]))
+
+        self.until(still, f"the {side} to stand still")
+        return seen[-1]
+
+    def has_ball(self, side: str, number: int) -> bool:
+        """Whether a landmark's ball is in a frame's scene: before that, a drag there turns the model."""
+        self.into(side)
+        look = "return !!window.__viserMutable?.nodeRefFromName[arguments[0]]"
+        return bool(self.browser.execute_script(look, f"/landmarks/{number}"))
 
     def click(self, side: str, point: tuple[float, float], *, shift: bool = False) -> None:
         """Click a model; (0, 0) is the middle of the frame's canvas, (1, 1) its upper right corner."""
         from selenium.webdriver import ActionChains
         from selenium.webdriver.common.keys import Keys
 
-        self.settle(side)
-        self.into(side)
+        self.framed(side)
         canvas = self.browser.find_element("css selector", "canvas")
         size = canvas.size
         x, y = round(point[0] * size["width"] / 2), round(-point[1] * size["height"] / 2)
@@ -264,7 +317,7 @@ class Page:
         """Press at one point of a model's canvas, move to another, release; points as in `click`."""
         from selenium.webdriver import ActionChains
 
-        self.into(side)
+        self.framed(side)
         canvas = self.browser.find_element("css selector", "canvas")
         half = np.array([canvas.size["width"], -canvas.size["height"]]) / 2
         path = [np.rint(half * point).astype(int).tolist() for point in np.linspace(start, end, 6)]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -19,3 +21,12 @@ def shared_data() -> Path:
     if not SHARED.is_dir():
         pytest.skip("real control meshes are not beside this checkout (../shared/data)")
     return SHARED
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """One headless Chromium for all tests that ask for it."""
+    from browser_page import chromium
+
+    with chromium() as started:
+        yield started
