@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
 from cagemap.errors import CagemapError
@@ -49,6 +49,10 @@ class Held:
     def _say(self, kind: str, text: str) -> None:
         with self._lock:
             self._change(messages=with_message(self._state.messages, "error" if kind == "error" else "note", text))
+
+    def _notes(self, notes: Iterable[str], kind: str = "note") -> None:
+        for note in notes:
+            self._say(kind, note)
 
     def _change(self, **fields: object) -> None:
         with self._lock:

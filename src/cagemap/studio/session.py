@@ -11,6 +11,7 @@ from pathlib import Path
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
+from cagemap.studio.agreement import led_elsewhere
 from cagemap.studio.autosave import Parts, autosave_path, kept_parts, set_aside, write_autosave
 from cagemap.studio.bench import ChooseAnswer, Dressed, FindMap, Found, Opened, OpenModels, Task, after
 from cagemap.studio.finish import Command, FinishOptions, planned
@@ -104,8 +105,7 @@ class Session(Held):
             second = None if source_points is None else self.workspace.require(source_points)
             landmarks, notes = load_landmarks(file, second, scene, files)
             self._edit(lambda present: edit.keep_elsewhere(landmarks, present))
-            for note in notes:
-                self._say("note", note)
+            self._notes(notes)
 
     def save_as(self, name: str) -> None:
         """Write the landmarks to a file of that name, or where they were opened."""
@@ -282,8 +282,7 @@ class Session(Held):
         files, scene = self._open()
         target = files.landmarks if path is None else self.workspace.require(path)
         written, lost = save_landmarks(target, self._state.history.present, scene, files)
-        for note in lost:
-            self._say("note", note)
+        self._notes(lost)
         self._say("note", f"saved {', '.join(map(self.workspace.show, written))}")
         if written == (target,):  # a file a mesh is for other programs; the file of pairs stays the open one
             if target != files.landmarks and autosave_path(target).is_file():
@@ -301,8 +300,11 @@ class Session(Held):
         self._say(message.kind, on_the_page(self.options, message.text))
 
     def _ended(self, message: Message) -> None:
+        unchanged = self._finishing == self._state.wish
+        otherwise = led_elsewhere(self._scene, self._state.outputs) if unchanged else ()  # takes longer than a click
         with self._lock:
             self._say(message.kind, message.text)
+            self._notes(otherwise, "error")
             if self._state.images and self._finishing == self._state.wish:
                 self.look_at(self._state.images[0])
             elif self._state.images:
@@ -337,8 +339,7 @@ class Session(Held):
                 if self._state.files is not None:  # as they were opened, so that the finish opens them alike
                     parts = offers[0].opened, offers[1].opened
                     self._change(files=replace(with_parts(self._state.files, parts), schemes=answer.schemes))
-                for note in answer.notes:
-                    self._say("note", note)
+                self._notes(answer.notes)
                 self._first_landmarks()
             case Found() if self._scene is not None and isinstance(task, FindMap | ChooseAnswer):
                 if self._state.map.revision == 0:  # the page has its models by now, and the processor is free
@@ -361,8 +362,7 @@ class Session(Held):
                 if found is not None:
                     landmarks, notes = found
                     self._change(history=History(landmarks), saved=saved)
-                    for note in notes:
-                        self._say("note", note)
+                    self._notes(notes)
                     break
         self._find(fresh=True)
 
