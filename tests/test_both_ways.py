@@ -9,10 +9,10 @@ from cagemap.basis import BasisConfig, Surface, hierarchical_basis
 from cagemap.geometry.closest import build_tree, closest_points
 from cagemap.maps.curves import CurvePair, SurfaceCurve
 from cagemap.maps.elastic.both_ways import both_ways, inverse, smoothed
+from cagemap.maps.elastic.config import StartConfig
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import PointPairs
-from cagemap.maps.spectral.hierarchical import HierarchyConfig
 from cagemap.mesh.parts import extract
 from cagemap.mesh.shapes import creature
 from cagemap.operators import build_operators
@@ -25,7 +25,7 @@ def prepared() -> PreparedPair:
     refinement = refine(creature(), 2)
     operators = build_operators(refinement)
     surface = Surface.of(refinement, operators, hierarchical_basis(refinement, operators, BasisConfig(count=4)))
-    return PreparedPair.build(surface, surface, HierarchyConfig(search_vertices=1000))
+    return PreparedPair.build(surface, surface, StartConfig(search_vertices=1000))
 
 
 def slid(prepared: PreparedPair, by: float) -> np.ndarray:
@@ -79,7 +79,7 @@ def test_a_reversed_pair_has_its_sides_exchanged(prepared: PreparedPair) -> None
     basis = hierarchical_basis(other, operators, BasisConfig(count=4))
     source = Surface.of(other, operators, basis)
     masks = Masks(np.linspace(0, 1, other.finest.n_vertices), None)
-    pair = PreparedPair.build(prepared.target, source, HierarchyConfig(search_vertices=1000), masks=masks)
+    pair = PreparedPair.build(prepared.target, source, StartConfig(search_vertices=1000), masks=masks)
     back = pair.reversed
     assert (back.target, back.source) == (pair.source, pair.target)
     assert back.levels == pair.levels[::-1]
@@ -105,7 +105,7 @@ def test_a_whole_body_is_not_fitted_back_from_a_part_of_it(prepared: PreparedPai
     refinement = refine(part, 2)
     operators = build_operators(refinement)
     source = Surface.of(refinement, operators, hierarchical_basis(refinement, operators, BasisConfig(count=4)))
-    pair = PreparedPair.build(prepared.target, source, HierarchyConfig(search_vertices=1000))
+    pair = PreparedPair.build(prepared.target, source, StartConfig(search_vertices=1000))
     corners = np.arange(0, part.n_vertices, 4)
     assert part.file_vertices is not None
     landmarks = PointPairs.of_vertices(prepared.on_source, pair.on_source, part.file_vertices[corners], corners)

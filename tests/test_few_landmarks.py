@@ -10,12 +10,11 @@ from cagemap import BasisConfig, Landmarks, MatchConfig, Surface, match, prepare
 from cagemap.example import example_pair
 from cagemap.files.landmarks import read_landmarks
 from cagemap.geometry.surface import TriangleSurface
-from cagemap.maps.elastic.config import ElasticConfig, Stage
-from cagemap.maps.spectral.hierarchical import HierarchyConfig
+from cagemap.maps.elastic.config import ElasticConfig, Stage, StartConfig
 
 # A quick fit: the question is which basin it ends in.
 QUICK = MatchConfig(
-    hierarchy=HierarchyConfig(search_vertices=1000),
+    start=StartConfig(search_vertices=1000),
     elastic=ElasticConfig(coarse_vertices=400, coarse=Stage(15, (5e-2, 2e-4), 1e-2), fine=Stage(3, (2e-4, 5e-5), 3e-4)),
 )
 

@@ -10,7 +10,7 @@ import pytest
 from cagemap import BasisConfig, Landmarks, MatchConfig, MatchResult, Surface, match, prepare_surface, update_match
 from cagemap.example import example_pair
 from cagemap.files.result import landmark_messages
-from cagemap.maps.elastic.config import ElasticConfig, Stage
+from cagemap.maps.elastic.config import ElasticConfig, Stage, StartConfig
 from cagemap.maps.elastic.graph import ElasticGraph, cluster_graph
 from cagemap.maps.elastic.prepared import level_graph
 from cagemap.maps.landmarks import check
@@ -22,12 +22,11 @@ from cagemap.maps.landmarks.distances import (
     place_by_distances,
 )
 from cagemap.maps.landmarks.strain import ReducedEnergy, elastic_form, reduced_energy, strained_pair
-from cagemap.maps.spectral.hierarchical import HierarchyConfig
 
 LEVEL = 1  # 1700 and 2200 vertices
 # A quick fit: these tests ask which landmarks are followed, not how accurate the map is.
 CONFIG = MatchConfig(
-    hierarchy=HierarchyConfig(search_vertices=1000),
+    start=StartConfig(search_vertices=1000),
     elastic=ElasticConfig(coarse_vertices=400, coarse=Stage(15, (5e-2, 2e-4), 1e-2), fine=Stage(3, (2e-4, 5e-5), 3e-4)),
 )
 

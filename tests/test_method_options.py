@@ -131,8 +131,8 @@ def test_parameters_reach_the_method_they_belong_to():
     assert hierarchy.descriptors.products == 4
     used = used_parameters(MatchConfig(method="hfm", hierarchy=hierarchy))
     assert used["growths"][0] == {"first": 15, "factor": 1.35, "coordinate_weight": 0.33, "normal_weight": 0.0}
-    start = with_parameters(MatchConfig(), ["start=12:1.35:0.5:0", "further=9:1.2:1:0.1"]).hierarchy
-    assert (start.start, start.further) == (Growth(12, 1.35, 0.5, 0.0), Growth(9, 1.2, 1.0, 0.1))
+    assert with_parameters(MatchConfig(), ["growth=12:1.35:0.5:0"]).start.growth == Growth(12, 1.35, 0.5, 0.0)
+    assert with_parameters(MatchConfig(method="hfm"), ["further=9:1.2:1:0.1"]).hierarchy.further.first == 9
     unchanged = used_parameters(with_parameters(MatchConfig(method="hfm"), []))
     assert len(unchanged["growths"]) == len(HierarchyConfig().growths)
 
@@ -146,7 +146,7 @@ def test_parameters_reach_the_method_they_belong_to():
         ("paper", "decay=-1", "decay of at least 0"),
         ("paper", "growths=20:1.5:1:0", "expected NAME=VALUE with one of .*rounds.* for paper"),
         ("hfm", "growths=20:1.5:1", "growths: expected FIRST:FACTOR:COORDINATE_WEIGHT"),
-        ("elastic", "start=20:1.5:1", "start: expected FIRST:FACTOR:COORDINATE_WEIGHT:NORMAL_WEIGHT, such as"),
+        ("elastic", "growth=20:1.5:1", "growth: expected FIRST:FACTOR:COORDINATE_WEIGHT:NORMAL_WEIGHT, such as"),
         ("hfm", "growths=20:1:1:0", "a factor above 1"),
         ("hfm", "growths=20:1.5:1:-1", "weights of at least 0"),
         ("hfm", "product_weight=-1", "product_weight: expected at least 0"),

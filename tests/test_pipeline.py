@@ -24,8 +24,7 @@ from cagemap.errors import InvalidLandmarksError, InvalidMeshError, ParameterErr
 from cagemap.example import example_pair
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.pair import Pair
-from cagemap.maps.spectral.hierarchical import HierarchyConfig, search_levels
-from cagemap.maps.spectral.levels import ladder
+from cagemap.maps.spectral.levels import ladder, search_levels
 from cagemap.mesh import shapes
 from cagemap.refinement import CatmullClark, Loop
 
@@ -138,11 +137,10 @@ def test_levels_are_walked_down_together(pony):
 def test_levels_without_functions_are_not_searched():
     """A level may have vertices enough and yet no functions: a tight tolerance leaves them to finer levels."""
     surface = prepare_surface(shapes.creature(), 2, BasisConfig(schedule=(1, 2, 57)))
-    assert search_levels(surface, surface, HierarchyConfig(search_vertices=100)) == (2, 2)
+    assert search_levels(surface, surface, 100) == (2, 2)
     usual = prepare_surface(shapes.creature(), 2, BasisConfig(schedule=(50, 10)))
-    assert search_levels(usual, surface, HierarchyConfig(search_vertices=100)) == (0, 2)
-    own = HierarchyConfig(search_vertices=100, source_search_vertices=10**6)
-    assert search_levels(usual, usual, own) == (0, usual.finest)
+    assert search_levels(usual, surface, 100) == (0, 2)
+    assert search_levels(usual, usual, 100, 10**6) == (0, usual.finest)
 
 
 def test_wrong_input_is_refused_before_anything_expensive(pony):

@@ -16,8 +16,9 @@ from cagemap.functional_map import MapWeights, extend_functional_map, solve_func
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.pair import Pair
 from cagemap.maps.spectral import hierarchical
-from cagemap.maps.spectral.hierarchical import Growth, HierarchyConfig, hierarchical_map, search_levels
+from cagemap.maps.spectral.hierarchical import Growth, HierarchyConfig, hierarchical_map
 from cagemap.maps.spectral.joining import joined_match
+from cagemap.maps.spectral.levels import search_levels
 from cagemap.maps.spectral.paper import PaperConfig, orthonormal, paper_map
 from cagemap.maps.spectral.samples import fit_functional_map
 from cagemap.mesh import shapes
@@ -238,7 +239,7 @@ def test_on_the_only_level_the_functional_map_has_all_functions():
     """Growths ended at 20 of 30 functions and no level below adds the others: RESULT could not be read."""
     pair = creature_pair(schedule=(20, 10))
     config = HierarchyConfig(search_vertices=300, searched_functions=20, further_functions=20)
-    assert search_levels(pair.target, pair.source, config) == (pair.target.finest, pair.source.finest)
+    assert search_levels(pair.target, pair.source, 300) == (pair.target.finest, pair.source.finest)
     maps, _ = hierarchical_map(pair, config)
     assert len(maps) == 1
     assert maps[0].functional_map.shape == (30, 30)

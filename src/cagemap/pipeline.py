@@ -18,7 +18,7 @@ from cagemap.basis.prepare import prepare_surfaces as prepare_surfaces
 from cagemap.basis.prepare import silent as silent
 from cagemap.basis.schedule import MAP_BASIS as MAP_BASIS
 from cagemap.errors import InvalidLandmarksError, ParameterError
-from cagemap.maps.elastic.config import ElasticConfig
+from cagemap.maps.elastic.config import ElasticConfig, StartConfig
 from cagemap.maps.elastic.method import elastic_map, updated_map
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS, hypothesis_map, map_of_reading
@@ -53,9 +53,11 @@ class MatchConfig(Brief):
         "hfm": a hierarchical functional map whose bands are found by eqs. 14-16 and by the map so far.
         "paper": the paper's own hierarchical functional map, which starts at level 0; wants a fixed schedule.
     hierarchy : HierarchyConfig
-        Descriptors, weights and search of "elastic" and "hfm".
+        Descriptors, weights and search of "hfm".
     paper : PaperConfig
         Those of "paper".
+    start : StartConfig
+        Those of the spectral map that "elastic" starts from.
     elastic : ElasticConfig
         The elastic fit.
     use_symmetry : bool
@@ -74,6 +76,7 @@ class MatchConfig(Brief):
     method: str = "elastic"
     hierarchy: HierarchyConfig = HierarchyConfig()
     paper: PaperConfig = PaperConfig()
+    start: StartConfig = StartConfig()
     elastic: ElasticConfig = ElasticConfig()
     use_symmetry: bool = True
     symmetries: tuple[SymmetryPair, ...] = ()
@@ -110,7 +113,7 @@ def prepare_pair(target: Surface, source: Surface, config: MatchConfig = MatchCo
         # The bases of a result that was read are not made yet, triangles of none.
         in_threads(lambda surface: (surface.inner.basis, surface.inner.triangles(0)), [target, source])
         masks = inner_masks(config.masks, target, source)
-        return PreparedPair.build(target.inner, source.inner, config.hierarchy, config.elastic, masks)
+        return PreparedPair.build(target.inner, source.inner, config.start, config.elastic, masks)
 
 
 @kinds_checked

@@ -19,8 +19,16 @@ from cagemap.maps.elastic.method import functional_map_of as _functional_map_of
 from cagemap.maps.pair import LevelPair, Pair, SymmetryPair
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.spectral.constraints import DescriptorConfig, gather_constraints, signature_functions
-from cagemap.maps.spectral.hierarchical import HierarchyConfig, hierarchical_map, search_levels
-from cagemap.maps.spectral.levels import LevelMap, basis_sizes, ladder, recover_points, search_full, search_level
+from cagemap.maps.spectral.hierarchical import HierarchyConfig, hierarchical_map
+from cagemap.maps.spectral.levels import (
+    LevelMap,
+    basis_sizes,
+    ladder,
+    recover_points,
+    search_full,
+    search_level,
+    search_levels,
+)
 from cagemap.maps.spectral.paper import PaperConfig, paper_map
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
@@ -154,16 +162,10 @@ def point_map(pair: Pair, matrix: FloatArray) -> PointMap:
             f"expected a functional map of at most {(pair.target.basis.count, pair.source.basis.count)}, "
             f"got {matrix.shape}"
         )
-
-    def cut(levels: LevelPair) -> FloatArray:
-        """Functions that these levels have."""
-        sizes = basis_sizes(pair, levels)
-        return matrix[: sizes[0], : sizes[1]]
-
-    start = search_levels(pair.target, pair.source, HierarchyConfig())
-    found = LevelMap(start, cut(start), search_full(pair, cut(start), start))
+    start = search_levels(pair.target, pair.source, HierarchyConfig().search_vertices)
+    found = LevelMap(start, matrix, search_full(pair, matrix, start))
     for levels in ladder(pair, start):
-        found = LevelMap(levels, cut(levels), search_level(pair, cut(levels), levels, found))
+        found = LevelMap(levels, matrix, search_level(pair, matrix, levels, found))
     return recover_points(pair, found)
 
 

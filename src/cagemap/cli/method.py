@@ -10,6 +10,7 @@ from typing import Any, get_type_hints
 from cagemap.errors import CagemapError, ParameterError
 from cagemap.files.symmetry import read_symmetry
 from cagemap.functional_map import MapWeights
+from cagemap.maps.elastic.config import StartConfig
 from cagemap.maps.pair import SymmetryPair
 from cagemap.maps.spectral.constraints import DescriptorConfig
 from cagemap.maps.spectral.hierarchical import Growth, HierarchyConfig
@@ -20,6 +21,8 @@ GROWTH_FORM = "FIRST:FACTOR:COORDINATE_WEIGHT:NORMAL_WEIGHT"
 GROWTHS_EXAMPLE = "15:1.35:0.33:0.1,20:1.5:1:0.3"
 
 _PARTS = ("descriptors", "weights")
+# The parameters of each method's spectral map.
+_OWN = {"elastic": "start", "hfm": "hierarchy", "paper": "paper"}
 
 
 def with_parameters(config: MatchConfig, settings: Sequence[str]) -> MatchConfig:
@@ -30,7 +33,7 @@ def with_parameters(config: MatchConfig, settings: Sequence[str]) -> MatchConfig
     ParameterError
         If a name is not known, has no meaning for the method, or its value is no number.
     """
-    own: Any = config.paper if config.method == "paper" else config.hierarchy
+    own: Any = getattr(config, _OWN[config.method])
     values = _named_values(own)
     for setting in settings:
         name, given, text = setting.partition("=")
@@ -40,7 +43,7 @@ def with_parameters(config: MatchConfig, settings: Sequence[str]) -> MatchConfig
             **_kinds(MapWeights),
             "growths": _growths,
             "further": _growth,
-            "start": _growth,
+            "growth": _growth,
         }
         kind = kinds.get(name)
         if not given or name not in values or kind is None:
@@ -60,19 +63,18 @@ def with_parameters(config: MatchConfig, settings: Sequence[str]) -> MatchConfig
             raise ParameterError(f"--parameter {name}: expected {forms[kind]}, got {text!r}.") from None
     try:
         parts = {part: _filled(getattr(own, part), values) for part in _PARTS}
-        own = replace(_filled(own, values), **parts)
+        ways = {name: Growth(**values[name]) for name in ("growth", "further") if name in values}
+        own = replace(_filled(own, values), **parts, **ways)
         if isinstance(own, HierarchyConfig):
-            growths = tuple(Growth(**growth) for growth in values["growths"])
-            further, start = Growth(**values["further"]), Growth(**values["start"])
-            own = replace(own, growths=growths, further=further, start=start)
+            own = replace(own, growths=tuple(Growth(**growth) for growth in values["growths"]))
     except CagemapError as error:
         raise ParameterError(f"--parameter: {error}") from None
-    return replace(config, **{"paper" if config.method == "paper" else "hierarchy": own})
+    return replace(config, **{_OWN[config.method]: own})
 
 
 def used_parameters(config: MatchConfig) -> dict[str, Any]:
     """All parameters of the spectral method that a match used, by the names of `with_parameters`."""
-    return _named_values(config.paper if config.method == "paper" else config.hierarchy)
+    return _named_values(getattr(config, _OWN[config.method]))
 
 
 def read_symmetries(target: Sequence[Path], source: Sequence[Path]) -> tuple[SymmetryPair, ...]:
@@ -91,7 +93,7 @@ def read_symmetries(target: Sequence[Path], source: Sequence[Path]) -> tuple[Sym
     return tuple((read_symmetry(one), read_symmetry(two)) for one, two in zip(target, source, strict=True))
 
 
-def _named_values(config: HierarchyConfig | PaperConfig) -> dict[str, Any]:
+def _named_values(config: HierarchyConfig | PaperConfig | StartConfig) -> dict[str, Any]:
     flat = asdict(config)
     for part in _PARTS:
         flat.update(flat.pop(part))

@@ -1,4 +1,4 @@
-"""Parameters of the elastic fit."""
+"""Parameters of the elastic method: of its spectral start and of the fit."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cagemap.errors import ParameterError
+from cagemap.functional_map import MapWeights
+from cagemap.maps.spectral.constraints import DescriptorConfig
+from cagemap.maps.spectral.hierarchical import Growth
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.brief import Brief
 
@@ -56,6 +59,33 @@ class Stage:
         first, last = self.stiffness
         steps = np.minimum(np.arange(self.iterations + self.patience) / max(self.ramp * self.iterations, 1e-9), 1.0)
         return np.asarray(first * (last / first) ** steps)
+
+
+@dataclass(frozen=True, repr=False)
+class StartConfig(Brief):
+    """Parameters of the spectral map that the elastic fit starts from; the defaults are the measured ones.
+
+    Attributes
+    ----------
+    descriptors : DescriptorConfig
+    weights : MapWeights
+    search_vertices : int
+        The target is deformed at its coarsest level with at least this many vertices; the source's vertices are sought
+        at its own such level.
+    source_search_vertices : int
+        The same of the source alone; 0: as the target's.
+    searched_functions : int
+        Basis functions up to which the map grows.
+    growth : Growth
+        How it grows.
+    """
+
+    descriptors: DescriptorConfig = DescriptorConfig()
+    weights: MapWeights = MapWeights()
+    search_vertices: int = 3000
+    source_search_vertices: int = 0
+    searched_functions: int = 150
+    growth: Growth = Growth(20, 1.5, 1.0, 0.0)
 
 
 @dataclass(frozen=True, repr=False)

@@ -11,14 +11,14 @@ from cagemap.basis import Surface
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import vertex_normals
 from cagemap.maps.curves import CurvePair
-from cagemap.maps.elastic.config import ElasticConfig
+from cagemap.maps.elastic.config import ElasticConfig, StartConfig
 from cagemap.maps.elastic.constants import CURVE_SHARE, PULLERS, SHEET_VERTICES
 from cagemap.maps.elastic.counterparts import ReceivedArea
 from cagemap.maps.elastic.curves import NO_CURVES, CurvePull
 from cagemap.maps.elastic.data import Pullers
 from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph, bounded_maps, cluster_graph, mesh_graph
 from cagemap.maps.masks import WHOLE, Masks
-from cagemap.maps.spectral.hierarchical import HierarchyConfig, search_levels
+from cagemap.maps.spectral.levels import search_levels
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool
 
@@ -116,7 +116,7 @@ class PreparedPair:
     Attributes
     ----------
     target, source : Surface
-    hierarchy : HierarchyConfig
+    start : StartConfig
     elastic : ElasticConfig
     levels : (int, int)
         Of target and source, where the spectral map is searched in full. The target's is the level that is deformed.
@@ -128,7 +128,7 @@ class PreparedPair:
 
     target: Surface
     source: Surface
-    hierarchy: HierarchyConfig
+    start: StartConfig
     elastic: ElasticConfig
     levels: tuple[int, int]
     rest: RestShape
@@ -139,19 +139,19 @@ class PreparedPair:
         cls,
         target: Surface,
         source: Surface,
-        hierarchy: HierarchyConfig = HierarchyConfig(),
+        start: StartConfig = StartConfig(),
         elastic: ElasticConfig = ElasticConfig(),
         masks: Masks = WHOLE,
     ) -> PreparedPair:
         """Factor the target's rest shape, and order the source's triangles for closest points."""
-        levels = search_levels(target, source, hierarchy)
+        levels = search_levels(target, source, start.search_vertices, start.source_search_vertices)
         sheet = source.triangles(source.refinement.coarsest_level(SHEET_VERTICES))
         with ThreadPool(1) as aside:
             trees = aside.submit(lambda: (sheet.tree, source.triangles(source.finest).tree))
             graph = level_graph(target, levels[0])
             rest = RestShape.build(graph, target.triangles(levels[0]), elastic.fine.smoothing, masks)
             trees.result()
-        return cls(target, source, hierarchy, elastic, levels, rest, sheet)
+        return cls(target, source, start, elastic, levels, rest, sheet)
 
     @property
     def mesh(self) -> TriangleSurface:
@@ -175,7 +175,7 @@ class PreparedPair:
         mesh, masks = target.triangles(self.levels[1]), self.rest.masks.reversed()
         rest = RestShape.build(self.graphs[1], mesh, self.elastic.fine.smoothing, masks)
         sheet = source.triangles(source.refinement.coarsest_level(SHEET_VERTICES))
-        return PreparedPair(target, source, self.hierarchy, self.elastic, self.levels[::-1], rest, sheet)
+        return PreparedPair(target, source, self.start, self.elastic, self.levels[::-1], rest, sheet)
 
     def coarse(self, kept: IndexArray | None = None, curves: tuple[CurvePair, ...] = ()) -> CoarseShape:
         """Clusters of the target's mesh, each of the kept vertices (p,) one of its own; landmarks, or none."""

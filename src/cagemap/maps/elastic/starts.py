@@ -46,7 +46,7 @@ def start_map(prepared: PreparedPair, pair: Pair, vertices: IndexArray, areas: F
     (q,) int64
         Source vertices.
     """
-    levels, config = prepared.levels, prepared.hierarchy
+    levels, config = prepared.levels, prepared.start
     areas = areas * prepared.rest.masks.for_vertices(vertices).of_target(len(vertices))
     constraints = gather_constraints(pair, config.descriptors)
     candidates = spread(len(pair.source.refinement.levels[levels[1]].positions), START_SAMPLES)
@@ -56,7 +56,7 @@ def start_map(prepared: PreparedPair, pair: Pair, vertices: IndexArray, areas: F
         (pair.source, levels[1], pair.source_landmarks, candidates, np.ones(len(candidates))),
     ]
     target, source = in_threads(lambda side: _samples(*side), sides)
-    _, match = grown_map(constraints, target, source, config.weights, config.start, config.searched_functions)
+    _, match = grown_map(constraints, target, source, config.weights, config.growth, config.searched_functions)
     return candidates[match]
 
 

@@ -60,7 +60,8 @@ class LevelMesh:
 
     def coefficients(self, count: int) -> FloatArray:
         """(count, 3) positions in the leading basis functions."""
-        return self.surface.basis.project(self.surface.triangles(self.level).positions, self.level, count=count)
+        level = max(self.level, self.surface.basis.last_level)
+        return self.surface.basis.project(self.surface.triangles(level).positions, level, count=count)
 
 
 def with_normals(

@@ -3,8 +3,9 @@
 Starts from eq. 13 on a few functions. Every further band extends C by eqs. 14-16, to which the map so far adds what it
 says about the new functions; the new C gives a better map, with which C is solved for again. So it goes up the bands
 on one level, where all vertices of either surface search all of the other, in several ways whose best parts are
-joined, and then down the levels with the candidates of Fig. 9. In every search landmark coordinates stand beside the
-functions, and normals of the target as C places it on the source.
+joined, and then down the levels with the candidates of Fig. 9. Functions of finer bands have values at coarse vertices
+too, so that this level finds all of C whichever is the finest; a level's own C is the leading block. In every search
+landmark coordinates stand beside the functions, and normals of the target as C places it on the source.
 `cagemap.maps.spectral.paper` is the paper's method without the map's part.
 """
 
@@ -26,7 +27,16 @@ from cagemap.maps.spectral.constraints import DescriptorConfig, gather_constrain
 from cagemap.maps.spectral.facing import LevelMesh, with_normals
 from cagemap.maps.spectral.joining import joined_match
 from cagemap.maps.spectral.landmark_coordinates import landmark_coordinates
-from cagemap.maps.spectral.levels import Beside, LevelMap, basis_sizes, down_the_levels, ladder, refit, search_level
+from cagemap.maps.spectral.levels import (
+    Beside,
+    LevelMap,
+    basis_sizes,
+    down_the_levels,
+    refit,
+    search_level,
+    search_levels,
+)
+from cagemap.maps.spectral.row_blocks import functions_at
 from cagemap.maps.spectral.samples import (
     Samples,
     embed_source,
@@ -50,8 +60,6 @@ FEWEST_FUNCTIONS = 3
 # Samples of either surface for every function that a band is found with, and the fewest.
 SAMPLES = 20
 FEWEST_SAMPLES = 1000
-# The search levels have this many functions on both sides, where the bases do.
-ENOUGH_FUNCTIONS = 50
 # Landmarks that harmonic coordinates need.
 FEWEST_LANDMARKS = 2
 
@@ -107,33 +115,30 @@ class HierarchyConfig(Brief):
     weights : MapWeights
         Of eq. 13 and of the map beside the descriptors, the same on all levels.
     search_vertices : int
-        The point map is searched in full at each side's coarsest level with at least this many vertices.
+        The point map is searched in full at each side's coarsest level with at least this many vertices. Levels of
+        four times as many lose hands.
     source_search_vertices : int
         The same of the source alone; 0: as the target's.
     searched_functions : int
         Basis functions up to which all growths find bands with full searches.
     further_functions : int
-        Those up to which their joined map goes on; what the basis has beyond is found further down, where vertices
-        move only among candidates.
+        Those up to which their joined map goes on; what the basis has beyond is one band more.
     growths : tuple of Growth
         Ways up to ``searched_functions``. The map is kept whose coverage of the source over its Dirichlet energy is
         largest, with those parts of the others that make it larger still (see `joined_match`).
     further : Growth
         How the joined map goes on to ``further_functions``, and the weights of coordinates and normals on all levels
         below; its ``first`` is not used.
-    start : Growth
-        The one way in which the elastic method's start grows.
     """
 
     descriptors: DescriptorConfig = DescriptorConfig()
     weights: MapWeights = MapWeights()
-    search_vertices: int = 3000
+    search_vertices: int = 2000
     source_search_vertices: int = 0
     searched_functions: int = 150
     further_functions: int = 300
     growths: tuple[Growth, ...] = GROWTHS
     further: Growth = Growth(12, 1.5, 0.33, 0.3)
-    start: Growth = Growth(20, 1.5, 1.0, 0.0)
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -171,7 +176,7 @@ def hierarchical_map(
     """
     progress("functional map")
     constraints = gather_constraints(pair, config.descriptors) if constraints is None else constraints
-    searched = search_levels(pair.target, pair.source, config)
+    searched = search_levels(pair.target, pair.source, config.search_vertices, config.source_search_vertices)
     target = level_samples(pair.target, searched[0], pair.target_landmarks)
     source = level_samples(pair.source, searched[1], pair.source_landmarks)
     meshes = LevelMesh(pair.target, searched[0]), LevelMesh(pair.source, searched[1])
@@ -193,36 +198,29 @@ def hierarchical_map(
     ends = [(of_joined, joined), further]
     merits = [merit(match) for _, match in ends]
     logger.info("merit joined: %.4f, gone on: %.4f", *merits)
-    first = LevelMap(searched, *ends[int(np.argmax(merits))])
-    if not ladder(pair, searched) and first.functional_map.shape != basis_sizes(pair, searched):
-        first = replace(first, functional_map=refit(pair, searched, first.match))  # no level below adds the rest
+    functional_map, match = ends[int(np.argmax(merits))]
+    if functional_map.shape != constraints.shape:
+        of_match = refit(pair, searched, match, constraints.shape)
+        functional_map = extended(constraints, functional_map.shape, of_match, config.weights)
+    first = LevelMap(searched, functional_map, match)
     beside = Beside(searched, *shared_coordinates(target, source, meshes, first.functional_map, config.further))
 
     def below(coarse: LevelMap, levels: LevelPair) -> LevelMap:
         return descend(pair, constraints, coarse, levels, config, beside)
 
-    return down_the_levels(pair, first, below, progress, beside)
+    maps, points = down_the_levels(pair, first, below, progress, beside)
+    return tuple(replace(found, functional_map=leading(pair, found)) for found in maps), points
+
+
+def leading(pair: Pair, found: LevelMap) -> FloatArray:
+    """C_l, the block of the functions that these levels have."""
+    k1, k2 = basis_sizes(pair, found.levels)
+    return found.functional_map[:k1, :k2]
 
 
 def covered(match: IndexArray, source: Samples) -> float:
     """Share of the source's samples that some target sample is matched to; a limb that is missed costs many."""
     return len(np.unique(match)) / len(source.areas)
-
-
-def search_levels(target: Surface, source: Surface, config: HierarchyConfig) -> LevelPair:
-    """The levels whose point map is searched in full: the coarsest ones with enough vertices and basis functions."""
-
-    def first(surface: Surface, vertices: int) -> int:
-        functions = min(ENOUGH_FUNCTIONS, surface.basis.count)
-        enough = (
-            i
-            for i, level in enumerate(surface.refinement.levels)
-            if len(level.positions) >= vertices and surface.basis.size(i) >= functions
-        )
-        return next(enough, surface.finest)
-
-    own = config.source_search_vertices or config.search_vertices
-    return first(target, config.search_vertices), first(source, own)
 
 
 def grown_map(
@@ -339,21 +337,17 @@ def descend(
     config: HierarchyConfig,
     beside: Beside | None = None,
 ) -> LevelMap:
-    """One step down: C extended by the levels' bands (eqs. 14-16), candidates (Fig. 9), C solved again, once more."""
-    sizes = basis_sizes(pair, levels)
-    functional_map, known = coarse.functional_map, constraints.leading(*sizes)
-    if functional_map.shape != sizes:
-        of_match = refit(pair, levels, coarse.match, coarse.levels[0])
-        functional_map = extend_functional_map(functional_map, known, config.weights, match=of_match)
-    match = search_level(pair, functional_map, levels, coarse, beside)
-    functional_map = solve_functional_map(known, config.weights, match=refit(pair, levels, match))
+    """One step down: candidates of Fig. 9, C solved for again, and once more."""
+    match = search_level(pair, coarse.functional_map, levels, coarse, beside)
+    of_match = refit(pair, levels, match, constraints.shape)
+    functional_map = solve_functional_map(constraints, config.weights, match=of_match)
     return LevelMap(levels, functional_map, search_level(pair, functional_map, levels, coarse, beside))
 
 
 def level_samples(surface: Surface, level: int, landmarks: IndexArray) -> Samples:
     """All vertices of a level, with the row sums of its mass matrix as areas and their landmark coordinates."""
     operators = surface.operators
-    rows = surface.basis.at(level)
+    rows = functions_at(surface, level, surface.basis.count)
     coordinates = np.zeros((len(rows), 0))
     if len(landmarks) >= FEWEST_LANDMARKS:
         coordinates = landmark_coordinates(operators.stiffness[level], operators.mass[level], landmarks)

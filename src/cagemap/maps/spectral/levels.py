@@ -25,6 +25,8 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 
 # Levels up to this size serve the refits of C; of larger ones as many vertices do.
 SAMPLE_VERTICES = 30_000
+# The search levels have this many functions on both sides, where the bases do.
+ENOUGH_FUNCTIONS = 50
 # Two levels are walked down together while neither has this many times the other's vertices.
 COMPARABLE = 2.5
 
@@ -65,6 +67,30 @@ class Beside:
     levels: LevelPair
     target: FloatArray
     source: FloatArray
+
+
+def search_levels(target: Surface, source: Surface, vertices: int, source_vertices: int = 0) -> LevelPair:
+    """The levels whose point map is searched in full: the coarsest ones with enough vertices and basis functions.
+
+    Parameters
+    ----------
+    target, source : Surface
+    vertices : int
+        Of either.
+    source_vertices : int
+        Of the source, if not 0.
+    """
+
+    def first(surface: Surface, wanted: int) -> int:
+        functions = min(ENOUGH_FUNCTIONS, surface.basis.count)
+        enough = (
+            i
+            for i, level in enumerate(surface.refinement.levels)
+            if len(level.positions) >= wanted and surface.basis.size(i) >= functions
+        )
+        return next(enough, surface.finest)
+
+    return first(target, vertices), first(source, source_vertices or vertices)
 
 
 def ladder(pair: Pair, start: LevelPair) -> list[LevelPair]:
@@ -136,26 +162,23 @@ def search_level(
     return search_candidates(*rows, blocks(pair.target, levels[0]), parents, children, coarse.match)
 
 
-def refit(pair: Pair, levels: LevelPair, match: IndexArray, matched: int | None = None) -> FloatArray:
-    """C12 = Phi~1^+ P12 Phi~2 of a match with all functions of two levels, on a sample of its vertices (paper, 2.1.2).
+def refit(pair: Pair, levels: LevelPair, match: IndexArray, sizes: tuple[int, int] | None = None) -> FloatArray:
+    """C12 = Phi~1^+ P12 Phi~2 of a match of two levels, on a sample of its vertices (paper, 2.1.2).
 
     Parameters
     ----------
     pair : Pair
     levels : (int, int)
-        Whose basis functions.
     match : (n,) array
-        Source vertex of every target vertex of the level ``matched``.
-    matched : int, optional
-        Default: the target's level. Vertex i of a level is vertex i of the next, so a coarse match says something about
-        the functions of a finer one too.
+        Source vertex of every target vertex.
+    sizes : (int, int), optional
+        Basis functions (k1, k2) of both sides; default: those of the levels.
     """
-    matched = levels[0] if matched is None else matched
+    k1, k2 = basis_sizes(pair, levels) if sizes is None else sizes
     chosen = spread(len(match), SAMPLE_VERTICES)
-    k1, k2 = basis_sizes(pair, levels)
     rows = spectral_rows(pair.target, levels[0], k1).at(chosen).astype(np.float64)
     values = spectral_rows(pair.source, levels[1], k2).at(match[chosen]).astype(np.float64)
-    areas = pair.target.operators.areas(matched)[chosen]
+    areas = pair.target.operators.areas(levels[0])[chosen]
     return fit_functional_map(Samples(rows, areas, np.zeros((len(rows), 0))), values, k1)
 
 

@@ -68,11 +68,22 @@ def spectral_rows(
     """
     last_band = max(i for i, count in enumerate(surface.basis.schedule) if count > 0)
     base = min(level, last_band if beside is None else max(last_band, beside.level))
-    values = surface.basis.at(base)[:, :functions]
+    values = functions_at(surface, base, functions)
     values = values if mixing is None else values @ mixing
     if beside is not None:
         values = np.hstack([values, surface.refinement.prolong(beside.values, beside.level, base)])
     return SpectralRows(surface.refinement.product(level, base) if level > base else None, np.ascontiguousarray(values))
+
+
+def functions_at(surface: Surface, level: int, functions: int) -> FloatArray:
+    """Phi~(x, :) of the leading functions at all vertices of a level; (n_level, functions).
+
+    Where the level does not have as many, vertex i stands for vertex i of the last level that adds some.
+    """
+    basis = surface.basis
+    if functions <= basis.size(level):
+        return basis.at(level)[:, :functions]
+    return basis.rows(basis.last_level, np.arange(surface.refinement.levels[level].n_vertices))[:, :functions]
 
 
 def blocks(surface: Surface, level: int) -> Iterator[IndexArray]:
