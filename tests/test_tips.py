@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from cagemap.basis import Surface
 from cagemap.geometry.surface import TriangleSurface
+from cagemap.maps.elastic.config import ElasticConfig
 from cagemap.maps.elastic.ends import FineFit
+from cagemap.maps.elastic.fit import CoarseFit, coarse_fit
 from cagemap.maps.elastic.graph import mesh_graph
-from cagemap.maps.elastic.prepared import PreparedPair
+from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair
+from cagemap.maps.hypotheses.confidence import Reading
+from cagemap.maps.hypotheses.method import half_way
 from cagemap.maps.hypotheses.tips import (
     AS_CHEAP,
     MET,
@@ -24,6 +30,7 @@ from cagemap.maps.masks import Masks
 from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.shapes import creature, cube
+from cagemap.numerics.arrays import FloatArray
 from cagemap.pipeline import MatchConfig, pair_of, prepare_pair, prepare_surface
 from cagemap.refinement import refine
 
@@ -83,7 +90,18 @@ def test_what_is_masked_or_has_a_landmark_is_no_tip(surface: Surface) -> None:
     assert set(range(8)) - set(ends_of(surface, found.places)) == {NOSE, TAIL}
 
 
-def test_a_fit_is_led_to_tips_that_it_missed(surface: Surface, prepared: PreparedPair) -> None:
+def test_a_fit_is_led_to_tips_that_it_missed(
+    surface: Surface, prepared: PreparedPair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held = []
+
+    def fitted(
+        shape: CoarseShape, sheet: TriangleSurface, start: FloatArray, places: FloatArray, config: ElasticConfig
+    ) -> CoarseFit:
+        held.append((shape.rest.graph.positions[: len(places)], places))
+        return coarse_fit(shape, sheet, start, places, config)
+
+    monkeypatch.setattr("cagemap.maps.hypotheses.tips.coarse_fit", fitted)
     pair = pair_of(surface, surface, Landmarks.none())
     found, rest = Tips.of(prepared, pair), prepared.rest.graph.positions
     there = FineFit(1e-4, rest)
@@ -97,5 +115,18 @@ def test_a_fit_is_led_to_tips_that_it_missed(surface: Surface, prepared: Prepare
     )
     led = led_by_tips(prepared, pair, found, FineFit(1e-2, bent))
     assert np.linalg.norm(led.positions - rest, axis=1)[found.vertices].max() < MET
+    ((tips, places),) = held  # the same shape, so that every tip is held at its own place
+    assert len(tips) == len(ENDS)
+    assert np.linalg.norm(tips - places, axis=1).max() < MET
     cheap = FineFit(0.5 * led.cost / AS_CHEAP, bent)
     assert led_by_tips(prepared, pair, found, cheap) is cheap
+
+
+def test_half_way_to_the_reversed_pair_is_left_where_it_costs_more(surface: Surface, prepared: PreparedPair) -> None:
+    pair, rest = pair_of(surface, surface, Landmarks.none()), prepared.rest.graph.positions
+    bent = rest * (1.0 + 0.05 * np.sin(3.0 * rest[:, ::-1]))
+    moved = half_way(prepared, pair, Reading("a", 1.0, bent))
+    assert 0.0 < np.abs(moved - bent).max() < 0.1
+    assert half_way(prepared, pair, Reading("a", 0.0, bent)) is bent
+    masked = replace(prepared, rest=replace(prepared.rest, masks=Masks(source=np.ones(surface.triangles(1).n))))
+    assert half_way(masked, pair, Reading("a", 1.0, bent)) is bent
