@@ -1,9 +1,9 @@
 """The mean of a fit and of what its inverse becomes: what the elastic energy prefers one way it opposes the other way.
 
 Where a joint bends, the energy has its minimum beside the truth: it would rather let a shin slide towards the knee
-than stretch the skin over it. Fitted the other way round, from where the first fit ended, the same energy lets the skin
-slide back, so that half of either slide is left out. Registration knows this as inverse consistency (Christensen and
-Johnson 2001); here one step of it does.
+than stretch the skin over it. Fitted the other way round, in the target's pose (`cagemap.maps.elastic.pose`) and from
+where the first fit ended, the same energy lets the skin slide back, so that half of either slide is left out.
+Registration knows this as inverse consistency (Christensen and Johnson 2001); here one step of it does.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from cagemap.maps.elastic.constants import (
     INVERSE_LOST,
     INVERSE_SMOOTHING,
 )
-from cagemap.maps.elastic.fit import fine_stage
+from cagemap.maps.elastic.pose import fit_in_pose
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.pair import PointPairs
 from cagemap.numerics.arrays import FloatArray
@@ -28,7 +28,7 @@ from cagemap.numerics.factorization import factor
 
 
 def both_ways(prepared: PreparedPair, landmarks: PointPairs, positions: FloatArray) -> FloatArray:
-    """Places (n, 3) half-way between a fine fit's and those by the fine fit of the reversed pair that starts there.
+    """Places (n, 3) half-way between a fine fit's and those by the fit in pose of the reversed pair that starts there.
 
     Places as they are where the source has no counterpart of much of the target: of that the way back knows nothing.
 
@@ -42,7 +42,7 @@ def both_ways(prepared: PreparedPair, landmarks: PointPairs, positions: FloatArr
     """
     back, mesh = prepared.reversed, prepared.mesh
     start, _ = inverse(mesh, positions, back.mesh)
-    returned = fine_stage(back, start, landmarks.reversed())
+    returned = fit_in_pose(back, landmarks.reversed(), start, times=1)
     places, gaps = inverse(back.mesh, returned, mesh)
     areas = prepared.rest.graph.areas
     if areas[gaps > INVERSE_FAR].sum() > INVERSE_LOST * areas.sum():

@@ -95,7 +95,7 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
             first, *others = finished_ends(prepared, shape, ends, pair.landmarks, stiff=[other.result()])
             if prepared.rest.masks.any:  # what is masked is fitted back as well, and drags what is not with it
                 return first, *others
-            alike = fit_in_pose(prepared, pair, first.positions)
+            alike = fit_in_pose(prepared, pair.landmarks, first.positions)
             return replace(first, moved=both_ways(prepared, pair.landmarks, alike)), *others
     # The start from the landmarks is another one here: differentials are smoothed over the stiffer stage's length.
     both: list[FloatArray | None] = [start, None]

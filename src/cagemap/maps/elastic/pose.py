@@ -25,33 +25,36 @@ from cagemap.maps.elastic.constants import (
 from cagemap.maps.elastic.fit import coarse_fit, fine_fit
 from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph
 from cagemap.maps.elastic.prepared import PreparedPair, RestShape
-from cagemap.maps.pair import Pair
+from cagemap.maps.pair import PointPairs, near_vertices
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.factorization import factor
 from cagemap.numerics.rotations import nearest_rotations
 
 
-def fit_in_pose(prepared: PreparedPair, pair: Pair, positions: FloatArray) -> FloatArray:
+def fit_in_pose(
+    prepared: PreparedPair, landmarks: PointPairs, positions: FloatArray, times: int = POSES_FOUND
+) -> FloatArray:
     """Places (n, 3) by the coarse and the fine stage of the target in the pose that a fit has found.
-
-    The better the fit, the better the pose: both are found again, `POSES_FOUND` times in all.
 
     Parameters
     ----------
     prepared : PreparedPair
-    pair : Pair
-        The same surfaces with their landmarks.
+    landmarks : PointPairs
+        Held.
     positions : (n, 3) float64
         Where a fine stage ended.
+    times : int
+        The better the fit, the better the pose: both are found again, so often in all.
     """
+    kept = near_vertices(landmarks.target, prepared.target)
     elastic = replace(prepared.elastic, coarse=prepared.elastic.settled)
-    for _ in range(POSES_FOUND):
+    for _ in range(times):
         rest = prepared.rest.at(posed(prepared.rest, positions), elastic.fine.smoothing)
         alike = replace(prepared, rest=rest, elastic=elastic)
-        shape = alike.coarse(pair.target_landmarks, pair.landmarks.curves)
+        shape = alike.coarse(kept, landmarks.curves)
         start = rest.graph.positions[shape.vertices]
-        ended = coarse_fit(shape, alike.sheet, start, pair.landmarks.source.positions, elastic)
-        positions = fine_fit(alike, shape, [ended], pair.landmarks)
+        ended = coarse_fit(shape, alike.sheet, start, landmarks.source.positions, elastic)
+        positions = fine_fit(alike, shape, [ended], landmarks)
     return positions
 
 
