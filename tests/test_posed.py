@@ -48,14 +48,13 @@ def test_mirrored_landmarks_are_met_and_the_other_reading_is_offered(shared_data
 
 @pytest.mark.slow
 def test_shins_of_a_crouching_body_stay_where_they_belong(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # With neither stage shins slide towards bent knees: 1.15. Seen from both sides, but not posed, 1.05; posed, but not
-    # seen from both sides, 0.79; with both 0.72.
+    # With neither stage shins slide towards bent knees: 1.15. Posed, but not seen from both sides: 0.79; both: 0.74.
     bodies = Bodies(5000)
     pair = ("male1591", "female_old_heavy", "crouch"), ("female1605", "male_young", "")
     figures = row(bodies, *pair, 14)
     assert figures["left_out"] == []
     assert figures["mean"] < 0.85
-    for stage, worse in (("both_ways", 1.04), ("fit_in_pose", 1.2)):
+    for stage, worse in (("both_ways", 1.02), ("fit_in_pose", 1.1)):
         with monkeypatch.context() as without:
             without.setattr(f"cagemap.maps.elastic.method.{stage}", lambda prepared, landmarks, positions: positions)
             assert row(bodies, *pair, 14)["mean"] > worse * figures["mean"], stage
