@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 
 from cagemap.cli.app import app
 from cagemap.cli.words import in_options, set_verbosity, tolerate_odd_names
-from cagemap.errors import CagemapError
+from cagemap.errors import CagemapError, ParameterError
 
 WRONG_INPUT, INTERNAL, SIGNALLED = 2, 70, 128
 
@@ -73,6 +73,7 @@ def _collect_seldom() -> None:
 
 def _run() -> None:
     try:
+        _require_words(sys.argv[1:])
         app()
     except CagemapError as error:
         _fail(str(error), WRONG_INPUT)
@@ -90,6 +91,21 @@ def _run() -> None:
             "CAGEMAP_DEBUG=1 shows where it happened.",
             INTERNAL,
         )
+
+
+def _require_words(words: list[str]) -> None:
+    """Refuse empty words, which as names of files would be the folder one stands in, and ``-`` as an output."""
+    for before, word in zip(["the command line", *words], words, strict=False):
+        option, equals, value = word.partition("=") if word.startswith("--") else (before, "=", word)
+        if equals and not value:
+            raise ParameterError(
+                f"{option}: expected a value, got an empty one. Give it; a variable of the shell that is not set leaves "
+                "nothing."
+            )
+        if word == "-" and before in ("-o", "--output"):
+            raise ParameterError(
+                f"{before}: expected a name, got '-', and nothing is written to standard output. Give a name."
+            )
 
 
 def _fail(message: str, code: int) -> NoReturn:
