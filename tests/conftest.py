@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +14,14 @@ import pytest
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture
+def small_pages(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages of reports with pictures of a few pixels, where a test asks what they say."""
+    from cagemap.report import write_report
+
+    monkeypatch.setitem(inspect.unwrap(write_report).__kwdefaults__, "size", (24, 18))
 
 
 @pytest.fixture(scope="session")

@@ -31,7 +31,6 @@ from cagemap.files.surface_store import prepared
 from cagemap.mesh import cube, icosahedron
 from cagemap.mesh.landmarks import NamedPoints
 from cagemap.pipeline import MAP_BASIS, MatchConfig, prepare_surface, prepare_surfaces
-from cagemap.report import write_report
 
 from example_result import identity_result, textured_cube
 
@@ -231,8 +230,7 @@ def test_images_that_cannot_be_are_refused_in_words(
     assert expected in outcome.err
 
 
-def test_report_is_written(run: Run, result_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(inspect.unwrap(write_report).__kwdefaults__, "size", (24, 18))
+def test_report_is_written(run: Run, result_folder: Path, small_pages: None) -> None:
     outcome = run("report", "R", "-o", "r.html")
     assert outcome.code == 0, outcome.err
     assert "r.html" in outcome.out
@@ -344,11 +342,36 @@ def test_heights_have_finite_scales(run: Run, result_folder: Path, option: str, 
     assert f"{option}: expected a finite number" in refused.err
 
 
-def test_pipes_are_no_meshes_and_do_not_hang(run: Run, tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe.obj")
-    refused = run("check", "pipe.obj")
-    assert refused.code == 1
-    assert "a device or a pipe" in refused.out
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["check", "pipe.obj"],
+        ["transfer", "R", "--texture", "pipe", "-o", "o.png"],
+        ["transfer", "R", "--attribute", "pipe", "-o", "o.npz"],
+        ["wrap", "R", "--normal-map", "n.png", "--detail", "pipe", "-o", "o.obj"],
+        ["run", "pipe"],
+        ["map", "pipe.npy", "-t", "t.obj", "-s", "t.obj", "-o", "Q"],
+        ["match", "-t", "t.obj", "-s", "t.obj", "--target-symmetry", "pipe", "--source-symmetry", "pipe", "-o", "Q"],
+    ],
+    ids=" ".join,
+)
+def test_pipes_are_no_files_and_do_not_hang(run: Run, result_folder: Path, words: list[str]) -> None:
+    place = result_folder.parent
+    write_mesh(place / "t.obj", cube())
+    for name in ("pipe", "pipe.npy", "pipe.obj"):
+        os.mkfifo(place / name)
+    before = sorted(place.iterdir())
+    refused = run(*words)
+    assert refused.code in (1, 2)
+    assert "a device or a pipe" in refused.out + refused.err
+    assert sorted(place.iterdir()) == before
+
+
+def test_suggested_landmarks_go_to_a_landmark_file(run: Run, result_folder: Path) -> None:
+    refused = run("suggest", "R", "-o", "t.png")
+    assert refused.code == 2
+    assert "ending in .json" in refused.err
+    assert read_image(result_folder.parent / "t.png").pixels.shape == (64, 96, 3)
 
 
 def test_one_thing_at_a_time(run: Run, result_folder: Path) -> None:
@@ -383,7 +406,7 @@ def pair_files(pair: ExamplePair, tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_a_match_without_landmarks_says_how_sure_it_is(run: Run, pair_files: Path) -> None:
+def test_a_match_without_landmarks_says_how_sure_it_is(run: Run, pair_files: Path, small_pages: None) -> None:
     outcome = run("match", *MATCH[:4], "--level", 1, "-k", 20, "-o", "R")
     assert outcome.code == 0, outcome.err
     assert "no landmarks" in outcome.out
@@ -430,6 +453,7 @@ def test_match_from_files_to_a_result(run: Run, pair_files: Path) -> None:
     assert manifest["notes"] == []
 
 
+@pytest.mark.slow
 def test_a_wrong_landmark_is_left_out_with_a_warning_unless_trusted(
     run: Run, pair_files: Path, pair: ExamplePair
 ) -> None:

@@ -9,6 +9,7 @@ import struct
 import warnings
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,18 +19,20 @@ from scipy.io import mmwrite
 
 from cagemap.basis import BasisConfig
 from cagemap.cli.job_file import WRITTEN
-from cagemap.cli.library import COMMANDS
+from cagemap.cli.library import COMMANDS, cycle_notes
 from cagemap.cli.masks import read_mask
 from cagemap.cli.progress import Stages
 from cagemap.cli.transfer import run_transfer
 from cagemap.cli.transfer_request import TransferRequest
 from cagemap.errors import CagemapError, FormatError
 from cagemap.example import example_pair
+from cagemap.files.atomic import atomic_path
 from cagemap.files.attributes import read_attributes, write_attributes
 from cagemap.files.images import read_image, read_image_form, write_image
 from cagemap.files.landmark_points import read_points
 from cagemap.files.landmarks import read_landmarks, write_landmarks
 from cagemap.files.maps import read_images, write_map
+from cagemap.files.marks import mark
 from cagemap.files.meshes import read_mesh, write_mesh
 from cagemap.files.mhclo import bind, read_mhclo, write_mhclo
 from cagemap.files.ply import write_ply
@@ -38,7 +41,11 @@ from cagemap.files.rigs import read_shapes, read_skeleton, write_shapes, write_s
 from cagemap.files.surface_store import load_surface, prepared, save_surface
 from cagemap.files.symmetry import read_symmetry
 from cagemap.library import Task, read_job
+from cagemap.library.consistency import Consistency, read_consistency, write_consistency
 from cagemap.library.run import kept_outcome
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.result import MatchResult
+from cagemap.maps.spectral.levels import LevelMap
 from cagemap.mesh import icosahedron, shapes
 from cagemap.mesh.landmarks import on_cage
 from cagemap.mesh.skeleton import Skeleton
@@ -52,6 +59,7 @@ from cagemap.studio.opening import result_files
 from example_result import identity_result, textured_cube
 
 TASK = Task("match", "a", "k", (), {}, ())
+MATCHES = {"match": "k"}
 NOTE = f".cagemap/done/{TASK.slug}.json"  # what a run of a job keeps of a task that is done
 Generator = np.random.Generator
 SEED = 2019
@@ -201,13 +209,18 @@ def write_states(place: Path) -> None:
         'texture = "t.png"\nsize = 64\n'
     )
     note = {
+        "written_by": mark(),
         "key": "k",
         "outputs": {"cube.obj": (place / "cube.obj").stat().st_size},
         "seconds": 1.0,
         "figures": {"flipped": 0.0},
     }
     (place / ".cagemap" / "done").mkdir(parents=True)
-    (place / NOTE).write_text(json.dumps(note))
+    with atomic_path(place / NOTE) as temporary:
+        temporary.write_text(json.dumps(note))
+    pair = ("a", "b")
+    verdict = Consistency({pair: 0.5}, 1, (pair,), {pair: ("a", "c", "b")})
+    write_consistency(place / "consistency.json", MATCHES, verdict)
     joints = Skeleton(("a", "b"), ("", "a"), np.zeros((2, 3)), np.ones((2, 3)), np.stack([np.eye(3)] * 2))
     write_skeleton(place / "joints.json", joints)
     write_shapes(place / "shapes.npz", {"smile": np.ones((8, 3))}, shapes.cube(), [])
@@ -227,12 +240,30 @@ def use_note(path: Path) -> None:
         raise FormatError("done again")
 
 
+def use_consistency(path: Path) -> None:
+    """What a run reads of how its maps agreed."""
+    verdict = read_consistency(path, MATCHES)
+    if verdict is None:
+        raise FormatError("measured again")
+    cycle_notes(verdict)
+
+
+def with_levels(result: MatchResult) -> MatchResult:
+    """A result of a method that goes from level to level."""
+    maps = []
+    for level in (1, result.target.finest):
+        sides = result.target.triangles(level), result.source.triangles(level)
+        vertices = np.arange(sides[0].n)
+        maps.append(LevelMap((level, level), np.eye(5), vertices, PointMap.from_vertices(*sides, vertices)))
+    return replace(result, level_maps=(*maps[:-1], replace(maps[-1], points=result.point_map)))
+
+
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One sound file of every kind."""
     place = tmp_path_factory.mktemp("sound")
     rng = np.random.default_rng(3)
-    write_result(place / "R", identity_result())
+    write_result(place / "R", with_levels(identity_result()))
     for name, dtype in (("t.png", np.uint8), ("t.jpg", np.uint8), ("t.tif", np.uint16), ("t.exr", np.float16)):
         write_image(place / name, (100 * rng.random((9, 12, 3))).astype(dtype))
     write_mesh(place / "box.obj", textured_cube("box.obj"))
@@ -285,6 +316,7 @@ STATES: dict[str, Callable[[Path], object]] = {
     "autosave.json": use_autosave,
     "job.toml": lambda path: read_job(path, COMMANDS, WRITTEN),
     NOTE: use_note,
+    "consistency.json": use_consistency,
     "joints.json": read_skeleton,
     "shapes.npz": lambda path: read_shapes([path], shapes.cube()),
 }
@@ -316,6 +348,8 @@ def use_result(folder: Path) -> None:
     """All that is done with a result: a page about it, and a texture through it."""
     outcome(lambda: result_files(folder, None, None))
     result = read_result(folder)
+    for found in result.level_maps:
+        result.at_level(found.levels[0])
     build_page(result, Gallery("map", (), (), ()))
     request = TransferRequest(folder, folder / "baked.png", texture=folder.parent / "t.png", size=8, force=True)
     run_transfer(request, Stages())

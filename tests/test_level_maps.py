@@ -80,7 +80,7 @@ def test_a_level_is_a_result_of_its_own(matched):
         identity_result().at_level(1)
 
 
-def test_a_level_is_baked_written_and_drawn(matched):
+def test_a_level_is_baked_written_and_drawn(matched, small_pages):
     """Another picture than that of the finest level, a map of as many vertices, and a page."""
     images = []
     for level in (None, 0):

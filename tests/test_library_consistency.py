@@ -79,8 +79,11 @@ def test_a_verdict_is_kept_for_its_own_matches_only(tmp_path: Path) -> None:
     write_consistency(path, {"match": "key"}, verdict)
     assert read_consistency(path, {"match": "key"}) == verdict
     assert read_consistency(path, {"match": "other"}) is None
-    path.write_text("[3")
-    assert read_consistency(path, {"match": "key"}) is None
+    kept = path.read_text()
+    infinite = kept.replace(f'"triples": {verdict.triples}', '"triples": 1e999')
+    for changed in ("[3", kept.replace('"key"', "{}"), infinite, "[" * 20_000):
+        path.write_text(changed)
+        assert read_consistency(path, {"match": "key"}) is None
 
 
 def test_a_way_round_is_the_composition_of_its_maps() -> None:

@@ -36,6 +36,7 @@ def images(result: MatchResult) -> np.ndarray:
     return np.asarray(places * result.source.operators.scale)
 
 
+@pytest.mark.slow
 def test_a_whole_match_without_rslab_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     with_rslab = matched()
     monkeypatch.setattr(factorization, "rslab", None)

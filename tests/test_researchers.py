@@ -18,6 +18,7 @@ PAGE = Path(__file__).resolve().parents[1] / "docs" / "researchers.md"
 BASIS = BasisConfig(schedule=(20, 10))
 
 
+@pytest.mark.slow
 def test_every_block_of_the_page_runs(tmp_path, monkeypatch):
     """In order, in one namespace, as a reader would paste them."""
     monkeypatch.chdir(tmp_path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +15,6 @@ from cagemap.example import example_pair
 from cagemap.maps.hypotheses.confidence import Confidence, Reading
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.pipeline import other_answer
-from cagemap.report import write_report
 
 CONFIG = BasisConfig(count=40)
 
@@ -51,10 +49,7 @@ def test_bakes_are_those_of_the_match(matched: MatchResult, read: MatchResult) -
     np.testing.assert_array_equal(cagemap.bake(read, texture, size=48), cagemap.bake(matched, texture, size=48))
 
 
-def test_both_are_reported(
-    matched: MatchResult, read: MatchResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(inspect.unwrap(write_report).__kwdefaults__, "size", (16, 12))
+def test_both_are_reported(matched: MatchResult, read: MatchResult, tmp_path: Path, small_pages: None) -> None:
     cagemap.write_report(tmp_path / "read.html", read)
     cagemap.write_report(tmp_path / "fresh.html", matched)
     assert "left out" in (tmp_path / "fresh.html").read_text()

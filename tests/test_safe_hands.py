@@ -269,7 +269,7 @@ def test_what_a_match_read_is_no_output_of_what_follows(place: Path, force: bool
         wrapped(place / "w.obj", normal_map=place / "n.png", displacement=place / "n.png")
     with pytest.raises(ParameterError, match="colours"):  # and no mesh without its image
         wrapped(place / "w.obj", colors=place / "n.png")
-    with pytest.raises(ParameterError, match="no such file"):
+    with pytest.raises(FormatError, match="no such file"):
         wrapped(place / "w.obj", normal_map=place / "n.png", detail=place / "gone.obj")
     assert contents(place) == before
 

@@ -86,6 +86,7 @@ def test_a_human_under_another_cage_is_the_same_human(shared_data, share):
     assert max(errors) < 1.5e-3  # the bar of issue 3; a quarter of the spacing of vertices, 6.4e-3
 
 
+@pytest.mark.slow
 def test_a_cage_and_its_refinement_do_not_slide_on_each_other():
     """Where the mesh lies on the source already, softening lets it slide: 1.3e-4 without `LYING`, 2e-5 with it."""
     pony = example_pair(texture_size=64)

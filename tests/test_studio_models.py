@@ -267,6 +267,7 @@ def test_the_bench_maps_and_follows_landmarks(opened: tuple[Bench, OpenModels]) 
     np.testing.assert_allclose(back.position, scene.target.positions[0], atol=0.3)
 
 
+@pytest.mark.slow
 def test_without_landmarks_the_bench_has_answers_to_choose_from(opened: tuple[Bench, OpenModels]) -> None:
     bench, task = opened
     with pytest.raises(ParameterError, match="answer 99"):

@@ -86,13 +86,13 @@ def opened(session: Session, folder: Path) -> Session:
     else:
         session.open(files)
     until(lambda: session.state.map.revision >= 1 and not session.state.map.strain, session)
-    until(lambda: all(at_rest(session) for _ in range(10)), session)
+    until(lambda: at_rest(session), session)
     return session
 
 
 def at_rest(session: Session) -> bool:
-    time.sleep(0.02)  # a wish is no longer one a moment before its job begins
-    return session.state.preview_job is None and not session._preview._anything_wanted()
+    """Whether the computing thread waits for a wish: it does so once it has handed its last answer over."""
+    return bool(session._preview._wake._waiters)  # type: ignore[attr-defined]
 
 
 def click(session: Session, side: str, vertex: int) -> None:

@@ -286,7 +286,7 @@ def test_rigs_through_the_command_line(run: Run, result_folder: Path) -> None:  
     np.testing.assert_array_equal(read_mesh(place / "faces" / "large.obj").positions, target.positions)
 
 
-def test_maps_through_the_command_line(run: Run, result_folder: Path) -> None:  # noqa: F811
+def test_maps_through_the_command_line(run: Run, result_folder: Path, small_pages: None) -> None:  # noqa: F811
     place, result = result_folder.parent, identity_result()
     write_mesh(place / "large.obj", textured_cube("large.obj", 2.0))
     write_mesh(place / "small.obj", textured_cube("small.obj"))

@@ -313,7 +313,11 @@ def test_anyone_s_map_wraps_without_a_match(run: Run, result_folder: Path, suffi
     assert not (place / "other.obj").exists()
 
 
-def test_the_report_shows_the_wrapped_cage_while_it_is_there(run: Run, result_folder: Path) -> None:  # noqa: F811
+def test_the_report_shows_the_wrapped_cage_while_it_is_there(
+    run: Run,  # noqa: F811
+    result_folder: Path,  # noqa: F811
+    small_pages: None,
+) -> None:
     pytest.importorskip("embreex")
     assert not run("wrap", "R", "-o", "new.obj").code
     assert not run("report", "R", "-o", "page.html").code

@@ -99,8 +99,7 @@ def _require_words(words: list[str]) -> None:
         option, equals, value = word.partition("=") if word.startswith("--") else (before, "=", word)
         if equals and not value:
             raise ParameterError(
-                f"{option}: expected a value, got an empty one. Give it; a variable of the shell that is not set leaves "
-                "nothing."
+                f"{option}: expected a value, got an empty one. Give one; is a variable of the shell not set?"
             )
         if word == "-" and before in ("-o", "--output"):
             raise ParameterError(

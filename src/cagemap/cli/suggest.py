@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cagemap.errors import FormatError
 from cagemap.files.atomic import check_outputs, require_no_input
 from cagemap.files.landmarks import write_landmarks
 from cagemap.files.result import ARRAYS, MANIFEST, read_files, read_result
@@ -21,6 +22,8 @@ def run_suggest(folder: Path, output: Path, count: int, *, force: bool = False) 
     check_outputs([output], [folder / MANIFEST, folder / ARRAYS], force=force)
     result = read_result(folder)
     require_no_input([output], read_files(folder, result.manifest))
+    if output.suffix.lower() != ".json":
+        raise FormatError(f"{output}: expected the name of a landmark file ending in .json. Give such a name.")
     landmarks = _in_files(suggested_landmarks(result, count), result)
     write_landmarks(output, landmarks, force=force)
     new = landmarks.names[-count:]

@@ -21,6 +21,7 @@ from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs
 from cagemap.files.images import texture_files, udim_path
 from cagemap.files.meshes import read_mesh
+from cagemap.files.text import require_file
 from cagemap.maps.result import MatchResult
 from cagemap.transfer.vectors import Green, Space
 from cagemap.wrap import Wrapped, missing_detail, wrapped_transfer
@@ -70,8 +71,8 @@ def require_bakeable(request: WrapRequest, result: MatchResult) -> None:
         )
     if "colors" in images and request.detail is None:
         vertex_colors(result.source.control)
-    if request.detail is not None and not request.detail.is_file():
-        raise ParameterError(f"--detail {request.detail}: expected a mesh, found no such file. Check the name.")
+    if request.detail is not None:
+        require_file(request.detail, "a mesh")
 
 
 def bake_wrapped(

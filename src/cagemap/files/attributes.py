@@ -15,6 +15,7 @@ from cagemap.files.atomic import atomic_path
 from cagemap.files.file_rows import FileRows, prim_rows, taken
 from cagemap.files.npz import read_npy, read_npz, write_npz
 from cagemap.files.suffixes import VALUE_SUFFIXES
+from cagemap.files.text import require_file
 from cagemap.files.usd import USD_SUFFIXES, in_world, one_mesh, read_usd_meshes
 from cagemap.files.vertex_groups import groups_text, read_groups
 from cagemap.mesh import ControlMesh
@@ -49,8 +50,7 @@ def read_attributes(path: str | Path, control: ControlMesh | None = None, rows: 
         If the file cannot be read, or an array is empty, not numeric, not finite or of more than two dimensions.
     """
     file = Path(path)
-    if not file.is_file():
-        raise FormatError(f"{file}: expected a file of attributes, found no such file. Check the name.")
+    require_file(file, "a file of attributes")
     if file.suffix.lower() in USD_SUFFIXES:
         return _read_usd(file, control)
     check_attribute_path(file)

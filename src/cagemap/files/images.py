@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.marks import mark
+from cagemap.files.text import require_file
 from cagemap.numerics.kinds import kinds_checked
 
 Pixels = NDArray[Any]
@@ -77,8 +78,6 @@ def read_image(path: str | Path) -> Image:
         If the file cannot be read as an image, or has more channels, other pixel types or more than two dimensions.
     """
     file = Path(path)
-    if not file.is_file():
-        raise FormatError(f"{file}: expected an image, found no such file. Check the name.")
     try:
         return _read(file)
     except UnicodeDecodeError as error:  # words in the file that OpenImageIO cannot hand on
@@ -131,8 +130,7 @@ def _open(file: Path) -> tuple[Any, str]:
     """An image's reader, its header checked, and the number type of its pixels."""
     hints = oiio.ImageSpec()
     hints.attribute("oiio:UnassociatedAlpha", 1)
-    if not file.exists():
-        raise FormatError(f"{file}: expected an image, there is no such file. Check the name and the folder.")
+    require_file(file, "an image")
     opened = oiio.ImageInput.open(str(file), hints)
     if opened is None:
         raise FormatError(

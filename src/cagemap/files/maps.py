@@ -17,7 +17,7 @@ from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.marks import mark
 from cagemap.files.npz import read_npy, read_npz, write_npz
-from cagemap.files.text import read_text
+from cagemap.files.text import read_text, require_file
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.point_map import PointMap
@@ -53,13 +53,13 @@ def read_images(path: str | Path, source: TriangleSurface) -> SurfacePoints:
     suffix = file.suffix.lower()
     if suffix not in SUFFIXES:
         raise FormatError(f"{file}: expected a map in {', '.join(SUFFIXES)}, got {suffix or 'no suffix'}")
-    if not file.is_file():
-        raise FormatError(f"{file}: expected a point map, found no such file. Check the name.")
+    require_file(file, "a point map")
     if suffix == ".npy":
         return SurfacePoints.from_vertices(source, _vertices(file, read_npy(file.read_bytes(), file, _REMEDY)))
     if suffix == ".vts":
+        words = read_text(file, "vertex numbers").split()
         try:
-            numbers = np.array(read_text(file, "vertex numbers").split(), dtype=np.int64)
+            numbers = np.array(words, dtype=np.int64)
         except (ValueError, OverflowError) as error:
             raise FormatError(f"{file}: expected one vertex number a line, counted from 1, found {error}") from error
         return SurfacePoints.from_vertices(source, _vertices(file, numbers) - 1)

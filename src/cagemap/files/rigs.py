@@ -50,8 +50,9 @@ def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skele
                 f"{file}: expected a mesh bound to a skeleton, it is bound to none. Export it with its rig."
             )
         return found
+    text = read_text(file, "a skeleton")
     try:
-        stated = json.loads(read_text(file, "a skeleton"))
+        stated = json.loads(text)
         joints = stated["joints"] if isinstance(stated, dict) else stated
         names = tuple(str(joint["name"]) for joint in joints)
         parents = tuple(str(joint.get("parent") or "") for joint in joints)
@@ -60,7 +61,7 @@ def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skele
         )
         has_axes = bool(joints) and all("axes" in joint for joint in joints)
         axes = np.array([joint["axes"] for joint in joints], dtype=np.float64).reshape(-1, 3, 3) if has_axes else None
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise FormatError(
             f'{file}: expected a list of joints such as {{"name": "spine", "parent": null, "head": [0, 1, 0], '
             f'"tail": [0, 2, 0]}}, found something else ({error}).'

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cagemap.errors import FormatError
+from cagemap.files.marks import is_own
 
 MOST_LEVELS = 12
 Name = Annotated[str, Field(pattern=r"^[^\x00]*$")]
@@ -190,6 +191,14 @@ def checked_record(kind: type[RecordType], entries: Any, path: Path, remedy: str
         raise FormatError(f"{path}: {lacks} '{place}' ({first['msg']}). {remedy}") from error
     except RecursionError as error:
         raise FormatError(f"{path}: is nested too deeply. {remedy}") from error
+
+
+def own_note(path: Path) -> Any:
+    """What cagemap noted for itself in a JSON file; None where there is no such file, or anything in it was changed."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8")) if is_own(path) else None
+    except (OSError, ValueError, RecursionError):
+        return None
 
 
 def to_json(value: Any) -> str:

@@ -31,6 +31,7 @@ from cagemap.files.mesh_arrays import control_from_arrays, control_to_arrays, sc
 from cagemap.files.npz import read_npz, write_npz
 from cagemap.files.result import mesh_hash
 from cagemap.files.schema import SurfaceRecord, checked_record, parse_json
+from cagemap.files.text import require_file
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.operators import Operators
 from cagemap.operators.plain import refined
@@ -178,8 +179,7 @@ def prepared(
 
 def _load(path: Path, control: ControlMesh | None = None, config: BasisConfig | None = None) -> Surface:
     """Read a surface; a control mesh known to be equal to the stored one takes its place, name and all."""
-    if not path.is_file():
-        raise FormatError(f"{path}: expected a prepared surface, found no such file. Prepare and save it first.")
+    require_file(path, "a prepared surface")
     arrays = read_npz(path, _REMEDY)
     header = _header(path, arrays)
     scheme = scheme_from_entry(path, header.scheme, _REMEDY)

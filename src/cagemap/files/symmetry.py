@@ -9,6 +9,7 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files.npz import read_npy
+from cagemap.files.text import read_bytes
 from cagemap.numerics.arrays import IndexArray
 
 _REMEDY = (
@@ -25,7 +26,7 @@ def read_symmetry(path: Path) -> IndexArray:
     FormatError
         If the file does not hold one list of whole numbers.
     """
-    content = path.read_bytes()
+    content = read_bytes(path, "a symmetry file")
     if path.suffix == ".npy":
         values = read_npy(content, path, _REMEDY)
     else:

@@ -8,20 +8,36 @@ from pathlib import Path
 from cagemap.errors import FormatError
 
 
-def read_bytes(path: Path, what: str) -> bytes:
-    """Read a whole file; a missing, unreadable or empty one is a FormatError that says which."""
+def require_file(path: Path, what: str) -> None:
+    """Refuse a name that is no file's, before a library waits for a pipe to be written to.
+
+    Raises
+    ------
+    FormatError
+    """
     try:
-        if not stat.S_ISREG(path.stat().st_mode) and not path.is_dir():
-            raise FormatError(f"{path}: expected {what}, got a device or a pipe. Save it to a file first.")
-        content = path.read_bytes()
+        mode = path.stat().st_mode
     except FileNotFoundError:
         raise FormatError(f"{path}: expected {what}, there is no such file. Check the name and the folder.") from None
-    except IsADirectoryError:
-        raise FormatError(f"{path}: expected {what}, got a folder. Name a file inside it.") from None
-    except FormatError:  # is a ValueError too
-        raise
     except (OSError, ValueError) as error:
-        raise FormatError(f"{path}: cannot be read ({error}). Check its permissions.") from None
+        raise _unreadable(path, error) from None
+    if stat.S_ISDIR(mode):
+        raise FormatError(f"{path}: expected {what}, got a folder. Name a file inside it.")
+    if not stat.S_ISREG(mode):
+        raise FormatError(f"{path}: expected {what}, got a device or a pipe. Save it to a file first.")
+
+
+def _unreadable(path: Path, error: Exception) -> FormatError:
+    return FormatError(f"{path}: cannot be read ({error}). Check its permissions.")
+
+
+def read_bytes(path: Path, what: str) -> bytes:
+    """Read a whole file; a missing, unreadable or empty one is a FormatError that says which."""
+    require_file(path, what)
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise _unreadable(path, error) from None
     if not content.strip():
         raise FormatError(f"{path}: expected {what}, got an empty file. Export it again.")
     return content

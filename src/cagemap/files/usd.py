@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.errors import FormatError
+from cagemap.files.text import require_file
 from cagemap.files.usd_face_sets import face_sets
 from cagemap.files.usd_primvars import BLEND_SHAPE, corner_values, integers, primvar_arrays, stated, uv_primvars
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Plain, Scheme
@@ -99,8 +100,7 @@ def open_stage(path: str | Path) -> Any:
     """
     pxr = usd_modules()
     file = Path(path)
-    if not file.is_file():
-        raise FormatError(f"{file}: expected a USD file, there is no such file. Check the name and the folder.")
+    require_file(file, "a USD file")
     try:
         return pxr.Usd.Stage.Open(str(file))
     except (pxr.Tf.ErrorException, UnicodeDecodeError) as error:

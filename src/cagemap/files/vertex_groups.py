@@ -44,8 +44,9 @@ def read_groups(path: Path, count: int) -> dict[str, FloatArray]:
     FormatError
         If the file is none of groups, a name or a vertex comes twice, or there is no such vertex.
     """
+    text = read_text(path, "vertex groups")
     try:
-        stated = json.loads(read_text(path, "vertex groups"))
+        stated = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise FormatError(f"{path}: is no JSON ({error}). {_REMEDY}") from error
     found: dict[str, FloatArray] = {}

@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from cagemap.files.atomic import atomic_path
 from cagemap.files.marks import mark
+from cagemap.files.schema import own_note
 from cagemap.maps.point_map import PointMap
 
 Pair = tuple[str, str]  # target, source: the direction of T12
@@ -143,15 +144,12 @@ def write_consistency(path: Path, keys: dict[str, str], verdict: Consistency) ->
 
 def read_consistency(path: Path, keys: dict[str, str]) -> Consistency | None:
     """The verdict kept about just these matches, or None."""
-    try:
-        note = json.loads(path.read_text(encoding="utf-8"))
-        if note["keys"] != keys:
-            return None
-        return Consistency(
-            {(target, source): float(error) for target, source, error in note["errors"]},
-            int(note["triples"]),
-            tuple((target, source) for target, source in note["doubtful"]),
-            {(target, source): tuple(way) for target, source, way in note["ways"]},
-        )
-    except (OSError, ValueError, KeyError, TypeError):
+    note = own_note(path)
+    if note is None or note["keys"] != keys:
         return None
+    return Consistency(
+        {(target, source): error for target, source, error in note["errors"]},
+        note["triples"],
+        tuple((target, source) for target, source in note["doubtful"]),
+        {(target, source): tuple(way) for target, source, way in note["ways"]},
+    )

@@ -37,6 +37,7 @@ from typing import Any, get_type_hints
 
 from cagemap.errors import FormatError
 from cagemap.files.marks import is_own
+from cagemap.files.text import read_bytes
 from cagemap.library.job_checks import absolute, line_of, parsed_file, problems_of
 from cagemap.library.job_schema import Asset, CarryRule, JobFile, OutputRule, PairRule, options_schema
 
@@ -103,13 +104,11 @@ def read_job(
     """
     file = Path(path)
     try:
-        text = file.read_bytes().decode("utf-8")
+        text = read_bytes(file, "a job file").decode("utf-8")
         data = tomllib.loads(text)
-    except FileNotFoundError:
-        raise FormatError(f"{file}: expected a job file, found none. Check the path.") from None
-    except IsADirectoryError:
-        inside = f"; {file / 'job.toml'} is one" if (file / "job.toml").is_file() else ""
-        raise FormatError(f"{file}: expected a job file, got a folder. Give a file in it{inside}.") from None
+    except FormatError as error:
+        inside = f" {file / 'job.toml'} is one." if (file / "job.toml").is_file() else ""
+        raise FormatError(f"{error}{inside}") from None
     except RecursionError:
         raise FormatError(f"{file}: expected a TOML file, got brackets within brackets without end.") from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

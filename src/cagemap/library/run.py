@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from cagemap.errors import CagemapError, FormatError, ParameterError
 from cagemap.files.atomic import atomic_path, files_written, leftovers
 from cagemap.files.marks import mark
+from cagemap.files.schema import own_note
 from cagemap.library.plan import AROUND, RESULT, STATE, Plan, Task
 from cagemap.numerics.threads import core_count
 
@@ -113,13 +114,11 @@ def needed(plan: Plan, names: set[str]) -> set[str]:
 
 def kept_outcome(root: Path, task: Task) -> Outcome | None:
     """The outcome of an earlier run, if it is of the same task and all that it wrote is still there."""
-    try:
-        note = json.loads(_note(root, task).read_text(encoding="utf-8"))
-        same = note["key"] == task.key and all(_stands(root / path, size) for path, size in note["outputs"].items())
-        seconds, figures = float(note["seconds"]), dict(note["figures"])
-        return Outcome(task.name, "kept", "", seconds, figures, tuple(note["outputs"])) if same else None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    note = own_note(_note(root, task))
+    if note is None or note["key"] != task.key:
         return None
+    whole = all(_stands(root / path, size) for path, size in note["outputs"].items())
+    return Outcome(task.name, "kept", "", note["seconds"], note["figures"], tuple(note["outputs"])) if whole else None
 
 
 def execute(task: Task, root: Path, runner: Runner, *before: Outcome) -> Outcome:

@@ -108,7 +108,7 @@ def result_files(result: Path, landmarks: Path | None, texture: Path | None) -> 
     """
     try:
         manifest = json.loads(read_text(result / MANIFEST, "a RESULT folder"))
-    except (ValueError, CagemapError) as error:
+    except (ValueError, RecursionError, CagemapError) as error:
         raise ParameterError(f"--result {result}: expected a RESULT folder of `cagemap match` ({error}).") from None
     manifest = manifest if isinstance(manifest, dict) else {}
     target, source, pairs = (input_file(result, manifest, name) for name in ("target", "source", "landmarks"))
