@@ -285,7 +285,6 @@ def test_outside_the_mask_the_texture_is_the_base(scene: Path) -> None:
         _run_transfer(scene, "no.png", texture=scene / "texture.png", bases=(("", scene / "small.png"),))
 
 
-@pytest.mark.slow
 def test_masks_of_a_transfer_are_beside_those_of_the_match(scene: Path) -> None:
     _run_match(scene, "WHOLE")
     alphas = []
