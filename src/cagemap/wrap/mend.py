@@ -22,7 +22,7 @@ _CARRYING_ROUNDS = 30
 # Points of the net that samples pull at by less than this share of the largest pull are free.
 _FREE = 1e-6
 # Each time the net is made this much stiffer at the corners of bad faces, so often at most, and where they are small.
-_STIFFENING, _MENDINGS, _MENDINGS_SMALL, _ROUNDS = 10.0, 20, 8, 2
+_STIFFENING, _MENDINGS, _MENDINGS_SMALL, _ROUNDS = 10.0, 20, 8, 1
 # Around thin faces it becomes less than this, and ten times that at most: they cost distance to the source. Small ones
 # cost less of it.
 _STIFFEST_THIN, _STIFFEST_THIN_SMALL = 99.0, 999.0

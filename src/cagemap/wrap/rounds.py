@@ -25,7 +25,7 @@ _SMOOTHING = 0.01
 # A closest point on the other side of a thin part is further away than one with the right normal, by this length.
 NORMAL_WEIGHT = 0.03
 # A round's system is solved to this part of what it starts with, in so many steps at most: the next round differs more.
-_ACCURACY, _STEPS = 3e-3, 200
+_ACCURACY, _STEPS = 3e-2, 200
 
 
 @dataclass(frozen=True, eq=False)
