@@ -93,7 +93,7 @@ def test_where_the_map_folds_the_net_does_not(monkeypatch: pytest.MonkeyPatch, s
     point_map = same_vertices(target, source)
     images = point_map.images.positions
     offsets = images - images[100]
-    near = np.linalg.norm(offsets, axis=1) < 0.12
+    near = np.linalg.norm(offsets, axis=1) < 0.14
     axis = offsets[near][np.argmax(np.linalg.norm(offsets[near], axis=1))]
     axis = axis / np.linalg.norm(axis)
     turned = np.where(near[:, None], images - 2.0 * (offsets @ axis)[:, None] * axis, images)
@@ -107,7 +107,7 @@ def test_where_the_map_folds_the_net_does_not(monkeypatch: pytest.MonkeyPatch, s
     assert not folded_faces(net, mended).any()
     size = np.ptp(mended, axis=0).max()
     true = fit_net(net, replace(data, images=point_map.images), WrapConfig())
-    assert np.abs(mended - true).max() < 0.2 * size  # the map is off by 0.3
+    assert np.abs(mended - true).max() < 0.25 * size  # the map is off by 0.38
 
 
 def test_what_still_folds_in_the_end_is_laid_flat(monkeypatch: pytest.MonkeyPatch) -> None:
