@@ -22,7 +22,7 @@ _CARRYING_ROUNDS = 30
 # Points of the net that samples pull at by less than this share of the largest pull are free.
 _FREE = 1e-6
 # Each time the net is made this much stiffer at the corners of bad faces, so often at most, and where they are small.
-_STIFFENING, _MENDINGS, _MENDINGS_SMALL, _ROUNDS = 10.0, 20, 8, 1
+_STIFFENING, _MENDINGS, _MENDINGS_SMALL, _ROUNDS = 10.0, 20, 6, 1
 # Around thin faces it becomes less than this, and ten times that at most: they cost distance to the source. Small ones
 # cost less of it.
 _STIFFEST_THIN, _STIFFEST_THIN_SMALL = 99.0, 999.0
@@ -38,8 +38,9 @@ _RELEASED_ROUNDS, _RELEASED_RINGS = 5, 1
 _LAYINGS, _FLAT_AREA = 8, 0.01
 # Rings of points around them that move; points that the samples in reach of these depend on lie in three more.
 _MOVING, _AROUND = 2, 3
-# A face is thin beyond so many times the 99th percentile of all faces at rest, where it has grown by as much.
-_THIN = 1.5
+# A face is thin beyond so many times the 99th percentile of all faces at rest, where it has grown by as much; where all
+# of its corners are small, there are many of them, and less will do.
+_THIN, _THIN_SMALL = 1.5, 1.35
 
 Adjust = Callable[[FloatArray], FloatArray]
 
@@ -95,7 +96,8 @@ def mend(
     rest = graph.positions
     lone = LonePieces.find(graph, free_points(data)).points
     folded_at_rest, aspects = folded_faces(net, rest), face_aspects(net.mesh, rest)
-    least = _THIN * np.maximum(aspects, np.percentile(aspects, 99))
+    is_small = np.logical_and.reduceat(small[net.mesh.face_indices], net.mesh.face_offsets[:-1])
+    least = np.where(is_small, _THIN_SMALL, _THIN) * np.maximum(aspects, np.percentile(aspects, 99))
     if not config.rounds:
         return positions
     for mending in range(_MENDINGS):
