@@ -34,7 +34,6 @@ from cagemap.files.landmarks import read_landmarks, write_landmarks
 from cagemap.files.maps import read_images, write_map
 from cagemap.files.marks import mark
 from cagemap.files.meshes import read_mesh, write_mesh
-from cagemap.files.mhclo import bind, read_mhclo, write_mhclo
 from cagemap.files.ply import write_ply
 from cagemap.files.result import ARRAYS, MANIFEST, read_result, write_result
 from cagemap.files.rigs import read_shapes, read_skeleton, write_shapes, write_skeleton
@@ -188,8 +187,6 @@ def write_guests(place: Path) -> None:
         write_map(place / f"m{suffix}", point_map)
     mmwrite(place / "dense.mtx", point_map.matrix().toarray()[:9])
     (place / "painted.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\n#MRGB ff102030ff405060\n#MRGB ff708090\nf 1 2 3\n")
-    base = shapes.cube()
-    write_mhclo(place / "b.mhclo", bind(base.positions, base, np.zeros(8, dtype=np.int64)), Path("b.obj"))
     for name in ("y.json", "y.txt"):
         (place / name).write_text("[1, 0, 3, 2]" if name == "y.json" else "1 0 3 2")
     write_image(place / "mask.png", np.full((6, 6, 2), 200, dtype=np.uint8))
@@ -306,7 +303,6 @@ GUESTS: dict[str, Callable[[Path], object]] = {
     **dict.fromkeys(("p.mrk.json", "p.fcsv", "p.pp", "p.csv", "p_vertices.csv", "wrap.json", "c.json"), use_points),
     "lc.json": lambda path: read_landmarks(path, "deer.obj", "pony.obj"),
     **dict.fromkeys(("m.npy", "m.npz", "m.mtx", "dense.mtx", "m.vts"), use_map),
-    "b.mhclo": read_mhclo,
     "y.json": read_symmetry,
     "y.txt": read_symmetry,
     "mask.png": use_mask,

@@ -22,12 +22,12 @@ from cagemap.operators import (
     build_operators,
     named_laplacian,
     stiffness,
-    triangle_cotangents,
     vertex_areas,
 )
 from cagemap.operators.laplacian import QUAD_PAIRS, TRIANGLE_PAIRS, face_terms, gathered
 from cagemap.operators.sec import restrict, restrict_pair
 from cagemap.refinement import refine
+from cotangents import triangle_cotangents
 
 SHAPES = {
     "cube": lambda: shapes.cube(),

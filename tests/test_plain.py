@@ -25,11 +25,12 @@ from cagemap.mesh.parts import extract
 from cagemap.mesh.plain import plain_mesh
 from cagemap.numerics.arrays import FloatArray, read_only
 from cagemap.numerics.threads import in_threads
-from cagemap.operators import build_operators, triangle_cotangents
+from cagemap.operators import build_operators
 from cagemap.operators.plain import coarsened, refined, uncoarsened
 from cagemap.pipeline import choose_level, match, prepare_pair, prepare_surface, update_match
 from cagemap.refinement import finest_mesh, refine
 from cagemap.wrap import wrap
+from cotangents import triangle_cotangents
 from plain_meshes import animal, ball, far_apart, soup
 
 

@@ -14,7 +14,7 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images import write_image
 from cagemap.files.maps import dense_map, read_images, source_level, write_map
 from cagemap.files.meshes import read_mesh, write_mesh
-from cagemap.files.mhclo import bind, read_mhclo, write_mhclo
+from cagemap.files.mhclo import Fitting, bind, write_mhclo
 from cagemap.files.npz import write_npz
 from cagemap.files.result import read_result
 from cagemap.geometry.points import SurfacePoints
@@ -251,7 +251,12 @@ def test_a_bound_mesh_follows_its_base(tmp_path: Path) -> None:
     stretched = base.positions * (2, 2, 2)
     np.testing.assert_allclose(fitting.positions(stretched), 2 * positions, rtol=0, atol=1e-12)
     write_mhclo(tmp_path / "a.mhclo", fitting, Path("a.obj"))
-    again = read_mhclo(tmp_path / "a.mhclo")
+    # Read as MakeHuman does: three lines of scales, and nine numbers a vertex.
+    lines = [line.split() for line in (tmp_path / "a.mhclo").read_text().splitlines()]
+    table = np.array([line for line in lines if len(line) == 9], dtype=float)
+    scales = np.array([line[1:] for line in lines if line and line[0][1:] == "_scale"], dtype=float)
+    ends = scales[:, :2].astype(int)
+    again = Fitting(table[:, :3].astype(int), table[:, 3:6], table[:, 6:], ends, scales[:, 2])
     np.testing.assert_array_equal(again.positions(stretched), fitting.positions(stretched))
     with pytest.raises(FormatError, match="mhclo"):
         write_mhclo(tmp_path / "a.txt", fitting, Path("a.obj"))

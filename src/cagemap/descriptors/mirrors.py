@@ -16,6 +16,9 @@ MOST_WITHIN, ALL_WITHIN = 1e-3, 2e-2
 MOST = 0.95
 # Vertices that the search for a plane looks at, and how often it moves the plane.
 SAMPLES, STEPS = 2000, 10
+# A move that leaves this share of the mirror images' median distance leads nowhere, unless they lie on vertices already:
+# within so many tolerances.
+NO_NEARER, ALREADY = 0.9, 10.0
 # Share of these vertices' mirror images that lie on vertices from which all vertices are asked.
 PROMISING = 0.8
 # Planes whose normals are closer than this (cosine) are one.
@@ -88,13 +91,16 @@ def _settled_plane(
     sample: FloatArray, tree: cKDTree, normal: FloatArray, offset: float, diagonal: float
 ) -> tuple[FloatArray, float]:
     """Move a plane to the best one for the pairs that it makes itself, until they no longer change."""
+    before = np.inf
     for _ in range(STEPS):
         mirrored = sample - 2.0 * np.outer(sample @ normal - offset, normal)
         distances, nearest = _query(tree, mirrored)
-        if np.median(distances) > 0.1 * diagonal:
+        median = float(np.median(distances))
+        if median > 0.1 * diagonal or median > max(NO_NEARER * before, ALREADY * MOST_WITHIN * diagonal):
             break
+        before = median
         partner = tree.data[nearest]
-        good = distances <= 3.0 * np.median(distances) + 1e-6 * diagonal
+        good = distances <= 3.0 * median + 1e-6 * diagonal
         across = (sample - partner)[good]
         _, axes = np.linalg.eigh(across.T @ across)
         moved = axes[:, -1] * np.sign(axes[:, -1] @ normal)

@@ -11,7 +11,6 @@ import numpy as np
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.marks import mark
-from cagemap.files.text import read_text
 from cagemap.geometry.triangles import triangle_normals
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -121,40 +120,3 @@ def write_mhclo(path: str | Path, fitting: Fitting, obj: Path, *, force: bool = 
     lines += [f"{a} {b} {c} {u!r} {v!r} {w!r} {x!r} {y!r} {z!r}" for (a, b, c), (u, v, w), (x, y, z) in rows]
     with atomic_path(file, force=force) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def read_mhclo(path: str | Path) -> Fitting:
-    """Read what `write_mhclo` writes, and files of MakeHuman's own with one vertex a line.
-
-    Raises
-    ------
-    FormatError
-        If the file is no such list.
-    """
-    file = Path(path)
-    scales, lengths, rows, reading = np.zeros((3, 2), dtype=np.int64), np.ones(3), [], False
-    try:
-        for line in read_text(file, "a .mhclo file").splitlines():
-            words = line.split()
-            if not words or words[0].startswith("#"):
-                continue
-            if words[0] == "verts":
-                reading = True
-            elif words[0][1:] == "_scale" and words[0][0] in _AXES:
-                axis = _AXES.index(words[0][0])
-                scales[axis], lengths[axis] = (int(words[1]), int(words[2])), float(words[3])
-            elif reading and len(words) == 9:
-                rows.append([float(word) for word in words])
-            elif reading and len(words) == 1:
-                rows.append([float(words[0])] * 3 + [1.0, 0, 0, 0, 0, 0])
-            elif reading:
-                reading = False
-    except (ValueError, IndexError, OverflowError) as error:
-        raise FormatError(f"{file}: expected lines of three vertices, weights and offsets, found {error}") from error
-    if not rows:
-        raise FormatError(f"{file}: expected 'verts' and a line for each vertex, found none")
-    table = np.array(rows)
-    sound = np.isfinite(table).all() and np.isfinite(lengths).all() and (lengths >= 0).all() and (scales >= 0).all()
-    if not sound or not ((table[:, :3] >= 0) & (table[:, :3] < 2**31)).all():
-        raise FormatError(f"{file}: expected vertices from 0 on, finite numbers and lengths not below 0, found others")
-    return Fitting(table[:, :3].astype(np.int64), table[:, 3:6], table[:, 6:], scales, lengths)

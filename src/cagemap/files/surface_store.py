@@ -113,17 +113,6 @@ def save_surface(path: str | Path, surface: Surface, *, force: bool = False) -> 
         write_npz(temporary, arrays)
 
 
-def load_surface(path: str | Path) -> Surface:
-    """Read a prepared surface; what is not stored, its refined levels, is made again.
-
-    Raises
-    ------
-    FormatError
-        If the file is missing, damaged, no stored surface, or of another format version.
-    """
-    return _load(Path(path))
-
-
 def prepared(
     folder: str | Path,
     control: ControlMesh,
@@ -165,7 +154,7 @@ def prepared(
         progress(f"read prepared {control.name}")
         try:
             if is_own(place):
-                return _load(place, control, config)
+                return load_surface(place, control, config)
             problem = "it was changed since it was written"
         except FormatError as error:
             problem = str(error)
@@ -177,8 +166,16 @@ def prepared(
     return surface
 
 
-def _load(path: Path, control: ControlMesh | None = None, config: BasisConfig | None = None) -> Surface:
-    """Read a surface; a control mesh known to be equal to the stored one takes its place, name and all."""
+def load_surface(path: Path, control: ControlMesh | None = None, config: BasisConfig | None = None) -> Surface:
+    """Read a prepared surface; what is not stored, its refined levels, is made again.
+
+    A control mesh known to be equal to the stored one takes its place, name and all.
+
+    Raises
+    ------
+    FormatError
+        If the file is missing, damaged, no stored surface, or of another format version.
+    """
     require_file(path, "a prepared surface")
     arrays = read_npz(path, _REMEDY)
     header = _header(path, arrays)

@@ -1,6 +1,6 @@
 """Mass and stiffness of a surface, and their restriction to every level (SEC)."""
 
-from cagemap.operators.laplacian import stiffness, triangle_cotangents, vertex_areas
+from cagemap.operators.laplacian import stiffness, vertex_areas
 from cagemap.operators.polygons import (
     LAPLACIANS,
     AlexaWardetzky,
@@ -23,6 +23,5 @@ __all__ = [
     "named_laplacian",
     "restrict",
     "stiffness",
-    "triangle_cotangents",
     "vertex_areas",
 ]
