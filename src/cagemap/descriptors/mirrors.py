@@ -16,8 +16,8 @@ MOST_WITHIN, ALL_WITHIN = 1e-3, 2e-2
 MOST = 0.95
 # Vertices that the search for a plane looks at, and how often it moves the plane.
 SAMPLES, STEPS = 2000, 10
-# A move that leaves this share of the mirror images' median distance leads nowhere, unless they lie on vertices already:
-# within so many tolerances.
+# A move that leaves this share of the mirror images' median distance leads nowhere, unless most of them lie near
+# vertices already: within so many tolerances.
 NO_NEARER, ALREADY = 0.9, 10.0
 # Share of these vertices' mirror images that lie on vertices from which all vertices are asked.
 PROMISING = 0.8
