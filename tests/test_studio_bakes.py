@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +22,10 @@ from cagemap.cli.option_list import all_options
 from cagemap.studio.finish import commands
 from cagemap.studio.opening import built_in_files
 from cagemap.studio.state import Files
-from test_studio_finish_files import VERTICES, compared, rich_finish, same, write_inputs
+from test_studio_finish_files import compared, rich_finish, same, write_inputs
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
-# Labels of the fields of `rich_finish` in their folds, and what is chosen or typed there.
+# Labels of the fields of `rich_finish` in their folds, and what is chosen or typed there; True: the box is pressed.
 ASKED: dict[str, dict[str, str | bool]] = {
     "More images": {
         "Normal map": "normals.png",
@@ -36,8 +39,9 @@ ASKED: dict[str, dict[str, str | bool]] = {
     "Rig": {"Skin weights": "skin.csv", "Influences": "1", "Blend shapes": "faces", "Attribute": "age.npy"},
     "Wrap": {"Wrap": True, "Fairness": "0.001", "Displacement": True, "Normal map": True, "MakeHuman file": True},
     "Match": {"Functions": "60"},
-    "Files": {"Bits": "16", "UVs of the source": True, "Map file": ".npz"},
+    "Files": {"Bits": "16", "UVs of the source": True, "Map file": ".npz", "Report": True},
 }
+VERTICES, SIZE = 1000, 512
 # Seconds that a finish of many commands may take on a loaded machine.
 LONG = 900.0
 
@@ -99,21 +103,22 @@ def test_what_the_page_bakes_is_what_the_command_line_writes(tmp_path: Path, bro
     files = built_in_files(tmp_path / "page")
     write_inputs(files)
     shutil.copytree(tmp_path / "page", tmp_path / "line")
-    with studio(*arguments(files)) as (process, address):
+    with studio(*arguments(files)) as (process, address), ThreadPoolExecutor(1) as beside:
         page = FoldedPage(browser, address)
         page.until(lambda: page.revision() == 1, "the first map")
         before = page.picture("target").astype(float)
         page.fill("target", "Vertices", str(VERTICES))
-        page.choose("target", "Texels", "512")
+        page.choose("target", "Texels", str(SIZE))
         for fold, fields in ASKED.items():
             fill_in(page, fold, fields)
         page.button("target", "Bake")
-        page.until(lambda: "match:" in page.text("status"), "a running match")
+        typed = beside.submit(run_typed, tmp_path / "line")
+        page.until(lambda: re.search(r"finish \d", page.text("status")), "a running finish")
         browser.get("about:blank")  # stops nothing
         page = FoldedPage(browser, address)
         assert page.value("target", "Vertices").replace(",", "") == str(VERTICES)
         page.finished("finish: done")
-        same_files(files, tmp_path / "line")
+        same_files(files, typed.result())
         page.until(lambda: np.abs(page.picture("target") - before).max(axis=2).mean() > 0.05, "the bake on the model")
         assert page.value("target", "On the model").endswith(".png")
         an_error_is_said_and_the_rest_is_made(page, files)
@@ -142,35 +147,46 @@ def fill_in(page: FoldedPage, fold: str, fields: dict[str, str | bool]) -> None:
     page.unfold("target", fold)
 
 
+def run_typed(folder: Path) -> Path:
+    """Run the commands that one would type in a folder; returns it."""
+    own = built_in_files(folder)
+    asked = replace(rich_finish(own, SIZE, VERTICES), report=False)
+    known = typer.main.get_command(app)
+    for command in commands(all_options(), own, asked, landmarks=True):
+        known.main(list(command.arguments), standalone_mode=False)
+    return folder
+
+
 def same_files(files: Files, folder: Path) -> None:
     """The files of the page's bake are those of the commands that one would type."""
-    own = built_in_files(folder)
-    known = typer.main.get_command(app)
-    for command in commands(all_options(), own, rich_finish(own, size=512), landmarks=True):
-        known.main(list(command.arguments), standalone_mode=False)
     typed = compared(folder)
     assert len(typed) > 20
     made = files.target.parent
     assert [path.name for path in typed if not same(path, made / path.relative_to(folder))] == []
+    assert not list(made.glob("*.html"))
 
 
 def an_error_is_said_and_the_rest_is_made(page: FoldedPage, files: Files) -> None:
-    """A file of somebody else's is refused with the remedy, and the other images are baked."""
-    theirs = files.result.parent / "hero_from_normals.png"
+    """A file of somebody else's is refused with the remedy, and the other images are baked, of the map there is."""
+    theirs, other = (files.result.with_name(f"deer_from_{name}.png") for name in ("normals", "bumps"))
     theirs.write_text("not ours")
-    fill_in(page, "Files", {"Name": "hero"})
+    other.unlink()
+    map_file = files.result / "map.npz"
+    written = map_file.stat().st_mtime_ns
     page.button("target", "Bake")
-    said = page.finished("hero_from_normals.png")
+    said = page.finished(theirs.name)
     assert "Overwrite, under Files" in said
     assert theirs.read_text() == "not ours"
-    page.until((files.result.parent / "hero_from_bumps.png").is_file, "the image after it", LONG)
+    page.until(other.is_file, "the image after it", LONG)
     page.button("source", "Cancel")
     page.finished("finish: cancelled")
+    assert map_file.stat().st_mtime_ns == written
 
 
 def a_killed_studio_leaves_nothing_half_written(page: FoldedPage, files: Files, process: Any) -> None:
     """Whoever computes for a studio ends with it."""
     fill_in(page, "Files", {"Name": "late"})
+    page.fill("target", "Vertices", "200000")  # lasts until it is killed
     page.button("target", "Bake")
     page.until(lambda: "match:" in page.text("status"), "a running match")
     children = psutil.Process(process.pid).children(recursive=True)

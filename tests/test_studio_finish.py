@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import queue
+import sys
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from cagemap.cli.option_list import REQUESTS, all_options
 from cagemap.cli.options import MASK_FILES
 from cagemap.errors import ParameterError
 from cagemap.studio.downloads import ALL, content
-from cagemap.studio.finish import SHARED, FinishOptions, commands, planned
+from cagemap.studio.finish import SHARED, Command, FinishOptions, commands, planned
 from cagemap.studio.finish_layout import ADVANCED, FOLDS, LEFT_OUT, SIZE, VERTICES, folds, keys, on_the_page
 from cagemap.studio.opening import default_files
 from cagemap.studio.options import Key, Option, Value, catalogue
@@ -221,10 +222,24 @@ def test_a_failing_command_gives_its_own_words_and_the_others_go_on(tmp_path: Pa
     assert [message.text.partition(":")[0] for message in told] == ["match"]
     assert "cow.obj" in told[0].text
     told.clear()
-    check = type(todo[0])("check", ("--version",), tmp_path / "x")
+    check = Command("check", ("--version",), tmp_path / "x")
     runner.start((check, todo[1], check, todo[1]))
     assert ended.get(timeout=60).text.endswith(": report, report")
     assert [message.kind for message in told] == ["error", "error"]
+
+
+def test_a_command_that_takes_its_process_along_leaves_the_others_theirs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dies = "import os, sys; sys.stdin.readline(); print('more memory', flush=True); os._exit(9)"
+    monkeypatch.setattr("cagemap.studio.runner._CALL", (sys.executable, "-c", dies))
+    told: list[Message] = []
+    ended: queue.Queue[Message] = queue.Queue()
+    Runner(lambda _: None, lambda _: None, told.append, ended.put).start(
+        tuple(Command(title, (), tmp_path / title) for title in ("normals", "heights"))
+    )
+    assert ended.get(timeout=60).text.endswith(": normals, heights")
+    assert [message.text for message in told] == ["normals: more memory", "heights: more memory"]
 
 
 def test_a_cancelled_run_says_so_whatever_begins_after_it(tmp_path: Path) -> None:

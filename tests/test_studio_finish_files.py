@@ -23,8 +23,6 @@ from cagemap.studio.state import Files
 
 pytestmark = pytest.mark.slow
 
-
-VERTICES = 3000
 TRANSFER: dict[str, Value] = {
     "normal_map": Path("normals.png"),
     "green": "down",
@@ -56,10 +54,10 @@ def write_inputs(files: Files) -> None:
     write_image(folder / "normals.png", np.full((32, 32, 3), (128, 128, 255), dtype=np.uint8))
 
 
-def rich_finish(files: Files, size: int) -> FinishOptions:
+def rich_finish(files: Files, size: int, vertices: int) -> FinishOptions:
     """A finish that asks for something of every kind, of the built-in pair."""
     folder = files.source.parent
-    given: dict[Key, Value] = {VERTICES_KEY: VERTICES, SIZE: size, ("match", "k"): 60}
+    given: dict[Key, Value] = {VERTICES_KEY: vertices, SIZE: size, ("match", "k"): 60}
     given |= {("transfer", name): value for name, value in TRANSFER.items()}
     given |= {("wrap", name): value for name, value in WRAP.items()}
     asked = FinishOptions(maps=(("roughness", Path("bumps.png")),), map_form=".npz", wrap=True, given=given)
@@ -85,7 +83,7 @@ def test_the_job_file_of_a_finish_makes_the_same_files_again(tmp_path: Path) -> 
     write_inputs(files)
     before = compared(tmp_path)
     known = typer.main.get_command(app)
-    for command in commands(all_options(), files, rich_finish(files, size=32), landmarks=True):
+    for command in commands(all_options(), files, rich_finish(files, size=32, vertices=1000), landmarks=True):
         known.main(list(command.arguments), standalone_mode=False)
     made = [path for path in compared(tmp_path) if path not in before]
     text, whole = run_job(RunRequest(files.result / "job.toml", workers=1), Stages(shown=False))

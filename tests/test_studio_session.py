@@ -17,6 +17,7 @@ from cagemap.cli.option_list import all_options
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images import write_image
 from cagemap.files.landmarks import write_landmarks
+from cagemap.files.manifest import note_transfer
 from cagemap.files.meshes import write_mesh
 from cagemap.files.point_forms import POINT_FORMS
 from cagemap.mesh.landmarks import Landmarks
@@ -44,7 +45,7 @@ PATIENCE = 150.0
 def until(done: Callable[[], object], session: Session) -> None:
     end = time.monotonic() + PATIENCE
     while not done():
-        assert time.monotonic() < end, session.state
+        assert time.monotonic() < end, [message.text for message in session.state.messages]
         time.sleep(0.01)
 
 
@@ -418,9 +419,11 @@ def test_a_cancelled_finish_leaves_nothing_and_the_next_one_runs(opened: Session
     opened.finish(replace(options, texture=False))
     until(lambda: said("finish: done"), opened)
     assert [output.what for output in opened.state.outputs] == ["the map"]
-    # The map is there: another bake of it does not compute it again, unless something has changed.
-    result = opened.state.files.result
-    manifest = (result / "manifest.json").stat().st_mtime_ns
+    # The map is there: another bake of it does not compute it again, unless something has changed; that something was
+    # made of it is noted beside it.
+    note_transfer(opened.state.files.result, {"kind": "texture", "output": "a.png"})
+    arrays = opened.state.files.result / "map.npz"
+    written = arrays.stat().st_mtime_ns
     todo = opened.plan(replace(options, report=True))
     left = [opened._last.left_of(todo, opened.state)]
     assert left == [todo[1:]]
@@ -428,7 +431,7 @@ def test_a_cancelled_finish_leaves_nothing_and_the_next_one_runs(opened: Session
     opened.finish(replace(options, texture=False))
     until(lambda: said("finish: done"), opened)
     assert [output.what for output in opened.state.outputs] == ["the map"]
-    assert (result / "manifest.json").stat().st_mtime_ns == manifest
+    assert arrays.stat().st_mtime_ns == written
     last = opened._last._made
     other = opened.plan(options.giving({("match", "vertices"): 301}))
     click(opened, "target", 0)
@@ -438,7 +441,7 @@ def test_a_cancelled_finish_leaves_nothing_and_the_next_one_runs(opened: Session
     for commands, state in ((other, before_that), (todo, moved)):
         opened._last._made = last
         assert opened._last.left_of(commands, state) == commands
-    for changed in (opened.state.files.target, result / "manifest.json"):
+    for changed in (opened.state.files.target, arrays):
         opened._last._made, status = last, changed.stat()
         os.utime(changed, ns=(1, 1))
         assert opened._last.left_of(todo, before_that) == todo

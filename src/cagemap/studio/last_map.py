@@ -48,8 +48,9 @@ def _decided_by(match: Command, state: Studio) -> object:
     return match, state.wish, _stamps(models)
 
 
-def _stamps_of(result: Path) -> tuple[Stamp, ...]:
-    return _stamps((result / ARRAYS, result / MANIFEST))
+def _stamps_of(result: Path) -> object:
+    """Of the map itself: what is made of it is noted in the manifest beside it, which has to be there."""
+    return _stamps((result / ARRAYS,)), (result / MANIFEST).is_file()
 
 
 def _stamps(files: Iterable[Path]) -> tuple[Stamp, ...]:

@@ -1,4 +1,4 @@
-"""Runs the commands of a finish one after the other, each in a process of its own."""
+"""Runs the commands of a finish one after the other, in a process of their own."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from pathlib import Path
 
 from cagemap.studio.finish import MAP, Command
 from cagemap.studio.state import Job, Message, Output
-from cagemap.studio.wrote import files_wrote
+from cagemap.studio.wrote import command_line, ended
 
 CANCELLED = "cancelled"
+_CALL = (sys.executable, "-m", "cagemap.cli.told")
 # Share of what is left of a command that each of its stages is taken for: how many there are is not known.
 _STAGE = 0.15
 _ERROR, _WARNING = "cagemap: error: ", "cagemap: warning: "
@@ -53,10 +54,8 @@ class Runner:
 
     def cancel(self) -> None:
         """End the running command; what it has not finished writing leaves no trace."""
-        with self._lock:
-            self._cancelled = True
-            if self._process is not None and self._process.stdin is not None:
-                self._process.stdin.close()  # which it watches
+        self._cancelled = True
+        self._hang_up()
 
     def _work(self, todo: tuple[Command, ...]) -> None:
         failed: list[str] = []
@@ -68,6 +67,7 @@ class Runner:
                     break
         except Exception as error:  # whatever happens, the finish has an end
             failed.append(f"{type(error).__name__}: {error}")
+        self._hang_up()
         if self._cancelled:
             end = Message("note", f"finish: {CANCELLED}")
         elif failed:
@@ -85,30 +85,49 @@ class Runner:
             self._on_job(Job(f"finish {number + 1}/{count}", stage, (number + 1 - left) / count, can_cancel=True))
 
         tell(command.title)
-        call = [sys.executable, "-m", "cagemap.cli.told", "-v", *command.arguments]
-        with self._lock:
-            if self._cancelled:
-                return False
-            self._process = subprocess.Popen(
-                call, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-            )
-        process, lines = self._process, list[str]()
+        process, lines = self._begun(command), list[str]()
+        if process is None:
+            return False
         assert process.stdout is not None
-        written: tuple[Path, ...] = ()
+        code: int | None = None
         for line in map(str.rstrip, process.stdout):
+            if (end := ended(line)) is not None:
+                code, written = end
+                for output in outputs_of(command, written):
+                    self._on_output(output)
+                break
             lines.append(line)
             if (stage := stage_of(line)) is not None:
                 left *= 1 - _STAGE
                 tell(f"{command.title}: {stage}")
             elif line.startswith(_WARNING):
                 self._on_message(Message("note", f"{command.title}: {line.removeprefix(_WARNING)}"))
-            written = files_wrote(line) or written
-        code = process.wait()
-        for output in outputs_of(command, written):
-            self._on_output(output)
+        if code is None or self._cancelled:  # it is ending, in the midst of its work or after
+            code = process.wait() or 1
         if code and not self._cancelled:
             self._on_message(Message("error", f"{command.title}: {_reason(lines, code)}"))
         return code == 0
+
+    def _begun(self, command: Command) -> subprocess.Popen[str] | None:
+        """The process, once it is told the command; None where the run is cancelled."""
+        with self._lock:
+            if self._cancelled:
+                return None
+            if self._process is None or self._process.poll() is not None:
+                self._process = subprocess.Popen(
+                    _CALL, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+                )
+            assert self._process.stdin is not None
+            self._process.stdin.write(f"{command_line(('-v', *command.arguments))}\n")
+            self._process.stdin.flush()
+            return self._process
+
+    def _hang_up(self) -> None:
+        """The process ends when its input does."""
+        with self._lock:
+            process, self._process = self._process, None
+            if process is not None and process.stdin is not None:
+                process.stdin.close()
 
 
 def outputs_of(command: Command, files: tuple[Path, ...]) -> tuple[Output, ...]:
