@@ -251,6 +251,34 @@ def test_positions_after_subdivision_are_those_of_the_recorded_options(tmp_path:
     np.testing.assert_allclose(theirs.uvs, ours.uvs, atol=1e-6)
 
 
+def test_what_a_file_refers_to_and_is_not_there_is_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for number, arc in enumerate(("payload", "references")):
+        file = tmp_path / f"{arc}.usda"
+        file.write_text(f'#usda 1.0\ndef "a" (\nprepend {arc} = @./gone.usda@\n)\n{{\n}}\n')
+        with pytest.raises(FormatError, match="at least one mesh prim, got none"):
+            read_usd(file)
+        assert "Could not open asset" in caplog.messages[-1]
+        assert str(file) in caplog.messages[-1]
+        assert len(caplog.messages) == number + 1
+    chosen = tmp_path / "variants.usda"
+    sets = 'variantSet "shape" = {\n"one" {\n}\n}\n'
+    chosen.write_text(f'#usda 1.0\ndef "a" (\nprepend variantSets = "shape"\n)\n{{\n{sets}}}\n')
+    with pytest.raises(FormatError, match=r"Choose one of the variants of /a \(shape\)"):
+        read_usd(chosen)
+
+
+@pytest.mark.parametrize("scale", ["0, 1, 1", "nan, 1, 1"])
+def test_a_transform_that_flattens_is_refused(tmp_path: Path, scale: str) -> None:
+    file = tmp_path / "flat.usda"
+    write_usd(file, full_cube())
+    stage = Usd.Stage.Open(str(file))
+    prim = next(prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh))
+    UsdGeom.Xformable(prim).AddScaleOp().Set(tuple(map(float, scale.split(", "))))
+    stage.Save()
+    with pytest.raises(FormatError, match=r"flat\.usda: .*expected a transform that can be undone"):
+        read_usd(file)
+
+
 def test_damaged_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="no such file"):
         read_usd(tmp_path / "none.usda")

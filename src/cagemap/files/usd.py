@@ -6,6 +6,7 @@ comes along.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -23,6 +24,8 @@ from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.join import join_meshes
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import default_scheme
+
+logger = logging.getLogger(__name__)
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 _SCHEMES: dict[str, type[CatmullClark] | type[Loop] | type[Bilinear]] = {
@@ -42,6 +45,8 @@ _UVS = {
 }
 # Purposes of meshes that stand for others.
 _STAND_INS = ("guide", "proxy")
+# Condition from which on a transform counts as one that flattens: float32 scales hold seven digits.
+_FLATTENING = 1e12
 _TRIANGLES = {"catmullClark": "catmull_clark", "smooth": "smooth"}
 
 
@@ -91,7 +96,7 @@ def usd_modules() -> Any:
 
 
 def open_stage(path: str | Path) -> Any:
-    """Open a USD file.
+    """Open a USD file; what it refers to and cannot be found is warned of.
 
     Raises
     ------
@@ -101,8 +106,12 @@ def open_stage(path: str | Path) -> Any:
     pxr = usd_modules()
     file = Path(path)
     require_file(file, "a USD file")
+    said = pxr.UsdUtils.CoalescingDiagnosticDelegate()  # instead of USD's own lines, which name its sources
     try:
-        return pxr.Usd.Stage.Open(str(file))
+        stage = pxr.Usd.Stage.Open(str(file))
+        for reason in dict.fromkeys(one.commentary.partition(" (")[0] for one in said.TakeUncoalescedDiagnostics()):
+            logger.warning("%s: %s", file, reason)
+        return stage
     except (pxr.Tf.ErrorException, UnicodeDecodeError) as error:
         raise FormatError(f"{file}: cannot be read as USD ({_reason(error)}). Export it again.") from None
 
@@ -110,7 +119,8 @@ def open_stage(path: str | Path) -> Any:
 def _reason(error: Exception) -> str:
     """The last line of what USD says; its own messages may hold bytes that are no text."""
     try:
-        return (str(error).strip().splitlines() or [type(error).__name__])[-1]
+        last = (str(error).strip().splitlines() or [type(error).__name__])[-1]
+        return last.rpartition(" : '")[2].strip("'")
     except UnicodeDecodeError:
         return type(error).__name__
 
@@ -147,8 +157,24 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
         meshes = tuple(_read_prim(file, prim) for prim in with_points)
     if not meshes:
         what = f"got {len(prims)} without points" if prims else "got none"
-        raise FormatError(f"{file}: expected at least one mesh prim, {what}. Export the control mesh with its points.")
+        open_sets = _variants_without_choice(stage)
+        remedy = (
+            f"Choose one of the variants of {', '.join(open_sets)}."
+            if open_sets and not prims
+            else ("Export the control mesh with its points.")
+        )
+        raise FormatError(f"{file}: expected at least one mesh prim, {what}. {remedy}")
     return meshes
+
+
+def _variants_without_choice(stage: Any) -> list[str]:
+    """Variant sets of a stage that say nothing since none of their variants is chosen."""
+    return [
+        f"{prim.GetPath()} ({name})"
+        for prim in stage.Traverse()
+        for name in prim.GetVariantSets().GetNames()
+        if not prim.GetVariantSets().GetVariantSelection(name)
+    ]
 
 
 def read_usd(path: str | Path, *, mixed: bool = False) -> ControlMesh:
@@ -261,9 +287,21 @@ def _read_prim(file: Path, prim: Any) -> UsdMesh:
 
 
 def local_to_world(prim: Any) -> FloatArray:
-    """(4, 4) from a prim's own space to the world's."""
+    """(4, 4) from a prim's own space to the world's.
+
+    Raises
+    ------
+    FormatError
+        If it flattens what it moves, or is not finite.
+    """
     pxr = usd_modules()
-    return np.array(pxr.UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(pxr.Usd.TimeCode.EarliestTime()))
+    matrix = np.array(pxr.UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(pxr.Usd.TimeCode.EarliestTime()))
+    if not np.isfinite(matrix).all() or np.linalg.cond(matrix[:3, :3]) > _FLATTENING:
+        raise FormatError(
+            f"{prim.GetStage().GetRootLayer().realPath}: {prim.GetPath()}: expected a transform that can be undone, "
+            "got one that flattens the mesh or holds no numbers. Repair its scale and export again."
+        )
+    return matrix
 
 
 def _scheme(where: str, mesh: Any) -> Scheme:
