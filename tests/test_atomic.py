@@ -4,14 +4,29 @@ from __future__ import annotations
 
 import errno
 import os
+import resource
+import signal
 import stat
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from cagemap.errors import FormatError
+from cagemap.errors import CagemapError, FormatError
 from cagemap.files.atomic import atomic_folder, atomic_path
+from cagemap.files.attributes import write_attributes
+from cagemap.files.images import write_image
+from cagemap.files.maps import write_map
 from cagemap.files.marks import mark
+from cagemap.files.meshes import write_mesh
+from cagemap.files.result import write_result
+from cagemap.mesh import cube
+from cagemap.refinement import refine
+from cagemap.refinement.finest import finest_mesh
+
+from example_result import identity_result
 
 NAMES = ("map.npz", "manifest.json")
 
@@ -26,6 +41,48 @@ def appear(folder: Path, written: Path) -> None:
         (written / name).touch()
     folder.mkdir()
     (folder / "precious.blend").touch()
+
+
+@contextmanager
+def room_for(size: int) -> Iterator[None]:
+    """No file may grow beyond a size, as on a disk that is full."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, before)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("m.obj", "m.ply", "m.off", "m.glb", "m.usda", "m.usdc"),
+        *("i.png", "i.tif", "i.exr", "i.jpg"),
+        *("p.npy", "p.npz", "p.mtx", "p.vts"),
+        *("v.npz", "v.npy", "v.csv"),
+        "R",
+    ],
+)
+def test_a_full_disk_leaves_no_half_of_a_file(tmp_path: Path, name: str) -> None:
+    """Whatever library writes: an error, and nothing under the file's name or a temporary one."""
+    if name.startswith("m.usd"):
+        pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    result, file = identity_result(), tmp_path / name
+    level = result.target.refinement.finest
+    pixels = np.random.default_rng(0).integers(0, 255, (64, 64, 3)).astype(np.uint8)
+    writers: dict[str, Callable[[], object]] = {
+        "m": lambda: write_mesh(file, finest_mesh(refine(cube(), 3))),
+        "i": lambda: write_image(file, pixels.astype(np.float32) if name == "i.exr" else pixels),
+        "p": lambda: write_map(file, result.point_map),
+        "v": lambda: write_attributes(file, {"v": level.positions}),
+        "R": lambda: write_result(file, result),
+    }
+    with room_for(600), pytest.raises((CagemapError, OSError)):
+        writers[name[0]]()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_file_appears_whole_under_its_name_only(tmp_path: Path) -> None:

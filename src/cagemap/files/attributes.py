@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.file_rows import FileRows, prim_rows, taken
-from cagemap.files.npz import read_npy, read_npz, write_npz
+from cagemap.files.npz import read_npy, read_npz, write_npy, write_npz
 from cagemap.files.suffixes import VALUE_SUFFIXES
 from cagemap.files.text import require_file
 from cagemap.files.usd import USD_SUFFIXES, in_world, one_mesh, read_usd_meshes
@@ -101,7 +101,7 @@ def write_attributes(path: str | Path, attributes: Mapping[str, NDArray[Any]], *
         raise FormatError(f"{file}: columns of a .csv have equally many rows, got {rows}. Write an .npz.")
     with atomic_path(file, force=force) as temporary:
         if suffix == ".npy":
-            np.save(temporary, next(iter(attributes.values())))
+            write_npy(temporary, next(iter(attributes.values())))
         elif suffix == ".npz":
             write_npz(temporary, attributes, compressed=True)
         elif suffix == ".json":

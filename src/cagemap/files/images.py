@@ -7,6 +7,7 @@ always (h, w, c) here), and writes what a format cannot hold as something it can
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -39,6 +40,7 @@ _CHANNELS = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A
 _LARGEST_CHANNELS = 4
 _LARGEST_WINDOW = 1 << 16
 _TIFF = (".tif", ".tiff")
+_HEADER = 1 << 16  # bytes of a file beside its texels
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,6 +215,8 @@ def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False)
     if file.suffix.lower() in (".jpg", ".jpeg"):
         spec.attribute("CompressionQuality", 95)
     with atomic_path(file, force=force) as temporary:
+        if file.suffix.lower() in (".jpg", ".jpeg"):
+            _reserve(temporary, pixels.nbytes + _HEADER)
         output = oiio.ImageOutput.create(str(temporary))
         if output is None:
             raise FormatError(f"{file}: cannot write this format: {_reason(oiio.geterror())}")
@@ -220,6 +224,19 @@ def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False)
         error = output.geterror()
         if not (output.close() and written):
             raise FormatError(f"{file}: could not write the image: {_reason(error or output.geterror())}")
+
+
+def _reserve(path: Path, size: int) -> None:
+    """Make sure that a file has room: where the disk is full, the library of JPEG ends the whole process.
+
+    Raises
+    ------
+    OSError
+        If there is not so much.
+    """
+    if hasattr(os, "posix_fallocate"):
+        with path.open("rb+") as stream:
+            os.posix_fallocate(stream.fileno(), 0, size)
 
 
 def straight(image: Image) -> Image:

@@ -16,7 +16,7 @@ from scipy import io, sparse
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.marks import mark
-from cagemap.files.npz import read_npy, read_npz, write_npz
+from cagemap.files.npz import read_npy, read_npz, write_npy, write_npz
 from cagemap.files.text import read_text, require_file
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
@@ -251,11 +251,12 @@ def write_map(path: str | Path, point_map: PointMap, *, force: bool = False) -> 
     nearest = point_map.images.corners[np.arange(point_map.target.n), point_map.barycentric.argmax(axis=1)]
     with atomic_path(file, force=force) as temporary:
         if suffix == ".npy":
-            np.save(temporary, nearest)
+            write_npy(temporary, nearest)
         elif suffix == ".vts":
             temporary.write_text("\n".join(map(str, (nearest + 1).tolist())) + "\n", encoding="utf-8")
         elif suffix == ".mtx":
-            io.mmwrite(temporary, sparse.coo_array(point_map.matrix()), comment=mark())
+            with temporary.open("wb") as stream:  # by name SciPy writes what fits and says nothing
+                io.mmwrite(stream, sparse.coo_array(point_map.matrix()), comment=mark())
         else:
             source = np.array(point_map.source.n)
             write_npz(

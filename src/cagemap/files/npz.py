@@ -35,6 +35,16 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]], *, compressed: boo
                 np.lib.format.write_array(stream, np.asanyarray(array), allow_pickle=False)
 
 
+def write_npy(path: Path, array: NDArray[Any]) -> None:
+    """Write one array to a temporary file of `cagemap.files.atomic`.
+
+    NumPy itself writes to a file through a buffer of C's, and says nothing where the rest of it finds no room.
+    """
+    content = io.BytesIO()
+    np.lib.format.write_array(content, np.asanyarray(array), allow_pickle=False)
+    path.write_bytes(content.getbuffer())
+
+
 def read_npz(path: Path, remedy: str) -> Arrays:
     """Read all arrays of an archive.
 

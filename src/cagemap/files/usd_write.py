@@ -211,7 +211,11 @@ def _save(layer: Any, file: Path, *, force: bool) -> None:
     layer.comment = mark()
     with atomic_path(file, force=force) as temporary:
         arguments = {"format": "usda"} if file.suffix.lower() == ".usd" else {}
-        if not layer.Export(str(temporary), args=arguments):
+        try:
+            written = layer.Export(str(temporary), args=arguments)
+        except usd_modules().Tf.ErrorException:
+            written = False
+        if not written:
             raise FormatError(f"{file}: cannot be written. Check the folder and the space left on the disk.")
 
 
