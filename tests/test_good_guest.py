@@ -17,7 +17,7 @@ from cagemap.basis import BasisConfig
 from cagemap.cli import main
 from cagemap.cli.job_file import note_match
 from cagemap.cli.match_request import MatchRequest
-from cagemap.cli.words import set_verbosity
+from cagemap.cli.words import say, set_verbosity, tolerate_odd_names, warn
 from cagemap.example import example_pair
 from cagemap.files.landmarks import write_landmarks
 from cagemap.files.meshes import read_mesh, write_mesh
@@ -67,6 +67,15 @@ def test_a_reader_that_has_gone_is_no_error(tmp_path: Path) -> None:
         process.stdout.close()
         assert process.stderr.read() == ""
     assert process.returncode == 0
+
+
+def test_an_output_that_is_closed_takes_all_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in `cagemap --version >&-`, where Python has no stream."""
+    for name in ("stdout", "stderr"):
+        monkeypatch.setattr(sys, name, None)
+    tolerate_odd_names()
+    say("nobody reads this")
+    warn(["nor this"])
 
 
 def test_more_and_fewer_words(

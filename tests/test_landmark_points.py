@@ -162,6 +162,10 @@ def test_points_of_two_meshes_are_matched_by_name() -> None:
     assert len(notes) == 2
     assert "only here" in notes[0]
     assert "only there" in notes[1]
+    with pytest.raises(
+        InvalidLandmarksError, match="names that both sides have, got a, only here, b on the target and A"
+    ):
+        paired(target, replace(source, names=("A", "B", "C")), cube(), creature())
 
 
 def test_points_far_away_and_wrong_vertices_are_refused() -> None:

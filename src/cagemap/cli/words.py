@@ -73,7 +73,11 @@ def warn(messages: Iterable[str]) -> None:
 
 
 def tolerate_odd_names() -> None:
-    """File names that are no text, and signs that a terminal lacks, are written as escapes."""
+    """File names that are no text, and signs that a terminal lacks, are written as escapes; closed outputs are none."""
+    if sys.stdout is None:
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")

@@ -177,9 +177,10 @@ def paired(
     Raises
     ------
     InvalidLandmarksError
-        If a name occurs twice on one side, a vertex is out of range, or a place is far from its mesh.
+        If a name occurs twice on one side, none is on both, a vertex is out of range, or a place is far from its mesh.
     """
-    shared, notes = shared_names(target_points.names, source_points.names, what="points", noted="landmarks")
+    names = target_points.names, source_points.names
+    shared, notes = shared_names(*names, what="points", noted="landmarks")
     places = [{name: i for i, name in enumerate(points.names)} for points in (target_points, source_points)]
     on_target, on_source = (
         on_cage(points, mesh).at(np.array([place[name] for name in shared], dtype=np.int64))
@@ -187,6 +188,11 @@ def paired(
     )
     landmarks = Landmarks.of_points(shared, on_target, on_source, target.name, source.name)
     curves, curve_notes = paired_curves(target_points, source_points, target, source)
+    if all(names) and not shared and not len(curves):
+        raise InvalidLandmarksError(
+            f"landmark points: expected names that both sides have, got {first_few(names[0])} on the target and "
+            f"{first_few(names[1])} on the source. Rename them so that those of the same place are called alike."
+        )
     return replace(landmarks, curves=curves), notes + curve_notes
 
 
