@@ -33,7 +33,7 @@ class MatchRequest:
         Path | None,
         typer.Option(
             "--landmarks",
-            help="JSON file of corresponding control vertices; without one the shapes alone decide.",
+            help="JSON file of pairs of corresponding points; without one the shapes alone decide.",
             show_default=False,
         ),
     ]
