@@ -85,8 +85,6 @@ def test_more_and_fewer_words(
     write_result("R", identity_result())
     np.save("v.npy", np.arange(8.0))
     said = {}
-    at_exit: list[object] = []
-    monkeypatch.setattr("atexit.register", at_exit.append)
     before = gc.get_threshold()
     for flag in ("-v", "-q", ""):
         words = ["transfer", "R", "--attribute", "v.npy", "-o", "out.npz"]
@@ -101,9 +99,8 @@ def test_more_and_fewer_words(
     assert "wrote out.npz" in said[""].out
     set_verbosity(0, quiet=False)
     assert len(logging.getLogger("cagemap").handlers) == 1
-    # A command, not the library, looks for cycles seldom: a third of a second of loading and leaving.
+    # A command, not the library, looks for cycles seldom.
     assert gc.get_threshold()[0] >= 100_000
-    assert gc.freeze in at_exit
     gc.set_threshold(*before)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
 import gc
 import os
 import signal
@@ -66,9 +65,8 @@ def main() -> None:
 
 
 def _collect_seldom() -> None:
-    """Look for cycles of garbage seldom, and not once more when the process ends."""
+    """Look for cycles of garbage seldom; the last look, when the process ends, stays: libraries count what is left."""
     gc.set_threshold(COLLECTED_AFTER, *gc.get_threshold()[1:])
-    atexit.register(gc.freeze)
 
 
 def _run() -> None:

@@ -120,7 +120,7 @@ def wrap(
     if target.is_plain:
         raise ParameterError(
             f"{target.control.name}: expected a cage to wrap, got a plain mesh (scheme none), which has no control "
-            "points; give the cage as target and the scan as source"
+            "points; give the cage as target and the scan as source, and the scheme of a cage whose file says none"
         )
     if config.level >= finest:
         raise ParameterError(
