@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from cagemap.geometry.surface import TriangleSurface
-from cagemap.maps.elastic.constants import LOOSEST
+from cagemap.maps.elastic.constants import LOOSEST, POSES_DIFFER
 from cagemap.maps.elastic.graph import mesh_graph
-from cagemap.maps.elastic.pose import posed, stiffness
+from cagemap.maps.elastic.pose import posed, stiffness, turn
 from cagemap.maps.elastic.prepared import RestShape
 from cagemap.mesh.shapes import creature
 from cagemap.numerics.rotations import nearest_rotations
@@ -31,6 +31,7 @@ def lengths(rest: RestShape, positions: np.ndarray) -> np.ndarray:
 def test_a_motion_is_a_pose(rest: RestShape) -> None:
     rotation = nearest_rotations(np.random.default_rng(5).standard_normal((1, 3, 3)))[0]
     moved = rest.graph.positions @ rotation.T + np.array([3.0, -1.0, 2.0])
+    assert turn(rest, moved) < 1e-5  # of the whole body is no pose
     np.testing.assert_allclose(posed(rest, moved), moved, atol=1e-6)
 
 
@@ -42,7 +43,12 @@ def test_a_bent_and_stretched_body_is_bent_and_hardly_stretched(rest: RestShape)
     bent = stretched.copy()
     bent[:, 0] = np.cos(angle) * stretched[:, 0] + np.sin(angle) * stretched[:, 1]
     bent[:, 1] = -np.sin(angle) * stretched[:, 0] + np.cos(angle) * stretched[:, 1]
+    rolled = at.copy()
+    rolled[:, 0] = np.cos(3.0 * angle) * at[:, 0] + np.sin(3.0 * angle) * at[:, 1]
+    rolled[:, 1] = -np.sin(3.0 * angle) * at[:, 0] + np.cos(3.0 * angle) * at[:, 1]
     found = posed(rest, bent)
+    assert turn(rest, stretched) < 0.1 < turn(rest, bent) < POSES_DIFFER
+    assert turn(rest, rolled) > POSES_DIFFER
     own = lengths(rest, at)
     assert np.abs(np.log(lengths(rest, bent) / own)).mean() > 0.1
     assert np.abs(np.log(lengths(rest, found) / own)).mean() < 0.07

@@ -1,9 +1,10 @@
 """The mean of a fit and of what its inverse becomes: what the elastic energy prefers one way it opposes the other way.
 
 Where a joint bends, the energy has its minimum beside the truth: it would rather let a shin slide towards the knee
-than stretch the skin over it. Fitted the other way round, in the target's pose (`cagemap.maps.elastic.pose`) and from
-where the first fit ended, the same energy lets the skin slide back, so that half of either slide is left out.
-Registration knows this as inverse consistency (Christensen and Johnson 2001); here one step of it does.
+than stretch the skin over it. Fitted the other way round from where the first fit ended, and in the target's pose where
+that is another one (`cagemap.maps.elastic.pose`), the same energy lets the skin slide back, so that half of either
+slide is left out. Registration knows this as inverse consistency (Christensen and Johnson 2001); here one step of it
+does.
 """
 
 from __future__ import annotations
@@ -19,8 +20,10 @@ from cagemap.maps.elastic.constants import (
     INVERSE_GAP,
     INVERSE_LOST,
     INVERSE_SMOOTHING,
+    POSES_DIFFER,
 )
-from cagemap.maps.elastic.pose import fit_in_pose
+from cagemap.maps.elastic.fit import fine_stage
+from cagemap.maps.elastic.pose import fit_in_pose, turn
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.pair import PointPairs
 from cagemap.numerics.arrays import FloatArray
@@ -28,7 +31,7 @@ from cagemap.numerics.factorization import factor
 
 
 def both_ways(prepared: PreparedPair, landmarks: PointPairs, positions: FloatArray) -> FloatArray:
-    """Places (n, 3) half-way between a fine fit's and those by the fit in pose of the reversed pair that starts there.
+    """Places (n, 3) half-way between a fine fit's and those by the fit of the reversed pair that starts there.
 
     Places as they are where the source has no counterpart of much of the target: of that the way back knows nothing.
 
@@ -42,7 +45,10 @@ def both_ways(prepared: PreparedPair, landmarks: PointPairs, positions: FloatArr
     """
     back, mesh = prepared.reversed, prepared.mesh
     start, _ = inverse(mesh, positions, back.mesh)
-    returned = fit_in_pose(back, landmarks.reversed(), start, times=1)
+    if turn(back.rest, start) > POSES_DIFFER:
+        returned = fit_in_pose(back, landmarks.reversed(), start, times=1)
+    else:
+        returned = fine_stage(back, start, landmarks.reversed())
     places, gaps = inverse(back.mesh, returned, mesh)
     areas = prepared.rest.graph.areas
     if areas[gaps > INVERSE_FAR].sum() > INVERSE_LOST * areas.sum():

@@ -32,6 +32,10 @@ PARTS_APART = 0.02
 LEAST_PART = 5e-4
 PART_RINGS = 3
 
+# Mean turn, in radians, of a fit's vertices against that of all from which on poses differ: bodies that stand alike had
+# 0.13 to 0.18, striding, sitting and crouching ones 0.43 to 0.86.
+POSES_DIFFER = 0.3
+
 # The target in the source's pose: what it weighs that limbs stay rigid, against an end that shows the pose (its square
 # root is a length of sqrt(area), 1 loses hands); smoothing of its differentials, see `Stage`; how often joints are
 # looked for, over which length, of sqrt(area), the least weight of their edges, and rounds of rotations and places each

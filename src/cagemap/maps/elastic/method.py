@@ -8,10 +8,10 @@ import numpy as np
 
 from cagemap.basis import Surface
 from cagemap.maps.elastic.both_ways import both_ways
-from cagemap.maps.elastic.constants import DOUBTFUL
+from cagemap.maps.elastic.constants import DOUBTFUL, POSES_DIFFER
 from cagemap.maps.elastic.ends import FineFit, finished_ends, mean_distance
 from cagemap.maps.elastic.fit import coarse_fit, fine_fit
-from cagemap.maps.elastic.pose import fit_in_pose
+from cagemap.maps.elastic.pose import fit_in_pose, turn
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.elastic.starts import SpectralSides, spectral_starts, start_map
 from cagemap.maps.elastic.update import respond
@@ -65,9 +65,9 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
     landmark coordinates; from where it sends some vertices, and from the landmarks alone, the coarse stage of the
     elastic fit starts. Where these two end apart, limbs may be turned: spectral upsampling makes further starts of the
     spectral map's end, and the fine stage goes on from all that lie apart, and from where a stiffer coarse stage ends.
-    From the best of these ends the target is brought into the source's pose and fitted anew (`fit_in_pose`); that is
-    moved half-way to what it is seen from the source (`both_ways`), unless there are masks; its cost stays that of the
-    end, to compare with the others'.
+    Where poses differ, the target is brought into the source's pose from the best of these ends and fitted anew
+    (`fit_in_pose`); that is moved half-way to what it is seen from the source (`both_ways`), unless there are masks.
+    Its cost stays that of the end, to compare with the others'.
     Where they end alike, no joint needs the soft stage, and the stiffer one spreads the strain more evenly.
 
     Parameters
@@ -95,8 +95,10 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
             first, *others = finished_ends(prepared, shape, ends, pair.landmarks, stiff=[other.result()])
             if prepared.rest.masks.any:  # what is masked is fitted back as well, and drags what is not with it
                 return first, *others
-            alike = fit_in_pose(prepared, pair.landmarks, first.positions)
-            return replace(first, moved=both_ways(prepared, pair.landmarks, alike)), *others
+            moved = first.positions
+            if turn(prepared.rest, moved) > POSES_DIFFER:
+                moved = fit_in_pose(prepared, pair.landmarks, moved)
+            return replace(first, moved=both_ways(prepared, pair.landmarks, moved)), *others
     # The start from the landmarks is another one here: differentials are smoothed over the stiffer stage's length.
     both: list[FloatArray | None] = [start, None]
     ends = in_threads(lambda rough: coarse_fit(stiff, sheet, rough, places, stiffer), both)

@@ -58,6 +58,14 @@ def fit_in_pose(
     return positions
 
 
+def turn(rest: RestShape, positions: FloatArray) -> float:
+    """How far poses differ: mean angle, in radians, between the turns of a fit's vertices (n, 3) and that of all."""
+    areas, rotations = rest.graph.areas, nearest_rotations(rest.field.solve(positions))
+    common = nearest_rotations(np.einsum("n,nab->ab", areas, rotations)[None])[0]
+    cosines = 0.5 * (np.einsum("nab,ab->n", rotations, common) - 1.0)
+    return float(areas @ np.arccos(np.clip(cosines, -1.0, 1.0)))
+
+
 def posed(rest: RestShape, positions: FloatArray) -> FloatArray:
     """(n, 3) the rest shape near some positions (n, 3), as rigid as possible (Sorkine and Alexa 2007) but at joints.
 
