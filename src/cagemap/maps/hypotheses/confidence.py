@@ -28,8 +28,8 @@ TURNED = "with a limb turned otherwise about its axis"
 SURE_FOLDED = 0.01
 SURE_ASPECT = 1.6
 # A landmark leaves no rival, whatever the map is like elsewhere: a fox on a cow, held by its chin, was 5.8 off with a
-# median shear of 1.6. A tenth of the area is sheared more than 3.0 to 5.4 times in such maps, 1.3 to 2.6 in most that are
-# right; two crouching bodies that are right, with 3.0 and 3.2, are no longer sure.
+# median shear of 1.6. A tenth of the area is sheared more than 3.0 to 5.4 times in such maps, 1.3 to 2.6 in most right
+# ones; two right maps of crouching bodies, with 3.0 and 3.2, are no longer sure.
 SURE_SHEARED = 2.7
 # Measured: hind legs that end at the hocks leave 4 % of the source to nothing, right answers up to 1 %.
 SURE_UNREACHED = 0.02
