@@ -127,6 +127,7 @@ def test_half_way_to_the_reversed_pair_is_left_where_it_costs_more(surface: Surf
     bent = rest * (1.0 + 0.05 * np.sin(3.0 * rest[:, ::-1]))
     moved = half_way(prepared, pair, Reading("a", 1.0, bent))
     assert 0.0 < np.abs(moved - bent).max() < 0.1
-    assert half_way(prepared, pair, Reading("a", 0.0, bent)) is bent
+    assert half_way(prepared, pair, Reading("a", 0.9e-4, bent)) is bent  # as bodies of one kind cost
+    assert half_way(prepared, pair, Reading("a", 1.1e-4, bent)) is bent  # it costs more
     masked = replace(prepared, rest=replace(prepared.rest, masks=Masks(source=np.ones(surface.triangles(1).n))))
     assert half_way(masked, pair, Reading("a", 1.0, bent)) is bent

@@ -12,7 +12,7 @@ from cagemap.maps.elastic.ends import judged
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.confidence import Confidence, MapShape, Reading
 from cagemap.maps.hypotheses.search import found_readings
-from cagemap.maps.hypotheses.tips import AS_CHEAP
+from cagemap.maps.hypotheses.tips import AS_CHEAP, OF_ONE_KIND
 from cagemap.maps.pair import Pair, Progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import held_vertices, project, unfold
@@ -54,9 +54,10 @@ def hypothesis_map(
 def half_way(prepared: PreparedPair, pair: Pair, reading: Reading) -> FloatArray:
     """Positions of a reading half-way to what it is seen from the source (`both_ways`), where they cost hardly more.
 
-    Under masks as they are: what is masked would be fitted back as well, and drag what is not with it.
+    As they are between bodies of one kind, whose slides are small, and under masks: what is masked would be fitted back
+    as well, and drag what is not with it.
     """
-    if prepared.rest.masks.any:
+    if prepared.rest.masks.any or reading.cost <= OF_ONE_KIND:
         return reading.positions
     moved = both_ways(prepared, pair.landmarks, reading.positions)
     cost = judged(prepared, prepared.rest.pullers(prepared.sheet), moved).cost

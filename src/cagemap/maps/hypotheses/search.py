@@ -10,14 +10,14 @@ import numpy as np
 from cagemap.maps.elastic.config import Stage
 from cagemap.maps.elastic.constants import MOST_ENDS, SHEET_VERTICES
 from cagemap.maps.elastic.curves import CurvePull
-from cagemap.maps.elastic.ends import different, finished_ends, judged, mean_distance
+from cagemap.maps.elastic.ends import FineFit, different, finished_ends, judged, mean_distance
 from cagemap.maps.elastic.fit import CoarseFit, coarse_fit
 from cagemap.maps.elastic.graph import ElasticGraph, extrapolate
 from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair
 from cagemap.maps.elastic.starts import SpectralSides, spectral_starts
 from cagemap.maps.hypotheses.confidence import Reading
 from cagemap.maps.hypotheses.starts import AS_FILED, Start, rigid_starts
-from cagemap.maps.hypotheses.tips import Tips, led_by_tips
+from cagemap.maps.hypotheses.tips import OF_ONE_KIND, Tips, led_by_tips
 from cagemap.maps.masks import WHOLE
 from cagemap.maps.pair import Pair, Progress
 from cagemap.numerics.threads import in_threads, thread_limit
@@ -73,16 +73,21 @@ def found_readings(
     progress("coarse fits")
     candidates = _coarse_fits(prepared, pair, shape, rough)
     progress("elastic fits")
-    tips = Tips.of(prepared, pair)
 
-    def finish(candidate: _Candidate) -> Reading:
+    def finish(candidate: _Candidate) -> FineFit:
         most = MOST_ENDS if candidate is candidates[0] else 1
-        ended = finished_ends(prepared, shape, candidate.fits, pair.landmarks, most)[0]
-        ended = led_by_tips(prepared, pair, tips, ended)
-        return Reading(candidate.name, ended.cost, ended.positions, candidate.doubt)
+        return finished_ends(prepared, shape, candidate.fits, pair.landmarks, most)[0]
 
+    ends = in_threads(finish, candidates)
+    if min(ended.cost for ended in ends) > OF_ONE_KIND:
+        tips = Tips.of(prepared, pair)
+        ends = in_threads(lambda ended: led_by_tips(prepared, pair, tips, ended), ends)
+    finished = [
+        Reading(candidate.name, ended.cost, ended.positions, candidate.doubt)
+        for candidate, ended in zip(candidates, ends, strict=True)
+    ]
     least = least_cost(prepared)
-    readings = sorted(in_threads(finish, candidates), key=lambda reading: reading.doubt * max(reading.cost, least))
+    readings = sorted(finished, key=lambda reading: reading.doubt * max(reading.cost, least))
     return tuple(different(readings, lambda reading: reading.positions, prepared.rest.graph.areas, DIFFERENT))
 
 

@@ -29,6 +29,8 @@ LEAST_HEIGHT = 0.01
 NEAR, MET, TAKEN = 0.2, 0.02, 0.05
 # What a fit that meets the tips may cost, of the one that does not: the energy does not know ears from cheeks.
 AS_CHEAP = 1.15
+# Bodies of one kind cost less: nothing that either stage after the fit would gain is worth its time there.
+OF_ONE_KIND = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
