@@ -25,12 +25,12 @@ from cagemap.studio.finish import FinishOptions, commands
 from cagemap.studio.glb import Primitive, glb
 from cagemap.studio.landmark_files import load_landmarks, save_landmarks
 from cagemap.studio.landmarks import Landmark, LandmarkList
-from cagemap.studio.models import open_model
+from cagemap.studio.models import open_model, with_texture
 from cagemap.studio.opening import default_files
 from cagemap.studio.places import place_at, place_of, vertex_place
 from cagemap.studio.scene import Scene, carried_place, mirrored, part_name
 from cagemap.studio.shape import Hit, pick, shape_of
-from cagemap.studio.skins import Images, crossing_triangles, light_on
+from cagemap.studio.skins import Images, Look, crossing_triangles, light_on, source_skin, texture_colors
 from cagemap.studio.state import View
 from cagemap.studio.worker import Failure, Worker
 
@@ -206,6 +206,23 @@ def unwrapped_cube():
     steps = np.array([[x / 3, y / 2] for y in range(2) for x in range(3)])
     uvs = (corners[None] + steps[:, None]).reshape(-1, 2)
     return mesh.with_uvs(uvs, np.arange(24))
+
+
+def test_every_tile_of_an_image_is_shown_on_its_faces(tmp_path: Path) -> None:
+    tiles = {1001: (255, 0, 0), 1002: (0, 255, 0), 1011: (0, 0, 255)}
+    for number, color in tiles.items():
+        write_image(tmp_path / f"skin.{number}.png", np.full((8, 8, 3), color, dtype=np.uint8))
+    look = with_texture(Look(), tmp_path / "skin.<UDIM>.png")
+    places = np.array([[0.1, 0.9], [1.9, 0.1], [0.9, 1.1], [1.5, 1.5]])
+    assert look.texture is not None
+    assert look.texture.shape == (16, 16, 3)
+    np.testing.assert_allclose(texture_colors(look, places), [*np.eye(3), np.zeros(3)])
+    # The page's card has the whole of it between 0 and 1.
+    mesh = unwrapped_cube()
+    shape = shape_of(refine(mesh.with_uvs(2 * mesh.uvs, mesh.uv_indices), 1))
+    (drawn,) = read_back(source_skin(shape, look, View()))
+    assert shape.uvs.max() > 1.9
+    assert 0.9 < drawn.visual.uv.max() < 1.0
 
 
 def test_seams_are_found_where_texture_coordinates_jump() -> None:

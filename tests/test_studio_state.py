@@ -29,10 +29,10 @@ def pair(landmarks: LandmarkList, x: float) -> LandmarkList:
 
 
 def test_the_view_shows_what_was_baked_in_the_layout_that_it_lies_in() -> None:
-    names = ("a.png", "tiles.1001.png", "wrapped.png", "RESULT", "a_unwrapped.obj")
+    names = ("a.png", "tiles.1001.png", "tiles.1012.png", "wrapped.png", "RESULT", "a_unwrapped.obj")
     outputs = tuple(Output(Path(name), "wrap" if name == "wrapped.png" else "texture") for name in names)
     state = Studio(outputs=outputs)
-    assert state.images == (Path("a.png"),)
+    assert state.images == (Path("a.png"), Path("tiles.<UDIM>.png"))
     shown = baked_view(state, Path("a.png"))
     assert (shown.mode, shown.baked, shown.layout) == ("baked", Path("a.png"), Path("a_unwrapped.obj"))
     assert baked_view(replace(state, view=shown), None) == View()

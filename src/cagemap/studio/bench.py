@@ -25,7 +25,7 @@ from cagemap.pipeline import (
 )
 from cagemap.studio.landmark_files import landmarks_of
 from cagemap.studio.landmarks import LandmarkList
-from cagemap.studio.models import Model, open_model, read_look
+from cagemap.studio.models import Model, open_model, with_texture
 from cagemap.studio.pieces import NOTHING, Offer
 from cagemap.studio.shape import Shape
 from cagemap.studio.skins import Images, source_skin, target_skin
@@ -246,8 +246,7 @@ def open_models(opening: Opening, progress: Progress) -> Models:
     target, source = (open_model(path, scheme, up, opening.vertices, part) for path, scheme, up, part in sides)
     if opening.texture is not None:
         progress("reading the texture")
-        pixels, encoded = read_look(opening.texture)
-        source = replace(source, look=replace(source.look, texture=pixels, encoded=encoded))
+        source = replace(source, look=with_texture(source.look, opening.texture))
     return Models(target, source)
 
 
@@ -377,5 +376,4 @@ def _baked_skin(models: Models, view: View) -> bytes:
     shape = models.target.shape
     if shape.uvs is None and view.layout is not None:
         shape = open_model(view.layout, None, None, len(shape.positions)).shape
-    pixels, encoded = read_look(view.baked)
-    return source_skin(shape, replace(models.target.look, texture=pixels, encoded=encoded), _map_view(view))
+    return source_skin(shape, with_texture(models.target.look, view.baked), _map_view(view))

@@ -45,6 +45,8 @@ class Look:
         As displayed, 8 bits.
     encoded : bytes or None
         The same as a JPEG file.
+    tiles : (int, int)
+        How many lie beside and above each other in it.
     colors : (faces, 3) float64 or None
         Linear material colours of the control faces.
     rest : Rest or None
@@ -53,8 +55,13 @@ class Look:
 
     texture: Pixels | None = None
     encoded: bytes | None = None
+    tiles: tuple[int, int] = (1, 1)
     colors: FloatArray | None = None
     rest: Rest | None = None
+
+    def on_image(self, uvs: FloatArray) -> FloatArray:
+        """Texture coordinates, whose tiles are of size 1, in the one image."""
+        return uvs / self.tiles
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +88,7 @@ def source_skin(shape: Shape, look: Look, view: View) -> bytes:
     """The source in its own look, or painted with a pattern; a binary glTF file in view coordinates."""
     mode, beside = view.mode, _beside(shape, look, view)
     if mode == "texture" and look.encoded is not None and shape.uvs is not None and shape.uv_triangles is not None:
-        return glb([_split_at_seams(shape, shape.uvs, shape.uv_triangles), *beside], look.encoded)
+        return glb([_split_at_seams(shape, look.on_image(shape.uvs), shape.uv_triangles), *beside], look.encoded)
     painted = mode in ("colours", "checker")
     return glb([_painted(shape, _vertex_pattern(shape, mode)) if painted else _own(shape, look), *beside])
 
@@ -96,7 +103,7 @@ def target_skin(shape: Shape, own: Look, source: Shape, look: Look, images: Imag
         uvs = images.on(source.uv_triangles, source.uvs)
         crossing = crossing_triangles(shape, source, images, uvs)
         inner, seam = (_part(shape.triangles[chosen]) for chosen in (~crossing, crossing))
-        textured = _drawn(shape, *inner, uvs=uvs[inner[0]])
+        textured = _drawn(shape, *inner, uvs=look.on_image(uvs[inner[0]]))
         colored = _drawn(shape, *seam, texture_colors(look, uvs[seam[0]]))
         return glb([textured, colored, *doubtful], look.encoded)
     if mode == "texture":
@@ -134,8 +141,9 @@ def texture_colors(look: Look, uvs: FloatArray) -> FloatArray:
     """(n, 3) linear colours of the texture at texture coordinates, nearest texel."""
     assert look.texture is not None
     height, width = look.texture.shape[:2]
-    column = np.floor(uvs[:, 0] % 1.0 * width).astype(np.int64).clip(0, width - 1)
-    row = np.floor((1.0 - uvs[:, 1]) % 1.0 * height).astype(np.int64).clip(0, height - 1)
+    across, up = look.on_image(uvs).T
+    column = np.floor(across % 1.0 * width).astype(np.int64).clip(0, width - 1)
+    row = np.floor((1.0 - up) % 1.0 * height).astype(np.int64).clip(0, height - 1)
     return to_linear(look.texture[row, column, :3] / 255.0)
 
 

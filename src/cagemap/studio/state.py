@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from cagemap.errors import ParameterError
+from cagemap.files.images import UDIM_MARK
 from cagemap.studio.landmarks import History, LandmarkList, Proposal
 from cagemap.studio.workspace import IMAGES
 
@@ -242,9 +243,10 @@ class Studio:
 
     @property
     def images(self) -> tuple[Path, ...]:
-        """Images among the outputs that cover the target's layout: no tiles, and none of the wrapped cage's."""
-        made = (output.path for output in self.outputs if output.what != "wrap" and not _TILE.search(output.path.stem))
-        return tuple(path for path in made if path.suffix.lower() in IMAGES)
+        """Images among the outputs that cover the target's layout, tiles as one: none of the wrapped cage's."""
+        made = (output.path for output in self.outputs if output.what != "wrap")
+        images = (path for path in made if path.suffix.lower() in IMAGES)
+        return tuple(dict.fromkeys(path.with_stem(_TILE.sub(f".{UDIM_MARK}", path.stem)) for path in images))
 
 
 # Fields of what is known of two models that are opened, before anything is.
