@@ -20,6 +20,8 @@ from cagemap.studio.page.app import StudioApp, StudioRequest
 from cagemap.studio.state import Files
 
 Rows = list[tuple[str, str]]
+# Seconds that a wait may last, which is what is measured.
+LONG = 300.0
 # Spread of red, of 255, that no empty canvas has.
 DRAWN = 12.0
 
@@ -84,7 +86,7 @@ def started(files: Files, vertices: int, *, landmarks: bool = True) -> Iterator[
         begin, before = time.perf_counter(), children_time()
         with studio(*map(str, named)) as (_, address):
             page = Page(browser, address)
-            page.until(lambda: all(shown(page, side) for side in ("target", "source")), "models")
+            page.until(lambda: all(shown(page, side) for side in ("target", "source")), "models", LONG)
             yield Started(page, time.perf_counter() - begin, children_time() - before)
 
 
@@ -98,7 +100,7 @@ def start_rows(files: Files, displayed: int) -> Rows:
     """From the command to the models, with half of the displayed vertices each; frames when the map is there."""
     with started(files, displayed // 2) as begun:
         page, both = begun.page, f"{sum(sizes(begun.page)):,} vertices displayed"
-        page.until(lambda: page.revision() == 1, "the first map")
+        page.until(lambda: page.revision() == 1, "the first map", LONG)
         return [
             (f"command to both models on screen, {both}", f"{begun.seconds:.1f} s"),
             ("processor time of that, the drawing included", f"{begun.processor:.1f} s"),
@@ -124,7 +126,7 @@ def map_rows(files: Files, vertices: int) -> Rows:
     """The first map without landmarks, and what changes it: `vertices` a model."""
     with started(files, vertices, landmarks=False) as begun:
         page, begin = begun.page, time.perf_counter()
-        page.until(lambda: page.revision() == 1, "the first map")
+        page.until(lambda: page.revision() == 1, "the first map", LONG)
         wait = time.perf_counter() - begin
         rows = [
             (f"command to both models on screen, {vertices:,} vertices each", f"{begun.seconds:.1f} s"),
@@ -147,7 +149,7 @@ def live_rows(page: Page) -> Rows:
     page.pressed("Match again", "status", "finding the map")
     for _ in range(6):
         answers.append(page.pressed("Undo", "list"))
-    page.until(lambda: "finding" not in page.text("status"), "the end of the computation")
+    page.until(lambda: "finding" not in page.text("status"), "the end of the computation", LONG)
     # The first one is not counted: it comes to compiled code that was not loaded yet.
     return [
         ("landmark to updated preview in the browser, median of 5", f"{statistics.median(updates[1:]):.2f} s"),
@@ -207,7 +209,7 @@ def many_rows(files: Files, vertices: int, count: int) -> Rows:
         page, begin = begun.page, time.perf_counter()
         title = f"{len(chosen)} landmarks, {' and '.join(f'{size:,}' for size in sizes(page))} vertices"
         rows = [(f"{title}: command to both models", f"{begun.seconds:.1f} s")]
-        page.until(lambda: page.revision() == 1, "the first map")
+        page.until(lambda: page.revision() == 1, "the first map", LONG)
         rows.append((f"{title}: from there to the map", f"{time.perf_counter() - begin:.1f} s"))
         return rows + [(f"{title}: {name}", value) for name, value in live_rows(page)]
 

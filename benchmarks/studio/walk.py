@@ -11,6 +11,7 @@ from pathlib import Path
 from tests.browser_page import Page, chromium, studio
 
 from benchmarks.accuracy.data import DATA
+from benchmarks.studio.waits import LONG
 
 # A hand and an eye need about this long for a click.
 HAND = 2.0
@@ -55,12 +56,12 @@ def walk(vertices: int | None, picture: Path | None = None) -> list[str]:
             page.until(lambda: page.value("target", "Texture") == "spot_texture.png", "the guessed texture")
             steps.step("*Target* cow.obj, *Source* spot.obj; the texture is guessed", 4)
             page.button("target", "Open")
-            page.until(lambda: page.revision() == 1, "the first map")
+            page.until(lambda: page.revision() == 1, "the first map", LONG)
             steps.step("*Open*; the first map is shown", 1)
             if vertices is not None:
                 page.fill("target", "Vertices", str(vertices))
             page.button("target", "Bake")
-            page.until(lambda: "all as one zip" in page.text("outputs"), "the bake")
+            page.until(lambda: "all as one zip" in page.text("outputs"), "the bake", LONG)
             steps.step("*Bake*; map, texture and report are written", 1)
             (baked,) = folder.glob("cow_from_*.png")
             if page.link(baked.name) != baked.read_bytes():
