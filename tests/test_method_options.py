@@ -162,7 +162,7 @@ def test_symmetry_files(tmp_path):
     _, image = files_of(tmp_path)
     for name in ("s.json", "s.txt", "s.npy"):
         np.testing.assert_array_equal(read_symmetry(tmp_path / name), image)
-    for name, content in (("a.json", '{"a": 1}'), ("b.txt", "1 2 x"), ("c.json", "[1.5]"), ("d.txt", "")):
+    for name, content in (("a.json", '{"a": 1}'), ("b.txt", "1 2 x"), ("c.json", "[1.5]"), ("d.json", "[]")):
         (tmp_path / name).write_text(content)
         with pytest.raises(FormatError, match="one vertex number for every control vertex"):
             read_symmetry(tmp_path / name)

@@ -113,7 +113,8 @@ class HierarchyConfig(Brief):
     ----------
     descriptors : DescriptorConfig
     weights : MapWeights
-        Of eq. 13 and of the map beside the descriptors, the same on all levels.
+        Of eq. 13 and of the map beside the descriptors. Without the Laplacian's operator most maps are as good, and
+        one has both hands half a turn off (docs/accuracy.md).
     search_vertices : int
         The point map is searched in full at each side's coarsest level with at least this many vertices. Levels of
         four times as many lose hands.
