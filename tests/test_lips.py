@@ -107,6 +107,7 @@ def carried(carrier: ShapeCarrier, target: Refinement, shape: np.ndarray) -> np.
     return target.prolong(target.control.positions + carry_shape(carrier, shape), 0, target.n_levels)
 
 
+@pytest.mark.slow
 def test_closed_lips_are_closed_on_the_other_head_and_do_not_overlap(heads) -> None:
     target, source, point_map, target_rings, source_rings = heads
     shape = closing(source.control, source_rings)
@@ -120,6 +121,7 @@ def test_closed_lips_are_closed_on_the_other_head_and_do_not_overlap(heads) -> N
     assert gaps.max() < 0.02
 
 
+@pytest.mark.slow
 def test_lips_that_are_closed_at_rest_do_not_move_the_other_head(heads) -> None:
     target, source, point_map, _, source_rings = heads
     # The source's own lips are closed; the target's are open and stay so where nothing moves.

@@ -107,6 +107,7 @@ def test_a_usd_file_says_itself_which_axis_points_up(tmp_path: Path) -> None:
     np.testing.assert_array_equal(turns["Z"][1], np.eye(3))
 
 
+@pytest.mark.slow
 def test_a_mesh_as_it_is_keeps_the_numbers_of_its_file(tmp_path: Path) -> None:
     mesh = refine(creature(), 2).finest
     points = mesh.positions
