@@ -57,7 +57,8 @@ def test_the_door_gives_out_only_what_is_offered() -> None:
         assert "sandbox" in answer(door.port, "/files/RESULT.html").headers["Content-Security-Policy"]
         for path in ("/files/../cow.png", "/files/%2e%2e%2fcow.png", "/../etc/passwd", "//etc/passwd", "/files/", "/x"):
             assert answer(door.port, path).status == 404
-        for stranger in ({"Host": "rebound.example"}, {"Origin": "http://elsewhere.example"}):
+        odd = ({"Host": "["}, {"Origin": "http://["})
+        for stranger in ({"Host": "rebound.example"}, {"Origin": "http://elsewhere.example"}, *odd):
             assert answer(door.port, "/files/cow.png", **stranger).status == 403
     finally:
         door.close()

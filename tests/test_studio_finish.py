@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import queue
 import sys
 import zipfile
@@ -26,7 +27,7 @@ from cagemap.studio.finish_layout import ADVANCED, FOLDS, LEFT_OUT, SIZE, VERTIC
 from cagemap.studio.opening import default_files
 from cagemap.studio.options import Key, Option, Value, catalogue
 from cagemap.studio.runner import Runner, outputs_of, stage_of
-from cagemap.studio.state import Job, Message, Output
+from cagemap.studio.state import Job, Message, Output, with_message
 from cagemap.studio.workspace import Workspace
 from test_obj import QUICK
 
@@ -179,6 +180,18 @@ def test_tiles_are_listed_as_one_image_and_folders_where_they_may_be_chosen(tmp_
         (tmp_path / name).touch()
     assert Workspace.of(tmp_path).listing((".png",)) == ("photo_1024.png", "skin.<UDIM>.png")
     assert Workspace.of(tmp_path).listing((".obj", "/")) == ("faces", "faces/smile.obj")
+
+
+def test_a_name_that_is_no_text_is_not_listed_and_refused_in_words_that_are(tmp_path: Path) -> None:
+    odd = Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9.obj"))
+    for path in (odd, tmp_path / "caf\u00e9.obj"):
+        path.touch()
+    workspace = Workspace.of(tmp_path)
+    assert workspace.listing((".obj",)) == ("caf\u00e9.obj",)
+    with pytest.raises(ParameterError, match="expected the name of a file"):
+        workspace.require(odd)
+    (message,) = with_message((), "error", f"{odd}: not found")
+    assert message.text.encode()
 
 
 def test_a_message_says_where_on_the_page_its_remedy_is() -> None:

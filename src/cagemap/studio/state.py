@@ -287,5 +287,5 @@ def changed_view(state: Studio, **fields: object) -> View:
 
 def with_message(messages: tuple[Message, ...], kind: Literal["error", "note"], text: str) -> tuple[Message, ...]:
     """Return the messages with one more; one that is there already moves to the end."""
-    new = Message(kind, text)
+    new = Message(kind, text.encode("utf-8", "backslashreplace").decode())  # names of files may be no text
     return (*(old for old in messages if old != new), new)[-MOST_MESSAGES:]

@@ -67,7 +67,8 @@ class Workspace:
     def _inside(self, path: str | Path) -> Path:
         try:
             resolved = (self.folders[0] / path).resolve()
-        except (OSError, RuntimeError, ValueError) as error:  # a loop of links, a character that no name has
+            str(resolved).encode()
+        except (OSError, RuntimeError, ValueError) as error:  # a loop of links, a name that no page can show
             raise ParameterError(f"{str(path)!r}: expected the name of a file, got none ({error}).") from None
         if not any(resolved.is_relative_to(folder) for folder in self.folders):
             listed = ", ".join(map(str, self.folders))
@@ -112,7 +113,7 @@ class Workspace:
             entries = itertools.chain(folder.glob("*"), folder.glob("*/*"))
             for path in sorted(itertools.islice(entries, _MOST_ENTRIES)):
                 hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
-                if path.suffix.lower() not in suffixes or hidden or not path.is_file():
+                if path.suffix.lower() not in suffixes or hidden or not _is_shown(path) or not path.is_file():
                     continue
                 if "/" in suffixes and path.parent != folder:
                     found.setdefault(path.parent)
@@ -163,6 +164,14 @@ class Workspace:
             return os.path.relpath(path, self.folders[0])
         except ValueError:  # another drive
             return str(path)
+
+
+def _is_shown(path: Path) -> bool:
+    """Whether a page can show the name: those of old archives may be no text."""
+    try:
+        return bool(str(path).encode())
+    except UnicodeEncodeError:
+        return False
 
 
 def _without_tiles(files: list[Path]) -> list[Path]:

@@ -146,7 +146,11 @@ class Door:
 
     async def _answer(self, _: websockets.asyncio.server.ServerConnection, request: Request) -> Response | None:
         """Serve a page; None lets a web socket through."""
-        if not admits(request, self._token):
+        try:
+            admitted = admits(request, self._token)
+        except (ValueError, LookupError):  # two hosts, an address that is none
+            admitted = False
+        if not admitted:
             return refusal()
         path = urlsplit(request.path).path
         if request.headers.get("Upgrade", "").lower() == "websocket":
