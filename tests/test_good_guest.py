@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -85,6 +86,8 @@ def test_more_and_fewer_words(
     write_result("R", identity_result())
     np.save("v.npy", np.arange(8.0))
     said = {}
+    at_exit: list[Callable[[], object]] = []
+    monkeypatch.setattr("atexit.register", at_exit.append)
     before = gc.get_threshold()
     for flag in ("-v", "-q", ""):
         words = ["transfer", "R", "--attribute", "v.npy", "-o", "out.npz"]
@@ -99,9 +102,18 @@ def test_more_and_fewer_words(
     assert "wrote out.npz" in said[""].out
     set_verbosity(0, quiet=False)
     assert len(logging.getLogger("cagemap").handlers) == 1
-    # A command, not the library, looks for cycles seldom.
+    # A command, not the library, looks for cycles seldom: a third of a second of loading and leaving.
     assert gc.get_threshold()[0] >= 100_000
     gc.set_threshold(*before)
+    frozen: list[bool] = []
+    monkeypatch.setattr("gc.freeze", lambda: frozen.append(True))
+    # OpenImageIO would call what is left then leaks.
+    (leave,) = {done for done in at_exit if done.__module__ == "cagemap.cli.entry"}
+    for modules in ({}, {"OpenImageIO": None}):
+        monkeypatch.setattr("sys.modules", modules)
+        leave()
+    monkeypatch.undo()
+    assert frozen == [True]
 
 
 def test_names_that_are_no_text_are_written_as_escapes(tmp_path: Path) -> None:
