@@ -292,6 +292,13 @@ class Page:
         self.until(still, f"the {side} to stand still")
         return seen[-1]
 
+    def skin(self, side: str) -> int:
+        """Number of what covers a model: another one each time that it is drawn otherwise."""
+        self.into(side)
+        look = "return Object.keys(window.__viserMutable?.nodeRefFromName ?? {})"
+        found = [re.fullmatch(r"/skin/(\d+)", name) for name in self.browser.execute_script(look)]
+        return max((int(one[1]) for one in found if one), default=0)
+
     def has_ball(self, side: str, number: int) -> bool:
         """Whether a landmark's ball is in a frame's scene: before that, a drag there turns the model."""
         self.into(side)

@@ -237,6 +237,10 @@ def test_a_wrong_landmark_is_marked(page: Page) -> None:
     page.until(lambda: page.landmarks() == count + 1, "the landmark in the list")
     page.button("source", "Match again")
     page.until(lambda: "\u26a0" in page.text("list"), "the mark")
+    for _ in range(2):  # its doubtful places are not red, and red again
+        drawn = page.skin("target")
+        page.switch("target", "Doubtful places")
+        page.until(lambda drawn=drawn: page.skin("target") > drawn, "the target drawn otherwise")
     back_to(page, count)
     page.until(lambda: "\u26a0" not in page.text("list"), "no mark")
 
@@ -244,9 +248,11 @@ def test_a_wrong_landmark_is_marked(page: Page) -> None:
 def test_views_change_what_is_shown(page: Page) -> None:
     page.choose("source", "Selected", "(none)")
     first = {side: page.settle(side) for side in ("target", "source")}
+    seen = first["target"]
     for mode in ("colours", "checker", "plain"):
         page.choose("target", "Show", mode)
-        page.until(lambda: other(page.look("target"), first["target"]), f"{mode} on the target")
+        page.until(lambda seen=seen: other(page.look("target"), seen), f"{mode} on the target")
+        seen = page.settle("target")
     page.choose("target", "Show", "texture")
     page.until(lambda: not other(page.look("target"), first["target"]), "the texture again")
     page.switch("target", "Cages")
