@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import shutil
 import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,7 @@ import psutil
 import pytest
 import typer
 
-from browser_page import Page, chromium, studio
+from browser_page import Page, studio
 from cagemap.cli import app
 from cagemap.cli.option_list import all_options
 from cagemap.studio.finish import commands
@@ -70,14 +69,6 @@ class FoldedPage(Page):
         self.browser.execute_script("document.activeElement.blur()")  # a dropdown beside it opens as it is reached
         return True
 
-    def switch(self, side: str, label: str) -> None:
-        """Press a checkbox."""
-        self.browser.execute_script("arguments[0].click()", self.field(side, label))
-
-    def value(self, side: str, label: str) -> str:
-        """What a field shows."""
-        return str(self.field(side, label).get_attribute("value"))
-
     def unfold(self, side: str, label: str) -> None:
         """Open a fold, or fold it up."""
         self.into(side)
@@ -90,12 +81,6 @@ class FoldedPage(Page):
         """Wait for the end of a finish; what the page says."""
         self.until(lambda: words in self.text("status"), words, LONG)
         return self.text("status")
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as started:
-        yield started
 
 
 def test_what_the_page_bakes_is_what_the_command_line_writes(tmp_path: Path, browser: Any) -> None:
