@@ -147,6 +147,7 @@ def test_parameters_reach_the_method_they_belong_to():
         ("paper", "growths=20:1.5:1:0", "expected NAME=VALUE with one of .*rounds.* for paper"),
         ("hfm", "growths=20:1.5:1", "growths: expected FIRST:FACTOR:COORDINATE_WEIGHT"),
         ("elastic", "growth=20:1.5:1", "growth: expected FIRST:FACTOR:COORDINATE_WEIGHT:NORMAL_WEIGHT, such as"),
+        ("elastic", "searched_functions=2", "at least 3 searched functions, got 2"),
         ("hfm", "growths=20:1:1:0", "a factor above 1"),
         ("hfm", "growths=20:1.5:1:-1", "weights of at least 0"),
         ("hfm", "product_weight=-1", "product_weight: expected at least 0"),

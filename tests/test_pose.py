@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from cagemap.basis import BasisConfig, Surface, hierarchical_basis
 from cagemap.geometry.surface import TriangleSurface
-from cagemap.maps.elastic.constants import LOOSEST, POSES_DIFFER
+from cagemap.maps.elastic import both_ways, method
+from cagemap.maps.elastic.config import StartConfig
+from cagemap.maps.elastic.constants import LOOSEST, POSES_DIFFER, POSES_FOUND
+from cagemap.maps.elastic.ends import FineFit
+from cagemap.maps.elastic.fit import CoarseFit, fine_stage
 from cagemap.maps.elastic.graph import mesh_graph
-from cagemap.maps.elastic.pose import posed, stiffness, turn
-from cagemap.maps.elastic.prepared import RestShape
+from cagemap.maps.elastic.pose import fit_in_pose, posed, stiffness, turn
+from cagemap.maps.elastic.prepared import PreparedPair, RestShape
+from cagemap.maps.pair import Pair, PointPairs
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.shapes import creature
+from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.rotations import nearest_rotations
+from cagemap.operators import build_operators
 from cagemap.refinement import level_triangles, refine
 
 
@@ -69,3 +80,87 @@ def test_edges_are_loose_where_a_body_turns_and_stiff_where_it_does_not(rest: Re
     assert found.min() >= LOOSEST
     np.testing.assert_allclose(stiffness(graph, turns[:1] + 0 * turns), 1.0)
     np.testing.assert_allclose(found, stiffness(graph, turns[3] @ turns), rtol=1e-6)
+    # A vertex whose faces are points is seen to turn nowhere.
+    positions = graph.positions.copy()
+    positions[graph.heads[graph.tails == 0]] = positions[0]
+    assert np.isfinite(stiffness(replace(graph, positions=positions), turns)).all()
+
+
+def bowed() -> ControlMesh:
+    """The creature with its neck bent by 1.2 radians, as rigid as the joint lets it."""
+    body = creature()
+    at, joint = body.positions, np.array([0.0, 3.0, 3.0])
+    angle = 1.2 * np.clip(at[:, 2] - joint[2], 0.0, 1.0)
+    y, z = (at - joint)[:, 1:].T
+    turned = np.column_stack([at[:, 0], np.cos(angle) * y - np.sin(angle) * z, np.sin(angle) * y + np.cos(angle) * z])
+    return body.with_positions(turned + joint * [0.0, 1.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def bent() -> PreparedPair:
+    """A creature onto the bowed one; vertex i belongs on vertex i."""
+
+    def surface(mesh: ControlMesh) -> Surface:
+        refinement = refine(mesh, 1)
+        operators = build_operators(refinement)
+        return Surface.of(refinement, operators, hierarchical_basis(refinement, operators, BasisConfig(count=4)))
+
+    return PreparedPair.build(surface(creature()), surface(bowed()), StartConfig(search_vertices=300))
+
+
+def every_twelfth(prepared: PreparedPair) -> PointPairs:
+    """Landmarks."""
+    vertices = np.arange(0, prepared.target.control.n_vertices, 12)
+    return PointPairs.of_vertices(prepared.mesh, prepared.on_source, vertices, vertices)
+
+
+def test_a_bent_joint_is_no_strain_in_its_own_pose(bent: PreparedPair) -> None:
+    truth, landmarks = bent.on_source.positions, every_twelfth(bent)
+    assert turn(bent.rest, truth) > POSES_DIFFER
+    slid = fine_stage(bent, truth, landmarks)
+    found = fit_in_pose(bent, landmarks, slid)
+    before, after = (np.linalg.norm(places - truth, axis=1).mean() for places in (slid, found))
+    assert before > 0.005  # the minimum beside the truth
+    assert after < 0.75 * before
+
+
+@pytest.mark.parametrize("angle", [0.9 * POSES_DIFFER, 1.1 * POSES_DIFFER])
+def test_only_poses_that_differ_are_fitted_in_the_other_pose(
+    bent: PreparedPair, monkeypatch: pytest.MonkeyPatch, angle: float
+) -> None:
+    landmarks = every_twelfth(bent)
+    asked: list[tuple[PreparedPair, list[float], int]] = []
+
+    def fitted(
+        prepared: PreparedPair, pairs: PointPairs, positions: FloatArray, times: int = POSES_FOUND
+    ) -> FloatArray:
+        asked.append((prepared, pairs.target.positions[0].tolist(), times))
+        return positions
+
+    for room in (both_ways, method):
+        monkeypatch.setattr(room, "turn", lambda rest, positions: angle)
+        monkeypatch.setattr(room, "fit_in_pose", fitted)
+    monkeypatch.setattr(both_ways, "fine_stage", lambda prepared, start, pairs: start)
+    monkeypatch.setattr(method, "start_map", lambda prepared, pair, vertices, areas: vertices)
+    monkeypatch.setattr(method, "spectral_starts", lambda shape, guided, sides: [])
+    monkeypatch.setattr("cagemap.maps.elastic.method.SpectralSides.build", lambda prepared, shape: None)
+    at_rest = CoarseFit(1.0, bent.rest.graph.positions, np.zeros(0))
+    monkeypatch.setattr(method, "coarse_fit", lambda *given: at_rest)
+    monkeypatch.setattr(method, "mean_distance", lambda *given: 1.0)
+    ended = FineFit(1e-4, bent.on_source.positions)
+    monkeypatch.setattr(method, "finished_ends", lambda *given, stiff: (ended,))
+    (first,) = method.fits(bent, Pair(bent.target, bent.source, landmarks))
+    forth, back = (side.positions[0].tolist() for side in (landmarks.target, landmarks.source))
+    assert asked == ([] if angle < POSES_DIFFER else [(bent, forth, POSES_FOUND), (bent.reversed, back, 1)])
+    assert first.positions is ended.positions
+    assert first.answer is first.moved
+
+
+def test_nearest_rotations_are_rotations_and_nearest() -> None:
+    rng = np.random.default_rng(7)
+    maps = rng.standard_normal((40, 3, 3))  # half of them turn space over
+    found = nearest_rotations(maps)
+    np.testing.assert_allclose(found @ found.transpose(0, 2, 1), np.tile(np.eye(3), (40, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(found), 1.0)
+    others = nearest_rotations(found + 0.3 * rng.standard_normal((40, 3, 3)))
+    assert (((maps - found) ** 2).sum(axis=(1, 2)) < ((maps - others) ** 2).sum(axis=(1, 2))).all()

@@ -13,8 +13,9 @@ from benchmarks.truth import true_map
 from cagemap.basis import BasisConfig
 from cagemap.errors import ParameterError
 from cagemap.functional_map import MapWeights, extend_functional_map, solve_functional_map
+from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
-from cagemap.maps.pair import Pair
+from cagemap.maps.pair import Pair, PointPairs, near_vertices
 from cagemap.maps.spectral import hierarchical
 from cagemap.maps.spectral.hierarchical import Growth, HierarchyConfig, hierarchical_map
 from cagemap.maps.spectral.joining import joined_match
@@ -244,6 +245,20 @@ def test_on_the_only_level_the_functional_map_has_all_functions():
     assert len(maps) == 1
     assert maps[0].functional_map.shape == (30, 30)
     np.testing.assert_allclose(np.abs(maps[0].functional_map), np.eye(30), atol=0.2)
+
+
+def test_landmarks_between_vertices_have_vertices_of_the_searched_level():
+    """Those of the level where functions end are more than the searched level has: an internal error."""
+    surface = creature_pair(2, (40, 15, 5)).target
+    mesh = surface.triangles(2)
+    rng = np.random.default_rng(0)
+    points = SurfacePoints(mesh, rng.integers(0, len(mesh.triangles), 8), rng.dirichlet([3.0, 3.0, 3.0], 8))
+    config = HierarchyConfig(search_vertices=300, searched_functions=20, growths=(Growth(),))
+    assert search_levels(surface, surface, 300) == (1, 1)
+    assert near_vertices(points, surface).max() >= surface.triangles(1).n > near_vertices(points, surface, 1).max()
+    maps, found = hierarchical_map(Pair(surface, surface, PointPairs(points, points)), config)
+    assert [level.functional_map.shape for level in maps] == [(55, 55), (60, 60)]
+    assert np.median(np.linalg.norm(found.images.positions - mesh.positions, axis=1)) < 0.01
 
 
 def test_maps_of_all_levels_are_returned_and_are_the_identity():

@@ -59,7 +59,7 @@ def test_a_peak_stands_above_the_pass_to_a_higher_one() -> None:
     heights = np.array([0.0, 3.0, 1.0, 5.0, 2.0, 4.0, 0.5])
     ends = np.arange(6), np.arange(1, 7)
     peaks, above = prominences(heights, np.concatenate(ends), np.concatenate(ends[::-1]))
-    assert dict(zip(peaks.tolist(), above.tolist(), strict=True)) == {1: 2.0, 3: np.inf, 5: 2.0}
+    assert dict(zip(peaks.tolist(), above.tolist(), strict=True)) == {1: 2.0, 3: 5.0, 5: 2.0}
 
 
 def test_tips_are_where_limbs_end(surface: Surface, prepared: PreparedPair) -> None:
@@ -76,6 +76,17 @@ def test_a_piece_of_its_own_has_finite_distances() -> None:
     heights = mean_distances(mesh_graph(mesh, mesh.triangles))
     assert np.isfinite(heights).all()
     assert heights[-1] < heights[:100].min()  # the cube knows itself only, and is small
+
+
+@pytest.mark.filterwarnings("error")
+def test_small_pieces_have_no_tips() -> None:
+    """Eyes, scales and studs: the farthest vertex of a ball is any, and seventy pieces are more than all stations."""
+    studs = [cube().with_positions(0.1 * cube().positions + [3.0 * i, 20.0, 0.0]) for i in range(70)]
+    finest = refine(join_meshes([creature(), *studs]), 1).finest
+    mesh = TriangleSurface.from_faces(finest.positions, finest.faces)
+    tips = mesh.positions[tip_vertices(mesh_graph(mesh, mesh.triangles))] / mesh.scale
+    assert len(tips) == len(ENDS)
+    assert tips[:, 1].max() < 10.0  # of the creature
 
 
 def test_what_is_masked_or_has_a_landmark_is_no_tip(surface: Surface) -> None:

@@ -103,7 +103,7 @@ class BasisConfig:
         return self.count if self.schedule is None else sum(self.schedule)
 
 
-# What the elastic method reads of a basis (`HierarchyConfig.searched_functions`), from levels that its fit sees.
+# What the elastic method reads of a basis (`StartConfig.searched_functions`), from levels that its fit sees.
 MAP_BASIS = BasisConfig(count=150, vertices=20_000)
 
 

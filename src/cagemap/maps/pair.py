@@ -125,11 +125,18 @@ class Pair:
         return replace(self, landmarks=self.landmarks.without(left_out))
 
 
-def near_vertices(points: SurfacePoints, surface: Surface) -> IndexArray:
+def near_vertices(points: SurfacePoints, surface: Surface, finest: int | None = None) -> IndexArray:
     """(m,) different vertices that points of the finest surface lie on or near: for steps that know no other points.
 
     Points between vertices get a free vertex of a level that basis and search have in common, coarse enough to be one
     of theirs and fine enough to be near.
+
+    Parameters
+    ----------
+    points : SurfacePoints
+    surface : Surface
+    finest : int, optional
+        Level that all these vertices are of, where that is a coarser one.
 
     Raises
     ------
@@ -139,7 +146,8 @@ def near_vertices(points: SurfacePoints, surface: Surface) -> IndexArray:
     vertices = vertices_at(points)
     if ((vertices >= 0) & (vertices < surface.refinement.levels[0].n_vertices)).all():
         return vertices
-    level = surface.triangles(min(surface.basis.last_level, surface.refinement.coarsest_level(NEAR_VERTICES)))
+    common = min(surface.basis.last_level, surface.refinement.coarsest_level(NEAR_VERTICES))
+    level = surface.triangles(common if finest is None else min(common, finest))
     between = np.flatnonzero((vertices < 0) | (vertices >= level.n))
     tree = cKDTree(level.positions)
     count = min(len(points) + 1, tree.n)

@@ -18,6 +18,7 @@ from cagemap.geometry.points import SurfacePoints
 from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph, bounded_maps
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization, factor
+from cagemap.numerics.rotations import nearest_rotations
 from cagemap.wrap.fit import FitData, WrapConfig
 
 # Neighbouring differentials are as alike as this, relative to the energy of the edges between them.
@@ -85,11 +86,9 @@ class Fitting:
         """(n, 3) right side of the energy, with the differentials of positions (n, 3)."""
         maps, _ = bounded_maps(self.field.solve(positions), self.graph.normals)
         if len(self.similar):
-            left, stretches, right = np.linalg.svd(maps[self.similar])
-            left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
-            maps = maps.copy()
-            size = np.exp(np.log(np.maximum(stretches, 1e-12)).mean(axis=1))
-            maps[self.similar] = size[:, None, None] * (left @ right)
+            maps, near = maps.copy(), maps[self.similar]
+            size = np.cbrt(np.abs(np.linalg.det(near)))
+            maps[self.similar] = size[:, None, None] * nearest_rotations(near)
         return self.config.fairness * self.field.divergence(maps)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from cagemap.errors import ParameterError
 from cagemap.functional_map import MapWeights
 from cagemap.maps.spectral.constraints import DescriptorConfig
-from cagemap.maps.spectral.hierarchical import Growth
+from cagemap.maps.spectral.hierarchical import FEWEST_FUNCTIONS, Growth
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.brief import Brief
 
@@ -86,6 +86,13 @@ class StartConfig(Brief):
     source_search_vertices: int = 0
     searched_functions: int = 150
     growth: Growth = Growth(20, 1.5, 1.0, 0.0)
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        if self.searched_functions < FEWEST_FUNCTIONS:
+            raise ParameterError(
+                f"expected at least {FEWEST_FUNCTIONS} searched functions, got {self.searched_functions}"
+            )
 
 
 @dataclass(frozen=True, repr=False)

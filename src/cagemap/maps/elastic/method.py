@@ -65,9 +65,9 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
     landmark coordinates; from where it sends some vertices, and from the landmarks alone, the coarse stage of the
     elastic fit starts. Where these two end apart, limbs may be turned: spectral upsampling makes further starts of the
     spectral map's end, and the fine stage goes on from all that lie apart, and from where a stiffer coarse stage ends.
-    Where poses differ, the target is brought into the source's pose from the best of these ends and fitted anew
-    (`fit_in_pose`); that is moved half-way to what it is seen from the source (`both_ways`), unless there are masks.
-    Its cost stays that of the end, to compare with the others'.
+    Unless there are masks, the best of these ends is moved on: where poses differ, the target is brought into the pose
+    that it shows and fitted anew (`fit_in_pose`); then half-way to what it is seen from the source (`both_ways`). Its
+    cost stays that of the end, to compare with the others'.
     Where they end alike, no joint needs the soft stage, and the stiffer one spreads the strain more evenly.
 
     Parameters

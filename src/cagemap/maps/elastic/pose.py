@@ -79,7 +79,7 @@ def posed(rest: RestShape, positions: FloatArray) -> FloatArray:
     for _ in range(JOINTS_FOUND):
         loose = replace(graph, weights=graph.weights * stiffness(graph, nearest_rotations(field.solve(places))))
         field = DifferentialField.build(loose, loose.laplacian(), POSING_SMOOTHING)
-        factors = factor(field.system.at(POSING_STIFFNESS, blocks), like=field.factors)
+        factors = field.system.factor(POSING_STIFFNESS, blocks, field.factors)
         for _ in range(POSING_ROUNDS):
             turned = field.divergence(nearest_rotations(field.solve(places)))
             places = factors.solve((pull + POSING_STIFFNESS * turned).ravel()).reshape(-1, 3)
@@ -97,6 +97,7 @@ def stiffness(graph: ElasticGraph, rotations: FloatArray) -> FloatArray:
     """
     changes = ((rotations[graph.heads] - rotations[graph.tails]) ** 2).sum(axis=(1, 2))
     covered = np.bincount(graph.heads, graph.weights * (graph.edges**2).sum(axis=1), graph.n)
+    covered = np.maximum(covered, 1e-12 * covered.mean())  # where faces are points nothing is seen to turn
     squared = np.bincount(graph.heads, graph.weights * changes, graph.n) / covered
     smooth = sparse.csc_array(sparse.diags_array(graph.areas) + JOINT_SMOOTHING**2 * graph.laplacian())
     squared = np.maximum(factor(smooth).solve(graph.areas * squared), 0.0)

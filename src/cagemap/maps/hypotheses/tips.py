@@ -18,10 +18,13 @@ from cagemap.maps.elastic.graph import ElasticGraph
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.pair import Pair
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.graphs import components
 from cagemap.numerics.threads import thread_limit
 
 # Places, far from each other, that stand for the surface in mean distances.
 STATIONS = 60
+# Pieces of a mesh with less than this share of its area, eyes and teeth, have no tips.
+LEAST_PIECE = 0.05
 # Height of a tip over the highest pass to a higher one, of sqrt(area): ears have 0.01 to 0.05, feet 0.1 to 0.3.
 LEAST_HEIGHT = 0.01
 # Tips of two surfaces that a fit leaves so close are the same, of sqrt(area); a fit that leaves all of them closer than
@@ -105,22 +108,29 @@ def tip_vertices(graph: ElasticGraph) -> IndexArray:
 
 
 def mean_distances(graph: ElasticGraph) -> FloatArray:
-    """(n,) mean distance along the edges to the whole surface, by some vertices, each far from the others."""
+    """(n,) mean distance along the edges to the whole surface, by some vertices, each far from the others.
+
+    A piece of its own knows only itself; those with less than `LEAST_PIECE` of the area have 0.
+    """
+    piece = components(graph.heads, graph.tails, graph.n)
+    sizes = np.bincount(piece, graph.areas)
+    large = (sizes >= min(LEAST_PIECE, sizes.max()))[piece]
     lengths = np.linalg.norm(graph.edges, axis=1)
     edges = sparse.csr_array((lengths, (graph.heads, graph.tails)), shape=(graph.n, graph.n))
-    rows, vertex, nearest = [], 0, np.full(graph.n, np.inf)
+    rows, nearest = [], np.where(large, np.inf, -1.0)
     for _ in range(min(STATIONS, graph.n)):
-        rows.append(dijkstra(edges, indices=[vertex])[0])
+        rows.append(dijkstra(edges, indices=[int(nearest.argmax())])[0])
         nearest = np.minimum(nearest, rows[-1])
-        vertex = int(nearest.argmax())
     distances = np.array(rows)
-    shares = np.bincount(distances.argmin(axis=0), graph.areas, len(rows))
-    reached = np.isfinite(distances)  # a piece of its own knows only itself
-    return np.asarray((shares @ np.where(reached, distances, 0.0)) / (shares @ reached))
+    shares = np.bincount(distances.argmin(axis=0), graph.areas * large, len(rows))
+    reached = np.isfinite(distances)
+    return np.asarray((shares @ np.where(reached, distances, 0.0)) / np.where(large, shares @ reached, 1.0))
 
 
 def prominences(heights: FloatArray, heads: IndexArray, tails: IndexArray) -> tuple[IndexArray, FloatArray]:
     """Local maxima (q,) of heights on a graph, and how far one has to come down from each to reach a higher one.
+
+    The highest of a connected piece stands over the lowest place of its piece.
 
     Parameters
     ----------
@@ -148,4 +158,7 @@ def prominences(heights: FloatArray, heads: IndexArray, tails: IndexArray) -> tu
             lower, higher = (a, b) if rank[peaks[a]] < rank[peaks[b]] else (b, a)
             above[lower] = heights[peaks[lower]] - heights[order[passes[edge]]]
             joined[joined == lower] = higher
+    lowest, highest_ones = np.full(len(peaks), np.inf), np.isinf(above)
+    np.minimum.at(lowest, joined[basin], heights)
+    above[highest_ones] = (heights[peaks] - lowest)[highest_ones]
     return peaks, above

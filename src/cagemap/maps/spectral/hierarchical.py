@@ -20,7 +20,8 @@ from scipy import sparse
 from cagemap.basis import Surface
 from cagemap.errors import ParameterError
 from cagemap.functional_map import Constraints, MapWeights, extend_functional_map, solve_functional_map
-from cagemap.maps.pair import LevelPair, Pair, Progress
+from cagemap.geometry.points import SurfacePoints
+from cagemap.maps.pair import LevelPair, Pair, Progress, near_vertices
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import dirichlet_energy
 from cagemap.maps.spectral.constraints import DescriptorConfig, gather_constraints
@@ -178,8 +179,8 @@ def hierarchical_map(
     progress("functional map")
     constraints = gather_constraints(pair, config.descriptors) if constraints is None else constraints
     searched = search_levels(pair.target, pair.source, config.search_vertices, config.source_search_vertices)
-    target = level_samples(pair.target, searched[0], pair.target_landmarks)
-    source = level_samples(pair.source, searched[1], pair.source_landmarks)
+    target = level_samples(pair.target, searched[0], pair.landmarks.target)
+    source = level_samples(pair.source, searched[1], pair.landmarks.source)
     meshes = LevelMesh(pair.target, searched[0]), LevelMesh(pair.source, searched[1])
 
     images, placed = pair.source.triangles(searched[1]).positions, pair.target.triangles(searched[0])
@@ -345,11 +346,12 @@ def descend(
     return LevelMap(levels, functional_map, search_level(pair, functional_map, levels, coarse, beside))
 
 
-def level_samples(surface: Surface, level: int, landmarks: IndexArray) -> Samples:
+def level_samples(surface: Surface, level: int, landmarks: SurfacePoints) -> Samples:
     """All vertices of a level, with the row sums of its mass matrix as areas and their landmark coordinates."""
     operators = surface.operators
     rows = functions_at(surface, level, surface.basis.count)
     coordinates = np.zeros((len(rows), 0))
     if len(landmarks) >= FEWEST_LANDMARKS:
-        coordinates = landmark_coordinates(operators.stiffness[level], operators.mass[level], landmarks)
+        vertices = near_vertices(landmarks, surface, level)
+        coordinates = landmark_coordinates(operators.stiffness[level], operators.mass[level], vertices)
     return Samples(rows, operators.areas(level), coordinates)
