@@ -10,13 +10,13 @@ import pytest
 from cagemap.basis import BasisConfig, Surface, hierarchical_basis
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.elastic import both_ways, method
-from cagemap.maps.elastic.config import StartConfig
+from cagemap.maps.elastic.config import ElasticConfig, StartConfig
 from cagemap.maps.elastic.constants import LOOSEST, POSES_DIFFER, POSES_FOUND
 from cagemap.maps.elastic.ends import FineFit
-from cagemap.maps.elastic.fit import CoarseFit, fine_stage
+from cagemap.maps.elastic.fit import CoarseFit, coarse_fit, fine_stage
 from cagemap.maps.elastic.graph import mesh_graph
 from cagemap.maps.elastic.pose import fit_in_pose, posed, stiffness, turn
-from cagemap.maps.elastic.prepared import PreparedPair, RestShape
+from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair, RestShape
 from cagemap.maps.pair import Pair, PointPairs
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.shapes import creature
@@ -114,14 +114,24 @@ def every_twelfth(prepared: PreparedPair) -> PointPairs:
     return PointPairs.of_vertices(prepared.mesh, prepared.on_source, vertices, vertices)
 
 
-def test_a_bent_joint_is_no_strain_in_its_own_pose(bent: PreparedPair) -> None:
+def test_a_bent_joint_is_no_strain_in_its_own_pose(bent: PreparedPair, monkeypatch: pytest.MonkeyPatch) -> None:
     truth, landmarks = bent.on_source.positions, every_twelfth(bent)
+    stages = []
+
+    def fitted(
+        shape: CoarseShape, sheet: TriangleSurface, start: FloatArray, places: FloatArray, config: ElasticConfig
+    ) -> CoarseFit:
+        stages.append(config.coarse)
+        return coarse_fit(shape, sheet, start, places, config)
+
+    monkeypatch.setattr("cagemap.maps.elastic.pose.coarse_fit", fitted)
     assert turn(bent.rest, truth) > POSES_DIFFER
     slid = fine_stage(bent, truth, landmarks)
     found = fit_in_pose(bent, landmarks, slid)
     before, after = (np.linalg.norm(places - truth, axis=1).mean() for places in (slid, found))
     assert before > 0.005  # the minimum beside the truth
     assert after < 0.75 * before
+    assert stages == POSES_FOUND * [bent.elastic.settled]  # the stage of bodies that stand alike
 
 
 @pytest.mark.parametrize("angle", [0.9 * POSES_DIFFER, 1.1 * POSES_DIFFER])
