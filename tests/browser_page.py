@@ -21,6 +21,8 @@ from cagemap.studio.page.view import FIRST_VIEW
 # A loaded machine without a graphics card needs long for what takes a user's machine a moment.
 PATIENCE = 60.0
 WINDOW = (1280, 720)
+# Milliseconds by which viser has sent what was typed: it waits 50, and what is done meanwhile replaces it unsent.
+SENT = 120
 # Seconds after which a list that has not come is asked for again.
 AGAIN = 2.0
 # Ends when a text has changed and, where asked for, so many pictures later the other frame has drawn what came with it.
@@ -169,13 +171,15 @@ class Page:
                 self.browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", field)
                 field.click()
                 clicked = time.monotonic()
-            return next((one for one in shown if one.text == value or (not exact and value in one.text)), None)
+            found = next((one for one in shown if one.text == value or (not exact and value in one.text)), None)
+            if found is None:
+                return None
+            text = str(found.text)
+            found.click()  # or it has been drawn anew, and is looked for again
+            return text
 
         self.into(side)
-        found = self.until(entry, f"{value!r} among {label}")
-        text = str(found.text)
-        found.click()
-        return text
+        return str(self.until(entry, f"{value!r} among {label}"))
 
     def value(self, side: str, label: str) -> str:
         """What a field shows."""
@@ -193,12 +197,13 @@ class Page:
         """Buttons of the ways in which the models may agree."""
         self.into("source")
         look = "return [...document.querySelectorAll('button')].map(b => b.innerText.trim())"
-        labels = list(self.browser.execute_script(look))
-        return [label for label in labels[: labels.index("Match again")] if re.match(r"\d+ \u00b7", label)]
+        labels = self.browser.execute_script(look)
+        return [label for label in labels if re.match(r"\d+ \u00b7", label)]
 
     def switch(self, side: str, label: str) -> None:
         """Press a checkbox."""
-        self.browser.execute_script("arguments[0].click()", self.field(side, label))
+        press = "arguments[0].click(); return true"
+        self.until(lambda: self.browser.execute_script(press, self.field(side, label)), f"a box {label!r}")
 
     def pressed(self, label: str, block: str, pattern: str = "", pictures: int = 0) -> float:
         """Seconds from pressing a button of the right panel to a block's new text, as the page's own clock tells.
@@ -220,14 +225,15 @@ class Page:
 
     def button(self, side: str, label: str) -> None:
         """Press a button; what enables it may come a moment after the text that tells of it."""
-        self.browser.execute_script("arguments[0].scrollIntoView(); arguments[0].click()", self.enabled(side, label))
+        self.enabled(side, label, "found.scrollIntoView(); found.click();")
 
-    def enabled(self, side: str, label: str) -> Any:
-        """A button, once it can be pressed."""
+    def enabled(self, side: str, label: str, then: str = "") -> None:
+        """Wait until a button can be pressed; what is done to it then, before it can be drawn anew, is JavaScript."""
         self.into(side)
-        look = """return [...document.querySelectorAll('button')].find(
-            b => b.innerText.trim() == arguments[0] && !b.disabled)"""
-        return self.until(lambda: self.browser.execute_script(look, label), f"a button {label!r}")
+        look = f"""const found = [...document.querySelectorAll('button')].find(
+            b => b.innerText.trim() == arguments[0] && !b.disabled);
+            if (found) {{ {then} }} return !!found"""
+        self.until(lambda: self.browser.execute_script(look, label), f"a button {label!r}")
 
     def has_button(self, side: str, label: str) -> bool:
         """Whether there is a button."""
@@ -250,12 +256,14 @@ class Page:
         return self.until(lambda: self.browser.execute_script(look, label), f"a field {label!r}")
 
     def fill(self, side: str, label: str, value: str) -> None:
-        """Type into a field."""
+        """Type into a field, and leave it: a dropdown beside it opens as it is reached."""
         from selenium.webdriver.common.keys import Keys
 
         field = self.field(side, label)
         field.send_keys(Keys.CONTROL, "a")
         field.send_keys(value, Keys.TAB)
+        script = "document.activeElement.blur(); setTimeout(arguments[1], arguments[0])"
+        self.browser.execute_async_script(script, SENT)
 
     def look(self, side: str) -> np.ndarray:
         """What a frame's canvas shows, (160, 160, 3)."""

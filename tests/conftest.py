@@ -5,6 +5,8 @@ from __future__ import annotations
 import inspect
 import os
 from collections.abc import Iterator
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -32,10 +34,34 @@ def shared_data() -> Path:
     return SHARED
 
 
+@dataclass
+class Chromium:
+    """The browser that runs, and how many tests had failed when it was started."""
+
+    program: Any = None
+    failed: int = -1
+    begun: ExitStack = field(default_factory=ExitStack)
+
+    def close(self) -> None:
+        with suppress(Exception):  # it may be what has failed
+            self.begun.close()
+
+
 @pytest.fixture(scope="session")
-def browser() -> Iterator[Any]:
-    """One headless Chromium for all tests that ask for it."""
+def chromium_held() -> Iterator[Chromium]:
+    """What `browser` gives out."""
+    held = Chromium()
+    yield held
+    held.close()
+
+
+@pytest.fixture
+def browser(chromium_held: Chromium, request: pytest.FixtureRequest) -> Any:
+    """One headless Chromium for all tests that ask for it; what a failure left of it, no other test meets."""
     from browser_page import chromium
 
-    with chromium() as started:
-        yield started
+    if chromium_held.failed != request.session.testsfailed:
+        chromium_held.close()
+        chromium_held.program = chromium_held.begun.enter_context(chromium())
+        chromium_held.failed = request.session.testsfailed
+    return chromium_held.program

@@ -141,6 +141,21 @@ def test_what_is_broken_is_refused_by_name(tmp_path: Path, name: str, text: str)
         read_points(tmp_path / name)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        r'{"mesh": "\ud800", "points": [{"name": "ear \ud800", "vertex": 3}]}',
+        r'{"markups": [{"controlPoints": [{"label": "ear \ud800", "position": [0, 0, 0]}]},'
+        r' {"type": "Curve", "name": "\ud800", "controlPoints": [{"position": [0, 0, 0]}, {"position": [1, 0, 0]}]}]}',
+    ],
+)
+def test_half_a_character_is_a_question_mark(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.json").write_text(text)
+    found = read_points(tmp_path / "a.json")
+    assert found.names == ("ear ?",)
+    assert {found.mesh_name, *(curve.name for curve in found.curves)} <= {"", "?"}
+
+
 @settings(deadline=None, max_examples=30)
 @given(st.lists(st.integers(0, 11), min_size=1, max_size=5), st.integers(0, 2**32 - 1))
 def test_places_on_the_mesh_are_found_where_they_are(triangles: list[int], seed: int) -> None:

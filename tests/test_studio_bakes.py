@@ -66,7 +66,6 @@ class FoldedPage(Page):
     def filled(self, label: str, text: str) -> bool:
         """Type into a field, once that can be done."""
         self.fill("target", label, text)
-        self.browser.execute_script("document.activeElement.blur()")  # a dropdown beside it opens as it is reached
         return True
 
     def unfold(self, side: str, label: str) -> None:

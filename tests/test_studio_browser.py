@@ -61,11 +61,11 @@ class Running:
 
     @classmethod
     def of(cls, browser: Any, files: Files) -> Running:
-        begun = ExitStack()
-        process, address = begun.enter_context(studio(*arguments(files)))
-        page = Page(browser, address)
-        page.until(lambda: page.revision() >= 1, "the first map")
-        return cls(browser, files, process, page, begun)
+        with ExitStack() as begun:  # a studio without a map ends at once
+            process, address = begun.enter_context(studio(*arguments(files)))
+            page = Page(browser, address)
+            page.until(lambda: page.revision() >= 1, "the first map")
+            return cls(browser, files, process, page, begun.pop_all())
 
     def start_again(self) -> None:
         """A studio of the same files in place of this one."""
@@ -81,7 +81,7 @@ def arguments(files: Files) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def held(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
+def held(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
     """What runs, and how many tests had failed when it was started."""
     made: dict[str, Any] = {"folder": lambda: tmp_path_factory.mktemp("built-in")}
     yield made
@@ -308,10 +308,12 @@ def every_form_is_saved_and_read(page: Page, files: Files, count: int) -> None:
     for title, ending in FORMS.items():
         if ending != ".json":
             page.choose("source", "Save as", title)
+            page.until(lambda ending=ending: page.value("source", "File").endswith(ending), f"the ending {ending}")
             page.button("source", "Save landmarks")
             page.until(written[ending].is_file, f"{ending} on disk")
     page.until(lambda: "order alone" in page.text("status"), "what Wrap's form cannot hold")
     page.choose("source", "Save as", next(iter(FORMS)))
+    page.until(lambda: page.value("source", "File").endswith(files.landmarks.name), "the name of the file of pairs")
     (files.landmarks.parent / "wrong.json").write_text("{")
     (files.landmarks.parent / "first.json").write_text(json.dumps(before))
     page.button("source", "Save landmarks")  # lists what has come since
@@ -391,8 +393,9 @@ def test_a_killed_studio_gives_its_landmarks_back(running: Running, files: Files
 
 
 def test_files_are_added_faults_are_named_and_a_scan_is_taken_as_it_is(
-    page: Page, files: Files, tmp_path: Path
+    page: Page, files: Files, held: dict[str, Any], tmp_path: Path
 ) -> None:
+    held.pop("failed")  # other models are open at its end: a test after it begins anew
     (tmp_path / "broken.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n")
     write_mesh(tmp_path / "scan.obj", dense())
     for name in ("broken.obj", "scan.obj"):

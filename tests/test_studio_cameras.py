@@ -87,12 +87,12 @@ def done(call: Coroutine[Any, Any, None]) -> None:
         call.send(None)
 
 
-def linked(count: int) -> tuple[Cameras, list[Frame]]:
+def linked(count: int, *, together: bool = True) -> tuple[Cameras, list[Frame]]:
     connects: list[Any] = []
     servers = [
         SimpleNamespace(on_client_connect=connects.append, on_client_disconnect=lambda _: None) for _ in range(count)
     ]
-    session = SimpleNamespace(state=SimpleNamespace(view=SimpleNamespace(linked=True)))
+    session = SimpleNamespace(state=SimpleNamespace(view=SimpleNamespace(linked=together)))
     cameras = Cameras(session, tuple(servers), FIRST_VIEW)  # type: ignore[arg-type]
     return cameras, [Frame(connect) for connect in connects]
 
@@ -124,3 +124,10 @@ def test_frames_end_at_the_pose_asked_for_in_whatever_order_messages_come(
     cameras.frame()
     drain(frames)
     assert [frame.pose for frame in frames] == [FIRST_VIEW] * 2
+
+
+def test_a_frame_that_connects_again_keeps_its_own_view() -> None:
+    _, (frame,) = linked(1, together=False)
+    frame.pose, frame.told, frame.reports = TURNED, deque(), deque([TURNED])
+    drain([frame])
+    assert frame.pose == TURNED

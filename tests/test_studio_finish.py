@@ -255,6 +255,21 @@ def test_a_command_that_takes_its_process_along_leaves_the_others_theirs(
     assert [message.text for message in told] == ["normals: more memory", "heights: more memory"]
 
 
+def test_a_process_that_ends_after_its_command_leaves_the_next_one_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # What it says last is no text.
+    leaves = (
+        r"import os, time; os.read(0, 9999); os.close(0); os.write(1, b'\xe9\ncagemap ended: [0]\n'); time.sleep(1)"
+    )
+    monkeypatch.setattr("cagemap.studio.runner._CALL", (sys.executable, "-c", leaves))
+    ended: queue.Queue[Message] = queue.Queue()
+    Runner(lambda _: None, lambda _: None, lambda _: None, ended.put).start(
+        tuple(Command(title, (), tmp_path / title) for title in ("normals", "heights"))
+    )
+    assert ended.get(timeout=60).text == "finish: done"
+
+
 def test_a_cancelled_run_says_so_whatever_begins_after_it(tmp_path: Path) -> None:
     ended: queue.Queue[Message] = queue.Queue()
 

@@ -163,6 +163,8 @@ def test_an_autosave_keeps_everything_and_is_checked(tmp_path: Path) -> None:
     assert read_autosave(file, (9, 9)) == LandmarkList()
     write_autosave(file, landmarks)
     whole = file.read_text()
+    file.write_text(whole.replace("landmark 1", r"\ud800"))  # half a character, which no page can show
+    assert read_autosave(file, (9, 9)).items[0].name == "?"
     for k, damaged in enumerate(("{", "[]", json.dumps({"format": "other"}), whole[:-20], whole.replace("7", "9"))):
         file.write_text(damaged)
         with pytest.raises(FormatError, match="autosave"):

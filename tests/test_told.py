@@ -9,8 +9,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from cagemap.cli.entry import SIGNALLED, WRONG_INPUT
+from cagemap.cli.told import _run
 from cagemap.files.meshes import write_mesh
 from cagemap.mesh.shapes import creature
 from cagemap.studio.wrote import command_line, ended, ended_line
@@ -42,6 +44,15 @@ def test_every_command_says_how_it_ended_and_what_it_wrote(tmp_path: Path) -> No
     assert ends == [(0, (tmp_path / "fine.obj",)), (WRONG_INPUT, ()), (0, (tmp_path / "ä finer.obj",))]
     assert ended("cagemap: stage: refine") is None
     assert ended(f"said: {ended_line(0, [])}") is None
+
+
+def test_the_line_at_its_end_is_one_of_its_own(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["cagemap"])
+    monkeypatch.setattr("cagemap.cli.told.main", lambda: sys.stdout.write("50 %"))
+    _run(["wait"])
+    assert ended(capsys.readouterr().out.splitlines()[-1]) == (0, ())
 
 
 def test_a_command_ends_with_whoever_runs_it_and_leaves_nothing_half_written(tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ def _run(words: list[str]) -> int:
         except SystemExit as ended:
             code = ended.code
     number = code if isinstance(code, int) else int(code is not None)
-    sys.stdout.write(f"{ended_line(number, files)}\n")
+    sys.stdout.write(f"\n{ended_line(number, files)}\n")  # a line of its own, whatever a library wrote before it
     sys.stdout.flush()
     return number
 

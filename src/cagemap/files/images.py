@@ -27,6 +27,8 @@ from cagemap.numerics.kinds import kinds_checked
 Pixels = NDArray[Any]
 
 UDIM_MARK = "<UDIM>"
+# Number of the tile whose texture coordinates lie from 0 to 1.
+FIRST_TILE = 1001
 # What each format holds exactly. Wider types are refused rather than rounded behind the user's back.
 _FORMATS: dict[str, tuple[str, ...]] = {
     ".png": ("uint8", "uint16"),
@@ -177,10 +179,7 @@ def read_image_form(path: str | Path) -> tuple[np.dtype[Any], int]:
     FormatError
         If it is no image that `read_image` reads.
     """
-    files = texture_files(path)
-    if not files:
-        raise FormatError(f"{path}: expected tiles such as {udim_path(path, 1001)}, found none. Check the name.")
-    opened, kind = _open(files[0])
+    opened, kind = _open(next(iter(tile_files(path).values())))
     channels = int(opened.spec().nchannels)
     opened.close()
     return np.dtype(kind), channels
@@ -294,18 +293,33 @@ def read_texture(path: str | Path) -> Image | dict[int, Image]:
     FormatError
         If there is no tile, or an image cannot be read.
     """
-    file = with_udim_mark(Path(path))
-    if UDIM_MARK not in file.name:
-        return read_image(file)
-    found = _tiles(file)
-    if not found:
-        raise FormatError(f"{path}: expected tiles such as {udim_path(path, 1001)}, found none. Check the name.")
+    found = tile_files(path)
+    if UDIM_MARK not in with_udim_mark(Path(path)).name:
+        return read_image(found[FIRST_TILE])
     return {number: read_image(tile) for number, tile in found.items()}
 
 
 def with_udim_mark(path: Path) -> Path:
     """A name with ``%(UDIM)d`` in place of the tile's number, as some programs write it, in the one spelling."""
     return path.with_name(path.name.replace("%(UDIM)d", UDIM_MARK)) if path.name else path
+
+
+def tile_files(path: str | Path) -> dict[int, Path]:
+    """Files of a texture by UDIM number; one image is the first tile.
+
+    Raises
+    ------
+    FormatError
+        If there is no tile.
+    """
+    file = with_udim_mark(Path(path))
+    if UDIM_MARK not in file.name:
+        return {FIRST_TILE: file}
+    found = _tiles(file)
+    if not found:
+        first = udim_path(path, FIRST_TILE)
+        raise FormatError(f"{path}: expected tiles such as {first}, found none. Check the name.")
+    return found
 
 
 def texture_files(path: str | Path) -> list[Path]:
@@ -331,7 +345,7 @@ def udim_path(path: str | Path, tile: int) -> Path:
     """
     file = with_udim_mark(Path(path))
     if UDIM_MARK in file.name:
-        return file.with_name(file.name.replace(UDIM_MARK, str(tile or 1001)))
+        return file.with_name(file.name.replace(UDIM_MARK, str(tile or FIRST_TILE)))
     return file if tile == 0 else file.with_name(f"{file.stem}.{tile}{file.suffix}")
 
 

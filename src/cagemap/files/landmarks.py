@@ -13,7 +13,7 @@ from cagemap.errors import DirectionError, FormatError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.curves import pair_curves, pair_entries
 from cagemap.files.marks import mark
-from cagemap.files.text import read_text
+from cagemap.files.text import read_text, whole_characters
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.numerics.kinds import kinds_checked
 
@@ -128,7 +128,7 @@ def _mesh_name(path: Path, data: dict[str, Any], side: str) -> str:
         raise FormatError(
             f"{path}: expected the file name of the {side} mesh, got {_shown(name)}. The form is {_FORM}."
         )
-    return name.encode("utf-8", "replace").decode()
+    return whole_characters(name)
 
 
 def _pair(path: Path, number: int, item: Any) -> tuple[str, End, End]:
@@ -150,7 +150,7 @@ def _pair(path: Path, number: int, item: Any) -> tuple[str, End, End]:
                 "vertices; weights are not negative and sum to 1."
             )
         ends.append(end)
-    return name.encode("utf-8", "replace").decode(), ends[0], ends[1]  # JSON may hold half a character
+    return whole_characters(name), ends[0], ends[1]
 
 
 def _end(value: Any) -> End | None:

@@ -65,6 +65,11 @@ def decoded(content: bytes, path: Path, what: str) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
+def whole_characters(text: str) -> str:
+    """A text without halves of characters, which JSON and names of files may hold and nothing can show or write."""
+    return text.encode("utf-8", "replace").decode()
+
+
 def at_line(path: Path, number: int, expected: str, got: str, remedy: str) -> str:
     """Message about one line of a file; what was found is cut to a readable length."""
     shown = got if len(got) <= 80 else got[:77] + "..."

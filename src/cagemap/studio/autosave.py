@@ -14,7 +14,7 @@ from cagemap.files.atomic import atomic_path
 from cagemap.files.curves import pair_entries
 from cagemap.files.landmarks import entered, entries
 from cagemap.files.marks import mark
-from cagemap.files.text import read_text
+from cagemap.files.text import read_text, whole_characters
 from cagemap.mesh.curves import Curves
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.studio.landmarks import Landmark, LandmarkList, Place
@@ -98,7 +98,7 @@ def read_autosave(path: Path, vertices: tuple[int, int]) -> LandmarkList:
         items = tuple(
             Landmark(
                 int(entry["number"]),
-                str(entry["name"]),
+                whole_characters(str(entry["name"])),
                 _place(entry["target"], vertices[0]),
                 _place(entry["source"], vertices[1]),
             )

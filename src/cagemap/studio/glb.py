@@ -50,7 +50,7 @@ class Primitive:
     two_sided: bool = True
 
 
-def glb(primitives: Sequence[Primitive], texture: bytes | None = None, texture_type: str = "image/jpeg") -> bytes:
+def glb(primitives: Sequence[Primitive], texture: bytes | None = None) -> bytes:
     """Pack primitives into one binary glTF file.
 
     Parameters
@@ -58,9 +58,7 @@ def glb(primitives: Sequence[Primitive], texture: bytes | None = None, texture_t
     primitives : sequence of Primitive
         Those without triangles are left out.
     texture : bytes or None
-        An encoded image, for the primitives that have texture coordinates.
-    texture_type : str
-        Its MIME type.
+        A JPEG file, for the primitives that have texture coordinates.
     """
     chunks: list[bytes] = []
     views: list[dict[str, Any]] = []
@@ -126,7 +124,7 @@ def glb(primitives: Sequence[Primitive], texture: bytes | None = None, texture_t
         "materials": materials,
     }
     if texture is not None:
-        document["images"] = [{"bufferView": view(texture), "mimeType": texture_type}]
+        document["images"] = [{"bufferView": view(texture), "mimeType": "image/jpeg"}]
         document["samplers"] = [{"magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497}]
         document["textures"] = [{"source": 0, "sampler": 0}]
     binary = b"".join(chunks)

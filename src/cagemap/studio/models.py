@@ -10,7 +10,7 @@ import numpy as np
 
 from cagemap.descriptors import mirror_symmetries
 from cagemap.errors import CagemapError, InvalidMeshError, ParameterError
-from cagemap.files.images import Image, Pixels, first_image, read_texture, write_image
+from cagemap.files.images import FIRST_TILE, Pixels, read_image, tile_files, write_image
 from cagemap.files.meshes import read_mesh
 from cagemap.files.usd import USD_SUFFIXES, read_usd
 from cagemap.files.usd_space import to_standard
@@ -34,8 +34,6 @@ TEXTURE_SIZE = 1024
 # A triangle mesh of so many faces is rather a scan than a cage.
 DENSE = 20_000
 NO_SCHEME = "none"
-# Of an image, and of several by their UDIM numbers.
-FIRST_TILE = 1001
 # From a file whose z axis points up to the view, for rows.
 _Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
@@ -80,31 +78,39 @@ class Model:
 
 def with_texture(look: Look, path: Path) -> Look:
     """A look with an image in 8 bits, no larger than the page needs; tiles lie beside each other in one."""
-    read = read_texture(path)
-    tiles = {FIRST_TILE: read} if isinstance(read, Image) else read
-    places = {number: divmod(number - FIRST_TILE, 10) for number in tiles}  # row from below, column
+    files = tile_files(path)
+    places = {number: divmod(number - FIRST_TILE, 10) for number in files}  # row from below, column
     rows, columns = (1 + max(place[k] for place in places.values()) for k in range(2))
-    size = first_image(read).pixels.shape[:2]
-    step = max(1, -(-max(rows * size[0], columns * size[1]) // TEXTURE_SIZE))
-    height, width = (-(-side // step) for side in size)
+    # One after the other: many large ones would not fit into memory together.
+    shown = {number: _shrunk(read_image(file).pixels, rows, columns) for number, file in files.items()}
+    height, width = (max(tile.shape[k] for tile in shown.values()) for k in range(2))
     pixels = np.zeros((rows * height, columns * width, 3), dtype=np.uint8)
     for number, (row, column) in places.items():
         top, left = (rows - 1 - row) * height, column * width
-        pixels[top : top + height, left : left + width] = _shrunk(tiles[number].pixels, height, width)
+        pixels[top : top + height, left : left + width] = _nearest(shown[number], height, width)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "texture.jpg"
         write_image(file, pixels)
         return replace(look, texture=pixels, encoded=file.read_bytes(), tiles=(columns, rows))
 
 
-def _shrunk(pixels: Pixels, height: int, width: int) -> Pixels:
-    """(height, width, 3) nearest texels, in 8 bits."""
-    picked = (np.arange(count) * side // count for count, side in zip((height, width), pixels.shape[:2], strict=True))
-    small = pixels[np.ix_(*picked)]
+def _shrunk(pixels: Pixels, rows: int, columns: int) -> Pixels:
+    """(h, w, 3) in 8 bits: as large as an image may be of which rows x columns make one for the page."""
+    height, width = pixels.shape[:2]
+    step = max(1, -(-max(rows * height, columns * width) // TEXTURE_SIZE))
+    small = _nearest(pixels, -(-height // step), -(-width // step))
     if small.dtype != np.uint8:
         top = np.iinfo(small.dtype).max if small.dtype.kind == "u" else 1.0
         small = np.rint(255 * np.clip(small.astype(np.float64) / top, 0, 1)).astype(np.uint8)
     return np.repeat(small[..., :1], 3, axis=2) if small.shape[2] < 3 else small[..., :3]
+
+
+def _nearest(pixels: Pixels, height: int, width: int) -> Pixels:
+    """(height, width, c) nearest texels."""
+    rows, columns = (
+        np.arange(count) * side // count for count, side in zip((height, width), pixels.shape[:2], strict=True)
+    )
+    return pixels[np.ix_(rows, columns)]
 
 
 def open_model(path: Path, scheme: str | None, up: str | None, vertices: int, part: str | None = None) -> Model:

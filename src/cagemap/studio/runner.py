@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
 import threading
@@ -96,7 +97,7 @@ class Runner:
                 for output in outputs_of(command, written):
                     self._on_output(output)
                 break
-            lines.append(line)
+            lines += [line] if line else []
             if (stage := stage_of(line)) is not None:
                 left *= 1 - _STAGE
                 tell(f"{command.title}: {stage}")
@@ -113,13 +114,12 @@ class Runner:
         with self._lock:
             if self._cancelled:
                 return None
-            if self._process is None or self._process.poll() is not None:
+            if self._process is None or self._process.poll() is not None or not _takes(self._process, command):
+                pipe, said = subprocess.PIPE, subprocess.STDOUT
                 self._process = subprocess.Popen(
-                    _CALL, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+                    _CALL, stdin=pipe, stdout=pipe, stderr=said, text=True, errors="backslashreplace"
                 )
-            assert self._process.stdin is not None
-            self._process.stdin.write(f"{command_line(('-v', *command.arguments))}\n")
-            self._process.stdin.flush()
+                _takes(self._process, command)  # if not, its end says why
             return self._process
 
     def _hang_up(self) -> None:
@@ -127,7 +127,19 @@ class Runner:
         with self._lock:
             process, self._process = self._process, None
             if process is not None and process.stdin is not None:
-                process.stdin.close()
+                with contextlib.suppress(OSError):  # it has ended by itself
+                    process.stdin.close()
+
+
+def _takes(process: subprocess.Popen[str], command: Command) -> bool:
+    """Tell a process its next command; whether it listens, since it may have ended after the one before."""
+    assert process.stdin is not None
+    try:
+        process.stdin.write(f"{command_line(('-v', *command.arguments))}\n")
+        process.stdin.flush()
+    except OSError:
+        return False
+    return True
 
 
 def outputs_of(command: Command, files: tuple[Path, ...]) -> tuple[Output, ...]:

@@ -300,11 +300,11 @@ class Session(Held):
         self._say(message.kind, on_the_page(self.options, message.text))
 
     def _ended(self, message: Message) -> None:
-        unchanged = self._finishing == self._state.wish
-        otherwise = led_elsewhere(self._scene, self._state.outputs) if unchanged else ()  # takes longer than a click
+        with self._guarded():  # no lock: it takes longer than a click
+            if self._finishing == self._state.wish:
+                self._notes(led_elsewhere(self._scene, self._state.outputs), "error")
         with self._lock:
             self._say(message.kind, message.text)
-            self._notes(otherwise, "error")
             if self._state.images and self._finishing == self._state.wish:
                 self.look_at(self._state.images[0])
             elif self._state.images:

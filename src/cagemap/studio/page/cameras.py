@@ -81,7 +81,8 @@ class Cameras:
 
     async def _connected(self, client: viser.ClientHandle) -> None:
         with self._lock:
-            pose = self._last if self._session.state.view.linked else self._first
+            # Alone, a frame has its first view from viser, or comes back with the one that it had.
+            pose = self._last if self._session.state.view.linked else None
             self._frames[client] = _Frame(pose, time.monotonic())
 
         async def moved(_: viser.CameraHandle) -> None:
