@@ -163,6 +163,8 @@ def test_refined_uvs_and_materials_come_along(run: Run, tmp_path: Path) -> None:
         (["demo", "-o", ""], "-o: expected a value, got an empty one"),
         (["match", *"--target box.obj --source box.obj --force --output=".split()], "--output: expected a value"),
         (["demo", "-o", "-"], "nothing is written to standard output"),
+        (["demo", "--output=-"], "--output: expected a name, got '-'"),
+        (["run", "box.obj/inside.toml"], "there is no such file"),
         (["dance"], "dance"),
     ],
     ids=lambda words: " ".join(words)[:50] if isinstance(words, list) else "",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +62,15 @@ def test_jpeg_is_close_and_takes_no_alpha(tmp_path: Path) -> None:
     assert np.abs(read_image(tmp_path / "a.jpg").pixels.astype(int) - ramp).max() <= 4
     with pytest.raises(FormatError, match="JPEG holds no alpha"):
         write_image(tmp_path / "b.jpg", noise("uint8", 4))
+
+
+def test_a_file_system_that_reserves_no_room_takes_a_jpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EOPNOTSUPP, "not supported")
+
+    monkeypatch.setattr("os.posix_fallocate", refuse, raising=False)
+    write_image(tmp_path / "a.jpg", np.zeros((8, 8, 3), dtype=np.uint8))
+    assert (tmp_path / "a.jpg").stat().st_size
 
 
 def test_channel_names_are_kept(tmp_path: Path) -> None:

@@ -118,6 +118,9 @@ def test_files_of_another_form_are_refused(folder: Path, text: str, words: str) 
 
 
 def test_a_missing_job_file_is_named(tmp_path: Path) -> None:
+    (tmp_path / "empty.toml").touch()
+    with pytest.raises(FormatError, match="assets: is missing"):
+        read_job(tmp_path / "empty.toml", COMMANDS)
     with pytest.raises(FormatError, match="expected a job file, there is no such file"):
         read_job(tmp_path / "job.toml", COMMANDS)
 

@@ -58,6 +58,7 @@ def no_preparing(*arguments, **options):
 
 def test_a_surface_comes_back_bit_for_bit(surface, stored):
     assert_same(load_surface(stored), surface)
+    assert_same(load_surface(str(stored)), surface)
 
 
 @pytest.mark.parametrize("mesh", [shapes.icosahedron(), shapes.grid(4, 3)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -19,7 +20,7 @@ pxr = pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt  # noqa: E402
 
-from cagemap.files.usd import in_world, read_usd, read_usd_meshes  # noqa: E402
+from cagemap.files.usd import in_world, named_damage, read_usd, read_usd_meshes  # noqa: E402
 from cagemap.files.usd_write import UsdResults, write_usd, write_usd_over  # noqa: E402
 
 
@@ -254,10 +255,10 @@ def test_positions_after_subdivision_are_those_of_the_recorded_options(tmp_path:
 def test_what_a_file_refers_to_and_is_not_there_is_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     for number, arc in enumerate(("payload", "references")):
         file = tmp_path / f"{arc}.usda"
-        file.write_text(f'#usda 1.0\ndef "a" (\nprepend {arc} = @./gone.usda@\n)\n{{\n}}\n')
+        file.write_text(f'#usda 1.0\ndef "a" (\nprepend {arc} = @./gone (2).usda@\n)\n{{\n}}\n')
         with pytest.raises(FormatError, match="at least one mesh prim, got none"):
             read_usd(file)
-        assert "Could not open asset" in caplog.messages[-1]
+        assert re.search(r"Could not open asset .*gone \(2\)\.usda@", caplog.messages[-1])
         assert str(file) in caplog.messages[-1]
         assert len(caplog.messages) == number + 1
     chosen = tmp_path / "variants.usda"
@@ -280,6 +281,8 @@ def test_a_transform_that_flattens_is_refused(tmp_path: Path, scale: str) -> Non
 
 
 def test_damaged_files_are_named(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match=r"damaged \(no number: 'x'\)"), named_damage("bad.usda"):
+        raise ValueError("no number: 'x'")
     with pytest.raises(FormatError, match="no such file"):
         read_usd(tmp_path / "none.usda")
     bad = tmp_path / "bad.usda"

@@ -107,9 +107,9 @@ def _require_words(words: list[str]) -> None:
             raise ParameterError(
                 f"{option}: expected a value, got an empty one. Give one; is a variable of the shell not set?"
             )
-        if word == "-" and before in ("-o", "--output"):
+        if value == "-" and option in ("-o", "--output"):
             raise ParameterError(
-                f"{before}: expected a name, got '-', and nothing is written to standard output. Give a name."
+                f"{option}: expected a name, got '-', and nothing is written to standard output. Give a name."
             )
 
 

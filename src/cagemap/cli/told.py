@@ -25,7 +25,7 @@ PATIENCE = 20.0
 
 
 def run() -> None:
-    """Run the commands of standard input; ends with the exit code of the last one."""
+    """Run the commands of standard input, one after the other, until it closes or one of them is stopped."""
     lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
     threading.Thread(target=_follow_input, args=(lines,), daemon=True).start()
     code = 0

@@ -7,6 +7,7 @@ always (h, w, c) here), and writes what a format cannot hold as something it can
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 from collections.abc import Mapping
@@ -43,6 +44,8 @@ _LARGEST_CHANNELS = 4
 _LARGEST_WINDOW = 1 << 16
 _TIFF = (".tif", ".tiff")
 _HEADER = 1 << 16  # bytes of a file beside its texels
+# What file systems answer that cannot reserve room.
+_NO_RESERVING = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP)
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,6 +231,8 @@ def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False)
 def _reserve(path: Path, size: int) -> None:
     """Make sure that a file has room: where the disk is full, the library of JPEG ends the whole process.
 
+    Where the file system cannot tell, it is written as it is.
+
     Raises
     ------
     OSError
@@ -235,7 +240,11 @@ def _reserve(path: Path, size: int) -> None:
     """
     if hasattr(os, "posix_fallocate"):
         with path.open("rb+") as stream:
-            os.posix_fallocate(stream.fileno(), 0, size)
+            try:
+                os.posix_fallocate(stream.fileno(), 0, size)
+            except OSError as error:
+                if error.errno not in _NO_RESERVING:
+                    raise
 
 
 def straight(image: Image) -> Image:

@@ -166,7 +166,7 @@ def prepared(
     return surface
 
 
-def load_surface(path: Path, control: ControlMesh | None = None, config: BasisConfig | None = None) -> Surface:
+def load_surface(path: str | Path, control: ControlMesh | None = None, config: BasisConfig | None = None) -> Surface:
     """Read a prepared surface; what is not stored, its refined levels, is made again.
 
     A control mesh known to be equal to the stored one takes its place, name and all.
@@ -176,6 +176,7 @@ def load_surface(path: Path, control: ControlMesh | None = None, config: BasisCo
     FormatError
         If the file is missing, damaged, no stored surface, or of another format version.
     """
+    path = Path(path)
     require_file(path, "a prepared surface")
     arrays = read_npz(path, _REMEDY)
     header = _header(path, arrays)

@@ -17,7 +17,7 @@ def require_file(path: Path, what: str) -> None:
     """
     try:
         mode = path.stat().st_mode
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         raise FormatError(f"{path}: expected {what}, there is no such file. Check the name and the folder.") from None
     except (OSError, ValueError) as error:
         raise _unreadable(path, error) from None

@@ -109,7 +109,8 @@ def open_stage(path: str | Path) -> Any:
     said = pxr.UsdUtils.CoalescingDiagnosticDelegate()  # instead of USD's own lines, which name its sources
     try:
         stage = pxr.Usd.Stage.Open(str(file))
-        for reason in dict.fromkeys(one.commentary.partition(" (")[0] for one in said.TakeUncoalescedDiagnostics()):
+        reasons = (one.commentary.partition(" (instantiating stage ")[0] for one in said.TakeUncoalescedDiagnostics())
+        for reason in dict.fromkeys(reasons):
             logger.warning("%s: %s", file, reason)
         return stage
     except (pxr.Tf.ErrorException, UnicodeDecodeError) as error:
@@ -120,7 +121,8 @@ def _reason(error: Exception) -> str:
     """The last line of what USD says; its own messages may hold bytes that are no text."""
     try:
         last = (str(error).strip().splitlines() or [type(error).__name__])[-1]
-        return last.rpartition(" : '")[2].strip("'")
+        place, _, words = last.rpartition(" : '")
+        return words.removesuffix("'") if place else last
     except UnicodeDecodeError:
         return type(error).__name__
 
@@ -161,7 +163,7 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
         remedy = (
             f"Choose one of the variants of {', '.join(open_sets)}."
             if open_sets and not prims
-            else ("Export the control mesh with its points.")
+            else "Export the control mesh with its points."
         )
         raise FormatError(f"{file}: expected at least one mesh prim, {what}. {remedy}")
     return meshes

@@ -37,7 +37,7 @@ from typing import Any, get_type_hints
 
 from cagemap.errors import FormatError
 from cagemap.files.marks import is_own
-from cagemap.files.text import read_bytes
+from cagemap.files.text import require_file
 from cagemap.library.job_checks import absolute, line_of, parsed_file, problems_of
 from cagemap.library.job_schema import Asset, CarryRule, JobFile, OutputRule, PairRule, options_schema
 
@@ -104,7 +104,8 @@ def read_job(
     """
     file = Path(path)
     try:
-        text = read_bytes(file, "a job file").decode("utf-8")
+        require_file(file, "a job file")
+        text = file.read_bytes().decode("utf-8")
         data = tomllib.loads(text)
     except FormatError as error:
         inside = f" {file / 'job.toml'} is one." if (file / "job.toml").is_file() else ""
