@@ -34,12 +34,13 @@ from cagemap.files.obj_layout import write_obj_layout
 from cagemap.files.result import ARRAYS, MANIFEST, input_file, note_transfer, read_files, stated_path
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.udim import udim_of
 from cagemap.numerics.threads import ThreadPool
 from cagemap.transfer import BakeOptions, Transfer, tile_cells, transfer_of, unwrap
 from cagemap.transfer.baking import to_dtype, unit
 from cagemap.transfer.displacement import Displacement
 from cagemap.transfer.masks import bake_mask, blend, with_alpha
-from cagemap.transfer.texture import Filter, Pixels, udim_of
+from cagemap.transfer.texture import Filter, Pixels
 
 # Width and height of an image that no other one gives a size.
 DEFAULT_SIZE = 2048

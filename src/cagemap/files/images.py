@@ -23,13 +23,12 @@ from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.marks import mark
 from cagemap.files.text import require_file
+from cagemap.mesh.udim import FIRST_TILE
 from cagemap.numerics.kinds import kinds_checked
 
 Pixels = NDArray[Any]
 
 UDIM_MARK = "<UDIM>"
-# Number of the tile whose texture coordinates lie from 0 to 1.
-FIRST_TILE = 1001
 # What each format holds exactly. Wider types are refused rather than rounded behind the user's back.
 _FORMATS: dict[str, tuple[str, ...]] = {
     ".png": ("uint8", "uint16"),

@@ -10,7 +10,7 @@ import numpy as np
 
 from cagemap.descriptors import mirror_symmetries
 from cagemap.errors import CagemapError, InvalidMeshError, ParameterError
-from cagemap.files.images import FIRST_TILE, Pixels, read_image, tile_files, write_image
+from cagemap.files.images import Pixels, read_image, tile_files, write_image
 from cagemap.files.meshes import read_mesh
 from cagemap.files.usd import USD_SUFFIXES, read_usd
 from cagemap.files.usd_space import to_standard
@@ -21,6 +21,7 @@ from cagemap.mesh.parts import components
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
+from cagemap.mesh.udim import udim_origin
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pipeline import choose_level
 from cagemap.refinement import refine, with_options
@@ -79,13 +80,13 @@ class Model:
 def with_texture(look: Look, path: Path) -> Look:
     """A look with an image in 8 bits, no larger than the page needs; tiles lie beside each other in one."""
     files = tile_files(path)
-    places = {number: divmod(number - FIRST_TILE, 10) for number in files}  # row from below, column
-    rows, columns = (1 + max(place[k] for place in places.values()) for k in range(2))
+    places = {number: [int(cell) for cell in udim_origin(number)] for number in files}  # column, row from below
+    columns, rows = (1 + max(place[k] for place in places.values()) for k in range(2))
     # One after the other: many large ones would not fit into memory together.
     shown = {number: _shrunk(read_image(file).pixels, rows, columns) for number, file in files.items()}
     height, width = (max(tile.shape[k] for tile in shown.values()) for k in range(2))
     pixels = np.zeros((rows * height, columns * width, 3), dtype=np.uint8)
-    for number, (row, column) in places.items():
+    for number, (column, row) in places.items():
         top, left = (rows - 1 - row) * height, column * width
         pixels[top : top + height, left : left + width] = _nearest(shown[number], height, width)
     with tempfile.TemporaryDirectory() as folder:

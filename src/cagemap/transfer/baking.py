@@ -20,6 +20,7 @@ from cagemap.errors import ParameterError
 from cagemap.geometry.triangles import triangle_areas, triangle_neighbors
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.point_map import PointMap
+from cagemap.mesh.udim import udim_of, udim_origin
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import ThreadPool, core_count
@@ -34,7 +35,7 @@ from cagemap.transfer.locate import (
 from cagemap.transfer.lookups import plan_lookups
 from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.texels import GUTTER_RADIUS, Layout, TriangleImage, lay_out, rasterize_band
-from cagemap.transfer.texture import Filter, Pixels, Wrap, lay_texture, tile_cells, udim_of, udim_origin
+from cagemap.transfer.texture import Filter, Pixels, Wrap, lay_texture, tile_cells
 
 Shade = Callable[[Samples], FloatArray]
 

@@ -22,11 +22,12 @@ from scipy import sparse
 from scipy.sparse import linalg
 
 from cagemap.geometry.surface import TriangleSurface
+from cagemap.mesh.udim import udim_origin
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.transfer.baking import Transfer
 from cagemap.transfer.locate import Samples
 from cagemap.transfer.meeting import nearest_facing
-from cagemap.transfer.texture import OVERHANG, tile_cells, udim_origin
+from cagemap.transfer.texture import OVERHANG, tile_cells
 
 # Corners that share all their texels cannot all be right: lookups are weighed against this much change of texels.
 _TRACE = 1e-3

@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
 from cagemap.geometry.triangles import triangle_neighbors
+from cagemap.mesh.udim import udim_origin
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads, parts
 from cagemap.transfer.locate import MappedSurface, locate_centers
 from cagemap.transfer.mip_maps import MipMaps
 from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.texels import Layout, lay_out, rasterize_band
-from cagemap.transfer.texture import FILTERS, Filter, Texture, tile_cells, udim_origin
+from cagemap.transfer.texture import FILTERS, Filter, Texture, tile_cells
 
 # No texel takes more than this many samples along each axis; beyond, it reads a smaller image of the texture.
 MAX_SAMPLES_PER_AXIS = 16

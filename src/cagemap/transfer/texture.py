@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
+from cagemap.mesh.udim import udim_of, udim_origin
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.transfer.locate import Samples
 from cagemap.transfer.smooth import SmoothTile
@@ -27,10 +28,8 @@ Wrap = Literal["repeat", "clamp"]
 Filter = Literal["smooth", "linear", "nearest"]
 FILTERS = get_args(Filter)
 
-FIRST_TILE = 1001
 # What lies across a border of a tile by less is there by a rounding: half a texel of a 4k image.
 OVERHANG = 1.0 / 8192.0
-TILES_PER_ROW = 10
 # Up to so many samples a texel spans less than two texels of the texture; above, their mean sees what is between them.
 _FEW = 4
 # What a peak between two texels may rise above them, as a part of what both fall to their outer neighbours: an eighth
@@ -131,31 +130,6 @@ def tile_cells(corners: FloatArray) -> FloatArray:
     cells = np.floor(corners.mean(axis=1))
     cells = cells - (corners.max(axis=1) - cells <= OVERHANG)
     return np.asarray(cells + (cells + 1.0 - corners.min(axis=1) <= OVERHANG))
-
-
-def udim_of(uvs: FloatArray) -> IndexArray:
-    """(...,) UDIM numbers 1001 + floor(u) + 10 floor(v) of texture coordinates.
-
-    Raises
-    ------
-    ParameterError
-        If some lie left of, right of or below the grid of ten columns.
-    """
-    cells = np.floor(uvs).astype(np.int64)
-    outside = (cells[..., 0] < 0) | (cells[..., 0] >= TILES_PER_ROW) | (cells[..., 1] < 0)
-    if outside.any():
-        raise ParameterError(
-            f"expected texture coordinates inside the UDIM grid (0 <= u < {TILES_PER_ROW}, 0 <= v), "
-            f"got {uvs[outside][:3].round(4).tolist()}; move those islands into the grid"
-        )
-    return FIRST_TILE + cells[..., 0] + TILES_PER_ROW * cells[..., 1]
-
-
-def udim_origin(tile: int) -> tuple[float, float]:
-    """Texture coordinates of the lower left corner of a UDIM tile, (0, 0) for a plain image (tile 0)."""
-    if tile == 0:
-        return 0.0, 0.0
-    return float((tile - FIRST_TILE) % TILES_PER_ROW), float((tile - FIRST_TILE) // TILES_PER_ROW)
 
 
 def as_pixels(image: Pixels) -> Pixels:
