@@ -9,7 +9,8 @@ from typing import Annotated, Any
 import typer
 from typer.testing import CliRunner
 
-from cagemap.cli.command import asks
+from cagemap.cli.command import Outcome, asks
+from cagemap.cli.progress import Stages
 from cagemap.cli.wrap_request import WrapRequest
 from cagemap.wrap import WrapConfig
 
@@ -28,9 +29,15 @@ class Asked:
 def _asked(*words: str, **options: Any) -> Asked:
     got: list[Asked] = []
     app = typer.Typer()
-    app.command()(asks(Asked, **options)(got.append))
+
+    @app.command()
+    @asks(Asked, **options)
+    def run(request: Asked, stages: Stages) -> Outcome:
+        got.append(request)
+        return "done", []
+
     done = CliRunner().invoke(app, words)
-    assert done.exit_code == 0, done.output
+    assert (done.exit_code, done.output) == (0, "done\n"), done.output
     return got[0]
 
 

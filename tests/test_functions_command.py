@@ -8,7 +8,7 @@ import pytest
 from cagemap import research
 from cagemap.basis import BasisConfig
 from cagemap.cli.functions import run_functions
-from cagemap.cli.functions_command import FunctionsRequest
+from cagemap.cli.functions_request import FunctionsRequest
 from cagemap.cli.progress import Stages
 from cagemap.descriptors.spectral import heat_filters
 from cagemap.errors import ParameterError

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from cagemap.cli.app import app
 from cagemap.cli.job_file import JOB, WRITTEN, note_match, note_output
 from cagemap.cli.library import COMMANDS, run_task
-from cagemap.cli.map_command import MapRequest
+from cagemap.cli.map_request import MapRequest
 from cagemap.cli.match import MatchRequest
 from cagemap.cli.own_map import run_map
 from cagemap.cli.progress import Stages

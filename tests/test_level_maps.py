@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from cagemap.cli.map_command import MapRequest
+from cagemap.cli.map_request import MapRequest
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.own_map import run_map
 from cagemap.cli.progress import Stages

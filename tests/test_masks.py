@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cagemap.cli.map_command import MapRequest
+from cagemap.cli.map_request import MapRequest
 from cagemap.cli.masks import MaskOptions, mask_file, read_mask, read_masks
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.own_map import run_map

@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 
 import cagemap
 from benchmarks.textures.edges import border_errors
-from cagemap.cli.map_command import MapRequest
+from cagemap.cli.map_request import MapRequest
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.own_map import run_map
 from cagemap.cli.progress import Stages

@@ -9,10 +9,9 @@ from typing import Annotated
 import typer
 
 from cagemap import __version__
-from cagemap.cli.command import asks
-from cagemap.cli.functions_command import functions
-from cagemap.cli.map_command import map_file
-from cagemap.cli.match_command import match
+from cagemap.cli.functions_request import functions
+from cagemap.cli.map_request import map_file
+from cagemap.cli.match_request import match
 from cagemap.cli.options import (
     BoundaryOption,
     CreasingOption,
@@ -24,10 +23,10 @@ from cagemap.cli.options import (
     TargetSchemeOption,
     UvOption,
 )
-from cagemap.cli.report_request import ReportRequest
-from cagemap.cli.transfer_command import transfer
+from cagemap.cli.report_request import report
+from cagemap.cli.transfer_request import transfer
 from cagemap.cli.words import say, set_verbosity
-from cagemap.cli.wrap_command import wrap
+from cagemap.cli.wrap_request import wrap
 
 app = typer.Typer(
     name="cagemap",
@@ -59,10 +58,8 @@ def _root(
     threads: Annotated[
         int | None,
         typer.Option(
-            "--threads",
             min=1,
             help="Spread work over at most this many threads; all cores by default. CAGEMAP_THREADS says the same.",
-            show_default=False,
         ),
     ] = None,
     verbose: Annotated[
@@ -97,9 +94,7 @@ def demo(
 
 @app.command()
 def check(
-    meshes: Annotated[
-        list[Path], typer.Argument(metavar="MESH...", help="Control meshes, .obj, .ply or USD.", show_default=False)
-    ],
+    meshes: Annotated[list[Path], typer.Argument(metavar="MESH...", help="Control meshes, .obj, .ply or USD.")],
     as_json: Annotated[bool, typer.Option("--json", help="Say the same as JSON, for scripts.")] = False,
 ) -> None:
     """Tell whether control meshes can be used, and if not, what to mend and where.
@@ -142,21 +137,7 @@ def refine(
 
 app.command()(match)
 app.command()(transfer)
-
-
-@app.command()
-@asks(ReportRequest)
-def report(request: ReportRequest) -> None:
-    """Write one HTML page: both surfaces in the same views, the map as colours, quality in plain words.
-
-    The page needs nothing beside it: mail it, print it.
-    """
-    from cagemap.cli.progress import Stages
-    from cagemap.cli.report import run_report
-
-    with Stages() as stages:
-        run_report(request, stages)
-    say(f"Open {request.output} in a browser.")
+app.command()(report)
 
 
 @app.command()
@@ -165,7 +146,7 @@ def suggest(
     output: Annotated[Path, typer.Option("-o", "--output", help="Landmark file to write, .json.")] = Path(
         "landmarks.json"
     ),
-    count: Annotated[int, typer.Option("--count", min=1, help="How many more landmarks.")] = 3,
+    count: Annotated[int, typer.Option(min=1, help="How many more landmarks.")] = 3,
     force: Force = False,
 ) -> None:
     """Say where more landmarks would tell most, and write them for correction.
@@ -180,19 +161,12 @@ def suggest(
 
 @app.command()
 def run(
-    job: Annotated[Path, typer.Argument(help="Job file, .toml.", show_default=False)],
+    job: Annotated[Path, typer.Argument(help="Job file, .toml.")],
     scheduler: Annotated[
         str | None,
-        typer.Option(
-            "--scheduler",
-            help="Address of a running Dask scheduler, such as tcp://host:8786.  [default: processes here]",
-            show_default=False,
-        ),
+        typer.Option(help="Address of a running Dask scheduler, such as tcp://host:8786.  [default: processes here]"),
     ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option("--workers", min=1, help="Processes here.  [default: one for each core]", show_default=False),
-    ] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes here.  [default: one for each core]")] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Only say what would be done, and about how long it takes.")
     ] = False,
@@ -214,31 +188,17 @@ def run(
 
 @app.command()
 def studio(
-    target: Annotated[
-        Path | None, typer.Option("--target", "-t", help="Control mesh that receives.", show_default=False)
-    ] = None,
-    source: Annotated[
-        Path | None, typer.Option("--source", "-s", help="Control mesh that gives.", show_default=False)
-    ] = None,
-    landmarks: Annotated[
-        Path | None, typer.Option("--landmarks", help="Landmark file to open and save.", show_default=False)
-    ] = None,
-    texture: Annotated[
-        Path | None, typer.Option("--texture", help="Image over the source's UVs.", show_default=False)
-    ] = None,
-    result: Annotated[
-        Path | None,
-        typer.Option("--result", help="RESULT folder of the finish; alone, the one to open.", show_default=False),
-    ] = None,
+    target: Annotated[Path | None, typer.Option("--target", "-t", help="Control mesh that receives.")] = None,
+    source: Annotated[Path | None, typer.Option("--source", "-s", help="Control mesh that gives.")] = None,
+    landmarks: Annotated[Path | None, typer.Option(help="Landmark file to open and save.")] = None,
+    texture: Annotated[Path | None, typer.Option(help="Image over the source's UVs.")] = None,
+    result: Annotated[Path | None, typer.Option(help="RESULT folder of the finish; alone, the one to open.")] = None,
     folder: Annotated[
-        list[Path] | None,
-        typer.Option("--folder", help="Folder whose files the page may open and write; repeat it for more."),
+        list[Path] | None, typer.Option(help="Folder whose files the page may open and write; repeat it for more.")
     ] = None,
-    host: Annotated[str, typer.Option("--host", help="Address to serve; others than loopback need the token.")] = (
-        "127.0.0.1"
-    ),
-    port: Annotated[int, typer.Option("--port", min=0, max=65535, help="The next free one is taken.")] = 8765,
-    vertices: Annotated[int, typer.Option("--vertices", min=1, help="About this many a model, in the page.")] = 25_000,
+    host: Annotated[str, typer.Option(help="Address to serve; others than loopback need the token.")] = ("127.0.0.1"),
+    port: Annotated[int, typer.Option(min=0, max=65535, help="The next free one is taken.")] = 8765,
+    vertices: Annotated[int, typer.Option(min=1, help="About this many a model, in the page.")] = 25_000,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
     scheme: SchemeOption = None,
     target_scheme: TargetSchemeOption = None,
@@ -246,18 +206,12 @@ def studio(
     part: Annotated[
         str | None,
         typer.Option(
-            "--part",
             help="Open this object, group, material or component of both files; `cagemap check` lists them.  "
-            "[default: all of a file in one piece, else its largest]",
-            show_default=False,
+            "[default: all of a file in one piece, else its largest]"
         ),
     ] = None,
-    target_part: Annotated[
-        str | None, typer.Option("--target-part", help="As --part, of the target alone.", show_default=False)
-    ] = None,
-    source_part: Annotated[
-        str | None, typer.Option("--source-part", help="As --part, of the source alone.", show_default=False)
-    ] = None,
+    target_part: Annotated[str | None, typer.Option(help="As --part, of the target alone.")] = None,
+    source_part: Annotated[str | None, typer.Option(help="As --part, of the source alone.")] = None,
 ) -> None:
     """Open both models in the browser: see the map, click landmarks where it is wrong, bake.
 

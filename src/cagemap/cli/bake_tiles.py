@@ -10,9 +10,10 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
+from cagemap.cli.command import Outcome
 from cagemap.cli.masks import mask_files
 from cagemap.cli.progress import Stages
-from cagemap.cli.transfer_request import Outcome, TransferRequest, base_of
+from cagemap.cli.transfer_request import TransferRequest, base_of
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs
 from cagemap.files.images import (

@@ -7,6 +7,7 @@ from functools import partial
 from typing import cast
 
 from cagemap.cli.bake_tiles import DEFAULT_SIZE, base_size, masking, prepare_bake, written_channels
+from cagemap.cli.command import Outcome
 from cagemap.cli.detail_bakes import (
     KINDS,
     OFFSETS,
@@ -19,7 +20,7 @@ from cagemap.cli.detail_bakes import (
 )
 from cagemap.cli.progress import Stages
 from cagemap.cli.texture_maps import map_path
-from cagemap.cli.transfer_request import Outcome, TransferRequest
+from cagemap.cli.transfer_request import TransferRequest
 from cagemap.errors import ParameterError
 from cagemap.files.images import udim_path
 from cagemap.files.meshes import read_mesh

@@ -18,9 +18,10 @@ from cagemap.cli.bake_tiles import (
     read_source_image,
     written_channels,
 )
+from cagemap.cli.command import Outcome
 from cagemap.cli.progress import Stages
 from cagemap.cli.texture_maps import map_path
-from cagemap.cli.transfer_request import Outcome, TransferRequest
+from cagemap.cli.transfer_request import TransferRequest
 from cagemap.cli.usd_output import texture_reference, write_usd_results
 from cagemap.errors import ParameterError
 from cagemap.files.images import Image, check_writable, pixel_type, read_image_form, tile_pattern

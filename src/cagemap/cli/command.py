@@ -9,7 +9,12 @@ from inspect import Parameter, Signature
 from types import MappingProxyType
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
+from cagemap.cli.progress import Stages
+from cagemap.cli.words import say, warn
+
 Request = TypeVar("Request")
+# What a command says when it is done, and its warnings.
+Outcome = tuple[str, list[str]]
 
 
 def asks(
@@ -17,8 +22,8 @@ def asks(
     *,
     said: Mapping[str, Any] = MappingProxyType({}),
     read: Callable[..., Request] | None = None,
-) -> Callable[[Callable[[Request], None]], Callable[..., None]]:
-    """Make a command of a function that takes a request: typer sees the request's fields as its parameters.
+) -> Callable[[Callable[[Request, Stages], Outcome]], Callable[..., None]]:
+    """Make a command of a function that does what a request asks: typer sees the request's fields as its parameters.
 
     A field without an option is none of the command line's. One that may be None need not be given; a tuple of any
     length is an option that may be repeated, or left out.
@@ -45,11 +50,14 @@ def asks(
         for own, *options in [get_args(hints[field.name])]
     ]
 
-    def command_of(run: Callable[[Request], None]) -> Callable[..., None]:
+    def command_of(run: Callable[[Request, Stages], Outcome]) -> Callable[..., None]:
         @wraps(run)
         def command(**given: Any) -> None:
             words = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
-            run((read or kind)(**words))
+            with Stages() as stages:
+                summary, warnings = run((read or kind)(**words), stages)
+            warn(warnings)
+            say(summary)
 
         vars(command).update(__signature__=Signature(parameters))
         command.__annotations__ = {one.name: one.annotation for one in parameters} | {"return": None}

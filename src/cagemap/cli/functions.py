@@ -9,7 +9,7 @@ import numpy as np
 from cagemap import research
 from cagemap.basis import BasisConfig, Surface
 from cagemap.cli.bases import parse_schedule, with_laplacian
-from cagemap.cli.functions_command import FunctionsRequest
+from cagemap.cli.functions_request import FunctionsRequest
 from cagemap.cli.mesh_commands import require_size
 from cagemap.cli.progress import Stages
 from cagemap.cli.subdivision import SubdivisionRequest

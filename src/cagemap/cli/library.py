@@ -12,7 +12,7 @@ from pydantic import TypeAdapter
 from cagemap.cli.bases import SIDES, side_bases, side_levels
 from cagemap.cli.dry_run import dry_run
 from cagemap.cli.job_file import WRITTEN
-from cagemap.cli.map_command import MapRequest
+from cagemap.cli.map_request import MapRequest
 from cagemap.cli.match import MatchRequest, read_control, run_match
 from cagemap.cli.mesh_commands import require_size
 from cagemap.cli.own_map import run_map

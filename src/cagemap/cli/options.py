@@ -7,7 +7,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from cagemap.cli.subdivision import BoundaryName, CreasingName, SchemeName, UvName
 from cagemap.files.suffixes import IMAGE_SUFFIXES, VALUE_SUFFIXES
@@ -38,80 +38,50 @@ class NameOrFile:
 MASK_FILES = (*VALUE_SUFFIXES, *IMAGE_SUFFIXES)
 
 Space = Annotated[
-    str,
-    typer.Option("--space", help="Of normals and vectors: tangent (MikkTSpace) or object."),
-    OneOf(("tangent", "object")),
+    str, Option(help="Of normals and vectors: tangent (MikkTSpace) or object."), OneOf(("tangent", "object"))
 ]
-Green = Annotated[
-    str, typer.Option("--green", help="Normal map: green up (OpenGL) or down (DirectX)."), OneOf(("up", "down"))
-]
-MeshFile = Annotated[Path, typer.Argument(help="Control mesh, .obj, .ply or USD.", show_default=False)]
+Green = Annotated[str, Option(help="Normal map: green up (OpenGL) or down (DirectX)."), OneOf(("up", "down"))]
+MeshFile = Annotated[Path, Argument(help="Control mesh, .obj, .ply or USD.")]
 Force = Annotated[
-    bool, typer.Option("--force", help="Overwrite files that cagemap did not write, or that were changed since.")
+    bool, Option("--force", help="Overwrite files that cagemap did not write, or that were changed since.")
 ]
-ResultFolder = Annotated[Path, typer.Argument(help="Folder that `cagemap match` wrote.", show_default=False)]
+ResultFolder = Annotated[Path, Argument(help="Folder that `cagemap match` wrote.")]
 
 SchemeOption = Annotated[
     SchemeName | None,
-    typer.Option(
-        "--scheme",
-        help="Subdivision scheme; none takes the mesh as it is.  [default: as the file says, else loop for triangles]",
-        show_default=False,
+    Option(
+        help="Subdivision scheme; none takes the mesh as it is.  [default: as the file says, else loop for triangles]"
     ),
 ]
-TargetSchemeOption = Annotated[
-    SchemeName | None,
-    typer.Option("--target-scheme", help="The target's own scheme, where it differs.", show_default=False),
-]
-SourceSchemeOption = Annotated[
-    SchemeName | None,
-    typer.Option("--source-scheme", help="The source's own scheme, such as none for a scan.", show_default=False),
-]
+TargetSchemeOption = Annotated[SchemeName | None, Option(help="The target's own scheme, where it differs.")]
+SourceSchemeOption = Annotated[SchemeName | None, Option(help="The source's own scheme, such as none for a scan.")]
 BoundaryOption = Annotated[
     BoundaryName | None,
-    typer.Option(
-        "--boundary",
-        help="Whether boundary vertices with a single face stay.  [default: as the file says, else edge-and-corner]",
-        show_default=False,
+    Option(
+        help="Whether boundary vertices with a single face stay.  [default: as the file says, else edge-and-corner]"
     ),
 ]
-UvOption = Annotated[
-    UvName | None,
-    typer.Option(
-        "--uv-interpolation", help="Where UVs stay linear.  [default: as the file says, else all]", show_default=False
-    ),
-]
+UvOption = Annotated[UvName | None, Option(help="Where UVs stay linear.  [default: as the file says, else all]")]
 CreasingOption = Annotated[
-    CreasingName | None,
-    typer.Option(
-        "--creasing", help="How creases soften.  [default: as the file says, else uniform]", show_default=False
-    ),
+    CreasingName | None, Option(help="How creases soften.  [default: as the file says, else uniform]")
 ]
 
 
 TargetMaskOption = Annotated[
     str | None,
-    typer.Option(
-        "--target-mask",
+    Option(
         help="Only this of the target counts: a group or other part by name, values at vertices or faces (.npz, .csv), "
-        "an image over its UVs; not:... for all but that.",
-        show_default=False,
+        "an image over its UVs; not:... for all but that."
     ),
     NameOrFile(MASK_FILES),
 ]
-SourceMaskOption = Annotated[
-    str | None,
-    typer.Option("--source-mask", help="The same of the source.", show_default=False),
-    NameOrFile(MASK_FILES),
-]
+SourceMaskOption = Annotated[str | None, Option(help="The same of the source."), NameOrFile(MASK_FILES)]
 MaskEdgeOption = Annotated[
     float | None,
-    typer.Option(
-        "--mask-edge",
+    Option(
         min=0.0,
         help="Width of the masks' soft edge, as a share of the model's size.  [default: 0.02 of sets of faces, 0 "
         "of values and images]",
-        show_default=False,
     ),
 ]
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from cagemap.basis import Surface
 from cagemap.cli.job_file import note_match
-from cagemap.cli.map_command import MapRequest
+from cagemap.cli.map_request import MapRequest
 from cagemap.cli.masks import MaskOptions, mask_files, masks_on, read_masks
 from cagemap.cli.mesh_commands import require_size
 from cagemap.cli.progress import Stages

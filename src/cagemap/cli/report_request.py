@@ -1,4 +1,4 @@
-"""What `cagemap report` is asked for, as said on the command line or in a job file; each option said once."""
+"""`cagemap report`: its options, each said once, for the command line, job files and the studio's page."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
+from cagemap.cli.command import Outcome, asks
 from cagemap.cli.options import Force, ResultFolder
+from cagemap.cli.progress import Stages
 
 
 @dataclass(frozen=True)
@@ -16,20 +18,24 @@ class ReportRequest:
     """What the user asked for; without a texture the last one that was baked is shown, if its files are there."""
 
     result: ResultFolder
-    output: Annotated[Path, typer.Option("-o", "--output", help="HTML file to write.")] = Path("report.html")
-    texture: Annotated[
-        Path | None,
-        typer.Option(
-            "--texture", help="Source texture to show.  [default: that of the last transfer]", show_default=False
-        ),
-    ] = None
+    output: Annotated[Path, Option("-o", "--output", help="HTML file to write.")] = Path("report.html")
+    texture: Annotated[Path | None, Option(help="Source texture to show.  [default: that of the last transfer]")] = None
     force: Force = False
     level: Annotated[
         int | None,
-        typer.Option(
-            "--level",
-            min=0,
-            help="Show the map of this level of the target, of --method hfm or paper.  [default: the finest]",
-            show_default=False,
+        Option(
+            min=0, help="Show the map of this level of the target, of --method hfm or paper.  [default: the finest]"
         ),
     ] = None
+
+
+@asks(ReportRequest)
+def report(request: ReportRequest, stages: Stages) -> Outcome:
+    """Write one HTML page: both surfaces in the same views, the map as colours, quality in plain words.
+
+    The page needs nothing beside it: mail it, print it.
+    """
+    from cagemap.cli.report import run_report
+
+    run_report(request, stages)
+    return f"Open {request.output} in a browser.", []

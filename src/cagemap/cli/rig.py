@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.cli.base_values import in_file, keep_base
+from cagemap.cli.command import Outcome
 from cagemap.cli.progress import Stages
-from cagemap.cli.transfer_request import Outcome, TransferRequest
+from cagemap.cli.transfer_request import TransferRequest
 from cagemap.cli.usd_output import write_usd_results
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs

@@ -15,12 +15,13 @@ from cagemap.cli.carry_images import (
     carry_texture,
     carry_vector_displacement,
 )
+from cagemap.cli.command import Outcome
 from cagemap.cli.further_masks import with_masks
 from cagemap.cli.job_file import note_output
 from cagemap.cli.masks import MaskOptions
 from cagemap.cli.progress import Stages
 from cagemap.cli.rig import carry_blend_shapes, carry_skeleton, carry_weights, write_point_map
-from cagemap.cli.transfer_request import Outcome, TransferRequest
+from cagemap.cli.transfer_request import TransferRequest
 from cagemap.cli.usd_output import write_usd_results
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import require_no_input, require_replaceable, require_writable_folder

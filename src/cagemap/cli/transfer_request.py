@@ -1,13 +1,14 @@
-"""What `cagemap transfer` is asked for, as said on the command line or in a job file; each option said once."""
+"""`cagemap transfer`: its options, each said once, for the command line, job files and the studio's page."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-import typer
+from typer import Option
 
+from cagemap.cli.command import Outcome, asks
 from cagemap.cli.options import (
     Force,
     Green,
@@ -19,9 +20,7 @@ from cagemap.cli.options import (
     Space,
     TargetMaskOption,
 )
-
-# A summary, and warnings.
-Outcome = tuple[str, list[str]]
+from cagemap.cli.progress import Stages
 
 
 @dataclass(frozen=True)
@@ -31,156 +30,91 @@ class TransferRequest:
     result: ResultFolder
     output: Annotated[
         Path,
-        typer.Option(
+        Option(
             "-o", "--output", help="Image to write; with --attribute a .npy, .npz or .csv, with --source-uvs a mesh."
         ),
     ]
     texture: Annotated[
         Path | None,
-        typer.Option(
-            "--texture",
-            help="Source texture: colour, roughness, any image. Several as NAME=IMAGE, once each; -o gets their names.",
-            show_default=False,
+        Option(
+            help="Source texture: colour, roughness, any image. Several as NAME=IMAGE, once each; -o gets their names."
         ),
     ] = None
     maps: tuple[tuple[str, Path], ...] = ()  # of --texture, where they have names
     usd: Annotated[
-        Path | None,
-        typer.Option(
-            "--usd",
-            help="Also write a USD layer over the target that has the textures or attributes.",
-            show_default=False,
-        ),
+        Path | None, Option(help="Also write a USD layer over the target that has the textures or attributes.")
     ] = None
-    displacement: Annotated[
-        Path | None, typer.Option("--displacement", help="Source displacement along the normal.", show_default=False)
-    ] = None
-    normal_map: Annotated[
-        Path | None, typer.Option("--normal-map", help="Source normal map, turned with the map.", show_default=False)
-    ] = None
-    vector_displacement: Annotated[
-        Path | None, typer.Option("--vector-displacement", help="Source vector displacement.", show_default=False)
-    ] = None
+    displacement: Annotated[Path | None, Option(help="Source displacement along the normal.")] = None
+    normal_map: Annotated[Path | None, Option(help="Source normal map, turned with the map.")] = None
+    vector_displacement: Annotated[Path | None, Option(help="Source vector displacement.")] = None
     space: Space = "tangent"
     green: Green = "up"
     as_color: Annotated[
-        bool, typer.Option("--as-color", help="Texture: carry what looks like a normal map as a picture.")
+        bool, Option("--as-color", help="Texture: carry what looks like a normal map as a picture.")
     ] = False
     filter: Annotated[
         str,
-        typer.Option(
-            "--filter",
+        Option(
             help="How a source image is read where it does not shrink: smooth or linear; nearest, everywhere, for "
-            "labels and ID maps, whose colours must not mix.",
+            "labels and ID maps, whose colours must not mix."
         ),
         OneOf(("smooth", "linear", "nearest")),
     ] = "smooth"
     attribute: Annotated[
         Path | None,
-        typer.Option(
-            "--attribute",
-            help="Values at the source's control vertices, faces or corners: .npy, .npz, .csv; groups in .json.",
-            show_default=False,
-        ),
+        Option(help="Values at the source's control vertices, faces or corners: .npy, .npz, .csv; groups in .json."),
     ] = None
-    material_colors: Annotated[bool, typer.Option("--material-colors", help="Bake the source's material colours.")] = (
-        False
-    )
+    material_colors: Annotated[bool, Option("--material-colors", help="Bake the source's material colours.")] = False
     bake: Annotated[
         tuple[str, ...],
-        typer.Option(
-            "--bake",
+        Option(
             help="From a detailed mesh: normal, displacement, vector-displacement, ao, colors, texture; several with "
-            "commas.",
-            show_default=False,
+            "commas."
         ),
         SomeOf(("normal", "displacement", "vector-displacement", "ao", "colors", "texture")),
     ] = ()
     detail: Annotated[
-        Path | None,
-        typer.Option(
-            "--detail",
-            help="Bake: mesh that lies on the source.  [default: the source, for ao and colors]",
-            show_default=False,
-        ),
+        Path | None, Option(help="Bake: mesh that lies on the source.  [default: the source, for ao and colors]")
     ] = None
-    detail_texture: Annotated[
-        Path | None,
-        typer.Option("--detail-texture", help="Bake texture: the detailed mesh's own image.", show_default=False),
-    ] = None
-    rays: Annotated[int, typer.Option("--rays", min=1, help="Bake ao: rays for every vertex of the mesh.")] = 128
+    detail_texture: Annotated[Path | None, Option(help="Bake texture: the detailed mesh's own image.")] = None
+    rays: Annotated[int, Option(min=1, help="Bake ao: rays for every vertex of the mesh.")] = 128
     source_uvs: Annotated[
-        bool,
-        typer.Option("--source-uvs", help="Give the target the source's UVs; -o names the mesh, and seams are listed."),
+        bool, Option("--source-uvs", help="Give the target the source's UVs; -o names the mesh, and seams are listed.")
     ] = False
     weights: Annotated[
-        Path | None,
-        typer.Option(
-            "--weights", help="Skinning weights of the source's cage, a column a joint: .csv, .npz.", show_default=False
-        ),
+        Path | None, Option(help="Skinning weights of the source's cage, a column a joint: .csv, .npz.")
     ] = None
-    influences: Annotated[
-        int, typer.Option("--influences", min=0, help="Weights: at most so many joints a vertex; 0 for all.")
-    ] = 4
-    joints: Annotated[
-        Path | None,
-        typer.Option("--joints", help="Skeleton of the source, .json; with --weights its names.", show_default=False),
-    ] = None
+    influences: Annotated[int, Option(min=0, help="Weights: at most so many joints a vertex; 0 for all.")] = 4
+    joints: Annotated[Path | None, Option(help="Skeleton of the source, .json; with --weights its names.")] = None
     blend_shapes: Annotated[
-        tuple[Path, ...],
-        typer.Option(
-            "--blend-shapes",
-            help="Shapes of the source's cage: .obj, .npz or a folder; repeat it for more.",
-            show_default=False,
-        ),
+        tuple[Path, ...], Option(help="Shapes of the source's cage: .obj, .npz or a folder; repeat it for more.")
     ] = ()
     write_map: Annotated[
-        bool, typer.Option("--write-map", help="The map itself, for other programs: .npy, .npz, .mtx or .vts.")
+        bool, Option("--write-map", help="The map itself, for other programs: .npy, .npz, .mtx or .vts.")
     ] = False
     level: Annotated[
         int | None,
-        typer.Option(
-            "--level",
-            min=0,
-            help="Take the map of this level of the target, of --method hfm or paper.  [default: the finest]",
-            show_default=False,
+        Option(
+            min=0, help="Take the map of this level of the target, of --method hfm or paper.  [default: the finest]"
         ),
     ] = None
     size: Annotated[
         int | None,
-        typer.Option(
-            "--size",
-            min=1,
-            max=65_536,
-            help="Width and height in texels.  [default: the source image's, or 2048]",
-            show_default=False,
-        ),
+        Option(min=1, max=65_536, help="Width and height in texels.  [default: the source image's, or 2048]"),
     ] = None
     bits: Annotated[
-        int | None,
-        typer.Option(
-            "--bits", help="8, 16 or 32 (float) a channel.  [default: as the source image]", show_default=False
-        ),
-        OneOf((8, 16, 32)),
+        int | None, Option(help="8, 16 or 32 (float) a channel.  [default: as the source image]"), OneOf((8, 16, 32))
     ] = None
-    scale: Annotated[float, typer.Option("--scale", help="Displacement: source height between the values 0 and 1.")] = (
-        1.0
-    )
+    scale: Annotated[float, Option(help="Displacement: source height between the values 0 and 1.")] = 1.0
     midlevel: Annotated[
-        float | None,
-        typer.Option(
-            "--midlevel",
-            help="Displacement: value that means none.  [default: 0.5 for integers, 0 for floats]",
-            show_default=False,
-        ),
+        float | None, Option(help="Displacement: value that means none.  [default: 0.5 for integers, 0 for floats]")
     ] = None
     bases: Annotated[
         tuple[tuple[str, Path], ...],
-        typer.Option(
+        Option(
             "--base",
             help="The target's own image (or values), which stays outside the masks; for several maps as "
             "NAME=IMAGE.  [default: alpha]",
-            show_default=False,
         ),
     ] = ()
     target_mask: TargetMaskOption = None
@@ -188,9 +122,7 @@ class TransferRequest:
     mask_edge: MaskEdgeOption = None
     unwrap: Annotated[
         bool,
-        typer.Option(
-            "--unwrap", help="Give a target without UVs a layout, and write a mesh that has it beside the image."
-        ),
+        Option("--unwrap", help="Give a target without UVs a layout, and write a mesh that has it beside the image."),
     ] = False
     force: Force = False
 
@@ -199,3 +131,25 @@ def base_of(request: TransferRequest, name: str = "") -> Path | None:
     """What lies outside the masks of a map, or of all of them."""
     given = dict(request.bases)
     return given.get(name, given.get(""))
+
+
+def _read(texture: tuple[str, ...], bases: tuple[str, ...], bake: str | None, **others: Any) -> TransferRequest:
+    """The request of a command line, where an image may have a name and kinds of bakes are listed with commas."""
+    from cagemap.cli.texture_maps import texture_and_maps
+
+    image, maps = texture_and_maps(texture)
+    whole, named = texture_and_maps(bases, "--base")
+    kinds = tuple(name.strip() for name in bake.split(",")) if bake else ()
+    under = named if whole is None else (("", whole),)
+    return TransferRequest(texture=image, maps=maps, bases=under, bake=kinds, **others)
+
+
+@asks(TransferRequest, said={"texture": tuple[str, ...], "bases": tuple[str, ...], "bake": str | None}, read=_read)
+def transfer(request: TransferRequest, stages: Stages) -> Outcome:
+    """Carry something from source to target: textures, attributes, UVs, skinning weights, joints, blend shapes.
+
+    Images are baked into the target's own UV layout, texel by texel, across the source's seams.
+    """
+    from cagemap.cli.transfer import run_transfer
+
+    return run_transfer(request, stages)

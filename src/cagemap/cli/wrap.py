@@ -9,15 +9,16 @@ from typing import Any
 
 import numpy as np
 
+from cagemap.cli.command import Outcome
 from cagemap.cli.further_masks import with_masks
 from cagemap.cli.job_file import note_output
-from cagemap.cli.map_command import MapRequest
+from cagemap.cli.map_request import MapRequest
 from cagemap.cli.masks import MaskOptions, mask_files
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.own_map import run_map
 from cagemap.cli.progress import Stages
 from cagemap.cli.transfer import carry_one
-from cagemap.cli.transfer_request import Outcome, TransferRequest
+from cagemap.cli.transfer_request import TransferRequest
 from cagemap.cli.usd_output import NO_UNITS, write_usd_results
 from cagemap.cli.wrap_bakes import bake_wrapped, outputs_beside, require_bakeable, textures_read, wrap_bakes
 from cagemap.cli.wrap_request import WrapRequest

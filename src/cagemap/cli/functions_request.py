@@ -1,0 +1,70 @@
+"""`cagemap functions`: its options, each said once; the work is in `cagemap.cli.functions`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from typer import Option
+
+from cagemap.cli.command import Outcome, asks
+from cagemap.cli.options import BoundaryOption, CreasingOption, Force, MeshFile, SchemeOption
+from cagemap.cli.progress import Stages
+
+
+@dataclass(frozen=True)
+class FunctionsRequest:
+    """What the user asked for, as said on the command line."""
+
+    mesh: MeshFile
+    output: Annotated[Path, Option("-o", "--output", help="Arrays, .npz, .npy or .csv; or the mesh in colours, .ply.")]
+    kinds: Annotated[
+        str,
+        Option(
+            help="eigenfunctions, heat-signatures, wave-signatures, heat-kernels, wave-kernels; several with commas."
+        ),
+    ] = "eigenfunctions"
+    level: Annotated[
+        int | None, Option("--level", "-l", min=1, help="Finest level of the surface.  [default: about 50000 vertices]")
+    ] = None
+    at: Annotated[
+        int | None, Option(min=0, help="Level at whose vertices the functions are given.  [default: the finest]")
+    ] = None
+    k: Annotated[int, Option("-k", min=1, help="Basis functions.")] = 150
+    tolerance: Annotated[float, Option(help="Relative error allowed in eigenvalues.")] = 0.05
+    schedule: Annotated[
+        str | None, Option(help="Basis functions per level, such as 100,50,50,50; replaces -k and --tolerance.")
+    ] = None
+    laplacian: Annotated[
+        str, Option(help="mean, alexa-wardetzky or de-goes-butts-desbrun, these with :LAMBDA or not.")
+    ] = "mean"
+    accuracy: Annotated[float | None, Option(help="Convergence of the eigensolver.  [default: as match]")] = None
+    literal: Annotated[bool, Option("--literal", help="With --schedule: the paper's Definition 2 to the letter.")] = (
+        False
+    )
+    heat: Annotated[int, Option(min=1, help="Heat signatures or kernels: diffusion times.")] = 10
+    wave: Annotated[int, Option(min=1, help="Wave signatures or kernels: energies.")] = 20
+    points: Annotated[str | None, Option(help="Kernels: control vertices that they start from, such as 0,12,40.")] = (
+        None
+    )
+    column: Annotated[
+        int | None,
+        Option(min=0, help="In colours: which one of the functions.  [default: the first that is not constant]"),
+    ] = None
+    scheme: SchemeOption = None
+    boundary: BoundaryOption = None
+    creasing: CreasingOption = None
+    force: Force = False
+
+
+@asks(FunctionsRequest)
+def functions(request: FunctionsRequest, stages: Stages) -> Outcome:
+    """Write eigenfunctions and descriptors of one mesh at its vertices: for research, and to look at.
+
+    Row i belongs to vertex i of the mesh that `cagemap refine` writes at the same level. The surface has unit area:
+    eigenfunctions are those of the hierarchical basis, eigenvalues and times are free of the file's unit.
+    """
+    from cagemap.cli.functions import run_functions
+
+    return run_functions(request, stages), []
