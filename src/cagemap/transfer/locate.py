@@ -3,6 +3,7 @@
 The three corners of a target triangle are mapped to source points. A sample inside the triangle combines them in space
 and walks over adjacent source triangles, from the point of the nearest corner, to the closest one. So every sample ends
 in *one* source triangle, whose own texture coordinates it may then interpolate: no seam of the source is ever crossed.
+Where all three corners lie in one source triangle the walk begins there: from another one it may stop at a sharp fold.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from cagemap.geometry.triangles import triangle_centres, triangle_neighbors
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.transfer.surface import TexturedSurface
+from cagemap.transfer.texels import EDGE_TOLERANCE
 
 _INSIDE = -1e-9
 # Steps of a walk. Corners of one target triangle land a few source triangles apart; a map that tears is cut off here.
@@ -34,6 +36,8 @@ class MappedSurface:
     target_triangles : (t1, 3) int64
     start_triangles : (n1,) int64
         Source triangle of every target vertex.
+    whole : (t1,) int64
+        Source triangle that holds all corners of a target triangle, -1 where none does.
     mapped : (n1, 3) float64
         Source point of every target vertex, in space.
     frames : (t2, 3, 3) float64
@@ -44,6 +48,7 @@ class MappedSurface:
 
     target_triangles: IndexArray
     start_triangles: IndexArray
+    whole: IndexArray
     mapped: FloatArray
     frames: FloatArray
     neighbors: NDArray[np.int32]
@@ -55,10 +60,45 @@ def map_surface(target: TexturedSurface, source: TexturedSurface, point_map: Poi
     return MappedSurface(
         np.ascontiguousarray(target.triangles),
         np.ascontiguousarray(point_map.triangle, dtype=np.int64),
+        whole_triangles(target.triangles, source.triangles, point_map.triangle, point_map.barycentric),
         np.ascontiguousarray(mapped),
         triangle_frames(source.positions, source.triangles),
         triangle_neighbors(source.triangles),
     )
+
+
+def whole_triangles(
+    target_triangles: IndexArray, source_triangles: IndexArray, triangle: IndexArray, barycentric: FloatArray
+) -> IndexArray:
+    """(t1,) source triangle that all corners of a target triangle lie in, edges and corners included; -1: none.
+
+    Three vertices of the source carry the images of the corners there, and they are a triangle of it.
+
+    Parameters
+    ----------
+    target_triangles : (t1, 3) int64
+    source_triangles : (t2, 3) int64
+    triangle, barycentric : (n1,) int64 and (n1, 3) float64
+        Where target vertices lie on the source.
+    """
+    corners = source_triangles[triangle]
+    heaviest = np.take_along_axis(corners, barycentric.argmax(axis=1)[:, None], axis=1)
+    carriers = np.where(barycentric > 0.0, corners, heaviest)
+    nine = np.sort(carriers[target_triangles].reshape(-1, 9), axis=1)
+    steps = nine[:, 1:] != nine[:, :-1]
+    held = np.flatnonzero(steps.sum(axis=1) == 2)
+    low, middle, high = nine[held, 0], nine[held, steps[held].argmax(axis=1) + 1], nine[held, 8]
+    sorted_corners = np.sort(source_triangles, axis=1)
+    count = int(source_triangles.max(initial=0)) + 1
+    keys = sorted_corners[:, 0] * count + sorted_corners[:, 1]
+    order = np.argsort(keys, kind="stable")
+    first = np.searchsorted(keys[order], low * count + middle)
+    found = np.full(len(target_triangles), -1, dtype=np.int64)
+    for side in (0, 1):  # the triangles on both sides of an edge
+        other = order[np.minimum(first + side, len(order) - 1)]
+        same = (sorted_corners[other] == np.column_stack([low, middle, high])).all(axis=1)
+        found[held[same]] = other[same]
+    return found
 
 
 def triangle_frames(positions: FloatArray, triangles: IndexArray) -> FloatArray:
@@ -168,6 +208,7 @@ def locate_samples(
     _locate(
         surface.target_triangles,
         surface.start_triangles,
+        surface.whole,
         surface.mapped,
         surface.frames,
         surface.neighbors,
@@ -188,7 +229,7 @@ def locate_centers(surface: MappedSurface) -> IndexArray:
     """(t1,) source triangle at the image of every target triangle's centre."""
     centers = triangle_centres(surface.mapped, surface.target_triangles)
     found = np.empty(len(centers), dtype=np.int64)
-    starts = surface.start_triangles[surface.target_triangles[:, 0]]
+    starts = np.where(surface.whole >= 0, surface.whole, surface.start_triangles[surface.target_triangles[:, 0]])
     _walk_all(surface.frames, surface.neighbors, starts, centers, found, np.empty((0, 2)))
     return found
 
@@ -279,6 +320,7 @@ def _walk_all(frames, neighbors, starts, points, found, inside):  # type: ignore
 def _locate(  # type: ignore[no-untyped-def]
     target_triangles,
     start_triangles,
+    whole,
     mapped,
     frames,
     neighbors,
@@ -294,7 +336,8 @@ def _locate(  # type: ignore[no-untyped-def]
 ):
     """Walk for every sample; see :func:`locate_samples`.
 
-    A walk begins where the last sample ended while a row stays in one target triangle, and else at the nearest corner.
+    A walk begins in the triangle that holds all corners; else where the last sample ended while a row stays in one
+    target triangle, and at the nearest corner where it enters.
     """
     found_t = np.int64(-1)
     for texel in range(len(cells)):
@@ -316,14 +359,17 @@ def _locate(  # type: ignore[no-untyped-def]
             b2 = (x1 * y - x * y1) * scale
             b0 = 1.0 - b1 - b2
             lowest = min(b0, b1, b2)
-            if lowest < -_EXTENSION:
+            inside = lowest >= -EDGE_TOLERANCE  # what rounding alone puts outside stays on this side of a seam
+            if lowest < -_EXTENSION or (inside and lowest < 0.0):
                 c0, c1, c2 = max(b0, 0.0), max(b1, 0.0), max(b2, 0.0)
                 total = c0 + c1 + c2
-                reach = -_EXTENSION / lowest
+                reach = 0.0 if inside else -_EXTENSION / lowest
                 b1 = c1 / total + (b1 - c1 / total) * reach
                 b2 = c2 / total + (b2 - c2 / total) * reach
                 b0 = 1.0 - b1 - b2
-            if found_t >= 0:
+            if whole[t] >= 0:
+                start = whole[t]
+            elif found_t >= 0:
                 start = found_t
             elif b0 >= b1 and b0 >= b2:
                 start = start_triangles[i]

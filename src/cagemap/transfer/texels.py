@@ -19,7 +19,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 TriangleImage = NDArray[np.int32]
 
 # A texel centre on the edge between two triangles must not be missed by both because of rounding.
-_EDGE_TOLERANCE = 1e-7
+EDGE_TOLERANCE = 1e-7
 # Bilinear lookups inside an island touch texels whose centre is up to a texel away along both axes.
 GUTTER_RADIUS = float(np.sqrt(2.0))
 
@@ -155,7 +155,7 @@ def _rasterize(image, top, corners, triangles):  # type: ignore[no-untyped-def]
                 x = c + 0.5 - x0
                 b1 = (x * y2 - x2 * y) * scale
                 b2 = (x1 * y - x * y1) * scale
-                if b1 >= -_EDGE_TOLERANCE and b2 >= -_EDGE_TOLERANCE and b1 + b2 <= 1.0 + _EDGE_TOLERANCE:
+                if b1 >= -EDGE_TOLERANCE and b2 >= -EDGE_TOLERANCE and b1 + b2 <= 1.0 + EDGE_TOLERANCE:
                     if image[r, c] < 0:
                         image[r, c] = t
 
