@@ -46,7 +46,7 @@ def test_comments_colours_and_counts_on_the_first_line_are_read(text: str, tmp_p
 @pytest.mark.parametrize(
     ("was", "now", "said"),
     [
-        ("OFF", "COFF", "another beginning"),
+        ("OFF", "4OFF", "another beginning"),
         ("5 2 0", "5 3 0", "a line for each"),
         ("5 2 0", "x 2 0", "a line for each"),
         ("5 2 0", "-1 2 0", "a line for each"),

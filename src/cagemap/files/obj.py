@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path, require_replaceable
+from cagemap.files.colors import as_shares
 from cagemap.files.marks import mark
 from cagemap.files.mtl import read_material_colors, write_materials
 from cagemap.files.obj_polypaint import KEYWORD, polypaint
@@ -114,8 +115,8 @@ def _split_statements(path: Path, text: str) -> _Statements:
     continuations = None
     if "\\" in text:
         # A comment may end in a backslash (a Windows path) without swallowing the line that follows.
-        text = re.sub(rf"(?m)^ *(?!{KEYWORD})#.*$", "", text)
-        text = re.sub(r"\\ *\n", "\0", text)
+        text = re.sub(rf"(?m)^(?! *{KEYWORD})( *(?:(?:vt?|vn|fo?|l|p) [^#\n]*)?)#.*$", r"\1", text)
+        text = re.sub(r"\\ *(?:\n|\Z)", "\0", text)
         continuations = np.array([line.count("\0") for line in text.split("\n")], dtype=np.int64)
         text = text.replace("\0", " ")
     lines = [line.strip() for line in text.split("\n")]
@@ -291,7 +292,7 @@ def _read_vertex_colors(statements: _Statements, n_vertices: int) -> FloatArray 
         raise statements.fail(
             int(rows[bad]), "'v', three coordinates and three colour values", "Export the mesh again."
         ) from None
-    return np.array(table, dtype=np.float64)
+    return as_shares(np.array(table, dtype=np.float64))
 
 
 def _are_numbers(fields: Sequence[str]) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,13 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
+# With texture coordinates, colours or normals behind every place; some files have the counts right behind it.
+_FIRST_WORD = re.compile(r"(ST)?C?N?OFF(?=\d*\Z)", re.IGNORECASE)
 _FORM = "OFF, then the numbers of vertices, faces and edges, then a line each: x y z, and 3 a b c"
 
 
 def read_off(path: str | Path) -> ControlMesh:
-    """Read a control mesh from an OFF file in the file's own order; colours behind faces are ignored.
+    """Read a control mesh from an OFF file in the file's own order; normals, colours and the like are ignored.
 
     Raises
     ------
@@ -27,12 +30,14 @@ def read_off(path: str | Path) -> ControlMesh:
     """
     file = Path(path)
     rows = [words for line in read_text(file, "an OFF file").splitlines() if (words := line.partition("#")[0].split())]
-    if not rows or rows[0][0] != "OFF":
+    first = _FIRST_WORD.match(rows[0][0]) if rows else None
+    if first is None:
         raise FormatError(
             f"{file}: expected an OFF file of places in space, got another beginning. The form is {_FORM}."
         )
-    counts = rows[0][1:] or (rows[1] if len(rows) > 1 else [])
-    body = rows[1:] if rows[0][1:] else rows[2:]
+    same_line = [word for word in (rows[0][0][first.end() :], *rows[0][1:]) if word]
+    counts = same_line or (rows[1] if len(rows) > 1 else [])
+    body = rows[1:] if same_line else rows[2:]
     try:
         n, m = (int(word) for word in counts[:2])
     except ValueError:

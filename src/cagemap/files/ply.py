@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
+from cagemap.files.colors import as_shares
 from cagemap.files.marks import mark
 from cagemap.files.ply_records import Column, read_columns
 from cagemap.files.text import read_bytes
@@ -21,6 +22,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 
 _FACE_LISTS = ("vertex_indices", "vertex_index")
 _COLORS = ("red", "green", "blue")
+_VERTEX_COLORS = (_COLORS, ("diffuse_red", "diffuse_green", "diffuse_blue"))
 _VERTEX_UVS = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 
 
@@ -28,8 +30,8 @@ def read_ply(path: str | Path) -> ControlMesh:
     """Read a control mesh from a PLY file, text or binary, in the file's own order.
 
     Texture coordinates are taken from the faces' ``texcoord`` lists, else from the vertices (``s t``, ``u v`` or
-    ``texture_u texture_v``), and vertex colours from ``red green blue``: from 0 to 1, or to 255 where they are bytes or
-    go beyond. Normals and other elements are ignored.
+    ``texture_u texture_v``), and vertex colours from ``red green blue``: to the largest number of their type where they
+    are integers, else from 0 to 1, or bytes where they go beyond. Normals and other elements are ignored.
 
     Raises
     ------
@@ -52,10 +54,20 @@ def read_ply(path: str | Path) -> ControlMesh:
     offsets = np.concatenate([[0], np.cumsum(corners.lengths)]).astype(np.int64)
     indices = _indices(file, corners, len(positions))
     uvs, uv_indices = _uvs(file, vertices, faces.get("texcoord"), corners.lengths, indices)
-    colors = _table(file, vertices, _COLORS, "colours")
-    bytes_ = colors is not None and (colors.max() > 1.0 or vertices["red"].values.dtype == np.uint8)
-    colors = colors / 255.0 if colors is not None and bytes_ else colors
-    return ControlMesh(positions, offsets, indices, uvs, uv_indices, name=file.name, vertex_colors=colors)
+    return ControlMesh(
+        positions, offsets, indices, uvs, uv_indices, name=file.name, vertex_colors=_vertex_colors(vertices)
+    )
+
+
+def _vertex_colors(vertices: dict[str, Column]) -> FloatArray | None:
+    """Colours of the vertices, NaN where one has none; None where none has."""
+    names = next((names for names in _VERTEX_COLORS if all(name in vertices for name in names)), None)
+    if names is None:
+        return None
+    colors = np.column_stack([vertices[name].values.astype(np.float64) for name in names])
+    colors[~np.isfinite(colors).all(axis=1)] = np.nan
+    stated = np.dtype(vertices[names[0]].stated)
+    return as_shares(colors, float(np.iinfo(stated).max) if stated.kind in "iu" and stated.itemsize < 4 else None)
 
 
 def _table(path: Path, columns: dict[str, Column], names: tuple[str, ...], what: str) -> FloatArray | None:

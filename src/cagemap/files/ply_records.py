@@ -6,6 +6,7 @@ counts and ends of file exist once.
 
 from __future__ import annotations
 
+import re
 import struct
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,6 +27,7 @@ _TYPES = {
 _STRUCT = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _REMEDY = "Export the mesh again as PLY or OBJ."
+_END_LINE = re.compile(rb"(?<=[\r\n])end_header")  # a comment may have the word as well
 
 
 @dataclass(frozen=True)
@@ -48,10 +50,14 @@ class Element:
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """Values of one property for all records: ``lengths[i]`` of them for record i (1 for a scalar), concatenated."""
+    """Values of one property for all records: ``lengths[i]`` of them for record i (1 for a scalar), concatenated.
+
+    ``stated`` is the type in the header, which the values of a text file do not show.
+    """
 
     lengths: IndexArray
     values: NDArray[Any]
+    stated: str = ""
 
 
 def read_columns(path: Path, content: bytes) -> dict[str, dict[str, Column]]:
@@ -63,13 +69,11 @@ def read_columns(path: Path, content: bytes) -> dict[str, dict[str, Column]]:
         If the header is malformed (named by line) or the body ends early (named by element and record).
     """
     order, elements, start = _read_header(path, content)
-    body = content[start:]
-    if not order:
-        body = _pack_text(path, body)
-        elements = [_as_float64(element) for element in elements]
+    body = content[start:] if order else _pack_text(path, content[start:])
     columns, position = {}, 0
     for element in elements:
-        columns[element.name], position = _read_element(path, body, position, element)
+        found, position = _read_element(path, body, position, element if order else _as_float64(element))
+        columns[element.name] = {p.name: replace(found[p.name], stated=p.type) for p in element.properties}
     return columns
 
 
@@ -77,11 +81,13 @@ def _read_header(path: Path, content: bytes) -> tuple[str, list[Element], int]:
     """Parse the header; returns the byte order ('' for text), the elements and where the body starts."""
     if not content.startswith(b"ply"):
         raise FormatError(f"{path}: expected a PLY file, which begins with 'ply', got {content[:16]!r}. {_REMEDY}")
-    end = content.find(b"end_header")
-    if end < 0:
+    end_line = _END_LINE.search(content)
+    if end_line is None:
         raise FormatError(f"{path}: expected a PLY header that ends with 'end_header', found no end. {_REMEDY}")
-    start = end + len(b"end_header")
-    for line_end in (b"\r\n", b"\n", b"\r"):
+    end, start = end_line.span()
+    # Where lines end in a carriage return alone, a line feed is the body's first byte.
+    alone = content.startswith(b"ply\r") and not content.startswith(b"ply\r\n")
+    for line_end in (b"\r",) if alone else (b"\r\n", b"\n", b"\r"):
         if content.startswith(line_end, start):
             start += len(line_end)
             break

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 from pathlib import Path
 
@@ -16,7 +17,9 @@ _REMEDY = "Export the mesh again as STL, PLY or OBJ."
 _TRIANGLE = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _HEAD = 84
 _NUMBER = rb"[-+.0-9eEinfaINFA]+"
-_VERTEX = re.compile(rb"\bvertex\s+(%s)\s+(%s)\s+(%s)" % (_NUMBER, _NUMBER, _NUMBER))
+# At the beginning of a line: the name of a solid may have the word as well.
+_VERTEX = re.compile(rb"(?mi)^\s*vertex\s+(%s)\s+(%s)\s+(%s)" % (_NUMBER, _NUMBER, _NUMBER))
+_VERTICES = re.compile(rb"(?mi)^\s*vertex\b")
 
 
 def read_stl(path: str | Path) -> ControlMesh:
@@ -58,10 +61,11 @@ def _binary(content: bytes) -> FloatArray | None:
 
 def _text(file: Path, content: bytes) -> FloatArray:
     """(3 t, 3) corners of a text file."""
-    if not content.lstrip().startswith(b"solid") or b"endsolid" not in content:
+    content = content.removeprefix(codecs.BOM_UTF8).replace(b"\r", b"\n")
+    if not content.lstrip()[:5].lower() == b"solid" or b"endsolid" not in content.lower():
         raise FormatError(f"{file}: expected an STL file, got something else, or one that is cut short. {_REMEDY}")
     found = _VERTEX.findall(content)
-    if len(found) % 3 or len(found) != content.count(b"vertex"):
+    if len(found) % 3 or len(found) != len(_VERTICES.findall(content)):
         raise FormatError(f"{file}: expected three vertices of three numbers a triangle, got {len(found)}. {_REMEDY}")
     try:
         return np.array(found, dtype=np.float64).reshape(-1, 3)
