@@ -116,6 +116,15 @@ def test_more_and_fewer_words(
     assert frozen == [True]
 
 
+def test_a_warning_is_said_once_a_command(capsys: pytest.CaptureFixture[str]) -> None:
+    """Commands open some files several times."""
+    for _ in range(2):
+        set_verbosity(0, quiet=False)
+        for words in ("one", "two", "one"):
+            warn([words])
+        assert capsys.readouterr().err.splitlines() == ["cagemap: warning: one", "cagemap: warning: two"]
+
+
 def test_names_that_are_no_text_are_written_as_escapes(tmp_path: Path) -> None:
     name = os.fsdecode(b"b\xffx.obj")
     write_mesh(tmp_path / name, cube())

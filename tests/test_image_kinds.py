@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given as given_by
 from hypothesis import settings
 from hypothesis import strategies as st
+from PIL import Image as PillowImage
 
 from cagemap.cli.progress import Stages
 from cagemap.cli.transfer import run_transfer
@@ -131,6 +132,28 @@ def test_an_exr_of_several_parts_is_refused(tmp_path: Path) -> None:
     output.close()
     with pytest.raises(FormatError, match="several parts"):
         read_image(path)
+
+
+@pytest.mark.parametrize(("other", "read"), [((8, 6), False), ((8, 3), False), ((4, 3), True), (None, True)])
+def test_a_tiff_of_several_pages_is_refused_but_for_smaller_ones(
+    tmp_path: Path, other: tuple[int, int] | None, read: bool
+) -> None:
+    """Layers are other pictures, thumbnails are none."""
+    pixels = np.arange(8 * 6 * 3, dtype=np.uint8).reshape(6, 8, 3)
+    more = [] if other is None else [PillowImage.new("RGB", other)]
+    PillowImage.fromarray(pixels).save(tmp_path / "a.tif", save_all=True, append_images=more)
+    if read:
+        np.testing.assert_array_equal(read_image(tmp_path / "a.tif").pixels, pixels)
+    else:
+        with pytest.raises(FormatError, match="a TIFF of several pages"):
+            read_image(tmp_path / "a.tif")
+
+
+def test_a_tiff_of_lab_colours_is_refused(tmp_path: Path) -> None:
+    """The library that reads it turns them into RGB some 14 levels off."""
+    PillowImage.new("LAB", (4, 4), (100, 20, 20)).save(tmp_path / "lab.tif")
+    with pytest.raises(FormatError, match="LAB colours"):
+        read_image(tmp_path / "lab.tif")
 
 
 def test_colours_multiplied_by_alpha_stay_so_or_are_divided(tmp_path: Path) -> None:

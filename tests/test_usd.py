@@ -280,6 +280,24 @@ def test_a_transform_that_flattens_is_refused(tmp_path: Path, scale: str) -> Non
         read_usd(file)
 
 
+def test_a_flattened_mesh_beside_others_is_left_out_aloud(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Animators hide what is not on stage by a scale of 0: the others are read as without it."""
+    file = tmp_path / "scene.usda"
+    write_usd(file, full_cube())
+    whole = read_usd(file)
+    stage = Usd.Stage.Open(str(file))
+    hidden = UsdGeom.Mesh.Define(stage, "/World/hidden")
+    hidden.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
+    hidden.CreateFaceVertexCountsAttr([3])
+    hidden.CreateFaceVertexIndicesAttr([0, 1, 2])
+    hidden.AddScaleOp().Set((0.0, 0.0, 0.0))
+    stage.Save()
+    read = read_usd(file)
+    np.testing.assert_array_equal(read.positions, whole.positions)
+    np.testing.assert_array_equal(read.face_indices, whole.face_indices)
+    assert re.search(r"scene\.usda: left out .*: /World/hidden$", caplog.messages[-1])
+
+
 def test_damaged_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match=r"damaged \(no number: 'x'\)"), named_damage("bad.usda"):
         raise ValueError("no number: 'x'")

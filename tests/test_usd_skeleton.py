@@ -25,9 +25,10 @@ pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
 from pxr import Gf, Usd, UsdGeom, UsdSkel
 
-from cagemap.files.usd import local_to_world, moved, read_usd, read_usd_meshes
+from cagemap.files.usd import read_usd, read_usd_meshes
 from cagemap.files.usd_skeleton import read_usd_skeleton
 from cagemap.files.usd_space import between_spaces, to_standard, unit_notes
+from cagemap.files.usd_transforms import local_to_world, moved
 from cagemap.files.usd_write import UsdResults, write_usd
 from test_usd import complaints
 

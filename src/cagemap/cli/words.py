@@ -28,12 +28,23 @@ def in_options(text: str) -> str:
 
 
 class _StandardError(logging.Handler):
-    """``cagemap: warning: ...`` for warnings, ``cagemap: ...`` for what is only said when asked for."""
+    """``cagemap: warning: ...`` for warnings, ``cagemap: ...`` for what is only said when asked for.
+
+    A command opens some files several times: each warning is said once.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.warned: set[str] = set()
 
     def emit(self, record: logging.LogRecord) -> None:
+        text = in_options(self.format(record))
         level = "" if record.levelno < logging.WARNING else f"{record.levelname.lower()}: "
+        if level and text in self.warned:
+            return
+        self.warned |= {text} if level else set()
         try:
-            sys.stderr.write(f"cagemap: {level}{in_options(self.format(record))}\n")
+            sys.stderr.write(f"cagemap: {level}{text}\n")
             sys.stderr.flush()
         except BrokenPipeError:
             _forget(sys.stderr.fileno())
@@ -49,8 +60,9 @@ def set_verbosity(verbose: int, quiet: bool) -> None:
     quiet : bool
     """
     logger = logging.getLogger("cagemap")
-    if not any(isinstance(handler, _StandardError) for handler in logger.handlers):
-        logger.addHandler(_StandardError())
+    for handler in [handler for handler in logger.handlers if isinstance(handler, _StandardError)]:
+        logger.removeHandler(handler)
+    logger.addHandler(_StandardError())
     levels = (logging.WARNING, logging.INFO, logging.DEBUG)
     logger.setLevel(logging.ERROR if quiet else levels[min(verbose, 2)])
 

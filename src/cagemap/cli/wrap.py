@@ -40,8 +40,9 @@ from cagemap.files.result import (
     read_result,
     stated_path,
 )
-from cagemap.files.usd import USD_SUFFIXES, moved
+from cagemap.files.usd import USD_SUFFIXES
 from cagemap.files.usd_space import between_spaces
+from cagemap.files.usd_transforms import moved
 from cagemap.files.usd_write import UsdResults
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh

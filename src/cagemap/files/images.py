@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
+from cagemap.files.image_parts import on_display, require_one_picture
 from cagemap.files.marks import mark
 from cagemap.files.text import require_file
 from cagemap.mesh.udim import FIRST_TILE
@@ -40,7 +41,6 @@ _FORMATS: dict[str, tuple[str, ...]] = {
 }
 _CHANNELS = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
 _LARGEST_CHANNELS = 4
-_LARGEST_WINDOW = 1 << 16
 _TIFF = (".tif", ".tiff")
 _HEADER = 1 << 16  # bytes of a file beside its texels
 # What file systems answer that cannot reserve room.
@@ -105,31 +105,8 @@ def _read(file: Path) -> Image:
     array = np.asarray(pixels).reshape(spec.height, spec.width, spec.nchannels).astype(kind, copy=False)
     tiff = file.suffix.lower() in _TIFF
     associated = tiff and spec.alpha_channel >= 0 and not spec.getattribute("oiio:UnassociatedAlpha")
-    array = _on_display(array, spec) if file.suffix.lower() == ".exr" else array
+    array = on_display(array, spec) if file.suffix.lower() == ".exr" else array
     return Image(array, tuple(spec.channelnames), str(spec.getattribute("oiio:ColorSpace") or ""), associated)
-
-
-def _on_display(pixels: Pixels, spec: Any) -> Pixels:
-    """What lies in the display window of an EXR: its data window may be smaller, with nothing beside it, or larger."""
-    rows, columns = (
-        (slice(max(lo, full), min(lo + size, full + count)), lo, full, count)
-        for lo, size, full, count in (
-            (spec.y, spec.height, spec.full_y, spec.full_height),
-            (spec.x, spec.width, spec.full_x, spec.full_width),
-        )
-    )
-    if pixels.shape[:2] == (rows[3], columns[3]) and (rows[1], columns[1]) == (rows[2], columns[2]):
-        return pixels
-    shown = np.zeros((rows[3], columns[3], pixels.shape[2]), dtype=pixels.dtype)
-    there, here = (
-        tuple(slice(part.start - start, max(part.stop, part.start) - start) for part, start in pairs)
-        for pairs in (
-            ((rows[0], rows[2]), (columns[0], columns[2])),
-            ((rows[0], rows[1]), (columns[0], columns[1])),
-        )
-    )
-    shown[there] = pixels[here]
-    return shown
 
 
 def _open(file: Path) -> tuple[Any, str]:
@@ -154,23 +131,12 @@ def _open(file: Path) -> tuple[Any, str]:
             f"{file}: expected a flat image of 1 to {_LARGEST_CHANNELS} channels of uint8, uint16, half or float, "
             f"found {spec.nchannels} of {kind}" + (" in depth" if spec.depth > 1 else "") + ". Convert it first."
         )
-    if file.suffix.lower() == ".exr":
-        _require_one_picture(file, opened, spec)
+    try:
+        require_one_picture(file, opened)
+    except FormatError:
+        opened.close()
+        raise
     return opened, known[kind]
-
-
-def _require_one_picture(file: Path, opened: Any, spec: Any) -> None:
-    """Refuse an EXR of several parts, and one whose display window is no image's."""
-    several = opened.seek_subimage(1, 0)
-    if several or not opened.seek_subimage(0, 0):
-        opened.close()
-        raise FormatError(f"{file}: expected one picture, found an EXR of several parts. Export the one that is meant.")
-    if not (0 < spec.full_width <= _LARGEST_WINDOW and 0 < spec.full_height <= _LARGEST_WINDOW):
-        opened.close()
-        raise FormatError(
-            f"{file}: expected a display window of 1 to {_LARGEST_WINDOW} texels a side, found {spec.full_width} x "
-            f"{spec.full_height}. Export it again."
-        )
 
 
 def read_image_form(path: str | Path) -> tuple[np.dtype[Any], int]:

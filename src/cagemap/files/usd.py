@@ -19,6 +19,7 @@ from cagemap.errors import FormatError
 from cagemap.files.text import require_file
 from cagemap.files.usd_face_sets import face_sets
 from cagemap.files.usd_primvars import BLEND_SHAPE, corner_values, integers, primvar_arrays, stated, uv_primvars
+from cagemap.files.usd_transforms import is_mirrored, local_to_world, moved, unflattened
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Plain, Scheme
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.join import join_meshes
@@ -45,8 +46,6 @@ _UVS = {
 }
 # Purposes of meshes that stand for others.
 _STAND_INS = ("guide", "proxy")
-# Condition from which on a transform counts as one that flattens: float32 scales hold seven digits.
-_FLATTENING = 1e12
 _TRIANGLES = {"catmullClark": "catmull_clark", "smooth": "smooth"}
 
 
@@ -142,7 +141,8 @@ def named_damage(file: str | Path) -> Iterator[None]:
 def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
     """Every active mesh prim of a stage, in its order, instances among them; at the first time, where it moves.
 
-    Stand-ins (purpose guide or proxy) are left out beside meshes that are none.
+    Stand-ins (purpose guide or proxy) are left out beside meshes that are none, and so are meshes that their transform
+    flattens (as animators hide them) beside others; that is warned of.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
         prims = [prim for prim in every if prim.IsA(pxr.UsdGeom.Mesh)]
         final = [prim for prim in prims if str(pxr.UsdGeom.Imageable(prim).ComputePurpose()) not in _STAND_INS]
         with_points = [prim for prim in final or prims if stated(pxr.UsdGeom.Mesh(prim).GetPointsAttr())]
-        meshes = tuple(_read_prim(file, prim) for prim in with_points)
+        meshes = tuple(_read_prim(file, prim) for prim in unflattened(file, with_points))
     if not meshes:
         what = f"got {len(prims)} without points" if prims else "got none"
         open_sets = _variants_without_choice(stage)
@@ -227,11 +227,6 @@ def one_mesh(path: str | Path, meshes: tuple[UsdMesh, ...], control: ControlMesh
     return chosen[0]
 
 
-def moved(points: FloatArray, matrix: FloatArray) -> FloatArray:
-    """(n, 3) points through a (4, 4) matrix of USD, which takes rows."""
-    return np.asarray(points @ matrix[:3, :3] + matrix[3, :3])
-
-
 def in_world(mesh: UsdMesh) -> UsdMesh:
     """The mesh and its blend shapes in world space, with its prim's path as object; a mirrored one is turned round."""
     control, attributes = mesh.control, dict(mesh.attributes)
@@ -246,11 +241,6 @@ def in_world(mesh: UsdMesh) -> UsdMesh:
     )
     shapes = {name: array @ turn for name, array in attributes.items() if name.startswith(BLEND_SHAPE)}
     return replace(mesh, control=control, attributes=attributes | shapes)
-
-
-def is_mirrored(matrix: FloatArray) -> bool:
-    """Whether a (4, 4) transform makes left hands of right ones."""
-    return bool(np.linalg.det(matrix[:3, :3]) < 0)
 
 
 def _read_prim(file: Path, prim: Any) -> UsdMesh:
@@ -286,24 +276,6 @@ def _read_prim(file: Path, prim: Any) -> UsdMesh:
     if mesh.GetOrientationAttr().Get() == "leftHanded":
         control, attributes = _turned_round(control, attributes)
     return UsdMesh(str(prim.GetPath()), control, attributes, local_to_world(prim))
-
-
-def local_to_world(prim: Any) -> FloatArray:
-    """(4, 4) from a prim's own space to the world's.
-
-    Raises
-    ------
-    FormatError
-        If it flattens what it moves, or is not finite.
-    """
-    pxr = usd_modules()
-    matrix = np.array(pxr.UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(pxr.Usd.TimeCode.EarliestTime()))
-    if not np.isfinite(matrix).all() or np.linalg.cond(matrix[:3, :3]) > _FLATTENING:
-        raise FormatError(
-            f"{prim.GetStage().GetRootLayer().realPath}: {prim.GetPath()}: expected a transform that can be undone, "
-            "got one that flattens the mesh or holds no numbers. Repair its scale and export again."
-        )
-    return matrix
 
 
 def _scheme(where: str, mesh: Any) -> Scheme:

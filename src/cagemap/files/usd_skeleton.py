@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files.usd import moved, named_damage, one_mesh, open_stage, read_usd_meshes, usd_modules
+from cagemap.files.usd import named_damage, one_mesh, open_stage, read_usd_meshes, usd_modules
+from cagemap.files.usd_transforms import moved
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.numerics.arrays import FloatArray

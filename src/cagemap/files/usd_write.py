@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.marks import mark
-from cagemap.files.usd import is_mirrored, local_to_world, moved, open_stage, reversed_corners, usd_modules
+from cagemap.files.usd import open_stage, reversed_corners, usd_modules
 from cagemap.files.usd_material import bind_textures
 from cagemap.files.usd_primvars import BLEND_SHAPE, JOINT_WEIGHTS
 from cagemap.files.usd_skeleton import write_usd_skeleton
 from cagemap.files.usd_space import StageSpace, StageUnits
+from cagemap.files.usd_transforms import is_mirrored, local_to_world, moved
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Plain
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.numerics.arrays import FloatArray, IndexArray
