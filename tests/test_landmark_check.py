@@ -14,13 +14,13 @@ from cagemap.maps.elastic.config import ElasticConfig, Stage, StartConfig
 from cagemap.maps.elastic.graph import ElasticGraph, cluster_graph
 from cagemap.maps.elastic.prepared import level_graph
 from cagemap.maps.landmarks import check
-from cagemap.maps.landmarks.check import DISTANCES, LandmarkCheck, LandmarkSuspect
+from cagemap.maps.landmarks.check import DISTANCES, SIDES, LandmarkCheck, LandmarkSuspect
 from cagemap.maps.landmarks.distances import (
     LandmarkDistances,
     misplaced_pairs,
-    orientation_agreement,
     place_by_distances,
 )
+from cagemap.maps.landmarks.sides import exchanged_sides, orientation_agreement
 from cagemap.maps.landmarks.strain import ReducedEnergy, elastic_form, reduced_energy, strained_pair
 
 LEVEL = 1  # 1700 and 2200 vertices
@@ -87,6 +87,61 @@ def test_two_exchanged_pairs_are_both_found(pair, graphs, first, second):
     i, j = landmarks.names.index(first), landmarks.names.index(second)
     exchanged = with_source(landmarks, {i: landmarks.source[j], j: landmarks.source[i]})
     assert sorted(misplaced(graphs, exchanged)) == sorted([i, j])
+
+
+FEET = ["nose_tip", "tail_tip", "chest", "poll", "hoof_front_L", "hoof_front_R", "hoof_hind_L", "hoof_hind_R"]
+
+
+def among_few(landmarks: Landmarks, first: str, second: str) -> tuple[Landmarks, Landmarks]:
+    """Eight pairs, and the same with two exchanged."""
+    few = landmarks.without([i for i, name in enumerate(landmarks.names) if name not in FEET])
+    i, j = few.names.index(first), few.names.index(second)
+    return few, with_source(few, {i: few.source[j], j: few.source[i]})
+
+
+def turned(graphs: tuple[ElasticGraph, ElasticGraph], landmarks: Landmarks) -> list[str]:
+    vertices = landmarks.target, landmarks.source
+    distances, marks = [], []
+    for graph, at in zip(graphs, vertices, strict=True):
+        distances.append(LandmarkDistances.measure(graph, at))
+        marks.append((graph.positions[at], graph.normals[at]))
+    return sorted(landmarks.names[i] for i in exchanged_sides((distances[0], distances[1]), *marks) or ())
+
+
+@pytest.mark.parametrize(("first", "second"), [("hoof_front_L", "hoof_front_R"), ("hoof_hind_L", "hoof_hind_R")])
+def test_feet_exchanged_among_few_pairs_are_told_by_their_sense(pair, graphs, first, second):
+    few, exchanged = among_few(pair[2], first, second)
+    assert misplaced(graphs, exchanged) == []  # as far from everything as before
+    assert turned(graphs, exchanged) == [first, second]
+    assert turned(graphs, few) == []
+    assert turned((graphs[1], graphs[0]), few.reversed()) == []
+
+
+def test_landmarks_mirrored_as_a_whole_are_no_exchange_of_two(pair, graphs):
+    few, _ = among_few(pair[2], "hoof_front_L", "hoof_front_R")
+    left = [i for i, name in enumerate(few.names) if name.endswith("_L")]
+    right = [few.names.index(few.names[i][:-1] + "R") for i in left]
+    there = {i: few.source[j] for i, j in zip([*left, *right], [*right, *left], strict=True)}
+    assert turned(graphs, with_source(few, there)) == []
+
+
+def test_exchanged_feet_are_left_out_and_named(pair):
+    """Once the whole map was met with crossed legs, and nothing said so."""
+    _, exchanged = among_few(pair[2], "hoof_front_L", "hoof_front_R")
+    found = match(pair[0], pair[1], exchanged, CONFIG)
+    assert [(suspect.name, suspect.evidence) for suspect in found.suspects] == [
+        ("hoof_front_L", SIDES),
+        ("hoof_front_R", SIDES),
+    ]
+    assert all("opposite sense" in str(suspect) for suspect in found.suspects)
+
+
+def test_an_exchange_that_the_map_does_not_mind_is_kept_and_told(pair, monkeypatch):
+    _, exchanged = among_few(pair[2], "hoof_front_L", "hoof_front_R")
+    monkeypatch.setattr(check, "coarse_map_cost", lambda pair, config: 1e-4)
+    found = match(pair[0], pair[1], exchanged, CONFIG)
+    assert found.suspects == ()
+    assert "'hoof_front_L', 'hoof_front_R' seem to be exchanged" in found.landmark_check.notes[0]
 
 
 def test_fewer_than_six_pairs_are_not_judged(pair, graphs):

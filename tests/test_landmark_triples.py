@@ -13,9 +13,9 @@ from cagemap.maps.landmarks.distances import (
     LandmarkDistances,
     exchanged_pairs,
     misplaced_pairs,
-    orientation_agreement,
     typical_misfit,
 )
+from cagemap.maps.landmarks.sides import orientation_agreement
 
 
 def distances_of(points: np.ndarray, others: np.ndarray) -> LandmarkDistances:

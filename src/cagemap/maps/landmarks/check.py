@@ -24,9 +24,9 @@ from cagemap.maps.landmarks.distances import (
     MOST_SUSPECTS,
     LandmarkDistances,
     misplaced_pairs,
-    orientation_agreement,
     typical_misfit,
 )
+from cagemap.maps.landmarks.sides import Marks, exchanged_sides, orientation_agreement
 from cagemap.maps.landmarks.strain import ReducedEnergy, reduced_energy, strained_pair
 from cagemap.maps.pair import Pair, Progress, vertices_at
 from cagemap.maps.point_map import PointMap
@@ -57,7 +57,11 @@ MIRRORED_NOTE = (
     "pairs, or one mesh is mirrored. Exchange them in the landmark file, or mirror one of the meshes"
 )
 
-DISTANCES = "distances"
+DISTANCES, SIDES = "distances", "sides"
+EVIDENCE = {
+    DISTANCES: "its distances to the other landmarks do not fit",
+    SIDES: "the other landmarks lie around it in the opposite sense, as if two had been exchanged",
+}
 
 
 @dataclass(frozen=True)
@@ -76,7 +80,7 @@ class LandmarkSuspect:
     source_vertex : int
         Source control vertex that was given.
     evidence : str
-        "distances": to the other landmarks, before the map.
+        "distances": to the other landmarks, before the map; "sides": the sense in which these lie around it.
     """
 
     name: str
@@ -89,8 +93,8 @@ class LandmarkSuspect:
     def __str__(self) -> str:
         """One sentence for a user: what was found and the remedy."""
         return (
-            f"landmark '{self.name}' looks wrong and was left out: its distances to the other landmarks do not fit, a "
-            "map that follows it costs much more, and without it the map leads "
+            f"landmark '{self.name}' looks wrong and was left out: {EVIDENCE.get(self.evidence, EVIDENCE[DISTANCES])}, "
+            "a map that follows it costs much more, and without it the map leads "
             f"{100 * self.distance:.0f} % of the model's size away from source vertex {self.source_vertex}, to near "
             f"vertex {self.nearest_vertex}. Check this pair, or trust all pairs as they "
             "are (`check_landmarks=False`)"
@@ -161,21 +165,20 @@ def checked_map(
         found, ends = elastic_answers(prepared, pair, progress)
         return found, LandmarkCheck(notes=(note,)), ends
     progress("landmark distances")
-    target, source = _distances(prepared, pair)
-    misplaced = misplaced_pairs(target, source)
-    notes: tuple[str, ...] = ()
-    if len(misplaced) > MOST_SUSPECTS * count or typical_misfit(target, source, np.arange(count)) > UNRELATED:
-        misplaced, notes = misplaced[:0], (CONTRADICTION,)
+    distances = _distances(prepared, pair)
+    accused, notes = accused_pairs(pair, prepared.graphs, distances), list[str]()
+    if accused is None:
+        accused, notes = {}, [CONTRADICTION]
 
     def solve(out: Collection[int]) -> tuple[PointMap, tuple[FineFit, ...]]:
         return elastic_answers(prepared, pair.without(out), progress)
 
-    left_out = {int(i) for i in misplaced}
+    left_out = set(accused)
     if left_out:
         progress("costs with and without suspects")
         costs = coarse_map_cost(prepared, pair), coarse_map_cost(prepared, pair.without(left_out))
         if costs[0] < SLIP * costs[1]:
-            left_out, notes = set(), (kept_note([names[i] for i in sorted(left_out)]),)
+            left_out, notes = set(), [kept_note(accused, names)]
     current, ends = solve(left_out)
     confirmed = {i for i in left_out if miss(pair, current, i)[0] < CONFIRMED}
     if confirmed:
@@ -187,11 +190,33 @@ def checked_map(
     strains = np.zeros(count)
     strains[kept] = np.linalg.norm(energy.released(places, np.arange(len(kept))), axis=1)
     strained = strained_pair(energy, places)
-    if strained is not None and typical_misfit(target, source, np.delete(kept, strained)) <= DISSIMILAR:
-        notes += (strain_note(names[kept[strained]], float(strains[kept[strained]])),)
-    suspects = tuple(_suspect(pair, current, names, i, DISTANCES) for i in sorted(left_out))
+    if strained is not None and typical_misfit(*distances, np.delete(kept, strained)) <= DISSIMILAR:
+        notes.append(strain_note(names[kept[strained]], float(strains[kept[strained]])))
+    suspects = tuple(_suspect(pair, current, names, i, accused[i]) for i in sorted(left_out))
     notes += orientation_notes(pair.without(left_out), prepared.graphs)
-    return current, LandmarkCheck(suspects, notes, strains), ends
+    return current, LandmarkCheck(suspects, tuple(notes), strains), ends
+
+
+def accused_pairs(
+    pair: Pair, graphs: tuple[ElasticGraph, ElasticGraph], distances: tuple[LandmarkDistances, LandmarkDistances]
+) -> dict[int, str] | None:
+    """Places of pairs that do not fit the others, with the evidence; None where it is not known which are right.
+
+    Where distances accuse none, two that were exchanged are looked for by the sense in which the others surround them.
+
+    Parameters
+    ----------
+    pair : Pair
+    graphs : (ElasticGraph, ElasticGraph)
+    distances : (LandmarkDistances, LandmarkDistances)
+        Of the pair's landmarks on target and source.
+    """
+    wrong, every = misplaced_pairs(*distances).tolist(), np.arange(len(pair.landmarks))
+    if len(wrong) > MOST_SUSPECTS * len(every) or typical_misfit(*distances, every) > UNRELATED:
+        return None
+    if wrong:
+        return dict.fromkeys(wrong, DISTANCES)
+    return dict.fromkeys(exchanged_sides(distances, *_marks(pair, graphs)) or (), SIDES)
 
 
 def coarse_map_cost(prepared: PreparedPair, pair: Pair) -> float:
@@ -203,12 +228,20 @@ def coarse_map_cost(prepared: PreparedPair, pair: Pair) -> float:
     return min(coarse_fit(shape, prepared.sheet, start, places, prepared.elastic).cost for start in starts)
 
 
-def kept_note(names: Sequence[str]) -> str:
-    """A sentence about pairs that distances accuse and the map does not."""
-    listed = ", ".join(f"'{name}'" for name in names)
+def kept_note(accused: dict[int, str], names: Sequence[str]) -> str:
+    """A sentence about pairs that are accused, but the map is hardly better without."""
+    listed, kept = (
+        ", ".join(f"'{names[i]}'" for i in sorted(accused)),
+        "the map is hardly better without, so all were kept",
+    )
+    if SIDES in accused.values():
+        return (
+            f"landmarks {listed} seem to be exchanged on one of the surfaces: the others lie around them in the "
+            f"opposite sense. Look at them; {kept}"
+        )
     return (
         f"the distances of {listed} to the other landmarks differ between the surfaces more than those of the others; "
-        "the map is hardly better without, so all were kept"
+        f"{kept}"
     )
 
 
@@ -248,12 +281,13 @@ def checked_changes(
         return check
     out = [suspect.pair for suspect in check.suspects]
     kept = np.setdiff1d(np.arange(len(pair.landmarks)), out)
-    target, source = _distances(prepared, pair.without(out))
-    wrong = kept[misplaced_pairs(target, source)]
-    if len(wrong) > MOST_SUSPECTS * len(kept) or typical_misfit(target, source, np.arange(len(kept))) > UNRELATED:
+    others = pair.without(out)
+    accused = accused_pairs(others, prepared.graphs, _distances(prepared, others))
+    if accused is None:
         return replace(check, notes=tuple(dict.fromkeys((*check.notes, CONTRADICTION))))
-    found = [i for i in np.intersect1d(wrong, changed).tolist() if miss(pair, before, i)[0] >= CONFIRMED]
-    new = tuple(_suspect(pair, before, names, i, DISTANCES) for i in found)
+    wrong = {int(kept[i]): evidence for i, evidence in accused.items() if kept[i] in changed}
+    found = [i for i in sorted(wrong) if miss(pair, before, i)[0] >= CONFIRMED]
+    new = tuple(_suspect(pair, before, names, i, wrong[i]) for i in found)
     return replace(check, suspects=tuple(sorted((*check.suspects, *new), key=lambda suspect: suspect.pair)))
 
 
@@ -288,10 +322,13 @@ def strain(pair: Pair, graph: ElasticGraph, point_map: PointMap) -> tuple[Reduce
 
 def orientation_notes(pair: Pair, graphs: tuple[ElasticGraph, ElasticGraph]) -> tuple[str, ...]:
     """A note if the landmarks as a whole are mirrored, which neither distances nor strain of single ones tell."""
+    return () if orientation_agreement(*_marks(pair, graphs)) > MIRRORED else (MIRRORED_NOTE,)
+
+
+def _marks(pair: Pair, graphs: tuple[ElasticGraph, ElasticGraph]) -> tuple[Marks, Marks]:
+    """Positions and normals of the landmarks of target and source."""
     target, source = (
         (graph.positions[landmarks], graph.normals[landmarks])
         for graph, landmarks in zip(graphs, (pair.target_landmarks, pair.source_landmarks), strict=True)
     )
-    if orientation_agreement(target, source) > MIRRORED:
-        return ()
-    return (MIRRORED_NOTE,)
+    return target, source

@@ -154,7 +154,16 @@ def misplaced_pairs(target: LandmarkDistances, source: LandmarkDistances) -> Ind
 def exchanged_pairs(
     target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray
 ) -> tuple[int, int] | None:
-    """The two trusted pairs that fit best with their source vertices exchanged, if they fit much better so.
+    """The two trusted pairs that fit best with their source vertices exchanged, if they fit much better so."""
+    gain = exchange_gains(target, source, trusted)
+    first, second = np.unravel_index(np.argmax(gain), gain.shape)
+    if gain[first, second] < max(LEAST_EXCHANGE_GAIN, typical_misfit(target, source, trusted)):
+        return None
+    return int(trusted[first]), int(trusted[second])
+
+
+def exchange_gains(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray) -> FloatArray:
+    """(q, q) what any two of q trusted pairs gain by exchanging their source vertices; -inf on the diagonal.
 
     The gain for pairs i and j is the misfit of both (see `place_by_distances`, neither asked about the other) minus the
     misfit of both exchanged. Close mirror images, whose misfit alone says little, are told by it.
@@ -172,11 +181,7 @@ def exchanged_pairs(
     rest = weights.sum(axis=1)[:, None] - weights
     own = (total.diagonal()[:, None] - at_own) / rest
     other = (total - at_other) / rest
-    gain = np.where(different, own + own.T - other - other.T, -np.inf)
-    first, second = np.unravel_index(np.argmax(gain), gain.shape)
-    if gain[first, second] < max(LEAST_EXCHANGE_GAIN, typical_misfit(target, source, trusted)):
-        return None
-    return int(trusted[first]), int(trusted[second])
+    return np.asarray(np.where(different, own + own.T - other - other.T, -np.inf))
 
 
 def _misfits(wanted: FloatArray, found: FloatArray, weights: FloatArray) -> FloatArray:
@@ -187,32 +192,6 @@ def _misfits(wanted: FloatArray, found: FloatArray, weights: FloatArray) -> Floa
         ratios = np.abs(wanted[rows, None] - found[None])
         total[rows] = np.einsum("ik,ijk->ij", weights[rows], np.minimum(ratios, LARGEST))
     return total
-
-
-def orientation_agreement(target: tuple[FloatArray, FloatArray], source: tuple[FloatArray, FloatArray]) -> float:
-    """Whether landmarks surround each other in the same sense on both surfaces: 1 the same, -1 mirrored.
-
-    Every triple (i; j, k) votes with the product of ``n_i . (e_ij x e_ik)`` on both surfaces, e the unit vectors to j
-    and k, so that three landmarks in a line with the surface's normal say nothing.
-
-    Parameters
-    ----------
-    target, source : pair of (p, 3) arrays
-        Positions and unit normals of the landmarks.
-    """
-    agreed = counted = 0.0
-    for i in range(len(target[0])):
-        votes = _turns(i, *target) * _turns(i, *source)
-        agreed += float(votes.sum())
-        counted += float(np.abs(votes).sum())
-    return agreed / max(counted, 1e-12)
-
-
-def _turns(i: int, positions: FloatArray, normals: FloatArray) -> FloatArray:
-    """(p, p) ``n_i . (e_ij x e_ik)`` for one landmark i."""
-    offsets = positions - positions[i]
-    units = offsets / np.maximum(np.linalg.norm(offsets, axis=1, keepdims=True), 1e-12)
-    return np.asarray(np.cross(normals[i], units) @ units.T)
 
 
 def _pairs(trusted: IndexArray) -> tuple[IndexArray, IndexArray]:
