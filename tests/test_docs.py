@@ -154,6 +154,70 @@ def test_the_architecture_names_every_file_of_the_maps_room() -> None:
     assert files <= set(re.findall(r"`(\w+)`", above))
 
 
+def stated_names(document: str) -> list[str]:
+    """Names of files and of Python in a document's sentences and tables; formulas and commands have spaces or signs."""
+    prose = re.sub(r"^```.*?^```$", "", (ROOT / document).read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    return [name for name in re.findall(r"`([^`\n]+)`", prose) if re.fullmatch(r"[\w./\[\]()=]+", name)]
+
+
+def is_there(name: str, sources: str) -> bool:
+    """Whether a file or folder, a path of names below the package or its maps room, or a name in it exists."""
+    if "/" in name or name.endswith((".py", ".md")):
+        return any((top / name).exists() for top in (ROOT, SOURCE)) or ("/" not in name and any(SOURCE.rglob(name)))
+    plain = re.sub(r"[\[(].*", "", name).strip(".")
+    if (ROOT / plain.replace(".", "/")).with_suffix(".py").exists():
+        return True
+    if plain.startswith("maps.") or plain.count(".") > 1:
+        return any(can_be_found(f"{top}.{plain}") for top in ("cagemap", "cagemap.maps"))
+    defined = (rf"^\s*(def |class |){part}(\b[^.]|\.py)" for part in plain.removeprefix("cagemap.").split("."))
+    return all(re.search(pattern, sources, re.MULTILINE) for pattern in defined)
+
+
+def can_be_found(path: str) -> bool:
+    try:
+        find(path)
+    except (ModuleNotFoundError, AttributeError):
+        return False
+    return True
+
+
+# What the documents name that is not of the package: words of Python, of pytest and of the paper.
+FOREIGN = {"T12", "P12", "C12", "S", "W", "M", "eq=False", "slow", "shared_data"}
+
+
+def test_every_name_that_developers_are_told_is_there() -> None:
+    paths = list(SOURCE.rglob("*.py"))
+    rooms = {part for path in paths for part in path.relative_to(SOURCE).parts}
+    sources = "\n".join([*rooms, *(path.read_text(encoding="utf-8") for path in paths)])
+    for document in ("docs/architecture.md", "CONTRIBUTING.md"):
+        names = stated_names(document)
+        assert len(names) > 30
+        assert [name for name in names if name not in FOREIGN and not is_there(name, sources)] == []
+
+
+def test_the_values_are_where_the_architecture_says_and_hold_it() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rows = [line.strip("| ").split(" | ") for line in text.split("| value |")[1].split("\n\n")[0].splitlines()[2:]]
+    assert len(rows) > 10
+    for values, room, holds in rows:
+        classes = [find_class(name, room) for name in re.findall(r"`(\w+)`", values)]
+        for name in re.findall(r"`\.?([a-z]\w*)[^`]*`", holds):
+            assert any(name in dir(one) or name in one.__annotations__ for one in classes) or can_be_found(
+                f"cagemap.{name}"
+            ), (values, name)
+
+
+def find_class(name: str, room: str) -> type:
+    """A class that a file of a room defines."""
+    folder = SOURCE.joinpath(*room.split("."))
+    for path in folder.glob("*.py"):
+        if re.search(rf"^class {name}\b", path.read_text(encoding="utf-8"), re.MULTILINE):
+            found = getattr(importlib.import_module(f"cagemap.{room}.{path.stem}"), name)
+            assert isinstance(found, type)
+            return found
+    raise AssertionError(f"no class {name} in {room}")
+
+
 def test_only_the_command_line_names_its_options() -> None:
     """Rooms below it say what Python calls a thing; `cagemap.cli.words.OPTIONS` translates, and has nothing unused."""
     below = [path for path in SOURCE.glob("*/**/*.py") if path.relative_to(SOURCE).parts[0] not in ABOVE]
