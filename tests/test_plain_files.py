@@ -71,7 +71,7 @@ def test_the_studio_maps_plain_files_and_goes_on_from_another_answer(
         write_mesh(place, mesh.with_positions(mesh.positions * (1.0, height, 1.0)))
     opening = Opening(*places, None, 5000)
     bench, opened = perform(Bench(), OpenModels(opening, View()), lambda stage: None)
-    assert len(opened.target.positions) == mesh.n_vertices
+    assert len(opened.scene.target.positions) == mesh.n_vertices
     bench, found = perform(bench, FindMap(opening, LandmarkList(), View()), lambda stage: None)
     assert bench.result is not None
     wanted = mesh.positions * (1.0, 1.2, 1.0)

@@ -123,10 +123,10 @@ def test_a_mesh_as_it_is_keeps_the_numbers_of_its_file(tmp_path: Path) -> None:
     bench, opened = perform(Bench(), OpenModels(opening, View()), lambda _: None)
     assert isinstance(opened, Opened)
     assert any("set aside" in note for note in opened.notes)
-    shape = opened.target
+    shape = opened.scene.target
     np.testing.assert_allclose(shape.positions, points)
     files = default_files(tmp_path, opening.target, opening.source, None, opening.schemes)
-    scene = Scene(opened.target, opened.source, opened.mirrors, opened.skins)
+    scene = opened.scene
     picked = landmarks(bench, 3, 40, 90)
     save_landmarks(files.landmarks, picked, scene, files)
     stored = json.loads(files.landmarks.read_text())["pairs"]
@@ -137,9 +137,9 @@ def test_a_mesh_as_it_is_keeps_the_numbers_of_its_file(tmp_path: Path) -> None:
     assert "--target-scheme none" in str(commands(all_options(), files, FinishOptions(), landmarks=True)[0])
     bench, found = perform(bench, FindMap(opening, landmarks(bench, 0, 17, 33, 60, 90, 120), View()), lambda _: None)
     assert isinstance(found, Found)
-    places = found.images.on(opened.source.triangles, opened.source.positions)
+    places = found.images.on(opened.scene.source.triangles, opened.scene.source.positions)
     assert np.median(np.linalg.norm(places - points, axis=1)) < 0.02 * shape.radius
-    assert found.suggestion is not None
+    assert found.known.suggestion is not None
 
 
 def test_a_click_lands_where_the_ray_meets_the_smooth_surface() -> None:
@@ -264,7 +264,7 @@ def test_the_bench_maps_and_follows_landmarks(opened: tuple[Bench, OpenModels]) 
     assert isinstance(first, Found)
     bench, second = perform(bench, FindMap(task.opening, landmarks(bench, *range(7)), View()), lambda _: None)
     assert isinstance(second, Found)
-    assert set(second.strain) == {f"v{v}" for v in range(7)}
+    assert set(second.known.strain) == {f"v{v}" for v in range(7)}
     _, dressed = perform(bench, Dress(task.opening, View("checker"), second.images), lambda _: None)
     assert dressed.skins[0] != second.skin
     # The models are translates of each other: the map carries a point to the same point, five units to the right.
@@ -294,16 +294,16 @@ def test_without_landmarks_the_bench_has_answers_to_choose_from(opened: tuple[Be
     bench, first = perform(bench, FindMap(task.opening, LandmarkList(), View()), lambda _: None)
     assert isinstance(first, Found)
     # A box on a box: each half turn is an answer.
-    assert len(first.answers) > 1
-    assert first.confidence
+    assert len(first.known.answers) > 1
+    assert first.known.confidence
     bench, second = perform(bench, ChooseAnswer(task.opening, LandmarkList(), 1, View()), lambda _: None)
     assert isinstance(second, Found)
-    assert second.chosen == 1
+    assert second.known.chosen == 1
     assert not np.array_equal(first.images.triangle, second.images.triangle)
     # One landmark moves that answer, and taking it away gives it back.
     bench, third = perform(bench, FindMap(task.opening, landmarks(bench, 0), View()), lambda _: None)
     assert isinstance(third, Found)
-    assert set(third.strain) == {"v0"}
+    assert set(third.known.strain) == {"v0"}
     bench, fourth = perform(bench, FindMap(task.opening, LandmarkList(), View()), lambda _: None)
     assert isinstance(fourth, Found)
     np.testing.assert_array_equal(fourth.images.triangle, second.images.triangle)
@@ -315,11 +315,11 @@ def test_every_map_suggests_a_free_vertex_until_all_are_taken(opened: tuple[Benc
     for _ in range(8):
         bench, found = perform(bench, FindMap(task.opening, landmarks(bench, *taken), View()), lambda _: None)
         assert isinstance(found, Found)
-        assert found.suggestion not in (None, *taken)
-        taken.append(found.suggestion or 0)
+        assert found.known.suggestion not in (None, *taken)
+        taken.append(found.known.suggestion or 0)
     _, found = perform(bench, FindMap(task.opening, landmarks(bench, *taken), View()), lambda _: None)
     assert isinstance(found, Found)
-    assert found.suggestion is None
+    assert found.known.suggestion is None
 
 
 def test_mirror_images_lie_across_the_plane(opened: tuple[Bench, OpenModels]) -> None:

@@ -62,7 +62,7 @@ def folder(tmp_path: Path) -> Path:
 def opened(folder: Path, *parts: str | None) -> Scene:
     opening = Opening(folder / "a.obj", folder / "b.obj", None, 300, parts=(parts[0], parts[-1]))
     _, answer = perform(Bench(), OpenModels(opening, View()), lambda _: None)
-    return Scene(answer.target, answer.source, answer.mirrors, answer.skins, None, answer.offers, answer.dense)
+    return answer.scene
 
 
 def test_the_largest_part_is_open_and_the_others_are_offered(folder: Path) -> None:

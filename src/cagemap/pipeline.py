@@ -101,13 +101,7 @@ class MatchConfig(Brief):
 
 @kinds_checked
 def prepare_pair(target: Surface, source: Surface, config: MatchConfig = MatchConfig()) -> PreparedPair:
-    """All of an elastic match that no landmark changes: keep it, and further landmarks cost only what they must.
-
-    Parameters
-    ----------
-    target, source : Surface
-    config : MatchConfig
-    """
+    """All of an elastic match that no landmark changes: keep it, and further landmarks cost only what they must."""
     config.masks.require_fit(*(side.refinement.finest.n_vertices for side in (target, source)))
     with one_blas_thread():
         # The bases of a result that was read are not made yet, triangles of none.

@@ -61,10 +61,6 @@ def hierarchical_basis(
         Of the same refinement.
     config : BasisConfig
 
-    Returns
-    -------
-    HierarchicalBasis
-
     Raises
     ------
     ParameterError

@@ -146,10 +146,6 @@ def band_pairs(
     guards : int
         How many of the last pairs are wanted as a rough guess only.
 
-    Returns
-    -------
-    EigenPairs
-
     Raises
     ------
     ParameterError
@@ -203,16 +199,6 @@ def band_pairs(
 
 def exact_basis(operators: Operators, level: int, count: int) -> EigenPairs:
     """Lowest eigenpairs of one level, computed there (paper, eq. 1): what the hierarchical basis approximates.
-
-    Parameters
-    ----------
-    operators : Operators
-    level : int
-    count : int
-
-    Returns
-    -------
-    EigenPairs
 
     Raises
     ------

@@ -78,10 +78,6 @@ def estimate_errors(
         Eigenpairs of level l, M-orthonormal, ascending.
     tolerance : float
         Relative error that matters.
-
-    Returns
-    -------
-    ErrorEstimate
     """
     count = len(values)
     # The constant function has eigenvalue 0 at every level; a fraction of the last eigenvalue stands in for it.
@@ -140,10 +136,6 @@ def predict_next_level(
     values : (m,) array
     vectors : (n_l, m) array
         Eigenpairs of level l, M-orthonormal.
-
-    Returns
-    -------
-    Prediction
     """
     coupling = _coupling(subdivision, smooth, mass, values, vectors)
     predicted, rotation = linalg.eigh(np.diag(values) - coupling)

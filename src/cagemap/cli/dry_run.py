@@ -50,14 +50,7 @@ class AssetSize:
 
 
 def dry_run(job: Job, plan: Plan, workers: int) -> str:
-    """The tasks of a job, which are done, how large they are, and about what the others will take.
-
-    Parameters
-    ----------
-    job : Job
-    plan : Plan
-    workers : int
-    """
+    """The tasks of a job, which are done, how large they are, and about what the others will take."""
     sizes = {name: _size(job, name, plan) for name in job.assets}
     lines, total, memory, disk = [], 0.0, 0.0, 0.0
     missing = missing_tasks(plan)

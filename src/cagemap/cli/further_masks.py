@@ -7,9 +7,8 @@ from pathlib import Path
 
 from cagemap.cli.masks import GivenMask, MaskOptions, read_mask
 from cagemap.errors import ParameterError
-from cagemap.files.meshes import read_mesh
+from cagemap.files.meshes import read_whole
 from cagemap.files.result import input_file
-from cagemap.files.usd import USD_SUFFIXES, read_usd
 from cagemap.maps.masks import Masks
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
@@ -64,5 +63,4 @@ def _given(text: str, edge: float | None, control: ControlMesh, file: Path | Non
             f"{option}: {control.name} was matched in part, and its file is not where the match read it, or has "
             "changed. Put it back."
         )
-    whole = read_usd(file, mixed=True) if file.suffix.lower() in USD_SUFFIXES else read_mesh(file)
-    return read_mask(text, edge, whole, file, option)
+    return read_mask(text, edge, read_whole(file), file, option)

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cagemap.basis import Surface
+from cagemap.cli.options import MASK_FILES
 from cagemap.errors import ParameterError
 from cagemap.files.attributes import read_attributes
-from cagemap.files.suffixes import IMAGE_SUFFIXES, VALUE_SUFFIXES
+from cagemap.files.suffixes import IMAGE_SUFFIXES
 from cagemap.files.usd import USD_SUFFIXES, read_usd_meshes
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.mask_values import face_mask, soft_edge, vertex_mask
@@ -92,7 +93,7 @@ def mask_file(text: str | None) -> Path | None:
         return None
     path = Path(text.removeprefix(NOT))
     suffix = path.suffix.lower()
-    return path if suffix in (*VALUE_SUFFIXES, *IMAGE_SUFFIXES) else None
+    return path if suffix in MASK_FILES else None
 
 
 def mask_files(text: str | None) -> list[Path]:

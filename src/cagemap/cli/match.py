@@ -34,7 +34,7 @@ from cagemap.cli.progress import Stages
 from cagemap.cli.subdivision import SubdivisionRequest
 from cagemap.files.atomic import require_no_input
 from cagemap.files.merged import merge_results
-from cagemap.files.meshes import read_mesh
+from cagemap.files.meshes import read_mesh, read_whole
 from cagemap.files.result import (
     ARRAYS,
     MANIFEST,
@@ -46,7 +46,6 @@ from cagemap.files.result import (
     write_result,
 )
 from cagemap.files.surface_store import prepared
-from cagemap.files.usd import USD_SUFFIXES, read_usd
 from cagemap.files.usd_space import unit_notes
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
@@ -216,8 +215,8 @@ def read_control(path: Path, request: MatchRequest, side: str) -> ControlMesh:
     scheme = getattr(request, f"{side}_scheme") or request.scheme
     subdivision = SubdivisionRequest(scheme, request.boundary, request.uv_interpolation, request.creasing)
     parts = asked_parts(request.part, request.target_part, request.source_part)[SIDES.index(side)]
-    mixed = parts is not None and path.suffix.lower() in USD_SUFFIXES
-    control = subdivision.applied(replace(read_usd(path, mixed=True) if mixed else read_mesh(path), name=path.name))
+    read = read_mesh if parts is None else read_whole
+    control = subdivision.applied(replace(read(path), name=path.name))
     uv_set = getattr(request, f"{side}_uv_set")
     return control if uv_set is None else control.with_uv_set(uv_set)
 

@@ -18,7 +18,7 @@ from cagemap.errors import FormatError, InvalidLandmarksError
 from cagemap.files.text import whole_characters
 from cagemap.mesh.cage_points import NamedCurve
 from cagemap.mesh.curves import CageCurves, Curves, chain_of_edges
-from cagemap.numerics.arrays import IndexArray
+from cagemap.numerics.arrays import IndexArray, shown
 
 FORM = '{"name": "lips", "source": [3, 4, 9], "target": [7, 8, 2], "closed": true}'
 MESH_FORM = '{"name": "lips", "vertices": [3, 4, 9], "closed": true}'
@@ -113,14 +113,14 @@ def curve_through(path: Path, name: str, places: Any, closed: bool) -> NamedCurv
 
 def _listed(path: Path, items: Any, form: str) -> list[Any]:
     if not isinstance(items, list):
-        raise FormatError(f"{path}: expected a list 'curves', got {_shown(items)}. An entry is {form}.")
+        raise FormatError(f"{path}: expected a list 'curves', got {shown(items)}. An entry is {form}.")
     return items
 
 
 def _named(path: Path, number: int, item: Any, form: str) -> tuple[str, dict[str, Any]]:
     name = item.get("name", f"curve {number}") if isinstance(item, dict) else None
     if not isinstance(name, str) or not isinstance(item.get("closed", False), bool):
-        raise FormatError(f"{path}: curve {number} (0-based): expected {form}, got {_shown(item)}.")
+        raise FormatError(f"{path}: curve {number} (0-based): expected {form}, got {shown(item)}.")
     return whole_characters(name), item
 
 
@@ -135,7 +135,7 @@ def _chain(path: Path, name: str, key: str, values: Any, closed: bool | None, fo
     if not edges:
         raise FormatError(
             f"{path}: curve '{name}': expected control vertices, or edges [[3, 4], [4, 9], ...], as '{key}', got "
-            f"{_shown(values)}. An entry is {form}."
+            f"{shown(values)}. An entry is {form}."
         )
     try:
         return chain_of_edges(np.array(values, dtype=np.int64))
@@ -145,8 +145,3 @@ def _chain(path: Path, name: str, key: str, values: Any, closed: bool | None, fo
 
 def _is_vertex(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < _LARGEST
-
-
-def _shown(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."

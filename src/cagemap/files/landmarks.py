@@ -15,6 +15,7 @@ from cagemap.files.curves import pair_curves, pair_entries
 from cagemap.files.marks import mark
 from cagemap.files.text import read_text, whole_characters
 from cagemap.mesh.landmarks import CagePoints, Landmarks
+from cagemap.numerics.arrays import shown
 from cagemap.numerics.kinds import kinds_checked
 
 _FORM = (
@@ -125,9 +126,7 @@ def _parse(path: Path, text: str) -> dict[str, Any]:
 def _mesh_name(path: Path, data: dict[str, Any], side: str) -> str:
     name = data.get(side, "")
     if not isinstance(name, str):
-        raise FormatError(
-            f"{path}: expected the file name of the {side} mesh, got {_shown(name)}. The form is {_FORM}."
-        )
+        raise FormatError(f"{path}: expected the file name of the {side} mesh, got {shown(name)}. The form is {_FORM}.")
     return whole_characters(name)
 
 
@@ -135,18 +134,18 @@ def _pair(path: Path, number: int, item: Any) -> tuple[str, End, End]:
     """Name, end on the target and end on the source of a pair."""
     if not isinstance(item, dict):
         raise FormatError(
-            f"{path}: pair {number} (0-based): expected an object, got {_shown(item)}. The form is {_FORM}."
+            f"{path}: pair {number} (0-based): expected an object, got {shown(item)}. The form is {_FORM}."
         )
     name = item.get("name", f"pair {number}")
     if not isinstance(name, str):
-        raise FormatError(f"{path}: pair {number} (0-based): expected a name, got {_shown(name)}. Put it in quotes.")
+        raise FormatError(f"{path}: pair {number} (0-based): expected a name, got {shown(name)}. Put it in quotes.")
     ends = []
     for side in ("target", "source"):
         end = _end(item.get(side))
         if end is None:
             raise FormatError(
                 f"{path}: pair {number} (0-based), '{name}': expected a whole vertex number, or the three corners "
-                f"and weights of a point, as '{side}', got {_shown(item.get(side))}. Numbers are 0-based control "
+                f"and weights of a point, as '{side}', got {shown(item.get(side))}. Numbers are 0-based control "
                 "vertices; weights are not negative and sum to 1."
             )
         ends.append(end)
@@ -187,11 +186,6 @@ def _ends(points: CagePoints) -> list[int | dict[str, Any]]:
             points.vertices.tolist(), points.corners.tolist(), points.weights.tolist(), strict=True
         )
     ]
-
-
-def _shown(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def _compare_names(path: Path, landmarks: Landmarks, target: str, source: str) -> tuple[str, ...]:

@@ -21,6 +21,7 @@ from cagemap.numerics.kinds import kinds_checked
 
 _READERS = {".obj": read_obj, ".ply": read_ply, ".off": read_off, ".stl": read_stl}
 _READERS |= dict.fromkeys(USD_SUFFIXES, read_usd)
+MESH_SUFFIXES = tuple(_READERS)
 _WRITERS = {".obj": write_obj, ".ply": write_ply, ".off": write_off, ".glb": write_glb}
 _WRITERS |= dict.fromkeys((".usd", ".usda", ".usdc"), write_usd)
 
@@ -39,6 +40,11 @@ def read_mesh(path: str | Path) -> ControlMesh:
         if isinstance(value, np.ndarray):
             value.flags.writeable = False
     return mesh
+
+
+def read_whole(path: Path) -> ControlMesh:
+    """Read a mesh as `read_mesh` does, also a USD file whose meshes are subdivided in several ways."""
+    return read_usd(path, mixed=True) if path.suffix.lower() in USD_SUFFIXES else read_mesh(path)
 
 
 @kinds_checked

@@ -74,12 +74,7 @@ class MapWeights:
 
 @dataclass(frozen=True)
 class Constraints:
-    """What both surfaces bring to eq. 13: the same descriptors and operators on either side.
-
-    Attributes
-    ----------
-    target, source : SpectralData
-    """
+    """What both surfaces bring to eq. 13: the same descriptors and operators on either side."""
 
     target: SpectralData
     source: SpectralData

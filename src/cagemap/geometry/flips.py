@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cagemap.geometry.triangles import normalized, triangle_neighbors, triangle_normals
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
 
 # Rounds of flips; each takes at most one edge of a triangle.
 ROUNDS = 20
@@ -56,8 +56,9 @@ def _to_flip(positions: FloatArray, triangles: IndexArray) -> tuple[IndexArray, 
     normals = normalized(triangle_normals(positions, triangles))
     flat = np.einsum("ed,ed->e", normals[first], normals[second]) > FLAT
     count = len(positions)
-    known = np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1) @ [count, 1])
-    fresh = ~np.isin(np.sort(np.column_stack([apex, top]), axis=1) @ [count, 1], known)
+    known = pair_keys(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), count)
+    keys = pair_keys(np.column_stack([apex, top]), count)
+    fresh = ~np.isin(keys, known)
     new = np.column_stack([apex, left, top]), np.column_stack([top, right, apex])
     upright = np.all([np.einsum("ed,ed->e", triangle_normals(positions, t), normals[first]) > 0 for t in new], axis=0)
     wanted = np.flatnonzero(sound & flat & fresh & upright & (cotangents < -1e-9))
@@ -66,8 +67,7 @@ def _to_flip(positions: FloatArray, triangles: IndexArray) -> tuple[IndexArray, 
         np.minimum.at(worst, side[wanted], cotangents[wanted])
     alone = wanted[(cotangents[wanted] == worst[first[wanted]]) & (cotangents[wanted] == worst[second[wanted]])]
     # New edges that would coincide, or ties in one triangle, wait for the next round.
-    keys = np.sort(np.column_stack([apex, top])[alone], axis=1) @ [count, 1]
-    alone = alone[np.unique(keys, return_index=True)[1]]
+    alone = alone[np.unique(keys[alone], return_index=True)[1]]
     taken = np.bincount(np.concatenate([first[alone], second[alone]]), minlength=len(triangles))
     alone = alone[(taken[first[alone]] == 1) & (taken[second[alone]] == 1)]
     return first[alone], corner[alone], second[alone], other[alone]

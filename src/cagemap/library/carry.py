@@ -26,14 +26,13 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import normalized
 from cagemap.library.job import Job
 from cagemap.library.plan import Pair, Plan, Task, task_key
+from cagemap.library.ways import NORMAL_WEIGHT
 from cagemap.maps.places import cage_points_of, located
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, on_cage
 from cagemap.mesh.curves import on_cage_curve
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
-# Weight of normals in searches, enough to tell the sides of thin parts apart.
-NORMAL_WEIGHT = 0.03
 # Distance, of sqrt(area), between the answers of both directions of a map from which on a point is to be looked at.
 DOUBTFUL = 0.01
 

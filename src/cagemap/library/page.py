@@ -20,6 +20,7 @@ from cagemap.files.result import file_hash
 from cagemap.library.plan import PICTURE, RESULT, STATE, Plan, Task
 from cagemap.library.run import Outcome
 from cagemap.report.merits import explain, overall
+from cagemap.report.page import flattened
 
 _RANK = {"failed": 0, "poor": 1, "fair": 2, "good": 3}
 _SAYS = {"failed": "failed", "poor": "do not use", "fair": "look at it", "good": "sound"}
@@ -140,7 +141,7 @@ def build_table(rows: Sequence[PairRow]) -> list[dict[str, Any]]:
             "verdict": row.verdict,
             "seconds": row.seconds,
             "cycle_error": row.cycle_error,
-            **_flat("", {name: value for name, value in row.quality.items() if name != "warnings"}),
+            **flattened("", {name: value for name, value in row.quality.items() if name != "warnings"}),
             "messages": " | ".join(row.messages),
         }
         for row in rows
@@ -242,12 +243,3 @@ def _row(row: PairRow, with_cycles: bool) -> str:
         else:
             cells.append('<td data-value=""></td>')
     return f"<tr>{''.join(cells)}</tr>"
-
-
-def _flat(prefix: str, value: Any) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        return {prefix: value}
-    flat: dict[str, Any] = {}
-    for name, entry in value.items():
-        flat |= _flat(f"{prefix}.{name}" if prefix else name, entry)
-    return flat

@@ -15,7 +15,7 @@ from cagemap.maps.places import inner_points, on_surface
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.topology import edge_table
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
 from cagemap.refinement import Refinement
 
 # Curves are those of the first level with so many vertices: finer than the level that is deformed.
@@ -53,13 +53,7 @@ class SurfaceCurve:
 
 @dataclass(frozen=True, eq=False)
 class CurvePair:
-    """Two curves that correspond as a whole.
-
-    Attributes
-    ----------
-    name : str
-    target, source : SurfaceCurve
-    """
+    """Two curves that correspond as a whole."""
 
     name: str
     target: SurfaceCurve
@@ -144,8 +138,7 @@ def refined_edges(refinement: Refinement, ends: IndexArray, level: int) -> Index
     """
     count = refinement.control.n_vertices
     edges = edge_table(refinement.control).vertices
-    keys = np.array([count, 1])
-    chains = np.where(np.isin(np.sort(ends, axis=1) @ keys, edges @ keys)[:, None], ends, -1)
+    chains = np.where(np.isin(pair_keys(ends, count), pair_keys(edges, count))[:, None], ends, -1)
     for number in range(level):
         joined = np.stack([chains[:, :-1], chains[:, 1:]], axis=2)
         middle = edge_vertices(refinement, number, joined.reshape(-1, 2)).reshape(joined.shape[:2])
@@ -182,7 +175,7 @@ def edge_vertices(refinement: Refinement, level: int, ends: IndexArray) -> Index
     both = np.flatnonzero(middle[1:] == middle[:-1])
     keys = end[both] * here.n_vertices + end[both + 1]  # ascending within a pair
     order = np.argsort(keys)
-    asked = np.sort(ends, axis=1) @ np.array([here.n_vertices, 1])
+    asked = pair_keys(ends, here.n_vertices)
     if not len(keys):
         return np.full(len(ends), -1, dtype=np.int64)
     place = np.minimum(np.searchsorted(keys[order], asked), len(keys) - 1)

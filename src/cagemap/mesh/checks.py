@@ -29,7 +29,7 @@ from cagemap.mesh.topology import (
     uv_islands,
     valences,
 )
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
 from cagemap.numerics.kinds import kinds_checked
 
 SEVERAL = "several components"
@@ -162,8 +162,8 @@ def _creases_left(
     if mesh.crease_edges is None or mesh.crease_sharpness is None:
         return None, None
     following = ControlMesh(mesh.positions, offsets, indices).next_corners
-    ends = np.sort(np.column_stack([indices, indices[following]]), axis=1) @ [mesh.n_vertices, 1]
-    there = np.isin(np.sort(mesh.crease_edges, axis=1) @ [mesh.n_vertices, 1], ends)
+    ends = pair_keys(np.column_stack([indices, indices[following]]), mesh.n_vertices)
+    there = np.isin(pair_keys(mesh.crease_edges, mesh.n_vertices), ends)
     return mesh.crease_edges[there], mesh.crease_sharpness[there]
 
 

@@ -16,7 +16,7 @@ from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, on_cag
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.topology import edge_table
-from cagemap.numerics.arrays import IndexArray
+from cagemap.numerics.arrays import IndexArray, pair_keys
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,8 +242,9 @@ def _side_faults(side: str, curves: CageCurves, names: list[str], mesh: ControlM
     segments = curves.segments
     # A place in space may be that of a vertex; only what was given as vertices has to follow the edges.
     stated = np.where(points.corners[:, 0] == points.corners[:, 1], vertices, -1)
-    ends = np.sort(stated[segments], axis=1)
-    apart = np.flatnonzero((ends[:, 0] >= 0) & ~np.isin(_keys(ends, mesh), _keys(edge_table(mesh).vertices, mesh)))
+    ends = stated[segments]
+    joined = np.isin(pair_keys(ends, mesh.n_vertices), pair_keys(edge_table(mesh).vertices, mesh.n_vertices))
+    apart = np.flatnonzero((ends >= 0).all(axis=1) & ~joined)
     if len(apart):
         listed = first_few(
             f"{names[of[segments[i, 0]]]} ({vertices[segments[i, 0]]} to {vertices[segments[i, 1]]})" for i in apart
@@ -253,7 +254,3 @@ def _side_faults(side: str, curves: CageCurves, names: list[str], mesh: ControlM
             f"for {listed}. Give every vertex along the curve, or places in space."
         )
     return faults
-
-
-def _keys(ends: IndexArray, mesh: ControlMesh) -> IndexArray:
-    return np.asarray(ends[:, 0] * mesh.n_vertices + ends[:, 1])

@@ -125,10 +125,6 @@ def plain_mesh(mesh: ControlMesh) -> PlainMesh:
     Joins vertices that a file repeats, takes out faces that are none, separates parts that only touch, turns faces to
     agree, and sets smaller pieces aside. A mesh that needs none of it keeps its numbers.
 
-    Parameters
-    ----------
-    mesh : ControlMesh
-
     Raises
     ------
     InvalidMeshError

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.mesh_report import Problem
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
 
 _EXPORT = "Export the mesh again, or repair the arrays it was built from."
 
@@ -124,8 +124,8 @@ def _creases(mesh: ControlMesh) -> Problem | None:
             np.flatnonzero(outside),
         )
     ends = np.column_stack([mesh.face_indices, mesh.face_indices[mesh.next_corners]])
-    known = np.unique(np.sort(ends, axis=1) @ [mesh.n_vertices, 1])
-    loose = ~np.isin(np.sort(edges, axis=1) @ [mesh.n_vertices, 1], known)
+    known = pair_keys(ends, mesh.n_vertices)
+    loose = ~np.isin(pair_keys(edges, mesh.n_vertices), known)
     if loose.any():
         return Problem(
             "creases beside the mesh",

@@ -46,12 +46,23 @@ def real_numbers(values: ArrayLike, what: str) -> FloatArray:
             raise ValueError
         return np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError):
-        raise ParameterError(f"{what}: expected an array of real numbers, got {_shown(values)}") from None
+        raise ParameterError(f"{what}: expected an array of real numbers, got {shown(values)}") from None
 
 
-def _shown(value: object) -> str:
+def shown(value: object) -> str:
+    """A value as a message shows it, cut short where it is long."""
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def pair_keys(pairs: IndexArray, count: int) -> IndexArray:
+    """(m,) one number for every pair (m, 2) of numbers below ``count``, whichever of the two comes first."""
+    return np.asarray(np.sort(pairs, axis=1) @ [count, 1])
+
+
+def grouped_sums(groups: IndexArray, values: FloatArray, count: int) -> FloatArray:
+    """(count, d) sums of rows (m, d) by group (m,)."""
+    return np.column_stack([np.bincount(groups, column, minlength=count) for column in values.T]).astype(np.float64)
 
 
 def read_only(array: Array) -> Array:

@@ -124,10 +124,6 @@ def factor(
     dtype : numpy.float64 or numpy.float32
         Precision of the factors. Single takes half the memory and two thirds of the time; its inertia proves nothing.
 
-    Returns
-    -------
-    Factorization
-
     Raises
     ------
     ParameterError

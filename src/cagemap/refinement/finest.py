@@ -67,13 +67,7 @@ def _colors(refinement: Refinement) -> FloatArray | None:
 
 
 def ending_at(refinement: Refinement, level: int) -> Refinement:
-    """The levels from 0 to this one as a whole surface; a control mesh of mixed polygons that is its end is in fans.
-
-    Parameters
-    ----------
-    refinement : Refinement
-    level : int
-    """
+    """The levels from 0 to this one as a whole surface; a control mesh of mixed polygons that is its end is in fans."""
     found, control = refinement.up_to(level), refinement.control
     last = found.levels[-1]
     if last.faces is not None:

@@ -168,11 +168,8 @@ def _limits(state: MeshState, scheme: SmoothScheme, wanted: BoolArray) -> csr_ar
     result = diags_array(kept.astype(np.float64)) @ rows + csr_array((weight, (row, column)), shape=(n, n))
     result = result + _dart_rows(topology, sharpness, scheme, features.dart & wanted)[0]
     if np.any(features.semi & wanted):
-        part, vertices = _neighbourhood(state, features.semi & wanted)
-        chosen = (features.semi & wanted)[vertices]
-        child = next_state(part, scheme)
-        followed = np.zeros(child.topology.table.n_vertices, dtype=bool)
-        followed[: len(vertices)] = chosen
+        part, vertices, child, followed = _one_step_on(state, scheme, features.semi & wanted)
+        chosen = followed[: len(vertices)]
         finer = _limits(child, scheme, followed)[np.flatnonzero(chosen)] @ state_matrix(part, scheme)
         finer = finer.tocoo()
         row, column = vertices[chosen][finer.coords[0]], vertices[finer.coords[1]]
@@ -181,6 +178,17 @@ def _limits(state: MeshState, scheme: SmoothScheme, wanted: BoolArray) -> csr_ar
     result.eliminate_zeros()
     result.sort_indices()
     return result
+
+
+def _one_step_on(
+    state: MeshState, scheme: SmoothScheme, chosen: BoolArray
+) -> tuple[MeshState, IndexArray, MeshState, BoolArray]:
+    """What is around some vertices, with its vertices' numbers, and the same a level on, where they come first."""
+    part, vertices = _neighbourhood(state, chosen)
+    child = next_state(part, scheme)
+    followed = np.zeros(child.topology.table.n_vertices, dtype=bool)
+    followed[: len(vertices)] = chosen[vertices]
+    return part, vertices, child, followed
 
 
 def _tangents(
@@ -196,11 +204,8 @@ def _tangents(
     ):
         tangent[features.dart] = (rows @ positions)[features.dart]
     if np.any(features.semi & wanted):
-        part, vertices = _neighbourhood(state, features.semi & wanted)
-        chosen = (features.semi & wanted)[vertices]
-        child = next_state(part, scheme)
-        followed = np.zeros(child.topology.table.n_vertices, dtype=bool)
-        followed[: len(vertices)] = chosen
+        part, vertices, child, followed = _one_step_on(state, scheme, features.semi & wanted)
+        chosen = followed[: len(vertices)]
         finer = _tangents(child, scheme, state_matrix(part, scheme) @ positions[vertices], followed)
         for tangent, values in zip(tangents, finer, strict=True):
             tangent[vertices[chosen]] = values[: len(vertices)][chosen]

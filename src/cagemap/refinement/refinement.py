@@ -264,10 +264,6 @@ def refine(control: ControlMesh, levels: int, scheme: Scheme | None = None) -> R
     scheme : CatmullClark, Loop or Bilinear, optional
         Default: `default_scheme`.
 
-    Returns
-    -------
-    Refinement
-
     Raises
     ------
     InvalidMeshError

@@ -237,16 +237,16 @@ def _provenance(result: MatchResult) -> str:
             f"{side.refinement.scheme} to level {side.finest}"
         )
     for group in ("parameters", "versions", "inputs"):
-        entries |= _flat(group, manifest.get(group) or {})
+        entries |= flattened(group, manifest.get(group) or {})
     rows = [f"<tr><th>{escape(name)}</th><td>{escape(str(value))}</td></tr>" for name, value in entries.items()]
     return f'<table class="facts">{"".join(rows)}</table>'
 
 
-def _flat(prefix: str, value: Any) -> dict[str, Any]:
+def flattened(prefix: str, value: Any) -> dict[str, Any]:
     """Nested dicts as one, names joined by dots."""
     if not isinstance(value, dict):
         return {prefix: value}
-    flat: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     for name, entry in value.items():
-        flat |= _flat(f"{prefix}.{name}", entry)
-    return flat
+        entries |= flattened(f"{prefix}.{name}" if prefix else name, entry)
+    return entries

@@ -14,7 +14,6 @@ from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS
 from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.numerics.arrays import IndexArray
 from cagemap.pipeline import (
     MatchResult,
     match_pair,
@@ -26,8 +25,7 @@ from cagemap.pipeline import (
 from cagemap.studio.landmark_files import landmarks_of
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.models import Model, open_model, with_texture
-from cagemap.studio.pieces import NOTHING, Offer
-from cagemap.studio.shape import Shape
+from cagemap.studio.scene import Scene
 from cagemap.studio.skins import Images, source_skin, target_skin
 from cagemap.studio.state import MapState, View
 
@@ -107,66 +105,20 @@ class Models:
 
 @dataclass(frozen=True, eq=False)
 class Opened:
-    """Answer to `OpenModels`; offers, schemes and what is dense are of target and source, see `Model`."""
+    """Answer to `OpenModels`: the models without a map, how target and source are subdivided, what there is to say."""
 
-    target: Shape
-    source: Shape
-    mirrors: tuple[IndexArray | None, IndexArray | None]
-    skins: tuple[bytes, bytes]
-    notes: tuple[str, ...] = ()
-    offers: tuple[Offer, Offer] = (NOTHING, NOTHING)
+    scene: Scene
     schemes: tuple[str | None, str | None] = (None, None)
-    dense: tuple[bool, bool] = (False, False)
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Found:
-    """Answer to `FindMap`.
-
-    Attributes
-    ----------
-    images : Images
-    skin : bytes
-        The target under it.
-    strain : dict of str to float
-    contradictions : dict of str to str
-    notes : tuple of str
-    seconds : float
-    answers : tuple of str
-        The landmark-free answers there are, best first.
-    chosen : int
-        Which of them the map goes on from.
-    confidence : str
-        What is said about the first one; empty where landmarks decided.
-    suggestion : int or None
-        Control vertex of the target at which one more landmark would tell most.
-    """
+    """Answer to `FindMap`: the map, the target under it, and what is known of it but how many there were before."""
 
     images: Images
     skin: bytes
-    strain: dict[str, float]
-    contradictions: dict[str, str]
-    notes: tuple[str, ...]
-    seconds: float
-    answers: tuple[str, ...] = ()
-    chosen: int = 0
-    confidence: str = ""
-    suggestion: int | None = None
-
-
-def after(known: MapState, found: Found) -> MapState:
-    """What the page knows of the map once another one is found."""
-    return MapState(
-        revision=known.revision + 1,
-        answers=found.answers,
-        chosen=found.chosen,
-        confidence=found.confidence,
-        strain=found.strain,
-        contradictions=found.contradictions,
-        notes=found.notes,
-        seconds=found.seconds,
-        suggestion=found.suggestion,
-    )
+    known: MapState
 
 
 @dataclass(frozen=True)
@@ -219,18 +171,15 @@ def perform(bench: Bench, task: Task, progress: Progress) -> tuple[Bench, Answer
         case OpenModels():
             models = _opened(bench)
             target, source = models.target, models.source
-            mirrors = (target.mirror, source.mirror)
-            skins = _skins(bench, task.view, None)
-            return bench, Opened(
+            scene = Scene(
                 target.shape,
                 source.shape,
-                mirrors,
-                skins,
-                target.notes + source.notes,
-                (target.offer, source.offer),
-                (target.scheme, source.scheme),
-                (target.dense, source.dense),
+                (target.mirror, source.mirror),
+                _skins(bench, task.view, None),
+                offers=(target.offer, source.offer),
+                dense=(target.dense, source.dense),
             )
+            return bench, Opened(scene, (target.scheme, source.scheme), target.notes + source.notes)
         case FindMap():
             return find_map(bench, task, progress)
         case ChooseAnswer():
@@ -309,19 +258,19 @@ def _found(bench: Bench, view: View, started: float) -> Found:
     result = bench.result
     assert result is not None
     images = _images(result)
-    known = None if bench.free is None else bench.free.confidence
-    return Found(
-        images=images,
-        skin=_target_skin(_opened(bench), images, view),
+    skin = _target_skin(_opened(bench), images, view)
+    free = None if bench.free is None else bench.free.confidence
+    known = MapState(
+        answers=() if free is None else tuple(reading.name for reading in free.readings),
+        chosen=bench.chosen,
+        confidence="" if result.confidence is None or bench.chosen else result.confidence.message,
         strain=_strain(result),
         contradictions={suspect.name: str(suspect) for suspect in result.suspects},
         notes=tuple(result.landmark_check.notes) + tuple(result.quality.warnings),
         seconds=time.perf_counter() - started,
-        answers=() if known is None else tuple(reading.name for reading in known.readings),
-        chosen=bench.chosen,
-        confidence="" if result.confidence is None or bench.chosen else result.confidence.message,
         suggestion=_suggestion(bench, result),
     )
+    return Found(images, skin, known)
 
 
 def _suggestion(bench: Bench, result: MatchResult) -> int | None:

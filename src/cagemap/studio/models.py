@@ -11,8 +11,8 @@ import numpy as np
 from cagemap.descriptors import mirror_symmetries
 from cagemap.errors import CagemapError, InvalidMeshError, ParameterError
 from cagemap.files.images import Pixels, read_image, tile_files, write_image
-from cagemap.files.meshes import read_mesh
-from cagemap.files.usd import USD_SUFFIXES, read_usd
+from cagemap.files.meshes import read_whole
+from cagemap.files.usd import USD_SUFFIXES
 from cagemap.files.usd_space import to_standard
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
@@ -132,8 +132,7 @@ def open_model(path: Path, scheme: str | None, up: str | None, vertices: int, pa
     InvalidMeshError, FormatError
         If it cannot be taken or read.
     """
-    usd = path.suffix.lower() in USD_SUFFIXES
-    whole = replace(read_usd(path, mixed=True) if usd else read_mesh(path), name=path.name)
+    whole = replace(read_whole(path), name=path.name)
     if structure_problems(whole):
         require_valid(whole)
     turn = upright(path, whole, up)

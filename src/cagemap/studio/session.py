@@ -13,7 +13,7 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
 from cagemap.studio.agreement import led_elsewhere
 from cagemap.studio.autosave import Parts, autosave_path, kept_parts, set_aside, write_autosave
-from cagemap.studio.bench import ChooseAnswer, Dressed, FindMap, Found, Opened, OpenModels, Task, after
+from cagemap.studio.bench import ChooseAnswer, Dressed, FindMap, Found, Opened, OpenModels, Task
 from cagemap.studio.finish import Command, FinishOptions, planned
 from cagemap.studio.finish_layout import on_the_page
 from cagemap.studio.held import Held
@@ -332,12 +332,10 @@ class Session(Held):
                 if isinstance(task, OpenModels) and files is not None and files.parts != self._asked_parts:
                     self._begin(replace(files, parts=self._asked_parts), self._asked_parts)  # the autosave's are gone
             case Opened():
-                offers = answer.offers
-                self._scene = Scene(
-                    answer.target, answer.source, answer.mirrors, answer.skins, None, offers, answer.dense
-                )
+                self._scene = answer.scene
                 if self._state.files is not None:  # as they were opened, so that the finish opens them alike
-                    parts = offers[0].opened, offers[1].opened
+                    target, source = answer.scene.offers
+                    parts = target.opened, source.opened
                     self._change(files=replace(with_parts(self._state.files, parts), schemes=answer.schemes))
                 self._notes(answer.notes)
                 self._first_landmarks()
@@ -345,7 +343,8 @@ class Session(Held):
                 if self._state.map.revision == 0:  # the page has its models by now, and the processor is free
                     threading.Thread(target=self._scene.warm, name="studio warm-up", daemon=True).start()
                 self._scene = replace(self._scene, images=answer.images, skins=(answer.skin, self._scene.skins[1]))
-                known = after(self._state.map, answer).under_names(task.landmarks, self._state.history.present)
+                known = answer.known.under_names(task.landmarks, self._state.history.present)
+                known = replace(known, revision=self._state.map.revision + 1)
                 self._change(map=known, proposal=proposed(self._scene, self._state.history.present))
             case Dressed() if self._scene is not None:
                 self._scene = replace(self._scene, skins=answer.skins)

@@ -14,13 +14,13 @@ from typing import TypeVar
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.images import UDIM_MARK, texture_files
+from cagemap.files.meshes import MESH_SUFFIXES
 from cagemap.files.obj import named_material_files
 from cagemap.files.suffixes import IMAGE_SUFFIXES
 from cagemap.files.usd import USD_SUFFIXES
 from cagemap.files.usd_named import named_files
 
-MESHES = (".obj", ".ply", ".stl", ".off", ".usd", ".usda", ".usdc", ".usdz")
-IMAGES = IMAGE_SUFFIXES
+MESHES, IMAGES = MESH_SUFFIXES, IMAGE_SUFFIXES
 LANDMARKS = (".json", ".pp", ".fcsv", ".csv", ".txt")
 TABLES = (".npy", ".npz", ".csv")
 # What may be added through the page.

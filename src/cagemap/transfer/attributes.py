@@ -10,7 +10,7 @@ from numpy.typing import DTypeLike, NDArray
 from cagemap.errors import ParameterError
 from cagemap.geometry.triangles import triangle_areas
 from cagemap.mesh import ControlMesh
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
 from cagemap.transfer.baking import BakeOptions, Transfer, bake, make_canvas, unit
 from cagemap.transfer.locate import Samples, locate_centers
 from cagemap.transfer.texture import Pixels
@@ -83,8 +83,7 @@ def pull_back_faces(transfer: Transfer, values: NDArray[Any], *, n_target_faces:
         return largest_share(faces, hits, areas, n_faces)
     columns = hits.reshape(len(hits), -1)
     totals = np.bincount(faces, areas, minlength=n_faces)
-    sums = [np.bincount(faces, areas * columns[:, k], minlength=n_faces) for k in range(columns.shape[1])]
-    means = np.stack(sums, axis=1) / np.where(totals > 0, totals, 1.0)[:, None]
+    means = grouped_sums(faces, areas[:, None] * columns, n_faces) / np.where(totals > 0, totals, 1.0)[:, None]
     return means.reshape(n_faces, *values.shape[1:])
 
 

@@ -21,7 +21,7 @@ from cagemap.geometry.triangles import triangle_areas, triangle_neighbors
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh.udim import udim_of, udim_origin
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import ThreadPool, core_count
 from cagemap.refinement import Level
@@ -339,8 +339,7 @@ def _average_cells(
     rows, columns = np.divmod(cells, shape[1])
     texel_of_cell = (rows // finer) * (shape[1] // finer) + columns // finer
     texels, inverse, counts = np.unique(texel_of_cell, return_inverse=True, return_counts=True)
-    sums = np.stack([np.bincount(inverse, values[:, k], minlength=len(texels)) for k in range(values.shape[1])], axis=1)
-    return texels, sums / counts[:, None]
+    return texels, grouped_sums(inverse, values, len(texels)) / counts[:, None]
 
 
 def to_dtype(values: FloatArray, dtype: np.dtype[Any]) -> Pixels:

@@ -14,12 +14,7 @@ from cagemap.transfer.texture import Pixels
 
 @kinds_checked
 def transfer_of(result: MatchResult) -> Transfer:
-    """Put a match into the form that bakes need; keep it for several images.
-
-    Parameters
-    ----------
-    result : MatchResult
-    """
+    """Put a match into the form that bakes need; keep it for several images."""
     target = result.target.refinement
     holes = target.holes(target.n_levels)
     return prepare_transfer(target.finest, result.source.refinement.finest, result.point_map, result.masks, holes)

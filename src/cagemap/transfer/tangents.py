@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.geometry.triangles import normalized, vertex_normals
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
 from cagemap.numerics.graphs import components
 from cagemap.transfer.surface import TexturedSurface
 
@@ -82,8 +82,7 @@ def tangent_frames(surface: TexturedSurface) -> TangentFrames:
         second = _projected(corners[(k + 2) % 3] - corners[k], normal)
         angle = np.arccos(np.clip(np.einsum("td,td->t", first, second), -1.0, 1.0))
         weighted = np.where(area != 0, angle, 0.0)[:, None] * in_plane
-        for d in range(3):
-            sums[:, d] += np.bincount(groups[:, k], weighted[:, d], minlength=len(sums))
+        sums += grouped_sums(groups[:, k], weighted, len(sums))
     tangents = normalized(sums)
     lost = np.linalg.norm(tangents, axis=1) < 0.5
     tangents[lost] = _any_tangent(own[lost])

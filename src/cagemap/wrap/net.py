@@ -12,7 +12,7 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import triangle_normals
 from cagemap.maps.elastic.graph import ElasticGraph, mesh_graph
 from cagemap.mesh import ControlMesh
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
 from cagemap.refinement import Refinement, finest_mesh, level_triangles
 
 # Exponent of an edge's squared length in its weight, relative to the mean: 0 weighs edges alike, whatever the faces'
@@ -99,9 +99,9 @@ def face_normals(mesh: ControlMesh, positions: FloatArray) -> FloatArray:
 def folded_faces(net: ControlNet, positions: FloatArray) -> NDArray[np.bool_]:
     """(m,) faces of the net whose mean normal is turned against the refined surface that they control."""
     fine = triangle_normals(net.surface(positions), net.surface_triangles)
-    sums = [np.bincount(net.face_of_triangle, fine[:, k], minlength=net.mesh.n_faces) for k in range(3)]
+    sums = grouped_sums(net.face_of_triangle, fine, net.mesh.n_faces)
     own = face_normals(net.mesh, positions)
-    return np.asarray(np.einsum("md,md->m", own, np.column_stack(sums)) <= 0)
+    return np.asarray(np.einsum("md,md->m", own, sums) <= 0)
 
 
 def face_aspects(mesh: ControlMesh, positions: FloatArray) -> FloatArray:

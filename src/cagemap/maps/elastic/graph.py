@@ -22,7 +22,7 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import normalized
 from cagemap.maps.elastic.constants import FLAT, JOINING_ROUNDS, LEAST_STRETCH, LEAST_WEIGHT, NORMAL_SPREAD, TINY
 from cagemap.maps.elastic.system import BlockSystem
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
 from cagemap.numerics.factorization import Factorization
 from cagemap.numerics.graphs import components
 from cagemap.operators.laplacian import stiffness, vertex_areas
@@ -132,8 +132,8 @@ def cluster_graph(fine: ElasticGraph, count: int, kept: IndexArray) -> tuple[Ela
     _, cell = np.unique(cell, return_inverse=True)
     k = int(cell.max()) + 1
     areas = np.bincount(cell, fine.areas, minlength=k)
-    centres = _sum_by(cell, fine.areas[:, None] * fine.positions, k) / areas[:, None]
-    normals = normalized(_sum_by(cell, fine.areas[:, None] * fine.normals, k))
+    centres = grouped_sums(cell, fine.areas[:, None] * fine.positions, k) / areas[:, None]
+    normals = normalized(grouped_sums(cell, fine.areas[:, None] * fine.normals, k))
     distance = np.linalg.norm(fine.positions - centres[cell], axis=1)
     order = np.lexsort((distance, cell))
     vertices = order[np.searchsorted(cell[order], np.arange(k))]
@@ -318,8 +318,3 @@ def connected_cells(graph: ElasticGraph, cell: IndexArray) -> IndexArray:
         small, joined = (shared.coords[side][order][last].astype(np.int64) for side in (0, 1))
         piece = components(small, joined, k)[piece]
     return piece
-
-
-def _sum_by(groups: IndexArray, values: FloatArray, count: int) -> FloatArray:
-    """(count, d) sums of rows by group."""
-    return np.column_stack([np.bincount(groups, column, minlength=count) for column in values.T]).astype(np.float64)

@@ -69,12 +69,6 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
     that it shows and fitted anew (`fit_in_pose`); then half-way to what it is seen from the source (`both_ways`). Its
     cost stays that of the end, to compare with the others'.
     Where they end alike, no joint needs the soft stage, and the stiffer one spreads the strain more evenly.
-
-    Parameters
-    ----------
-    prepared : PreparedPair
-    pair : Pair
-    progress : callable
     """
     progress("functional map")
     places, sheet, elastic = pair.landmarks.source.positions, prepared.sheet, prepared.elastic

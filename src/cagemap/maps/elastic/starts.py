@@ -90,13 +90,7 @@ class SourcePlaces:
 
 @dataclass(frozen=True, eq=False)
 class SpectralSides:
-    """Basis rows of the coarse graph's vertices and of some places of the source, for `spectral_starts`.
-
-    Attributes
-    ----------
-    target, source : Samples
-    places : SourcePlaces
-    """
+    """Basis rows of the coarse graph's vertices and of some places of the source, for `spectral_starts`."""
 
     target: Samples
     source: Samples

@@ -60,12 +60,6 @@ def found_readings(
 
     Landmarks of the pair, if there are any, are held by all of them. Positions are those of the vertices of the level
     that is deformed.
-
-    Parameters
-    ----------
-    prepared : PreparedPair
-    pair : Pair
-    progress : callable
     """
     progress("hypotheses")
     shape = prepared.coarse(pair.target_landmarks, pair.landmarks.curves)

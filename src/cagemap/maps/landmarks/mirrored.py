@@ -48,14 +48,7 @@ def mirrored_readings(
 
 
 def exchanged_pairs(prepared: PreparedPair, landmarks: PointPairs, reading: Reading) -> IndexArray:
-    """(q, 2) places of landmarks whose target points a reading puts near the source points of others, one to one.
-
-    Parameters
-    ----------
-    prepared : PreparedPair
-    landmarks : PointPairs
-    reading : Reading
-    """
+    """(q, 2) places of landmarks whose target points a reading puts near the source points of others, one to one."""
     near = cKDTree(prepared.mesh.positions).query(landmarks.target.positions)[1]
     images, wanted = reading.positions[near], landmarks.source.positions
     distance, there = cKDTree(wanted).query(images)

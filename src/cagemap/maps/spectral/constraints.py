@@ -72,11 +72,6 @@ def gather_constraints(pair: Pair, config: DescriptorConfig = DescriptorConfig()
 
     Filters are chosen and columns scaled here, once: the descriptors F~^l of a coarser level are the leading rows, and
     one weight of an operator means the same on all levels (eqs. 13-16).
-
-    Parameters
-    ----------
-    pair : Pair
-    config : DescriptorConfig
     """
     filters = choose_filters(pair.target.basis.eigenvalues, pair.source.basis.eigenvalues, config.heat, config.wave)
     curves = [one.target for one in pair.landmarks.curves], [one.source for one in pair.landmarks.curves]

@@ -27,13 +27,7 @@ NEAR = 4
 
 @dataclass(frozen=True, eq=False)
 class LevelMesh:
-    """The mesh of a level, all of whose vertices are samples.
-
-    Attributes
-    ----------
-    surface : Surface
-    level : int
-    """
+    """The mesh of a level, all of whose vertices are samples."""
 
     surface: Surface
     level: int

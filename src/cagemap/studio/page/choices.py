@@ -11,12 +11,7 @@ NONE = "(none)"
 
 
 class Choices:
-    """Makes dropdowns of a workspace's files.
-
-    Parameters
-    ----------
-    workspace : Workspace
-    """
+    """Makes dropdowns of a workspace's files."""
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace = workspace
