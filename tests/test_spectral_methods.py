@@ -8,13 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from benchmarks.accuracy.data import HUMANS
-from benchmarks.truth import true_map
 
 from cagemap.basis import BasisConfig
 from cagemap.errors import ParameterError
 from cagemap.functional_map import MapWeights, extend_functional_map, solve_functional_map
 from cagemap.geometry.points import SurfacePoints
-from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.pair import Pair, PointPairs, near_vertices
 from cagemap.maps.spectral import hierarchical
 from cagemap.maps.spectral.hierarchical import Growth, HierarchyConfig, hierarchical_map
@@ -23,37 +21,8 @@ from cagemap.maps.spectral.levels import search_levels
 from cagemap.maps.spectral.paper import PaperConfig, orthonormal, paper_map
 from cagemap.maps.spectral.samples import fit_functional_map
 from cagemap.mesh import shapes
-from cagemap.pipeline import MatchConfig, match, pair_of, prepare_surface
-
-# A third of the default growths: what is left out shows as well, in a third of the time.
-THREE = tuple(Growth(12, 1.5, weight, 0.3) for weight in (0.1, 0.33, 1.0))
-
-
-class Judged:
-    """A pair with its true map on level 1, both sides' bases by one configuration."""
-
-    def __init__(self, human, config, landmarks, *, back=False):
-        """With the second mesh as target, or, back, the first one."""
-        order = slice(None, None, -1 if back else 1)
-        self.surfaces = [prepare_surface(mesh, 1, config) for mesh in human.meshes()[order]]
-        neutrals = [
-            TriangleSurface.from_faces(s.refinement.prolong(neutral, 0, 1), s.refinement.finest.faces)
-            for s, neutral in zip(self.surfaces, human.neutrals()[order], strict=True)
-        ]
-        source, target = self.surfaces
-        truth = true_map(neutrals[1], neutrals[0])
-        self.images, self.known = truth.on(source.triangles(1)).positions, truth.known
-        chosen = human.landmarks(landmarks)
-        self.pair = pair_of(target, source, chosen.reversed() if back else chosen, MatchConfig())
-
-    def error(self, positions):
-        n = len(positions)
-        return 100 * float(np.linalg.norm(positions - self.images[:n], axis=1)[self.known[:n]].mean())
-
-    def errors(self, maps, points):
-        """Of every level's match, and of the point map."""
-        places = self.surfaces[0].triangles(1).positions
-        return [*(self.error(places[found.match]) for found in maps), self.error(points.images.positions)]
+from cagemap.pipeline import MatchConfig, match, prepare_surface
+from judged_pairs import THREE, Judged
 
 
 @pytest.fixture(scope="module")
@@ -148,6 +117,16 @@ def test_the_last_solve_and_going_on_to_more_functions_help(shared_data, monkeyp
     assert median(further_functions=150) > 1.02 * usual
     kept_extension(monkeypatch)
     assert median() > 1.02 * usual
+
+
+@pytest.mark.slow
+def test_a_level_more_does_not_make_the_hierarchical_map_worse(shared_data):
+    """The bar of 5 %, on the pair that missed it: 1.159 and 1.161; 1.215 where every level asks descriptors again."""
+    pair, errors = HUMANS["anny10pc__anny5pc"], []
+    for level in (1, 2):
+        judged = Judged(pair, BasisConfig(), 30, level=level)
+        errors.append(judged.errors(*hierarchical_map(judged.pair))[-1])
+    assert errors[1] < 1.04 * errors[0]
 
 
 def one_way(target, source, matches, sizes):

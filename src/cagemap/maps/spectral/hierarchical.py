@@ -3,9 +3,10 @@
 Starts from eq. 13 on a few functions. Every further band extends C by eqs. 14-16, to which the map so far adds what it
 says about the new functions; the new C gives a better map, with which C is solved for again. So it goes up the bands
 on one level, where all vertices of either surface search all of the other, in several ways whose best parts are
-joined, and then down the levels with the candidates of Fig. 9. Functions of finer bands have values at coarse vertices
-too, so that this level finds all of C whichever is the finest; a level's own C is the leading block. In every search
-landmark coordinates stand beside the functions, and normals of the target as C places it on the source.
+joined, and then down the levels with the candidates of Fig. 9, C read off their matches. Functions of finer bands have
+values at coarse vertices too, so that this level finds all of C whichever is the finest; a level's own C is the leading
+block. In every search landmark coordinates stand beside the functions, and normals of the target as C places it on the
+source.
 `cagemap.maps.spectral.paper` is the paper's method without the map's part.
 """
 
@@ -208,7 +209,7 @@ def hierarchical_map(
     beside = Beside(searched, *shared_coordinates(target, source, meshes, first.functional_map, config.further))
 
     def below(coarse: LevelMap, levels: LevelPair) -> LevelMap:
-        return descend(pair, constraints, coarse, levels, config, beside)
+        return descend(pair, coarse, levels, beside)
 
     maps, points = down_the_levels(pair, first, below, progress, beside)
     return tuple(replace(found, functional_map=leading(pair, found)) for found in maps), points
@@ -331,18 +332,14 @@ def search_both_ways(target: Samples, source: Samples, functional_map: FloatArra
     return nearest_both_ways(embed_target(target, functional_map.shape[0]), embed_source(source, functional_map))
 
 
-def descend(
-    pair: Pair,
-    constraints: Constraints,
-    coarse: LevelMap,
-    levels: LevelPair,
-    config: HierarchyConfig,
-    beside: Beside | None = None,
-) -> LevelMap:
-    """One step down: candidates of Fig. 9, C solved for again, and once more."""
+def descend(pair: Pair, coarse: LevelMap, levels: LevelPair, beside: Beside | None = None) -> LevelMap:
+    """One step down: candidates of Fig. 9, C of these matches, and candidates once more.
+
+    Descriptors are not asked again: matches get more exact from level to level, descriptors do not, and each further
+    solve with them would draw C back to what they say (docs/accuracy.md).
+    """
     match = search_level(pair, coarse.functional_map, levels, coarse, beside)
-    of_match = refit(pair, levels, match, constraints.shape)
-    functional_map = solve_functional_map(constraints, config.weights, match=of_match)
+    functional_map = refit(pair, levels, match, coarse.functional_map.shape)
     return LevelMap(levels, functional_map, search_level(pair, functional_map, levels, coarse, beside))
 
 
