@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 from typer.testing import CliRunner
 
-from cagemap.cli.command import Outcome, asks
+from cagemap.cli.command import Outcome, asks, in_stages
 from cagemap.cli.progress import Stages
 from cagemap.cli.wrap_request import WrapRequest
 from cagemap.wrap import WrapConfig
@@ -32,6 +32,7 @@ def _asked(*words: str, **options: Any) -> Asked:
 
     @app.command()
     @asks(Asked, **options)
+    @in_stages
     def run(request: Asked, stages: Stages) -> Outcome:
         got.append(request)
         return "done", []

@@ -18,8 +18,8 @@ import pytest
 from scipy.io import mmwrite
 
 from cagemap.basis import BasisConfig
-from cagemap.cli.job_file import WRITTEN
-from cagemap.cli.library import COMMANDS, cycle_notes
+from cagemap.cli.job_file import COMMANDS, WRITTEN
+from cagemap.cli.library import cycle_notes
 from cagemap.cli.masks import read_mask
 from cagemap.cli.progress import Stages
 from cagemap.cli.transfer import run_transfer

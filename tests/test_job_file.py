@@ -12,8 +12,8 @@ import tomli_w
 from typer.testing import CliRunner
 
 from cagemap.cli.app import app
-from cagemap.cli.job_file import JOB, WRITTEN, note_match, note_output
-from cagemap.cli.library import COMMANDS, run_task
+from cagemap.cli.job_file import COMMANDS, JOB, WRITTEN, note_match, note_output
+from cagemap.cli.library import run_task
 from cagemap.cli.map_request import MapRequest
 from cagemap.cli.match import MatchRequest
 from cagemap.cli.own_map import run_map

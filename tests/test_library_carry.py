@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from cagemap.basis.prepare import prepare_surface
 from cagemap.cli.app import app
-from cagemap.cli.library import COMMANDS
+from cagemap.cli.job_file import COMMANDS
 from cagemap.errors import FormatError
 from cagemap.example import example_pair
 from cagemap.files.landmark_points import read_points

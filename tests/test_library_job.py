@@ -8,8 +8,8 @@ from typing import get_args
 
 import pytest
 
+from cagemap.cli.job_file import COMMANDS as REAL
 from cagemap.cli.job_file import WRITTEN
-from cagemap.cli.library import COMMANDS as REAL
 from cagemap.errors import FormatError
 from cagemap.files.meshes import write_mesh
 from cagemap.library import Job, Plan, Task, plan_job, read_job, spanning_tree

@@ -9,9 +9,10 @@ import pytest
 import typer
 
 from cagemap.cli import app
-from cagemap.cli.library import RunRequest, run_job
+from cagemap.cli.library import run_job
 from cagemap.cli.option_list import all_options
 from cagemap.cli.progress import Stages
+from cagemap.cli.run_request import RunRequest
 from cagemap.files.images import read_image, write_image
 from cagemap.files.meshes import read_mesh, write_mesh
 from cagemap.studio.finish import FinishOptions, commands

@@ -16,9 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.accuracy.data import DATA
-from cagemap.cli.library import RunRequest, run_job
+from cagemap.cli.library import run_job
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.progress import Stages
+from cagemap.cli.run_request import RunRequest
 from cagemap.files.result import read_result
 from cagemap.numerics.threads import thread_limit
 

@@ -19,11 +19,11 @@ from cagemap.cli.options import (
     MeshFile,
     ResultFolder,
     SchemeOption,
-    SourceSchemeOption,
-    TargetSchemeOption,
     UvOption,
 )
 from cagemap.cli.report_request import report
+from cagemap.cli.run_request import run
+from cagemap.cli.studio_request import studio
 from cagemap.cli.transfer_request import transfer
 from cagemap.cli.words import say, set_verbosity
 from cagemap.cli.wrap_request import wrap
@@ -159,83 +159,8 @@ def suggest(
     say(run_suggest(result, output, count, force=force))
 
 
-@app.command()
-def run(
-    job: Annotated[Path, typer.Argument(help="Job file, .toml.")],
-    scheduler: Annotated[
-        str | None,
-        typer.Option(help="Address of a running Dask scheduler, such as tcp://host:8786.  [default: processes here]"),
-    ] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes here.  [default: one for each core]")] = None,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Only say what would be done, and about how long it takes.")
-    ] = False,
-) -> None:
-    """Match and transfer many pairs, as a job file says: each surface is prepared once, what is done is kept.
-
-    Writes a folder with a RESULT for every pair, what the job asks for beside it, index.html and figures.csv.
-    Run it again after a failure or a change: only what is missing is done. Exit code 1 if anything failed.
-    """
-    from cagemap.cli.library import RunRequest, run_job
-    from cagemap.cli.progress import Stages
-
-    with Stages() as stages:
-        text, complete = run_job(RunRequest(job, scheduler, workers, dry_run), stages)
-    say(text, always=not complete)
-    if not complete:
-        raise typer.Exit(1)
-
-
-@app.command()
-def studio(
-    target: Annotated[Path | None, typer.Option("--target", "-t", help="Control mesh that receives.")] = None,
-    source: Annotated[Path | None, typer.Option("--source", "-s", help="Control mesh that gives.")] = None,
-    landmarks: Annotated[Path | None, typer.Option(help="Landmark file to open and save.")] = None,
-    texture: Annotated[Path | None, typer.Option(help="Image over the source's UVs.")] = None,
-    result: Annotated[Path | None, typer.Option(help="RESULT folder of the finish; alone, the one to open.")] = None,
-    folder: Annotated[
-        list[Path] | None, typer.Option(help="Folder whose files the page may open and write; repeat it for more.")
-    ] = None,
-    host: Annotated[str, typer.Option(help="Address to serve; others than loopback need the token.")] = ("127.0.0.1"),
-    port: Annotated[int, typer.Option(min=0, max=65535, help="The next free one is taken.")] = 8765,
-    vertices: Annotated[int, typer.Option(min=1, help="About this many a model, in the page.")] = 25_000,
-    no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
-    scheme: SchemeOption = None,
-    target_scheme: TargetSchemeOption = None,
-    source_scheme: SourceSchemeOption = None,
-    part: Annotated[
-        str | None,
-        typer.Option(
-            help="Open this object, group, material or component of both files; `cagemap check` lists them.  "
-            "[default: all of a file in one piece, else its largest]"
-        ),
-    ] = None,
-    target_part: Annotated[str | None, typer.Option(help="As --part, of the target alone.")] = None,
-    source_part: Annotated[str | None, typer.Option(help="As --part, of the source alone.")] = None,
-) -> None:
-    """Open both models in the browser: see the map, click landmarks where it is wrong, bake.
-
-    Without models the built-in pair opens. The page reads and writes only in the folders of the files given here.
-    """
-    from cagemap.cli.studio import StudioRequest, run_studio
-
-    request = StudioRequest(
-        target=target,
-        source=source,
-        landmarks=landmarks,
-        texture=texture,
-        result=result,
-        schemes=(target_scheme or scheme, source_scheme or scheme),
-        parts=(target_part or part, source_part or part),
-        folder=tuple(folder or ()),
-        host=host,
-        port=port,
-        vertices=vertices,
-        no_browser=no_browser,
-    )
-    run_studio(request, say)
-
-
+app.command()(run)
+app.command()(studio)
 app.command()(functions)
 app.command()(wrap)
 app.command("map")(map_file)

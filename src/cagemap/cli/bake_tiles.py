@@ -11,7 +11,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from cagemap.cli.command import Outcome
-from cagemap.cli.masks import mask_files
+from cagemap.cli.masks import mask_inputs
 from cagemap.cli.progress import Stages
 from cagemap.cli.transfer_request import TransferRequest, base_of
 from cagemap.errors import ParameterError
@@ -97,8 +97,7 @@ def inputs_of(request: TransferRequest) -> list[Path]:
         request.result / MANIFEST,
         request.result / ARRAYS,
         *(file for path in given for file in texture_files(path)),
-        *mask_files(request.target_mask),
-        *mask_files(request.source_mask),
+        *mask_inputs(request.target_mask, request.source_mask).values(),
     ]
 
 

@@ -22,8 +22,8 @@ def asks(
     *,
     said: Mapping[str, Any] = MappingProxyType({}),
     read: Callable[..., Request] | None = None,
-) -> Callable[[Callable[[Request, Stages], Outcome]], Callable[..., None]]:
-    """Make a command of a function that does what a request asks: typer sees the request's fields as its parameters.
+) -> Callable[[Callable[[Request], None]], Callable[..., None]]:
+    """Make a command of a function that takes a request: typer sees the request's fields as its parameters.
 
     A field without an option is none of the command line's. One that may be None need not be given; a tuple of any
     length is an option that may be repeated, or left out.
@@ -50,20 +50,30 @@ def asks(
         for own, *options in [get_args(hints[field.name])]
     ]
 
-    def command_of(run: Callable[[Request, Stages], Outcome]) -> Callable[..., None]:
+    def command_of(run: Callable[[Request], None]) -> Callable[..., None]:
         @wraps(run)
         def command(**given: Any) -> None:
             words = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
-            with Stages() as stages:
-                summary, warnings = run((read or kind)(**words), stages)
-            warn(warnings)
-            say(summary)
+            run((read or kind)(**words))
 
         vars(command).update(__signature__=Signature(parameters))
         command.__annotations__ = {one.name: one.annotation for one in parameters} | {"return": None}
         return command
 
     return command_of
+
+
+def in_stages(run: Callable[[Request, Stages], Outcome]) -> Callable[[Request], None]:
+    """Make a function that shows its stages, and says its outcome, of one that has them."""
+
+    @wraps(run)
+    def told(request: Request) -> None:
+        with Stages() as stages:
+            summary, warnings = run(request, stages)
+        warn(warnings)
+        say(summary)
+
+    return told
 
 
 def _default(default: Any, kind: Any) -> Any:

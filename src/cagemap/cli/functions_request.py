@@ -8,7 +8,7 @@ from typing import Annotated
 
 from typer import Option
 
-from cagemap.cli.command import Outcome, asks
+from cagemap.cli.command import Outcome, asks, in_stages
 from cagemap.cli.options import BoundaryOption, CreasingOption, Force, MeshFile, SchemeOption
 from cagemap.cli.progress import Stages
 
@@ -59,6 +59,7 @@ class FunctionsRequest:
 
 
 @asks(FunctionsRequest)
+@in_stages
 def functions(request: FunctionsRequest, stages: Stages) -> Outcome:
     """Write eigenfunctions and descriptors of one mesh at its vertices: for research, and to look at.
 

@@ -12,6 +12,10 @@ from typing import Any
 import tomli_w
 
 from cagemap.cli.masks import mask_file
+from cagemap.cli.match_request import MatchRequest
+from cagemap.cli.report_request import ReportRequest
+from cagemap.cli.transfer_request import TransferRequest
+from cagemap.cli.wrap_request import WrapRequest
 from cagemap.files.atomic import atomic_path
 from cagemap.files.marks import is_own, mark
 from cagemap.files.result import stated_path
@@ -19,6 +23,12 @@ from cagemap.files.result import stated_path
 JOB = "job.toml"
 # Fields of requests that are no options of a job: where things are, and what may be overwritten.
 _PLACES = ("target", "source", "result", "results", "output", "cache", "force")
+COMMANDS: dict[str, type] = {
+    "match": MatchRequest,
+    "transfer": TransferRequest,
+    "wrap": WrapRequest,
+    "report": ReportRequest,
+}
 # Options that name files to write beside the output.
 WRITTEN = {
     "transfer": ("usd",),

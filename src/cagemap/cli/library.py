@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,18 +10,16 @@ from pydantic import TypeAdapter
 
 from cagemap.cli.bases import SIDES, side_bases, side_levels
 from cagemap.cli.dry_run import dry_run
-from cagemap.cli.job_file import WRITTEN
+from cagemap.cli.job_file import COMMANDS, WRITTEN
 from cagemap.cli.map_request import MapRequest
 from cagemap.cli.match import MatchRequest, read_control, run_match
 from cagemap.cli.mesh_commands import require_size
 from cagemap.cli.own_map import run_map
 from cagemap.cli.progress import Stages
 from cagemap.cli.report import run_report
-from cagemap.cli.report_request import ReportRequest
+from cagemap.cli.run_request import RunRequest
 from cagemap.cli.transfer import run_transfer
-from cagemap.cli.transfer_request import TransferRequest
 from cagemap.cli.wrap import run_wrap
-from cagemap.cli.wrap_request import WrapRequest
 from cagemap.errors import CagemapError
 from cagemap.files.code_version import code_version
 from cagemap.files.images import write_image
@@ -51,23 +48,6 @@ from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.numerics.threads import core_count
 from cagemap.report import draw_thumbnail
-
-COMMANDS: dict[str, type] = {
-    "match": MatchRequest,
-    "transfer": TransferRequest,
-    "wrap": WrapRequest,
-    "report": ReportRequest,
-}
-
-
-@dataclass(frozen=True)
-class RunRequest:
-    """What the user asked for, as said on the command line."""
-
-    job: Path
-    scheduler: str | None = None
-    workers: int | None = None
-    dry_run: bool = False
 
 
 class Ticker:
@@ -187,14 +167,11 @@ def run_task(task: Task) -> dict[str, Any]:
     if task.kind == "wrap":
         given["results"] = [given.pop("result")]
     request: Any = TypeAdapter(COMMANDS[task.kind]).validate_python(given)
-    if task.kind == "transfer":
-        _, warnings = run_transfer(request, stages)
-        return {"warnings": warnings}
-    if task.kind == "wrap":
-        _, warnings = run_wrap(request, stages)
-        return {"warnings": warnings}
-    run_report(request, stages)
-    return {}
+    if task.kind == "report":
+        run_report(request, stages)
+        return {}
+    _, warnings = (run_transfer if task.kind == "transfer" else run_wrap)(request, stages)
+    return {"warnings": warnings}
 
 
 def _match(task: Task, stages: Stages) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from cagemap.cli.command import Outcome, asks
+from cagemap.cli.command import Outcome, asks, in_stages
 from cagemap.cli.options import Force, MaskEdgeOption, SourceMaskOption, TargetMaskOption
 from cagemap.cli.progress import Stages
 
@@ -29,6 +29,7 @@ class MapRequest:
 
 
 @asks(MapRequest)
+@in_stages
 def map_file(request: MapRequest, stages: Stages) -> Outcome:
     """Take a point map of any method, as if `cagemap match` had found it: bake with it, wrap, see it in a report.
 

@@ -106,6 +106,12 @@ def mask_files(text: str | None) -> list[Path]:
     return texture_files(path)
 
 
+def mask_inputs(target: str | None, source: str | None) -> dict[str, Path]:
+    """Files of both masks, by the names that a manifest has for them."""
+    sides = (("target", target), ("source", source))
+    return {f"{side}_mask_{i}": path for side, text in sides for i, path in enumerate(mask_files(text))}
+
+
 def read_masks(options: MaskOptions, controls: tuple[ControlMesh, ControlMesh], files: tuple[Path, Path]) -> GivenMasks:
     """Masks of the target's and the source's whole files.
 

@@ -24,7 +24,7 @@ from cagemap.cli.bases import (
 )
 from cagemap.cli.given_landmarks import read_given_landmarks
 from cagemap.cli.job_file import note_match
-from cagemap.cli.masks import GivenMasks, MaskOptions, mask_files, masks_on, read_masks
+from cagemap.cli.masks import GivenMasks, MaskOptions, mask_inputs, masks_on, read_masks
 from cagemap.cli.match_parts import PartInputs, asked_parts, chosen_parts
 from cagemap.cli.match_plain import ready_inputs
 from cagemap.cli.match_request import MatchRequest as MatchRequest
@@ -33,16 +33,15 @@ from cagemap.cli.method import read_symmetries, used_parameters, with_parameters
 from cagemap.cli.progress import Stages
 from cagemap.cli.subdivision import SubdivisionRequest
 from cagemap.files.atomic import require_no_input
+from cagemap.files.manifest import stated_inputs
 from cagemap.files.merged import merge_results
 from cagemap.files.meshes import read_mesh, read_whole
 from cagemap.files.result import (
     ARRAYS,
     MANIFEST,
     check_result_folder,
-    file_hash,
     landmark_messages,
     peak_memory,
-    stated_path,
     write_result,
 )
 from cagemap.files.surface_store import prepared
@@ -129,52 +128,40 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     files.update({name: path for name, path in given.items() if path is not None})
     for side, symmetries in (("target", request.target_symmetry), ("source", request.source_symmetry)):
         files.update({f"{side}_symmetry_{i}": path for i, path in enumerate(symmetries)})
-    for side, text in (("target", request.target_mask), ("source", request.source_mask)):
-        files.update({f"{side}_mask_{i}": path for i, path in enumerate(mask_files(text))})
+    files.update(mask_inputs(request.target_mask, request.source_mask))
     check_result_folder(request.output, force=request.force)
     require_no_input([request.output / name for name in (ARRAYS, MANIFEST)], files.values())
     inputs = read_inputs(request)
-    hashes = {
-        name: {"file": path.name, "path": stated_path(path, request.output), "sha256": file_hash(path)}
-        for name, path in files.items()
-    }
     levels = side_levels(request, (inputs.target, inputs.source))
     sides = {
         side: basis_parameters(basis) | {"level": level}
         for side, basis, level in zip(SIDES, bases, levels, strict=True)
     }
     parts = asked_parts(request.part, request.target_part, request.source_part)
+    said = partial(_said, request)
     parameters = {
         "level": request.level,
         "vertices": request.vertices or (None if request.level else DEFAULT_VERTICES),
-        "target_vertices": request.target_vertices,
-        "source_vertices": request.source_vertices,
+        **said("target_vertices", "source_vertices"),
         **{f"{side}_{name}": value for side, used in sides.items() for name, value in used.items()},
         "method": request.method,
         "spectral": used_parameters(config),
-        "symmetry": request.symmetry,
-        "exchange_landmarks": request.exchange_landmarks,
-        "trust_landmarks": request.trust_landmarks,
-        "answer": request.answer,
-        "scheme": request.scheme,
-        "target_scheme": request.target_scheme,
-        "source_scheme": request.source_scheme,
-        "boundary": request.boundary,
-        "uv_interpolation": request.uv_interpolation,
-        "creasing": request.creasing,
+        **said("symmetry", "exchange_landmarks", "trust_landmarks", "answer"),
+        **said("scheme", "target_scheme", "source_scheme", "boundary", "uv_interpolation", "creasing"),
         **dict(zip(("target_part", "source_part"), parts, strict=True)),
-        "target_uv_set": request.target_uv_set,
-        "source_uv_set": request.source_uv_set,
-        "target_mask": request.target_mask,
-        "source_mask": request.source_mask,
-        "mask_edge": request.mask_edge,
+        **said("target_uv_set", "source_uv_set", "target_mask", "source_mask", "mask_edge"),
     }
-    entries = {"parameters": parameters, "inputs": hashes}
+    entries = {"parameters": parameters, "inputs": stated_inputs(files, request.output)}
     result = match_inputs(inputs, MatchSettings(bases, levels, config, request.cache, entries), stages)
     stages("write")
     write_result(request.output, result, force=request.force)
     note_match(request)
     return summary(result, request.output, time.perf_counter() - started), warnings(result)
+
+
+def _said(request: MatchRequest, *names: str) -> dict[str, Any]:
+    """Some options as they were said."""
+    return {name: getattr(request, name) for name in names}
 
 
 def match_config(request: MatchRequest) -> MatchConfig:

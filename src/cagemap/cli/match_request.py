@@ -8,7 +8,7 @@ from typing import Annotated
 
 from typer import Option
 
-from cagemap.cli.command import Outcome, asks
+from cagemap.cli.command import Outcome, asks, in_stages
 from cagemap.cli.options import (
     BoundaryOption,
     CreasingOption,
@@ -152,6 +152,7 @@ class MatchRequest:
 
 
 @asks(MatchRequest)
+@in_stages
 def match(request: MatchRequest, stages: Stages) -> Outcome:
     """Find for every point of the target its place on the source.
 

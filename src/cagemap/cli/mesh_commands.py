@@ -16,7 +16,7 @@ from cagemap.files.meshes import check_mesh_path, mesh_files, read_mesh, write_m
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import check_mesh, require_valid
 from cagemap.mesh.parts import Part, list_parts
-from cagemap.refinement import Scheme, finest_mesh
+from cagemap.refinement import finest_mesh
 from cagemap.refinement import refine as refine_mesh
 from cagemap.refinement.counts import vertex_counts
 
@@ -89,7 +89,7 @@ def refine_file(
     return f"{refinement}\nwrote {output}"
 
 
-def require_size(control: ControlMesh, level: int, scheme: Scheme | None = None) -> None:
+def require_size(control: ControlMesh, level: int) -> None:
     """Refuse levels that no machine holds, before memory runs out.
 
     Raises
@@ -97,7 +97,7 @@ def require_size(control: ControlMesh, level: int, scheme: Scheme | None = None)
     ParameterError
         If the finest level would have more than 20 million vertices.
     """
-    fits = sum(1 for _ in takewhile(lambda count: count <= MOST_VERTICES, vertex_counts(control, scheme))) - 1
+    fits = sum(1 for _ in takewhile(lambda count: count <= MOST_VERTICES, vertex_counts(control))) - 1
     if level > fits:
         raise ParameterError(
             f"--level {level}: {control.name} would have too many vertices, expected at most {MOST_VERTICES:,}. "

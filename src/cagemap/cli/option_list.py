@@ -10,25 +10,14 @@ from typing import Annotated, Any, Union, cast, get_args, get_origin, get_type_h
 
 from typer.models import OptionInfo
 
-from cagemap.cli.job_file import WRITTEN
-from cagemap.cli.match_request import MatchRequest
+from cagemap.cli.job_file import COMMANDS, WRITTEN
 from cagemap.cli.options import NameOrFile, OneOf, SomeOf
-from cagemap.cli.report_request import ReportRequest
-from cagemap.cli.transfer_request import TransferRequest
-from cagemap.cli.wrap_request import WrapRequest
 from cagemap.studio.options import Kind, Option, Options, Value, catalogue
-
-REQUESTS: dict[str, type] = {
-    "match": MatchRequest,
-    "transfer": TransferRequest,
-    "wrap": WrapRequest,
-    "report": ReportRequest,
-}
 
 
 def all_options() -> Options:
     """Every option of the commands that a finish runs."""
-    return catalogue(option for command, request in REQUESTS.items() for option in options_of(command, request))
+    return catalogue(option for command, request in COMMANDS.items() for option in options_of(command, request))
 
 
 def options_of(command: str, request: type) -> tuple[Option, ...]:

@@ -7,14 +7,15 @@ from pathlib import Path
 from cagemap.basis import Surface
 from cagemap.cli.job_file import note_match
 from cagemap.cli.map_request import MapRequest
-from cagemap.cli.masks import MaskOptions, mask_files, masks_on, read_masks
+from cagemap.cli.masks import MaskOptions, mask_inputs, masks_on, read_masks
 from cagemap.cli.mesh_commands import require_size
 from cagemap.cli.progress import Stages
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import require_no_input
+from cagemap.files.manifest import stated_inputs
 from cagemap.files.maps import dense_map, read_images, source_level
 from cagemap.files.meshes import read_mesh
-from cagemap.files.result import ARRAYS, MANIFEST, check_result_folder, file_hash, stated_path, write_result
+from cagemap.files.result import ARRAYS, MANIFEST, check_result_folder, write_result
 from cagemap.maps.quality import measure_quality
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.checks import require_valid
@@ -28,8 +29,7 @@ DEFAULT_VERTICES = 50_000
 def run_map(request: MapRequest, stages: Stages) -> tuple[str, list[str]]:
     """Judge a map and write it as a RESULT folder; returns a summary and warnings."""
     files = {"target": request.target, "source": request.source, "map": request.map}
-    for side, text in (("target", request.target_mask), ("source", request.source_mask)):
-        files.update({f"{side}_mask_{i}": path for i, path in enumerate(mask_files(text))})
+    files.update(mask_inputs(request.target_mask, request.source_mask))
     check_result_folder(request.output, force=request.force)
     require_no_input([request.output / name for name in (ARRAYS, MANIFEST)], files.values())
     stages("read")
@@ -46,13 +46,9 @@ def run_map(request: MapRequest, stages: Stages) -> tuple[str, list[str]]:
     masks.require_fit(places[0].n, places[1].n)
     stages("quality")
     quality = measure_quality(point_map, masks=masks)
-    entries = {
-        name: {"file": path.name, "path": stated_path(path, request.output), "sha256": file_hash(path)}
-        for name, path in files.items()
-    }
     asked = {"target_mask": request.target_mask, "source_mask": request.source_mask, "mask_edge": request.mask_edge}
     parameters = {"method": "map of the user's", "level": request.level, **asked}
-    provenance = {"parameters": parameters, "inputs": entries}
+    provenance = {"parameters": parameters, "inputs": stated_inputs(files, request.output)}
     result = MatchResult(target, source, Landmarks.none(), point_map, quality, masks=masks, provenance=provenance)
     stages("write")
     write_result(request.output, result, force=request.force)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from typer import Option
 
-from cagemap.cli.command import Outcome, asks
+from cagemap.cli.command import Outcome, asks, in_stages
 from cagemap.cli.options import Force, ResultFolder
 from cagemap.cli.progress import Stages
 
@@ -30,6 +30,7 @@ class ReportRequest:
 
 
 @asks(ReportRequest)
+@in_stages
 def report(request: ReportRequest, stages: Stages) -> Outcome:
     """Write one HTML page: both surfaces in the same views, the map as colours, quality in plain words.
 

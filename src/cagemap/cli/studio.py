@@ -3,30 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from cagemap.cli.option_list import all_options
+from cagemap.cli.studio_request import StudioRequest
 from cagemap.errors import ParameterError
 from cagemap.studio.opening import BUILT_IN_FOLDER, built_in_files, chosen_files
-
-
-@dataclass(frozen=True)
-class StudioRequest:
-    """What the user asked for, as said on the command line."""
-
-    target: Path | None = None
-    source: Path | None = None
-    landmarks: Path | None = None
-    texture: Path | None = None
-    result: Path | None = None
-    schemes: tuple[str | None, str | None] = (None, None)
-    parts: tuple[str | None, str | None] = (None, None)
-    folder: tuple[Path, ...] = ()
-    host: str = "127.0.0.1"
-    port: int = 8765
-    vertices: int = 25_000
-    no_browser: bool = False
 
 
 def run_studio(request: StudioRequest, tell: Callable[[str], None]) -> None:
@@ -48,7 +30,9 @@ def run_studio(request: StudioRequest, tell: Callable[[str], None]) -> None:
     for path in request.folder:
         if not path.is_dir():
             raise ParameterError(f"--folder {path}: expected a folder, found none. Check the name.")
-    files = chosen_files(*named, request.result, request.schemes, request.parts)
+    schemes = request.target_scheme or request.scheme, request.source_scheme or request.scheme
+    parts = request.target_part or request.part, request.source_part or request.part
+    files = chosen_files(*named, request.result, schemes, parts)
     if files is None:
         folders = request.folder or (BUILT_IN_FOLDER, Path.cwd())
         if not request.folder:

@@ -14,7 +14,6 @@ from cagemap.files.result import ARRAYS, MANIFEST, read_files, read_result
 from cagemap.maps.landmarks.suggest import free_partners, suggested_vertices
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import CagePoints, Landmarks
-from cagemap.numerics.arrays import IndexArray
 
 
 def run_suggest(folder: Path, output: Path, count: int, *, force: bool = False) -> str:
@@ -64,15 +63,9 @@ def suggested_landmarks(result: MatchResult, count: int) -> Landmarks:
     free = [name for i in range(1, count + len(taken) + 1) if (name := f"suggested {i}") not in taken]
     more = Landmarks.of_points(
         (*result.landmark_names, *free[:count]),
-        _beside(pairs.target_points, chosen),
-        _beside(pairs.source_points, partners),
+        pairs.target_points.beside(CagePoints.of_vertices(chosen)),
+        pairs.source_points.beside(CagePoints.of_vertices(partners)),
         result.target.control.name,
         result.source.control.name,
     )
     return replace(more, curves=pairs.curves)
-
-
-def _beside(points: CagePoints, vertices: IndexArray) -> CagePoints:
-    """Points, wherever they lie, and control vertices after them."""
-    new = CagePoints.of_vertices(vertices)
-    return CagePoints(np.vstack([points.corners, new.corners]), np.vstack([points.weights, new.weights]))

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from typer import Option
 
-from cagemap.cli.command import Outcome, asks
+from cagemap.cli.command import Outcome, asks, in_stages
 from cagemap.cli.options import (
     Force,
     Green,
@@ -145,6 +145,7 @@ def _read(texture: tuple[str, ...], bases: tuple[str, ...], bake: str | None, **
 
 
 @asks(TransferRequest, said={"texture": tuple[str, ...], "bases": tuple[str, ...], "bake": str | None}, read=_read)
+@in_stages
 def transfer(request: TransferRequest, stages: Stages) -> Outcome:
     """Carry something from source to target: textures, attributes, UVs, skinning weights, joints, blend shapes.
 

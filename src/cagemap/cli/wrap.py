@@ -13,7 +13,7 @@ from cagemap.cli.command import Outcome
 from cagemap.cli.further_masks import with_masks
 from cagemap.cli.job_file import note_output
 from cagemap.cli.map_request import MapRequest
-from cagemap.cli.masks import MaskOptions, mask_files
+from cagemap.cli.masks import MaskOptions, mask_inputs
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.own_map import run_map
 from cagemap.cli.progress import Stages
@@ -134,7 +134,7 @@ def _check_request(request: WrapRequest) -> None:
     inputs = [folder / name for folder in request.results for name in (MANIFEST, ARRAYS)]
     named = (request.target, request.source, request.landmarks, request.map, request.weights, request.detail)
     inputs += [path for path in named if path is not None]
-    inputs += [*textures_read(request), *mask_files(request.target_mask), *mask_files(request.source_mask)]
+    inputs += [*textures_read(request), *mask_inputs(request.target_mask, request.source_mask).values()]
     if request.blend_shapes:
         if request.output.exists() and not request.output.is_dir():
             raise ParameterError(f"{request.output}: --blend-shapes writes a folder of OBJ files, got a file")

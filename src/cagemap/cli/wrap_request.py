@@ -8,7 +8,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from cagemap.cli.command import Outcome, asks
+from cagemap.cli.command import Outcome, asks, in_stages
 from cagemap.cli.options import (
     Force,
     Green,
@@ -81,6 +81,7 @@ class WrapRequest:
 
 
 @asks(WrapRequest)
+@in_stages
 def wrap(request: WrapRequest, stages: Stages) -> Outcome:
     """Give the target's cage the source's shape: your topology, that shape.
 

@@ -6,6 +6,7 @@ import hashlib
 import os
 import platform
 import sys
+from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,14 @@ def stated_path(path: str | Path, folder: str | Path) -> str:
         return Path(os.path.relpath(file, root)).as_posix()
     except ValueError:
         return Path(file).name
+
+
+def stated_inputs(files: Mapping[str, Path], folder: Path) -> dict[str, dict[str, str]]:
+    """How a manifest names what a result was made from: a file's name, its place, and the hash of its content."""
+    return {
+        name: {"file": path.name, "path": stated_path(path, folder), "sha256": file_hash(path)}
+        for name, path in files.items()
+    }
 
 
 def input_file(folder: str | Path, manifest: dict[str, Any], side: str) -> Path | None:
