@@ -78,65 +78,30 @@ if TYPE_CHECKING:
 
 # The one list: room by room. `__all__`, `dir` and a test of that page follow it.
 _ROOMS = {
-    "basis": (
-        "BasisConfig",
-        "HierarchicalBasis",
-        "Surface",
-    ),
+    "basis": ("BasisConfig", "HierarchicalBasis", "Surface"),
     "errors": ("CagemapError",),
-    "files.images": (
-        "read_image",
-        "write_image",
-    ),
+    "files.images": ("read_image", "write_image"),
     "files.landmarks": ("read_landmarks",),
-    "files.meshes": (
-        "read_mesh",
-        "write_mesh",
-    ),
-    "files.result": (
-        "read_result",
-        "write_result",
-    ),
+    "files.meshes": ("read_mesh", "write_mesh"),
+    "files.result": ("read_result", "write_result"),
     "geometry.points": ("SurfacePoints",),
     "geometry.surface": ("TriangleSurface",),
     "maps.elastic.config": ("ElasticConfig",),
-    "maps.elastic.method": (
-        "fit",
-        "functional_map_of",
-    ),
+    "maps.elastic.method": ("fit", "functional_map_of"),
     "maps.elastic.prepared": ("PreparedPair",),
-    "maps.mask_values": (
-        "face_mask",
-        "soft_edge",
-        "vertex_mask",
-    ),
+    "maps.mask_values": ("face_mask", "soft_edge", "vertex_mask"),
     "maps.masks": ("Masks",),
-    "maps.pair": (
-        "Pair",
-        "PointPairs",
-    ),
+    "maps.pair": ("Pair", "PointPairs"),
     "maps.point_map": ("PointMap",),
-    "maps.projection.project": (
-        "project",
-        "unfold",
-    ),
+    "maps.projection.project": ("project", "unfold"),
     "maps.quality": ("QualityFigures",),
     "maps.result": ("MatchResult",),
-    "mesh": (
-        "ControlMesh",
-        "Plain",
-    ),
+    "mesh": ("ControlMesh", "Plain"),
     "mesh.checks": ("check_mesh",),
     "mesh.landmarks": ("Landmarks",),
-    "mesh.plain": (
-        "PlainMesh",
-        "plain_mesh",
-    ),
+    "mesh.plain": ("PlainMesh", "plain_mesh"),
     "numerics.threads": ("thread_limit",),
-    "operators": (
-        "Operators",
-        "build_operators",
-    ),
+    "operators": ("Operators", "build_operators"),
     "pipeline": (
         "MatchConfig",
         "choose_level",
@@ -150,27 +115,10 @@ _ROOMS = {
         "prepare_surfaces",
         "update_match",
     ),
-    "refinement": (
-        "CatmullClark",
-        "Loop",
-        "Refinement",
-        "refine",
-    ),
+    "refinement": ("CatmullClark", "Loop", "Refinement", "refine"),
     "report": ("write_report",),
-    "transfer": (
-        "BakeOptions",
-        "bake",
-        "bake_displacement",
-        "bake_texture",
-        "prepare_transfer",
-        "transfer_of",
-    ),
-    "transfer.masks": (
-        "bake_mask",
-        "blend",
-        "painted_mask",
-        "with_alpha",
-    ),
+    "transfer": ("BakeOptions", "bake", "bake_displacement", "bake_texture", "prepare_transfer", "transfer_of"),
+    "transfer.masks": ("bake_mask", "blend", "painted_mask", "with_alpha"),
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
 

@@ -12,15 +12,7 @@ from cagemap import __version__
 from cagemap.cli.functions_request import functions
 from cagemap.cli.map_request import map_file
 from cagemap.cli.match_request import match
-from cagemap.cli.options import (
-    BoundaryOption,
-    CreasingOption,
-    Force,
-    MeshFile,
-    ResultFolder,
-    SchemeOption,
-    UvOption,
-)
+from cagemap.cli.options import BoundaryOption, CreasingOption, Force, MeshFile, ResultFolder, SchemeOption, UvOption
 from cagemap.cli.report_request import report
 from cagemap.cli.run_request import run
 from cagemap.cli.studio_request import studio

@@ -154,11 +154,7 @@ def layout_tiles(transfer: Transfer) -> tuple[list[int], list[str]]:
 
 
 def bake_tiles(
-    request: TransferRequest,
-    prepared: Prepared,
-    bake: Callable[[BakeOptions], Baked],
-    stages: Stages,
-    name: str = "",
+    request: TransferRequest, prepared: Prepared, bake: Callable[[BakeOptions], Baked], stages: Stages, name: str = ""
 ) -> Baked:
     """Bake all tiles of a layout and write them, each while the next one is baked; returns the last.
 

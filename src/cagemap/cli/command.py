@@ -18,10 +18,7 @@ Outcome = tuple[str, list[str]]
 
 
 def asks(
-    kind: type[Request],
-    *,
-    said: Mapping[str, Any] = MappingProxyType({}),
-    read: Callable[..., Request] | None = None,
+    kind: type[Request], *, said: Mapping[str, Any] = MappingProxyType({}), read: Callable[..., Request] | None = None
 ) -> Callable[[Callable[[Request], None]], Callable[..., None]]:
     """Make a command of a function that takes a request: typer sees the request's fields as its parameters.
 

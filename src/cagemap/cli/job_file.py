@@ -32,15 +32,7 @@ COMMANDS: dict[str, type] = {
 # Options that name files to write beside the output.
 WRITTEN = {
     "transfer": ("usd",),
-    "wrap": (
-        "displacement",
-        "vector_displacement",
-        "normal_map",
-        "occlusion",
-        "colors",
-        "baked",
-        "mhclo",
-    ),
+    "wrap": ("displacement", "vector_displacement", "normal_map", "occlusion", "colors", "baked", "mhclo"),
 }
 _log = logging.getLogger(__name__)
 

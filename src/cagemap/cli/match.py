@@ -36,25 +36,12 @@ from cagemap.files.atomic import require_no_input
 from cagemap.files.manifest import stated_inputs
 from cagemap.files.merged import merge_results
 from cagemap.files.meshes import read_mesh, read_whole
-from cagemap.files.result import (
-    ARRAYS,
-    MANIFEST,
-    check_result_folder,
-    landmark_messages,
-    peak_memory,
-    write_result,
-)
+from cagemap.files.result import ARRAYS, MANIFEST, check_result_folder, landmark_messages, peak_memory, write_result
 from cagemap.files.surface_store import prepared
 from cagemap.files.usd_space import unit_notes
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.pipeline import (
-    MatchConfig,
-    MatchResult,
-    match,
-    prepare_surface,
-    prepare_surfaces,
-)
+from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_surface, prepare_surfaces
 
 _log = logging.getLogger(__name__)
 

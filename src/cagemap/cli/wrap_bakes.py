@@ -7,14 +7,7 @@ from pathlib import Path
 from typing import cast
 
 from cagemap.cli.bake_tiles import DEFAULT_SIZE, layout_tiles
-from cagemap.cli.detail_bakes import (
-    DetailBakes,
-    Kind,
-    bake_detail,
-    detail_texture,
-    mesh_detail,
-    vertex_colors,
-)
+from cagemap.cli.detail_bakes import DetailBakes, Kind, bake_detail, detail_texture, mesh_detail, vertex_colors
 from cagemap.cli.progress import Stages
 from cagemap.cli.wrap_request import WrapRequest
 from cagemap.errors import ParameterError

@@ -65,10 +65,7 @@ def on_display(pixels: Pixels, spec: Any) -> Pixels:
     shown = np.zeros((rows[3], columns[3], pixels.shape[2]), dtype=pixels.dtype)
     there, here = (
         tuple(slice(part.start - start, max(part.stop, part.start) - start) for part, start in pairs)
-        for pairs in (
-            ((rows[0], rows[2]), (columns[0], columns[2])),
-            ((rows[0], rows[1]), (columns[0], columns[1])),
-        )
+        for pairs in (((rows[0], rows[2]), (columns[0], columns[2])), ((rows[0], rows[1]), (columns[0], columns[1])))
     )
     shown[there] = pixels[here]
     return shown

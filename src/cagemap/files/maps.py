@@ -260,6 +260,5 @@ def write_map(path: str | Path, point_map: PointMap, *, force: bool = False) -> 
         else:
             source = np.array(point_map.source.n)
             write_npz(
-                temporary,
-                {"triangle": point_map.triangle, "barycentric": point_map.barycentric, SOURCE_SIZE: source},
+                temporary, {"triangle": point_map.triangle, "barycentric": point_map.barycentric, SOURCE_SIZE: source}
             )

@@ -304,11 +304,7 @@ def _sharpness(where: str, mesh: Any) -> dict[str, Any]:
         if (
             lengths.sum() != len(chain)
             or (len(lengths) and lengths.min() < 2)
-            or len(values)
-            not in (
-                len(lengths),
-                int(n_edges.sum()),
-            )
+            or len(values) not in (len(lengths), int(n_edges.sum()))
         ):
             raise FormatError(
                 f"{where}: expected creases of two vertices or more with one sharpness each or one an edge, got "

@@ -106,10 +106,7 @@ class SurfacePoints:
             )
         # Entry i of a triangle is one of its corners in column i: a triangle holds a point if it has all its vertices.
         around = sparse.csr_array(
-            (
-                np.ones(surface.triangles.size),
-                (surface.triangles.ravel(), np.arange(surface.triangles.size) // 3),
-            ),
+            (np.ones(surface.triangles.size), (surface.triangles.ravel(), np.arange(surface.triangles.size) // 3)),
             shape=(surface.n, len(surface.triangles)),
         )
         ones = sparse.csr_array((np.ones(rows.nnz), rows.indices, rows.indptr), shape=rows.shape)

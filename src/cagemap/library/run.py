@@ -165,12 +165,7 @@ def execute(task: Task, root: Path, runner: Runner, *before: Outcome) -> Outcome
 
 
 def _run(
-    client: Client,
-    plan: Plan,
-    missing: list[Task],
-    runner: Runner,
-    known: dict[str, Outcome],
-    report: Report,
+    client: Client, plan: Plan, missing: list[Task], runner: Runner, known: dict[str, Outcome], report: Report
 ) -> dict[str, Outcome]:
     from distributed import as_completed, wait
 
@@ -281,10 +276,7 @@ def _local(stack: ExitStack, workers: int) -> Client:
     from distributed.system import MEMORY_LIMIT
 
     environment = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "CAGEMAP_THREADS")}
-    settings = {
-        "distributed.scheduler.allowed-failures": DEATHS,
-        "distributed.nanny.pre-spawn-environ": environment,
-    }
+    settings = {"distributed.scheduler.allowed-failures": DEATHS, "distributed.nanny.pre-spawn-environ": environment}
     stack.enter_context(dask.config.set(settings))
     logging.getLogger("distributed").setLevel(logging.ERROR)  # deaths of workers are told as outcomes
     # Any free port: another cluster on this machine is nothing to warn of. Without bokeh there is no dashboard on it.

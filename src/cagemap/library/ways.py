@@ -67,13 +67,7 @@ def composed_result(way: Sequence[MatchResult], names: Sequence[str]) -> MatchRe
     note = f"composed of the maps {' -> '.join(reversed(names))}, since the direct one disagrees with the ways round it"
     provenance = {"notes": [note], "way": list(names)}
     return MatchResult(
-        first.target,
-        last.source,
-        Landmarks.none(),
-        found,
-        quality,
-        known_spectral=spectral,
-        provenance=provenance,
+        first.target, last.source, Landmarks.none(), found, quality, known_spectral=spectral, provenance=provenance
     )
 
 

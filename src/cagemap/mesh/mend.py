@@ -14,14 +14,7 @@ from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.edge_checks import extra_faces
 from cagemap.mesh.geometry_checks import inside_out_problem
 from cagemap.mesh.measures import face_areas
-from cagemap.mesh.topology import (
-    EdgeTable,
-    boundary_loops,
-    corner_fans,
-    edge_table,
-    face_components,
-    face_orientation,
-)
+from cagemap.mesh.topology import EdgeTable, boundary_loops, corner_fans, edge_table, face_components, face_orientation
 from cagemap.numerics.arrays import IndexArray
 from cagemap.numerics.graphs import components
 

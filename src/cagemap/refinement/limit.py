@@ -220,10 +220,7 @@ def _tangents_of_sides(
     topology, table = state.topology, state.topology.table
     cut = state.sharpness.edges >= INFINITE_SHARPNESS
     forward, backward = topology.edge_corners[~cut].T
-    pairs = (
-        np.concatenate([forward, table.following[forward]]),
-        np.concatenate([table.following[backward], backward]),
-    )
+    pairs = (np.concatenate([forward, table.following[forward]]), np.concatenate([table.following[backward], backward]))
     cut_apart, labels = cut_table(table, components(*pairs, table.n_corners))
     owners = np.empty(len(labels), dtype=np.int64)
     owners[cut_apart.vertices] = table.vertices

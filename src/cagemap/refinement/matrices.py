@@ -110,11 +110,7 @@ def quad_matrix(topology: Topology, scheme: CatmullClark, corner: BoolArray) -> 
     interior = topology.edge_corners[:, 1] >= 0
     rows = RowFiller(
         np.concatenate(
-            [
-                _vertex_row_lengths(topology, smooth, corner, 2),
-                np.where(interior, 6, 2),
-                np.full(table.n_faces, 4),
-            ]
+            [_vertex_row_lengths(topology, smooth, corner, 2), np.where(interior, 6, 2), np.full(table.n_faces, 4)]
         )
     )
     own, neighbour, opposite = scheme.quad_vertex_weights(topology.valences)

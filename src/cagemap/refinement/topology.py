@@ -104,11 +104,7 @@ def _edge_corners(table: CornerTable) -> IntArray:
 
 
 def table_of(
-    vertices: IndexArray | IntArray,
-    n_vertices: int,
-    faces: IntArray,
-    following: IntArray,
-    previous: IntArray,
+    vertices: IndexArray | IntArray, n_vertices: int, faces: IntArray, following: IntArray, previous: IntArray
 ) -> CornerTable:
     """Corner table of faces on any vertex numbers.
 

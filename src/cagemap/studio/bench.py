@@ -14,14 +14,7 @@ from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS
 from cagemap.maps.landmarks.suggest import suggested_vertices
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.pipeline import (
-    MatchResult,
-    match_pair,
-    other_answer,
-    prepare_pair,
-    prepare_surfaces,
-    update_match,
-)
+from cagemap.pipeline import MatchResult, match_pair, other_answer, prepare_pair, prepare_surfaces, update_match
 from cagemap.studio.landmark_files import landmarks_of
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.models import Model, open_model, with_texture
