@@ -17,8 +17,9 @@ from hypothesis import strategies as st
 
 from cagemap.cli import app
 from cagemap.cli.detail_bakes import KINDS
+from cagemap.cli.job_file import COMMANDS
 from cagemap.cli.masks import mask_file
-from cagemap.cli.option_list import REQUESTS, all_options
+from cagemap.cli.option_list import all_options
 from cagemap.cli.options import MASK_FILES
 from cagemap.errors import ParameterError
 from cagemap.studio.downloads import ALL, content
@@ -296,4 +297,4 @@ def test_stages_are_read_from_verbose_commands() -> None:
 
 
 def test_every_command_of_a_finish_is_asked_by_its_request() -> None:
-    assert {key[0] for key in OPTIONS} == {*REQUESTS}
+    assert {key[0] for key in OPTIONS} == {*COMMANDS}
