@@ -12,10 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cagemap import match, prepare_surface, update_match
+from cagemap import MatchConfig, match, prepare_surface, update_match
 from cagemap.errors import FormatError, InvalidLandmarksError
 from cagemap.files.landmark_points import read_points
 from cagemap.files.point_forms import POINT_FORMS, PointForm, write_points
+from cagemap.maps.elastic.config import StartConfig
+from cagemap.maps.pair import NEAR_VERTICES
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.cage_points import NamedCurve
 from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, check_landmarks, on_cage, paired
@@ -242,6 +244,25 @@ def test_the_map_meets_landmarks_between_vertices() -> None:
     moved = CagePoints(triangles[chosen], weights[:, [1, 0, 2]])
     updated = update_match(between, Landmarks.of_points(names, points, moved, "t", "s"))
     assert updated.quality.landmark_errors.max() < 2e-4
+
+
+@pytest.mark.parametrize("vertices", [100, 800])
+def test_coarse_search_levels_have_landmarks_between_vertices(vertices: int) -> None:
+    """Landmarks between vertices are vertices of the level that is searched, however coarse: it was an IndexError."""
+    cage = creature()
+    target, source = prepare_surface(cage, 2), prepare_surface(bent(cage), 2)
+    triangles = fan_triangles(cage)[0]
+    chosen = np.linspace(0, len(triangles) - 1, 10).astype(int)
+    points = CagePoints(triangles[chosen], np.full((len(chosen), 3), 1 / 3))
+    landmarks = Landmarks.of_points(tuple(map(str, chosen)), points, points, "t", "s")
+    config = MatchConfig(start=StartConfig(search_vertices=vertices))
+    found = match(target, source, landmarks, config)
+    assert found.prepared is not None
+    assert found.prepared.mesh.n < NEAR_VERTICES
+    assert found.quality.landmark_errors.max() < 1e-3
+    moved = CagePoints(triangles[chosen], np.tile([0.5, 0.3, 0.2], (len(chosen), 1)))
+    updated = update_match(found, Landmarks.of_points(landmarks.names, points, moved, "t", "s"), config)
+    assert updated.quality.landmark_errors.max() < 1e-3
 
 
 def test_vertices_given_as_points_are_vertices() -> None:

@@ -72,7 +72,7 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
     """
     progress("functional map")
     places, sheet, elastic = pair.landmarks.source.positions, prepared.sheet, prepared.elastic
-    shape = prepared.coarse(pair.target_landmarks, pair.landmarks.curves)
+    shape = prepared.coarse(prepared.near(pair.landmarks)[0], pair.landmarks.curves)
     with ThreadPool(1) as aside:  # from the landmarks alone, while the functional map is made
         blind = aside.submit(coarse_fit, shape, sheet, None, places, elastic)
         match = start_map(prepared, pair, shape.vertices, shape.rest.graph.areas)

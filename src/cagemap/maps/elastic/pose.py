@@ -25,7 +25,7 @@ from cagemap.maps.elastic.constants import (
 from cagemap.maps.elastic.fit import coarse_fit, fine_fit
 from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph
 from cagemap.maps.elastic.prepared import PreparedPair, RestShape
-from cagemap.maps.pair import PointPairs, near_vertices
+from cagemap.maps.pair import PointPairs
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.factorization import factor
 from cagemap.numerics.rotations import nearest_rotations
@@ -46,7 +46,7 @@ def fit_in_pose(
     times : int
         The better the fit, the better the pose: both are found again, so often in all.
     """
-    kept = near_vertices(landmarks.target, prepared.target)
+    kept = prepared.near(landmarks)[0]
     elastic = replace(prepared.elastic, coarse=prepared.elastic.settled)
     for _ in range(times):
         rest = prepared.rest.at(posed(prepared.rest, positions), elastic.fine.smoothing)

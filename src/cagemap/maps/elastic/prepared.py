@@ -18,6 +18,7 @@ from cagemap.maps.elastic.curves import NO_CURVES, CurvePull
 from cagemap.maps.elastic.data import Pullers
 from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph, bounded_maps, cluster_graph, mesh_graph
 from cagemap.maps.masks import WHOLE, Masks
+from cagemap.maps.pair import PointPairs, near_vertices
 from cagemap.maps.spectral.levels import search_levels
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool
@@ -176,6 +177,11 @@ class PreparedPair:
         rest = RestShape.build(self.graphs[1], mesh, self.elastic.fine.smoothing, masks)
         sheet = source.triangles(source.refinement.coarsest_level(SHEET_VERTICES))
         return PreparedPair(target, source, self.start, self.elastic, self.levels[::-1], rest, sheet)
+
+    def near(self, landmarks: PointPairs) -> tuple[IndexArray, IndexArray]:
+        """(p,) vertices of target and source that landmarks lie on or near, of the levels that are searched."""
+        target = near_vertices(landmarks.target, self.target, self.levels[0])
+        return target, near_vertices(landmarks.source, self.source, self.levels[1])
 
     def coarse(self, kept: IndexArray | None = None, curves: tuple[CurvePair, ...] = ()) -> CoarseShape:
         """Clusters of the target's mesh, each of the kept vertices (p,) one of its own; landmarks, or none."""

@@ -50,10 +50,11 @@ def start_map(prepared: PreparedPair, pair: Pair, vertices: IndexArray, areas: F
     areas = areas * prepared.rest.masks.for_vertices(vertices).of_target(len(vertices))
     constraints = gather_constraints(pair, config.descriptors)
     candidates = spread(len(pair.source.refinement.levels[levels[1]].positions), START_SAMPLES)
-    candidates = np.union1d(candidates, pair.source_landmarks)
+    held = prepared.near(pair.landmarks)
+    candidates = np.union1d(candidates, held[1])
     sides = [
-        (pair.target, levels[0], pair.target_landmarks, vertices, areas),
-        (pair.source, levels[1], pair.source_landmarks, candidates, np.ones(len(candidates))),
+        (pair.target, levels[0], held[0], vertices, areas),
+        (pair.source, levels[1], held[1], candidates, np.ones(len(candidates))),
     ]
     target, source = in_threads(lambda side: _samples(*side), sides)
     _, match = grown_map(constraints, target, source, config.weights, config.growth, config.searched_functions)

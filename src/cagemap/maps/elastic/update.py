@@ -16,7 +16,7 @@ from cagemap.maps.elastic.constants import CURVE_SHARE
 from cagemap.maps.elastic.curves import CurvePull
 from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph, cluster_graph, extrapolate
 from cagemap.maps.elastic.prepared import PreparedPair
-from cagemap.maps.pair import PointPairs, near_vertices
+from cagemap.maps.pair import PointPairs
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
@@ -78,7 +78,7 @@ def respond(prepared: PreparedPair, before: PointMap, landmarks: PointPairs) -> 
     (n, 3) float64
         Positions near the source of the target's vertices of the level that is deformed; project them for a map.
     """
-    graph, mesh, held = prepared.rest.graph, prepared.mesh, near_vertices(landmarks.target, prepared.target)
+    graph, mesh, held = prepared.rest.graph, prepared.mesh, prepared.near(landmarks)[0]
     size = min(prepared.elastic.coarse_vertices, graph.n)
     every, curves = CurvePull.on_mesh(mesh, landmarks.curves).with_clusters(held, size // CURVE_SHARE)
     coarse, vertices = cluster_graph(graph, size, every)

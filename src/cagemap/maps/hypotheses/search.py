@@ -62,7 +62,7 @@ def found_readings(
     that is deformed.
     """
     progress("hypotheses")
-    shape = prepared.coarse(pair.target_landmarks, pair.landmarks.curves)
+    shape = prepared.coarse(prepared.near(pair.landmarks)[0], pair.landmarks.curves)
     rough = _rough_fits(prepared, pair, shape)
     progress("coarse fits")
     candidates = _coarse_fits(prepared, pair, shape, rough)
@@ -102,7 +102,8 @@ def _rough_fits(prepared: PreparedPair, pair: Pair, shape: CoarseShape) -> list[
     """The different ends of all rigid starts on a small graph, cheapest first, brought to the coarse graph."""
     staged = replace(prepared.elastic, coarse=ROUGH, coarse_vertices=ROUGH_VERTICES)
     curves = CurvePull.on_mesh(prepared.mesh, pair.landmarks.curves)
-    rough = CoarseShape.build(prepared.rest.graph, pair.target_landmarks, staged, prepared.rest.masks, curves)
+    held = prepared.near(pair.landmarks)[0]
+    rough = CoarseShape.build(prepared.rest.graph, held, staged, prepared.rest.masks, curves)
     small, sheet, places = rough.rest.graph, prepared.sheet, pair.landmarks.source.positions
 
     def trial(start: Start) -> _Candidate:

@@ -86,7 +86,7 @@ def led_by_tips(prepared: PreparedPair, pair: Pair, tips: Tips, ended: FineFit) 
     pairs, landmarks = tips.pairs(ended.positions), pair.landmarks
     if not len(pairs):
         return ended
-    shape = prepared.coarse(np.concatenate([pair.target_landmarks, tips.vertices[pairs[:, 0]]]), landmarks.curves)
+    shape = prepared.coarse(np.concatenate([prepared.near(landmarks)[0], tips.vertices[pairs[:, 0]]]), landmarks.curves)
     places = np.vstack([landmarks.source.positions, tips.places[pairs[:, 1]]])
     with thread_limit(1):
         led = coarse_fit(shape, prepared.sheet, ended.positions[shape.vertices], places, prepared.elastic)

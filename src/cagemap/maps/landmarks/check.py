@@ -15,7 +15,6 @@ import numpy as np
 
 from cagemap.maps.elastic.ends import FineFit
 from cagemap.maps.elastic.fit import coarse_fit
-from cagemap.maps.elastic.graph import ElasticGraph
 from cagemap.maps.elastic.method import elastic_answers
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.elastic.starts import start_map
@@ -166,7 +165,7 @@ def checked_map(
         return found, LandmarkCheck(notes=(note,)), ends
     progress("landmark distances")
     distances = _distances(prepared, pair)
-    accused, notes = accused_pairs(pair, prepared.graphs, distances), list[str]()
+    accused, notes = accused_pairs(prepared, pair, distances), list[str]()
     if accused is None:
         accused, notes = {}, [CONTRADICTION]
 
@@ -186,19 +185,19 @@ def checked_map(
         current, ends = solve(left_out)
     progress("landmark strain")
     kept = np.setdiff1d(np.arange(count), list(left_out))
-    energy, places = strain(pair.without(left_out), prepared.graphs[0], current)
+    energy, places = strain(prepared, pair.without(left_out), current)
     strains = np.zeros(count)
     strains[kept] = np.linalg.norm(energy.released(places, np.arange(len(kept))), axis=1)
     strained = strained_pair(energy, places)
     if strained is not None and typical_misfit(*distances, np.delete(kept, strained)) <= DISSIMILAR:
         notes.append(strain_note(names[kept[strained]], float(strains[kept[strained]])))
     suspects = tuple(_suspect(pair, current, names, i, accused[i]) for i in sorted(left_out))
-    notes += orientation_notes(pair.without(left_out), prepared.graphs)
+    notes += orientation_notes(prepared, pair.without(left_out))
     return current, LandmarkCheck(suspects, tuple(notes), strains), ends
 
 
 def accused_pairs(
-    pair: Pair, graphs: tuple[ElasticGraph, ElasticGraph], distances: tuple[LandmarkDistances, LandmarkDistances]
+    prepared: PreparedPair, pair: Pair, distances: tuple[LandmarkDistances, LandmarkDistances]
 ) -> dict[int, str] | None:
     """Places of pairs that do not fit the others, with the evidence; None where it is not known which are right.
 
@@ -206,8 +205,8 @@ def accused_pairs(
 
     Parameters
     ----------
+    prepared : PreparedPair
     pair : Pair
-    graphs : (ElasticGraph, ElasticGraph)
     distances : (LandmarkDistances, LandmarkDistances)
         Of the pair's landmarks on target and source.
     """
@@ -216,13 +215,13 @@ def accused_pairs(
         return None
     if wrong:
         return dict.fromkeys(wrong, DISTANCES)
-    return dict.fromkeys(exchanged_sides(distances, *_marks(pair, graphs)) or (), SIDES)
+    return dict.fromkeys(exchanged_sides(distances, *_marks(prepared, pair)) or (), SIDES)
 
 
 def coarse_map_cost(prepared: PreparedPair, pair: Pair) -> float:
     """Cost of the best coarse fit that meets a pair's landmarks: what they ask of the whole shape, without the mesh."""
     places = pair.landmarks.source.positions
-    shape = prepared.coarse(pair.target_landmarks, pair.landmarks.curves)
+    shape = prepared.coarse(prepared.near(pair.landmarks)[0], pair.landmarks.curves)
     match = start_map(prepared, pair, shape.vertices, shape.rest.graph.areas)
     starts = prepared.on_source.positions[match], None
     return min(coarse_fit(shape, prepared.sheet, start, places, prepared.elastic).cost for start in starts)
@@ -282,7 +281,7 @@ def checked_changes(
     out = [suspect.pair for suspect in check.suspects]
     kept = np.setdiff1d(np.arange(len(pair.landmarks)), out)
     others = pair.without(out)
-    accused = accused_pairs(others, prepared.graphs, _distances(prepared, others))
+    accused = accused_pairs(prepared, others, _distances(prepared, others))
     if accused is None:
         return replace(check, notes=tuple(dict.fromkeys((*check.notes, CONTRADICTION))))
     wrong = {int(kept[i]): evidence for i, evidence in accused.items() if kept[i] in changed}
@@ -293,7 +292,7 @@ def checked_changes(
 
 def _distances(prepared: PreparedPair, pair: Pair) -> tuple[LandmarkDistances, LandmarkDistances]:
     """Distances of the landmarks on both surfaces."""
-    sides = list(zip(prepared.graphs, (pair.target_landmarks, pair.source_landmarks), strict=True))
+    sides = list(zip(prepared.graphs, prepared.near(pair.landmarks), strict=True))
     target, source = in_threads(lambda side: LandmarkDistances.measure(*side), sides)
     return target, source
 
@@ -314,21 +313,22 @@ def miss(pair: Pair, point_map: PointMap, landmark: int) -> tuple[float, int]:
     return float(landmark_errors(point_map, only)[0]), int(pair.source.refinement.outer(nearest)[0])
 
 
-def strain(pair: Pair, graph: ElasticGraph, point_map: PointMap) -> tuple[ReducedEnergy, FloatArray]:
+def strain(prepared: PreparedPair, pair: Pair, point_map: PointMap) -> tuple[ReducedEnergy, FloatArray]:
     """Energy of the landmarks' places at a map that holds them, and these places."""
+    graph, landmarks = prepared.rest.graph, pair.landmarks
     found = point_map.images.at(slice(0, graph.n))
-    return reduced_energy(graph, found.positions, found.normals, pair.target_landmarks), pair.landmarks.source.positions
+    return reduced_energy(
+        graph, found.positions, found.normals, prepared.near(landmarks)[0]
+    ), landmarks.source.positions
 
 
-def orientation_notes(pair: Pair, graphs: tuple[ElasticGraph, ElasticGraph]) -> tuple[str, ...]:
+def orientation_notes(prepared: PreparedPair, pair: Pair) -> tuple[str, ...]:
     """A note if the landmarks as a whole are mirrored, which neither distances nor strain of single ones tell."""
-    return () if orientation_agreement(*_marks(pair, graphs)) > MIRRORED else (MIRRORED_NOTE,)
+    return () if orientation_agreement(*_marks(prepared, pair)) > MIRRORED else (MIRRORED_NOTE,)
 
 
-def _marks(pair: Pair, graphs: tuple[ElasticGraph, ElasticGraph]) -> tuple[Marks, Marks]:
+def _marks(prepared: PreparedPair, pair: Pair) -> tuple[Marks, Marks]:
     """Positions and normals of the landmarks of target and source."""
-    target, source = (
-        (graph.positions[landmarks], graph.normals[landmarks])
-        for graph, landmarks in zip(graphs, (pair.target_landmarks, pair.source_landmarks), strict=True)
-    )
+    sides = zip(prepared.graphs, prepared.near(pair.landmarks), strict=True)
+    target, source = ((graph.positions[landmarks], graph.normals[landmarks]) for graph, landmarks in sides)
     return target, source
