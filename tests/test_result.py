@@ -20,7 +20,7 @@ from cagemap.files.result import (
     read_result,
     write_result,
 )
-from cagemap.maps.hypotheses.confidence import TWO, Confidence, MapShape, Reading
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, SURE_SHEARED, TWO, Confidence, MapShape, Reading
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.result import MatchResult, SpectralMap
@@ -247,3 +247,22 @@ def test_landmarks_that_seem_exchanged_come_back(result: MatchResult, tmp_path: 
     back = read_result(tmp_path / "R").confidence
     assert back is not None
     assert [reading.exchange for reading in back.readings] == [(), ((0, 2), (2, 0))]
+
+
+def test_a_result_of_before_is_sure_only_if_its_map_may_be_now(result: MatchResult, tmp_path: Path) -> None:
+    """'sure' once did not ask how much a tenth of the map is sheared, and did not write it down."""
+    measured, places = MapShape.of(result.point_map).sheared, result.point_map.images.positions
+    for sheared, verdict in ((SURE_SHEARED + 0.1, LOOK), (1.5, SURE)):
+        sure = Confidence(SURE, 1.0, 2.0, (Reading("", 1e-4, places),), None, MapShape(0.0, 1.0, 0.0, sheared))
+        write_result(tmp_path / verdict, replace(result, confidence=sure))
+        back = read_result(tmp_path / verdict).confidence
+        assert back is not None
+        assert (back.verdict, back.shape.sheared) == (verdict, sheared)
+        assert back.message.startswith("look at it") == (verdict == LOOK)
+    manifest = json.loads((tmp_path / SURE / "manifest.json").read_text())
+    del manifest["confidence"]["sheared"]
+    (tmp_path / SURE / "manifest.json").write_text(json.dumps(manifest))
+    back = read_result(tmp_path / SURE).confidence
+    assert back is not None
+    assert back.shape.sheared == measured
+    assert back.verdict == (SURE if measured <= SURE_SHEARED else LOOK)

@@ -205,7 +205,7 @@ def read_result(folder: str | Path) -> MatchResult:
         {stage: seconds or 0.0 for stage, seconds in record.timings.items()},
         check,
         read_level_maps(root / ARRAYS, stored, record.level_maps, (target, source), point_map, functional_map, REMEDY),
-        stored_confidence(record.confidence, point_map.images.at(slice(counts[0])), others),
+        stored_confidence(record.confidence, point_map, counts[0], others),
         masks=Masks(read[0].mask, read[1].mask),
         known_spectral=_spectral(functional_map, *(side.eigenvalues for side in read)),
         provenance={name: value for name, value in manifest.items() if name not in _TYPED},

@@ -9,9 +9,9 @@ import numpy as np
 from cagemap.basis import BasisConfig
 from cagemap.basis.schedule import MAP_BASIS
 from cagemap.files.schema import BasisRecord, ConfidenceRecord, LandmarkCheckRecord, QualityRecord
-from cagemap.geometry.points import SurfacePoints
-from cagemap.maps.hypotheses.confidence import Confidence, MapShape, Reading
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, Confidence, MapShape, Reading
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
+from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.numerics.arrays import FloatArray
@@ -52,20 +52,23 @@ def stored_quality(
     return QualityFigures.of_summary(summary, errors[trusted], trust)
 
 
-def stored_confidence(record: ConfidenceRecord | None, answer: SurfacePoints, others: FloatArray) -> Confidence | None:
-    """How sure an answer is.
+def stored_confidence(
+    record: ConfidenceRecord | None, answer: PointMap, controls: int, others: FloatArray
+) -> Confidence | None:
+    """How sure an answer is; no longer sure if its map is bent more than that word allows by now.
 
     Parameters
     ----------
     record : ConfidenceRecord or None
-    answer : SurfacePoints
-        Where the map puts the target's control vertices.
+    answer : PointMap
+    controls : int
+        Control vertices n_0 of the target.
     others : (r, n_0, 3) float64
         Where the other answers put them, in the file's lengths.
     """
     if record is None:
         return None
-    places = [answer.positions, *(answer.surface.scale * other for other in others)]
+    places = [answer.images.at(slice(controls)).positions, *(answer.source.scale * other for other in others)]
     nowhere = np.zeros((0, 3))
     readings = tuple(
         Reading(
@@ -77,9 +80,12 @@ def stored_confidence(record: ConfidenceRecord | None, answer: SurfacePoints, ot
         for i, reading in enumerate(record.readings)
     )
     gap = np.inf if record.gap is None else record.gap
-    shape = MapShape(record.folded, record.aspect, record.unreached, record.sheared)
+    # Results from before the bound on shear do not say how much there is.
+    sheared = MapShape.of(answer).sheared if record.sheared is None else record.sheared
+    shape = MapShape(record.folded, record.aspect, record.unreached, sheared)
+    verdict = LOOK if record.verdict == SURE and not shape.sound else record.verdict
     numbers = record.deciding, shape, record.file_vertex
-    return Confidence(record.verdict, record.cost, gap, readings, *numbers, record.part)
+    return Confidence(verdict, record.cost, gap, readings, *numbers, record.part)
 
 
 # Mean distance, of sqrt(area), from which a curve counts as missed.

@@ -75,7 +75,7 @@ class ConfidenceRecord(Record):
     folded: float = 0.0
     aspect: float = 1.0
     unreached: float = 0.0
-    sheared: float = 1.0
+    sheared: float | None = None
 
 
 class InputRecord(Record):
