@@ -174,14 +174,13 @@ def read_inputs(request: MatchRequest) -> Inputs:
     masks = read_masks(options, (target, source), (request.target, request.source))
     names = asked_parts(request.part, request.target_part, request.source_part)
     if names == (None, None):
-        ready = ready_inputs(PartInputs(target, source, landmarks))
-        whole, notes = ready.inputs, (*notes, *ready.notes)
-        return Inputs(whole.target, whole.source, whole.landmarks, notes, masks=masks, repairs=(ready.repairs,))
-    parts, left_alone = chosen_parts(target, source, landmarks, *names)
-    made = [ready_inputs(part) for part in parts]
-    notes = (*notes, *left_alone, *(note for one in made for note in one.notes))
-    parts = tuple(one.inputs for one in made)
-    return Inputs(target, source, landmarks, notes, parts, masks, tuple(one.repairs for one in made))
+        whole = ready_inputs(PartInputs(target, source, landmarks))
+        notes = (*notes, *whole.notes)
+        return Inputs(whole.target, whole.source, whole.landmarks, notes, masks=masks, repairs=(whole.repairs,))
+    chosen, left_alone = chosen_parts(target, source, landmarks, *names)
+    parts = tuple(ready_inputs(part) for part in chosen)
+    notes = (*notes, *left_alone, *(note for part in parts for note in part.notes))
+    return Inputs(target, source, landmarks, notes, parts, masks, tuple(part.repairs for part in parts))
 
 
 def read_control(path: Path, request: MatchRequest, side: str) -> ControlMesh:

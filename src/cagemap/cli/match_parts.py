@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -29,11 +29,24 @@ MATERIAL = "material"
 
 @dataclass(frozen=True)
 class PartInputs:
-    """Two parts to be matched, with the landmarks that lie on both, in the parts' own numbers."""
+    """Two meshes to be matched, whole or parts of their files.
+
+    Attributes
+    ----------
+    target, source : ControlMesh
+    landmarks : Landmarks
+        Those that lie on both, in the meshes' own numbers.
+    notes : tuple of str
+        What was done to plain meshes.
+    repairs : dict
+        The same in numbers, for a manifest, by side.
+    """
 
     target: ControlMesh
     source: ControlMesh
     landmarks: Landmarks
+    notes: tuple[str, ...] = ()
+    repairs: dict[str, dict[str, float]] = field(default_factory=dict)
 
 
 def asked_parts(part: str | None, target_part: str | None, source_part: str | None) -> tuple[str | None, str | None]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from cagemap.cli.match_parts import PartInputs
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
@@ -15,25 +13,7 @@ from cagemap.numerics.arrays import IndexArray
 from cagemap.numerics.threads import in_threads
 
 
-@dataclass(frozen=True)
-class ReadyInputs:
-    """Two meshes that can be matched.
-
-    Attributes
-    ----------
-    inputs : PartInputs
-    notes : tuple of str
-        What was done to plain meshes.
-    repairs : dict
-        The same in numbers, for a manifest, by side.
-    """
-
-    inputs: PartInputs
-    notes: tuple[str, ...]
-    repairs: dict[str, dict[str, float]]
-
-
-def ready_inputs(given: PartInputs) -> ReadyInputs:
+def ready_inputs(given: PartInputs) -> PartInputs:
     """Check two meshes and their landmarks; plain ones are mended, and what of them is set aside is said.
 
     Raises
@@ -56,7 +36,7 @@ def ready_inputs(given: PartInputs) -> ReadyInputs:
         notes.append(f"{left} of {len(given.landmarks)} landmarks lie on pieces that are set aside and are left out")
     if not plain:  # a scan's holes and bridges say little
         notes += _handle_notes(*meshes)
-    return ReadyInputs(PartInputs(meshes[0], meshes[1], landmarks), tuple(notes), repairs)
+    return PartInputs(meshes[0], meshes[1], landmarks, tuple(notes), repairs)
 
 
 def _handle_notes(*meshes: ControlMesh) -> list[str]:

@@ -54,15 +54,13 @@ def write_obj_layout(path: str | Path, original: str | Path, laid_out: ControlMe
         laid_out.face_offsets
     ):
         raise FormatError(f"{kept}: expected the faces of {laid_out.name}, found others. Match the meshes again.")
-    text = _OLD_MARK.sub("", _UV_LINE.sub("", read_text(kept, "an OBJ file")))
+    text = _UV_LINE.sub("", _text_for(file, kept))
     first = _FACE.search(text)
     assert first is not None  # the mesh has faces
     uvs = ("vt %r %r\n" * len(laid_out.uvs)) % tuple(laid_out.uvs.ravel().tolist())
     numbers = iter((laid_out.uv_indices + 1).tolist())
-    head = _LIBRARY.sub(lambda found: found[1] + _moved(found[2], kept.parent, file.parent), text[: first.start()])
     faces = _FACE.sub(lambda found: _renumbered(found[0], numbers), text[first.start() :])
-    with atomic_path(file, force=force) as temporary:
-        temporary.write_bytes(f"# {mark()}\n{head}{uvs}{faces}".encode())
+    _write(file, f"{text[: first.start()]}{uvs}{faces}", force=force)
 
 
 def write_obj_positions(path: str | Path, original: str | Path, moved: ControlMesh, *, force: bool = False) -> None:
@@ -90,11 +88,20 @@ def write_obj_positions(path: str | Path, original: str | Path, moved: ControlMe
     known = read_obj(kept)
     if known.face_indices.tolist() != moved.face_indices.tolist() or len(known.positions) != len(moved.positions):
         raise FormatError(f"{kept}: expected the vertices and faces of {moved.name}, found others. Match again.")
-    text = _OLD_MARK.sub("", read_text(kept, "an OBJ file"))
+    text = _text_for(file, kept)
     positions = iter(moved.positions.tolist())
     text = _POSITION_LINE.sub(lambda found: f"v {' '.join(map(repr, next(positions)))}{found[1]}", text)
     text = _FACE.sub(lambda found: _WITH_NORMAL.sub(_without_normal, found[0]), _NORMAL_LINE.sub("", text))
-    text = _LIBRARY.sub(lambda found: found[1] + _moved(found[2], kept.parent, file.parent), text)
+    _write(file, text, force=force)
+
+
+def _text_for(file: Path, original: Path) -> str:
+    """The text of an OBJ file for a copy that may stand in another folder, without our own mark."""
+    text = _OLD_MARK.sub("", read_text(original, "an OBJ file"))
+    return _LIBRARY.sub(lambda found: found[1] + _moved(found[2], original.parent, file.parent), text)
+
+
+def _write(file: Path, text: str, *, force: bool) -> None:
     with atomic_path(file, force=force) as temporary:
         temporary.write_bytes(f"# {mark()}\n{text}".encode())
 

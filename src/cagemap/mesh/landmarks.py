@@ -97,17 +97,10 @@ class Landmarks:
                 (source, self.source_points, self.curves.source),
             )
         ]
-        inside = np.flatnonzero(np.all([points.corners >= 0 for points, _ in sides], axis=(0, 2)))
-        target_points, source_points = (points.at(inside) for points, _ in sides)
-        return replace(
-            self,
-            names=tuple(self.names[pair] for pair in inside.tolist()),
-            target=target_points.vertices,
-            source=source_points.vertices,
-            target_points=target_points,
-            source_points=source_points,
-            curves=self.curves.renumbered(*(corners for _, corners in sides)),
-        )
+        (on_target, target_curves), (on_source, source_curves) = sides
+        inside = np.flatnonzero(np.all([on_target.corners >= 0, on_source.corners >= 0], axis=(0, 2)))
+        moved = Landmarks.of_points(self.names, on_target, on_source, self.target_name, self.source_name)
+        return replace(moved._at(inside, inside), curves=self.curves.renumbered(target_curves, source_curves))
 
     def beside(self, others: Landmarks) -> Landmarks:
         """Return these pairs and curves and others, on the same meshes."""
@@ -146,6 +139,15 @@ class Landmarks:
     def exchanged(self, places: Collection[tuple[int, int]]) -> Landmarks:
         """Return pairs of the target's point of one pair with the source's of another, with the former's name."""
         target, source = (np.array([place[side] for place in places], dtype=np.int64) for side in (0, 1))
+        return self._at(target, source)
+
+    def without(self, left_out: Collection[int]) -> Landmarks:
+        """Return the pairs whose places are not among those given."""
+        kept = np.setdiff1d(np.arange(len(self)), list(left_out))
+        return self._at(kept, kept)
+
+    def _at(self, target: IndexArray, source: IndexArray) -> Landmarks:
+        """Target's points at some places with the source's at others, under the former's names."""
         return replace(
             self,
             names=tuple(self.names[i] for i in target.tolist()),
@@ -153,19 +155,6 @@ class Landmarks:
             source=self.source[source],
             target_points=self.target_points.at(target),
             source_points=self.source_points.at(source),
-        )
-
-    def without(self, left_out: Collection[int]) -> Landmarks:
-        """Return the pairs whose places are not among those given."""
-        kept = np.setdiff1d(np.arange(len(self)), list(left_out))
-        names = tuple(self.names[i] for i in kept)
-        return replace(
-            self,
-            names=names,
-            target=self.target[kept],
-            source=self.source[kept],
-            target_points=self.target_points.at(kept),
-            source_points=self.source_points.at(kept),
         )
 
 
