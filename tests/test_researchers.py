@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +31,21 @@ def test_every_block_of_the_page_runs(tmp_path, monkeypatch):
         exec(compile(block, f"researchers.md, block {number}", "exec"), names)
     assert len(blocks) == 6
     assert read_result(tmp_path / "RESULT").functional_map.shape == (80, 80)
+
+
+@pytest.mark.slow
+def test_the_commands_of_table_1_run(shared_data, tmp_path):
+    """As the page has them, with fewer levels: one had its landmarks the wrong way round."""
+    block = re.search(r"```text\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL).group(1)
+    commands = re.findall(r"^cagemap (.*)$", block.replace("\\\n", ""), re.MULTILINE)
+    places = {path.name: str(path) for path in [*shared_data.rglob("*.obj"), *shared_data.rglob("*.json")]}
+    assert len(commands) == 3
+    for number, command in enumerate(commands):
+        words = [places.get(word, word) for word in shlex.split(re.sub(r"level [34]", "level 1", command))]
+        words = [re.sub(r"^(\d+,\d+),.*", r"\1", word) for word in words]
+        words[words.index("--output") + 1] = str(tmp_path / str(number))
+        subprocess.run([sys.executable, "-m", "cagemap", *words], check=True)
+        assert [one.levels for one in read_result(tmp_path / str(number)).level_maps] == [(0, 0), (1, 1)]
 
 
 @pytest.fixture(scope="module")
