@@ -9,7 +9,9 @@ import queue
 import threading
 
 import pytest
+import websockets.asyncio.client
 import websockets.asyncio.server
+import websockets.exceptions
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
@@ -62,6 +64,32 @@ def test_the_door_gives_out_only_what_is_offered() -> None:
             assert answer(door.port, "/files/cow.png", **stranger).status == 403
     finally:
         door.close()
+
+
+def test_web_sockets_of_other_machines_need_the_token() -> None:
+    async def echo(page: websockets.asyncio.server.ServerConnection) -> None:
+        async for message in page:
+            await page.send(message)
+
+    async def said_back(address: str, **headers: str) -> object:
+        try:
+            async with websockets.asyncio.client.connect(address, additional_headers=headers) as page:
+                await page.send("hello")
+                return await page.recv()
+        except websockets.exceptions.InvalidStatus as error:
+            return error.response.status_code
+
+    async def all_of_them() -> list[object]:
+        async with websockets.asyncio.server.serve(echo, "127.0.0.1", 0) as inner:
+            ports = {"target": inner.sockets[0].getsockname()[1]}
+            door = await asyncio.to_thread(Door, ports, "0.0.0.0", 0, "right", "secret", {}.get)
+            address, cookie = f"ws://127.0.0.1:{door.port}/target", {"Cookie": f"{COOKIE}=right"}
+            strangers = ({}, {"Cookie": f"{COOKIE}=wrong"}, cookie | {"Origin": "http://elsewhere.example"})
+            found = [await said_back(address, **headers) for headers in (cookie, *strangers)]
+            await asyncio.to_thread(door.close)
+            return found
+
+    assert asyncio.run(all_of_them()) == ["hello", 403, 403, 403]
 
 
 def test_ports_behind_the_door_answer_nobody_else() -> None:

@@ -5,7 +5,11 @@ from __future__ import annotations
 import io
 import json
 import re
+import threading
+import time
+from collections.abc import Callable
 from dataclasses import replace
+from multiprocessing import Pipe
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +36,7 @@ from cagemap.studio.scene import Scene, carried_place, mirrored, part_name
 from cagemap.studio.shape import Hit, pick, shape_of
 from cagemap.studio.skins import Images, Look, crossing_triangles, light_on, source_skin, texture_colors
 from cagemap.studio.state import View
-from cagemap.studio.worker import Failure, Worker
+from cagemap.studio.worker import Failure, Worker, _serve
 
 
 def read_back(data: bytes) -> list[trimesh.Trimesh]:
@@ -352,6 +356,35 @@ def test_a_failing_task_is_a_named_failure_and_the_worker_lives_on(opened: tuple
     # Whatever happened to the process that was killed, the next task has one.
     assert not isinstance(worker.run(task), Failure)
     worker.stop()
+
+
+def test_a_task_that_is_not_wanted_ends_at_its_next_stage(
+    opened: tuple[Bench, OpenModels], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that has ended already, or is named no more, disturbs no other."""
+    _, task = opened
+    unwanted, wanted = FindMap(task.opening, LandmarkList(), View()), Dress(task.opening, View(), None)
+    here, there = Pipe()
+    worker = Worker(lambda stage: worker.drop(unwanted))
+    monkeypatch.setattr(worker, "_connected", lambda: here)
+    worker._connection = here
+
+    def work(bench: Bench, task: object, progress: Callable[[str], None]) -> tuple[Bench, object]:
+        for stage in range(100):
+            progress(str(stage))
+            time.sleep(1e-3)
+        return bench, type(task).__name__
+
+    monkeypatch.setattr("cagemap.studio.bench.perform", work)
+    serving = threading.Thread(target=_serve, args=(there,), daemon=True)
+    serving.start()
+    for _ in range(2):
+        assert worker.run(unwanted) == Failure("Stopped", "the computation is not wanted any more")
+        worker.drop(unwanted)
+        assert worker.run(wanted) == "Dress"
+    here.close()
+    serving.join(10)
+    assert not serving.is_alive()
 
 
 def test_a_vertex_cannot_be_named_twice(opened: tuple[Bench, OpenModels]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import queue
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -23,7 +24,7 @@ from cagemap.files.point_forms import POINT_FORMS
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.shapes import cube
 from cagemap.studio.autosave import autosave_path, read_autosave
-from cagemap.studio.bench import OpenModels
+from cagemap.studio.bench import OpenModels, Task
 from cagemap.studio.finish import FinishOptions
 from cagemap.studio.landmark_files import points_file
 from cagemap.studio.landmarks import LandmarkList
@@ -334,6 +335,41 @@ def test_only_the_first_opening_is_said_to_compile(monkeypatch: pytest.MonkeyPat
             time.sleep(0.01)
     preview.close()
     assert ["compiles" in title for title in titles] == [True, False]
+
+
+def test_a_map_of_models_that_are_open_no_more_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both parts of a pair are chosen one after the other; opening itself goes on, its surfaces are wanted again."""
+    begun, dropped, goes_on = queue.Queue[Task](), list[Task](), threading.Event()
+
+    class Slow(Idle):
+        def run(self, task: Task) -> None:
+            begun.put(task)
+            assert goes_on.wait(10)
+            goes_on.clear()
+
+        def drop(self, task: Task) -> None:
+            dropped.append(task)
+            goes_on.set()
+
+    monkeypatch.setattr("cagemap.studio.preview.Worker", Slow)
+    preview = Preview(100, lambda: (LandmarkList(), View(), None), lambda _: None, lambda *_: None)
+    files = Files(Path("a.obj"), Path("b.obj"), None, Path("c.json"), Path("RESULT"))
+    preview.open(replace(files, parts=("one", None)))
+    assert isinstance(begun.get(timeout=10), OpenModels)
+    preview.open(replace(files, parts=("one", "two")))
+    goes_on.set()
+    assert isinstance(begun.get(timeout=10), OpenModels)
+    assert dropped == []
+    preview.find(fresh=True)
+    goes_on.set()
+    search = begun.get(timeout=10)
+    preview.open(replace(files, parts=("one", "two")))  # the same once more: the map is wanted
+    assert dropped == []
+    preview.open(files)
+    assert dropped == [search]
+    assert isinstance(begun.get(timeout=10), OpenModels)
+    preview.close()
+    goes_on.set()
 
 
 def test_cancelling_ends_what_runs(opened: Session) -> None:

@@ -52,15 +52,19 @@ class Preview:
         self._choosing: int | None = None
         self._dressing = self._closed = False
         self._title = ""
+        self._task: Task | None = None
         self._worker = Worker(lambda stage: on_job(Job(self._title, stage, can_cancel=True)))
         self._worker.start()
         threading.Thread(target=self._work, name="studio preview", daemon=True).start()
 
     def open(self, files: Files) -> None:
-        """Open two models; what was wished of others is forgotten."""
+        """Open two models; what was wished of others is forgotten, and their map is not found to its end."""
         with self._wake:
             asked = files.schemes, files.ups, files.parts
             self._models = Opening(files.target, files.source, files.texture, self._vertices, *asked)
+            task = self._task
+            if task is not None and not isinstance(task, OpenModels) and task.opening != self._models:
+                self._worker.drop(task)
             self._opening = True
             self._finding, self._choosing, self._dressing = None, None, False
             self._wake.notify()
@@ -104,7 +108,9 @@ class Preview:
         while (task := self._next()) is not None:
             self._title = _TITLES[type(task)] + (_COMPILES if type(task) in first else "")
             self._on_job(Job(self._title, can_cancel=True))
+            self._task = task
             answer = self._worker.run(task)
+            self._task = None
             first.discard(type(task))
             if self._closed:
                 return

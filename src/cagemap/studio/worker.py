@@ -17,6 +17,8 @@ from cagemap.errors import CagemapError
 STOPPED = "Stopped"
 # Of a map's computation; the page has 0.
 NICENESS = 5
+# In place of a task: the one before is not wanted any more.
+_DROP = "drop"
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,10 @@ class _Done:
     answer: Any
 
 
+class _DroppedError(Exception):
+    """The task is not wanted any more."""
+
+
 class Worker:
     """Runs one task after the other in a process that can be killed.
 
@@ -59,6 +65,8 @@ class Worker:
         self._lock = threading.Lock()
         self._process: multiprocessing.process.BaseProcess | None = None
         self._connection: Connection | None = None
+        self._sending = threading.Lock()
+        self._task: Any = None
 
     def start(self) -> None:
         """Start the process ahead of its first task."""
@@ -76,7 +84,9 @@ class Worker:
         with self._lock:
             try:
                 connection = self._connected()
-                connection.send(task)
+                with self._sending:
+                    self._task = task
+                    connection.send(task)
                 while True:
                     reply = connection.recv()
                     if isinstance(reply, _Stage):
@@ -85,6 +95,12 @@ class Worker:
                         return reply.answer if isinstance(reply, _Done) else reply
             except (EOFError, OSError):
                 return self._buried()
+
+    def drop(self, task: Any) -> None:
+        """End a task at its next stage, where it is the one that runs; what the process has prepared stays."""
+        with self._sending, contextlib.suppress(OSError):
+            if self._task is task and self._connection is not None:
+                self._connection.send(_DROP)
 
     def stop(self) -> None:
         """Kill the process, with what it is doing; the next task starts another one."""
@@ -122,15 +138,22 @@ def _serve(connection: Connection) -> None:
 
     def tell(stage: str) -> None:
         connection.send(_Stage(stage))
+        if connection.poll():  # while a task runs there is no other word than that it is not wanted
+            connection.recv()
+            raise _DroppedError
 
     with contextlib.suppress(EOFError, KeyboardInterrupt, BrokenPipeError):
         while True:
             task = connection.recv()
+            if task == _DROP:  # it came too late
+                continue
             if not isinstance(task, OpenModels):  # nothing can be done on the page before that
                 _step_back()
             try:
                 bench, answer = perform(bench, task, tell)
                 connection.send(_Done(answer))
+            except _DroppedError:
+                connection.send(Failure(STOPPED, "the computation is not wanted any more"))
             except CagemapError as error:
                 connection.send(Failure(type(error).__name__, str(error)))
             except MemoryError:
