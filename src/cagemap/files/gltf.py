@@ -17,9 +17,48 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.measures import fan_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
-_FLOAT, _UNSIGNED = 5126, 5125
-_VERTICES, _INDICES = 34962, 34963
-_KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3"}
+# What an array in the file is for.
+VERTICES, INDICES = 34962, 34963
+_COMPONENTS = {"f": 5126, "H": 5123, "I": 5125}
+_SHAPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+
+
+class Binary:
+    """What a file holds beside its JSON: arrays and other bytes, and where each of them lies."""
+
+    def __init__(self) -> None:
+        self._chunks: list[bytes] = []
+        self._views: list[dict[str, Any]] = []
+        self._accessors: list[dict[str, Any]] = []
+        self._length = 0
+
+    def view(self, data: bytes, target: int | None = None) -> int:
+        """Add bytes; returns the number of their buffer view."""
+        entry: dict[str, Any] = {"buffer": 0, "byteOffset": self._length, "byteLength": len(data)}
+        self._views.append(entry if target is None else entry | {"target": target})
+        self._chunks.append(data + b"\0" * (-len(data) % 4))
+        self._length += len(self._chunks[-1])
+        return len(self._views) - 1
+
+    def accessor(self, array: NDArray[Any], target: int, **extra: Any) -> int:
+        """Add an array (n,) or (n, q) of single precision or unsigned numbers; returns the number of its accessor."""
+        entry = {
+            "bufferView": self.view(array.tobytes(), target),
+            "componentType": _COMPONENTS[array.dtype.char],
+            "count": len(array),
+            "type": _SHAPES[1 if array.ndim == 1 else array.shape[1]],
+        }
+        self._accessors.append(entry | extra)
+        return len(self._accessors) - 1
+
+    def packed(self, document: dict[str, Any]) -> bytes:
+        """The whole file: a document, to which accessors, views and the buffer are added, and the bytes."""
+        buffers = [{"byteLength": self._length}]
+        document = document | {"accessors": self._accessors, "bufferViews": self._views, "buffers": buffers}
+        text = json.dumps(document, separators=(",", ":")).encode()
+        text += b" " * (-len(text) % 4)
+        chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", self._length, b"BIN\0")
+        return b"".join([struct.pack("<4sII", b"glTF", 2, 12 + len(chunks) + self._length), chunks, *self._chunks])
 
 
 def write_glb(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> None:
@@ -33,71 +72,50 @@ def write_glb(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> No
     FormatError
         If the file cannot be written.
     """
-    document, blob = _document(mesh)
-    text = json.dumps(document, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(blob), b"BIN\0") + blob
+    content = _packed(mesh)
     with atomic_path(path, force=force) as temporary:
-        temporary.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
+        temporary.write_bytes(content)
 
 
-def _document(mesh: ControlMesh) -> tuple[dict[str, Any], bytes]:
+def _packed(mesh: ControlMesh) -> bytes:
     corners, corner_faces = _fan_corners(mesh)
     uv_indices = mesh.face_indices if mesh.uv_indices is None else mesh.uv_indices
     pairs = mesh.face_indices * (int(uv_indices.max()) + 1) + uv_indices
     _, first, numbers = np.unique(pairs, return_index=True, return_inverse=True)
     triangles = numbers[corners]
     vertices, uvs = mesh.face_indices[first], uv_indices[first]
-    views: list[bytes] = []
-    accessors: list[dict[str, Any]] = []
+    binary = Binary()
 
     def add(values: NDArray[Any], target: int) -> int:
         table = values.astype("<f4" if values.dtype.kind == "f" else "<u4")
-        entry = {
-            "bufferView": len(views),
-            "componentType": _FLOAT if values.dtype.kind == "f" else _UNSIGNED,
-            "count": len(table),
-            "type": _KINDS[1 if table.ndim == 1 else table.shape[1]],
-        }
-        if target == _VERTICES:
-            entry |= {"min": table.min(axis=0).tolist(), "max": table.max(axis=0).tolist()}
-        views.append(table.tobytes())
-        accessors.append(entry)
-        return len(accessors) - 1
+        bounds = {"min": table.min(axis=0).tolist(), "max": table.max(axis=0).tolist()} if target == VERTICES else {}
+        return binary.accessor(table, target, **bounds)
 
     attributes = {
-        "POSITION": add(mesh.positions[vertices], _VERTICES),
-        "NORMAL": add(_vertex_normals(mesh)[vertices], _VERTICES),
+        "POSITION": add(mesh.positions[vertices], VERTICES),
+        "NORMAL": add(_vertex_normals(mesh)[vertices], VERTICES),
     }
     if mesh.uvs is not None:
         # glTF counts v from the top.
-        attributes["TEXCOORD_0"] = add(mesh.uvs[uvs] * [1.0, -1.0] + [0.0, 1.0], _VERTICES)
+        attributes["TEXCOORD_0"] = add(mesh.uvs[uvs] * [1.0, -1.0] + [0.0, 1.0], VERTICES)
     if mesh.vertex_colors is not None and np.isfinite(mesh.vertex_colors).all():
-        attributes["COLOR_0"] = add(mesh.vertex_colors[vertices], _VERTICES)
+        attributes["COLOR_0"] = add(mesh.vertex_colors[vertices], VERTICES)
     numbers_of = np.zeros(mesh.n_faces, dtype=np.int64) if mesh.face_materials is None else mesh.face_materials
     primitives = []
     for material in np.unique(numbers_of[corner_faces]).tolist():
         chosen = triangles[numbers_of[corner_faces] == material].ravel()
-        primitive = {"attributes": attributes, "indices": add(chosen, _INDICES)}
+        primitive = {"attributes": attributes, "indices": add(chosen, INDICES)}
         primitives.append(primitive if mesh.face_materials is None else primitive | {"material": material})
-    offsets = np.cumsum([0, *map(len, views)]).tolist()  # all entries are of 4 bytes, and so all places are
-    targets = [_INDICES if accessor["componentType"] == _UNSIGNED else _VERTICES for accessor in accessors]
     document: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "cagemap", "extras": {"mark": mark()}},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "name": mesh.name}],
         "meshes": [{"primitives": primitives}],
-        "accessors": accessors,
-        "bufferViews": [
-            {"buffer": 0, "byteOffset": offset, "byteLength": len(view), "target": target}
-            for offset, view, target in zip(offsets, views, targets, strict=False)
-        ],
-        "buffers": [{"byteLength": offsets[-1]}],
     }
     if mesh.face_materials is not None:
         document["materials"] = [_material(mesh, number) for number in range(len(mesh.material_names))]
-    return document, b"".join(views)
+    return binary.packed(document)
 
 
 def _fan_corners(mesh: ControlMesh) -> tuple[IndexArray, IndexArray]:

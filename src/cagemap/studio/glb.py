@@ -7,8 +7,6 @@ models several times as fast as with lights worked out for every pixel of every 
 
 from __future__ import annotations
 
-import json
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,9 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_ARRAY_BUFFER, _ELEMENT_BUFFER = 34962, 34963
-_COMPONENT = {"f": 5126, "H": 5123, "I": 5125}
-_SHAPE = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+from cagemap.files.gltf import INDICES, VERTICES, Binary
+
 # Colours are linear: 8 bits would show steps in the dark.
 _WHITE = 65535
 # Matt and already lit: https://github.com/KhronosGroup/glTF/tree/main/extensions/2.0/Khronos/KHR_materials_unlit
@@ -60,31 +57,9 @@ def glb(primitives: Sequence[Primitive], texture: bytes | None = None) -> bytes:
     texture : bytes or None
         A JPEG file, for the primitives that have texture coordinates.
     """
-    chunks: list[bytes] = []
-    views: list[dict[str, Any]] = []
-    accessors: list[dict[str, Any]] = []
+    binary = Binary()
     materials: list[dict[str, Any]] = []
     parts: list[dict[str, Any]] = []
-
-    def view(data: bytes, target: int | None = None) -> int:
-        entry: dict[str, Any] = {"buffer": 0, "byteOffset": sum(map(len, chunks)), "byteLength": len(data)}
-        views.append(entry if target is None else entry | {"target": target})
-        chunks.append(data + b"\0" * (-len(data) % 4))
-        return len(views) - 1
-
-    def accessor(array: NDArray[Any], target: int, **extra: Any) -> int:
-        width = 1 if array.ndim == 1 else array.shape[1]
-        accessors.append(
-            {
-                "bufferView": view(array.tobytes(), target),
-                "componentType": _COMPONENT[array.dtype.char],
-                "count": len(array),
-                "type": _SHAPE[width],
-            }
-            | extra
-        )
-        return len(accessors) - 1
-
     for part in primitives:
         if not len(part.triangles):
             continue
@@ -93,14 +68,14 @@ def glb(primitives: Sequence[Primitive], texture: bytes | None = None) -> bytes:
         opaque = np.full((len(positions), 4), _WHITE, dtype=np.uint16)
         opaque[:, :3] = np.rint(_WHITE * np.clip(part.colors, 0.0, 1.0))
         attributes = {
-            "POSITION": accessor(positions, _ARRAY_BUFFER, **bounds),
-            "COLOR_0": accessor(opaque, _ARRAY_BUFFER, normalized=True),
+            "POSITION": binary.accessor(positions, VERTICES, **bounds),
+            "COLOR_0": binary.accessor(opaque, VERTICES, normalized=True),
         }
         surface: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": 0.85}
         if part.uvs is not None and texture is not None:
             # glTF's v points down.
             uvs = np.column_stack([part.uvs[:, 0], 1.0 - part.uvs[:, 1]]).astype(np.float32)
-            attributes["TEXCOORD_0"] = accessor(uvs, _ARRAY_BUFFER)
+            attributes["TEXCOORD_0"] = binary.accessor(uvs, VERTICES)
             surface["baseColorTexture"] = {"index": 0}
         material: dict[str, Any] = {
             "pbrMetallicRoughness": surface,
@@ -111,7 +86,7 @@ def glb(primitives: Sequence[Primitive], texture: bytes | None = None) -> bytes:
             surface["baseColorFactor"] = [1.0, 1.0, 1.0, part.opacity]
             material["alphaMode"] = "BLEND"
         materials.append(material)
-        indices = accessor(np.ascontiguousarray(part.triangles, dtype=np.uint32).ravel(), _ELEMENT_BUFFER)
+        indices = binary.accessor(np.ascontiguousarray(part.triangles, dtype=np.uint32).ravel(), INDICES)
         parts.append({"attributes": attributes, "indices": indices, "material": len(materials) - 1})
 
     document: dict[str, Any] = {
@@ -124,15 +99,7 @@ def glb(primitives: Sequence[Primitive], texture: bytes | None = None) -> bytes:
         "materials": materials,
     }
     if texture is not None:
-        document["images"] = [{"bufferView": view(texture), "mimeType": "image/jpeg"}]
+        document["images"] = [{"bufferView": binary.view(texture), "mimeType": "image/jpeg"}]
         document["samplers"] = [{"magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497}]
         document["textures"] = [{"source": 0, "sampler": 0}]
-    binary = b"".join(chunks)
-    document |= {"buffers": [{"byteLength": len(binary)}], "bufferViews": views, "accessors": accessors}
-    text = json.dumps(document, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    total = 12 + 8 + len(text) + 8 + len(binary)
-    header = struct.pack("<4sII", b"glTF", 2, total)
-    return b"".join(
-        [header, struct.pack("<I4s", len(text), b"JSON"), text, struct.pack("<I4s", len(binary), b"BIN\0"), binary]
-    )
+    return binary.packed(document)
