@@ -267,7 +267,7 @@ def _forgets_to_follow(mesh: ControlMesh, scheme: Scheme) -> bool:
     It does so as long as the seam itself is semi-sharp. A fault: sharpness along a seam has no say in it otherwise.
     """
     state = control_state(mesh, scheme)
-    layout, _ = control_layout(mesh, state.topology, state.corner, state.sharpness, scheme)
+    layout, _ = control_layout(mesh, state, scheme)
     if layout.follows is None or state.sharpness is None:
         return False
     following = layout.follows != np.arange(len(layout.follows))

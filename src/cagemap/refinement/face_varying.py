@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.schemes import INFINITE_SHARPNESS, Bilinear, Scheme
+from cagemap.mesh.schemes import INFINITE_SHARPNESS, Bilinear, Loop, Scheme
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement.matrices import subdivision_matrix
 from cagemap.refinement.sharpness import Sharpness
+from cagemap.refinement.state import MeshState
 from cagemap.refinement.topology import BoolArray, CornerTable, Topology, control_table, topology_of_table
 
 _DEPENDENT = ("corners_plus1", "corners_plus2")
@@ -44,17 +45,16 @@ def is_linear(scheme: Scheme) -> bool:
     return scheme.uv_interpolation == "all" or isinstance(scheme, Bilinear)
 
 
-def control_layout(
-    control: ControlMesh, topology: Topology, corner: BoolArray, sharpness: Sharpness | None, scheme: Scheme
-) -> tuple[UvLayout, FloatArray]:
+def control_layout(control: ControlMesh, state: MeshState, scheme: Scheme) -> tuple[UvLayout, FloatArray]:
     """UV layout of a control mesh, and the value of each of its vertices.
 
     Parameters
     ----------
     control : ControlMesh
         With UVs.
-    topology, corner, sharpness
+    state : MeshState
         Of the mesh itself.
+    scheme : Scheme
 
     Returns
     -------
@@ -71,8 +71,8 @@ def control_layout(
     kept = np.zeros(len(unique), dtype=bool)
     layout = UvLayout(cut, kept)
     if not is_linear(scheme):
-        around = layout_sharpness(layout, topology, corner, sharpness)
-        kept, follows = _kept_values(cut, topology, owners, around, scheme.uv_interpolation)
+        around = layout_sharpness(layout, state)
+        kept, follows = _kept_values(cut, state.topology, owners, around, scheme.uv_interpolation)
         layout = UvLayout(cut, cut.boundary & (kept | (around.vertices >= INFINITE_SHARPNESS)), follows)
     return layout, control.uvs[values]
 
@@ -135,21 +135,21 @@ def _other_of_two(owners: IndexArray, n_values: IndexArray) -> IndexArray:
     return other
 
 
-def layout_sharpness(layout: UvLayout, topology: Topology, corner: BoolArray, sharpness: Sharpness | None) -> Sharpness:
+def layout_sharpness(layout: UvLayout, state: MeshState) -> Sharpness:
     """The mesh's sharpness as the UVs see it: seams are infinitely sharp, and so are values that are kept."""
-    cut = layout.topology
+    cut, table, sharpness = layout.topology, state.topology.table, state.sharpness
     forward = cut.edge_corners[:, 0]
     outer = cut.edge_corners[:, 1] < 0
     owners = np.empty(cut.table.n_vertices, dtype=np.int64)
-    owners[cut.table.vertices] = topology.table.vertices
+    owners[cut.table.vertices] = table.vertices
     edges, halves = np.zeros(len(outer)), np.zeros((len(outer), 2))
-    vertices = np.where(corner, INFINITE_SHARPNESS, 0.0)
+    vertices = np.where(state.corner, INFINITE_SHARPNESS, 0.0)
     after = vertices
     if sharpness is not None:
-        numbers = topology.table.edges[forward]
+        numbers = table.edges[forward]
         edges = sharpness.edges[numbers]
         halves = sharpness.halves[numbers]
-        halves = np.where(topology.table.forward[forward][:, None], halves, halves[:, ::-1])
+        halves = np.where(table.forward[forward][:, None], halves, halves[:, ::-1])
         vertices, after = sharpness.vertices, sharpness.after
     edges[outer], halves[outer] = INFINITE_SHARPNESS, INFINITE_SHARPNESS
     vertices = np.where(layout.kept, INFINITE_SHARPNESS, vertices[owners])
@@ -169,28 +169,24 @@ def next_layout(layout: UvLayout, child: Topology, scheme: Scheme) -> UvLayout:
     return replace(layout, topology=child, kept=kept, follows=follows)
 
 
-def refine_uvs(
-    layout: UvLayout,
-    uvs: FloatArray,
-    topology: Topology,
-    corner: BoolArray,
-    sharpness: Sharpness | None,
-    scheme: Scheme,
-) -> FloatArray:
-    """One step of any mode but ``all``: the step of the surface, taken on the layout.
+def refine_uvs(layout: UvLayout, uvs: FloatArray, state: MeshState, scheme: Scheme) -> FloatArray:
+    """One step: linear, or in any mode but ``all`` the step of the surface, taken on the layout.
 
     Parameters
     ----------
     layout : UvLayout
     uvs : (p, 2) float64
-    topology, corner, sharpness
+    state : MeshState
         Of the mesh at the same level.
+    scheme : Scheme
 
     Returns
     -------
     (p + e, 2) or (p + e + m, 2) float64
     """
-    around = None if sharpness is None else layout_sharpness(layout, topology, corner, sharpness)
+    if is_linear(scheme):
+        return refine_linearly(layout.topology.table, uvs, with_face_points=not isinstance(scheme, Loop))
+    around = None if state.sharpness is None else layout_sharpness(layout, state)
     fixed = layout.kept
     if around is not None:
         fixed = layout.topology.boundary & (around.vertices >= INFINITE_SHARPNESS)

@@ -14,14 +14,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.schemes import SCHEMES, Bilinear, CatmullClark, Loop, Plain, Scheme
 from cagemap.numerics.arrays import Array, FloatArray, IndexArray
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.refinement.face_varying import (
-    UvLayout,
-    control_layout,
-    is_linear,
-    next_layout,
-    refine_linearly,
-    refine_uvs,
-)
+from cagemap.refinement.face_varying import control_layout, next_layout, refine_uvs
 from cagemap.refinement.state import MeshState, control_state, next_state, split_topology, state_matrix
 from cagemap.refinement.topology import (
     BoolArray,
@@ -289,7 +282,7 @@ def refine(control: ControlMesh, levels: int, scheme: Scheme | None = None) -> R
     _check_size(state.topology.table, levels)
     layout, uvs = None, None
     if control.uvs is not None and control.uv_indices is not None:
-        layout, uvs = control_layout(control, state.topology, state.corner, state.sharpness, scheme)
+        layout, uvs = control_layout(control, state, scheme)
     level = control_level(control)
     matrices, result = [], [level]
     for step in range(levels):
@@ -300,7 +293,7 @@ def refine(control: ControlMesh, levels: int, scheme: Scheme | None = None) -> R
         matrix = state_matrix(state, scheme)
         level = _next_level(level, state.topology.table, matrix, scheme)
         if layout is not None and uvs is not None:
-            uvs = _next_uvs(layout, uvs, state, scheme)
+            uvs = refine_uvs(layout, uvs, state, scheme)
             level = replace(level, uvs=uvs, uv_indices=_children(layout.topology.table, scheme).astype(np.int64))
         matrices.append(matrix)
         result.append(level)
@@ -351,12 +344,6 @@ def _next_level(level: Level, table: CornerTable, matrix: csr_array, scheme: Sch
     faces = _children(table, scheme).astype(np.int64)
     parents = np.repeat(level.face_parents, 4) if isinstance(scheme, Loop) else level.face_parents[table.faces]
     return Level(matrix @ level.positions, faces, parents)
-
-
-def _next_uvs(layout: UvLayout, uvs: FloatArray, state: MeshState, scheme: Scheme) -> FloatArray:
-    if is_linear(scheme):
-        return refine_linearly(layout.topology.table, uvs, with_face_points=not isinstance(scheme, Loop))
-    return refine_uvs(layout, uvs, state.topology, state.corner, state.sharpness, scheme)
 
 
 def _check(control: ControlMesh, levels: int, scheme: Scheme) -> None:
