@@ -20,7 +20,6 @@ from cagemap.transfer import (
     face_colors,
     prepare_transfer,
     pull_back_faces,
-    pull_back_vertices,
     unwrap,
 )
 from cagemap.transfer.attributes import encode_srgb
@@ -101,13 +100,13 @@ def test_vertex_values_keep_bounds_sums_and_linear_functions() -> None:
     target, source = plane(7, 5), plane(13, 9)
     transfer = prepare_transfer(target, source, plane_map(target, 13, 9, lambda p: 0.2 + 0.7 * p))
     weights = np.random.default_rng(41).dirichlet(np.full(4, 0.3), len(source.positions))
-    pulled = pull_back_vertices(transfer, weights)
+    pulled = transfer.point_map.pull_back(weights)
     assert pulled.min() >= 0
     np.testing.assert_allclose(pulled.sum(axis=1), 1, rtol=0, atol=1e-12)
-    linear = pull_back_vertices(transfer, source.positions @ (1.0, -2.0, 0.0))
+    linear = transfer.point_map.pull_back(source.positions @ (1.0, -2.0, 0.0))
     np.testing.assert_allclose(linear, (0.2 + 0.7 * target.positions[:, :2]) @ (1.0, -2.0), rtol=0, atol=1e-12)
-    with pytest.raises(ParameterError, match="one for every vertex"):
-        pull_back_vertices(transfer, weights[:-1])
+    with pytest.raises(ParameterError, match="a value for each of the"):
+        transfer.point_map.pull_back(weights[:-1])
 
 
 def test_face_values_of_the_same_shape_come_back() -> None:

@@ -24,6 +24,7 @@ from cagemap.transfer import (
 from cagemap.transfer import baking as bake_module
 from cagemap.transfer.locate import Samples
 from cagemap.transfer.mip_maps import halved, smoothed
+from cagemap.transfer.surface import TexturedSurface
 from transfer_reference import look_up_slowly
 from transfer_scenes import crossed_cube, face_texture, identity_map, plane, plane_map, spectrum
 
@@ -415,8 +416,8 @@ def test_udim_tiles_of_the_source_and_of_the_target() -> None:
     # At the border between two tiles the bilinear filter is cut off.
     np.testing.assert_array_equal(baked, expected)
 
-    assert target_tiles(plain) == [0]
-    assert target_tiles(wide) == [1001, 1002]
+    assert target_tiles(TexturedSurface.from_level(plain)) == [0]
+    assert target_tiles(TexturedSurface.from_level(wide)) == [1001, 1002]
     back = prepare_transfer(wide, plain, identity_map(plain))
     for tile, pixels in tiles.items():
         part = bake_texture(back, texture, size=size, options=BakeOptions(tile=tile))
@@ -432,7 +433,7 @@ def test_missing_tiles_and_islands_outside_the_grid_are_refused() -> None:
     with pytest.raises(ParameterError, match="one number of channels"):
         bake_texture(prepare_transfer(plain, wide, identity_map(plain)), {1001: tile, 1002: tile[:, :, :1]}, size=8)
     with pytest.raises(ParameterError, match="UDIM grid"):
-        target_tiles(plane(4, 4, lambda points: points - (3, 0)))
+        target_tiles(TexturedSurface.from_level(plane(4, 4, lambda points: points - (3, 0))))
 
 
 def test_wrong_input_is_refused_with_its_remedy() -> None:

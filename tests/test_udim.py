@@ -13,6 +13,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh, grid
 from cagemap.refinement import Level, refine
 from cagemap.transfer import BakeOptions, Transfer, bake_texture, prepare_transfer, target_tiles
+from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.texture import OVERHANG, tile_cells
 
 
@@ -38,7 +39,7 @@ def _noise(size: int, seed: int) -> np.ndarray:
 def test_an_asset_onto_itself_gives_back_its_tiles() -> None:
     level = refine(_tiled_grid(3, 2), 4).finest
     tiles = {1001 + column + 10 * row: _noise(256, column + 3 * row) for row in range(2) for column in range(3)}
-    assert target_tiles(level) == sorted(tiles)
+    assert target_tiles(TexturedSurface.from_level(level)) == sorted(tiles)
     transfer = _identity(level, level)
     for number, pixels in tiles.items():
         baked = bake_texture(transfer, tiles, size=256, options=BakeOptions(tile=number))
@@ -68,13 +69,13 @@ def test_a_checker_shrunk_by_four_does_not_alias() -> None:
 def test_what_overhangs_a_tile_by_a_rounding_does_not_become_two() -> None:
     mesh = _tiled_grid(2, 1, margin=0.0)
     level = refine(mesh, 5).finest
-    assert target_tiles(level) == [1001, 1002]
+    assert target_tiles(TexturedSurface.from_level(level)) == [1001, 1002]
     for shift in (1e-7, -1e-7, 0.4 * OVERHANG):
         moved = refine(mesh.with_uvs(mesh.uvs + np.array([shift, 0]), mesh.uv_indices), 5).finest
-        assert target_tiles(moved) == [1001, 1002]
+        assert target_tiles(TexturedSurface.from_level(moved)) == [1001, 1002]
     single = _tiled_grid(1, 1, margin=0.0)
     grown = refine(single.with_uvs((single.uvs - 0.5) * (1 + OVERHANG) + 0.5, single.uv_indices), 8).finest
-    assert target_tiles(grown) == [0]
+    assert target_tiles(TexturedSurface.from_level(grown)) == [0]
     across = np.array([[[0.4, 0.5], [1.4, 0.5], [1.2, 0.9]], [[-1e-6, 0], [0, 1e-6], [0, 0]]])
     np.testing.assert_array_equal(tile_cells(across), [[1, 0], [0, 0]])
 

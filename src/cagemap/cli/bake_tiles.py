@@ -35,9 +35,8 @@ from cagemap.files.obj_layout import write_obj_layout
 from cagemap.files.result import ARRAYS, MANIFEST, input_file, note_transfer, read_files, stated_path
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.udim import udim_of
 from cagemap.numerics.threads import ThreadPool
-from cagemap.transfer import BakeOptions, Transfer, tile_cells, transfer_of, unwrap
+from cagemap.transfer import BakeOptions, Transfer, target_tiles, tile_cells, transfer_of, unwrap
 from cagemap.transfer.baking import to_dtype, unit
 from cagemap.transfer.displacement import Displacement
 from cagemap.transfer.masks import bake_mask, blend, with_alpha
@@ -148,7 +147,7 @@ def layout_tiles(transfer: Transfer) -> tuple[list[int], list[str]]:
     """UDIM numbers of the tiles that the target's layout uses, [0] for the unit square; and warnings."""
     cells = tile_cells(transfer.target.corner_uvs())
     if cells.min() >= 0:
-        return ([int(tile) for tile in np.unique(udim_of(cells))] if cells.any() else [0]), []
+        return target_tiles(transfer.target), []
     outside = float(np.mean((cells != 0).any(axis=1)))
     return [0], [f"{100 * outside:.1f} % of the target's layout lies outside the unit square and is not baked: move it"]
 

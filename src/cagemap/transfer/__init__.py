@@ -1,6 +1,6 @@
 """Transfer: textures, displacement and attributes, pulled back from source to target through the point map."""
 
-from cagemap.transfer.attributes import bake_face_colors, face_colors, pull_back_faces, pull_back_vertices
+from cagemap.transfer.attributes import bake_face_colors, face_colors, pull_back_faces
 from cagemap.transfer.baking import BakeOptions, Transfer, bake_texture, prepare_transfer, target_tiles
 from cagemap.transfer.control_values import (
     CarriedUvs,
@@ -52,7 +52,6 @@ __all__ = [
     "own_transfer",
     "prepare_transfer",
     "pull_back_faces",
-    "pull_back_vertices",
     "scale_ratio",
     "target_tiles",
     "tile_cells",

@@ -21,34 +21,6 @@ _EDGE_SAMPLES = 4
 UNKNOWN_COLOR = 0.8
 
 
-def pull_back_vertices(transfer: Transfer, values: FloatArray) -> FloatArray:
-    """Pull per-vertex values back, (P12 g2)(v) = g2(T12(v)).
-
-    Values are combined with the weights of a point in its triangle, so that bounds and sums over channels survive:
-    skinning weights that sum to 1 still do.
-
-    Parameters
-    ----------
-    transfer : Transfer
-    values : (n2,) or (n2, q) array
-        At the vertices of the source's level.
-
-    Returns
-    -------
-    (n1,) or (n1, q) array
-        At the vertices of the target's level; the first rows are its control vertices.
-
-    Raises
-    ------
-    ParameterError
-        If there is not one row a source vertex.
-    """
-    rows = len(transfer.source.positions)
-    if len(values) != rows:
-        raise ParameterError(f"expected {rows} rows, one for every vertex of the source's level, got {len(values)}")
-    return transfer.point_map.pull_back(np.asarray(values, dtype=np.float64))
-
-
 def pull_back_faces(transfer: Transfer, values: NDArray[Any], *, n_target_faces: int | None = None) -> NDArray[Any]:
     """Pull values of the source's control faces back to the target's control faces.
 

@@ -146,9 +146,9 @@ def prepare_transfer(
     return Transfer(target_surface, source_surface, point_map, mapped, masks)
 
 
-def target_tiles(target: Level) -> list[int]:
+def target_tiles(target: TexturedSurface) -> list[int]:
     """UDIM numbers of the tiles that the target's layout uses, ascending; [0] if it stays in one unit square."""
-    cells = tile_cells(TexturedSurface.from_level(target).corner_uvs())
+    cells = tile_cells(target.corner_uvs())
     return [int(tile) for tile in np.unique(udim_of(cells))] if cells.any() else [0]
 
 
