@@ -15,6 +15,7 @@ from cagemap.refinement import Level, refine
 from cagemap.transfer import BakeOptions, bake_texture, prepare_transfer, unwrap
 from cagemap.transfer.baking import make_canvas
 from cagemap.transfer.locate import locate_centers, locate_samples, map_surface
+from cagemap.transfer.shapes import carry_shape, prepare_shapes
 from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.texels import rasterize_band
 from cagemap.transfer.vectors import bake_normal_map, bake_vector_displacement
@@ -57,6 +58,17 @@ def test_directions_come_back(crumpled: Level, space: str) -> None:
     assert np.abs(baked[inside].astype(int) - normals[inside]).max() <= 1
     moved = bake_vector_displacement(transfer, vectors.astype(np.float32), size=SIZE, space=space)
     np.testing.assert_allclose(moved.pixels[inside], vectors[inside], rtol=0, atol=1e-6)
+
+
+def test_shapes_come_back() -> None:
+    """Folds across which walks from all three corners end on the wrong side."""
+    rng = np.random.default_rng(5)
+    control = torus(10, 8)
+    control = control.with_positions(control.positions + 0.4 * rng.standard_normal(control.positions.shape))
+    body = refine(control, 2)
+    carrier = prepare_shapes(body, body, identity_map(body.finest))
+    shape = rng.standard_normal(control.positions.shape)
+    np.testing.assert_allclose(carry_shape(carrier, shape), shape, rtol=0, atol=1e-9)
 
 
 def test_walks_begin_in_the_triangle_that_holds_all_corners(crumpled: Level) -> None:

@@ -31,6 +31,7 @@ from cagemap.maps.pair import Pair, PointPairs, Progress, SymmetryPair, point_pa
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import COVERAGE_SAMPLES, QualityFigures, measure_quality
 from cagemap.maps.result import MatchResult as MatchResult
+from cagemap.maps.same import identity_map, same_surface
 from cagemap.maps.spectral.constraints import paired_mirrors
 from cagemap.maps.spectral.hierarchical import HierarchyConfig, hierarchical_map
 from cagemap.maps.spectral.paper import PaperConfig, paper_map
@@ -206,7 +207,9 @@ def match_pair(
         pair = pair_of(target, source, landmarks, config)
     with one_blas_thread():
         with _timed(timings, "map"):
-            if len(landmarks) < FEWEST_LANDMARKS:
+            if same_surface(pair):
+                point_map, confidence = identity_map(pair)
+            elif len(landmarks) < FEWEST_LANDMARKS:
                 point_map, confidence = hypothesis_map(prepared, pair, progress=progress)
             elif config.check_landmarks:
                 point_map, check, ends = checked_map(prepared, pair, landmarks.names, progress)
@@ -264,7 +267,9 @@ def update_match(
                 check = checked_changes(prepared, every, landmarks.names, changed, check, point_map)
             trusted = check.trusted(landmarks)
             pair = Pair(target, source, point_pairs(target, source, trusted))
-            point_map = updated_map(prepared, pair, point_map, progress)
+            point_map = (
+                identity_map(pair)[0] if same_surface(pair) else updated_map(prepared, pair, point_map, progress)
+            )
         return _judged(prepared, point_map, landmarks, check, timings, progress)
 
 

@@ -26,7 +26,7 @@ from cagemap.numerics.factorization import Factorization, factor
 from cagemap.numerics.rotations import nearest_rotations
 from cagemap.refinement import Refinement, level_triangles
 from cagemap.transfer.interpolation import interpolate_linearly
-from cagemap.transfer.locate import triangle_frames, walk_from
+from cagemap.transfer.locate import triangle_frames, walk_from, whole_triangles
 
 # Vertices of the target at which a shape is looked at, about; far more than a shape has detail.
 _SAMPLES = 25_000
@@ -131,9 +131,10 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
 
 
 def _centre_images(point_map: PointMap, frames: FloatArray, triangles: IndexArray, images: FloatArray) -> IndexArray:
-    """(t,) source triangle at the image of every triangle's centre: the nearest that a walk from a corner finds.
+    """(t,) source triangle at the image of every triangle's centre.
 
-    Across a sharp fold, such as a lip's, a walk can end on the wrong side; not from every corner.
+    The one that holds all corners, or the nearest that a walk from a corner finds: across a sharp fold, such as a
+    lip's, a walk can end on the wrong side, and hardly from all of them.
     """
     given, centres = point_map.source, images[triangles].mean(axis=1)
     found = np.zeros(len(triangles), dtype=np.int64)
@@ -145,7 +146,8 @@ def _centre_images(point_map: PointMap, frames: FloatArray, triangles: IndexArra
         distance = np.linalg.norm(places - centres, axis=1)
         nearer = distance < least - _SAME
         found[nearer], least[nearer] = triangle[nearer], distance[nearer]
-    return found
+    whole = whole_triangles(triangles, given.triangles, point_map.triangle, point_map.barycentric)
+    return np.where(whole >= 0, whole, found)
 
 
 def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:

@@ -1,0 +1,33 @@
+"""The same surface on both sides, a cage with a new layout, say: its map is the identity, to the last bit."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cagemap.maps.hypotheses.confidence import Confidence, Reading
+from cagemap.maps.pair import Pair
+from cagemap.maps.point_map import PointMap
+
+# Places that differ by less, in units of sqrt(area), are one: what six digits in a file leave.
+_SAME = 1e-5
+ONE_SURFACE = "vertex on vertex: they are one surface"
+
+
+def same_surface(pair: Pair) -> bool:
+    """Whether both finest surfaces have the same faces and vertices, in their order, and landmarks say nothing else."""
+    target, source = pair.target.triangles(pair.target.finest), pair.source.triangles(pair.source.finest)
+    if target.n != source.n or not np.array_equal(target.triangles, source.triangles):
+        return False
+    # Moved in its file, a surface is still the same one.
+    moved = target.positions - source.positions
+    marks = pair.landmarks.target.positions - pair.landmarks.source.positions
+    rest = np.concatenate([moved, marks]) - moved.mean(axis=0)
+    return not pair.landmarks.curves and bool(np.abs(rest).max() < _SAME)
+
+
+def identity_map(pair: Pair) -> tuple[PointMap, Confidence]:
+    """Every vertex to itself, and how sure that is."""
+    target, source = pair.target.triangles(pair.target.finest), pair.source.triangles(pair.source.finest)
+    found = PointMap.from_vertices(target, source, np.arange(target.n))
+    reading = Reading(ONE_SURFACE, 0.0, source.positions)
+    return found, Confidence.of((reading,), pair.target.control.n_vertices)
