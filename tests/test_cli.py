@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import cagemap
 from cagemap import BasisConfig, __version__
 from cagemap.cli import main
 from cagemap.cli.app import match as match_command
@@ -390,6 +391,31 @@ def test_islands_outside_the_square_are_warned_of(run: Run, result_folder: Path)
     outcome = run("transfer", "R", "--texture", "t.png", "--size", 32, "-o", "b.png")
     assert outcome.code == 0
     assert "outside the unit square" in outcome.err
+
+
+def test_layouts_that_lie_over_themselves_are_warned_of(run: Run, result_folder: Path) -> None:
+    """Half of the faces in the place of the other half: mirrored halves, or materials with an image each."""
+
+    def doubled(surface: cagemap.Surface) -> cagemap.Surface:
+        control = surface.control
+        corners = control.uv_indices.reshape(-1, 4).copy()
+        half = len(corners) // 2
+        corners[half : 2 * half] = corners[:half]
+        faces = np.arange(control.n_faces) >= half
+        materials = {"face_materials": faces.astype(np.int64), "material_names": ("skin", "eyes")}
+        return surface.with_control(replace(control.with_uvs(control.uvs, corners.ravel()), **materials))
+
+    plain = run("transfer", "R", "--texture", "t.png", "--size", 32, "-o", "plain.png")
+    assert plain.code == 0
+    assert "over" not in plain.err
+    result = read_result(result_folder)
+    write_result(result_folder, replace(result, target=doubled(result.target), source=doubled(result.source)))
+    outcome = run("transfer", "R", "--texture", "t.png", "--size", 32, "-o", "b.png")
+    assert outcome.code == 0
+    assert "50 % of the target's layout lies over other parts" in outcome.err
+    assert "materials of the source lie over each other in its layout (skin, eyes)" in outcome.err
+    colours = run("transfer", "R", "--material-colors", "--size", 32, "-o", "c.png")
+    assert "materials of the source" not in colours.err
 
 
 @pytest.fixture(scope="module")

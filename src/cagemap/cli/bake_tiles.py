@@ -39,11 +39,14 @@ from cagemap.numerics.threads import ThreadPool
 from cagemap.transfer import BakeOptions, Transfer, target_tiles, tile_cells, transfer_of, unwrap
 from cagemap.transfer.baking import to_dtype, unit
 from cagemap.transfer.displacement import Displacement
+from cagemap.transfer.doubled import doubled_materials, doubled_share
 from cagemap.transfer.masks import bake_mask, blend, with_alpha
 from cagemap.transfer.texture import Filter, Pixels
 
 # Width and height of an image that no other one gives a size.
 DEFAULT_SIZE = 2048
+# Share of a layout that lies over other parts of it, from which on that is said: faces of artists' layouts touch.
+LEAST_DOUBLED = 0.02
 Baked = TypeVar("Baked", bound=Pixels | Image | Displacement)
 
 
@@ -133,7 +136,10 @@ def prepare_bake(
     stages("prepare")
     transfer = transfer_of(result)
     tiles, outside = layout_tiles(transfer)
-    warnings += outside
+    warnings += [*outside, *doubled_target(result.target.control, "add --unwrap for a layout of its own")]
+    of_source = (request.texture, request.displacement, request.normal_map, request.vector_displacement, *request.maps)
+    if any(of_source) and result.masks.source is None:
+        warnings += _doubled_source(result.source.control)
     images = [udim_path(output, tile) for output in outputs or [request.output] for tile in tiles]
     others = [path for path in (mesh, request.usd) if path is not None]
     inputs = [*inputs_of(request), *read_files(request.result, result.manifest)]
@@ -150,6 +156,29 @@ def layout_tiles(transfer: Transfer) -> tuple[list[int], list[str]]:
         return target_tiles(transfer.target), []
     outside = float(np.mean((cells != 0).any(axis=1)))
     return [0], [f"{100 * outside:.1f} % of the target's layout lies outside the unit square and is not baked: move it"]
+
+
+def doubled_target(control: ControlMesh, remedy: str) -> list[str]:
+    """A warning of a target whose layout lies over itself."""
+    share = doubled_share(control)
+    if share < LEAST_DOUBLED:
+        return []
+    return [
+        f"{100 * share:.0f} % of the target's layout lies over other parts of it (mirrored halves, or materials with "
+        "an image each), where a texel takes what one of them gets: match its materials one by one with --part, or "
+        f"{remedy}"
+    ]
+
+
+def _doubled_source(control: ControlMesh) -> list[str]:
+    """A warning of a source whose materials lie over each other."""
+    names = doubled_materials(control, LEAST_DOUBLED)
+    if not names:
+        return []
+    return [
+        f"materials of the source lie over each other in its layout ({', '.join(names)}), and all take this image: if "
+        "each has one of its own, carry them one by one with --source-mask NAME"
+    ]
 
 
 def bake_tiles(

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
-from cagemap.cli.bake_tiles import DEFAULT_SIZE, layout_tiles
+from cagemap.cli.bake_tiles import DEFAULT_SIZE, doubled_target, layout_tiles
 from cagemap.cli.detail_bakes import DetailBakes, Kind, bake_detail, detail_texture, mesh_detail, vertex_colors
 from cagemap.cli.progress import Stages
 from cagemap.cli.wrap_request import WrapRequest
@@ -96,4 +96,4 @@ def bake_wrapped(
     images = [udim_path(path, tile) for path in bakes.images.values() for tile in tiles]
     check_outputs(images, textures_read(request), force=request.force)
     lines = bake_detail(bakes, transfer, detail, colors, tiles, stages, "the source's")
-    return lines, warnings + outside
+    return lines, [*warnings, *outside, *doubled_target(result.target.control, "unwrap it anew")]
