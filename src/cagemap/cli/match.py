@@ -22,7 +22,6 @@ from cagemap.cli.bases import (
     side_bases,
     side_levels,
 )
-from cagemap.cli.given_landmarks import read_given_landmarks
 from cagemap.cli.job_file import note_match
 from cagemap.cli.masks import GivenMasks, MaskOptions, mask_inputs, masks_on, read_masks
 from cagemap.cli.match_parts import PartInputs, asked_parts, chosen_parts
@@ -32,7 +31,10 @@ from cagemap.cli.mesh_commands import require_size
 from cagemap.cli.method import read_symmetries, used_parameters, with_parameters
 from cagemap.cli.progress import Stages
 from cagemap.cli.subdivision import SubdivisionRequest
+from cagemap.errors import ParameterError
 from cagemap.files.atomic import require_no_input
+from cagemap.files.landmark_points import read_points
+from cagemap.files.landmarks import read_landmarks
 from cagemap.files.manifest import stated_inputs
 from cagemap.files.merged import merge_results
 from cagemap.files.meshes import read_mesh, read_whole
@@ -40,7 +42,7 @@ from cagemap.files.result import ARRAYS, MANIFEST, check_result_folder, landmark
 from cagemap.files.surface_store import prepared
 from cagemap.files.usd_space import unit_notes
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.landmarks import Landmarks, paired
 from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_surface, prepare_surfaces
 
 _log = logging.getLogger(__name__)
@@ -181,6 +183,44 @@ def read_inputs(request: MatchRequest) -> Inputs:
     parts = tuple(ready_inputs(part) for part in chosen)
     notes = (*notes, *left_alone, *(note for part in parts for note in part.notes))
     return Inputs(target, source, landmarks, notes, parts, masks, tuple(part.repairs for part in parts))
+
+
+def read_given_landmarks(
+    request: MatchRequest, target: ControlMesh, source: ControlMesh
+) -> tuple[Landmarks, tuple[str, ...]]:
+    """Landmarks of the files given, with the curves of ``--curves`` beside theirs; and notes."""
+    landmarks, notes = _read_points_or_pairs(request, target, source)
+    if request.curves is None:
+        return landmarks, notes
+    more, more_notes = _read_pairs(request.curves, request)
+    if len(more):
+        raise ParameterError(f"--curves: expected curves alone, got landmarks in {request.curves}. Give --landmarks.")
+    return replace(landmarks, curves=landmarks.curves.beside(more.curves)), (*notes, *more_notes)
+
+
+def _read_pairs(path: Path, request: MatchRequest) -> tuple[Landmarks, tuple[str, ...]]:
+    """A file of pairs, made for this direction or the other."""
+    if request.exchange_landmarks:
+        exchanged, notes = read_landmarks(path, request.source, request.target)
+        return exchanged.reversed(), notes
+    return read_landmarks(path, request.target, request.source)
+
+
+def _read_points_or_pairs(
+    request: MatchRequest, target: ControlMesh, source: ControlMesh
+) -> tuple[Landmarks, tuple[str, ...]]:
+    """Landmarks of a pair file, or of a file for each mesh, or none; and notes."""
+    points = request.target_points, request.source_points
+    if points[0] is not None and points[1] is not None and request.landmarks is None:
+        return paired(read_points(points[0], target), read_points(points[1], source), target, source)
+    if points != (None, None):
+        raise ParameterError(
+            "--target-points and --source-points: expected both, and no --landmarks beside them; landmarks are pairs "
+            "of points of the same name, or come from one file of pairs."
+        )
+    if request.landmarks is None:
+        return Landmarks.none(), ()
+    return _read_pairs(request.landmarks, request)
 
 
 def read_control(path: Path, request: MatchRequest, side: str) -> ControlMesh:

@@ -121,7 +121,7 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
     FormatError
         If two rules ask for the same pair with other options, or two outputs of a pair for the same file.
     """
-    hashes = _Hashes()
+    planner = _Planner(job, version)
     tasks: dict[str, Task] = {}
     left_out: list[str] = []
     pairs: dict[Pair, dict[str, Any]] = {}
@@ -140,15 +140,15 @@ def plan_job(job: Job, version: str, tree: Tree) -> Plan:
             sides, options = [], {name: options[name] for name in ("map", "level") if name in options}
         if any(asset.part for _, asset in sides) or any(name.endswith("part") for name in options):
             sides = []  # which parts there are is known when both meshes have been read
-        prepared = [_prepare(asset, side, options, job, version, hashes) for side, asset in sides]
+        prepared = [planner.prepare(asset, side, options) for side, asset in sides]
         tasks |= {task.name: task for task in prepared}
-        match = _match(source, target, options, job, version, hashes, prepared)
+        match = planner.match(source, target, options, prepared)
         tasks[match.name] = match
-        picture = _picture(match, version)
+        picture = planner.picture(match)
         tasks[picture.name] = picture
         before: list[Task] = []
         for wanted in sorted(job.outputs, key=lambda rule: rule.command == "report"):
-            made = _output(wanted, source, target, match, job, version, hashes, before)
+            made = planner.output(wanted, source, target, match, before)
             if isinstance(made, str):
                 left_out.append(made)
                 continue
@@ -211,82 +211,80 @@ def task_key(version: str, kind: str, *parts: Any) -> str:
     return hashlib.sha256(json.dumps([version, kind, *parts], sort_keys=True, default=str).encode()).hexdigest()
 
 
-def _prepare(asset: Asset, side: str, options: dict[str, Any], job: Job, version: str, hashes: _Hashes) -> Task:
-    """The task of one surface; a surface that is prepared alike for both sides is one task."""
-    choices = {name: value for name, value in options.items() if name.removeprefix(f"{side}_") in _SURFACE}
-    if asset.scheme is not None and f"{side}_scheme" not in options:
-        choices["scheme"] = asset.scheme
-    side = side if any(name.startswith(f"{side}_") for name in choices) else "target"
-    request = {"asset": asset.name, "file": str(asset.file), "side": side, "options": choices}
-    key = task_key(version, "prepare", hashes.of(asset.file), side, choices)
-    return Task("prepare", f"prepare {asset.name} {key[:8]}", key, (), {**request, "cache": str(_cache(job))})
+@dataclass(frozen=True)
+class _Planner:
+    """Writes down the tasks of one job."""
 
+    job: Job
+    version: str
+    hashes: _Hashes = field(default_factory=_Hashes)
 
-def _match(
-    source: Asset, target: Asset, options: dict[str, Any], job: Job, version: str, hashes: _Hashes, needs: list[Task]
-) -> Task:
-    folder = f"{source.name}__{target.name}/{RESULT}"
-    sides = ("target", target), ("source", source)
-    schemes = {f"{side}_scheme": asset.scheme for side, asset in sides if asset.scheme is not None}
-    inputs: dict[str, Any] = {"target": str(target.file), "source": str(source.file), **schemes, **options}
-    inputs |= {f"{side}_part": asset.part for side, asset in sides if asset.part}
-    if not {"landmarks", "map"} & set(options) and source.landmarks is not None and target.landmarks is not None:
-        inputs |= {"target_points": str(target.landmarks), "source_points": str(source.landmarks)}
-    key = task_key(version, "match", hashes.of_request(inputs), [task.key for task in needs])
-    request = {**inputs, "output": str(job.output / folder)}
-    request |= {} if "map" in options else {"cache": str(_cache(job))}
-    pair, before = (source.name, target.name), tuple(task.name for task in needs)
-    return Task("match", f"match {pair[0]} -> {pair[1]}", key, before, request, (f"{folder}/{ARRAYS}",), pair)
+    @property
+    def cache(self) -> str:
+        """Folder of prepared surfaces."""
+        return str(self.job.output / STATE / "surfaces")
 
+    def prepare(self, asset: Asset, side: str, options: dict[str, Any]) -> Task:
+        """The task of one surface; a surface that is prepared alike for both sides is one task."""
+        choices = {name: value for name, value in options.items() if name.removeprefix(f"{side}_") in _SURFACE}
+        if asset.scheme is not None and f"{side}_scheme" not in options:
+            choices["scheme"] = asset.scheme
+        side = side if any(name.startswith(f"{side}_") for name in choices) else "target"
+        request = {"asset": asset.name, "file": str(asset.file), "side": side, "options": choices}
+        key = task_key(self.version, "prepare", self.hashes.of(asset.file), side, choices)
+        return Task("prepare", f"prepare {asset.name} {key[:8]}", key, (), {**request, "cache": self.cache})
 
-def _picture(match: Task, version: str) -> Task:
-    """The small picture of a pair on the page of all."""
-    assert match.pair is not None
-    source, target = match.pair
-    request = {"result": match.request["output"], "output": str(Path(match.request["output"]).parent / PICTURE)}
-    key = task_key(version, "picture", match.key)
-    written = f"{source}__{target}/{PICTURE}"
-    return Task("picture", f"picture {source} -> {target}", key, (match.name,), request, (written,), match.pair)
+    def match(self, source: Asset, target: Asset, options: dict[str, Any], needs: list[Task]) -> Task:
+        """The task of a pair's map."""
+        folder = f"{source.name}__{target.name}/{RESULT}"
+        sides = ("target", target), ("source", source)
+        schemes = {f"{side}_scheme": asset.scheme for side, asset in sides if asset.scheme is not None}
+        inputs: dict[str, Any] = {"target": str(target.file), "source": str(source.file), **schemes, **options}
+        inputs |= {f"{side}_part": asset.part for side, asset in sides if asset.part}
+        if not {"landmarks", "map"} & set(options) and source.landmarks is not None and target.landmarks is not None:
+            inputs |= {"target_points": str(target.landmarks), "source_points": str(source.landmarks)}
+        key = task_key(self.version, "match", self.hashes.of_request(inputs), [task.key for task in needs])
+        request = {**inputs, "output": str(self.job.output / folder)}
+        request |= {} if "map" in options else {"cache": self.cache}
+        pair, before = (source.name, target.name), tuple(task.name for task in needs)
+        return Task("match", f"match {pair[0]} -> {pair[1]}", key, before, request, (f"{folder}/{ARRAYS}",), pair)
 
+    def picture(self, match: Task) -> Task:
+        """The small picture of a pair on the page of all."""
+        assert match.pair is not None
+        source, target = match.pair
+        request = {"result": match.request["output"], "output": str(Path(match.request["output"]).parent / PICTURE)}
+        key = task_key(self.version, "picture", match.key)
+        written = f"{source}__{target}/{PICTURE}"
+        return Task("picture", f"picture {source} -> {target}", key, (match.name,), request, (written,), match.pair)
 
-def _output(
-    rule: OutputRule,
-    source: Asset,
-    target: Asset,
-    match: Task,
-    job: Job,
-    version: str,
-    hashes: _Hashes,
-    before: list[Task],
-) -> Task | str:
-    """The task of an output; or why the pair does not get it.
+    def output(self, rule: OutputRule, source: Asset, target: Asset, match: Task, before: list[Task]) -> Task | str:
+        """The task of an output; or why the pair does not get it.
 
-    Outputs of a pair are made one after the other, since each is noted in the pair's RESULT. A report shows those
-    before it, and is drawn anew when one of them changes.
-    """
-    pair = f"{source.name} -> {target.name}"
-    options: dict[str, Any] = {}
-    kinds = job.kinds[rule.command]
-    name = rule.output or _DEFAULT_OUTPUT.get(rule.command) or f"{{target}}_{rule.command}.png"
-    for option, value in {**(rule.model_extra or {}), "output": name}.items():
-        filled = fill(value, source, target)
-        if filled is None:
-            return f"{pair}: no {rule.command}, {value} is not among the asset's files"
-        in_pair = option == "output" or option in job.written.get(rule.command, ())
-        options[option] = filled if in_pair else absolute(filled, kinds[option], job.path.parent)
-    files = {
-        option: Path(f"{source.name}__{target.name}", options.pop(option)).as_posix()
-        for option in ("output", *job.written.get(rule.command, ()))
-        if option in options
-    }
-    shown = [task.key for task in before] if rule.command == "report" else []
-    key = task_key(version, rule.command, hashes.of_request(options), match.key, *sorted(files.items()), *shown)
-    request = {**options, "result": match.request["output"]}
-    request |= {option: str(job.output / written) for option, written in files.items()}
-    title = f"{rule.command} {pair}: {Path(files['output']).name}"
-    after = tuple(task.name for task in before[-1:])
-    return Task(rule.command, title, key, (match.name,), request, tuple(files.values()), match.pair, after)
-
-
-def _cache(job: Job) -> Path:
-    return job.output / STATE / "surfaces"
+        Outputs of a pair are made one after the other, since each is noted in the pair's RESULT. A report shows those
+        before it, and is drawn anew when one of them changes.
+        """
+        pair = f"{source.name} -> {target.name}"
+        options: dict[str, Any] = {}
+        kinds = self.job.kinds[rule.command]
+        name = rule.output or _DEFAULT_OUTPUT.get(rule.command) or f"{{target}}_{rule.command}.png"
+        for option, value in {**(rule.model_extra or {}), "output": name}.items():
+            filled = fill(value, source, target)
+            if filled is None:
+                return f"{pair}: no {rule.command}, {value} is not among the asset's files"
+            in_pair = option == "output" or option in self.job.written.get(rule.command, ())
+            options[option] = filled if in_pair else absolute(filled, kinds[option], self.job.path.parent)
+        files = {
+            option: Path(f"{source.name}__{target.name}", options.pop(option)).as_posix()
+            for option in ("output", *self.job.written.get(rule.command, ()))
+            if option in options
+        }
+        shown = [task.key for task in before] if rule.command == "report" else []
+        key = task_key(
+            self.version, rule.command, self.hashes.of_request(options), match.key, *sorted(files.items()), *shown
+        )
+        request = {**options, "result": match.request["output"]}
+        request |= {option: str(self.job.output / written) for option, written in files.items()}
+        title = f"{rule.command} {pair}: {Path(files['output']).name}"
+        after = tuple(task.name for task in before[-1:])
+        return Task(rule.command, title, key, (match.name,), request, tuple(files.values()), match.pair, after)
