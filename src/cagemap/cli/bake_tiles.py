@@ -182,7 +182,7 @@ def _doubled_source(control: ControlMesh) -> list[str]:
 
 
 def bake_tiles(
-    request: TransferRequest, prepared: Prepared, bake: Callable[[BakeOptions], Baked], stages: Stages, name: str = ""
+    request: TransferRequest, prepared: Prepared, bake: Callable[..., Baked], stages: Stages, name: str = ""
 ) -> Baked:
     """Bake all tiles of a layout and write them, each while the next one is baked; returns the last.
 
@@ -194,7 +194,7 @@ def bake_tiles(
         Its output is the image to write, or a pattern for several tiles.
     prepared : Prepared
     bake : callable
-        Options, which say the tile -> what was baked.
+        ``options``, which say the tile -> what was baked.
     stages : Stages
     name : str
         Of the map, to be shown.
@@ -202,7 +202,7 @@ def bake_tiles(
     return write_tiles(
         request.output,
         prepared.tiles,
-        lambda options: bake(replace(options, filter=cast(Filter, request.filter))),
+        lambda options: bake(options=replace(options, filter=cast(Filter, request.filter))),
         stages,
         masking(request, prepared, name),
         force=request.force,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any, cast
 
 from cagemap.cli.bake_tiles import (
     DEFAULT_SIZE,
+    Baked,
     Prepared,
     SourceImage,
     bake_tiles,
@@ -32,7 +34,6 @@ from cagemap.maps.result import MatchResult
 from cagemap.transfer import BakeOptions, bake_displacement, bake_face_colors, bake_texture, face_colors
 from cagemap.transfer.displacement import Displacement
 from cagemap.transfer.normal_maps import looks_like_normal_map, share_of_normals
-from cagemap.transfer.texture import Pixels
 from cagemap.transfer.vectors import Green, Space, bake_normal_map, bake_vector_displacement
 
 # Share of an image's colours that are directions, below which it is hardly a normal map. JPEG leaves most of them so.
@@ -94,6 +95,14 @@ def _bake_map(
     return given
 
 
+def _baked(
+    bake: Callable[..., Baked], given: SourceImage, request: TransferRequest, prepared: Prepared, stages: Stages
+) -> Baked:
+    """Bake an image of the source into all tiles, by a bake whose own options are bound; returns the last."""
+    bound = partial(bake, prepared.transfer, given.texture, size=given.size, dtype=given.dtype)
+    return bake_tiles(request, prepared, bound, stages)
+
+
 def _entry(kind: str, request: TransferRequest, path: Path, given: SourceImage) -> dict[str, Any]:
     """What the manifest notes of an image that was carried: its file, size baked, and word for the colour space."""
     image = stated_path(path, request.result)
@@ -111,19 +120,8 @@ def carry_normal_map(request: TransferRequest, result: MatchResult, stages: Stag
             f"{request.normal_map}: only {100 * share:.0f} % of its colours are directions; is it a normal map? "
             "Colours go through --texture."
         )
-
-    def bake(options: BakeOptions) -> Pixels:
-        return bake_normal_map(
-            prepared.transfer,
-            given.texture,
-            size=given.size,
-            space=cast(Space, request.space),
-            green=cast(Green, request.green),
-            dtype=given.dtype,
-            options=options,
-        )
-
-    bake_tiles(request, prepared, bake, stages)
+    bake = partial(bake_normal_map, space=cast(Space, request.space), green=cast(Green, request.green))
+    _baked(bake, given, request, prepared, stages)
     entry = _entry("normal-map", request, request.normal_map, given)
     return finish(request, prepared, {**entry, "space": request.space})
 
@@ -133,19 +131,8 @@ def carry_displacement(request: TransferRequest, result: MatchResult, stages: St
     assert request.displacement is not None
     given = read_source_image(request, result, request.displacement, 1)
     prepared = prepare_bake(request, result, stages)
-
-    def bake(options: BakeOptions) -> Displacement:
-        return bake_displacement(
-            prepared.transfer,
-            given.texture,
-            size=given.size,
-            midlevel=request.midlevel,
-            scale=request.scale,
-            dtype=given.dtype,
-            options=options,
-        )
-
-    baked = bake_tiles(request, prepared, bake, stages)
+    bake = partial(bake_displacement, midlevel=request.midlevel, scale=request.scale)
+    baked = _baked(bake, given, request, prepared, stages)
     entry = _entry("displacement", request, request.displacement, given)
     return _finish_displacement(request, prepared, entry, baked, "height")
 
@@ -155,20 +142,9 @@ def carry_vector_displacement(request: TransferRequest, result: MatchResult, sta
     assert request.vector_displacement is not None
     given = read_source_image(request, result, request.vector_displacement, 3)
     prepared = prepare_bake(request, result, stages)
-
-    def bake(options: BakeOptions) -> Displacement:
-        return bake_vector_displacement(
-            prepared.transfer,
-            given.texture,
-            size=given.size,
-            space=cast(Space, request.space),
-            midlevel=request.midlevel,
-            scale=request.scale,
-            dtype=given.dtype,
-            options=options,
-        )
-
-    baked = bake_tiles(request, prepared, bake, stages)
+    space = cast(Space, request.space)
+    bake = partial(bake_vector_displacement, space=space, midlevel=request.midlevel, scale=request.scale)
+    baked = _baked(bake, given, request, prepared, stages)
     entry = {**_entry("vector-displacement", request, request.vector_displacement, given), "space": request.space}
     return _finish_displacement(request, prepared, entry, baked, "vector")
 
@@ -191,8 +167,6 @@ def carry_material_colors(request: TransferRequest, result: MatchResult, stages:
     size = request.size or base_size(request) or DEFAULT_SIZE
     prepared = prepare_bake(request, result, stages)
 
-    def bake(options: BakeOptions) -> Pixels:
-        return bake_face_colors(prepared.transfer, colors, size=size, dtype=dtype, options=options)
-
+    bake = partial(bake_face_colors, prepared.transfer, colors, size=size, dtype=dtype)
     bake_tiles(request, prepared, bake, stages)
     return finish(request, prepared, {"kind": "material-colors", "size": size})
