@@ -12,8 +12,11 @@ import numpy as np
 import pytest
 
 import cagemap
+from cagemap.files.images import Image
 from cagemap.maps.elastic.config import ElasticConfig
 from cagemap.pipeline import MatchConfig
+
+from example_result import identity_result
 
 ARRAYS = re.compile(r"Array|ndarray|csr_array|csc_array|TriangleSurface|SurfacePoints")
 
@@ -50,6 +53,19 @@ def test_configurations_show_what_was_chosen_and_signatures_stay_short() -> None
     assert repr(config) == "MatchConfig(elastic=ElasticConfig(coarse_vertices=10), answer=1)"
     assert repr(MatchConfig()) == "MatchConfig()"
     assert len(str(inspect.signature(cagemap.match))) < 300
+
+
+def test_values_show_themselves_in_a_line() -> None:
+    """What a notebook shows of them: no arrays."""
+    result = identity_result(1)
+    mesh, pair = result.target.control, cagemap.pair_of(result.target, result.source, result.landmarks)
+    image = Image(np.zeros((4, 8, 3), dtype=np.uint8), (), "sRGB")
+    values = (mesh, result, result.landmarks, pair, cagemap.transfer_of(result), image, result.target.operators)
+    for value in values:
+        assert re.fullmatch(rf"{type(value).__name__}\(.{{10,250}}\)", repr(value)), repr(value)
+        assert "array" not in repr(value)
+    assert repr(mesh) == f"ControlMesh({mesh.name!r}, {mesh.n_vertices} vertices, {mesh.n_faces} faces)"
+    assert repr(image) == "Image(4 x 8 x 3 uint8, sRGB)"
 
 
 @pytest.mark.parametrize(

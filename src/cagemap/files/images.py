@@ -68,6 +68,10 @@ class Image:
     color_space: str = ""
     associated: bool = False
 
+    def __repr__(self) -> str:
+        said = f", {self.color_space}" if self.color_space else ""
+        return f"Image({' x '.join(map(str, self.pixels.shape))} {self.pixels.dtype}{said})"
+
     @property
     def size(self) -> tuple[int, int]:
         """Height and width."""

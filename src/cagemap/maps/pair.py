@@ -97,6 +97,10 @@ class Pair:
     landmarks: PointPairs
     symmetries: tuple[SymmetryPair, ...] = ()
 
+    def __repr__(self) -> str:
+        count = len(self.landmarks.target.triangle)
+        return f"Pair({self.target} -> {self.source}, {count} landmarks, {len(self.symmetries)} symmetries)"
+
     @classmethod
     def of_vertices(
         cls,

@@ -84,14 +84,18 @@ class MatchResult:
     landmarks: Landmarks
     point_map: PointMap
     quality: QualityFigures
-    timings: dict[str, float] = field(default_factory=dict, repr=False)
+    timings: dict[str, float] = field(default_factory=dict)
     landmark_check: LandmarkCheck = field(default_factory=LandmarkCheck)
-    level_maps: tuple[LevelMap, ...] = field(default=(), repr=False)
+    level_maps: tuple[LevelMap, ...] = ()
     confidence: Confidence | None = None
-    prepared: PreparedPair | None = field(default=None, repr=False)
-    masks: Masks = field(default=WHOLE, repr=False)
-    known_spectral: SpectralMap | None = field(default=None, repr=False)
-    provenance: dict[str, Any] = field(default_factory=dict, repr=False)
+    prepared: PreparedPair | None = None
+    masks: Masks = WHOLE
+    known_spectral: SpectralMap | None = None
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        sides = f"target {self.target.control.name!r}, source {self.source.control.name!r}"
+        return f"MatchResult({sides}, {len(self.triangle)} target vertices, {self.landmarks})"
 
     @cached_property
     def spectral(self) -> SpectralMap:

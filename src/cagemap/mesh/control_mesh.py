@@ -104,6 +104,9 @@ class ControlMesh:
     scheme: Scheme | None = None
     name: str = "mesh"
 
+    def __repr__(self) -> str:
+        return f"ControlMesh({self.name!r}, {self.n_vertices} vertices, {self.n_faces} faces)"
+
     @classmethod
     def from_faces(cls, positions: object, faces: object, *, name: str = "mesh") -> ControlMesh:
         """Build from a sequence of faces, each a sequence of vertex numbers (0-based).

@@ -82,6 +82,11 @@ class Landmarks:
     def __len__(self) -> int:
         return len(self.names)
 
+    def __repr__(self) -> str:
+        named = ", ".join(self.names[:3]) + (", ..." if len(self) > 3 else "")
+        also = f", {len(self.curves)} curves" if len(self.curves) else ""
+        return f"Landmarks({len(self)} pairs{f': {named}' if named else ''}{also})"
+
     def renumbered(self, target: Renumbering, source: Renumbering) -> Landmarks:
         """Return the pairs on meshes made of parts of these ones, without those that do not lie on both.
 

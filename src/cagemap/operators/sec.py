@@ -37,6 +37,9 @@ class Operators:
     stiffness: tuple[sparse.csr_array, ...]
     scale: float
 
+    def __repr__(self) -> str:
+        return f"Operators({', '.join(str(mass.shape[0]) for mass in self.mass)} vertices, scale {self.scale:.6g})"
+
     @property
     def finest(self) -> int:
         """Number of the finest level."""

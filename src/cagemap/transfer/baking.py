@@ -66,6 +66,9 @@ class Transfer:
     mapped: MappedSurface
     masks: Masks = WHOLE
 
+    def __repr__(self) -> str:
+        return f"Transfer({self.point_map})"
+
 
 @dataclass(frozen=True)
 class BakeOptions:
