@@ -86,7 +86,9 @@ def demo(
 
 @app.command()
 def check(
-    meshes: Annotated[list[Path], typer.Argument(metavar="MESH...", help="Control meshes, .obj, .ply or USD.")],
+    meshes: Annotated[
+        list[Path], typer.Argument(metavar="MESH...", help="Control meshes, .obj, .ply, .off, .stl or USD.")
+    ],
     as_json: Annotated[bool, typer.Option("--json", help="Say the same as JSON, for scripts.")] = False,
 ) -> None:
     """Tell whether control meshes can be used, and if not, what to mend and where.
@@ -108,7 +110,7 @@ def refine(
     level: Annotated[
         int, typer.Option("--level", "-l", min=0, help="Subdivision steps; each has about 4 times the faces.")
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Mesh to write, .obj, .ply or USD.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Mesh to write, .obj, .ply, .off, .glb or USD.")],
     scheme: SchemeOption = None,
     boundary: BoundaryOption = None,
     uv_interpolation: UvOption = None,

@@ -41,7 +41,7 @@ Space = Annotated[
     str, Option(help="Of normals and vectors: tangent (MikkTSpace) or object."), OneOf(("tangent", "object"))
 ]
 Green = Annotated[str, Option(help="Normal map: green up (OpenGL) or down (DirectX)."), OneOf(("up", "down"))]
-MeshFile = Annotated[Path, Argument(help="Control mesh, .obj, .ply or USD.")]
+MeshFile = Annotated[Path, Argument(help="Control mesh, .obj, .ply, .off, .stl or USD.")]
 Force = Annotated[
     bool, Option("--force", help="Overwrite files that cagemap did not write, or that were changed since.")
 ]

@@ -90,7 +90,8 @@ class TransferRequest:
         tuple[Path, ...], Option(help="Shapes of the source's cage: .obj, .npz or a folder; repeat it for more.")
     ] = ()
     write_map: Annotated[
-        bool, Option("--write-map", help="The map itself, for other programs: .npy, .npz, .mtx or .vts.")
+        bool,
+        Option("--write-map", help="The map itself, for other programs: .npy, .npz, .mtx, .vts, .mhclo or .proxy."),
     ] = False
     level: Annotated[
         int | None,
