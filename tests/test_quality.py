@@ -52,6 +52,12 @@ def surface_from(arrays: tuple[np.ndarray, np.ndarray]) -> TriangleSurface:
     return TriangleSurface.from_faces(*arrays)
 
 
+def test_no_points_have_no_closest_points() -> None:
+    triangle, barycentric, distance = closest_points(build_tree(*grid(3)), np.zeros((0, 3)))
+    assert triangle.shape == distance.shape == (0,)
+    assert barycentric.shape == (0, 3)
+
+
 @settings(deadline=None, max_examples=15)
 @given(seed=st.integers(10, 10_000), weight=st.sampled_from([0.0, 0.3]), cosine=st.sampled_from([-2.0, 0.2]))
 def test_closest_points_agree_with_trying_every_triangle(seed: int, weight: float, cosine: float) -> None:

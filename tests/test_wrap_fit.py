@@ -35,7 +35,7 @@ def test_a_round_solves_its_system() -> None:
     for part in (None, moving):
         fitting = Fitting.build(net.graph, data, config, np.zeros(0, dtype=np.int64), part)
         positions = net.graph.positions
-        pull = Pull.at(fitting, positions, data.images.triangle)
+        pull = Pull.at(fitting, positions, net.field.solve(positions), data.images.triangle)
         dense, normals = data.samples.toarray(), pull.feet.normals
         away = np.linalg.norm(pull.feet.positions - data.images.positions, axis=1) > data.reach
         free = ~(data.held | away)
@@ -53,7 +53,10 @@ def test_a_round_solves_its_system() -> None:
         np.testing.assert_array_equal(solved[still], positions[still])
 
 
-def test_mending_a_thin_face_moves_nothing_far_from_it() -> None:
+@pytest.mark.parametrize("many", [0, 10_000])
+def test_mending_a_thin_face_moves_nothing_far_from_it(monkeypatch: pytest.MonkeyPatch, many: int) -> None:
+    """Whether the differentials around it are its own or those of the net as a whole, as in nets of many points."""
+    monkeypatch.setattr("cagemap.wrap.mend._MANY", many)
     target = refine(torus(24, 12), 2)
     source = refine(dented(torus(24, 12), 0.25), 2)
     point_map = same_vertices(target, source)
@@ -85,10 +88,11 @@ def test_what_is_sound_is_left_as_it_is() -> None:
     np.testing.assert_array_equal(mend(net, data, WrapConfig(), fitted), fitted)
 
 
-@pytest.mark.parametrize("small", [0.0005, 1.0])
-def test_where_the_map_folds_the_net_does_not(monkeypatch: pytest.MonkeyPatch, small: float) -> None:
+@pytest.mark.parametrize(("small", "many"), [(0.0005, 10_000), (1.0, 10_000), (1.0, 0)])
+def test_where_the_map_folds_the_net_does_not(monkeypatch: pytest.MonkeyPatch, small: float, many: int) -> None:
     """A patch of the map is turned over: its faces become stiff, or are carried along if they count as small."""
     monkeypatch.setattr("cagemap.wrap.mend._SMALL", small)
+    monkeypatch.setattr("cagemap.wrap.mend._MANY", many)
     target, source = refine(torus(24, 12), 2), refine(dented(torus(24, 12), 0.2), 2)
     point_map = same_vertices(target, source)
     images = point_map.images.positions

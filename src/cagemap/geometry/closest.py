@@ -207,6 +207,8 @@ def closest_among(
 
 def _morton_codes(points: FloatArray) -> IndexArray:
     """(t,) positions of points along a space-filling curve, 21 bits an axis."""
+    if not len(points):
+        return np.zeros(0, dtype=np.int64)
     low, high = (np.array([extreme(column) for column in points.T]) for extreme in (np.min, np.max))
     scale = 2**21 / max(float((high - low).max()), 1e-300)  # not 0, and its inverse is finite
     codes = np.zeros(len(points), dtype=np.uint64)

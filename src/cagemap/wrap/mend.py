@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from cagemap.maps.elastic.graph import ElasticGraph
+from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import factor
 from cagemap.wrap.fit import FitData, WrapConfig
 from cagemap.wrap.lone import LonePieces, whole_pieces
-from cagemap.wrap.net import ControlNet, face_aspects, folded_faces
-from cagemap.wrap.rounds import Fitting, rounds, start
+from cagemap.wrap.net import SMOOTHING, ControlNet, face_aspects, folded_faces
+from cagemap.wrap.rounds import Differentials, Fitting, rounds, start
 
 # Rounds of the elastic energy alone that carry along what has no counterpart, before the first fit.
 _CARRYING_ROUNDS = 30
 # Points of the net that samples pull at by less than this share of the largest pull are free.
 _FREE = 1e-6
 # Each time the net is made this much stiffer at the corners of bad faces, so often at most, and where they are small.
-_STIFFENING, _MENDINGS, _MENDINGS_SMALL, _ROUNDS = 10.0, 20, 6, 1
+_STIFFENING, _MENDINGS, _MENDINGS_SMALL = 10.0, 20, 6
 # Around thin faces it becomes less than this, and ten times that at most: they cost distance to the source. Small ones
 # cost less of it.
 _STIFFEST_THIN, _STIFFEST_THIN_SMALL = 99.0, 999.0
@@ -38,6 +39,9 @@ _RELEASED_ROUNDS, _RELEASED_RINGS = 5, 1
 _LAYINGS, _FLAT_AREA = 8, 0.01
 # Rings of points around them that move; points that the samples in reach of these depend on lie in three more.
 _MOVING, _AROUND = 2, 3
+# A net of more points than this has bad faces by the thousand, all of them small: its surroundings draw them back into
+# shape, and fewer rings will do.
+_MANY, _MOVING_MANY = 10_000, 1
 # A face is thin beyond so many times the 99th percentile of all faces at rest, where it has grown by as much; where all
 # of its corners are small, there are many of them, and less will do.
 _THIN, _THIN_SMALL = 1.5, 1.35
@@ -66,11 +70,10 @@ def fit_net(
     graph, free = net.graph, free_points(data)
     lone = LonePieces.find(graph, free)
     fitting = Fitting.build(graph, data, config, free, lone.attached if len(lone.points) else None)
-    positions = start(fitting)
+    positions = start(fitting, net.field.solve)
     loose = np.setdiff1d(free, lone.points)
-    if len(loose):
-        positions = _move_part(graph, data, config, positions, loose, loose, np.ones(graph.n), _CARRYING_ROUNDS)
-    positions = rounds(fitting, adjust(lone.carried(positions)), config.rounds, adjust)
+    positions = Part(net, data, config, free, np.ones(graph.n)).moved(positions, loose, _CARRYING_ROUNDS)
+    positions = rounds(fitting, adjust(lone.carried(positions)), config.rounds, net.field.solve, adjust)
     return adjust(lone.carried(positions)) if len(lone.points) else positions
 
 
@@ -93,13 +96,15 @@ def mend(
     graph = net.graph
     stiffness, released = np.ones(graph.n), np.zeros(graph.n)
     small = graph.areas + np.bincount(graph.heads, graph.areas[graph.tails], graph.n) < _SMALL
-    rest = graph.positions
     lone = LonePieces.find(graph, free_points(data)).points
-    folded_at_rest, aspects = folded_faces(net, rest), face_aspects(net.mesh, rest)
+    folded_at_rest, aspects = folded_faces(net, graph.positions), face_aspects(net.mesh, graph.positions)
     is_small = np.logical_and.reduceat(small[net.mesh.face_indices], net.mesh.face_offsets[:-1])
     least = np.where(is_small, _THIN_SMALL, _THIN) * np.maximum(aspects, np.percentile(aspects, 99))
     if not config.rounds:
         return positions
+    many = graph.n > _MANY
+    field = net.field if many else None
+    rings = _MOVING_MANY if many else _MOVING
     for mending in range(_MENDINGS):
         folded = _corners(net, folded_faces(net, positions) & ~folded_at_rest)
         folded = folded[small[folded] | (stiffness[folded] < _STIFFEST_FOLD)]
@@ -118,17 +123,13 @@ def mend(
             pieces = LonePieces.find(graph, free_points(data))
             if len(pieces.points) > len(lone):
                 positions, lone = adjust(pieces.carried(positions)), pieces.points
-        similar = np.union1d(free_points(data), np.flatnonzero(released))
-        moving = np.setdiff1d(_grown(graph, corners, _MOVING), lone)
-        if not len(moving):
-            continue
+        part = Part(net, data, config, np.union1d(free_points(data), np.flatnonzero(released)), stiffness)
+        moving = np.setdiff1d(_grown(graph, corners, rings), lone)
         again = folded[~small[folded] & (stiffness[folded] > _STIFFENING)]
-        positions = _laid_flat(graph, positions, np.intersect1d(again, moving))
-        positions = _move_part(graph, data, config, positions, moving, similar, stiffness, _ROUNDS)
-        near = np.intersect1d(moving, _grown(graph, lost, _MOVING + _RELEASED_RINGS))
-        if len(near):  # what is carried along has further to go
-            positions = _move_part(graph, data, config, positions, near, similar, stiffness, _RELEASED_ROUNDS)
-        positions = adjust(positions)
+        positions = part.moved(_laid_flat(graph, positions, np.intersect1d(again, moving)), moving, 1, field)
+        near = np.intersect1d(moving, _grown(graph, lost, rings + _RELEASED_RINGS))
+        # What is carried along has further to go.
+        positions = adjust(part.moved(positions, near, _RELEASED_ROUNDS, field))
     return _without_folds(net, positions, folded_at_rest, lone, adjust)
 
 
@@ -186,24 +187,52 @@ def _grown(graph: ElasticGraph, points: IndexArray, rings: int) -> IndexArray:
     return np.flatnonzero(inside)
 
 
-def _move_part(
-    graph: ElasticGraph,
-    data: FitData,
-    config: WrapConfig,
-    positions: FloatArray,
-    moving: IndexArray,
-    similar: IndexArray,
-    stiffness: FloatArray,
-    count: int,
-) -> FloatArray:
-    """(n, 3) the net after some rounds in which few points move."""
-    part = _grown(graph, moving, _AROUND)
-    own, pulls = _part_of(graph, stiffness, data, moving, part)
-    inside = np.searchsorted(part, np.intersect1d(part, similar))
-    fitting = Fitting.build(own, pulls, config, inside, np.searchsorted(part, moving))
-    moved = positions.copy()
-    moved[part] = rounds(fitting, positions[part], count)
-    return moved
+@dataclass(frozen=True, eq=False)
+class Part:
+    """What moves parts of a net on their own.
+
+    Attributes
+    ----------
+    net, data, config
+        As `fit_net` takes them.
+    similar : (k,) int64
+        Points whose differential is a similarity.
+    stiffness : (n,) float64
+    """
+
+    net: ControlNet
+    data: FitData
+    config: WrapConfig
+    similar: IndexArray
+    stiffness: FloatArray
+
+    def moved(
+        self, positions: FloatArray, moving: IndexArray, count: int, field: DifferentialField | None = None
+    ) -> FloatArray:
+        """(n, 3) the net after some rounds in which few points (m,) move.
+
+        Their differentials are those of a part around them, as stiff as it is and anew in every round; or, given the
+        field of the whole net, what that says of the positions before, which costs no factorisation.
+        """
+        if not len(moving):
+            return positions
+        part = _grown(self.net.graph, moving, _AROUND)
+        graph, pulls = _part_of(self.net.graph, self.stiffness, self.data, moving, part)
+        inside = np.searchsorted(part, np.intersect1d(part, self.similar))
+        fitting = Fitting.build(graph, pulls, self.config, inside, np.searchsorted(part, moving))
+        if field is None:
+            own = DifferentialField.build(graph, fitting.laplacian, SMOOTHING)
+            differentials: Differentials = own.solve
+        else:
+            differentials = partial(_these, field.solve(positions)[part])
+        moved = positions.copy()
+        moved[part] = rounds(fitting, positions[part], count, differentials)
+        return moved
+
+
+def _these(maps: FloatArray, positions: FloatArray) -> FloatArray:
+    """(n, 3, 3) differentials that stay as they are, wherever the net goes."""
+    return maps
 
 
 def _part_of(
@@ -220,7 +249,7 @@ def _part_of(
     )
     moves = np.zeros(graph.n)
     moves[moving] = 1.0
-    seen = np.flatnonzero(data.samples @ moves > 0)
+    seen = np.flatnonzero((data.samples @ moves > 0) & (data.weights > 0))
     pulls = replace(
         data,
         samples=data.samples[seen][:, part],

@@ -10,14 +10,16 @@ from numpy.typing import NDArray
 from cagemap.errors import ParameterError
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import triangle_normals
-from cagemap.maps.elastic.graph import ElasticGraph, mesh_graph
+from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph, mesh_graph
 from cagemap.mesh import ControlMesh
-from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import Refinement, finest_mesh, level_triangles
 
 # Exponent of an edge's squared length in its weight, relative to the mean: 0 weighs edges alike, whatever the faces'
 # size, 1 weighs them as the squared distances that they compete with. Chosen on two pairs.
 _POWER = 0.5
+# Neighbouring differentials are as alike as this, relative to the energy of the edges between them.
+SMOOTHING = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,15 +36,18 @@ class ControlNet:
     graph : ElasticGraph
         Its rest shape at unit area of the surface. Weights are cotangents times lengths of edges (times their mean), so
         that the energy weighs against squared distances to a surface much the same for small faces as for large ones.
-    face_of_triangle : (t,) int64
-        Face of the net that every triangle of the finest level lies in.
+    field : DifferentialField
+        Its differentials.
+    first_triangles : (m,) int64
+        Where every face's triangles of the finest level begin: those of one face follow those of the face before.
     """
 
     refinement: Refinement
     level: int
     mesh: ControlMesh
     graph: ElasticGraph
-    face_of_triangle: IndexArray
+    field: DifferentialField
+    first_triangles: IndexArray
 
     @property
     def surface_triangles(self) -> IndexArray:
@@ -82,12 +87,14 @@ def control_net(refinement: Refinement, level: int, scale: float) -> ControlNet:
     faces = refinement.levels[level].faces
     graph = mesh_graph(net, net.triangles if faces is None else faces)
     lengths2 = np.einsum("ed,ed->e", graph.edges, graph.edges)
-    weights = graph.weights * (lengths2 / lengths2.mean()) ** _POWER * lengths2.mean()
+    graph = replace(graph, weights=graph.weights * (lengths2 / lengths2.mean()) ** _POWER * lengths2.mean())
+    field = DifferentialField.build(graph, graph.laplacian(), SMOOTHING)
     finest = refinement.finest
     steps = refinement.n_levels - level
     face = finest.face_parents if level == 0 else np.arange(finest.n_faces) // 4**steps
     per_face = len(level_triangles(refinement, refinement.n_levels)) // finest.n_faces
-    return ControlNet(refinement, level, mesh, replace(graph, weights=weights), np.repeat(face, per_face))
+    first = per_face * np.searchsorted(face, np.arange(mesh.n_faces))
+    return ControlNet(refinement, level, mesh, graph, field, first)
 
 
 def face_normals(mesh: ControlMesh, positions: FloatArray) -> FloatArray:
@@ -99,9 +106,8 @@ def face_normals(mesh: ControlMesh, positions: FloatArray) -> FloatArray:
 def folded_faces(net: ControlNet, positions: FloatArray) -> NDArray[np.bool_]:
     """(m,) faces of the net whose mean normal is turned against the refined surface that they control."""
     fine = triangle_normals(net.surface(positions), net.surface_triangles)
-    sums = grouped_sums(net.face_of_triangle, fine, net.mesh.n_faces)
-    own = face_normals(net.mesh, positions)
-    return np.asarray(np.einsum("md,md->m", own, sums) <= 0)
+    sums = np.add.reduceat(fine, net.first_triangles, axis=0)
+    return np.asarray(np.einsum("md,md->m", face_normals(net.mesh, positions), sums) <= 0)
 
 
 def face_aspects(mesh: ControlMesh, positions: FloatArray) -> FloatArray:

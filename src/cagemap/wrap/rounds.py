@@ -15,16 +15,17 @@ from scipy import sparse
 from scipy.sparse import linalg
 
 from cagemap.geometry.points import SurfacePoints
-from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph, bounded_maps
+from cagemap.maps.elastic.graph import ElasticGraph, bounded_maps, divergence
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization, factor
 from cagemap.numerics.rotations import nearest_rotations
 from cagemap.wrap.fit import FitData, WrapConfig
 
-# Neighbouring differentials are as alike as this, relative to the energy of the edges between them.
-_SMOOTHING = 0.01
 # A closest point on the other side of a thin part is further away than one with the right normal, by this length.
 NORMAL_WEIGHT = 0.03
+# From positions of a net (n, 3) to its differentials (n, 3, 3).
+Differentials = Callable[[FloatArray], FloatArray]
+
 # A round's system is solved to this part of what it starts with, in so many steps at most: the next round differs more.
 _ACCURACY, _STEPS = 3e-2, 200
 
@@ -45,7 +46,8 @@ class Fitting:
     transposed : (n, s) csr_array
         S^T of the samples.
     laplacian : (n, n) csr_array
-    field : DifferentialField
+    moments : (3 n, n) csr_array
+        Of the graph.
     factors : Factorization
         Of ``S^T w S + fairness L`` over the points that move.
     """
@@ -57,7 +59,7 @@ class Fitting:
     similar: IndexArray
     transposed: sparse.csr_array
     laplacian: sparse.csr_array
-    field: DifferentialField
+    moments: sparse.csr_array
     factors: Factorization
 
     @classmethod
@@ -69,7 +71,7 @@ class Fitting:
         similar: IndexArray,
         moving: IndexArray | None = None,
     ) -> Fitting:
-        """Factor the systems that all rounds share; by default all points move."""
+        """Factor the system that all rounds share; by default all points move."""
         laplacian = graph.laplacian()
         transposed = sparse.csr_array(data.samples.T)
         weighted = transposed @ sparse.diags_array(data.weights) @ data.samples
@@ -78,21 +80,20 @@ class Fitting:
             moving = np.arange(graph.n)
         else:
             matrix = matrix[moving][:, moving]
-        field = DifferentialField.build(graph, laplacian, _SMOOTHING)
         factors = factor(sparse.csc_array(matrix))
-        return cls(graph, data, config, moving, similar, transposed, laplacian, field, factors)
+        return cls(graph, data, config, moving, similar, transposed, laplacian, graph.moments(), factors)
 
-    def elastic_pull(self, positions: FloatArray) -> FloatArray:
-        """(n, 3) right side of the energy, with the differentials of positions (n, 3)."""
-        maps, _ = bounded_maps(self.field.solve(positions), self.graph.normals)
+    def elastic_pull(self, maps: FloatArray) -> FloatArray:
+        """(n, 3) right side of the energy, with differentials (n, 3, 3) of which none may flatten or turn over."""
+        maps, _ = bounded_maps(maps, self.graph.normals)
         if len(self.similar):
             maps, near = maps.copy(), maps[self.similar]
             size = np.cbrt(np.abs(np.linalg.det(near)))
             maps[self.similar] = size[:, None, None] * nearest_rotations(near)
-        return self.config.fairness * self.field.divergence(maps)
+        return self.config.fairness * divergence(self.moments, maps)
 
 
-def start(fitting: Fitting) -> FloatArray:
+def start(fitting: Fitting, differentials: Differentials) -> FloatArray:
     """(n, 3) the net that minimises ``||S X - P||^2`` with a trace of its energy; what does not move is at rest.
 
     What moves is whole pieces of the net: nothing else pulls at them.
@@ -100,7 +101,7 @@ def start(fitting: Fitting) -> FloatArray:
     data, moving, positions = fitting.data, fitting.moving, fitting.graph.positions.copy()
     right = fitting.transposed @ (data.weights[:, None] * data.images.positions)
     positions[moving] = fitting.factors.solve(right[moving])
-    positions[moving] = fitting.factors.solve((right + fitting.elastic_pull(positions))[moving])
+    positions[moving] = fitting.factors.solve((right + fitting.elastic_pull(differentials(positions)))[moving])
     return positions
 
 
@@ -108,12 +109,13 @@ def rounds(
     fitting: Fitting,
     positions: FloatArray,
     count: int,
+    differentials: Differentials,
     adjust: Callable[[FloatArray], FloatArray] = lambda positions: positions,
 ) -> FloatArray:
     """(n, 3) positions after so many rounds, adjusted after each; what does not move is as it was."""
     guess = fitting.data.images.triangle
     for _ in range(count):
-        pull = Pull.at(fitting, positions, guess)
+        pull = Pull.at(fitting, positions, differentials(positions), guess)
         guess = pull.feet.triangle
         positions = adjust(pull.solve(positions))
     return positions
@@ -140,8 +142,8 @@ class Pull:
     right: FloatArray
 
     @classmethod
-    def at(cls, fitting: Fitting, positions: FloatArray, guess: IndexArray) -> Pull:
-        """The round from positions (n, 3), with triangles (s,) that are probably near."""
+    def at(cls, fitting: Fitting, positions: FloatArray, maps: FloatArray, guess: IndexArray) -> Pull:
+        """The round from positions (n, 3) and differentials (n, 3, 3), with triangles (s,) that are probably near."""
         data, images = fitting.data, fitting.data.images
         places = data.samples @ positions
         feet = SurfacePoints.nearest(images.surface, places, images.normals, normal_weight=NORMAL_WEIGHT, guess=guess)
@@ -150,7 +152,7 @@ class Pull:
         along = np.where(held, 1.0, fitting.config.anchor) * data.weights
         heights = np.einsum("sd,sd->s", feet.normals, feet.positions)
         pulls = (across * heights)[:, None] * feet.normals + along[:, None] * images.positions
-        return cls(fitting, feet, across, along, fitting.transposed @ pulls + fitting.elastic_pull(positions))
+        return cls(fitting, feet, across, along, fitting.transposed @ pulls + fitting.elastic_pull(maps))
 
     def times(self, positions: FloatArray) -> FloatArray:
         """(n, 3) the system's matrix times positions (n, 3)."""

@@ -15,6 +15,7 @@ from cagemap.maps.elastic.fit import similarity
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import ThreadPool
 from cagemap.refinement import Refinement
 from cagemap.wrap.fit import WrapConfig, fit_data
 from cagemap.wrap.follow import boundary_vertices, counterpart
@@ -132,8 +133,10 @@ def wrap(
             f"expected a map of the target's {target.finest.n_vertices} vertices of level {finest}, got one of "
             f"{point_map.target.n}: are target and source exchanged, or of other levels?"
         )
-    weights = counterpart(point_map) * _follow(target, follow)
-    net = control_net(target, config.level, point_map.target.scale)
+    with ThreadPool(1) as pool:
+        found = pool.submit(counterpart, point_map)
+        net = control_net(target, config.level, point_map.target.scale)
+        weights = found.result() * _follow(target, follow)
     data = fit_data(net, point_map.images, weights, boundary_vertices(point_map.target))
     adjust = partial(mirrored, symmetry) if symmetry is not None else _as_it_is
     source = point_map.source

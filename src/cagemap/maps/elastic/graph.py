@@ -82,6 +82,16 @@ class ElasticGraph:
         count = len(self.heads)
         return sparse.csr_array((np.ones(count), (self.heads, np.arange(count))), shape=(self.n, count))
 
+    def moments(self) -> sparse.csr_array:
+        """(3 n, n) matrix B: row 3 i + b of B x holds ``sum_j w_ij e_ij,b (x_i - x_j)``."""
+        weighted = (self.weights[:, None] * self.edges).ravel()
+        rows = (3 * self.heads[:, None] + np.arange(3)).ravel()
+        at_heads, at_tails = np.repeat(self.heads, 3), np.repeat(self.tails, 3)
+        return sparse.csr_array(
+            (np.concatenate([weighted, -weighted]), (np.tile(rows, 2), np.concatenate([at_heads, at_tails]))),
+            shape=(3 * self.n, self.n),
+        )
+
 
 def mesh_graph(mesh: TriangleSurface, faces: IndexArray) -> ElasticGraph:
     """Graph of a mesh: its edges with cotangent weights.
@@ -170,7 +180,7 @@ class DifferentialField:
     factors : Factorization
         Of ``G + epsilon L``.
     moments : (3 n, n) csr_array
-        B of ``c = B x``: row 3 i + b holds ``sum_j w_ij e_ij,b (x_i - x_j)``.
+        The graph's own, B of ``c = B x``.
     """
 
     system: BlockSystem
@@ -186,14 +196,7 @@ class DifferentialField:
         # A flat ring leaves its normal direction open: lean on the neighbours, and a trace of ridge for safety.
         blocks += 1e-9 * float(np.einsum("naa->n", blocks).mean()) * np.eye(3)
         system = BlockSystem.build(laplacian)
-        weighted = (graph.weights[:, None] * edges).ravel()
-        rows = (3 * graph.heads[:, None] + np.arange(3)).ravel()
-        at_heads, at_tails = np.repeat(graph.heads, 3), np.repeat(graph.tails, 3)
-        moments = sparse.csr_array(
-            (np.concatenate([weighted, -weighted]), (np.tile(rows, 2), np.concatenate([at_heads, at_tails]))),
-            shape=(3 * graph.n, graph.n),
-        )
-        return cls(system, system.factor(epsilon, blocks), moments)
+        return cls(system, system.factor(epsilon, blocks), graph.moments())
 
     def solve(self, positions: FloatArray) -> FloatArray:
         """(n, 3, 3) maps A for positions x."""
@@ -201,8 +204,13 @@ class DifferentialField:
         return np.ascontiguousarray(transposed.reshape(-1, 3, 3).transpose(0, 2, 1))
 
     def divergence(self, maps: FloatArray) -> FloatArray:
-        """(n, 3) right side of the position solve: ``sum_j w_ij A_ij e_ij``, which is ``B^T A / 2``."""
-        return np.asarray(0.5 * (self.moments.T @ maps.transpose(0, 2, 1).reshape(-1, 3)))
+        """(n, 3) right side of the position solve: ``sum_j w_ij A_ij e_ij``."""
+        return divergence(self.moments, maps)
+
+
+def divergence(moments: sparse.csr_array, maps: FloatArray) -> FloatArray:
+    """(n, 3) ``B^T A / 2`` of a graph's moments B and maps A (n, 3, 3): ``sum_j w_ij A_ij e_ij``."""
+    return np.asarray(0.5 * (moments.T @ maps.transpose(0, 2, 1).reshape(-1, 3)))
 
 
 def bounded_maps(maps: FloatArray, normals: FloatArray) -> tuple[FloatArray, IndexArray]:
