@@ -63,9 +63,9 @@ def found_readings(
     """
     progress("hypotheses")
     shape = prepared.coarse(prepared.near(pair.landmarks)[0], pair.landmarks.curves)
-    rough = _rough_fits(prepared, pair, shape)
+    rough = rough_fits(prepared, pair, shape)
     progress("coarse fits")
-    candidates = _coarse_fits(prepared, pair, shape, rough)
+    candidates = coarse_fits(prepared, pair, shape, rough)
     progress("elastic fits")
 
     def finish(candidate: _Candidate) -> FineFit:
@@ -98,7 +98,7 @@ def least_cost(prepared: PreparedPair) -> float:
     return float(min(counts)) * judged(on_itself, own.pullers(sheet), rest.graph.positions).cost
 
 
-def _rough_fits(prepared: PreparedPair, pair: Pair, shape: CoarseShape) -> list[_Candidate]:
+def rough_fits(prepared: PreparedPair, pair: Pair, shape: CoarseShape) -> list[_Candidate]:
     """The different ends of all rigid starts on a small graph, cheapest first, brought to the coarse graph."""
     staged = replace(prepared.elastic, coarse=ROUGH, coarse_vertices=ROUGH_VERTICES)
     curves = CurvePull.on_mesh(prepared.mesh, pair.landmarks.curves)
@@ -126,7 +126,7 @@ def _rough_fits(prepared: PreparedPair, pair: Pair, shape: CoarseShape) -> list[
     ]
 
 
-def _coarse_fits(
+def coarse_fits(
     prepared: PreparedPair, pair: Pair, shape: CoarseShape, rough: Sequence[_Candidate]
 ) -> list[_Candidate]:
     """Coarse fits of each rough one: from where it is, and from what spectral upsampling makes of that."""
