@@ -1,13 +1,7 @@
 """The spectral basis: eigenpairs of every level, joined into one hierarchical basis (paper, section 4)."""
 
 from cagemap.basis.construction import extended_basis, hierarchical_basis
-from cagemap.basis.eigen import (
-    EigenPairs,
-    band_pairs,
-    exact_basis,
-    lowest_pairs,
-    residual_norms,
-)
+from cagemap.basis.eigen import EigenPairs, band_pairs, exact_basis, lowest_pairs, residual_norms
 from cagemap.basis.guess import pairs_from_guess
 from cagemap.basis.hierarchical_basis import HierarchicalBasis
 from cagemap.basis.schedule import BasisConfig

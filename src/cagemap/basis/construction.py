@@ -44,9 +44,7 @@ _log = logging.getLogger(__name__)
 
 
 def hierarchical_basis(
-    refinement: Refinement,
-    operators: Operators,
-    config: BasisConfig = BasisConfig(),
+    refinement: Refinement, operators: Operators, config: BasisConfig = BasisConfig()
 ) -> HierarchicalBasis:
     """Hierarchical basis of a surface, by the paper's fixed schedule or by a tolerance.
 

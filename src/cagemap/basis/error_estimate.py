@@ -111,11 +111,7 @@ def estimate_errors(
 
 
 def predict_next_level(
-    subdivision: sparse.csr_array,
-    smooth: Smoother,
-    mass: sparse.csr_array,
-    values: FloatArray,
-    vectors: Block,
+    subdivision: sparse.csr_array, smooth: Smoother, mass: sparse.csr_array, values: FloatArray, vectors: Block
 ) -> Prediction:
     """Predict the eigenpairs of level l + 1 from those of level l.
 
@@ -143,11 +139,7 @@ def predict_next_level(
 
 
 def _coupling(
-    subdivision: sparse.csr_array,
-    smooth: Smoother,
-    mass: sparse.csr_array,
-    values: FloatArray,
-    vectors: Block,
+    subdivision: sparse.csr_array, smooth: Smoother, mass: sparse.csr_array, values: FloatArray, vectors: Block
 ) -> FloatArray:
     """(m, m) energy R^T Z that corrections within level l + 1 gain."""
     prolonged = multiply(subdivision, vectors)

@@ -68,11 +68,7 @@ def extended(pairs: Ritz, added: Block, stiffness: sparse.csr_array, mass: spars
     energy[count:, :count] = energy[:count, count:].T
     energy[count:, count:] = gram(added, stiffness_added)
     values, rotation = linalg.eigh(energy, driver="evd")
-    blocks = (
-        (pairs.vectors, added),
-        (pairs.stiffness_vectors, stiffness_added),
-        (pairs.mass_vectors, mass_added),
-    )
+    blocks = ((pairs.vectors, added), (pairs.stiffness_vectors, stiffness_added), (pairs.mass_vectors, mass_added))
     turned = (rotated(old, rotation[:count, :count], extra, rotation[count:, :count]) for old, extra in blocks)
     return Ritz(values[:count], *turned)
 

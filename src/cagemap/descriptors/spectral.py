@@ -39,9 +39,7 @@ class Filters:
 
     def at(self, eigenvalues: FloatArray) -> FloatArray:
         """rho_t of every eigenvalue, (k, h + w); row by row, so that a leading part of the spectrum has the same."""
-        return np.hstack(
-            [heat_filters(eigenvalues, self.times), wave_filters(eigenvalues, self.energies, self.width)],
-        )
+        return np.hstack([heat_filters(eigenvalues, self.times), wave_filters(eigenvalues, self.energies, self.width)])
 
 
 def choose_filters(target_eigenvalues: FloatArray, source_eigenvalues: FloatArray, heat: int, wave: int) -> Filters:

@@ -15,11 +15,7 @@ def coarse_functional_map(constraints: Constraints, weights: MapWeights) -> Floa
 
 
 def extend_functional_map(
-    coarse: FloatArray,
-    constraints: Constraints,
-    weights: MapWeights,
-    *,
-    match: FloatArray | None = None,
+    coarse: FloatArray, constraints: Constraints, weights: MapWeights, *, match: FloatArray | None = None
 ) -> FloatArray:
     """Extend a functional map by the bands of the next level, eq. 14: C_h = [[C_l, C_lh], [C_hl, C_h]].
 

@@ -18,11 +18,7 @@ MOST_ITERATIONS = 5000
 
 
 def solve_functional_map(
-    constraints: Constraints,
-    weights: MapWeights,
-    *,
-    known: FloatArray | None = None,
-    match: FloatArray | None = None,
+    constraints: Constraints, weights: MapWeights, *, known: FloatArray | None = None, match: FloatArray | None = None
 ) -> FloatArray:
     """Minimise ||C F2 - F1||^2 + sum_O alpha(O) ||C O2 - O1 C||^2 + decay ||C||^2 (eq. 13).
 

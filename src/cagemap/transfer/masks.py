@@ -11,14 +11,7 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import parts
 from cagemap.refinement import Level
-from cagemap.transfer.baking import (
-    BakeOptions,
-    Transfer,
-    bake,
-    make_canvas,
-    to_dtype,
-    unit,
-)
+from cagemap.transfer.baking import BakeOptions, Transfer, bake, make_canvas, to_dtype, unit
 from cagemap.transfer.locate import Samples, target_barycentric
 from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.texture import Pixels, lay_texture, look_up

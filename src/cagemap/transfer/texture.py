@@ -154,11 +154,7 @@ _ROUGH = SmoothTile(np.zeros((0, 0), dtype=np.bool_), np.zeros(0), np.zeros(0))
 
 
 def look_up(
-    texture: Texture,
-    samples: Samples,
-    smooth: Mapping[int, SmoothTile] | None = None,
-    *,
-    nearest: bool = False,
+    texture: Texture, samples: Samples, smooth: Mapping[int, SmoothTile] | None = None, *, nearest: bool = False
 ) -> FloatArray:
     """(k, c) mean over every texel's samples of the interpolated texture, in the texture's own values.
 

@@ -277,11 +277,7 @@ def _turned_back(
     flat, image = edges @ one, images @ two  # (s, edge, coordinate)
     determinant = flat[:, 0, 0] * flat[:, 1, 1] - flat[:, 0, 1] * flat[:, 1, 0]
     adjugate = np.stack(
-        [
-            np.stack([flat[:, 1, 1], -flat[:, 0, 1]], axis=1),
-            np.stack([-flat[:, 1, 0], flat[:, 0, 0]], axis=1),
-        ],
-        axis=1,
+        [np.stack([flat[:, 1, 1], -flat[:, 0, 1]], axis=1), np.stack([-flat[:, 1, 0], flat[:, 0, 0]], axis=1)], axis=1
     )
     # Coordinates go by the matrix M^T = flat^-1 image; its nearest rotation needs no scale but the determinant's sign.
     transposed = np.where(determinant < 0, -1.0, 1.0)[:, None, None] * (adjugate @ image)

@@ -113,9 +113,5 @@ def fit_data(net: ControlNet, images: SurfacePoints, follow: FloatArray, held: N
     lengths = np.linalg.norm(graph.edges, axis=1)
     around = np.bincount(graph.heads, lengths, graph.n) / np.maximum(np.bincount(graph.heads, minlength=graph.n), 1)
     return FitData(
-        rows,
-        images.at(slice(count)),
-        _REACH * (rows @ around),
-        follow[:count] * areas / areas.sum(),
-        held[:count],
+        rows, images.at(slice(count)), _REACH * (rows @ around), follow[:count] * areas / areas.sum(), held[:count]
     )

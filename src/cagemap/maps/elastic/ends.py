@@ -13,14 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.geometry.closest import build_tree, closest_points
-from cagemap.maps.elastic.constants import (
-    ENDS_APART,
-    HOPELESS_END,
-    LEAST_PART,
-    MOST_ENDS,
-    PART_RINGS,
-    PARTS_APART,
-)
+from cagemap.maps.elastic.constants import ENDS_APART, HOPELESS_END, LEAST_PART, MOST_ENDS, PART_RINGS, PARTS_APART
 from cagemap.maps.elastic.data import Pullers
 from cagemap.maps.elastic.fit import CoarseFit, fine_fit, fine_stage, vertex_costs
 from cagemap.maps.elastic.graph import ElasticGraph

@@ -19,14 +19,7 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import vertex_normals
 from cagemap.maps.elastic.anchors import Anchors as Anchors
 from cagemap.maps.elastic.config import ElasticConfig, Stage
-from cagemap.maps.elastic.constants import (
-    COST_STIFFNESS,
-    LANDMARK_ITERATIONS,
-    LYING,
-    STIFFENING,
-    STIFFEST,
-    UNSETTLED,
-)
+from cagemap.maps.elastic.constants import COST_STIFFNESS, LANDMARK_ITERATIONS, LYING, STIFFENING, STIFFEST, UNSETTLED
 from cagemap.maps.elastic.curves import NO_CURVES, CurvePull
 from cagemap.maps.elastic.data import deformed_normals, pull_by_source, pull_to_source
 from cagemap.maps.elastic.graph import extrapolate

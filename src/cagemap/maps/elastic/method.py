@@ -127,8 +127,7 @@ def functional_map_of(target: Surface, source: Surface, point_map: PointMap) -> 
     sampled = point_map.images.at(chosen)
     corners, places = np.unique(sampled.corners, return_inverse=True)
     at_vertices, at_corners = in_threads(
-        lambda side: side[0].basis.rows(side[0].finest, side[1]),
-        [(target, chosen), (source, corners)],
+        lambda side: side[0].basis.rows(side[0].finest, side[1]), [(target, chosen), (source, corners)]
     )
     weights = sampled.barycentric
     pulled = sum(weights[:, i, None] * at_corners[places.reshape(-1, 3)[:, i]] for i in range(3))

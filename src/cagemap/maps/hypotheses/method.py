@@ -25,9 +25,7 @@ FAR = 0.05
 
 
 def hypothesis_map(
-    prepared: PreparedPair,
-    pair: Pair,
-    progress: Progress = lambda stage: None,
+    prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: None
 ) -> tuple[PointMap, Confidence]:
     """Point map T12 of the finest levels by the cheapest hypothesis, which meets the landmarks there are.
 

@@ -51,11 +51,7 @@ class _Candidate:
         return self.doubt * self.fit.cost
 
 
-def found_readings(
-    prepared: PreparedPair,
-    pair: Pair,
-    progress: Progress = lambda stage: None,
-) -> tuple[Reading, ...]:
+def found_readings(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: None) -> tuple[Reading, ...]:
     """Different ways in which the target lies on the source, fitted, best first: by cost and doubt.
 
     Landmarks of the pair, if there are any, are held by all of them. Positions are those of the vertices of the level

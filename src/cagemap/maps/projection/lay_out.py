@@ -32,14 +32,7 @@ from cagemap.maps.projection.constants import (
     MOST_FOLDED,
     STEPS,
 )
-from cagemap.maps.projection.relax import (
-    BoolArray,
-    around,
-    convex_rows,
-    neighbour_means,
-    patches,
-    touched_triangles,
-)
+from cagemap.maps.projection.relax import BoolArray, around, convex_rows, neighbour_means, patches, touched_triangles
 from cagemap.maps.quality import flipped_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import factor_general

@@ -59,10 +59,7 @@ class LevelMesh:
 
 
 def with_normals(
-    sides: tuple[Samples, Samples],
-    meshes: tuple[LevelMesh, LevelMesh],
-    functional_map: FloatArray,
-    weight: float,
+    sides: tuple[Samples, Samples], meshes: tuple[LevelMesh, LevelMesh], functional_map: FloatArray, weight: float
 ) -> tuple[Samples, Samples]:
     """Samples of target and source with weighted normals as further coordinates.
 

@@ -11,14 +11,7 @@ from cagemap.functional_map import Constraints, MapWeights, coarse_functional_ma
 from cagemap.maps.pair import LevelPair, Pair, Progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.spectral.constraints import DescriptorConfig, gather_constraints
-from cagemap.maps.spectral.levels import (
-    LevelMap,
-    basis_sizes,
-    down_the_levels,
-    refit,
-    search_full,
-    search_level,
-)
+from cagemap.maps.spectral.levels import LevelMap, basis_sizes, down_the_levels, refit, search_full, search_level
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.brief import Brief
 
