@@ -120,6 +120,20 @@ def test_shapes_turn_and_scale_with_the_target(ring: Refinement) -> None:
     np.testing.assert_allclose(carry_shape(carrier, shape), 3 * shape @ turn.T, rtol=0, atol=1e-8)
 
 
+def test_lengths_of_shapes_do_not_depend_on_parts_that_only_the_source_has() -> None:
+    alone = refine(torus(12, 8), 2)
+    control = alone.control
+    far = control.positions + np.array([20.0, 0.0, 0.0])
+    faces = [face.tolist() for face in np.split(control.face_indices, control.face_offsets[1:-1])]
+    others = [[vertex + control.n_vertices for vertex in face] for face in faces]
+    both = refine(ControlMesh.from_faces(np.concatenate([control.positions, far]), faces + others), 2)
+    target, source = surface_of(alone), surface_of(both)
+    nearest = SurfacePoints.nearest(source, source.scale / target.scale * target.positions)
+    carrier = prepare_shapes(alone, both, PointMap(target, nearest))
+    shape = np.tile([1.0, 2.0, -1.0], (2 * control.n_vertices, 1))
+    np.testing.assert_allclose(carry_shape(carrier, shape), shape[: control.n_vertices], rtol=0, atol=1e-9)
+
+
 def test_what_touches_in_a_shape_touches_in_the_target_s() -> None:
     # A slit: two faces of a bent bar come to lie on each other; the target is the same bar, squeezed across.
     bar = read_bar()

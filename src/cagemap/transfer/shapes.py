@@ -7,7 +7,9 @@ target's triangle to its image, the target's triangle is to move by ``Q^T F Q``.
     min_d  sum_t a_t |grad (S d) - (Q^T F Q - I)|^2  +  anchor sum_i m_i |(S d)_i - Q_i^T D(T12(i))|^2,
 
 with S the refinement and D the source's displacement, all at unit area. The second term, the simple twin, says where
-the whole goes. Zero stays zero, and under the identity each shape comes back.
+the whole goes. Lengths of D become those of the target by the median stretch of the map, which parts that only one
+surface has (a mouth bag) do not change, as they do its area. Zero stays zero, and under the identity each shape comes
+back.
 """
 
 from __future__ import annotations
@@ -19,8 +21,9 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from cagemap.errors import ParameterError
-from cagemap.geometry.triangles import corner_sums, triangle_normals, vertex_normals
+from cagemap.geometry.triangles import corner_sums, triangle_areas, triangle_normals, vertex_normals
 from cagemap.maps.point_map import PointMap
+from cagemap.maps.quality import weighted_percentiles
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization, factor
 from cagemap.numerics.rotations import nearest_rotations
@@ -61,6 +64,8 @@ class ShapeCarrier:
         Source triangle at the image of every triangle's centre.
     turns : (t, 3, 3), vertex_turns : (s, 3, 3) float64
         Rotations Q from the target to the source.
+    ratio : float
+        Length on the target of what is 1 on the source, both at unit area.
     own : (n1, n2) csr_array
         Source's control values at the target's control vertices.
     ridge : (n1, n1) dia_array
@@ -78,6 +83,7 @@ class ShapeCarrier:
     images: IndexArray
     turns: FloatArray
     vertex_turns: FloatArray
+    ratio: float
     own: sparse.csr_array
     ridge: sparse.dia_array
     matrix: sparse.csc_array
@@ -123,11 +129,21 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
         found,
         turns,
         nearest_rotations(around),
+        _length_ratio(areas, triangle_areas(images, triangles)),
         linear.at(point_map.triangle[:n], point_map.barycentric[:n]),
         ridge,
         sparse.csc_array(matrix),
         factor(sparse.csc_array(matrix)),
     )
+
+
+def _length_ratio(areas: FloatArray, image_areas: FloatArray) -> float:
+    """Median stretch of triangles, by their area; those whose image is a point say nothing."""
+    known = image_areas > 0.0
+    if not known.any():
+        return 1.0
+    stretch = np.sqrt(areas[known] / image_areas[known])
+    return float(weighted_percentiles(stretch, areas[known], [50.0])[0])
 
 
 def _centre_images(point_map: PointMap, frames: FloatArray, triangles: IndexArray, images: FloatArray) -> IndexArray:
@@ -181,12 +197,12 @@ def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
     change = inner[np.searchsorted(np.unique(carrier.images), carrier.images)] - np.eye(3)
     wanted = np.einsum("tba,tbc,tcd->tad", carrier.turns, change, carrier.turns)  # Q^T (F - I) Q
     count = len(carrier.masses)
-    own = np.einsum("sba,sb->sa", carrier.vertex_turns, maps.images.at(slice(count)).interpolate(moved))
+    own = carrier.ratio * np.einsum("sba,sb->sa", carrier.vertex_turns, maps.images.at(slice(count)).interpolate(moved))
     flow = (
         (carrier.areas[:, None, None] * wanted).transpose(0, 2, 1).reshape(-1, 3)
     )  # rows (t, direction), columns x y z
     right = carrier.samples.T @ (carrier.gradient.T @ flow + _ANCHOR * carrier.masses[:, None] * own)
-    unfelt = given.scale * (carrier.own @ np.asarray(displacement, dtype=np.float64))
+    unfelt = carrier.ratio * given.scale * (carrier.own @ np.asarray(displacement, dtype=np.float64))
     right = right + carrier.ridge @ np.einsum("nba,nb->na", carrier.vertex_turns[: len(unfelt)], unfelt)
     factors = carrier.factors
     first, second, closing = contacts(carrier, moved)
@@ -235,6 +251,7 @@ def contacts(carrier: ShapeCarrier, moved: FloatArray) -> tuple[IndexArray, Inde
     gap = places[first] - places[second]
     at_rest = np.linalg.norm(before, axis=1) < _TOUCHING * edges[first]
     turned = np.einsum("kba,kb->ka", carrier.vertex_turns[first], np.where(at_rest[:, None], gap - before, gap))
+    turned *= carrier.ratio
     own = carrier.point_map.target.positions[first] - carrier.point_map.target.positions[second]
     return first, second, np.where(at_rest[:, None], turned, turned - own)
 
