@@ -99,8 +99,12 @@ def flipped_triangles(images: SurfacePoints, triangles: IndexArray) -> NDArray[n
 
     A triangle's image compares with the sum of the source's normals at its three corners.
     """
+    return upside_down(images.positions, images.normals, triangles)
+
+
+def upside_down(positions: FloatArray, normals: FloatArray, triangles: IndexArray) -> NDArray[np.bool_]:
+    """(t,) which triangles (t, 3) between positions (n, 3) face away from the sum of the normals (n, 3) there."""
     flipped = np.empty(len(triangles), dtype=np.bool_)
-    positions, normals = images.positions, images.normals
 
     def fill(part: slice) -> None:
         corners = triangles[part]

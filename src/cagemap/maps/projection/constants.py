@@ -9,8 +9,8 @@ LEAST_COSINE = 0.15
 
 # Small folds
 
-# Times that patches around folds are relaxed and projected, each a ring of triangles larger.
-ROUNDS = 8
+# Rings of triangles around the folds that are relaxed and projected with them, round by round.
+RINGS = (1, 2, 4, 8)
 # Averages over neighbours before a patch is projected again.
 SWEEPS = 10
 # Share of the flipped triangles that a round must mend for another one to be worth it.

@@ -7,14 +7,17 @@ the patch's boundary: a discrete harmonic map, which is one-to-one where the pat
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
 from cagemap.geometry.points import SurfacePoints
+from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import CACHED, normalized
-from cagemap.maps.projection.constants import LEAST_MENDED, ROUNDS, SWEEPS
-from cagemap.maps.quality import flipped_triangles
+from cagemap.maps.projection.constants import LEAST_MENDED, RINGS, SWEEPS
+from cagemap.maps.quality import flipped_triangles, upside_down
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.graphs import components
 from cagemap.numerics.threads import in_threads, parts
@@ -28,12 +31,12 @@ def relax_folds(
     held: IndexArray,
     *,
     normal_weight: float,
-    rounds: int = ROUNDS,
+    rings: Sequence[int] = RINGS,
 ) -> tuple[SurfacePoints, NDArray[np.bool_]]:
     """Reduce the flipped triangles of a map; vertices far from a flip and held ones keep their image.
 
-    A connected patch keeps its new image only if fewer of its triangles are flipped than before; the patches grow by a
-    ring a round, until a round mends little.
+    A connected patch keeps its new image only if fewer of its triangles are flipped than before; the patches are
+    larger in every round, until one mends little.
 
     Parameters
     ----------
@@ -45,6 +48,8 @@ def relax_folds(
         Target vertices that may not move (landmarks).
     normal_weight : float
         Of the projection, see `closest_points`.
+    rings : sequence of int
+        How many rings of triangles around the folds a patch has in every round, ascending.
 
     Returns
     -------
@@ -56,43 +61,66 @@ def relax_folds(
     if not flipped.any():
         return images, flipped
     # Nothing outside the last round's patch is looked at: go on with the triangles around it, renumbered.
-    inner = around(triangles, flipped, rounds, len(images))
+    inner = around(triangles, flipped, rings[-1], len(images))
     region = touched_triangles(triangles, inner)
-    vertices, near = np.unique(triangles[region], return_inverse=True)
-    near = near.reshape(-1, 3)
+    vertices, near = _renumbered(triangles[region], len(images))
     # Folds may spread while they are relaxed; what lies at the border has triangles beyond it.
     movable = inner[vertices] & ~np.isin(vertices, held)
     local, folded = images.at(vertices), flipped[region]
-    for ring in range(1, rounds + 1):
+    means = neighbour_means(near, np.ones(len(vertices), dtype=bool))
+    places = np.hstack([local.positions, local.normals])
+    for ring in rings:
         before = folded.sum()
-        inside = around(near, folded, ring, len(vertices)) & movable
-        local = _relaxed(local, near, inside, folded, normal_weight)
-        folded = flipped_triangles(local, near)
+        inside = _ringed(means, near[folded], ring) & movable
+        moved = np.flatnonzero(inside)
+        new = _relaxed(local.surface, means, places, moved, local.triangle[moved], normal_weight)
+        tried = places.copy()
+        tried[moved] = np.hstack([new.positions, new.normals])
+        touched = touched_triangles(near, inside)
+        still = upside_down(*np.ascontiguousarray(tried.reshape(-1, 2, 3).transpose(1, 0, 2)), near[touched])
+        kept = _improved(near[touched], inside, folded[touched], still)
+        settled = touched_triangles(near[touched], kept)  # whole, for all moved corners of one are of one patch
+        folded[touched] = np.where(settled, still, folded[touched])
+        local = local.replaced(np.flatnonzero(kept), new.at(kept[moved]))
+        places[kept] = tried[kept]
         if folded.sum() > (1.0 - LEAST_MENDED) * before or not folded.any():
             break
     flipped[region] = folded
     return images.replaced(vertices, local), flipped
 
 
+def _renumbered(triangles: IndexArray, n: int) -> tuple[IndexArray, IndexArray]:
+    """Vertices (v,) of some triangles (t, 3) of a mesh of n, ascending, and the triangles in their numbers."""
+    used = np.zeros(n, dtype=bool)
+    used[triangles] = True
+    return np.flatnonzero(used), (np.cumsum(used) - 1)[triangles]
+
+
+def _ringed(means: sparse.csr_array, folded: IndexArray, rings: int) -> BoolArray:
+    """`around` of folded triangles (f, 3), from a matrix that is positive where vertices are neighbours."""
+    inside = np.zeros(means.shape[0])
+    inside[folded.ravel()] = 1.0
+    for _ in range(rings):
+        inside += means @ inside
+    return np.asarray(inside > 0.0)
+
+
 def _relaxed(
-    images: SurfacePoints, near: IndexArray, inside: BoolArray, flipped: BoolArray, normal_weight: float
+    surface: TriangleSurface,
+    means: sparse.csr_array,
+    places: FloatArray,
+    vertices: IndexArray,
+    guess: IndexArray,
+    normal_weight: float,
 ) -> SurfacePoints:
-    """Images of the vertices inside after some sweeps of averaging, where that leaves fewer triangles flipped."""
-    vertices = np.flatnonzero(inside)
-    touched = touched_triangles(near, inside)
-    means = neighbour_means(near[touched], inside)
-    moved, directions = images.positions.copy(), images.normals.copy()
+    """Points of the surface for some vertices (v,), whose places and normals (n, 6) are averaged in some sweeps."""
+    own, moved = means[vertices], places.copy()
     for _ in range(SWEEPS):
-        moved[vertices] = means @ moved
-        directions[vertices] = normalized(means @ directions)
-    guess = images.triangle[vertices]
-    found = SurfacePoints.nearest(
-        images.surface, moved[vertices], directions[vertices], normal_weight=normal_weight, guess=guess
-    )
-    new = images.replaced(vertices, found)
-    still = flipped_triangles(new, near[touched])
-    kept = np.flatnonzero(_improved(near[touched], inside, flipped[touched], still))
-    return images.replaced(kept, new.at(kept))
+        averaged = own @ moved
+        averaged[:, 3:] = normalized(averaged[:, 3:])
+        moved[vertices] = averaged
+    positions, normals = moved[vertices, :3], moved[vertices, 3:]
+    return SurfacePoints.nearest(surface, positions, normals, normal_weight=normal_weight, guess=guess)
 
 
 def around(triangles: IndexArray, flipped: BoolArray, rings: int, n: int) -> NDArray[np.bool_]:
@@ -130,9 +158,9 @@ def patches(triangles: IndexArray, inside: BoolArray) -> IndexArray:
     """(n,) connected patch of every vertex, below n; vertices outside are patches of their own."""
     n = len(inside)
     near = triangles[touched_triangles(triangles, inside)]
-    pairs = near[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    pairs = pairs[inside[pairs].all(axis=1)]
-    return components(pairs[:, 0], pairs[:, 1], n)
+    heads, tails = near.T.ravel(), near[:, [1, 2, 0]].T.ravel()
+    joined = inside[heads] & inside[tails]
+    return components(heads[joined], tails[joined], n)
 
 
 def convex_rows(rows: IndexArray, columns: IndexArray, weights: FloatArray, inside: BoolArray) -> sparse.csr_array:
