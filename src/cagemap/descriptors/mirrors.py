@@ -15,7 +15,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 MOST_WITHIN, ALL_WITHIN = 1e-3, 2e-2
 MOST = 0.95
 # Vertices that the search for a plane looks at, and how often it moves the plane.
-SAMPLES, STEPS = 2000, 10
+SAMPLES, STEPS = 1000, 10
 # A move that leaves this share of the mirror images' median distance leads nowhere, unless most of them lie near
 # vertices already: within so many tolerances.
 NO_NEARER, ALREADY = 0.9, 10.0
@@ -71,7 +71,10 @@ def mirror_symmetries(control: ControlMesh, tolerance: float = MOST_WITHIN) -> t
     sample = positions[:: max(1, len(positions) // SAMPLES)]
     found: list[Mirror] = []
     for start in (*np.eye(3), *principal.T):
-        normal, offset = _settled_plane(sample, tree, start, float(start @ centre), diagonal)
+        settled = _settled_plane(sample, tree, start, float(start @ centre), diagonal)
+        if settled is None:
+            continue
+        normal, offset = settled
         if any(abs(mirror.normal @ normal) > SAME_PLANE for mirror in found):
             continue
         plane = Mirror(np.zeros(0, np.int64), normal, offset, False)
@@ -89,15 +92,18 @@ def mirror_symmetries(control: ControlMesh, tolerance: float = MOST_WITHIN) -> t
 
 def _settled_plane(
     sample: FloatArray, tree: cKDTree, normal: FloatArray, offset: float, diagonal: float
-) -> tuple[FloatArray, float]:
-    """Move a plane to the best one for the pairs that it makes itself, until they no longer change."""
+) -> tuple[FloatArray, float] | None:
+    """Move a plane to the best one for the pairs that it makes itself, until they no longer change.
+
+    None where that leads nowhere: more than half of the mirror images lie near no vertex.
+    """
     before = np.inf
     for _ in range(STEPS):
         mirrored = sample - 2.0 * np.outer(sample @ normal - offset, normal)
         distances, nearest = _query(tree, mirrored)
         median = float(np.median(distances))
         if median > 0.1 * diagonal or median > max(NO_NEARER * before, ALREADY * MOST_WITHIN * diagonal):
-            break
+            return None
         before = median
         partner = tree.data[nearest]
         good = distances <= 3.0 * median + 1e-6 * diagonal

@@ -168,14 +168,14 @@ def _leaf_order(positions: FloatArray, triangles: IndexArray, normals: FloatArra
     """(t,) triangles leaf by leaf along a space-filling curve; ``normals`` (t, 3) have length twice the area."""
     centres = triangle_centres(positions, triangles)
     whole = len(centres) // _LEAF_SIZE * _LEAF_SIZE
-    # Coordinate by coordinate, for rows of three are too short for array operations.
-    runs = [centres[:whole, d].reshape(-1, _LEAF_SIZE) for d in range(3)]
+    # Coordinate by coordinate, a leaf's triangles below each other: short rows are slow in array operations.
+    runs = [np.ascontiguousarray(centres[:whole, d].reshape(-1, _LEAF_SIZE).T) for d in range(3)]
     extents = (
-        np.sqrt(sum(np.square(run.max(axis=1) - run.min(axis=1)) for run in runs)) if whole else np.full(1, np.inf)
+        np.sqrt(sum(np.square(run.max(axis=0) - run.min(axis=0)) for run in runs)) if whole else np.full(1, np.inf)
     )
     if extents.mean() > _COMPACT * np.sqrt(row_lengths(normals)).mean():
         return np.argsort(_morton_codes(centres), kind="stable")
-    first = _LEAF_SIZE * np.argsort(_morton_codes(np.column_stack([run.mean(axis=1) for run in runs])), kind="stable")
+    first = _LEAF_SIZE * np.argsort(_morton_codes(np.column_stack([run.mean(axis=0) for run in runs])), kind="stable")
     return np.concatenate([(first[:, None] + np.arange(_LEAF_SIZE)).ravel(), np.arange(whole, len(centres))])
 
 

@@ -109,7 +109,8 @@ def ring_sums(positions: FloatArray, triangles: IndexArray, count: int) -> Float
     sums = np.zeros((count, 6))
     for part in parts(len(triangles), CACHED):
         near = triangles[part]
-        near = near[(near < count).any(axis=1)]
+        first, second, third = (near < count).T
+        near = near[first | second | third]
         normals = triangle_normals(positions, near)
         corners = [positions.take(near[:, k], axis=0) for k in range(3)]
         edges = sum(row_lengths(corners[k] - corners[k - 1]) for k in range(3)) / 3

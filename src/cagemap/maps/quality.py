@@ -279,9 +279,8 @@ def weighted_percentiles(values: FloatArray, weights: FloatArray, percents: Sequ
     """Percentiles of values counted by weight."""
     order = np.argsort(values)
     cumulative = np.cumsum(weights[order]) / weights.sum()
-    return np.asarray(
-        values[order][np.minimum(np.searchsorted(cumulative, np.asarray(percents) / 100), len(values) - 1)]
-    )
+    places = np.minimum(np.searchsorted(cumulative, np.asarray(percents) / 100), len(values) - 1)
+    return np.asarray(values[order[places]])
 
 
 def _known(value: float) -> float | None:

@@ -77,11 +77,12 @@ def relax_folds(
         tried = places.copy()
         tried[moved] = np.hstack([new.positions, new.normals])
         touched = touched_triangles(near, inside)
-        still = upside_down(*np.ascontiguousarray(tried.reshape(-1, 2, 3).transpose(1, 0, 2)), near[touched])
+        positions, normals = np.ascontiguousarray(tried[:, :3]), np.ascontiguousarray(tried[:, 3:])
+        still = upside_down(positions, normals, near[touched])
         kept = _improved(near[touched], inside, folded[touched], still)
         settled = touched_triangles(near[touched], kept)  # whole, for all moved corners of one are of one patch
         folded[touched] = np.where(settled, still, folded[touched])
-        local = local.replaced(np.flatnonzero(kept), new.at(kept[moved]))
+        local = local.replaced(np.flatnonzero(kept), new.at(np.flatnonzero(kept[moved])))
         places[kept] = tried[kept]
         if folded.sum() > (1.0 - LEAST_MENDED) * before or not folded.any():
             break
