@@ -19,7 +19,7 @@ from cagemap.files.landmarks import read_landmarks
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.threads import thread_limit
 from cagemap.operators import build_operators
-from cagemap.pipeline import MatchConfig, match, prepare_surface
+from cagemap.pipeline import MatchConfig, default_basis, match, prepare_surface
 from cagemap.refinement import refine
 
 # Cage, finest level, schedule; the paper's own pairs are not published.
@@ -129,7 +129,11 @@ def table_of_methods(keys: tuple[str, ...] = ("female1605__male1591", "anny10pc_
     ]
     for key in keys:
         pair = HUMANS[key]
-        schedules = {"paper": BasisConfig(schedule=(100, 50, 50)), "hfm": BasisConfig(), "elastic": BasisConfig()}
+        schedules = {
+            "paper": BasisConfig(schedule=(100, 50, 50)),
+            "hfm": default_basis("hfm"),
+            "elastic": BasisConfig(),
+        }
         surfaces = {
             config: [prepare_surface(mesh, 2, config) for mesh in pair.meshes()] for config in set(schedules.values())
         }

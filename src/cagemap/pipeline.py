@@ -34,6 +34,7 @@ from cagemap.maps.result import MatchResult as MatchResult
 from cagemap.maps.same import identity_map, same_surface
 from cagemap.maps.spectral.constraints import paired_mirrors
 from cagemap.maps.spectral.hierarchical import HierarchyConfig, hierarchical_map
+from cagemap.maps.spectral.levels import search_levels
 from cagemap.maps.spectral.paper import PaperConfig, paper_map
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.numerics.brief import Brief
@@ -150,14 +151,17 @@ def match(
             "pairs, or use the method elastic, which needs none."
         )
     timings: dict[str, float] = {}
-    if config.method != "elastic":
-        for surface in (target, source):
-            surface.require_all_operators(config.method)
     if config.method == "elastic":
         with _timed(timings, "pair"):
             prepared = prepare_pair(target, source, config)
         return match_pair(prepared, landmarks, config, progress=progress, timings=timings)
     target, source = target.inner, source.inner
+    needed = target.finest, source.finest
+    if config.method == "hfm":
+        hierarchy = config.hierarchy
+        needed = search_levels(target, source, hierarchy.search_vertices, hierarchy.source_search_vertices)
+    for surface, level in zip((target, source), needed, strict=True):
+        surface.require_operators(level, config.method)
     with _timed(timings, "symmetry"):
         pair = pair_of(target, source, landmarks, config)
     with one_blas_thread():

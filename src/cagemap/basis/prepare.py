@@ -8,7 +8,7 @@ from itertools import islice
 import numpy as np
 
 from cagemap.basis.construction import hierarchical_basis
-from cagemap.basis.schedule import MAP_BASIS, BasisConfig
+from cagemap.basis.schedule import LARGE_MAP_BASIS, MAP_BASIS, BasisConfig
 from cagemap.basis.surface import Surface, on_levels, operators_for
 from cagemap.errors import ParameterError
 from cagemap.mesh import ControlMesh
@@ -63,6 +63,8 @@ def choose_level(control: ControlMesh, vertices: int, scheme: Scheme | None = No
 def default_basis(method: str) -> BasisConfig:
     """The basis that a method reads all of: 150 functions for "elastic", 300 for "hfm" and "paper".
 
+    Only that of "paper" is of the finest level's geometry, as in the paper.
+
     Raises
     ------
     ParameterError
@@ -70,7 +72,7 @@ def default_basis(method: str) -> BasisConfig:
     """
     if method not in METHODS:
         raise ParameterError(f"method: expected one of {', '.join(METHODS)}, got '{method}'")
-    return MAP_BASIS if method == "elastic" else BasisConfig()
+    return {"elastic": MAP_BASIS, "hfm": LARGE_MAP_BASIS}.get(method, BasisConfig())
 
 
 @kinds_checked

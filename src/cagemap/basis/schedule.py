@@ -105,6 +105,9 @@ class BasisConfig:
 
 # What the elastic method reads of a basis (`StartConfig.searched_functions`), from levels that its fit sees.
 MAP_BASIS = BasisConfig(count=150, vertices=20_000)
+# What the method hfm reads. Matches of finer levels than that start from the same map; operators of a coarser level, of
+# 2946 vertices for 300 functions, made an error of 1.30 one of 2.01 (docs/accuracy.md).
+LARGE_MAP_BASIS = BasisConfig(count=300, vertices=20_000)
 
 
 def certain_count(vertices: int, tolerance: float) -> int:

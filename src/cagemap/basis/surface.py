@@ -91,7 +91,7 @@ class Surface:
     @cached_property
     def operators(self) -> Operators:
         """Mass and stiffness of every level (paper, section 4.1), up to the one that ``config.vertices`` says."""
-        return operators_for(self.refinement, self.config)
+        return operators_for(self.refinement, on_levels(self.refinement, self.config))
 
     @cached_property
     def basis(self) -> HierarchicalBasis:
@@ -159,17 +159,18 @@ class Surface:
         """The same surface from a control mesh with another layout or other materials."""
         return replace(self, refinement=refine(control, self.finest, self.refinement.scheme))
 
-    def require_all_operators(self, method: str) -> None:
-        """Refuse a surface whose operators end below its finest level, which a method needs.
+    def require_operators(self, level: int, method: str) -> None:
+        """Refuse a surface whose operators end below a level whose operators a method needs.
 
         Raises
         ------
         ParameterError
         """
-        if self.operators.finest < self.finest:
+        if self.operators.finest < level:
             raise ParameterError(
-                f"{self.control.name}: the method {method} needs operators of all levels, expected a basis without "
-                f"`vertices`, got {self.config}; prepare the surface with cagemap.default_basis({method!r})"
+                f"{self.control.name}: the method {method} needs operators up to level {level}, got a basis whose "
+                f"operators end at level {self.operators.finest}, {self.config}; prepare the surface with "
+                f"cagemap.default_basis({method!r}), more `vertices` or `vertices=None`"
             )
 
     def __repr__(self) -> str:

@@ -60,9 +60,10 @@ def side_bases(request: MatchRequest) -> tuple[BasisConfig, BasisConfig]:
 
 
 def _with_vertices(basis: BasisConfig, request: MatchRequest) -> BasisConfig:
-    """Who asks for exact eigenvalues, or for the paper's levels, gets the operators of the finest level."""
+    """Who asks for exact eigenvalues, other search levels or the paper's levels gets the finest level's operators."""
     usual = default_basis(request.method)
-    exact = basis.schedule is not None or basis.tolerance < usual.tolerance
+    searched = any("search_vertices" in given for given in request.parameter)  # maybe a level above the usual one's
+    exact = searched or basis.schedule is not None or basis.tolerance < usual.tolerance
     return replace(basis, vertices=None if exact else usual.vertices)
 
 

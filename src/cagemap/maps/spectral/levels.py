@@ -178,7 +178,7 @@ def refit(pair: Pair, levels: LevelPair, match: IndexArray, sizes: tuple[int, in
     chosen = spread(len(match), SAMPLE_VERTICES)
     rows = spectral_rows(pair.target, levels[0], k1).at(chosen).astype(np.float64)
     values = spectral_rows(pair.source, levels[1], k2).at(match[chosen]).astype(np.float64)
-    areas = pair.target.operators.areas(levels[0])[chosen]
+    areas = _areas(pair.target, levels[0])[chosen]
     return fit_functional_map(Samples(rows, areas, np.zeros((len(rows), 0))), values, k1)
 
 
@@ -214,8 +214,23 @@ def _parents(surface: Surface, coarse: int, fine: int) -> sparse.csr_array:
 def _children(surface: Surface, coarse: int, fine: int) -> sparse.csc_array:
     """Source vertices that a coarse source vertex offers: its column of S_2^l; its neighbours where the level stays."""
     if fine == coarse:
-        return sparse.csc_array(surface.operators.stiffness[fine])
+        return _neighbours(surface, fine)
     return sparse.csc_array(surface.refinement.matrices[coarse])
+
+
+def _neighbours(surface: Surface, level: int) -> sparse.csc_array:
+    """Which vertices of a level share a face."""
+    faces = surface.refinement.levels[level].faces
+    corners = surface.triangles(level).triangles if faces is None else faces
+    of = np.repeat(np.arange(len(corners)), corners.shape[1])
+    on = sparse.csr_array((np.ones(corners.size), (of, corners.ravel())), shape=(len(corners), _size(surface, level)))
+    return sparse.csc_array(on.T @ on)
+
+
+def _areas(surface: Surface, level: int) -> FloatArray:
+    """(n,) area that each vertex of a level stands for; of its triangles where the operators end below the level."""
+    operators = surface.operators
+    return operators.areas(level) if level <= operators.finest else surface.triangles(level).vertex_areas
 
 
 def _size(surface: Surface, level: int) -> int:
