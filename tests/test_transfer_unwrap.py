@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,18 @@ import pytest
 from cagemap.errors import InvalidMeshError
 from cagemap.files.obj import read_obj
 from cagemap.geometry.triangles import triangle_areas, triangle_neighbors
-from cagemap.mesh import ControlMesh, bipyramid, creature, cube, disk, icosahedron, pyramid, torus
+from cagemap.mesh import (
+    ControlMesh,
+    Plain,
+    bipyramid,
+    creature,
+    cube,
+    disk,
+    icosahedron,
+    pyramid,
+    torus,
+    triangulated,
+)
 from cagemap.refinement import refine, triangles
 from cagemap.transfer.packing import pack_islands
 from cagemap.transfer.texels import lay_out, rasterize_band
@@ -91,6 +103,13 @@ def test_animals_come_in_few_islands(shared_data: Path) -> None:
     assert level.uv_indices is not None
     # 29 now, for 180 bent polygons; 59 and more without smoothing, or if mirrored charts are taken apart.
     assert len(np.unique(_islands(triangle_neighbors(triangles(level.uv_indices))))) <= 35
+
+
+def test_a_plain_mesh_is_laid_out_as_it_is() -> None:
+    """Scans seldom have UVs."""
+    control = unwrap(replace(triangulated(torus()), scheme=Plain()))
+    assert isinstance(control.scheme, Plain)
+    check_layout(replace(control, scheme=None))
 
 
 def test_packing_keeps_the_padding_however_it_turns_out() -> None:

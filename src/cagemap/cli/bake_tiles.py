@@ -123,6 +123,12 @@ def prepare_bake(
     """Lay the target out, with a new layout if asked for, and find its tiles."""
     mesh: Path | None = None
     warnings: list[str] = []
+    of_source = (request.texture, request.displacement, request.normal_map, request.vector_displacement, *request.maps)
+    if any(of_source) and result.source.control.uvs is None:
+        raise ParameterError(
+            f"{result.source.control.name}: expected texture coordinates of the source, over which its image lies, the "
+            "mesh has none. Match the file that the image was painted for, or carry --material-colors."
+        )
     if request.unwrap:
         stages("unwrap")
         control = unwrap(result.target.control)
@@ -137,7 +143,6 @@ def prepare_bake(
     transfer = transfer_of(result)
     tiles, outside = layout_tiles(transfer)
     warnings += [*outside, *doubled_target(result.target.control, "add --unwrap for a layout of its own")]
-    of_source = (request.texture, request.displacement, request.normal_map, request.vector_displacement, *request.maps)
     if any(of_source) and result.masks.source is None:
         warnings += _doubled_source(result.source.control)
     images = [udim_path(output, tile) for output in outputs or [request.output] for tile in tiles]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cagemap.errors import InvalidMeshError
-from cagemap.mesh import ControlMesh
+from cagemap.mesh import ControlMesh, Plain
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.graphs import components
 from cagemap.numerics.libraries import library
@@ -81,6 +81,8 @@ class _Flat:
 
 def _smooth_positions(control: ControlMesh) -> FloatArray:
     """(n, 3) where control vertices come to lie: the surface is less bent than its cage, and needs fewer cuts."""
+    if isinstance(control.scheme, Plain):
+        return control.positions
     return refine(control.with_uvs(None, None), _SMOOTHING).finest.positions[: control.n_vertices]
 
 
