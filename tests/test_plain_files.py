@@ -80,11 +80,11 @@ def test_the_studio_maps_plain_files_and_goes_on_from_another_answer(
     # first would be such an answer.
     _suggestion(replace(bench, chosen=1), bench.result)
     images, runners_up = asked[-1][1:3]
-    assert len(runners_up) == max(1, len(found.answers) - 1)
+    assert len(runners_up) == max(1, len(found.known.answers) - 1)
     assert np.linalg.norm(runners_up[0] - images, axis=1).mean() < 0.02 * np.ptp(images, axis=0).max()
-    for other in range(1, len(found.answers)):
+    for other in range(1, len(found.known.answers)):
         bench, chosen = perform(bench, ChooseAnswer(opening, LandmarkList(), other, View()), lambda stage: None)
-        assert chosen.chosen == other
+        assert chosen.known.chosen == other
 
 
 @pytest.mark.slow

@@ -84,7 +84,13 @@ def test_untrusted_vertices_are_filled_in_between_their_neighbours(ring: Refinem
 def test_skin_that_is_none_is_refused(ring: Refinement) -> None:
     n = ring.control.n_vertices
     weights, everywhere, net = sparse.csr_array(sparse.eye_array(n)), np.ones(n, dtype=bool), net_of(ring.control)
-    for skin, message in ((np.ones((n, 2)), "sum to 1"), (np.ones((n - 1, 1)), "one a vertex")):
+    unknown = np.ones((n, 1))
+    unknown[3] = np.nan
+    for skin, message in (
+        (np.ones((n, 2)), "sum to 1"),
+        (np.ones((n - 1, 1)), "one a vertex"),
+        (unknown, r"first \[3\]"),
+    ):
         with pytest.raises(ParameterError, match=message):
             carry_skin(weights, skin, net, everywhere)
     with pytest.raises(ParameterError, match="influences"):

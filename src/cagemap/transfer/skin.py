@@ -53,7 +53,8 @@ def carry_skin(
     sums = skin.sum(axis=1)
     if len(skin) != weights.shape[1]:
         raise ParameterError(f"skinning weights: expected {weights.shape[1]} rows, one a vertex, got {len(skin)}")
-    wrong = np.flatnonzero((skin.min(axis=1) < 0) | ((sums > 0) & (np.abs(sums - 1) > _ROUNDING)))
+    # Written so that a NaN fails it too.
+    wrong = np.flatnonzero(~((skin.min(axis=1) >= 0) & ((sums == 0) | (np.abs(sums - 1) <= _ROUNDING))))
     if len(wrong):
         raise ParameterError(
             f"skinning weights: expected rows without negative weights that sum to 1, not so at {len(wrong)} vertices, "
