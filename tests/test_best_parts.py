@@ -70,7 +70,7 @@ def test_stiff_ends_are_finished_too_and_the_best_parts_of_all_come_first(
     def judged(prepared: object, pullers: object, positions: np.ndarray) -> FineFit:
         return end(positions, graph.areas * ((positions - graph.positions) ** 2).sum(axis=1))
 
-    monkeypatch.setattr(ends, "fine_fit", lambda prepared, shape, coarse, landmarks: coarse[0].positions)
+    monkeypatch.setattr(ends, "fine_fit", lambda prepared, shape, coarse, landmarks: coarse.positions)
     monkeypatch.setattr(ends, "fine_stage", lambda prepared, start, landmarks: start)
     monkeypatch.setattr(ends, "judged", judged)
     prepared: Any = SimpleNamespace(rest=SimpleNamespace(graph=graph, pullers=lambda sheet: None), sheet=None)

@@ -85,7 +85,7 @@ def finished_ends(
     pullers = prepared.rest.pullers(prepared.sheet)
 
     def finish(ended: CoarseFit) -> FineFit:
-        return judged(prepared, pullers, fine_fit(prepared, shape, [ended], landmarks))
+        return judged(prepared, pullers, fine_fit(prepared, shape, ended, landmarks))
 
     found = sorted(in_threads(finish, [*kept, *stiff]), key=lambda ended: ended.cost)
     mixed = best_parts(prepared.rest.graph, found)

@@ -8,7 +8,6 @@ moves whole limbs, then on the mesh of a level.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,17 +82,15 @@ def coarse_fit(
     return CoarseFit(coarse_cost(rest, sheet, positions, maps, config), positions, maps)
 
 
-def fine_fit(
-    prepared: PreparedPair, shape: CoarseShape, coarse: Sequence[CoarseFit], landmarks: PointPairs
-) -> FloatArray:
-    """Deform the target's mesh onto the source, from the coarse fit that ended cheapest.
+def fine_fit(prepared: PreparedPair, shape: CoarseShape, coarse: CoarseFit, landmarks: PointPairs) -> FloatArray:
+    """Deform the target's mesh onto the source, from where a coarse fit ended.
 
     Parameters
     ----------
     prepared : PreparedPair
     shape : CoarseShape
-    coarse : sequence of CoarseFit
-        From different starts.
+    coarse : CoarseFit
+        Of the shape.
     landmarks : PointPairs
 
     Returns
@@ -101,8 +98,7 @@ def fine_fit(
     (n, 3) float64
         Positions near the source; project them for a map.
     """
-    best = min(coarse, key=lambda ended: ended.cost)
-    start = extrapolate(shape.rest.graph, best.positions, best.maps, prepared.rest.graph)
+    start = extrapolate(shape.rest.graph, coarse.positions, coarse.maps, prepared.rest.graph)
     return fine_stage(prepared, start, landmarks)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,9 +11,9 @@ from cagemap.basis import Surface
 from cagemap.maps.elastic.both_ways import both_ways
 from cagemap.maps.elastic.constants import DOUBTFUL, POSES_DIFFER
 from cagemap.maps.elastic.ends import FineFit, finished_ends, mean_distance
-from cagemap.maps.elastic.fit import coarse_fit, fine_fit
+from cagemap.maps.elastic.fit import CoarseFit, coarse_fit, fine_fit
 from cagemap.maps.elastic.pose import fit_in_pose, turn
-from cagemap.maps.elastic.prepared import PreparedPair
+from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair
 from cagemap.maps.elastic.starts import SpectralSides, spectral_starts, start_map
 from cagemap.maps.elastic.update import respond
 from cagemap.maps.pair import Pair, Progress
@@ -63,12 +64,8 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
 
     The functional map starts as the paper's (eqs. 13-16) and grows on the search levels beside harmonic and biharmonic
     landmark coordinates; from where it sends some vertices, and from the landmarks alone, the coarse stage of the
-    elastic fit starts. Where these two end apart, limbs may be turned: spectral upsampling makes further starts of the
-    spectral map's end, and the fine stage goes on from all that lie apart, and from where a stiffer coarse stage ends.
-    Unless there are masks, the best of these ends is moved on: where poses differ, the target is brought into the pose
-    that it shows and fitted anew (`fit_in_pose`); then half-way to what it is seen from the source (`both_ways`). Its
-    cost stays that of the end, to compare with the others'.
-    Where they end alike, no joint needs the soft stage, and the stiffer one spreads the strain more evenly.
+    elastic fit starts. Where these two end apart, limbs may be turned (`doubtful_ends`). Where they end alike, no joint
+    needs the soft stage, and a stiffer one spreads the strain more evenly.
     """
     progress("functional map")
     places, sheet, elastic = pair.landmarks.source.positions, prepared.sheet, prepared.elastic
@@ -80,24 +77,55 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
         start = prepared.on_source.positions[match]
         guided = coarse_fit(shape, sheet, start, places, elastic)
         ends = [guided, blind.result()]
-    stiffer, stiff = replace(elastic, coarse=elastic.settled), shape.smoother(elastic.settled.smoothing)
     if mean_distance(ends[0].positions, ends[1].positions, shape.rest.graph.areas) > DOUBTFUL:
-        starts = spectral_starts(shape, guided, SpectralSides.build(prepared, shape))
-        with ThreadPool(1) as aside:
-            other = aside.submit(coarse_fit, stiff, sheet, start, places, stiffer)
-            ends += in_threads(lambda rough: coarse_fit(shape, sheet, rough, places, elastic), starts)
-            first, *others = finished_ends(prepared, shape, ends, pair.landmarks, stiff=[other.result()])
-            if prepared.rest.masks.any:  # what is masked is fitted back as well, and drags what is not with it
-                return first, *others
-            moved = first.positions
-            if turn(prepared.rest, moved) > POSES_DIFFER:
-                moved = fit_in_pose(prepared, pair.landmarks, moved)
-            return replace(first, moved=both_ways(prepared, pair.landmarks, moved)), *others
+        return doubtful_ends(prepared, pair, shape, start, ends)
     # The start from the landmarks is another one here: differentials are smoothed over the stiffer stage's length.
     both: list[FloatArray | None] = [start, None]
-    ends = in_threads(lambda rough: coarse_fit(stiff, sheet, rough, places, stiffer), both)
-    best = min(ends, key=lambda ended: ended.cost)
-    return (FineFit(best.cost, fine_fit(prepared, shape, [best], pair.landmarks)),)
+    best = min(stiff_fits(prepared, pair, shape, both), key=lambda ended: ended.cost)
+    return (FineFit(best.cost, fine_fit(prepared, shape, best, pair.landmarks)),)
+
+
+def doubtful_ends(
+    prepared: PreparedPair, pair: Pair, shape: CoarseShape, start: FloatArray, ends: list[CoarseFit]
+) -> tuple[FineFit, ...]:
+    """Finished ends, cheapest first, where two coarse fits ended apart.
+
+    Spectral upsampling makes further starts of the first one's end, and the fine stage goes on from all that lie apart,
+    and from where the stiffer coarse stage ends. Unless there are masks, the best is moved on: where poses differ, the
+    target is brought into the pose that it shows and fitted anew (`fit_in_pose`); then half-way to what it is seen from
+    the source (`both_ways`). Its cost stays that of the end, to compare with the others'.
+
+    Parameters
+    ----------
+    prepared : PreparedPair
+    pair : Pair
+    shape : CoarseShape
+    start : (k, 3) float64
+        Where the spectral map puts the coarse vertices.
+    ends : list of CoarseFit
+        From there, and from the landmarks alone.
+    """
+    places, landmarks = pair.landmarks.source.positions, pair.landmarks
+    starts = spectral_starts(shape, ends[0], SpectralSides.build(prepared, shape))
+    with ThreadPool(1) as aside:
+        stiff = aside.submit(stiff_fits, prepared, pair, shape, [start])
+        more = in_threads(lambda rough: coarse_fit(shape, prepared.sheet, rough, places, prepared.elastic), starts)
+        first, *others = finished_ends(prepared, shape, [*ends, *more], landmarks, stiff=stiff.result())
+    if prepared.rest.masks.any:  # what is masked is fitted back as well, and drags what is not with it
+        return first, *others
+    moved = first.positions
+    if turn(prepared.rest, moved) > POSES_DIFFER:
+        moved = fit_in_pose(prepared, landmarks, moved)
+    return replace(first, moved=both_ways(prepared, landmarks, moved)), *others
+
+
+def stiff_fits(
+    prepared: PreparedPair, pair: Pair, shape: CoarseShape, starts: Sequence[FloatArray | None]
+) -> list[CoarseFit]:
+    """The stiffer coarse stage from some starts, see `ElasticConfig.settled`."""
+    config = replace(prepared.elastic, coarse=prepared.elastic.settled)
+    smooth, places = shape.smoother(config.coarse.smoothing), pair.landmarks.source.positions
+    return in_threads(lambda rough: coarse_fit(smooth, prepared.sheet, rough, places, config), starts)
 
 
 def updated_map(

@@ -54,7 +54,7 @@ def fit_in_pose(
         shape = alike.coarse(kept, landmarks.curves)
         start = rest.graph.positions[shape.vertices]
         ended = coarse_fit(shape, alike.sheet, start, landmarks.source.positions, elastic)
-        positions = fine_fit(alike, shape, [ended], landmarks)
+        positions = fine_fit(alike, shape, ended, landmarks)
     return positions
 
 

@@ -91,7 +91,7 @@ def led_by_tips(prepared: PreparedPair, pair: Pair, tips: Tips, ended: FineFit) 
     with thread_limit(1):
         led = coarse_fit(shape, prepared.sheet, ended.positions[shape.vertices], places, prepared.elastic)
     pullers = prepared.rest.pullers(prepared.sheet)
-    again = judged(prepared, pullers, fine_fit(prepared, shape, [led], landmarks))
+    again = judged(prepared, pullers, fine_fit(prepared, shape, led, landmarks))
     return again if again.cost <= AS_CHEAP * ended.cost else ended
 
 
