@@ -10,11 +10,13 @@ import pytest
 from typer.testing import CliRunner
 
 from cagemap.cli.app import app
+from cagemap.cli.library import in_words
 from cagemap.example import example_pair
 from cagemap.files.images import write_image
 from cagemap.files.landmarks import write_landmarks
 from cagemap.files.meshes import write_mesh
 from cagemap.files.result import read_result
+from cagemap.library.page import PairRow
 
 JOB = """output = "night"
 
@@ -73,6 +75,11 @@ def test_a_dry_run_says_what_would_be_done_and_does_nothing(folder: Path) -> Non
     assert "match pony -> deer" in said.output
     assert "core minutes" in said.output
     assert sorted(folder.iterdir()) == before
+
+
+def test_the_page_of_a_job_speaks_of_options() -> None:
+    row = PairRow("a", "b", "failed", ("use the pairs reversed (`Landmarks.reversed()`)",), 0.0)
+    assert in_words([row])[0].messages == ("use the pairs reversed (--exchange-landmarks)",)
 
 
 @pytest.mark.slow

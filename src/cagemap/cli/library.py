@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from cagemap.cli.progress import Stages
 from cagemap.cli.report import run_report
 from cagemap.cli.run_request import RunRequest
 from cagemap.cli.transfer import run_transfer
+from cagemap.cli.words import in_options
 from cagemap.cli.wrap import run_wrap
 from cagemap.errors import CagemapError
 from cagemap.files.code_version import code_version
@@ -41,6 +44,7 @@ from cagemap.library import (
 )
 from cagemap.library.carry import carried_notes, carry_landmarks, with_carried
 from cagemap.library.consistency import read_consistency, write_consistency
+from cagemap.library.page import PairRow
 from cagemap.library.plan import STATE
 from cagemap.library.ways import composed_result, has_ways_round, matches_only, with_ways
 from cagemap.mesh.checks import require_valid
@@ -91,12 +95,17 @@ def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
     notes = [*plan.left_out, *cycle_notes(verdict), *carried_notes([outcome.figures for outcome in carried])]
     page = None
     try:  # where the disk is full the outcomes are still told
-        page = write_library(plan.root, job.path.stem, pair_rows(plan, outcomes, verdict.errors), notes)[0]
+        page = write_library(plan.root, job.path.stem, in_words(pair_rows(plan, outcomes, verdict.errors)), notes)[0]
     except (CagemapError, OSError) as error:
         notes.append(f"the page could not be written: {error}")
     seconds = time.perf_counter() - started
     whole = page is not None and all(outcome.usable for outcome in outcomes.values())
     return summary(plan, outcomes, notes, page, seconds), whole
+
+
+def in_words(rows: Iterable[PairRow]) -> list[PairRow]:
+    """Rows of the page with messages in the words of the command line and of job files."""
+    return [replace(row, messages=tuple(map(in_options, row.messages))) for row in rows]
 
 
 def collection_verdict(plan: Plan, outcomes: dict[str, Outcome]) -> Consistency:
