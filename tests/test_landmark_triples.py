@@ -15,7 +15,7 @@ from cagemap.maps.landmarks.distances import (
     misplaced_pairs,
     typical_misfit,
 )
-from cagemap.maps.landmarks.sides import orientation_agreement
+from cagemap.maps.landmarks.sides import agreement_around, orientation_agreement
 
 
 def distances_of(points: np.ndarray, others: np.ndarray) -> LandmarkDistances:
@@ -72,6 +72,11 @@ def test_orientation_is_that_of_all_triples() -> None:
         votes.append(turns)
     product = votes[0] * votes[1]
     np.testing.assert_allclose(orientation_agreement(*sides), product.sum() / np.abs(product).sum(), rtol=1e-10)
+    near = rng.random((7, 7))
+    weighted = product * near[:, :, None] * near[:, None, :]
+    around = np.concatenate([part for i in (2, 5) for part in (weighted[i], weighted[:, i])])
+    found = agreement_around((2, 5), *sides, near)
+    np.testing.assert_allclose(found, around.sum() / np.abs(around).sum(), rtol=1e-10)
 
 
 def test_hundreds_of_landmarks_need_little_memory() -> None:
