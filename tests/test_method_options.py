@@ -20,7 +20,7 @@ from cagemap.files.symmetry import read_symmetry
 from cagemap.maps.spectral.hierarchical import Growth, HierarchyConfig
 from cagemap.mesh import shapes
 from cagemap.operators import AlexaWardetzky, build_operators
-from cagemap.pipeline import MatchConfig
+from cagemap.pipeline import MAP_BASIS, MatchConfig, default_basis
 
 
 def files_of(folder):
@@ -36,6 +36,15 @@ def files_of(folder):
     (folder / "s.txt").write_text("\n".join(map(str, image)))
     np.save(folder / "s.npy", image)
     return [folder / name for name in ("target.obj", "source.obj", "l.json")], image
+
+
+def test_other_search_levels_and_exact_bases_get_the_operators_of_the_finest_level(tmp_path):
+    """Those of hfm end where no finer level would change the map, unless more is asked for."""
+    words = {"target": tmp_path, "source": tmp_path, "landmarks": tmp_path, "output": tmp_path, "method": "hfm"}
+    assert side_bases(MatchRequest(**words)) == (default_basis("hfm"), default_basis("hfm"))
+    assert default_basis("hfm").vertices == MAP_BASIS.vertices
+    for more in ({"parameter": ("search_vertices=50000",)}, {"tolerance": 0.01}, {"schedule": "100,50"}):
+        assert [basis.vertices for basis in side_bases(MatchRequest(**words, **more))] == [None, None]
 
 
 def test_each_side_has_its_own_level_and_schedule(tmp_path):
