@@ -56,8 +56,8 @@ PAIRS = (
     ("anny10pc", "anny5pc"),
     ("anny10pc", "base"),
 )
-# An animal and its other cage, see `benchmarks.textures`.
-CAGES = (("spot", "refined"), ("spot", "turned"), ("blub", "refined"))
+# An animal, its other cage (see `benchmarks.textures`), and how steep the bumps are.
+CAGES = (("spot", "refined", 1.0), ("spot", "turned", 1.0), ("blub", "refined", 1.0), ("spot", "refined", 3.0))
 
 
 @cache
@@ -162,20 +162,20 @@ def back() -> Iterator[Row]:
         )
 
 
-def normals_back(cages: tuple[tuple[str, str], ...] = CAGES) -> Iterator[Row]:
+def normals_back(cages: tuple[tuple[str, str, float], ...] = CAGES) -> Iterator[Row]:
     """A normal map of 4096 onto another cage of the same shape, with a layout of its own, and back."""
     size = 4096
-    for name, kind in cages:
+    for name, kind, steep in cages:
         mesh = read_mesh(DATA / "animals" / f"{name}.obj")
         plain = replace(finest_mesh(refine(mesh, 1)), uvs=None, uv_indices=None)
         other = unwrap(requadded(mesh) if kind == "turned" else plain)
-        image = normal_image(size)
+        image = normal_image(size, steep)
         with tempfile.TemporaryDirectory() as folder:
             result, returned = _there_and_back(Path(folder), mesh, other, image, size)
             where = touched(cagemap.transfer_of(result), size)
         wrong = np.degrees(np.arccos(np.clip((_unit(returned[where]) * _unit(image[where])).sum(axis=1), -1, 1)))
         yield (
-            f"normal map {size}, {name}, {kind} cage, and back",
+            f"normal map {size}, {steep:g} times as steep, {name}, {kind} cage, and back",
             f"{psnr(returned, image, where):.2f} dB; {wrong.mean():.2f} degrees on average, "
             f"{np.quantile(wrong, 0.99):.1f} for 99 %",
         )
