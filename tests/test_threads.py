@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -108,42 +106,6 @@ def test_results_come_in_order_and_the_first_error_is_raised():
     assert in_threads(lambda i: i, []) == []
     with pytest.raises(ParameterError, match="item 2"):
         in_threads(fail_at_two, range(5), threads=2)
-
-
-def test_work_within_work_ends_and_the_caller_works_too():
-    def sums(i):
-        return sum(in_threads(lambda j: i * j, range(6), threads=4))
-
-    assert in_threads(sums, range(40), threads=8) == [15 * i for i in range(40)]
-    # A helper that is busy elsewhere is not waited for.
-    own = threading.get_ident()
-    with thread_limit(2):
-        assert own in in_threads(lambda _: threading.get_ident(), range(4))
-
-
-def test_threads_stay_from_one_call_to_the_next():
-    meet = threading.Barrier(2, timeout=60)
-    for _ in range(3):
-        in_threads(lambda _: meet.wait(), range(2), threads=2)
-    before = threading.active_count()
-    for _ in range(20):
-        in_threads(lambda _: meet.wait(), range(2), threads=2)
-    assert threading.active_count() <= before
-
-
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this platform")
-@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
-def test_a_forked_process_starts_threads_of_its_own():
-    in_threads(lambda i: i, range(4), threads=4)
-    child = multiprocessing.get_context("fork").Process(target=meet_in_threads)
-    child.start()
-    child.join(timeout=60)
-    assert child.exitcode == 0
-
-
-def meet_in_threads():
-    meet = threading.Barrier(2, timeout=30)
-    in_threads(lambda _: meet.wait(), range(2), threads=2)
 
 
 def fail_at_two(i):

@@ -12,7 +12,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from typing import Any, ParamSpec, TypeVar
@@ -160,30 +160,10 @@ class ThreadPool(ThreadPoolExecutor):
         return future
 
 
-def _new_helpers() -> ThreadPoolExecutor:
-    """Threads that wait for work of `in_threads`; each is started when it is first needed, and stays."""
-    return ThreadPoolExecutor(4 * (os.cpu_count() or 1), "cagemap")
-
-
-_helpers = _new_helpers()
-
-
-def _forget_helpers() -> None:
-    """A forked process has none of its parent's threads."""
-    global _helpers
-    _helpers = _new_helpers()
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_forget_helpers)
-
-
 def in_threads(work: Callable[[Item], Value], items: Sequence[Item], threads: int | None = None) -> list[Value]:
     """Apply a function to every item, in threads; results in order. The first error is raised, once all have ended.
 
     Every thread takes the next item when it has done one: handing over single items costs more than a small one takes.
-    The caller's own thread works too, and waits only for helpers that have begun, so that work may be spread within
-    work however few helpers there are.
     """
     threads = min(len(items), threads or core_count())
     if threads <= 1:
@@ -199,13 +179,15 @@ def in_threads(work: Callable[[Item], Value], items: Sequence[Item], threads: in
             except Exception as error:
                 failed[place] = error
 
-    shares = [_helpers.submit(copy_context().run, share) for _ in range(threads - 1)]
-    try:
-        share()
-    finally:  # stopped or not: no thread takes another item
-        for _ in waiting:
-            pass
-        wait([begun for begun in shares if not begun.cancel()])
+    with ThreadPool(threads) as pool:
+        shares = [pool.submit(share) for _ in range(threads)]
+        try:
+            for ended in shares:
+                ended.result()
+        except BaseException:  # stopped: no thread takes another item
+            for _ in waiting:
+                pass
+            raise
     if failed:
         raise failed[min(failed)]
     return [made[place] for place in range(len(items))]
