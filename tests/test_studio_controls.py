@@ -28,8 +28,9 @@ LONGEST_UPDATE, LONGEST_ANSWER = 20.0, 5.0
 def test_parts_are_chosen_and_other_answers_are_one_click_away(tmp_path: Path, browser: Any) -> None:
     eye = cube()
     eye = eye.with_positions(0.3 * eye.positions + np.array([0.0, 4.0, 0.0]))
-    for name in ("a.obj", "b.obj"):
-        write_mesh(tmp_path / name, join_meshes([named(eye, "eye"), named(creature(), "body")]))
+    # One surface on both sides would have one answer only.
+    for name, own in (("a.obj", eye), ("b.obj", eye.with_positions(eye.positions * [1.0, 1.05, 1.0]))):
+        write_mesh(tmp_path / name, join_meshes([named(own, "eye"), named(creature(), "body")]))
     asked = ["--target", str(tmp_path / "a.obj"), "--source", str(tmp_path / "b.obj"), "--source-part", "object:eye"]
     with studio(*asked, "--vertices", "800") as (_, address):
         page = Page(browser, address)
@@ -45,7 +46,7 @@ def test_parts_are_chosen_and_other_answers_are_one_click_away(tmp_path: Path, b
         page.choose("target", "Target part", "object:eye (6 faces)")
         page.until(lambda: page.text("names").count(", eye, ") == 2, "the eye")
         page.until(lambda: page.revision() == 1 and page.text("map") != before, "the map of it")
-        # A cube on a cube: other answers are buttons.
+        # A box on a cube: other answers are buttons.
         before = page.text("map")
         page.button("source", page.until(lambda: page.answers()[1:], "other answers")[0])
         page.until(lambda: page.revision() == 2, "the other answer")
