@@ -111,8 +111,9 @@ def test_colours_of_obj_may_be_bytes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["a vertex of mine", "vertex 1 2 3", ""])
 @pytest.mark.parametrize("capitals", [False, True])
-@pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r", " "])
 def test_odd_stl_files_are_read(tmp_path: Path, name: str, capitals: bool, line_end: str) -> None:
+    """Words may share a line, all of them too: where a line ends means nothing but for names."""
     triangles = "".join(
         "facet normal 0 0 1\nouter loop\n"
         + "".join(" vertex {!r} {!r} {!r}\n".format(*SQUARE[i].tolist()) for i in corners)

@@ -36,7 +36,7 @@ from cagemap.studio.scene import carried
 from cagemap.studio.session import Session
 from cagemap.studio.shape import pick
 from cagemap.studio.state import Files, Job, Message, Output, Studio, View
-from cagemap.studio.worker import Failure, Worker
+from cagemap.studio.worker import DROPPED, Failure, Worker
 from cagemap.studio.workspace import Workspace
 
 # The computation stands back for everything else, so that a busy machine takes long over a first map.
@@ -186,6 +186,14 @@ def test_answers_about_models_that_are_no_longer_open_are_left_out(opened: Sessi
     assert opened._preview.models is not None
     others = replace(opened._preview.models, vertices=7)
     opened._receive(OpenModels(others, View()), Failure("FormatError", "of another pair"))
+    assert opened.state == before
+
+
+def test_a_search_that_was_dropped_is_no_error_where_its_models_are_open_again(opened: Session) -> None:
+    """Another part, and back at once: the answer comes when its models count again."""
+    before = opened.state
+    assert opened._preview.models is not None
+    opened._receive(OpenModels(opened._preview.models, View()), Failure(DROPPED, "not wanted"))
     assert opened.state == before
 
 

@@ -142,7 +142,7 @@ def prepare_bake(
     stages("prepare")
     transfer = transfer_of(result)
     tiles, outside = layout_tiles(transfer)
-    warnings += [*outside, *doubled_target(result.target.control, "add --unwrap for a layout of its own")]
+    warnings += [*outside, *doubled_target(result.target.control)]
     if any(of_source) and result.masks.source is None:
         warnings += _doubled_source(result.source.control)
     images = [udim_path(output, tile) for output in outputs or [request.output] for tile in tiles]
@@ -163,7 +163,7 @@ def layout_tiles(transfer: Transfer) -> tuple[list[int], list[str]]:
     return [0], [f"{100 * outside:.1f} % of the target's layout lies outside the unit square and is not baked: move it"]
 
 
-def doubled_target(control: ControlMesh, remedy: str) -> list[str]:
+def doubled_target(control: ControlMesh) -> list[str]:
     """A warning of a target whose layout lies over itself."""
     share = doubled_share(control)
     if share < LEAST_DOUBLED:
@@ -171,7 +171,7 @@ def doubled_target(control: ControlMesh, remedy: str) -> list[str]:
     return [
         f"{100 * share:.0f} % of the target's layout lies over other parts of it (mirrored halves, or materials with "
         "an image each), where a texel takes what one of them gets: match its materials one by one with --part, or "
-        f"{remedy}"
+        "carry with `cagemap transfer --unwrap`, which makes another layout"
     ]
 
 
@@ -329,5 +329,5 @@ def _write_unwrapped(request: TransferRequest, control: ControlMesh, manifest: d
         return []
     write_mesh(mesh, control, force=request.force)
     why = "was not found, or has changed since the match" if original is None else "is no OBJ"
-    why = why if whole else "was matched in part"
+    why = why if whole else "was matched in part, or mended"
     return [f"{control.name} {why}: {mesh} holds faces, UVs and materials, but no groups, names or normals of it"]

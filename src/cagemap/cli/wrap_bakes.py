@@ -96,4 +96,4 @@ def bake_wrapped(
     images = [udim_path(path, tile) for path in bakes.images.values() for tile in tiles]
     check_outputs(images, textures_read(request), force=request.force)
     lines = bake_detail(bakes, transfer, detail, colors, tiles, stages, "the source's")
-    return lines, [*warnings, *outside, *doubled_target(result.target.control, "unwrap it anew")]
+    return lines, [*warnings, *outside, *doubled_target(result.target.control)]

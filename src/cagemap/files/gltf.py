@@ -19,7 +19,8 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 
 # What an array in the file is for.
 VERTICES, INDICES = 34962, 34963
-_COMPONENTS = {"f": 5126, "H": 5123, "I": 5125}
+# By kind and size: one type has different letters on different systems.
+_COMPONENTS = {"f4": 5126, "u2": 5123, "u4": 5125}
 _SHAPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 
 
@@ -44,7 +45,7 @@ class Binary:
         """Add an array (n,) or (n, q) of single precision or unsigned numbers; returns the number of its accessor."""
         entry = {
             "bufferView": self.view(array.tobytes(), target),
-            "componentType": _COMPONENTS[array.dtype.char],
+            "componentType": _COMPONENTS[f"{array.dtype.kind}{array.dtype.itemsize}"],
             "count": len(array),
             "type": _SHAPES[1 if array.ndim == 1 else array.shape[1]],
         }

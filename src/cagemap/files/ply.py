@@ -30,8 +30,9 @@ def read_ply(path: str | Path) -> ControlMesh:
     """Read a control mesh from a PLY file, text or binary, in the file's own order.
 
     Texture coordinates are taken from the faces' ``texcoord`` lists, else from the vertices (``s t``, ``u v`` or
-    ``texture_u texture_v``), and vertex colours from ``red green blue``: to the largest number of their type where they
-    are integers, else from 0 to 1, or bytes where they go beyond. Normals and other elements are ignored.
+    ``texture_u texture_v``), and vertex colours from ``red green blue``: to the largest number of their type where that
+    has one or two bytes, else from 0 to 1, or bytes where they are whole numbers that go beyond. Normals and other
+    elements are ignored.
 
     Raises
     ------

@@ -17,9 +17,10 @@ _REMEDY = "Export the mesh again as STL, PLY or OBJ."
 _TRIANGLE = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _HEAD = 84
 _NUMBER = rb"[-+.0-9eEinfaINFA]+"
-# At the beginning of a line: the name of a solid may have the word as well.
-_VERTEX = re.compile(rb"(?mi)^\s*vertex\s+(%s)\s+(%s)\s+(%s)" % (_NUMBER, _NUMBER, _NUMBER))
-_VERTICES = re.compile(rb"(?mi)^\s*vertex\b")
+_VERTEX = re.compile(rb"(?i)\bvertex\s+(%s)\s+(%s)\s+(%s)" % (_NUMBER, _NUMBER, _NUMBER))
+_VERTICES = re.compile(rb"(?i)\bvertex\b")
+# The name of a solid, up to the line's end or the first facet, may have the word as well; words may share lines.
+_NAME = re.compile(rb"(?i)\b(?:end)?solid\b(?:(?!\bfacet\s+normal\b)[^\n])*")
 
 
 def read_stl(path: str | Path) -> ControlMesh:
@@ -64,6 +65,7 @@ def _text(file: Path, content: bytes) -> FloatArray:
     content = content.removeprefix(codecs.BOM_UTF8).replace(b"\r", b"\n")
     if not content.lstrip()[:5].lower() == b"solid" or b"endsolid" not in content.lower():
         raise FormatError(f"{file}: expected an STL file, got something else, or one that is cut short. {_REMEDY}")
+    content = _NAME.sub(b"", content)
     found = _VERTEX.findall(content)
     if len(found) % 3 or len(found) != len(_VERTICES.findall(content)):
         raise FormatError(f"{file}: expected three vertices of three numbers a triangle, got {len(found)}. {_REMEDY}")

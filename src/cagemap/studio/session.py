@@ -35,7 +35,7 @@ from cagemap.studio.scene import Scene, mirrored, probed, proposed
 from cagemap.studio.shape import pick
 from cagemap.studio.skins import Images
 from cagemap.studio.state import AFRESH, Files, Message, Output, View, baked_view, changed_view, map_view
-from cagemap.studio.worker import STOPPED, Failure
+from cagemap.studio.worker import DROPPED, STOPPED, Failure
 from cagemap.studio.workspace import Workspace
 
 log = logging.getLogger(__name__)
@@ -324,6 +324,8 @@ class Session(Held):
         if task.opening != self._preview.models:  # others have been opened meanwhile
             return
         match answer:
+            case Failure() if answer.kind == DROPPED:  # the same ones again: what they are opened for comes next
+                pass
             case Failure() if cancelled and answer.kind == STOPPED:
                 self._say("note", "cancelled; the map stays as it was")
             case Failure():

@@ -15,6 +15,8 @@ from typing import Any
 from cagemap.errors import CagemapError
 
 STOPPED = "Stopped"
+# Kind of the failure of a task that is not wanted any more: nobody waits to be told.
+DROPPED = "Dropped"
 # Of a map's computation; the page has 0.
 NICENESS = 5
 # In place of a task: the one before is not wanted any more.
@@ -153,7 +155,7 @@ def _serve(connection: Connection) -> None:
                 bench, answer = perform(bench, task, tell)
                 connection.send(_Done(answer))
             except _DroppedError:
-                connection.send(Failure(STOPPED, "the computation is not wanted any more"))
+                connection.send(Failure(DROPPED, "the computation is not wanted any more"))
             except CagemapError as error:
                 connection.send(Failure(type(error).__name__, str(error)))
             except MemoryError:
