@@ -60,8 +60,10 @@ def test_directions_come_back(crumpled: Level, space: str) -> None:
     np.testing.assert_allclose(moved.pixels[inside], vectors[inside], rtol=0, atol=1e-6)
 
 
-def test_shapes_come_back() -> None:
-    """Folds across which walks from all three corners end on the wrong side."""
+@pytest.mark.parametrize("samples", [25_000, 300])
+def test_shapes_come_back(monkeypatch: pytest.MonkeyPatch, samples: int) -> None:
+    """Folds across which walks from all three corners end on the wrong side; and looked at on a coarser level, too."""
+    monkeypatch.setattr("cagemap.transfer.shapes._SAMPLES", samples)
     rng = np.random.default_rng(5)
     control = torus(10, 8)
     control = control.with_positions(control.positions + 0.4 * rng.standard_normal(control.positions.shape))

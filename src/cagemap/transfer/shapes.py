@@ -21,7 +21,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from cagemap.errors import ParameterError
-from cagemap.geometry.triangles import corner_sums, triangle_areas, triangle_normals, vertex_normals
+from cagemap.geometry.triangles import corner_sums, normalized, triangle_areas, triangle_normals, vertex_normals
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import weighted_percentiles
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -60,8 +60,10 @@ class ShapeCarrier:
     gradient : (3 t, s) csr_array
         Gradients of functions on the samples' triangles.
     areas, masses : (t,), (s,) float64
+    deforming : (r, 3) int64
+        Source vertices of triangles that say how others deform.
     images : (t,) int64
-        Source triangle at the image of every triangle's centre.
+        The one of these that says so for every triangle.
     turns : (t, 3, 3), vertex_turns : (s, 3, 3) float64
         Rotations Q from the target to the source.
     ratio : float
@@ -80,6 +82,7 @@ class ShapeCarrier:
     gradient: sparse.csr_array
     areas: FloatArray
     masses: FloatArray
+    deforming: IndexArray
     images: IndexArray
     turns: FloatArray
     vertex_turns: FloatArray
@@ -106,9 +109,8 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
     gradient, areas = _gradients(places, triangles)
     masses = corner_sums(triangles, areas[:, None], count)[:, 0] / 3
     given = point_map.source
-    frames = triangle_frames(given.positions, given.triangles)
-    found = _centre_images(point_map, frames, triangles, images)
-    across = given.normals[found]
+    deforming, found = _deforming(point_map, triangles, images)
+    across = normalized(triangle_normals(given.positions, deforming[found]))
     turns = _rotations(gradient, places, images, triangles, across)
     around = corner_sums(triangles, (areas[:, None, None] * turns).reshape(-1, 9), count).reshape(-1, 3, 3)
     samples = sparse.csr_array(target.product(target.n_levels, 0)[:count])
@@ -126,6 +128,7 @@ def prepare_shapes(target: Refinement, source: Refinement, point_map: PointMap) 
         gradient,
         areas,
         masses,
+        deforming,
         found,
         turns,
         nearest_rotations(around),
@@ -144,6 +147,21 @@ def _length_ratio(areas: FloatArray, image_areas: FloatArray) -> float:
         return 1.0
     stretch = np.sqrt(areas[known] / image_areas[known])
     return float(weighted_percentiles(stretch, areas[known], [50.0])[0])
+
+
+def _deforming(point_map: PointMap, triangles: IndexArray, images: FloatArray) -> tuple[IndexArray, IndexArray]:
+    """Source triangles (r, 3) that say how the target's deform, and which (t,) says so for each of these.
+
+    The one at the image of its centre; or, where vertices go to those of their own number, its own three vertices: a
+    level coarser than the finest moves otherwise than the small triangle in the middle.
+    """
+    given, count = point_map.source, len(images)
+    weights, corners = point_map.barycentric[:count], given.triangles[point_map.triangle[:count]]
+    vertices = np.take_along_axis(corners, weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+    if (weights.max(axis=1) == 1.0).all() and np.array_equal(vertices, np.arange(count)):
+        return triangles, np.arange(len(triangles))
+    frames = triangle_frames(given.positions, given.triangles)
+    return given.triangles, _centre_images(point_map, frames, triangles, images)
 
 
 def _centre_images(point_map: PointMap, frames: FloatArray, triangles: IndexArray, images: FloatArray) -> IndexArray:
@@ -193,8 +211,9 @@ def carry_shape(carrier: ShapeCarrier, displacement: FloatArray) -> FloatArray:
         )
     given, maps = carrier.point_map.source, carrier.point_map
     moved = given.scale * carrier.source.prolong(np.asarray(displacement), 0, carrier.source.n_levels)
-    inner = _deformation(given.positions, given.positions + moved, given.triangles[np.unique(carrier.images)])
-    change = inner[np.searchsorted(np.unique(carrier.images), carrier.images)] - np.eye(3)
+    told, of_triangle = np.unique(carrier.images, return_inverse=True)
+    inner = _deformation(given.positions, given.positions + moved, carrier.deforming[told])
+    change = inner[of_triangle] - np.eye(3)
     wanted = np.einsum("tba,tbc,tcd->tad", carrier.turns, change, carrier.turns)  # Q^T (F - I) Q
     count = len(carrier.masses)
     own = carrier.ratio * np.einsum("sba,sb->sa", carrier.vertex_turns, maps.images.at(slice(count)).interpolate(moved))
