@@ -11,8 +11,12 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.transfer.texels import lay_out, rasterize_band
 from cagemap.transfer.texture import OVERHANG, tile_cells
 
-# Texels a side at which layouts are looked at; what is counted at island borders is right on average.
-_RASTER = 512
+# Texels a side at which layouts are looked at. What is counted at island borders is right on average, but not along
+# rows of texels: tiles are turned, by an angle at which no rows, columns or diagonals of a layout come to lie so.
+_RASTER = 704
+_ACROSS = np.array([1.0, (np.sqrt(5.0) - 1.0) / 2.0])
+_TURN = np.array([_ACROSS, _ACROSS[::-1] * [-1.0, 1.0]]) / _ACROSS.sum()
+_TEXELS = _RASTER**2 * np.linalg.det(_TURN)  # in the area of a tile
 # Tiles that are looked at; more are those of a texture that is repeated.
 _MOST_TILES = 64
 
@@ -28,7 +32,7 @@ def doubled_share(control: ControlMesh) -> float:
     a, b = corners[inside, 1] - corners[inside, 0], corners[inside, 2] - corners[inside, 0]
     # Of a polygon that is not convex the triangles of a fan have different signs.
     areas = np.abs(np.bincount(faces[inside], 0.5 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])))
-    covered = sum(np.count_nonzero(mask) for _, mask in masks) / _RASTER**2
+    covered = sum(np.count_nonzero(mask) for _, mask in masks) / _TEXELS
     return max(0.0, 1.0 - covered / areas.sum()) if areas.sum() > 0 else 0.0
 
 
@@ -65,7 +69,7 @@ def _uv_triangles(control: ControlMesh) -> tuple[FloatArray, IndexArray]:
 
 
 def _covered(corners: FloatArray) -> list[tuple[IndexArray, NDArray[np.bool_]]]:
-    """For every tile the triangles that lie in it, and which texels they cover."""
+    """For every tile the triangles that lie in it, and which texels of the turned tile they cover."""
     cells = tile_cells(corners) if len(corners) else np.zeros((0, 2))
     places = corners - cells[:, None]
     within = np.flatnonzero(((places > -OVERHANG) & (places < 1.0 + OVERHANG)).all(axis=(1, 2)))
@@ -76,6 +80,7 @@ def _covered(corners: FloatArray) -> list[tuple[IndexArray, NDArray[np.bool_]]]:
     for tile in range(len(tiles)):
         chosen = within[owner.ravel() == tile]
         no_borders = np.zeros((len(chosen), 3), dtype=np.int32)
-        layout = lay_out(places[chosen], no_borders, _RASTER, _RASTER, band_rows=_RASTER, gutter=0.0)
+        turned = (places[chosen] - 0.5) @ _TURN.T + 0.5
+        layout = lay_out(turned, no_borders, _RASTER, _RASTER, band_rows=_RASTER, gutter=0.0)
         found.append((chosen, rasterize_band(layout, 0) >= 0))
     return found
