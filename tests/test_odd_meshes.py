@@ -37,6 +37,8 @@ PLY = {
     + (_PLY[21:] + "end_header\n" + _END + _ROWS),
     "other elements between": _PLY.replace("element vertex", "element none 3\nelement paint 1\nproperty list uint "
     "uchar a\nelement vertex") + "element edge 1\nproperty int vertex1\n" + _FACE + "2 65 66\n" + _ROWS + "7\n" + _END,
+    "a list that is called red": _PLY + "property list uchar uchar red\nproperty uchar green\nproperty uchar blue\n"
+    + _FACE + "".join(f"{row} 2 7 7 1 1\n" for row in _ROWS.splitlines()) + _END,
     "a number that is none, of no account": _PLY.replace("element vertex 4", "element vertex 4\nproperty float quality")
     + _FACE + "".join(f"nan {row}\n" for row in _ROWS.splitlines()) + _END,
 }  # fmt: skip
@@ -94,6 +96,13 @@ def test_colours_of_ply_are_shares_of_what_their_type_holds(
         np.testing.assert_allclose(colors, np.tile([top / full, one, 0], (4, 1)), rtol=1e-12)
 
 
+def test_means_of_bytes_are_bytes_too(tmp_path: Path) -> None:
+    channels = "".join(f"property float {name}\n" for name in ("red", "green", "blue"))
+    rows = _ROWS.replace(" 0\n", " 0 204 127.5 0\n")
+    (tmp_path / "mesh.ply").write_text(_PLY + channels + _FACE + rows + _END)
+    np.testing.assert_allclose(read_mesh(tmp_path / "mesh.ply").vertex_colors, np.tile([0.8, 0.5, 0], (4, 1)))
+
+
 def test_a_colour_that_is_no_number_is_none(tmp_path: Path) -> None:
     channels = "".join(f"property float {name}\n" for name in ("red", "green", "blue"))
     rows = _ROWS.replace(" 0\n", " 0 0.5 1 0\n").replace("0.5", "nan", 1)
@@ -103,7 +112,12 @@ def test_a_colour_that_is_no_number_is_none(tmp_path: Path) -> None:
 
 
 def test_colours_of_obj_may_be_bytes(tmp_path: Path) -> None:
-    for values, expected in (("255 51 0", [1, 0.2, 0]), ("0.5 1 0", [0.5, 1, 0]), ("2.5 1 0", [2.5, 1, 0])):
+    for values, expected in (
+        ("255 51 0", [1, 0.2, 0]),
+        ("0.5 1 0", [0.5, 1, 0]),
+        ("2.5 1 0", [2.5, 1, 0]),
+        ("204 127.5 0", [0.8, 0.5, 0]),
+    ):
         (tmp_path / "mesh.obj").write_text(V.replace(" 0\n", f" 0 {values}\n") + F)
         colors = read_mesh(tmp_path / "mesh.obj").vertex_colors
         np.testing.assert_allclose(colors, np.tile(expected, (4, 1)), rtol=1e-12)

@@ -31,8 +31,8 @@ def read_ply(path: str | Path) -> ControlMesh:
 
     Texture coordinates are taken from the faces' ``texcoord`` lists, else from the vertices (``s t``, ``u v`` or
     ``texture_u texture_v``), and vertex colours from ``red green blue``: to the largest number of their type where that
-    has one or two bytes, else from 0 to 1, or bytes where they are whole numbers that go beyond. Normals and other
-    elements are ignored.
+    has one or two bytes, else from 0 to 1, or bytes where they go beyond as those do. Normals and other elements are
+    ignored.
 
     Raises
     ------
@@ -41,7 +41,9 @@ def read_ply(path: str | Path) -> ControlMesh:
     """
     file = Path(path)
     columns = read_columns(file, read_bytes(file, "a PLY file"))
-    vertices, faces = columns.get("vertex", {}), columns.get("face", {})
+    faces = columns.get("face", {})
+    # Places and colours are a number a vertex; lists of that name are something else.
+    vertices = {name: column for name, column in columns.get("vertex", {}).items() if np.all(column.lengths == 1)}
     positions = _table(file, vertices, ("x", "y", "z"), "positions")
     if positions is None or len(positions) == 0:
         raise FormatError(f"{file}: expected vertices with x, y and z, found none. Export the control mesh again.")
