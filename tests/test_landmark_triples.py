@@ -6,6 +6,7 @@ import tracemalloc
 
 import numpy as np
 
+from cagemap.maps.landmarks.check import MIRRORED
 from cagemap.maps.landmarks.distances import (
     LARGEST,
     LEAST_EXCHANGE_GAIN,
@@ -15,7 +16,7 @@ from cagemap.maps.landmarks.distances import (
     misplaced_pairs,
     typical_misfit,
 )
-from cagemap.maps.landmarks.sides import agreement_around, orientation_agreement
+from cagemap.maps.landmarks.sides import Marks, agreement_around, exchanged_sides, orientation_agreement
 
 
 def distances_of(points: np.ndarray, others: np.ndarray) -> LandmarkDistances:
@@ -77,6 +78,41 @@ def test_orientation_is_that_of_all_triples() -> None:
     around = np.concatenate([part for i in (2, 5) for part in (weighted[i], weighted[:, i])])
     found = agreement_around((2, 5), *sides, near)
     np.testing.assert_allclose(found, around.sum() / np.abs(around).sum(), rtol=1e-10)
+
+
+def placed(positions: np.ndarray, normals: np.ndarray, noise: float, rng: np.random.Generator) -> Marks:
+    """Landmarks as somebody puts them: a little off."""
+    moved = positions + noise * rng.standard_normal(positions.shape)
+    turned = normals + 5 * noise * rng.standard_normal(normals.shape)
+    return moved, turned / np.linalg.norm(turned, axis=1, keepdims=True)
+
+
+def test_landmarks_on_the_midline_alone_are_not_mirrored() -> None:
+    """Their turns are what their places are off by: in a third of these sets these once had the opposite sense."""
+    rng = np.random.default_rng(6)
+    for count in np.repeat([6, 8, 14], 20).tolist():
+        angles = 2 * np.pi * (np.arange(count) + rng.uniform(-0.4, 0.4, count)) / count
+        round_it = np.column_stack([np.zeros(count), np.cos(angles), np.sin(angles)])
+        target, source = (placed(round_it * [1, 0.2, 0.5], round_it, 0.003, rng) for _ in range(2))
+        assert orientation_agreement(target, source) > MIRRORED
+        assert (
+            exchanged_sides((distances_of(target[0], target[0]), distances_of(source[0], source[0])), target, source)
+            is None
+        )
+
+
+def test_neighbours_that_a_hand_put_the_other_way_round_are_not_exchanged() -> None:
+    rng = np.random.default_rng(7)
+    normals = rng.standard_normal((9, 3))
+    normals[1] = normals[0] + [0.05, 0.0, 0.0]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    positions = 0.3 * normals  # the first two 0.04 apart
+    order = np.array([1, 0, *range(2, 9)])
+    target, source = (positions, normals), (positions[order], normals[order])
+    assert (
+        exchanged_sides((distances_of(positions, positions), distances_of(source[0], source[0])), target, source)
+        is None
+    )
 
 
 def test_hundreds_of_landmarks_need_little_memory() -> None:

@@ -20,7 +20,17 @@ from cagemap.files.result import (
     read_result,
     write_result,
 )
-from cagemap.maps.hypotheses.confidence import LOOK, SURE, SURE_SHEARED, TWO, Confidence, MapShape, Reading
+from cagemap.maps.hypotheses.confidence import (
+    LOOK,
+    SURE,
+    SURE_COST,
+    SURE_GAP,
+    SURE_SHEARED,
+    TWO,
+    Confidence,
+    MapShape,
+    Reading,
+)
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.result import MatchResult, SpectralMap
@@ -259,6 +269,12 @@ def test_a_result_of_before_is_sure_only_if_its_map_may_be_now(result: MatchResu
         assert back is not None
         assert (back.verdict, back.shape.sheared) == (verdict, sheared)
         assert back.message.startswith("look at it") == (verdict == LOOK)
+    for cost, gap in ((1.01e4 * SURE_COST, 2.0), (1.0, 0.99 * SURE_GAP)):
+        dear = Confidence(SURE, cost, gap, (Reading("", 1e-4, places),), None, MapShape())
+        write_result(tmp_path / f"{cost}", replace(result, confidence=dear))
+        back = read_result(tmp_path / f"{cost}").confidence
+        assert back is not None
+        assert back.verdict == LOOK
     manifest = json.loads((tmp_path / SURE / "manifest.json").read_text())
     del manifest["confidence"]["sheared"]
     (tmp_path / SURE / "manifest.json").write_text(json.dumps(manifest))

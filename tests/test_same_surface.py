@@ -8,6 +8,7 @@ import pytest
 from cagemap import ControlMesh, Landmarks, Surface, match, prepare_surface, update_match
 from cagemap.example import example_pair
 from cagemap.maps.hypotheses.confidence import SURE
+from cagemap.maps.masks import Masks
 from cagemap.maps.result import MatchResult
 from cagemap.maps.same import same_surface
 from cagemap.pipeline import pair_of
@@ -61,3 +62,12 @@ def test_another_shape_other_faces_or_contrary_landmarks_are_matched(pony: Contr
     assert not same_surface(pair_of(thicker, surface, same))
     assert not same_surface(pair_of(others, surface, same))
     assert not same_surface(pair_of(surface, surface, marked(MARKS, elsewhere)))
+
+
+def test_masks_that_keep_different_parts_are_no_identity(surface: Surface) -> None:
+    """One side of one animal on the other side of another of the same cage: nothing of either would be matched."""
+    pair = pair_of(surface, surface, marked(MARKS[:0], MARKS[:0]))
+    left = (surface.refinement.finest.positions[:, 0] > 0).astype(float)
+    assert same_surface(pair, Masks(left, left))
+    assert same_surface(pair, Masks(left, None))
+    assert not same_surface(pair, Masks(left, 1.0 - left))

@@ -44,6 +44,16 @@ def test_bent_mesh_has_no_mirror():
     assert mirror_symmetries(mesh.with_positions(positions)) == ()
 
 
+def test_a_wider_tolerance_finds_planes_that_are_farther_off():
+    """The search gave planes up by the default tolerance, whichever was asked for."""
+    mesh = shapes.creature()
+    off = np.random.default_rng(0).standard_normal(mesh.positions.shape)
+    off *= 0.008 * np.linalg.norm(np.ptp(mesh.positions, axis=0)) / np.linalg.norm(off, axis=1, keepdims=True)
+    moved = mesh.with_positions(mesh.positions + off)
+    assert mirror_symmetries(moved) == ()
+    assert len(mirror_symmetries(moved, 0.02)) == 1
+
+
 def test_box_has_three_planes_and_a_cut_lid_makes_them_inexact():
     """Vertices mirror, faces do not, once the lid is cut along one diagonal; the planes are found all the same."""
     box = shapes.cube()

@@ -211,7 +211,7 @@ def match_pair(
         pair = pair_of(target, source, landmarks, config)
     with one_blas_thread():
         with _timed(timings, "map"):
-            if same_surface(pair):
+            if same_surface(pair, prepared.rest.masks):
                 point_map, confidence = identity_map(pair)
             elif len(landmarks) < FEWEST_LANDMARKS:
                 point_map, confidence = hypothesis_map(prepared, pair, progress=progress)
@@ -271,9 +271,10 @@ def update_match(
                 check = checked_changes(prepared, every, landmarks.names, changed, check, point_map)
             trusted = check.trusted(landmarks)
             pair = Pair(target, source, point_pairs(target, source, trusted))
-            point_map = (
-                identity_map(pair)[0] if same_surface(pair) else updated_map(prepared, pair, point_map, progress)
-            )
+            if same_surface(pair, prepared.rest.masks):
+                point_map = identity_map(pair)[0]
+            else:
+                point_map = updated_map(prepared, pair, point_map, progress)
         return _judged(prepared, point_map, landmarks, check, timings, progress)
 
 

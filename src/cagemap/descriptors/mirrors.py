@@ -71,7 +71,7 @@ def mirror_symmetries(control: ControlMesh, tolerance: float = MOST_WITHIN) -> t
     sample = positions[:: max(1, len(positions) // SAMPLES)]
     found: list[Mirror] = []
     for start in (*np.eye(3), *principal.T):
-        settled = _settled_plane(sample, tree, start, float(start @ centre), diagonal)
+        settled = _settled_plane(sample, tree, start, float(start @ centre), diagonal, tolerance)
         if settled is None:
             continue
         normal, offset = settled
@@ -91,7 +91,7 @@ def mirror_symmetries(control: ControlMesh, tolerance: float = MOST_WITHIN) -> t
 
 
 def _settled_plane(
-    sample: FloatArray, tree: cKDTree, normal: FloatArray, offset: float, diagonal: float
+    sample: FloatArray, tree: cKDTree, normal: FloatArray, offset: float, diagonal: float, tolerance: float
 ) -> tuple[FloatArray, float] | None:
     """Move a plane to the best one for the pairs that it makes itself, until they no longer change.
 
@@ -102,7 +102,7 @@ def _settled_plane(
         mirrored = sample - 2.0 * np.outer(sample @ normal - offset, normal)
         distances, nearest = _query(tree, mirrored)
         median = float(np.median(distances))
-        if median > 0.1 * diagonal or median > max(NO_NEARER * before, ALREADY * MOST_WITHIN * diagonal):
+        if median > 0.1 * diagonal or median > max(NO_NEARER * before, ALREADY * tolerance * diagonal):
             return None
         before = median
         partner = tree.data[nearest]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cagemap.maps.hypotheses.confidence import Confidence, Reading
+from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import Pair
 from cagemap.maps.point_map import PointMap
 
@@ -13,10 +14,15 @@ _SAME = 1e-5
 ONE_SURFACE = "vertex on vertex: they are one surface"
 
 
-def same_surface(pair: Pair) -> bool:
-    """Whether both finest surfaces have the same faces and vertices, in their order, and landmarks say nothing else."""
+def same_surface(pair: Pair, masks: Masks = WHOLE) -> bool:
+    """Whether both finest surfaces have the same faces and vertices, in their order, and nobody says anything else.
+
+    Landmarks, curves and masks may: the left arm alone of the target and the right arm alone of the source differ.
+    """
     target, source = pair.target.triangles(pair.target.finest), pair.source.triangles(pair.source.finest)
     if target.n != source.n or not np.array_equal(target.triangles, source.triangles):
+        return False
+    if masks.target is not None and masks.source is not None and not np.array_equal(masks.target, masks.source):
         return False
     # Moved in its file, a surface is still the same one.
     moved = target.positions - source.positions

@@ -229,10 +229,8 @@ def coarse_map_cost(prepared: PreparedPair, pair: Pair) -> float:
 
 def kept_note(accused: dict[int, str], names: Sequence[str]) -> str:
     """A sentence about pairs that are accused, but the map is hardly better without."""
-    listed, kept = (
-        ", ".join(f"'{names[i]}'" for i in sorted(accused)),
-        "the map is hardly better without, so all were kept",
-    )
+    listed = ", ".join(f"'{names[i]}'" for i in sorted(accused))
+    kept = "the map is hardly better without, so all were kept"
     if SIDES in accused.values():
         return (
             f"landmarks {listed} seem to be exchanged on one of the surfaces: the others lie around them in the "

@@ -19,10 +19,15 @@ Marks = tuple[FloatArray, FloatArray]
 RISE, AGREED = 0.2, 0.8
 # What distances may lose by an exchange that is asked about: exchanged mirror images gained -0.02 to 0.4 by going back.
 LEAST_GAIN = -0.03
+# Landmarks nearer than this, of sqrt(area), are not asked about: how exactly they were put turns them about each other.
+APART = 0.05
+# Mean product of turns below which landmarks lie too flat to have a sense: turns of those on the midline alone are what
+# they are off by, up to 0.01. Animals and bodies have 0.03 to 0.2, and 0.07 or more around exchanged pairs.
+FLAT = 0.02
 
 
 def orientation_agreement(target: Marks, source: Marks) -> float:
-    """Whether landmarks surround each other in the same sense on both surfaces: 1 the same, -1 mirrored.
+    """Whether landmarks surround each other in the same sense on both surfaces: 1 the same, -1 mirrored, 0 not known.
 
     Every triple (i; j, k) votes with the product of ``n_i . (e_ij x e_ik)`` on both surfaces, e the unit vectors to j
     and k, so that three landmarks in a line with the surface's normal say nothing.
@@ -33,11 +38,12 @@ def orientation_agreement(target: Marks, source: Marks) -> float:
         Positions and unit normals of the landmarks.
     """
     agreed = counted = 0.0
-    for i in range(len(target[0])):
+    p = len(target[0])
+    for i in range(p):
         votes = _turns(i, *target) * _turns(i, *source)
         agreed += float(votes.sum())
         counted += float(np.abs(votes).sum())
-    return agreed / max(counted, 1e-12)
+    return agreed / max(counted, FLAT * p * (p - 1) * (p - 2), 1e-12)
 
 
 def exchanged_sides(
@@ -53,9 +59,11 @@ def exchanged_sides(
         As in `orientation_agreement`.
     """
     p = len(target[0])
-    gains = np.triu(exchange_gains(*distances, np.arange(p)) - LEAST_GAIN, 1).ravel()
+    apart = np.minimum(*(side.between for side in distances)) > APART
+    gains = np.triu(np.where(apart, exchange_gains(*distances, np.arange(p)) - LEAST_GAIN, 0.0), 1).ravel()
     asked = np.argsort(-gains)[: max(1, MOST_TERMS // p**2)]
     near, best, most = 1.0 / (distances[0].between + SHORT), None, RISE
+    np.fill_diagonal(near, 0.0)
     for place in asked[gains[asked] > 0.0]:
         both = int(place) // p, int(place) % p
         exchanged = agreement_around(both, target, _exchanged(source, both), near)
@@ -70,13 +78,14 @@ def agreement_around(places: tuple[int, int], target: Marks, source: Marks, near
 
     A triple (i; j, k) weighs as much as j and k are near i (p, p): far ones turn where bodies bend.
     """
-    agreed = counted = 0.0
+    agreed = counted = asked = 0.0
     for i in places:
-        votes = _turns(i, *target) * _turns(i, *source) * (near[i, :, None] * near[i])
-        others = _turns_to(i, *target) * _turns_to(i, *source) * (near[:, i, None] * near)
-        agreed += float(votes.sum() + others.sum())
-        counted += float(np.abs(votes).sum() + np.abs(others).sum())
-    return agreed / max(counted, 1e-12)
+        for turns, weights in ((_turns, near[i, :, None] * near[i]), (_turns_to, near[:, i, None] * near)):
+            votes = turns(i, *target) * turns(i, *source) * weights
+            agreed += float(votes.sum())
+            counted += float(np.abs(votes).sum())
+            asked += float(weights.sum())
+    return agreed / max(counted, FLAT * asked, 1e-12)
 
 
 def _turns(i: int, positions: FloatArray, normals: FloatArray) -> FloatArray:
