@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import cKDTree
 
 from cagemap.cli.option_list import all_options
 from cagemap.errors import ParameterError
@@ -95,6 +96,24 @@ def test_a_model_whose_z_axis_points_up_stands_upright(tmp_path: Path) -> None:
     assert other is not None
     assert one.triangle == other.triangle
     np.testing.assert_allclose(other.position[[0, 2, 1]] * [1.0, 1.0, -1.0], one.position, atol=1e-5)
+
+
+def test_a_bake_in_a_new_layout_lies_on_the_model_as_it_is_shown(tmp_path: Path) -> None:
+    """A scan is not subdivided for it, and one whose z axis points up stays upright."""
+    shape = creature().with_uvs(None, None)
+    for name in ("a.obj", "b.obj"):
+        write_mesh(tmp_path / name, shape)
+    laid_out = shape.with_uvs(shape.positions[:, :2] / 100 + 0.5, shape.face_indices)
+    write_mesh(tmp_path / "c_unwrapped.obj", laid_out)
+    write_image(tmp_path / "c.png", np.full((8, 8, 3), 90, dtype=np.uint8))
+    baked = View("baked", baked=tmp_path / "c.png", layout=tmp_path / "c_unwrapped.obj")
+    for scheme in ("none", "bilinear", None):
+        paths = tmp_path / "a.obj", tmp_path / "b.obj"
+        opening = Opening(*paths, None, 300, schemes=(scheme, scheme), ups=("z", None))
+        bench, opened = perform(Bench(), OpenModels(opening, View("plain")), lambda _: None)
+        _, dressed = perform(bench, Dress(opening, baked, None), lambda _: None)
+        (plain,), (shown,) = (read_back(skins[0]) for skins in (opened.scene.skins, dressed.skins))
+        assert cKDTree(plain.vertices).query(shown.vertices)[0].max() < 1e-6
 
 
 def test_a_usd_file_says_itself_which_axis_points_up(tmp_path: Path) -> None:

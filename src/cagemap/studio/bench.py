@@ -317,5 +317,6 @@ def _baked_skin(models: Models, view: View) -> bytes:
     assert view.baked is not None
     shape = models.target.shape
     if shape.uvs is None and view.layout is not None:
-        shape = open_model(view.layout, None, None, len(shape.positions)).shape
+        laid_out = open_model(view.layout, models.target.scheme, None, len(shape.positions)).shape
+        shape = replace(laid_out, turn=shape.turn)
     return source_skin(shape, with_texture(models.target.look, view.baked), _map_view(view))
