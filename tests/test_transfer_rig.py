@@ -126,18 +126,32 @@ def test_shapes_turn_and_scale_with_the_target(ring: Refinement) -> None:
     np.testing.assert_allclose(carry_shape(carrier, shape), 3 * shape @ turn.T, rtol=0, atol=1e-8)
 
 
-def test_lengths_of_shapes_do_not_depend_on_parts_that_only_the_source_has() -> None:
-    alone = refine(torus(12, 8), 2)
-    control = alone.control
+def beside_itself(control: ControlMesh) -> ControlMesh:
+    """A mesh and another one of the same shape, far away."""
     far = control.positions + np.array([20.0, 0.0, 0.0])
     faces = [face.tolist() for face in np.split(control.face_indices, control.face_offsets[1:-1])]
     others = [[vertex + control.n_vertices for vertex in face] for face in faces]
-    both = refine(ControlMesh.from_faces(np.concatenate([control.positions, far]), faces + others), 2)
+    return ControlMesh.from_faces(np.concatenate([control.positions, far]), faces + others)
+
+
+def lid() -> tuple[ControlMesh, np.ndarray]:
+    """A slot in a plate, and the shape that closes it."""
+    plate = voxels([(x, y, 0) for x in range(8) for y in range(3) if y != 1 or x in (0, 7)])
+    x, y, _ = plate.positions.T
+    return plate, np.where(((x > 2) & (x < 6) & (y > 1))[:, None], [0.0, -1.0, 0.0], 0.0)
+
+
+@pytest.mark.parametrize("closes", [False, True])
+def test_lengths_of_shapes_do_not_depend_on_parts_that_only_the_source_has(closes: bool) -> None:
+    control, shape = lid() if closes else (torus(12, 8), np.array([1.0, 2.0, -1.0]))
+    alone, both = refine(control, 2), refine(beside_itself(control), 2)
     target, source = surface_of(alone), surface_of(both)
     nearest = SurfacePoints.nearest(source, source.scale / target.scale * target.positions)
     carrier = prepare_shapes(alone, both, PointMap(target, nearest))
-    shape = np.tile([1.0, 2.0, -1.0], (2 * control.n_vertices, 1))
-    np.testing.assert_allclose(carry_shape(carrier, shape), shape[: control.n_vertices], rtol=0, atol=1e-9)
+    given = np.zeros((2 * control.n_vertices, 3))
+    given[: control.n_vertices] = shape
+    assert (len(contacts(carrier, source.scale * both.prolong(given, 0, 2))[0]) > 0) == closes
+    np.testing.assert_allclose(carry_shape(carrier, given), given[: control.n_vertices], rtol=0, atol=1e-9)
 
 
 def test_what_touches_in_a_shape_touches_in_the_target_s() -> None:
@@ -160,10 +174,8 @@ def test_what_touches_in_a_shape_touches_in_the_target_s() -> None:
 
 def test_an_upper_lid_that_closes_meets_the_lower_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """A slot in a plate, taller in the target: the upper rim comes down, corners stay; without contacts it gapes."""
-    plate = voxels([(x, y, 0) for x in range(8) for y in range(3) if y != 1 or x in (0, 7)])
+    plate, shape = lid()
     target, source = refine(plate.with_positions(plate.positions * (1, 1.4, 1)), 3), refine(plate, 3)
-    x, y, _ = plate.positions.T
-    shape = np.where(((x > 2) & (x < 6) & (y > 1))[:, None], [0.0, -1.0, 0.0], 0.0)
     carrier = prepare_shapes(target, source, same_vertices(target, source))
     first, second, closing = contacts(carrier, carrier.point_map.source.scale * source.prolong(shape, 0, 3))
     heights = carrier.point_map.source.positions[:, 1] / carrier.point_map.source.scale
