@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from cagemap import ControlMesh, Landmarks, Surface, match, prepare_surface, update_match
 from cagemap.example import example_pair
+from cagemap.files.result import read_result, write_result
 from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.maps.masks import Masks
 from cagemap.maps.result import MatchResult
 from cagemap.maps.same import same_surface
 from cagemap.pipeline import pair_of
+from plain_meshes import animal
 
 MARKS = np.array([3, 50, 120, 200, 260])
 
@@ -50,6 +54,21 @@ def test_moved_in_its_file_and_rounded_it_is_the_same_surface(pony: ControlMesh,
     rounded = np.round(pony.positions, 6) + np.array([5.0, 0.0, -2.0])
     found = match(prepare_surface(pony.with_positions(rounded), 2), surface)
     assert is_identity(found)
+
+
+def test_a_plain_mesh_on_itself_is_the_identity(tmp_path: Path) -> None:
+    """Its answer was given for all vertices, where those of the fitted level were expected: an error."""
+    scan = prepare_surface(animal(3), 0)
+    found = match(scan, scan)
+    assert found.prepared is not None
+    assert found.prepared.mesh.n < len(found.point_map.triangle)
+    assert is_identity(found)
+    assert found.confidence is not None
+    np.testing.assert_allclose(
+        found.confidence.readings[0].positions[:5], found.point_map.images.positions[:5], atol=0.05
+    )
+    write_result(tmp_path / "RESULT", found)
+    assert is_identity(read_result(tmp_path / "RESULT"))
 
 
 def test_another_shape_other_faces_or_contrary_landmarks_are_matched(pony: ControlMesh, surface: Surface) -> None:

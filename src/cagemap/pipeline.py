@@ -212,7 +212,7 @@ def match_pair(
     with one_blas_thread():
         with _timed(timings, "map"):
             if same_surface(pair, prepared.rest.masks):
-                point_map, confidence = identity_map(pair)
+                point_map, confidence = identity_map(prepared, pair)
             elif len(landmarks) < FEWEST_LANDMARKS:
                 point_map, confidence = hypothesis_map(prepared, pair, progress=progress)
             elif config.check_landmarks:
@@ -272,7 +272,7 @@ def update_match(
             trusted = check.trusted(landmarks)
             pair = Pair(target, source, point_pairs(target, source, trusted))
             if same_surface(pair, prepared.rest.masks):
-                point_map = identity_map(pair)[0]
+                point_map = identity_map(prepared, pair)[0]
             else:
                 point_map = updated_map(prepared, pair, point_map, progress)
         return _judged(prepared, point_map, landmarks, check, timings, progress)

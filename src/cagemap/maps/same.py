@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.confidence import Confidence, Reading
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import Pair
@@ -31,9 +32,10 @@ def same_surface(pair: Pair, masks: Masks = WHOLE) -> bool:
     return not pair.landmarks.curves and bool(np.abs(rest).max() < _SAME)
 
 
-def identity_map(pair: Pair) -> tuple[PointMap, Confidence]:
+def identity_map(prepared: PreparedPair, pair: Pair) -> tuple[PointMap, Confidence]:
     """Every vertex to itself, and how sure that is."""
     target, source = pair.target.triangles(pair.target.finest), pair.source.triangles(pair.source.finest)
     found = PointMap.from_vertices(target, source, np.arange(target.n))
-    reading = Reading(ONE_SURFACE, 0.0, source.positions)
+    moved = (source.positions - target.positions).mean(axis=0)
+    reading = Reading(ONE_SURFACE, 0.0, prepared.mesh.positions + moved)
     return found, Confidence.of((reading,), pair.target.control.n_vertices)
