@@ -21,6 +21,7 @@ from cagemap.mesh import ControlMesh, cube, disk, torus
 from cagemap.refinement import Refinement, refine
 from cagemap.transfer.meeting import meet
 from cagemap.wrap import WrapConfig, level_mesh, missing_detail, wrap
+from cagemap.wrap.follow import counterpart
 from cagemap.wrap.mend import fit_net
 from test_cli import Run, result_folder, run  # noqa: F401
 
@@ -127,6 +128,41 @@ def test_a_part_without_counterpart_is_found() -> None:
     wrapped = wrap(target, PointMap(point_map.target, SurfacePoints.nearest(point_map.source, squeezed)))
     assert 0.1 < wrapped.residual.left_out < 0.3
     assert wrapped.residual.mean < 5e-3
+
+
+def pitted(lid: bool) -> tuple[PointMap, np.ndarray]:
+    """A ball on itself, with a ring around a pole squeezed; and what lies within that ring.
+
+    With a lid the ring is squeezed onto the pole, what is around it takes its place, and what lies within is laid over
+    that; else it stays, alone where it is.
+    """
+    ball = surface_of(refine(subdivided(cube(), 2), 3))
+    x = ball.positions / np.linalg.norm(ball.positions, axis=1, keepdims=True)
+    angle = np.degrees(np.arccos(x[:, 2]))
+    start = 0.0 if lid else 30.0
+    images = np.radians(np.interp(angle, [30.0, 45.0, 80.0, 180.0], [start, start + 0.2, 80.0, 180.0]))
+    flat = x[:, :2] / np.maximum(np.linalg.norm(x[:, :2], axis=1, keepdims=True), 1e-12)
+    within = angle < 30.0
+    places = np.column_stack([np.sin(images)[:, None] * flat, np.cos(images)])
+    if lid:
+        height = 1.0 - (angle / 30.0) ** 2
+        places[within] = np.column_stack([0.6 * height, 0.6 * height * x[:, 1], np.ones(len(x))])[within]
+    else:
+        places[within] = x[within]
+    size = np.linalg.norm(ball.positions, axis=1).mean()
+    return PointMap(ball, SurfacePoints.nearest(ball, size * places)), within
+
+
+@pytest.mark.parametrize("lid", [True, False])
+def test_what_lies_behind_a_squeezed_part_follows_where_nothing_else_is(lid: bool) -> None:
+    """The back of a mouth bag on a face without one, and the palm behind a squeezed wrist."""
+    point_map, within = pitted(lid)
+    follow = counterpart(point_map)
+    if lid:
+        assert (follow[within] == 0).all()
+    else:
+        assert (follow[within] == 1).mean() > 0.8
+    assert (follow[point_map.target.positions[:, 2] < 0] == 1).all()
 
 
 def ring_and_ball(size: float) -> tuple[ControlMesh, int]:

@@ -8,11 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cagemap.files.landmarks import read_landmarks
 from cagemap.files.obj import read_obj
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import torus
+from cagemap.pipeline import match, prepare_surfaces
 from cagemap.refinement import Refinement, refine
 from cagemap.wrap import wrap
 from cagemap.wrap.fit import WrapConfig, fit_data
@@ -152,6 +154,24 @@ def test_faces_of_a_body_neither_fold_nor_grow_thin(shared_data: Path, names: tu
     assert not len(wrapped.folded)
     assert wrapped.aspect <= 1.7  # 1.4 along matched maps; this one squeezes lips and toes more, and was at 1.9
     assert wrapped.residual.mean <= 1.2e-3
+
+
+@pytest.mark.slow
+def test_a_mouth_bag_stays_in_the_head(shared_data: Path) -> None:
+    """The source has none, and the map lays the back of the target's over the upper lip: it came out of the face."""
+    humans = shared_data / "humans"
+    names = ("base_male_young.obj", "female1605_female_old_heavy.obj")
+    bodies = [read_obj(humans / name) for name in names]
+    target, source = prepare_surfaces(bodies[0], bodies[1], (2, 3))
+    path = humans / "landmarks" / "base__female1605_fps14.json"
+    pairs = read_landmarks(path, "female1605_neutral.obj", "base_neutral.obj")[0].reversed()
+    point_map = match(target, source, pairs).point_map
+    wrapped = wrap(target.refinement, point_map)
+    assert wrapped.residual.largest <= 0.01  # parts of sqrt(area); it was at 0.023
+    # The face looks along z: what is in front of the closest point of the source is outside.
+    in_front = wrapped.surface[:, 2] > wrapped.closest.images.positions[:, 2] / point_map.source.scale
+    assert np.count_nonzero(in_front & (wrapped.distance > 0.01)) == 0  # of 205 628 vertices; it was 793
+    assert wrapped.distance.max() > 0.03  # it was squashed to 0.006
 
 
 def test_a_small_piece_of_its_own_that_folds_goes_with_what_is_around_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,19 +4,28 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import corner_sums, triangle_areas
 from cagemap.maps.point_map import PointMap
-from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.graphs import components
 
 # Area on the source by area on the target, both of one: parts that the source lacks (a mouth bag, eye sockets) are
 # squeezed into a spot of it, a hundredth and less; what both have is squeezed to a fifth at most.
 _SQUEEZED, _WHOLE = 0.03, 0.1
+# What lies behind such a part has no counterpart either where half of its images are no further than this from those of
+# the rest, at unit area of the source; less than this share of the target's area changes nothing to speak of.
+_AMONG, _LEAST = 0.01, 0.002
 
 
 def counterpart(point_map: PointMap) -> FloatArray:
-    """(n1,) 1 where the map finds room on the source, 0 where it squeezes the target into next to nothing."""
+    """(n1,) 1 where the map finds room on the source, 0 where it finds none.
+
+    It squeezes what the source lacks into next to nothing. What lies behind may be laid over a place that belongs to
+    another part: the back of a mouth bag, whose sides are squeezed into the corners of the lips, over the lips.
+    """
     target = point_map.target
     image = triangle_areas(point_map.images.positions, target.triangles)
     sums = corner_sums(target.triangles, np.column_stack([target.areas, image]), target.n)
@@ -24,7 +33,36 @@ def counterpart(point_map: PointMap) -> FloatArray:
     for _ in range(2):
         sums = corner_sums(target.triangles, sums[target.triangles].mean(axis=1), target.n)
     ratio = np.divide(sums[:, 1], sums[:, 0], out=np.ones(target.n), where=sums[:, 0] > 0)
-    return np.clip((ratio - _SQUEEZED) / (_WHOLE - _SQUEEZED), 0.0, 1.0)
+    found = np.clip((ratio - _SQUEEZED) / (_WHOLE - _SQUEEZED), 0.0, 1.0)
+    found[_hollow(point_map, found >= 0.5)] = 0.0
+    return found
+
+
+def _hollow(point_map: PointMap, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(n1,) squeezed parts with what lies behind them, where that is laid over images of the rest; ``whole`` is not."""
+    target, images = point_map.target, point_map.images.positions
+    nowhere = np.zeros(target.n, dtype=np.bool_)
+    if whole.all():
+        return nowhere
+    heads, tails = target.triangles.ravel(), np.roll(target.triangles, -1, axis=1).ravel()
+
+    def pieces(of: NDArray[np.bool_]) -> IndexArray:
+        inside = of[heads] & of[tails]
+        return components(heads[inside], tails[inside], target.n)
+
+    part, piece = pieces(whole), components(heads, tails, target.n)
+    areas = np.bincount(part, np.where(whole, target.vertex_areas, 0.0))
+    largest = np.zeros(int(piece.max()) + 1)
+    np.maximum.at(largest, piece, areas[part])
+    behind = whole & (areas[part] < largest[piece])
+    if target.vertex_areas[behind].sum() < _LEAST:
+        return nowhere
+    distance, _ = cKDTree(images[whole & ~behind]).query(images[behind])
+    near = np.bincount(part[behind], distance <= _AMONG, len(areas)) > 0.5 * np.bincount(part, minlength=len(areas))
+    laid_over = behind & near[part]
+    hollow = pieces(~whole | laid_over)
+    share = np.bincount(hollow, np.where(laid_over, target.vertex_areas, 0.0))
+    return np.asarray(share[hollow] >= _LEAST)
 
 
 def boundary_vertices(surface: TriangleSurface) -> NDArray[np.bool_]:
