@@ -10,7 +10,7 @@ LEAST_COSINE = 0.15
 # Small folds
 
 # Rings of triangles around the folds that are relaxed and projected with them, round by round.
-RINGS = (1, 2, 4, 8)
+RINGS = (1, 2, 3, 5, 8)
 # Averages over neighbours before a patch is projected again.
 SWEEPS = 10
 # Share of the flipped triangles that a round must mend for another one to be worth it.
