@@ -78,7 +78,9 @@ def test_a_bent_twin_is_found_without_landmarks_however_its_axes_lie() -> None:
 def test_a_shape_that_is_its_own_double_has_two_answers_and_landmarks_choose() -> None:
     scene = join_meshes([creature(), cube()])
     cage = extract(scene, np.arange(creature().n_faces, scene.n_faces))
-    target, source = prepare_surface(cage, 3), prepare_surface(cage, 3)
+    # Not the very same surface: that is known at once.
+    longer = cage.with_positions(cage.positions * (1.0, 1.0, 1.0003))
+    target, source = prepare_surface(cage, 3), prepare_surface(longer, 3)
     undecided = match(target, source)
     assert undecided.confidence is not None
     assert undecided.confidence.verdict == TWO

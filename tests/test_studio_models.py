@@ -267,7 +267,8 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> tuple[Bench, OpenModels]
     folder = tmp_path_factory.mktemp("models")
     mesh = unwrapped_cube()
     write_mesh(folder / "a.obj", mesh.with_positions(mesh.positions * [1.0, 1.2, 1.4]))
-    write_mesh(folder / "b.obj", mesh.with_positions(mesh.positions * [1.0, 1.2, 1.4] + [5.0, 0.0, 0.0]))
+    # Not the very same surface, which has one answer.
+    write_mesh(folder / "b.obj", mesh.with_positions(mesh.positions * [1.0, 1.2, 1.4003] + [5.0, 0.0, 0.0]))
     write_image(folder / "t.png", np.full((8, 8, 3), [255, 0, 0], dtype=np.uint8))
     task = OpenModels(Opening(folder / "a.obj", folder / "b.obj", folder / "t.png", 300), View())
     bench, _ = perform(Bench(), task, lambda _: None)
