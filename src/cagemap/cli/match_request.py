@@ -17,8 +17,10 @@ from cagemap.cli.options import (
     Method,
     SchemeOption,
     SourceMaskOption,
+    SourcePartOption,
     SourceSchemeOption,
     TargetMaskOption,
+    TargetPartOption,
     TargetSchemeOption,
     UvOption,
 )
@@ -138,8 +140,8 @@ class MatchRequest:
             "material, with its counterpart (each, material); `cagemap check` lists them."
         ),
     ] = None
-    target_part: Annotated[str | None, Option(help="As --part, of the target alone.")] = None
-    source_part: Annotated[str | None, Option(help="As --part, of the source alone.")] = None
+    target_part: TargetPartOption = None
+    source_part: SourcePartOption = None
     target_uv_set: Annotated[str | None, Option(help="UV set of the target to bake into, by name.")] = None
     source_uv_set: Annotated[str | None, Option(help="UV set of the source that its images belong to.")] = None
     target_mask: TargetMaskOption = None

@@ -55,6 +55,8 @@ SchemeOption = Annotated[
 ]
 TargetSchemeOption = Annotated[SchemeName | None, Option(help="The target's own scheme, where it differs.")]
 SourceSchemeOption = Annotated[SchemeName | None, Option(help="The source's own scheme, such as none for a scan.")]
+TargetPartOption = Annotated[str | None, Option(help="As --part, of the target alone.")]
+SourcePartOption = Annotated[str | None, Option(help="As --part, of the source alone.")]
 BoundaryOption = Annotated[
     BoundaryName | None,
     Option(

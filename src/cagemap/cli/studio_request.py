@@ -9,7 +9,7 @@ from typing import Annotated
 from typer import Option
 
 from cagemap.cli.command import asks
-from cagemap.cli.options import SchemeOption, SourceSchemeOption, TargetSchemeOption
+from cagemap.cli.options import SchemeOption, SourcePartOption, SourceSchemeOption, TargetPartOption, TargetSchemeOption
 from cagemap.cli.words import say
 
 
@@ -39,8 +39,8 @@ class StudioRequest:
             "[default: all of a file in one piece, else its largest]"
         ),
     ] = None
-    target_part: Annotated[str | None, Option(help="As --part, of the target alone.")] = None
-    source_part: Annotated[str | None, Option(help="As --part, of the source alone.")] = None
+    target_part: TargetPartOption = None
+    source_part: SourcePartOption = None
 
 
 @asks(StudioRequest)

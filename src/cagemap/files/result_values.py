@@ -9,7 +9,7 @@ import numpy as np
 from cagemap.basis import BasisConfig
 from cagemap.basis.schedule import MAP_BASIS
 from cagemap.files.schema import BasisRecord, ConfidenceRecord, LandmarkCheckRecord, QualityRecord
-from cagemap.maps.hypotheses.confidence import LOOK, SURE, SURE_COST, SURE_GAP, Confidence, MapShape, Reading
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, Confidence, MapShape, Reading, may_be_sure
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures
@@ -83,8 +83,8 @@ def stored_confidence(
     # Results from before the bound on shear do not say how much there is.
     sheared = MapShape.of(answer).sheared if record.sheared is None else record.sheared
     shape = MapShape(record.folded, record.aspect, record.unreached, sheared)
-    may_be_sure = shape.sound and record.cost <= 1e4 * SURE_COST and gap >= SURE_GAP
-    verdict = LOOK if record.verdict == SURE and not may_be_sure else record.verdict
+    doubtful = record.verdict == SURE and not may_be_sure(1e-4 * record.cost, gap, shape)
+    verdict = LOOK if doubtful else record.verdict
     numbers = record.deciding, shape, record.file_vertex
     return Confidence(verdict, record.cost, gap, readings, *numbers, record.part)
 

@@ -46,12 +46,12 @@ def local_to_world(prim: Any) -> FloatArray:
 
 def unflattened(file: Path, prims: list[Any]) -> list[Any]:
     """Meshes that are no points, lines or planes in world space; all of them where none is."""
-    flat = [prim for prim in prims if _is_flattening(_to_world(prim))]
-    if not flat or len(flat) == len(prims):
+    flat = [_is_flattening(_to_world(prim)) for prim in prims]
+    if not any(flat) or all(flat):
         return prims
-    names = ", ".join(str(prim.GetPath()) for prim in flat)
+    names = ", ".join(str(prim.GetPath()) for prim, flattened in zip(prims, flat, strict=True) if flattened)
     logger.warning("%s: left out what its transform flattens (a scale of 0): %s", file, names)
-    return [prim for prim in prims if prim not in flat]
+    return [prim for prim, flattened in zip(prims, flat, strict=True) if not flattened]
 
 
 def _to_world(prim: Any) -> FloatArray:

@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import corner_sums, triangle_areas
 from cagemap.maps.point_map import PointMap
-from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.graphs import components
+from cagemap.maps.projection.relax import patches
+from cagemap.numerics.arrays import FloatArray
 
 # Area on the source by area on the target, both of one: parts that the source lacks (a mouth bag, eye sockets) are
 # squeezed into a spot of it, a hundredth and less; what both have is squeezed to a fifth at most.
@@ -44,13 +44,7 @@ def _hollow(point_map: PointMap, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
     nowhere = np.zeros(target.n, dtype=np.bool_)
     if whole.all():
         return nowhere
-    heads, tails = target.triangles.ravel(), np.roll(target.triangles, -1, axis=1).ravel()
-
-    def pieces(of: NDArray[np.bool_]) -> IndexArray:
-        inside = of[heads] & of[tails]
-        return components(heads[inside], tails[inside], target.n)
-
-    part, piece = pieces(whole), components(heads, tails, target.n)
+    part, piece = patches(target.triangles, whole), patches(target.triangles, np.ones(target.n, dtype=np.bool_))
     areas = np.bincount(part, np.where(whole, target.vertex_areas, 0.0))
     largest = np.zeros(int(piece.max()) + 1)
     np.maximum.at(largest, piece, areas[part])
@@ -60,7 +54,7 @@ def _hollow(point_map: PointMap, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
     distance, _ = cKDTree(images[whole & ~behind]).query(images[behind])
     near = np.bincount(part[behind], distance <= _AMONG, len(areas)) > 0.5 * np.bincount(part, minlength=len(areas))
     laid_over = behind & near[part]
-    hollow = pieces(~whole | laid_over)
+    hollow = patches(target.triangles, ~whole | laid_over)
     share = np.bincount(hollow, np.where(laid_over, target.vertex_areas, 0.0))
     return np.asarray(share[hollow] >= _LEAST)
 

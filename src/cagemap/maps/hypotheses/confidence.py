@@ -72,6 +72,11 @@ class MapShape:
         return bent and self.unreached <= SURE_UNREACHED
 
 
+def may_be_sure(cost: float, gap: float, shape: MapShape, most: float = SURE_COST) -> bool:
+    """Whether an answer of such a cost, so far from the next different one in it, with such a map, is called sure."""
+    return cost <= most and shape.sound and gap >= SURE_GAP
+
+
 @dataclass(frozen=True, eq=False)
 class Reading:
     """One way in which the target lies on the source, fitted.
@@ -141,7 +146,7 @@ class Confidence:
             apart = (best.positions[:control_vertices] - readings[1].positions[:control_vertices]) ** 2
             deciding = int(np.argmax(apart.sum(axis=1)))
         most = SURE_COST if best.doubt == 1.0 else SURE_TURNED_COST
-        if best.cost <= most and shape.sound and gap >= SURE_GAP:
+        if may_be_sure(best.cost, gap, shape, most):
             verdict = SURE
         else:
             verdict = TWO if gap < TWO_GAP else LOOK

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from cagemap.geometry.triangles import normalized
 from cagemap.maps.landmarks.distances import MOST_TERMS, SHORT, LandmarkDistances, exchange_gains
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
@@ -90,19 +91,14 @@ def agreement_around(places: tuple[int, int], target: Marks, source: Marks, near
 
 def _turns(i: int, positions: FloatArray, normals: FloatArray) -> FloatArray:
     """(p, p) ``n_i . (e_ij x e_ik)`` for one landmark i."""
-    units = _units(positions - positions[i])
+    units = normalized(positions - positions[i])
     return np.asarray(np.cross(normals[i], units) @ units.T)
 
 
 def _turns_to(j: int, positions: FloatArray, normals: FloatArray) -> FloatArray:
     """(p, p) ``n_i . (e_ij x e_ik)`` for one landmark j."""
-    units = _units(positions[None] - positions[:, None])
+    units = normalized(positions[None] - positions[:, None])
     return np.asarray(np.einsum("id,ikd->ik", np.cross(normals, units[:, j]), units))
-
-
-def _units(offsets: FloatArray) -> FloatArray:
-    """Vectors of length 1, or 0."""
-    return np.asarray(offsets / np.maximum(np.linalg.norm(offsets, axis=-1, keepdims=True), 1e-12))
 
 
 def _exchanged(marks: Marks, places: tuple[int, int]) -> Marks:
