@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from cagemap.basis import BasisConfig
 from cagemap.errors import ParameterError
 from cagemap.mesh import shapes
-from cagemap.numerics.threads import ThreadPool, core_count, in_threads, one_blas_thread, thread_limit
+from cagemap.numerics.threads import ThreadPool, core_count, in_threads, kept, one_blas_thread, thread_limit
 from cagemap.pipeline import prepare_surface, prepare_surfaces
 
 CONFIG = BasisConfig(count=12)
@@ -126,3 +126,52 @@ def test_a_pair_prepared_at_once_is_what_each_is_alone():
 def test_a_bad_mesh_of_a_pair_is_refused_as_it_is_alone():
     with pytest.raises(ParameterError, match="level"):
         prepare_surfaces(shapes.creature(), shapes.creature(), (1, 0), CONFIG)
+
+
+class Kept:
+    """A value that meets others, or waits, while its property is worked out."""
+
+    def __init__(self, meet):
+        self.meet, self.times = meet, 0
+
+    @kept
+    def made(self):
+        """How often this was worked out."""
+        self.times += 1
+        self.meet()
+        return self.times
+
+
+def test_two_values_are_worked_out_at_the_same_time():
+    barrier = threading.Barrier(2, timeout=60)
+    values = [Kept(barrier.wait), Kept(barrier.wait)]
+    with ThreadPoolExecutor(2) as pool:
+        assert list(pool.map(lambda value: value.made, values)) == [1, 1]
+
+
+def test_a_value_is_worked_out_once_and_nothing_is_left_of_waiting_for_it():
+    begun, may_end = threading.Event(), threading.Event()
+
+    def slowly():
+        begun.set()
+        assert may_end.wait(timeout=60)
+
+    value = Kept(slowly)
+    with ThreadPoolExecutor(2) as pool:
+        first = pool.submit(lambda: value.made)
+        assert begun.wait(timeout=60)
+        second = pool.submit(lambda: value.made)
+        may_end.set()
+        assert (first.result(), second.result()) == (1, 1)
+    assert set(vars(value)) == {"meet", "times", "made"}
+
+
+def test_a_value_that_fails_is_worked_out_again():
+    value = Kept(lambda: 1 / 0)
+    for times in (1, 2):
+        with pytest.raises(ZeroDivisionError):
+            _ = value.made
+        assert value.times == times
+    value.meet = lambda: None
+    assert value.made == 3
+    assert Kept.made.__doc__ == "How often this was worked out."

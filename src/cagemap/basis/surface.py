@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import surface_area
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
-from cagemap.numerics.threads import one_blas_thread
+from cagemap.numerics.threads import kept, one_blas_thread
 from cagemap.operators import Operators, build_operators
 from cagemap.operators.plain import coarsened, uncoarsened
 from cagemap.operators.polygons import named_laplacian
@@ -73,7 +72,7 @@ class Surface:
         vars(given)["inner"] = surface
         return given
 
-    @cached_property
+    @kept
     def inner(self) -> Surface:
         """The surface that maps are found on: this one, or that of a plain mesh with coarse levels below it.
 
@@ -88,12 +87,12 @@ class Surface:
         """Undo `inner`."""
         return self if self.given is None else self.given
 
-    @cached_property
+    @kept
     def operators(self) -> Operators:
         """Mass and stiffness of every level (paper, section 4.1), up to the one that ``config.vertices`` says."""
         return operators_for(self.refinement, on_levels(self.refinement, self.config))
 
-    @cached_property
+    @kept
     def basis(self) -> HierarchicalBasis:
         """The hierarchical basis (paper, section 4)."""
         with one_blas_thread():
@@ -104,7 +103,7 @@ class Surface:
         """Whether the basis has been made, of a plain mesh that of the levels below it."""
         return "basis" in vars(self.inner if "inner" in vars(self) else self)
 
-    @cached_property
+    @kept
     def scale(self) -> float:
         """Factor from the file's lengths to those at unit area; that of the operators if they are the finest ones."""
         operators: Operators | None = vars(self).get("operators")
@@ -147,7 +146,7 @@ class Surface:
             raise ParameterError(f"level: expected 0 to {len(self.refinement.levels) - 1}, got {level}")
         return self._levels[level]
 
-    @cached_property
+    @kept
     def _levels(self) -> tuple[TriangleSurface, ...]:
         places = self.scale * self.vertices
         return tuple(

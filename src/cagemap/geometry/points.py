@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -13,7 +12,7 @@ from cagemap.geometry.closest import closest_points
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import CACHED
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only, real_numbers, whole_numbers
-from cagemap.numerics.threads import in_threads, parts
+from cagemap.numerics.threads import in_threads, kept, parts
 
 # By how much barycentric coordinates may miss a sum of 1, or be negative: rounding of single precision files.
 TOLERANCE = 1e-4
@@ -168,12 +167,12 @@ class SurfacePoints:
         """(m, 3) vertices of the triangles that hold the points."""
         return self.surface.triangles.take(self.triangle, axis=0)
 
-    @cached_property
+    @kept
     def positions(self) -> FloatArray:
         """(m, 3) places in space, at unit area."""
         return read_only(self.interpolate(self.surface.positions))
 
-    @cached_property
+    @kept
     def normals(self) -> FloatArray:
         """(m, 3) unit normals of the triangles that hold the points."""
         return read_only(self.surface.normals.take(self.triangle, axis=0))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,12 +54,12 @@ class Polyline:
     def __len__(self) -> int:
         return len(self.positions)
 
-    @cached_property
+    @kept
     def tree(self) -> cKDTree:
         """Of the points."""
         return cKDTree(self.positions)
 
-    @cached_property
+    @kept
     def shares(self) -> FloatArray:
         """(m,) length that every point stands for: half of the pieces beside it."""
         after = np.linalg.norm(np.roll(self.positions, -1, axis=0) - self.positions, axis=1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +20,7 @@ from cagemap.geometry.triangles import (
     vertex_normals,
 )
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only, real_numbers, whole_numbers
+from cagemap.numerics.threads import kept
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -83,22 +83,22 @@ class TriangleSurface:
         """Number of vertices."""
         return len(self.positions)
 
-    @cached_property
+    @kept
     def areas(self) -> FloatArray:
         """(t,) areas of the triangles."""
         return read_only(triangle_areas(self.positions, self.triangles))
 
-    @cached_property
+    @kept
     def normals(self) -> FloatArray:
         """(t, 3) unit normals of the triangles, zero where degenerate."""
         return read_only(normalized(triangle_normals(self.positions, self.triangles)))
 
-    @cached_property
+    @kept
     def vertex_normals(self) -> FloatArray:
         """(n, 3) unit normals of the vertices, area-weighted means of their triangles'."""
         return read_only(vertex_normals(self.positions, self.triangles))
 
-    @cached_property
+    @kept
     def vertex_areas(self) -> FloatArray:
         """(n,) share of the area that every vertex stands for, a third of its triangles'; sum 1."""
         # Summed in the order of `cagemap.operators.vertex_areas`: the same numbers to the last bit.
@@ -106,19 +106,19 @@ class TriangleSurface:
         areas = corner_sums(self.triangles, (np.sqrt(x * x + y * y + z * z) / 6.0)[:, None], self.n)[:, 0]
         return read_only(areas / areas.sum())
 
-    @cached_property
+    @kept
     def neighbors(self) -> NDArray[np.int32]:
         """(t, 3) triangle across the edge opposite to every corner, -1 on the boundary."""
         return read_only(triangle_neighbors(self.triangles))
 
-    @cached_property
+    @kept
     def vertex_triangles(self) -> IndexArray:
         """(n,) a triangle of every vertex, the last that has it as a corner; -1 where there is none."""
         triangle = np.full(self.n, -1, dtype=np.int64)
         triangle[self.triangles.ravel()] = np.arange(self.triangles.size) // 3
         return read_only(triangle)
 
-    @cached_property
+    @kept
     def tree(self) -> TriangleTree:
         """The triangles ordered for closest-point search."""
         return build_tree(self.positions, self.triangles)

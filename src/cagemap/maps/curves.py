@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from cagemap.maps.point_map import PointMap
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.topology import edge_table
 from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
+from cagemap.numerics.threads import kept
 from cagemap.refinement import Refinement
 
 # Curves are those of the first level with so many vertices: finer than the level that is deformed.
@@ -40,7 +40,7 @@ class SurfaceCurve:
     points: SurfacePoints
     closed: bool
 
-    @cached_property
+    @kept
     def line(self) -> Polyline:
         """Its places in space, at unit area."""
         return Polyline(self.points.positions, self.closed)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from cagemap.maps.spectral.levels import LevelMap
 from cagemap.mesh.curves import Curves
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.threads import in_threads, one_blas_thread
+from cagemap.numerics.threads import in_threads, kept, one_blas_thread
 from cagemap.refinement.finest import ending_at
 
 
@@ -97,7 +96,7 @@ class MatchResult:
         sides = f"target {self.target.control.name!r}, source {self.source.control.name!r}"
         return f"MatchResult({sides}, {len(self.triangle)} target vertices, {self.landmarks})"
 
-    @cached_property
+    @kept
     def spectral(self) -> SpectralMap:
         """The functional map and the eigenvalues of both bases: the method's, what was stored, or read off the map."""
         if self.known_spectral is not None:
@@ -202,7 +201,7 @@ class MatchResult:
         """Lines that correspond."""
         return self.landmarks.curves
 
-    @cached_property
+    @kept
     def curve_misses(self) -> tuple[CurveMiss, ...]:
         """How far the map leads each of the curves from the one that it belongs to."""
         pairs = curve_pairs(self.target, self.source, self.curves)

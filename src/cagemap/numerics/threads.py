@@ -15,7 +15,8 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
-from typing import Any, ParamSpec, TypeVar
+from functools import cached_property
+from typing import Any, ParamSpec, Self, TypeVar, overload
 
 from threadpoolctl import OpenBLASController, threadpool_limits
 
@@ -191,6 +192,35 @@ def in_threads(work: Callable[[Item], Value], items: Sequence[Item], threads: in
     if failed:
         raise failed[min(failed)]
     return [made[place] for place in range(len(items))]
+
+
+class kept(cached_property[Value]):  # noqa: N801, named as the decorators that it stands beside
+    """A property that is worked out once, when it is first asked for; who asks meanwhile waits.
+
+    `functools.cached_property` has one lock for all values of a class, so that the threads of two surfaces wait for
+    each other; from Python 3.12 on it has none, and two threads may each make one. Here a value has a lock of its own,
+    while it is worked out.
+    """
+
+    @overload
+    def __get__(self, instance: None, owner: type[Any] | None = None) -> Self: ...
+
+    @overload
+    def __get__(self, instance: object, owner: type[Any] | None = None) -> Value: ...
+
+    def __get__(self, instance: object | None, owner: type[Any] | None = None) -> Self | Value:
+        """Return what is kept, or work it out."""
+        if instance is None:
+            return self
+        known, name, lock = vars(instance), str(self.attrname), f"lock of {self.attrname}"
+        with known.setdefault(lock, threading.RLock()):
+            try:
+                if name not in known:
+                    known[name] = self.func(instance)
+            finally:
+                known.pop(lock, None)
+            made: Value = known[name]
+            return made
 
 
 def parts(count: int, size: int) -> list[slice]:

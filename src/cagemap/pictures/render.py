@@ -7,7 +7,6 @@ left and a little light from the eye; a sky-lit floor gives the contact shadow.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from cagemap.errors import ParameterError
 from cagemap.geometry.triangles import vertex_normals
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.libraries import library
+from cagemap.numerics.threads import kept
 from cagemap.pictures.camera import Camera
 from cagemap.pictures.colors import to_display, to_linear
 
@@ -71,17 +71,17 @@ class Model:
                 "Split quads with cagemap.refinement.triangles first."
             )
 
-    @cached_property
+    @kept
     def scale(self) -> float:
         """Longest side of the bounding box."""
         return float(np.ptp(self.positions, axis=0).max()) or 1.0
 
-    @cached_property
+    @kept
     def centre(self) -> FloatArray:
         """(3,) middle of the bounding box."""
         return np.asarray((self.positions.min(0) + self.positions.max(0)) / 2)
 
-    @cached_property
+    @kept
     def scene(self) -> Any:
         """Embree's tree, over positions moved and scaled to a unit box (Embree computes in single precision)."""
         scene = library("embreex.rtcore_scene", "pictures").EmbreeScene()
@@ -89,12 +89,12 @@ class Model:
         library("embreex.mesh_construction", "pictures").TriangleMesh(scene, unit, self.triangles.astype(np.int32))
         return scene
 
-    @cached_property
+    @kept
     def normals(self) -> FloatArray:
         """(n, 3) unit vertex normals, face normals weighted by area."""
         return vertex_normals(self.positions, self.triangles)
 
-    @cached_property
+    @kept
     def floor_shadow(self) -> FloatArray:
         """(cells, cells) part of the sky hidden from points of the floor, over x and z around the centre; 0 outside."""
         reach = np.linspace(-FLOOR_REACH, FLOOR_REACH, FLOOR_CELLS)

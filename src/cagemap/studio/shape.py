@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from cagemap.mesh.measures import fan_triangles, signed_volume
 from cagemap.mesh.parts import list_parts
 from cagemap.mesh.topology import EdgeTable, edge_table
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import kept
 from cagemap.refinement import Refinement, level_triangles, limit_normals, limit_positions, triangles
 
 
@@ -92,44 +92,44 @@ class Shape:
         """Number of control vertices."""
         return self.control.n_vertices
 
-    @cached_property
+    @kept
     def parts(self) -> tuple[str, ...]:
         """Names of objects, groups and materials, each once."""
         return tuple(dict.fromkeys(part.name for part in list_parts(self.control) if part.kind != "component"))
 
-    @cached_property
+    @kept
     def _edge_table(self) -> EdgeTable:
         return edge_table(self.control)
 
-    @cached_property
+    @kept
     def edges(self) -> FloatArray:
         """(e, 2, 3) ends of the control mesh's edges, in file units."""
         return np.asarray(self.control.positions[self._edge_table.vertices])
 
-    @cached_property
+    @kept
     def encloses(self) -> bool:
         """Whether the control mesh is closed and looks outwards, so that nobody sees its inner side."""
         return bool((self._edge_table.face_counts == 2).all()) and signed_volume(self.control) > 0
 
-    @cached_property
+    @kept
     def surface(self) -> TriangleSurface:
         """The same triangles as a surface of unit area."""
         scale = 1.0 / float(np.sqrt(triangle_areas(self.positions, self.triangles).sum()))
         return TriangleSurface(scale * self.positions, self.triangles, scale)
 
-    @cached_property
+    @kept
     def cage(self) -> TriangleSurface:
         """Triangles of the control mesh between its vertices' points of the smooth surface, in the surface's unit."""
         return TriangleSurface(
             self.surface.positions[: self.n_control], fan_triangles(self.control)[0], self.surface.scale
         )
 
-    @cached_property
+    @kept
     def centre(self) -> FloatArray:
         """Middle of the bounding box."""
         return np.asarray(0.5 * (self.positions.min(0) + self.positions.max(0)))
 
-    @cached_property
+    @kept
     def radius(self) -> float:
         """Half the diagonal of the bounding box."""
         return float(0.5 * np.linalg.norm(np.ptp(self.positions, axis=0)))

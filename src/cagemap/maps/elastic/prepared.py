@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import PointPairs, near_vertices
 from cagemap.maps.spectral.levels import search_levels
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.threads import ThreadPool
+from cagemap.numerics.threads import ThreadPool, kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +158,7 @@ class PreparedPair:
         """The target's mesh of the level that is deformed, at its places on the finest surface."""
         return self.target.triangles(self.levels[0])
 
-    @cached_property
+    @kept
     def graphs(self) -> tuple[ElasticGraph, ElasticGraph]:
         """Graphs of both search levels, which landmarks are judged on; made once when they are first asked for."""
         return self.rest.graph, level_graph(self.source, self.levels[1])
@@ -169,7 +168,7 @@ class PreparedPair:
         """The source's finest surface, which maps lead to."""
         return self.source.triangles(self.source.finest)
 
-    @cached_property
+    @kept
     def reversed(self) -> PreparedPair:
         """The source in the target's place and the other way round, on the same levels; made when first asked for."""
         target, source = self.source, self.target

@@ -9,7 +9,6 @@ search to the other side. They are compared in the source's own pose, so that po
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -19,6 +18,7 @@ from cagemap.basis import Surface
 from cagemap.geometry.triangles import vertex_normals
 from cagemap.maps.spectral.samples import Samples, spread
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import kept
 
 # Vertices of a level that are searched in full, where there are more, and how many of them stand for each other vertex.
 FEW = 3000
@@ -37,12 +37,12 @@ class LevelMesh:
         """(t, 3) vertices."""
         return self.surface.triangles(self.level).triangles
 
-    @cached_property
+    @kept
     def few(self) -> IndexArray:
         """Vertices that are searched for among all others' few before the rest are."""
         return spread(len(self.surface.triangles(self.level).positions), FEW)
 
-    @cached_property
+    @kept
     def near(self) -> sparse.csr_array:
         """(n, few) the nearest of the few of every vertex, in space."""
         places = self.surface.triangles(self.level).positions
