@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
-from cagemap.geometry.triangles import CACHED, normalized, row_lengths, triangle_centres, triangle_normals
+from cagemap.geometry.triangles import CACHED, normalized, triangle_areas, triangle_centres, triangle_normals
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 from cagemap.numerics.threads import in_threads, parts
 
@@ -75,21 +75,13 @@ def build_tree(positions: FloatArray, triangles: IndexArray) -> TriangleTree:
     if not np.isfinite(positions).all():
         bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
         raise ParameterError(f"expected finite positions, got {len(bad)} that are not, first at vertices {bad[:5]}")
-    normals = triangle_normals(positions, triangles)
-    order = _leaf_order(positions, triangles, normals)
-    normals = normalized(normals.take(order, axis=0))
+    order = _leaf_order(positions, triangles)
+    ordered, normals = triangles.take(order, axis=0), np.empty((len(order), 3))
+    for part in parts(len(order), CACHED):
+        normals[part] = normalized(triangle_normals(positions, ordered[part]))
     n_leaves = 1 << int(np.ceil(np.log2(max(1, -(-len(order) // _LEAF_SIZE)))))
-    boxes = np.empty((2 * n_leaves - 1, 12))
-    first_leaf = n_leaves - 1
-    corners = np.empty((len(order), 3, 3))
-    _fill_leaves(read_only(positions), triangles.take(order, axis=0), normals, corners, boxes[first_leaf:])
-    while first_leaf > 0:
-        parents = boxes[(first_leaf - 1) // 2 : first_leaf]
-        left, right = boxes[first_leaf : 2 * first_leaf + 1 : 2], boxes[first_leaf + 1 : 2 * first_leaf + 1 : 2]
-        for lower, upper in ((slice(0, 3), slice(3, 6)), (slice(6, 9), slice(9, 12))):
-            np.minimum(left[:, lower], right[:, lower], out=parents[:, lower])
-            np.maximum(left[:, upper], right[:, upper], out=parents[:, upper])
-        first_leaf = (first_leaf - 1) // 2
+    boxes, corners = np.empty((2 * n_leaves - 1, 12)), np.empty((len(order), 3, 3))
+    _fill_boxes(read_only(positions), ordered, normals, corners, boxes)
     places = np.empty_like(order)
     places[order] = np.arange(len(order))
     return TriangleTree(boxes, order, places, corners, normals)
@@ -164,19 +156,23 @@ def closest_points(
     return triangle, barycentric, np.sqrt(squared)
 
 
-def _leaf_order(positions: FloatArray, triangles: IndexArray, normals: FloatArray) -> IndexArray:
-    """(t,) triangles leaf by leaf along a space-filling curve; ``normals`` (t, 3) have length twice the area."""
-    centres = triangle_centres(positions, triangles)
-    whole = len(centres) // _LEAF_SIZE * _LEAF_SIZE
-    # Coordinate by coordinate, a leaf's triangles below each other: short rows are slow in array operations.
-    runs = [np.ascontiguousarray(centres[:whole, d].reshape(-1, _LEAF_SIZE).T) for d in range(3)]
-    extents = (
-        np.sqrt(sum(np.square(run.max(axis=0) - run.min(axis=0)) for run in runs)) if whole else np.full(1, np.inf)
+def _leaf_order(positions: FloatArray, triangles: IndexArray) -> IndexArray:
+    """(t,) triangles leaf by leaf along a space-filling curve."""
+    leaves = len(triangles) // _LEAF_SIZE
+    extents, means = np.full(max(leaves, 1), np.inf), np.empty((leaves, 3))
+    for part in parts(leaves, CACHED // _LEAF_SIZE):
+        # Coordinate by coordinate, a leaf's triangles below each other: short rows are slow in array operations.
+        centres = triangle_centres(positions, triangles[part.start * _LEAF_SIZE : part.stop * _LEAF_SIZE])
+        runs = [np.ascontiguousarray(centres[:, d].reshape(-1, _LEAF_SIZE).T) for d in range(3)]
+        extents[part] = np.sqrt(sum(np.square(run.max(axis=0) - run.min(axis=0)) for run in runs))
+        means[part] = np.column_stack([run.mean(axis=0) for run in runs])
+    sizes = triangle_areas(positions, triangles)
+    if extents.mean() > _COMPACT * np.sqrt(2.0 * sizes).mean():
+        return np.argsort(_morton_codes(triangle_centres(positions, triangles)), kind="stable")
+    first = _LEAF_SIZE * np.argsort(_morton_codes(means), kind="stable")
+    return np.concatenate(
+        [(first[:, None] + np.arange(_LEAF_SIZE)).ravel(), np.arange(leaves * _LEAF_SIZE, len(triangles))]
     )
-    if extents.mean() > _COMPACT * np.sqrt(row_lengths(normals)).mean():
-        return np.argsort(_morton_codes(centres), kind="stable")
-    first = _LEAF_SIZE * np.argsort(_morton_codes(np.column_stack([run.mean(axis=0) for run in runs])), kind="stable")
-    return np.concatenate([(first[:, None] + np.arange(_LEAF_SIZE)).ravel(), np.arange(whole, len(centres))])
 
 
 def closest_among(
@@ -234,21 +230,28 @@ def _spread_bits(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fill_leaves(positions, triangles, normals, corners, boxes):  # type: ignore[no-untyped-def]
-    """Corner positions of every triangle, and the box of every leaf."""
-    for leaf in range(len(boxes)):
+def _fill_boxes(positions, triangles, normals, corners, boxes):  # type: ignore[no-untyped-def]
+    """Corner positions of every triangle, and the boxes of all leaves, then those of their parents up to the root."""
+    first_leaf = len(boxes) // 2
+    for leaf in range(first_leaf + 1):
+        box = boxes[first_leaf + leaf]
         for i in range(3):
-            boxes[leaf, i], boxes[leaf, 3 + i] = np.inf, -np.inf
-            boxes[leaf, 6 + i], boxes[leaf, 9 + i] = 1.0, -1.0
+            box[i], box[3 + i] = np.inf, -np.inf
+            box[6 + i], box[9 + i] = 1.0, -1.0
         for t in range(leaf * _LEAF_SIZE, min((leaf + 1) * _LEAF_SIZE, len(triangles))):
             for i in range(3):
                 for k in range(3):
                     x = positions[triangles[t, k], i]
                     corners[t, k, i] = x
-                    boxes[leaf, i] = min(boxes[leaf, i], x)
-                    boxes[leaf, 3 + i] = max(boxes[leaf, 3 + i], x)
-                boxes[leaf, 6 + i] = min(boxes[leaf, 6 + i], normals[t, i])
-                boxes[leaf, 9 + i] = max(boxes[leaf, 9 + i], normals[t, i])
+                    box[i] = min(box[i], x)
+                    box[3 + i] = max(box[3 + i], x)
+                box[6 + i] = min(box[6 + i], normals[t, i])
+                box[9 + i] = max(box[9 + i], normals[t, i])
+    for node in range(first_leaf - 1, -1, -1):
+        for first in (0, 6):
+            for i in range(first, first + 3):
+                boxes[node, i] = min(boxes[2 * node + 1, i], boxes[2 * node + 2, i])
+                boxes[node, 3 + i] = max(boxes[2 * node + 1, 3 + i], boxes[2 * node + 2, 3 + i])
 
 
 @numba.njit(cache=True, error_model="numpy")

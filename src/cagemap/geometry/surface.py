@@ -114,9 +114,10 @@ class TriangleSurface:
     @kept
     def vertex_triangles(self) -> IndexArray:
         """(n,) a triangle of every vertex, the last that has it as a corner; -1 where there is none."""
-        triangle = np.full(self.n, -1, dtype=np.int64)
-        triangle[self.triangles.ravel()] = np.arange(self.triangles.size) // 3
-        return read_only(triangle)
+        last, numbers = np.full((3, self.n), -1, dtype=np.int64), np.arange(len(self.triangles))
+        for corner in range(3):
+            last[corner, self.triangles[:, corner]] = numbers
+        return read_only(last.max(axis=0))
 
     @kept
     def tree(self) -> TriangleTree:

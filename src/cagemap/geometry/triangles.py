@@ -17,7 +17,10 @@ def triangle_areas(positions: FloatArray, triangles: IndexArray) -> FloatArray:
     if positions.shape[1] == 2:
         a, b, c = (positions[triangles[:, k]] for k in range(3))
         return 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
-    return 0.5 * row_lengths(triangle_normals(positions, triangles))
+    areas = np.empty(len(triangles))
+    for part in parts(len(triangles), CACHED):
+        areas[part] = 0.5 * row_lengths(triangle_normals(positions, triangles[part]))
+    return areas
 
 
 def triangles(faces: IndexArray) -> IndexArray:
@@ -70,8 +73,12 @@ def surface_area(positions: FloatArray, faces: IndexArray) -> float:
     """
     if faces.shape[1] == 3:
         return float(triangle_areas(positions, faces).sum())
-    splits = (0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3)
-    return 0.5 * sum(float(triangle_areas(positions, faces[:, split]).sum()) for split in splits)
+    areas, total = np.empty(len(faces)), 0.0
+    for split in (0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3):
+        for part in parts(len(faces), CACHED):
+            areas[part] = triangle_areas(positions, faces[part][:, split])
+        total += float(areas.sum())
+    return 0.5 * total
 
 
 def triangle_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:

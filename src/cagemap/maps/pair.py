@@ -17,6 +17,7 @@ from cagemap.maps.places import located as located
 from cagemap.maps.places import on_surface as on_surface
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import IndexArray
+from cagemap.numerics.threads import in_threads
 
 # Vertices of the level from which on points between vertices are given near ones.
 NEAR_VERTICES = 3000
@@ -177,5 +178,6 @@ def vertices_at(points: SurfacePoints) -> IndexArray:
 
 def point_pairs(target: Surface, source: Surface, landmarks: Landmarks) -> PointPairs:
     """Landmarks of control meshes as points, and their curves as curves, of the finest surfaces."""
-    places = located(target, landmarks.target_points), located(source, landmarks.source_points)
-    return PointPairs(*places, curve_pairs(target, source, landmarks.curves))
+    sides = (target, landmarks.target_points), (source, landmarks.source_points)
+    on_target, on_source = in_threads(lambda side: located(*side), sides)
+    return PointPairs(on_target, on_source, curve_pairs(target, source, landmarks.curves))
