@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -62,3 +64,18 @@ def test_a_field_may_be_said_in_words_of_its_own() -> None:
 
 def test_wrap_is_asked_for_what_the_library_does_by_itself() -> None:
     assert WrapRequest((), Path("out.obj")).fairness == WrapConfig.fairness  # written twice so that --help starts fast
+
+
+def test_what_no_command_uses_is_loaded_when_it_is_asked_for_after_all() -> None:
+    asked = """
+import sys
+from cagemap.cli.command import UNUSED, load_when_used
+load_when_used(UNUSED)
+import numpy, scipy.linalg
+print(any(name.startswith(f"{late}.") for name in sys.modules for late in UNUSED))
+numpy.testing.assert_equal(1, 1)
+from numpy.f2py import crackfortran
+print(crackfortran.__name__)
+"""
+    done = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "numpy.f2py.crackfortran"]

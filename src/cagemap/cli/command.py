@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields
 from functools import wraps
+from importlib.util import LazyLoader, find_spec, module_from_spec
 from inspect import Parameter, Signature
 from types import MappingProxyType
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
@@ -15,6 +17,9 @@ from cagemap.cli.words import say, warn
 Request = TypeVar("Request")
 # What a command says when it is done, and its warnings.
 Outcome = tuple[str, list[str]]
+
+# Modules that SciPy takes up with all of NumPy's names, and no command uses.
+UNUSED = ("numpy.f2py", "numpy.testing")
 
 
 def asks(
@@ -65,12 +70,27 @@ def in_stages(run: Callable[[Request, Stages], Outcome]) -> Callable[[Request], 
 
     @wraps(run)
     def told(request: Request) -> None:
+        load_when_used(UNUSED)
         with Stages() as stages:
             summary, warnings = run(request, stages)
         warn(warnings)
         say(summary)
 
     return told
+
+
+def load_when_used(names: Sequence[str]) -> None:
+    """Have modules loaded when something in them is first asked for, as importlib's documentation shows it."""
+    for name in names:
+        found = None if name in sys.modules else find_spec(name)
+        if found is None or found.loader is None:
+            continue
+        found.loader = LazyLoader(found.loader)
+        module = module_from_spec(found)
+        sys.modules[name] = module
+        found.loader.exec_module(module)
+        package, _, own = name.rpartition(".")
+        setattr(sys.modules[package], own, module)
 
 
 def _default(default: Any, kind: Any) -> Any:
