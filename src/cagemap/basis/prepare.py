@@ -11,11 +11,12 @@ from cagemap.basis.construction import hierarchical_basis
 from cagemap.basis.schedule import LARGE_MAP_BASIS, MAP_BASIS, BasisConfig
 from cagemap.basis.surface import Surface, on_levels, operators_for
 from cagemap.errors import ParameterError
+from cagemap.geometry.triangles import load_kernels
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.schemes import Plain
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.numerics.threads import in_threads, one_blas_thread
+from cagemap.numerics.threads import ThreadPool, in_threads, one_blas_thread
 from cagemap.operators.plain import refined
 from cagemap.refinement import Scheme, default_scheme
 from cagemap.refinement.counts import vertex_counts
@@ -157,6 +158,7 @@ def prepare_surfaces(
         raise ParameterError(f"levels: expected two, the target's and the source's, got {levels}")
     configs = config if isinstance(config, tuple) else (config, config)
     progress(f"prepare {target.name} and {source.name}")
-    with one_blas_thread():  # before the threads start: the setting is the process's
+    with one_blas_thread(), ThreadPool(1) as aside:  # before the threads start: the setting is the process's
+        aside.submit(load_kernels)  # while the surfaces are refined, which takes none
         made = in_threads(lambda side: prepare(*side), list(zip((target, source), levels, configs, strict=True)))
     return made[0], made[1]

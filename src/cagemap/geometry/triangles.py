@@ -150,6 +150,11 @@ def triangle_neighbors(corners: IndexArray) -> NDArray[np.int32]:
     return neighbors
 
 
+def load_kernels() -> None:
+    """Have Numba load its own definitions, which takes longer than any kernel, before the first one is needed."""
+    triangle_areas(np.eye(3), np.arange(3)[None])
+
+
 # Kernels fill arrays that they are given: to allocate inside would double the time they take to compile.
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _fill_normals(positions, triangles, normals):  # type: ignore[no-untyped-def]
