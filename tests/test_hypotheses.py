@@ -160,6 +160,11 @@ def test_verdicts_follow_cost_and_gap() -> None:
     missing = Confidence.of((best,), 3, MapShape(unreached=0.04))
     assert missing.verdict == LOOK
     assert "nothing comes to 4 % of the source" in missing.message
+    # Legs that changed places: the mirror image fits far better.
+    assert alone.seen_mirrored(1.1).verdict == SURE
+    mirrored = alone.seen_mirrored(3.3)
+    assert (mirrored.verdict, mirrored.summary()["mirrored"]) == (LOOK, 3.3)
+    assert "mirror image 3.3 times as well" in mirrored.message
 
 
 def test_a_limb_that_nothing_comes_to_is_unreached() -> None:

@@ -83,10 +83,10 @@ def stored_confidence(
     # Results from before the bound on shear do not say how much there is.
     sheared = MapShape.of(answer).sheared if record.sheared is None else record.sheared
     shape = MapShape(record.folded, record.aspect, record.unreached, sheared)
-    doubtful = record.verdict == SURE and not may_be_sure(1e-4 * record.cost, gap, shape)
+    doubtful = record.verdict == SURE and not may_be_sure(1e-4 * record.cost, gap, shape, mirrored=record.mirrored)
     verdict = LOOK if doubtful else record.verdict
-    numbers = record.deciding, shape, record.file_vertex
-    return Confidence(verdict, record.cost, gap, readings, *numbers, record.part)
+    numbers = record.deciding, shape, record.file_vertex, record.part, record.mirrored
+    return Confidence(verdict, record.cost, gap, readings, *numbers)
 
 
 # Mean distance, of sqrt(area), from which a curve counts as missed.

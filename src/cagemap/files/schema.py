@@ -76,6 +76,7 @@ class ConfidenceRecord(Record):
     aspect: float = 1.0
     unreached: float = 0.0
     sheared: float | None = None
+    mirrored: float = 1.0
 
 
 class InputRecord(Record):

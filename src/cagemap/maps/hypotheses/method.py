@@ -10,7 +10,8 @@ from cagemap.geometry.closest import build_tree, closest_points
 from cagemap.maps.elastic.both_ways import both_ways
 from cagemap.maps.elastic.ends import judged
 from cagemap.maps.elastic.prepared import PreparedPair
-from cagemap.maps.hypotheses.confidence import Confidence, MapShape, Reading
+from cagemap.maps.hypotheses.confidence import SURE, Confidence, MapShape, Reading
+from cagemap.maps.hypotheses.mirror import mirrored_gain
 from cagemap.maps.hypotheses.search import found_readings
 from cagemap.maps.hypotheses.tips import AS_CHEAP, OF_ONE_KIND
 from cagemap.maps.pair import Pair, Progress
@@ -43,6 +44,8 @@ def hypothesis_map(
     found = map_of_reading(prepared, pair, readings[0])
     shape = MapShape.of(found, unreached_share(prepared, found))
     confidence = Confidence.of(readings, pair.target.control.n_vertices, shape)
+    if confidence.verdict == SURE:
+        confidence = confidence.seen_mirrored(mirrored_gain(prepared, pair, readings[0]))
     if confidence.deciding is not None:
         vertex = pair.target.refinement.outer(np.array([confidence.deciding]))
         confidence = replace(confidence, deciding=int(vertex[0]))

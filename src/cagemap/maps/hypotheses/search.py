@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cagemap.maps.elastic.config import Stage
+from cagemap.maps.elastic.config import ElasticConfig, Stage
 from cagemap.maps.elastic.constants import MOST_ENDS, SHEET_VERTICES
 from cagemap.maps.elastic.curves import CurvePull
 from cagemap.maps.elastic.ends import FineFit, different, finished_ends, judged, mean_distance
@@ -94,17 +94,21 @@ def least_cost(prepared: PreparedPair) -> float:
     return float(min(counts)) * judged(on_itself, own.pullers(sheet), rest.graph.positions).cost
 
 
+def rough_shape(prepared: PreparedPair, pair: Pair) -> tuple[CoarseShape, ElasticConfig]:
+    """The small graph on which all starts are tried, and how."""
+    config = replace(prepared.elastic, coarse=ROUGH, coarse_vertices=ROUGH_VERTICES)
+    held, curves = prepared.near(pair.landmarks)[0], CurvePull.on_mesh(prepared.mesh, pair.landmarks.curves)
+    return CoarseShape.build(prepared.rest.graph, held, config, prepared.rest.masks, curves), config
+
+
 def rough_fits(prepared: PreparedPair, pair: Pair, shape: CoarseShape) -> list[_Candidate]:
     """The different ends of all rigid starts on a small graph, cheapest first, brought to the coarse graph."""
-    staged = replace(prepared.elastic, coarse=ROUGH, coarse_vertices=ROUGH_VERTICES)
-    curves = CurvePull.on_mesh(prepared.mesh, pair.landmarks.curves)
-    held = prepared.near(pair.landmarks)[0]
-    rough = CoarseShape.build(prepared.rest.graph, held, staged, prepared.rest.masks, curves)
+    rough, config = rough_shape(prepared, pair)
     small, sheet, places = rough.rest.graph, prepared.sheet, pair.landmarks.source.positions
 
     def trial(start: Start) -> _Candidate:
         with thread_limit(1):  # the starts are spread over the cores: a step of one is too short to be
-            ended = coarse_fit(rough, sheet, start.positions, places, staged)
+            ended = coarse_fit(rough, sheet, start.positions, places, config)
             return _Candidate(start.name, start.doubt, (ended,))
 
     starts = rigid_starts(small.positions, sheet.positions)
