@@ -16,7 +16,14 @@ from cagemap.maps.landmarks.distances import (
     misplaced_pairs,
     typical_misfit,
 )
-from cagemap.maps.landmarks.sides import Marks, agreement_around, exchanged_sides, orientation_agreement
+from cagemap.maps.landmarks.sides import (
+    FLAT,
+    POSED,
+    Marks,
+    agreement_around,
+    exchanged_sides,
+    orientation_agreement,
+)
 
 
 def distances_of(points: np.ndarray, others: np.ndarray) -> LandmarkDistances:
@@ -72,7 +79,17 @@ def test_orientation_is_that_of_all_triples() -> None:
                 turns[i, j, k] = normals[i] @ unit
         votes.append(turns)
     product = votes[0] * votes[1]
-    np.testing.assert_allclose(orientation_agreement(*sides), product.sum() / np.abs(product).sum(), rtol=1e-10)
+    ratios = np.zeros((7, 7))
+    for i, j in np.ndindex(7, 7):
+        apart = [np.linalg.norm(positions[i] - positions[j]) + SHORT for positions, _ in sides]
+        ratios[i, j] = np.log(apart[0] / apart[1])
+    ratios -= np.median(ratios)
+    alike = np.zeros((7, 7, 7))
+    for i, j, k in np.ndindex(7, 7, 7):
+        alike[i, j, k] = np.exp(-(ratios[i, j] ** 2 + ratios[i, k] ** 2 + ratios[j, k] ** 2) / POSED**2)
+    least = FLAT * 7 * 6 * 5
+    agreed = [(one * product).sum() / max(np.abs(one * product).sum(), least) for one in (np.ones((7, 7, 7)), alike)]
+    np.testing.assert_allclose(orientation_agreement(*sides), max(agreed), rtol=1e-10)
     near = rng.random((7, 7))
     weighted = product * near[:, :, None] * near[:, None, :]
     around = np.concatenate([part for i in (2, 5) for part in (weighted[i], weighted[:, i])])
@@ -101,6 +118,40 @@ def test_landmarks_on_the_midline_alone_are_not_mirrored() -> None:
         )
 
 
+# A leaping horse and a leaping cat: nose, tail, feet. Positions, normals, distances along the surface.
+LEAPS = (
+    (
+        [[-0.07, 0.6, 0.51], [0, 0.1, 0.07], [-0.03, 0.38, 0.56],
+         [-0.12, 0.31, 0.5], [0.08, 0.28, -0.6], [-0.05, 0.34, -0.56]],
+        [[-0.32, -0.36, 0.88], [-0.31, -0.9, 0.31], [0.16, -0.7, 0.69],
+         [-0.22, -0.38, 0.9], [0.06, -0.85, -0.52], [-0.15, -0.8, -0.59]],
+        [1.8, 0.68, 0.62, 1.35, 1.25, 1.9, 1.83, 1.27, 1.2, 0.71, 1.35, 1.29, 1.31, 1.24, 0.8],
+    ),
+    (
+        [[-0.01, 0.63, 0.6], [0, 0.3, -0.44], [0.14, 0, 0.28],
+         [-0.11, 0.01, 0.31], [0.1, 0.02, -0.29], [-0.11, 0, -0.31]],
+        [[0, -0.23, 0.97], [0.29, -0.9, -0.34], [0.43, -0.84, 0.32],
+         [-0.34, -0.92, 0.21], [0.13, -0.97, 0.23], [-0.3, -0.94, 0.16]],
+        [1.38, 0.98, 0.92, 1.39, 1.42, 1.38, 1.38, 0.87, 0.9, 0.89, 1.23, 1.29, 1.27, 1.25, 0.92],
+    ),
+)  # fmt: skip
+
+
+def test_landmarks_that_agree_as_they_are_were_not_exchanged() -> None:
+    """The tail and a hind foot once were: the others agree by 0.71 as they are, and by 0.95 exchanged."""
+    distances, marks = [], []
+    for positions, normals, upper in LEAPS:
+        between = np.zeros((6, 6))
+        between[np.triu_indices(6, 1)] = upper
+        distances.append(LandmarkDistances(between + between.T, np.arange(6)))
+        marks.append((np.array(positions), np.array(normals)))
+    assert exchanged_sides((distances[0], distances[1]), *marks) is None
+    order = [0, 1, 2, 3, 5, 4]  # hind feet
+    turned = (marks[1][0][order], marks[1][1][order])
+    between = distances[1].between[order][:, order]
+    assert exchanged_sides((distances[0], LandmarkDistances(between, np.arange(6))), marks[0], turned) == (4, 5)
+
+
 def test_neighbours_that_a_hand_put_the_other_way_round_are_not_exchanged() -> None:
     rng = np.random.default_rng(7)
     normals = rng.standard_normal((9, 3))
@@ -113,6 +164,54 @@ def test_neighbours_that_a_hand_put_the_other_way_round_are_not_exchanged() -> N
         exchanged_sides((distances_of(positions, positions), distances_of(source[0], source[0])), target, source)
         is None
     )
+
+
+# A person: crown, chest, back, hands (left and right), toes (left and right); its left is at +x, it faces +z.
+PERSON = np.array(
+    [[0, 1.7, 0], [0, 1.3, 0.12], [0, 1.3, -0.12], [0.7, 1.3, 0], [-0.7, 1.3, 0], [0.2, 0, 0.1], [-0.2, 0, 0.1]]
+)
+FACING = np.array([[0, 1, 0], [0, 0, 1], [0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, 1.0]])
+MIRROR = [0, 1, 2, 4, 3, 6, 5]
+
+
+def test_crossed_arms_are_not_mirrored() -> None:
+    """Each hand lies on the other shoulder: of all that is said about sides only hands disagree."""
+    crossed = PERSON.copy()
+    crossed[3:5] = [[-0.25, 1.4, 0.2], [0.25, 1.4, 0.2]]
+    facing = FACING.copy()
+    facing[3:5] = [0, 0, 1]
+    for sides in (((PERSON, FACING), (crossed, facing)), ((crossed, facing), (PERSON, FACING))):
+        assert orientation_agreement(*sides) > 0.3  # -0.04 where all triples count alike
+    assert orientation_agreement((PERSON, FACING), (PERSON[MIRROR], FACING[MIRROR])) < MIRRORED
+
+
+TRUNK = 1.0
+LIMBS = {"nose": 0.8, "fore left": 1.0, "fore right": 1.0, "tail": 0.4, "hind left": 1.1, "hind right": 1.1}
+
+
+def animal(tail: float, given: dict[str, tuple[str, float]]) -> LandmarkDistances:
+    """Distances on limbs at both ends of a trunk, from points (limb, way out on it) to them and to all of the animal.
+
+    Landmarks are the limbs' tips, but for those that are given.
+    """
+    lengths = LIMBS | {"tail": tail}
+    marks = [given.get(limb, (limb, length)) for limb, length in lengths.items()]
+    nodes = [*marks, *((limb, way) for limb, length in lengths.items() for way in np.arange(0, length, 0.05).tolist())]
+    order = list(lengths)
+    limbs, ways = np.array([order.index(limb) for limb, _ in nodes]), np.array([way for _, way in nodes])
+    between = ways[:, None] + ways + TRUNK * ((limbs[:, None] < 3) != (limbs < 3))
+    apart = np.where(limbs[:, None] == limbs, np.abs(ways[:, None] - ways), between)
+    return LandmarkDistances(apart[: len(marks)], np.arange(len(nodes)))
+
+
+def test_a_short_tail_is_no_slip_on_a_long_one_but_a_wrong_limb_is() -> None:
+    short, long = animal(0.3, {}), animal(2.0, {})
+    assert misplaced_pairs(short, long).tolist() == []
+    for place in (("tail", 1.7), ("hind left", 0.2)):  # no tips, for the tip of a foot
+        assert misplaced_pairs(short, animal(2.0, {"fore left": place})).tolist() == [1]
+    assert misplaced_pairs(short, animal(2.0, {"tail": ("fore right", 0.9)})).tolist() == [3]
+    elbow = animal(0.3, {"fore left": ("fore left", 0.15)})
+    assert misplaced_pairs(elbow, animal(0.3, {})).tolist() == [1]  # farther out, but no tip
 
 
 def test_hundreds_of_landmarks_need_little_memory() -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
@@ -29,6 +30,10 @@ LEAST_GAIN = 0.12
 GAIN_OF_TYPICAL = 2.2
 # Gain of two exchanged pairs together. Correct ones lose by 0.05 or more where bodies are alike.
 LEAST_EXCHANGE_GAIN = 0.1
+# A tip: nowhere within so much of it, of sqrt(area), is it so much farther from the other landmarks on average.
+TIP_REACH, TIP_SLACK = 0.15, 0.03
+# By how much, of sqrt(area), ways through the best place to the given one may be longer than ways to the given one.
+DETOUR = 0.2
 # Shorter corrections are left to the check of the finished map (`cagemap.maps.landmarks.strain`).
 LEAST_DISTANCE = 0.25
 # If distances accuse a larger share of the pairs, it is not known which are right, and no more are sought.
@@ -98,6 +103,12 @@ class LandmarkDistances:
         """(p, p) distances between the landmarks."""
         return self.to_nodes[:, : len(self.to_nodes)]
 
+    def is_tip(self, landmark: int, others: IndexArray) -> bool:
+        """Whether it lies at the end of something: nothing near it is farther from some other landmarks."""
+        away = self.to_nodes[others].mean(axis=0)
+        near = self.to_nodes[landmark] < TIP_REACH
+        return bool(away[near].max() <= away[landmark] + TIP_SLACK)
+
 
 def place_by_distances(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray) -> Placement:
     """Place every trusted landmark on the source by its distances to the other trusted ones.
@@ -132,7 +143,7 @@ def misplaced_pairs(target: LandmarkDistances, source: LandmarkDistances) -> Ind
     """Pairs out of proportion to the others: two that were exchanged, then single ones, worst first.
 
     What is found is set aside and the others are judged again. At least `FEWEST_JUDGED` - 1 pairs stay; with fewer than
-    `FEWEST_JUDGED` none is judged.
+    `FEWEST_JUDGED` none is judged. A tip that only lies farther out on its limb is none, see `farther_out`.
     """
     trusted = np.arange(len(target.to_nodes))
     wrong: list[int] = []
@@ -141,7 +152,8 @@ def misplaced_pairs(target: LandmarkDistances, source: LandmarkDistances) -> Ind
         trusted = np.setdiff1d(trusted, exchanged)
     while len(trusted) >= FEWEST_JUDGED and len(wrong) <= MOST_SUSPECTS * len(target.to_nodes):
         placed = place_by_distances(target, source, trusted)
-        gain = np.where(placed.distance >= LEAST_DISTANCE, placed.misfit - placed.least, 0.0)
+        judged = (placed.distance >= LEAST_DISTANCE) & ~farther_out(target, source, trusted, placed)
+        gain = np.where(judged, placed.misfit - placed.least, 0.0)
         worst = int(np.argmax(gain))
         others = trusted[trusted != worst]
         if gain[worst] < max(LEAST_GAIN, GAIN_OF_TYPICAL * typical_misfit(target, source, others)):
@@ -149,6 +161,22 @@ def misplaced_pairs(target: LandmarkDistances, source: LandmarkDistances) -> Ind
         wrong.append(worst)
         trusted = others
     return np.array(wrong, dtype=np.int64)
+
+
+def farther_out(
+    target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray, placed: Placement
+) -> NDArray[np.bool_]:
+    """(p,) pairs of tips whose given place lies farther out on the limb that has the best one: limbs of other lengths.
+
+    The way to the tip of a long tail leads past the place that a short tail's tip would have on it.
+    """
+    found = np.zeros(len(target.to_nodes), dtype=bool)
+    for i in trusted:
+        others = trusted[trusted != i]
+        through = source.to_nodes[others, placed.node[i]] + placed.distance[i]
+        past = float(np.median(through - source.to_nodes[others, i])) < DETOUR
+        found[i] = past and target.is_tip(int(i), others) and source.is_tip(int(i), others)
+    return found
 
 
 def exchanged_pairs(
