@@ -449,6 +449,17 @@ def test_landmark_coordinates_alone_lead_to_the_map_of_a_bent_twin(shape: tuple[
     assert error.mean() < 0.008
 
 
+@pytest.mark.parametrize("rings", [0, 1, 3])
+def test_rings_around_triangles_are_those_of_their_neighbours(rings):
+    faces = level_triangles(refine(creature(), 1), 1)
+    flipped = np.zeros(len(faces), dtype=bool)
+    flipped[[3, 400]] = True
+    expected = set(faces[flipped].ravel().tolist())
+    for _ in range(rings):
+        expected |= {vertex for face in faces.tolist() if expected & set(face) for vertex in face}
+    assert set(np.flatnonzero(folds.around(faces, flipped, rings, faces.max() + 1)).tolist()) == expected
+
+
 def test_unfolding_repairs_folds_and_leaves_the_rest_alone(shape: tuple[Refinement, float]) -> None:
     refinement, scale = shape
     surface = mesh_of(refinement, scale, 3)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +13,29 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.marks import mark
+from cagemap.numerics.threads import ThreadPool
 
 Arrays = dict[str, NDArray[Any]]
 
 
-def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]], *, compressed: bool = False) -> None:
+def write_npz(
+    path: Path,
+    arrays: Mapping[str, NDArray[Any]],
+    later: Callable[[], Mapping[str, NDArray[Any]]] = dict,
+    *,
+    compressed: bool = False,
+) -> None:
     """Write arrays to a temporary file of `cagemap.files.atomic`, with cagemap's mark as the archive's comment.
 
     `numpy.savez` would do the same, but for arrays named ``file`` or ``allow_pickle``.
+
+    Parameters
+    ----------
+    path : Path
+    arrays : mapping of str to array
+    later : callable, optional
+        Makes more arrays, while those are written.
+    compressed : bool
 
     Raises
     ------
@@ -28,11 +43,17 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]], *, compressed: boo
         If an array holds objects.
     """
     method = zipfile.ZIP_DEFLATED if compressed else zipfile.ZIP_STORED
-    with zipfile.ZipFile(path, "w", method) as archive:
+    with zipfile.ZipFile(path, "w", method) as archive, ThreadPool(1) as aside:
         archive.comment = mark().encode()
-        for name, array in arrays.items():
-            with archive.open(f"{name}.npy", "w", force_zip64=True) as stream:
-                np.lib.format.write_array(stream, np.asanyarray(array), allow_pickle=False)
+        more = aside.submit(later)
+        _put(archive, arrays)
+        _put(archive, more.result())
+
+
+def _put(archive: zipfile.ZipFile, arrays: Mapping[str, NDArray[Any]]) -> None:
+    for name, array in arrays.items():
+        with archive.open(f"{name}.npy", "w", force_zip64=True) as stream:
+            np.lib.format.write_array(stream, np.asanyarray(array), allow_pickle=False)
 
 
 def write_npy(path: Path, array: NDArray[Any]) -> None:

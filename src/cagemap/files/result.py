@@ -124,8 +124,6 @@ def write_result(folder: str | Path, result: MatchResult, *, force: bool = False
     }
     if len(result.runner_up_images):
         arrays["runner_up_images"] = result.runner_up_images
-    if result.has_spectral:
-        arrays |= {name: getattr(result.spectral, name) for name in _SPECTRAL_ARRAYS}
     arrays |= level_arrays(result)
     for prefix, side, points, mask in (
         ("target", result.target, result.landmarks.target_points, result.masks.target),
@@ -141,11 +139,16 @@ def write_result(folder: str | Path, result: MatchResult, *, force: bool = False
         arrays |= control_to_arrays(side.control, f"{prefix}_control_")
     arrays |= curves_to_arrays(result.curves)
     with atomic_folder(folder, (ARRAYS, MANIFEST), force=force, owned=_is_own) as temporary:
-        write_npz(temporary / ARRAYS, arrays)
+        write_npz(temporary / ARRAYS, arrays, lambda: _spectral_arrays(result))
         seal(temporary / ARRAYS)
         manifest = _manifest(result) | {"files": {ARRAYS: stated_checksum(temporary / ARRAYS)}}
         # The manifest comes last: a folder with one is complete, whoever copies it.
         (temporary / MANIFEST).write_text(to_json(manifest), encoding="utf-8")
+
+
+def _spectral_arrays(result: MatchResult) -> dict[str, Any]:
+    """The functional map and its eigenvalues, where both surfaces are prepared."""
+    return {name: getattr(result.spectral, name) for name in _SPECTRAL_ARRAYS} if result.has_spectral else {}
 
 
 def check_result_folder(folder: str | Path, *, force: bool = False) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
@@ -18,7 +19,7 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import CACHED, normalized
 from cagemap.maps.projection.constants import LEAST_MENDED, RINGS, SWEEPS
 from cagemap.maps.quality import flipped_triangles, upside_down
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 from cagemap.numerics.graphs import components
 from cagemap.numerics.threads import in_threads, parts
 
@@ -129,8 +130,19 @@ def around(triangles: IndexArray, flipped: BoolArray, rings: int, n: int) -> NDA
     inside = np.zeros(n, dtype=bool)
     inside[triangles[flipped].ravel()] = True
     for _ in range(rings):
-        inside[triangles[touched_triangles(triangles, inside)].ravel()] = True
+        grown = inside.copy()
+        _grow(read_only(triangles), inside, grown)
+        inside = grown
     return inside
+
+
+@numba.njit(cache=True, nogil=True)
+def _grow(triangles, inside, grown):  # type: ignore[no-untyped-def]
+    """Mark all corners of triangles that have one inside."""
+    for t in range(len(triangles)):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        if inside[a] or inside[b] or inside[c]:
+            grown[a] = grown[b] = grown[c] = True
 
 
 def touched_triangles(triangles: IndexArray, inside: BoolArray) -> BoolArray:
