@@ -92,6 +92,18 @@ def test_everything_comes_back_bit_for_bit(result: MatchResult, folder: Path) ->
     assert back.manifest == result.manifest
 
 
+def test_numbers_have_32_bits_and_those_of_older_folders_64(result: MatchResult, folder: Path) -> None:
+    names = "source_triangles", "triangle", "target_faces", "source_faces"
+    with np.load(folder / ARRAYS) as stored:
+        arrays = dict(stored)
+    assert {arrays[name].dtype for name in names} == {np.dtype(np.int32)}
+    np.savez(folder / ARRAYS, **(arrays | {name: arrays[name].astype(np.int64) for name in names}))
+    back = read_result(folder)
+    np.testing.assert_array_equal(back.triangle, result.triangle)
+    np.testing.assert_array_equal(back.source.faces, result.source.faces)
+    assert back.triangle.dtype == back.source.faces.dtype == np.int64
+
+
 def test_a_surface_that_refines_otherwise_is_refused(folder: Path) -> None:
     with np.load(folder / ARRAYS) as stored:
         arrays = dict(stored)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cagemap.basis import Surface
 from cagemap.errors import FormatError
@@ -116,8 +117,8 @@ def write_result(folder: str | Path, result: MatchResult, *, force: bool = False
         If the folder cannot be written, or holds something that is not a result.
     """
     arrays: dict[str, Any] = {
-        "source_triangles": result.source_triangles,
-        "triangle": result.triangle,
+        "source_triangles": _numbers(result.source_triangles),
+        "triangle": _numbers(result.triangle),
         "barycentric": result.barycentric,
         "trust": result.trust,
         "landmark_errors": result.landmark_errors,
@@ -129,7 +130,7 @@ def write_result(folder: str | Path, result: MatchResult, *, force: bool = False
         ("target", result.target, result.landmarks.target_points, result.masks.target),
         ("source", result.source, result.landmarks.source_points, result.masks.source),
     ):
-        arrays[f"{prefix}_vertices"], arrays[f"{prefix}_faces"] = side.vertices, side.faces
+        arrays[f"{prefix}_vertices"], arrays[f"{prefix}_faces"] = side.vertices, _numbers(side.faces)
         arrays[f"{prefix}_landmarks"] = points.nearest_vertices
         if np.any(points.vertices < 0):
             arrays[f"{prefix}_landmark_corners"] = points.corners
@@ -144,6 +145,11 @@ def write_result(folder: str | Path, result: MatchResult, *, force: bool = False
         manifest = _manifest(result) | {"files": {ARRAYS: stated_checksum(temporary / ARRAYS)}}
         # The manifest comes last: a folder with one is complete, whoever copies it.
         (temporary / MANIFEST).write_text(to_json(manifest), encoding="utf-8")
+
+
+def _numbers(indices: IndexArray) -> NDArray[np.int32]:
+    """Numbers of finest vertices and triangles as files hold them: they are below 2^31."""
+    return indices.astype(np.int32)
 
 
 def _spectral_arrays(result: MatchResult) -> dict[str, Any]:
