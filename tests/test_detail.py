@@ -225,7 +225,7 @@ def test_corners_outside_the_image_change_nothing_in_it() -> None:
 def test_every_tile_of_a_layout_gets_the_detail_that_lies_there(wavy: Detail) -> None:
     level = plane(10, 10)
     assert level.uvs is not None
-    transfer = own_transfer(replace(level, uvs=level.uvs * (2.0, 1.0)))  # two tiles side by side
+    transfer = own_transfer(level.with_uvs(level.uvs * (2.0, 1.0), level.uv_indices))  # two tiles side by side
     for tile in (1001, 1002):
         places = (texel_points() + np.array([tile - 1001, 0])) * (0.5, 1.0)
         heights = bake_detail_heights(transfer, wavy, size=SIZE, options=replace(PLAIN, tile=tile)).pixels

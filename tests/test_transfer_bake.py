@@ -270,13 +270,7 @@ def test_surface_points_are_carried_not_texture_coordinates() -> None:
     assert source.faces is not None
     left = source.positions[source.faces].mean(axis=1)[:, 0] < 0.5
     uvs = np.concatenate([source.positions[:, :2] * (0.2, 1), source.positions[:, :2] * (0.2, 1) + (0.75, 0)])
-    split = Level(
-        source.positions,
-        source.faces,
-        source.face_parents,
-        uvs,
-        source.faces + np.where(left, 0, len(source.positions))[:, None],
-    )
+    split = source.with_uvs(uvs, source.faces + np.where(left, 0, len(source.positions))[:, None])
     texture = np.zeros((64, 256, 1), dtype=np.float32)
     texture[:, :64] = 1  # the left island is 1, the right one 3, and what lies between them 100
     texture[:, 64:192] = 100
@@ -323,7 +317,7 @@ def test_islands_go_on_for_a_texel_beyond_their_border() -> None:
     left = target.positions[target.faces].mean(axis=1)[:, 0] < 0.5
     uvs = np.concatenate([target.positions[:, :2] * (0.5, 1), target.positions[:, :2] * (0.5, 1) + (0.25, 0)])
     moved = target.faces + np.where(left, 0, len(target.positions))[:, None]
-    cut = Level(target.positions, target.faces, target.face_parents, uvs, moved)
+    cut = target.with_uvs(uvs, moved)
     source = plane(8, 8)
     baked = bake_texture(prepare_transfer(cut, source, identity_map(source)), _ramps(64, 64), size=200, options=BARE)
     # The left island ends at column 50, the right one begins at column 100; each goes on for one texel.

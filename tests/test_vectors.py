@@ -171,7 +171,7 @@ def test_frames_are_those_of_the_reference_implementation() -> None:
     half of its faces number places anew that others number too."""
     with np.load(Path(__file__).with_name("mikktspace.npz")) as stored:
         faces, layout = stored["faces"].astype(np.int64), stored["uv_indices"].astype(np.int64)
-        level = Level(stored["positions"], faces, np.arange(len(faces)), stored["uvs"], layout)
+        level = Level(stored["positions"], faces, np.arange(len(faces))).with_uvs(stored["uvs"], layout)
         reference = stored["tangents"].astype(np.float64)
     frames = tangent_frames(TexturedSurface.from_level(level))
     own = frames.tangents[frames.groups]

@@ -19,7 +19,7 @@ def plane(columns: int, rows: int, uv: Callable[[np.ndarray], np.ndarray] = lamb
     first = (np.arange(columns) + (columns + 1) * np.arange(rows)[:, None]).ravel()
     faces = np.column_stack([first, first + 1, first + columns + 2, first + columns + 1])
     positions = np.column_stack([points, np.zeros(len(points))])
-    return Level(positions, faces, np.arange(len(faces)), uv(points), faces)
+    return Level(positions, faces, np.arange(len(faces))).with_uvs(uv(points), faces)
 
 
 def identity_map(level: Level) -> PointMap:

@@ -7,6 +7,7 @@ Seams are boundaries there and follow the rules of boundaries; the six modes onl
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -15,8 +16,11 @@ from cagemap.mesh.schemes import INFINITE_SHARPNESS, Bilinear, Loop, Scheme
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement.matrices import subdivision_matrix
 from cagemap.refinement.sharpness import Sharpness
-from cagemap.refinement.state import MeshState
+from cagemap.refinement.state import MeshState, children, control_state, next_state, split_topology
 from cagemap.refinement.topology import BoolArray, CornerTable, Topology, control_table, topology_of_table
+
+# UVs (p, 2) of a level, and the UV of every corner of its faces.
+Layout: TypeAlias = tuple[FloatArray, IndexArray]
 
 _DEPENDENT = ("corners_plus1", "corners_plus2")
 
@@ -167,6 +171,18 @@ def next_layout(layout: UvLayout, child: Topology, scheme: Scheme) -> UvLayout:
     if follows is not None:
         follows = np.concatenate([follows, np.arange(len(follows), child.table.n_vertices)])
     return replace(layout, topology=child, kept=kept, follows=follows)
+
+
+def refined_layout(control: ControlMesh, levels: int, scheme: Scheme) -> Layout:
+    """UVs (p, 2) of a level from 1 on, and the UV of every corner of its faces (m, 4) or (m, 3)."""
+    state = control_state(control, scheme)
+    layout, uvs = control_layout(control, state, scheme)
+    for step in range(levels):
+        if step:
+            state = state if is_linear(scheme) else next_state(state, scheme)
+            layout = next_layout(layout, split_topology(layout.topology, scheme), scheme)
+        uvs = refine_uvs(layout, uvs, state, scheme)
+    return uvs, children(layout.topology.table, scheme).astype(np.int64)
 
 
 def refine_uvs(layout: UvLayout, uvs: FloatArray, state: MeshState, scheme: Scheme) -> FloatArray:

@@ -73,6 +73,7 @@ def ending_at(refinement: Refinement, level: int) -> Refinement:
     if last.faces is not None:
         return found
     split, parents = fan_triangles(control.face_offsets, control.face_indices)
-    corners = None if control.uv_indices is None else fan_triangles(control.face_offsets, control.uv_indices)[0]
-    fans = replace(last, faces=split, face_parents=parents, uvs=control.uvs, uv_indices=corners)
+    fans = replace(last, faces=split, face_parents=parents)
+    if control.uvs is not None and control.uv_indices is not None:
+        fans = fans.with_uvs(control.uvs, fan_triangles(control.face_offsets, control.uv_indices)[0])
     return replace(found, levels=(*found.levels[:-1], fans))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.sparse import csr_array, eye_array
@@ -14,15 +16,13 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.schemes import SCHEMES, Bilinear, CatmullClark, Loop, Plain, Scheme
 from cagemap.numerics.arrays import Array, FloatArray, IndexArray
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.refinement.face_varying import control_layout, next_layout, refine_uvs
-from cagemap.refinement.state import MeshState, control_state, next_state, split_topology, state_matrix
+from cagemap.numerics.threads import kept
+from cagemap.refinement.face_varying import Layout, refined_layout
+from cagemap.refinement.state import MeshState, children, control_state, next_state, state_matrix
 from cagemap.refinement.topology import (
     BoolArray,
     CornerTable,
-    IntArray,
     control_topology,
-    quad_children,
-    triangle_children,
 )
 
 
@@ -39,16 +39,33 @@ class Level:
         From level 1 on, (m, 4) under Catmull-Clark and (m, 3) under Loop.
     face_parents : (m,) int64
         Control face that every face comes from.
-    uvs : (p, 2) float64 or None
-    uv_indices : like faces, or None
-        UV of every face corner.
+    lay : callable or None
+        Makes the level's UVs (p, 2), and that of every face corner, like faces; see `with_uvs` for known ones.
     """
 
     positions: FloatArray
     faces: IndexArray | None
     face_parents: IndexArray
-    uvs: FloatArray | None = None
-    uv_indices: IndexArray | None = None
+    lay: Callable[[], Layout] | None = None
+
+    @kept
+    def layout(self) -> Layout | None:
+        """UVs and the UV of every face corner; a map asks for none, so they are made when they are first asked for."""
+        return None if self.lay is None else self.lay()
+
+    @property
+    def uvs(self) -> FloatArray | None:
+        """(p, 2) UVs of the level, None where the control mesh has none."""
+        return None if self.layout is None else self.layout[0]
+
+    @property
+    def uv_indices(self) -> IndexArray | None:
+        """UV of every face corner, like faces, or None."""
+        return None if self.layout is None else self.layout[1]
+
+    def with_uvs(self, uvs: FloatArray, uv_indices: IndexArray) -> Level:
+        """The same level with other UVs (p, 2), and a UV for every corner, like faces."""
+        return replace(self, lay=lambda: (uvs, uv_indices))
 
     @property
     def n_vertices(self) -> int:
@@ -280,21 +297,15 @@ def refine(control: ControlMesh, levels: int, scheme: Scheme | None = None) -> R
     _check(control, levels, scheme)
     state = control_state(control, scheme)
     _check_size(state.topology.table, levels)
-    layout, uvs = None, None
-    if control.uvs is not None and control.uv_indices is not None:
-        layout, uvs = control_layout(control, state, scheme)
     level = control_level(control)
     matrices, result = [], [level]
     for step in range(levels):
         if step:
             state = next_state(state, scheme)
-            if layout is not None:
-                layout = next_layout(layout, split_topology(layout.topology, scheme), scheme)
         matrix = state_matrix(state, scheme)
         level = _next_level(level, state.topology.table, matrix, scheme)
-        if layout is not None and uvs is not None:
-            uvs = refine_uvs(layout, uvs, state, scheme)
-            level = replace(level, uvs=uvs, uv_indices=_children(layout.topology.table, scheme).astype(np.int64))
+        if control.uvs is not None and control.uv_indices is not None:
+            level = replace(level, lay=partial(refined_layout, control, step + 1, scheme))
         matrices.append(matrix)
         result.append(level)
     return Refinement(control, scheme, tuple(matrices), tuple(result))
@@ -326,22 +337,15 @@ def control_level(control: ControlMesh) -> Level:
     """Level 0 of any refinement of ``control``."""
     size = int(control.face_sizes[0]) if control.n_faces else 0
     uniform = size in (3, 4) and bool(np.all(control.face_sizes == size))
-    uv_indices = control.uv_indices if control.uvs is not None else None
-    return Level(
-        positions=control.positions,
-        faces=control.face_indices.reshape(-1, size) if uniform else None,
-        face_parents=np.arange(control.n_faces),
-        uvs=control.uvs if uv_indices is not None else None,
-        uv_indices=uv_indices.reshape(-1, size) if uniform and uv_indices is not None else None,
-    )
-
-
-def _children(table: CornerTable, scheme: Scheme) -> IntArray:
-    return triangle_children(table) if isinstance(scheme, Loop) else quad_children(table)
+    faces = control.face_indices.reshape(-1, size) if uniform else None
+    level = Level(control.positions, faces, np.arange(control.n_faces))
+    if control.uvs is None or control.uv_indices is None or not uniform:
+        return level
+    return level.with_uvs(control.uvs, control.uv_indices.reshape(-1, size))
 
 
 def _next_level(level: Level, table: CornerTable, matrix: csr_array, scheme: Scheme) -> Level:
-    faces = _children(table, scheme).astype(np.int64)
+    faces = children(table, scheme).astype(np.int64)
     parents = np.repeat(level.face_parents, 4) if isinstance(scheme, Loop) else level.face_parents[table.faces]
     return Level(matrix @ level.positions, faces, parents)
 

@@ -14,12 +14,15 @@ from cagemap.refinement.sharpness import Sharpness, control_sharpness, next_shar
 from cagemap.refinement.topology import (
     BoolArray,
     CornerTable,
+    IntArray,
     Topology,
     control_topology,
+    quad_children,
     split_quad_topology,
     split_quads,
     split_triangle_topology,
     split_triangles,
+    triangle_children,
 )
 
 
@@ -71,3 +74,8 @@ def split_topology(topology: Topology, scheme: Scheme) -> Topology:
 def split_table(table: CornerTable, scheme: Scheme) -> CornerTable:
     """Corner table of the next level."""
     return split_triangles(table) if isinstance(scheme, Loop) else split_quads(table)
+
+
+def children(table: CornerTable, scheme: Scheme) -> IntArray:
+    """Faces of the next level, (m, 4) or (m, 3), in its numbers."""
+    return triangle_children(table) if isinstance(scheme, Loop) else quad_children(table)
