@@ -438,3 +438,10 @@ def test_the_finest_mesh_has_all_uv_sets_and_colours() -> None:
         fine.vertex_colors, np.clip(refinement.prolong(mesh.vertex_colors, 0, 2), 0, 1), atol=1e-12
     )
     assert finest_mesh(refine(replace(mesh, vertex_colors=np.full_like(colors, np.nan)), 1)).vertex_colors is None
+
+
+def test_uvs_of_a_level_are_made_when_they_are_asked_for():
+    level = refine(_uv_grid(), 2).finest
+    assert "layout" not in vars(level)
+    assert level.uvs is level.uvs is not None
+    assert level.uv_indices.max() < len(level.uvs)
