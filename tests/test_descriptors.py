@@ -79,8 +79,9 @@ def test_filters_of_a_coarser_level_are_the_leading_rows(spectrum):
     """Chosen once, so that the low block of F^{l+1} is F^l (eq. 15)."""
     filters = choose_filters(spectrum, 1.1 * spectrum, 4, 5)
     np.testing.assert_array_equal(filters.at(spectrum)[:12], filters.at(spectrum[:12]))
-    with pytest.raises(ParameterError, match="at least one filter"):
-        choose_filters(spectrum, spectrum, 0, 0)
+    for heat, wave in ((0, 0), (10**20, 0), (-1, 20)):
+        with pytest.raises(ParameterError, match="expected 1 to 1000 filters"):
+            choose_filters(spectrum, spectrum, heat, wave)
 
 
 def test_signatures_do_not_see_signs_or_rotations_of_an_eigenspace(spectrum):

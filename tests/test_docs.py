@@ -95,8 +95,6 @@ def test_links_between_documents_resolve(document: Path) -> None:
 def test_every_command_option_is_documented_and_exists(document: Path) -> None:
     from typer.main import get_command
 
-    from cagemap.cli import app
-
     options = {"--help", "--version"}
     names = set()
     root = get_command(app)

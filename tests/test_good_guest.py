@@ -58,6 +58,15 @@ def test_a_signal_ends_cleanly(pair_files: Path, number: signal.Signals, code: i
     assert sorted(path.name for path in pair_files.iterdir()) == before
 
 
+def test_ctrl_c_while_commands_are_loaded_is_no_traceback(tmp_path: Path) -> None:
+    late = "import sys, signal; from cagemap.cli import main\nclass Pressed:\n"
+    late += "    def find_spec(self, name, *_):\n        if name == 'typer': signal.raise_signal(signal.SIGINT)\n"
+    late += "sys.meta_path.insert(0, Pressed()); sys.argv = ['cagemap', 'check', 'a.obj']; main()"
+    ended = subprocess.run([sys.executable, "-c", late], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert ended.returncode == 130, ended.stderr
+    assert ended.stderr.startswith("cagemap: error: stopped")
+
+
 def test_a_reader_that_has_gone_is_no_error(tmp_path: Path) -> None:
     write_mesh(tmp_path / "box.obj", cube())
     with subprocess.Popen(

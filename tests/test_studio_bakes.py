@@ -16,7 +16,7 @@ import pytest
 import typer
 
 from browser_page import Page, studio
-from cagemap.cli import app
+from cagemap.cli.app import app
 from cagemap.cli.option_list import all_options
 from cagemap.studio.finish import commands
 from cagemap.studio.opening import built_in_files

@@ -15,7 +15,7 @@ import typer
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cagemap.cli import app
+from cagemap.cli.app import app
 from cagemap.cli.detail_bakes import KINDS
 from cagemap.cli.job_file import COMMANDS
 from cagemap.cli.masks import mask_file

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import typer
 
-from cagemap.cli import app
+from cagemap.cli.app import app
 from cagemap.cli.library import run_job
 from cagemap.cli.option_list import all_options
 from cagemap.cli.progress import Stages

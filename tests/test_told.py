@@ -73,8 +73,8 @@ def test_a_command_ends_with_whoever_runs_it_and_leaves_nothing_half_written(tmp
 
 def test_a_command_that_waits_for_its_threads_ends_too() -> None:
     waiting = (
-        "import threading; from cagemap.cli import app, entry, told; "
-        "entry.app = lambda: (print('waits', flush=True), threading.Event().wait()); told.run()"
+        "import threading; from cagemap.cli import app, told; "
+        "app.app = lambda: (print('waits', flush=True), threading.Event().wait()); told.run()"
     )
     process = told(("wait",), call=(sys.executable, "-c", waiting))
     assert process.stdout is not None

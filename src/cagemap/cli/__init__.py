@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from cagemap.cli.app import app
 from cagemap.cli.entry import main
 
-__all__ = ["app", "main"]
+__all__ = ["main"]

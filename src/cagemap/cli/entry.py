@@ -11,7 +11,6 @@ import threading
 from types import FrameType
 from typing import Any, NoReturn
 
-from cagemap.cli.app import app
 from cagemap.cli.words import in_options, set_verbosity, tolerate_odd_names
 from cagemap.errors import CagemapError, ParameterError
 
@@ -79,6 +78,8 @@ def _leave() -> None:
 
 def _run() -> None:
     try:
+        from cagemap.cli.app import app  # here, so that Ctrl-C while commands are loaded is no traceback
+
         _require_words(sys.argv[1:])
         app()
     except CagemapError as error:
@@ -86,9 +87,7 @@ def _run() -> None:
     except MemoryError:
         _fail("not enough memory for surfaces of this size. Use a lower --level or fewer --vertices.", WRONG_INPUT)
     except OSError as error:
-        where = error.filename or "file"
-        reason = error.strerror or error
-        _fail(f"{where}: {reason}. Check the path and the space left on the disk.", WRONG_INPUT)
+        _fail(_of_system(error), WRONG_INPUT)
     except Exception as error:
         if os.environ.get("CAGEMAP_DEBUG"):
             raise
@@ -97,6 +96,17 @@ def _run() -> None:
             "CAGEMAP_DEBUG=1 shows where it happened.",
             INTERNAL,
         )
+
+
+def _of_system(error: OSError) -> str:
+    """What to say of an error of the operating system; one that names no file is of a library's own files."""
+    reason = error.strerror or error
+    if error.filename:
+        return f"{error.filename}: {reason}. Check the path and the space left on the disk."
+    return (
+        f"a file that a library keeps could not be read or written: {reason}. Is there room in the temporary folder "
+        "(TMPDIR), and where compiled code is kept (NUMBA_CACHE_DIR, else beside cagemap or in ~/.cache)?"
+    )
 
 
 def _require_words(words: list[str]) -> None:

@@ -17,14 +17,14 @@ def texture_and_maps(
     Raises
     ------
     ParameterError
-        If one of several has no name, or two have the same.
+        If one of several has no name, or two have the same but for capitals, which some disks take for one file.
     """
     named = [(name, Path(path)) for name, sign, path in (text.partition("=") for text in given) if sign and path]
     if len(given) == 1 and (not named or Path(given[0]).exists()):
         return Path(given[0]), ()
     if not given:
         return None, ()
-    if len(named) != len(given) or len({name for name, _ in named}) != len(named):
+    if len(named) != len(given) or len({name.casefold() for name, _ in named}) != len(named):
         raise ParameterError(
             f"{option}: expected one image, or several as NAME=IMAGE with a name of its own each, got "
             f"{', '.join(given)}."

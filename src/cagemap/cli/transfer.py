@@ -29,7 +29,7 @@ from cagemap.files.attributes import check_attribute_path, read_attributes, writ
 from cagemap.files.file_rows import file_rows, other_rows
 from cagemap.files.meshes import write_mesh
 from cagemap.files.result import input_file, note_transfer, read_files, read_result, stated_path
-from cagemap.files.usd_write import UsdResults
+from cagemap.files.usd_write import UsdResults, check_usd_path
 from cagemap.maps.result import MatchResult
 from cagemap.transfer import (
     Transfer,
@@ -45,6 +45,25 @@ from cagemap.transfer.texture import FILTERS
 
 # What is carried whole, whatever masks say.
 _WHOLE = ("--source-uvs", "--joints", "--write-map")
+
+# Which of the things to carry read an option; the others would take it without a word and do nothing.
+_PICTURES = ("--texture", "--displacement", "--normal-map", "--vector-displacement", "--bake")
+_READ_BY = {
+    "usd": ("--texture", "--attribute", "--weights", "--blend-shapes"),
+    "space": ("--normal-map", "--vector-displacement", "--bake"),
+    "green": ("--texture", "--normal-map", "--bake"),
+    "as_color": ("--texture",),
+    "filter": (*_PICTURES, "--material-colors"),
+    "detail": ("--bake",),
+    "detail_texture": ("--bake",),
+    "rays": ("--bake",),
+    "influences": ("--weights",),
+    "size": (*_PICTURES, "--material-colors"),
+    "bits": (*_PICTURES, "--material-colors"),
+    "scale": ("--displacement", "--vector-displacement"),
+    "midlevel": ("--displacement", "--vector-displacement"),
+    "unwrap": (*_PICTURES, "--material-colors"),
+}
 
 
 def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
@@ -68,6 +87,9 @@ def carry_one(request: TransferRequest, stages: Stages) -> Outcome:
     stages("read result")
     result = read_result(request.result)
     require_no_input(outputs, read_files(request.result, result.manifest))
+    if request.usd is not None:
+        check_usd_path(request.usd)
+        require_replaceable(request.usd, force=request.force)
     result = result if request.level is None else result.at_level(request.level)
     options = MaskOptions(request.target_mask, request.source_mask, request.mask_edge)
     return carry(request, with_masks(result, options, request.result), stages)
@@ -101,7 +123,18 @@ def _carrier(request: TransferRequest) -> Callable[[TransferRequest, MatchResult
             f"{' and '.join(given_masks)}: expected images, values, weights or blend shapes, got {chosen[0]}, which is "
             "carried whole. Leave the mask out."
         )
+    _require_read(request, chosen[0])
     return options[chosen[0]][1]
+
+
+def _require_read(request: TransferRequest, carried: str) -> None:
+    """Refuse options that what is carried does not read."""
+    for option, readers in _READ_BY.items():
+        if getattr(request, option) != getattr(TransferRequest, option) and carried not in readers:
+            raise ParameterError(
+                f"--{option.replace('_', '-')}: expected it beside {' or '.join(readers)}, which read it, got "
+                f"{carried}. Leave it out."
+            )
 
 
 def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
@@ -109,8 +142,6 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
     assert request.attribute is not None
     check_attribute_path(request.output)
     require_replaceable(request.output, force=request.force)
-    if request.usd is not None:
-        require_replaceable(request.usd, force=request.force)
     rows = file_rows(request.result, result.manifest, "source", result.source.control)
     values = read_attributes(request.attribute, result.source.control, rows)
     sides = result.target.refinement, result.source.refinement

@@ -17,6 +17,8 @@ from cagemap.numerics.arrays import FloatArray
 HEAT_RANGE = 4.0 * np.log(10.0)
 # [ASC11]: width of a wave kernel filter, in steps between neighbouring energies.
 WAVE_WIDTH = 7.0
+# Filters of both kinds together; every landmark has a descriptor of each.
+_MOST_FILTERS = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +59,8 @@ def choose_filters(target_eigenvalues: FloatArray, source_eigenvalues: FloatArra
     ParameterError
         If there are too few eigenvalues, or no filters.
     """
-    if min(heat, wave) < 0 or heat + wave == 0:
-        raise ParameterError(f"expected at least one filter, got {heat} heat and {wave} wave kernels")
+    if min(heat, wave) < 0 or not 0 < heat + wave <= _MOST_FILTERS:
+        raise ParameterError(f"expected 1 to {_MOST_FILTERS} filters, got {heat} heat and {wave} wave kernels")
     spectra = [np.sort(eigenvalues) for eigenvalues in (target_eigenvalues, source_eigenvalues)]
     count = min(len(spectrum) for spectrum in spectra)
     shared = np.exp(np.mean([np.log(np.maximum(spectrum[:count], 1e-12)) for spectrum in spectra], axis=0))

@@ -95,7 +95,7 @@ def write_usd(
         If USD is not installed, or the file cannot be written.
     """
     file = Path(path)
-    _check_suffix(file)
+    check_usd_path(file)
     pxr = usd_modules()
     stage = pxr.Usd.Stage.CreateInMemory()
     units = StageUnits("Y", 1.0) if space is None else space.units
@@ -149,7 +149,7 @@ def write_usd_over(
         If USD is not installed, there is no such prim, or the file cannot be written.
     """
     file = Path(path)
-    _check_suffix(file)
+    check_usd_path(file)
     pxr = usd_modules()
     below = open_stage(target)
     prims = [below.GetPrimAtPath(prim_path) for prim_path in prim_paths]
@@ -201,7 +201,13 @@ def _ancestors(prim: Any) -> list[Any]:
     return found
 
 
-def _check_suffix(file: Path) -> None:
+def check_usd_path(file: Path) -> None:
+    """Refuse a name that does not end as one of USD's layers.
+
+    Raises
+    ------
+    FormatError
+    """
     if file.suffix.lower() not in (".usd", ".usda", ".usdc"):
         raise FormatError(
             f"{file}: expected a name ending in .usda, .usdc or .usd. Packages (.usdz) are made from those."

@@ -93,6 +93,10 @@ class StartConfig(Brief):
             raise ParameterError(
                 f"expected at least {FEWEST_FUNCTIONS} searched functions, got {self.searched_functions}"
             )
+        if min(self.search_vertices, self.source_search_vertices) < 0:
+            raise ParameterError(
+                f"expected 0 search vertices or more, got {self.search_vertices} and {self.source_search_vertices}"
+            )
 
 
 @dataclass(frozen=True, repr=False)

@@ -150,6 +150,10 @@ class HierarchyConfig(Brief):
                 f"expected at least {FEWEST_FUNCTIONS} searched functions and one growth, got "
                 f"{self.searched_functions} and {len(self.growths)}"
             )
+        if min(self.search_vertices, self.source_search_vertices) < 0:
+            raise ParameterError(
+                f"expected 0 search vertices or more, got {self.search_vertices} and {self.source_search_vertices}"
+            )
 
 
 def hierarchical_map(
