@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,25 @@ def test_a_dry_run_says_what_would_be_done_and_does_nothing(folder: Path) -> Non
     assert "match pony -> deer" in said.output
     assert "core minutes" in said.output
     assert sorted(folder.iterdir()) == before
+
+
+def test_a_dry_run_foresees_what_will_be_refused(folder: Path) -> None:
+    def said(command: str) -> str:
+        (folder / "job.toml").write_text(JOB.replace('texture = "{source.color}"\nsize = 64', command))
+        run = CliRunner().invoke(app, ["run", str(folder / "job.toml"), "--dry-run"])
+        assert run.exit_code == 0, run.output
+        return run.output
+
+    texture = 'texture = "{source.color}"'
+    assert "refused" not in said(texture)
+    assert "broken cannot be used: " in said(texture)
+    pair = example_pair(64)
+    write_mesh(folder / "deer.obj", replace(pair.target, uvs=None, uv_indices=None))
+    assert "will be refused, for deer has no texture coordinates: add `unwrap = true`" in said(texture)
+    assert "refused" not in said(texture + "\nunwrap = true")
+    write_mesh(folder / "pony.obj", replace(pair.source, uvs=None, uv_indices=None))
+    assert "will be refused, for pony has no texture coordinates, which texture lies over" in said(texture)
+    assert "refused" not in said("material_colors = true\nunwrap = true")
 
 
 def test_the_page_of_a_job_speaks_of_options() -> None:

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,9 @@ from cagemap.cli import main
 from cagemap.cli.job_file import note_match
 from cagemap.cli.match_request import MatchRequest
 from cagemap.cli.words import say, set_verbosity, tolerate_odd_names, warn
+from cagemap.errors import FormatError
 from cagemap.example import example_pair
+from cagemap.files.images import read_image, write_image
 from cagemap.files.landmarks import write_landmarks
 from cagemap.files.meshes import read_mesh, write_mesh
 from cagemap.files.result import read_result, write_result
@@ -140,6 +143,22 @@ def test_names_that_are_no_text_are_written_as_escapes(tmp_path: Path) -> None:
     checked = subprocess.run([*COMMAND, "check", name], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert checked.returncode == 0, checked.stderr
     assert r"b\udcffx.obj" in checked.stdout
+
+
+@pytest.mark.parametrize("suffix", [".png", ".exr", ".usda"])
+def test_names_that_are_no_text_are_refused_where_a_library_needs_text(tmp_path: Path, suffix: str) -> None:
+    odd = tmp_path / f"a\udc80{suffix}"
+    odd.write_bytes(b"#usda 1.0\n")
+    read = read_mesh if suffix == ".usda" else read_image
+    pixels = np.zeros((4, 4, 3), np.float32 if suffix == ".exr" else np.uint8)
+    write = partial(write_mesh, mesh=cube()) if suffix == ".usda" else partial(write_image, image=pixels)
+    with pytest.raises(FormatError, match="a name that is text"):
+        read(odd)
+    for place in (tmp_path / f"b\udc80{suffix}", tmp_path / "c\udc80" / f"d{suffix}"):
+        place.parent.mkdir(exist_ok=True)
+        with pytest.raises(FormatError, match="a name that is text"):
+            write(place)
+        assert not place.exists()
 
 
 def test_a_match_of_a_name_that_is_no_text_has_no_job_file(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -179,3 +179,24 @@ def test_polypaint_becomes_vertex_colours(tmp_path: Path) -> None:
         (tmp_path / "a.obj").write_text(text.replace(old, new))
         with pytest.raises(FormatError, match="#MRGB"):
             read_obj(tmp_path / "a.obj")
+
+
+@pytest.mark.parametrize(
+    ("lines", "first"),
+    [
+        (["0 0 0 .1 .2 .3 1", "1 0 0 .4 .5 .6 1", "0 1 0 1 1 1 .5"], [0.1, 0.2, 0.3]),  # opacity last
+        (["0 0 0 1 .1 .2 .3", "1 0 0 1 .4 .5 .6", "0 1 0 1 1 1 1"], [0.1, 0.2, 0.3]),  # the position's weight first
+        (["0 0 0 1 1 1 1", "1 0 0 1 0 0 1", "0 1 0 1 0 0 1"], [1, 1, 1]),
+        (["0 0 0 .1 .2 .3 1", "1 0 0", "0 1 0 .5 .5 .5"], [0.1, 0.2, 0.3]),
+    ],
+)
+def test_a_colour_with_opacity_or_a_weighted_position_is_read(
+    tmp_path: Path, lines: list[str], first: list[float]
+) -> None:
+    (tmp_path / "a.obj").write_text("".join(f"v {line}\n" for line in lines) + "f 1 2 3\n")
+    colors = read_obj(tmp_path / "a.obj").vertex_colors
+    assert colors is not None
+    np.testing.assert_allclose(colors[0], first)
+    (tmp_path / "a.obj").write_text("v 0 0 0 1 1 1 x\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    with pytest.raises(FormatError, match="three colour values"):
+        read_obj(tmp_path / "a.obj")

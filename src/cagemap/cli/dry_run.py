@@ -28,6 +28,10 @@ from cagemap.refinement.refinement import default_scheme
 # Side of an image that is baked, unless the job says otherwise.
 IMAGE = 2048
 
+# What an output of `transfer` bakes: images over the source's texture coordinates, and what needs the target's alone.
+_OVER_SOURCE = ("texture", "maps", "displacement", "normal_map", "vector_displacement")
+_BAKED = ("material_colors", "bake")
+
 
 @dataclass(frozen=True)
 class AssetSize:
@@ -37,11 +41,17 @@ class AssetSize:
     ----------
     control, finest, prepared : int
         Vertices of the control mesh, of the finest level, and of the level that its basis ends on.
+    laid_out : bool
+        Whether it has texture coordinates.
+    problem : str
+        Why it cannot be read.
     """
 
     control: int = 0
     finest: int = 0
     prepared: int = 0
+    laid_out: bool = True
+    problem: str = ""
 
     @property
     def both(self) -> Size:
@@ -64,7 +74,7 @@ def dry_run(job: Job, plan: Plan, workers: int) -> str:
         seconds = _seconds(task, both)
         total, memory, disk = total + seconds, max(memory, worker_memory(both)), disk + _bytes(task, own)
         shown = " + ".join(f"{size.finest:,}" for size in own)
-        lines.append(f"  {task.name}: {shown} vertices, about {seconds:.0f} s")
+        lines.append(f"  {task.name}: {shown} vertices, about {seconds:.0f} s{_foreseen(task, own)}")
     hired = max(min(workers, len(missing)), 1)
     minutes = (total / hired + STARTUP * bool(missing)) / 60
     return "\n".join(
@@ -72,11 +82,26 @@ def dry_run(job: Job, plan: Plan, workers: int) -> str:
             f"{len(plan.tasks)} tasks for {len(plan.pairs)} pair{'s' * (len(plan.pairs) != 1)}, {len(missing)} to do",
             *lines,
             *(f"  {text}" for text in plan.left_out),
+            *(f"  {name} cannot be used: {size.problem}" for name, size in sizes.items() if size.problem),
             f"about {total / 60:.1f} core minutes, {minutes:.1f} minutes with {workers} workers (within a factor of "
             f"{FACTOR:g} on the machine that was measured)",
             f"about {memory / 1e9:.1f} GB of memory for each worker, {disk / 1e9:.2f} GB on the disk",
         ]
     )
+
+
+def _foreseen(task: Task, sizes: list[AssetSize]) -> str:
+    """What an image will be refused for: a mesh without texture coordinates."""
+    if task.kind != "transfer" or task.pair is None:
+        return ""
+    source, target = (size.laid_out for size in sizes)
+    painted = [name for name in _OVER_SOURCE if task.request.get(name)]
+    baked = bool(painted) or any(task.request.get(name) for name in _BAKED)
+    if painted and not source:
+        return f"; will be refused, for {task.pair[0]} has no texture coordinates, which {painted[0]} lies over"
+    if baked and not target and not task.request.get("unwrap"):
+        return f"; will be refused, for {task.pair[1]} has no texture coordinates: add `unwrap = true`"
+    return ""
 
 
 def _seconds(task: Task, sizes: list[Size]) -> float:
@@ -103,9 +128,10 @@ def _size(job: Job, name: str, plan: Plan) -> AssetSize:
         wanted = int(options.get("vertices") or DEFAULT_VERTICES)
         level = int(options.get("level") or choose_level(control, wanted))
         counts = list(islice(vertex_counts(control, default_scheme(control)), level + 1))
-    except CagemapError:
-        return AssetSize()
-    return AssetSize(control.n_vertices, counts[-1], next((n for n in counts if n >= PREPARED), counts[-1]))
+    except CagemapError as error:
+        return AssetSize(problem=str(error))
+    prepared = next((n for n in counts if n >= PREPARED), counts[-1])
+    return AssetSize(control.n_vertices, counts[-1], prepared, control.uvs is not None)
 
 
 def _reads(task: Task, name: str) -> bool:

@@ -23,7 +23,7 @@ from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.image_parts import on_display, require_one_picture
 from cagemap.files.marks import mark
-from cagemap.files.text import require_file
+from cagemap.files.text import require_file, text_name
 from cagemap.mesh.udim import FIRST_TILE
 from cagemap.numerics.kinds import kinds_checked
 
@@ -118,7 +118,7 @@ def _open(file: Path) -> tuple[Any, str]:
     hints = oiio.ImageSpec()
     hints.attribute("oiio:UnassociatedAlpha", 1)
     require_file(file, "an image")
-    opened = oiio.ImageInput.open(str(file), hints)
+    opened = oiio.ImageInput.open(text_name(file), hints)
     if opened is None:
         raise FormatError(
             f"{file}: expected an image (PNG, TIFF, EXR, JPEG, ...), could not open it: {_reason(oiio.geterror())} "
@@ -241,6 +241,7 @@ def check_writable(path: str | Path, dtype: np.dtype[Any], channels: int) -> Non
     FormatError
     """
     file = Path(path)
+    text_name(file.absolute())
     suffix = file.suffix.lower()
     if suffix not in _FORMATS:
         raise FormatError(

@@ -56,10 +56,10 @@ def read_obj(path: str | Path) -> ControlMesh:
 
     Vertices and faces keep the numbering of the ``v`` and ``f`` lines. Polygons stay polygons, texture coordinates
     keep their own indices, ``usemtl`` becomes a per-face material with the ``Kd`` colour of its ``.mtl`` (NaN where
-    that is missing), ``o`` and ``g`` a per-face object and group, six numbers on a ``v`` line a position and a colour
-    (else ZBrush's polypaint, `cagemap.files.obj_polypaint`),
-    and ``t`` lines creases, corners, holes and options (`cagemap.files.obj_tags`). Normals, points, lines and smoothing
-    groups are ignored; several objects become one mesh.
+    that is missing), ``o`` and ``g`` a per-face object and group, six or seven numbers on a ``v`` line a position and
+    a colour (else ZBrush's polypaint, `cagemap.files.obj_polypaint`), and ``t`` lines creases, corners, holes and
+    options (`cagemap.files.obj_tags`). Normals, points, lines and smoothing groups are ignored; several objects become
+    one mesh.
 
     Raises
     ------
@@ -272,23 +272,32 @@ def _read_names(statements: _Statements, face_rows: IndexArray, kind: int) -> tu
 
 
 def _read_vertex_colors(statements: _Statements, n_vertices: int) -> FloatArray | None:
-    """(n, 3) the three numbers after a position, where a line has six; else polypaint; None if there is neither."""
+    """(n, 3) the numbers after a position, where a line has six or seven; else polypaint; None if there is neither.
+
+    A seventh number is the opacity, which is left out, or the weight of the position, which stands before the colour:
+    the weight where all fourth numbers are 1 and the last are not.
+    """
     texts = [statements.lines[row] for row in statements.rows(_POSITION)]
     several = max((text.count(" ") for text in texts), default=0) >= 6
-    lines = [text.partition("#")[0].split() for text in texts] if several else []
-    if not any(len(fields) == 7 for fields in lines):
+    lines = [text.partition("#")[0].split()[4:] for text in texts] if several else []
+    colored = [fields for fields in lines if len(fields) in (3, 4)]
+    if not colored:
         painted = [row for row, line in enumerate(statements.lines) if line.startswith(KEYWORD)]
 
         def fail(number: int, expected: str) -> FormatError:
             return statements.fail(painted[number], expected, "Export the mesh again, or take these lines out.")
 
         return polypaint([statements.lines[row] for row in painted], n_vertices, fail)
-    unknown = (np.nan, np.nan, np.nan)
+    unknown = [np.nan, np.nan, np.nan]
     try:
-        table = [tuple(map(float, fields[4:7])) if len(fields) == 7 else unknown for fields in lines]
+        fours = [[float(field) for field in fields] for fields in colored if len(fields) == 4]
+        weighted = bool(fours) and all(four[0] == 1 for four in fours) and any(four[3] != 1 for four in fours)
+        first = {3: 0, 4: int(weighted)}
+        kept = [fields[first[len(fields)] :][:3] if len(fields) in first else None for fields in lines]
+        table = [unknown if fields is None else [float(field) for field in fields] for fields in kept]
     except ValueError:
         rows = statements.rows(_POSITION)
-        bad = next(i for i, fields in enumerate(lines) if len(fields) == 7 and not _are_numbers(fields[4:]))
+        bad = next(i for i, fields in enumerate(lines) if len(fields) in (3, 4) and not _are_numbers(fields))
         raise statements.fail(
             int(rows[bad]), "'v', three coordinates and three colour values", "Export the mesh again."
         ) from None

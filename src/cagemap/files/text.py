@@ -70,6 +70,23 @@ def whole_characters(text: str) -> str:
     return text.encode("utf-8", "replace").decode()
 
 
+def text_name(path: Path) -> str:
+    """The whole name of a file for a library that takes text.
+
+    Raises
+    ------
+    FormatError
+        If the name holds bytes that are no text.
+    """
+    name = str(path)
+    if whole_characters(name) != name:
+        raise FormatError(
+            f"{path}: expected a name that is text (UTF-8), which images and USD files need, got bytes that are none. "
+            "Rename the file or its folder."
+        )
+    return name
+
+
 def at_line(path: Path, number: int, expected: str, got: str, remedy: str) -> str:
     """Message about one line of a file; what was found is cut to a readable length."""
     shown = got if len(got) <= 80 else got[:77] + "..."

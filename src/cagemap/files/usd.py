@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files.text import require_file
+from cagemap.files.text import require_file, text_name
 from cagemap.files.usd_face_sets import face_sets
 from cagemap.files.usd_primvars import BLEND_SHAPE, corner_values, integers, primvar_arrays, stated, uv_primvars
 from cagemap.files.usd_transforms import is_mirrored, local_to_world, moved, unflattened
@@ -107,7 +107,7 @@ def open_stage(path: str | Path) -> Any:
     require_file(file, "a USD file")
     said = pxr.UsdUtils.CoalescingDiagnosticDelegate()  # instead of USD's own lines, which name its sources
     try:
-        stage = pxr.Usd.Stage.Open(str(file))
+        stage = pxr.Usd.Stage.Open(text_name(file))
         reasons = (one.commentary.partition(" (instantiating stage ")[0] for one in said.TakeUncoalescedDiagnostics())
         for reason in dict.fromkeys(reasons):
             logger.warning("%s: %s", file, reason)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.marks import mark
+from cagemap.files.text import text_name
 from cagemap.files.usd import open_stage, reversed_corners, usd_modules
 from cagemap.files.usd_material import bind_textures
 from cagemap.files.usd_primvars import BLEND_SHAPE, JOINT_WEIGHTS
@@ -202,12 +203,13 @@ def _ancestors(prim: Any) -> list[Any]:
 
 
 def check_usd_path(file: Path) -> None:
-    """Refuse a name that does not end as one of USD's layers.
+    """Refuse a name that does not end as one of USD's layers, or is no text.
 
     Raises
     ------
     FormatError
     """
+    text_name(file.absolute())
     if file.suffix.lower() not in (".usd", ".usda", ".usdc"):
         raise FormatError(
             f"{file}: expected a name ending in .usda, .usdc or .usd. Packages (.usdz) are made from those."
