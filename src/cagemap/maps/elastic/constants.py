@@ -83,6 +83,11 @@ NONE, FULL = 0.25, 0.5
 INSIDE_TRIP = 0.006
 OUTSIDE_TRIPS = 6.0
 
+# Length of a round trip at which a source point that pulls at a coarse vertex counts a quarter, of sqrt(area): legs may
+# be that much longer. The share of such a pull that is towards the point, not its plane.
+CLUSTER_TRIP = 0.4
+SLIDING_SHARE = 0.3
+
 # The energy
 
 # Cotangent weights may be negative; the energy wants positive ones: at least this share of the median.

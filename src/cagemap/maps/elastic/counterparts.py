@@ -41,8 +41,7 @@ class ReceivedArea:
 def round_trip_weights(trips: FloatArray, heights: FloatArray, alpha: float) -> FloatArray:
     """(m,) weights from 1 down to 0 of source points, by how far from home a round trip to the target ends.
 
-    ``1 / (1 + d^2 / s^2)^2`` (Geman and McClure 1985) with a smaller s for points inside the target: it cannot grow
-    into them.
+    `trusted` with a smaller scale for points inside the target: it cannot grow into them.
 
     Parameters
     ----------
@@ -53,5 +52,9 @@ def round_trip_weights(trips: FloatArray, heights: FloatArray, alpha: float) -> 
     alpha : float
         Stiffness of the energy.
     """
-    scale = np.where(heights > 0, OUTSIDE_TRIPS * np.sqrt(alpha), INSIDE_TRIP)
+    return trusted(trips, np.where(heights > 0, OUTSIDE_TRIPS * np.sqrt(alpha), INSIDE_TRIP))
+
+
+def trusted(trips: FloatArray, scale: FloatArray | float) -> FloatArray:
+    """(m,) weights ``1 / (1 + d^2 / s^2)^2`` of trips d (m, 3) by their scales s (Geman and McClure 1985)."""
     return np.asarray(1.0 / (1.0 + np.einsum("md,md->m", trips, trips) / scale**2) ** 2)

@@ -6,16 +6,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
+from scipy.spatial import cKDTree
 
 from cagemap.geometry.closest import build_tree, closest_points
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import normalized
-from cagemap.maps.elastic.counterparts import round_trip_weights
+from cagemap.maps.elastic.constants import CLUSTER_TRIP, SLIDING_SHARE
+from cagemap.maps.elastic.counterparts import round_trip_weights, trusted
 from cagemap.maps.elastic.graph import ElasticGraph, transformed_normals
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.spectral.samples import spread
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +177,49 @@ def pull_by_source(
     blocks = gathered[:, :9].reshape(-1, 3, 3)
     right = np.einsum("nab,nb->na", blocks, positions) + gathered[:, 9:12]
     return Pull(blocks, right, gathered[:, 12], held_by, foot)
+
+
+def pull_on_clusters(
+    graph: ElasticGraph,
+    pullers: Pullers,
+    positions: FloatArray,
+    normals: FloatArray,
+    normal_weight: float,
+    feet: FloatArray,
+    masks: Masks = WHOLE,
+) -> Pull:
+    """Term of source points, each of which pulls the coarse vertex that is nearest to it in position and normal.
+
+    A short leg inside a long one lies on it, and nothing that it asks for tells: what the long one has beyond its end
+    does. The plane in which the vertex should lie has the mean of both normals (symmetric ICP, Rusinkiewicz 2019): that
+    of the point alone lies outside of a round part. `SLIDING_SHARE` of the pull is towards the point itself: few points
+    at a leg's end face along it.
+
+    Parameters
+    ----------
+    graph : ElasticGraph
+        Coarse, without triangles.
+    pullers : Pullers
+    positions, normals : (k, 3) float64
+        Of the deformed graph.
+    normal_weight : float
+        Length by which normals count.
+    feet : (k, 3) float64
+        Where its vertices lie nearest on the source.
+    masks : Masks
+        What counts of the graph's vertices; the pullers' areas know of the source's.
+    """
+    points, planes = pullers.points, pullers.planes
+    tree = cKDTree(np.hstack([positions, normal_weight * normals]))
+    pulled = np.asarray(tree.query(np.hstack([points, normal_weight * planes]))[1], dtype=np.int64)
+    between, facing = normalized(planes + normals[pulled]), np.einsum("md,md->m", planes, normals[pulled])
+    shares = pullers.areas * np.clip(facing, 0.0, 1.0) * trusted(feet[pulled] - points, CLUSTER_TRIP)
+    shares *= masks.of_target(graph.n)[pulled]
+    towards = (1.0 - SLIDING_SHARE) * between[:, :, None] * between[:, None, :] + SLIDING_SHARE * np.eye(3)
+    right = np.einsum("mab,mb->ma", towards, points)
+    asked = np.hstack([towards.reshape(-1, 9), right, np.ones((len(points), 1))])
+    summed = grouped_sums(pulled, shares[:, None] * asked, graph.n)
+    return Pull(summed[:, :9].reshape(-1, 3, 3), summed[:, 9:12], summed[:, 12], pulled, positions[pulled])
 
 
 def curved_points(corners: FloatArray, normals: FloatArray, barycentric: FloatArray) -> FloatArray:

@@ -20,7 +20,7 @@ from cagemap.maps.elastic.anchors import Anchors as Anchors
 from cagemap.maps.elastic.config import ElasticConfig, Stage
 from cagemap.maps.elastic.constants import COST_STIFFNESS, LANDMARK_ITERATIONS, LYING, STIFFENING, STIFFEST, UNSETTLED
 from cagemap.maps.elastic.curves import NO_CURVES, CurvePull
-from cagemap.maps.elastic.data import deformed_normals, pull_by_source, pull_to_source
+from cagemap.maps.elastic.data import Pullers, deformed_normals, pull_by_source, pull_on_clusters, pull_to_source
 from cagemap.maps.elastic.graph import extrapolate
 from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair, RestShape
 from cagemap.maps.pair import PointPairs
@@ -51,6 +51,7 @@ def coarse_fit(
     start: FloatArray | None,
     landmark_positions: FloatArray,
     config: ElasticConfig = ElasticConfig(),
+    pullers: Pullers | None = None,
 ) -> CoarseFit:
     """The coarse stage from rough positions, or from the landmarks alone.
 
@@ -64,6 +65,8 @@ def coarse_fit(
         Rough positions on the source; None to start from the landmarks.
     landmark_positions : (p, 3) float64
         Where they belong.
+    pullers : Pullers, optional
+        Points of the source that pull at the shape too, where limbs are to reach the ends of the source's.
 
     Raises
     ------
@@ -77,7 +80,7 @@ def coarse_fit(
     held = np.arange(len(landmark_positions))
     first = landmark_start(rest, held, landmark_positions, config) if start is None else start
     anchors = Anchors.at_vertices(held)
-    positions = run_stage(rest, sheet, first, anchors, landmark_positions, config.coarse, config, shape.curves)
+    positions = run_stage(rest, sheet, first, anchors, landmark_positions, config.coarse, config, shape.curves, pullers)
     maps, _ = rest.differentials(positions)
     return CoarseFit(coarse_cost(rest, sheet, positions, maps, config), positions, maps)
 
@@ -171,20 +174,21 @@ def run_stage(
     stage: Stage,
     config: ElasticConfig,
     curves: CurvePull = NO_CURVES,
+    pullers: Pullers | None = None,
 ) -> FloatArray:
     """Alternate closest points, positions and differentials; returns positions (n, 3).
 
     Where the graph has triangles the data term works both ways: every deformed vertex lies on the source, and every
     source vertex on the deformed target, which is what fills fingers, ears and lips; parts of either that have no
-    counterpart do not pull (`cagemap.maps.elastic.counterparts`). The alternation creeps along the
-    surface, where only the energy pulls; momentum makes it three times faster.
+    counterpart do not pull (`cagemap.maps.elastic.counterparts`). Clusters are pulled at by the pullers that are given.
+    The alternation creeps along the surface, where only the energy pulls; momentum makes it three times faster.
 
     Where the mesh lies on the source, softening would only let it slide: the stiffness is then the largest that keeps
     it there (Morozov's discrepancy principle). That is so between cages of one shape.
     """
     graph, field = rest.graph, rest.field
     triangles = None if rest.mesh is None else rest.mesh.triangles
-    pullers = None if triangles is None else rest.pullers(sheet)
+    pullers = pullers if triangles is None else rest.pullers(sheet)
     normal_weight = config.normal_weight if triangles is None else config.fine_normal_weight
     positions, before = start, start
     guess, guess_back = None, None
@@ -199,7 +203,10 @@ def run_stage(
                 normals = vertex_normals(positions, triangles)
             pull = pull_to_source(graph, sheet, positions, normals, guess, normal_weight, rest.masks)
             blocks, right, guess = pull.blocks, pull.right, pull.triangles
-            if triangles is not None and pullers is not None and rest.received is not None:
+            if triangles is None and pullers is not None:
+                back = pull_on_clusters(graph, pullers, positions, normals, config.normal_weight, pull.feet, rest.masks)
+                blocks, right = blocks + back.blocks, right + back.right
+            elif triangles is not None and pullers is not None and rest.received is not None:
                 miss = pull.distance(positions)
                 back = pull_by_source(
                     triangles,

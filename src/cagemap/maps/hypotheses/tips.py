@@ -1,17 +1,20 @@
 """Tips of limbs, tails, noses and ears, from one shape alone, and a fit that is led by those that lie near each other.
 
-Between species the energy leaves an ear or a hoof beside its counterpart, and drags what is around it along.
+Between species the energy leaves an ear or a hoof beside its counterpart, and drags what is around it along; a short
+leg lies within a long one. So the source pulls too: what no limb has come to pulls at the nearest one.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
+from cagemap.maps.elastic.config import Stage
+from cagemap.maps.elastic.data import Pullers
 from cagemap.maps.elastic.ends import FineFit, judged
 from cagemap.maps.elastic.fit import coarse_fit, fine_fit
 from cagemap.maps.elastic.graph import ElasticGraph
@@ -32,6 +35,10 @@ LEAST_HEIGHT = 0.01
 NEAR, MET, TAKEN = 0.2, 0.02, 0.05
 # What a fit that meets the tips may cost, of the one that does not: the energy does not know ears from cheeks.
 AS_CHEAP = 1.15
+# The coarse stage that is led: as stiff as that of bodies that stand alike, and twice as long; and how many points of
+# the source pull at it.
+LED = Stage(20, (5e-2, 2e-4), 1e-2, momentum=0.6)
+LEADING = 4000
 # Bodies of one kind cost less: nothing that either stage after the fit would gain is worth its time there.
 OF_ONE_KIND = 1e-4
 
@@ -81,15 +88,18 @@ class Tips:
 def led_by_tips(prepared: PreparedPair, pair: Pair, tips: Tips, ended: FineFit) -> FineFit:
     """A fit from where another one ended, whose coarse stage holds the tips; the other one where it is much cheaper.
 
-    The fine stage holds landmarks only: what was no counterpart slips away.
+    The source pulls at that stage as well, which is a stiff one: trunks and necks follow their ends. The fine stage
+    holds landmarks only: what was no counterpart slips away.
     """
     pairs, landmarks = tips.pairs(ended.positions), pair.landmarks
     if not len(pairs):
         return ended
-    shape = prepared.coarse(np.concatenate([prepared.near(landmarks)[0], tips.vertices[pairs[:, 0]]]), landmarks.curves)
+    stiff = replace(prepared, elastic=replace(prepared.elastic, coarse=LED))
+    shape = stiff.coarse(np.concatenate([prepared.near(landmarks)[0], tips.vertices[pairs[:, 0]]]), landmarks.curves)
     places = np.vstack([landmarks.source.positions, tips.places[pairs[:, 1]]])
+    leading = Pullers.choose(prepared.sheet, LEADING, prepared.rest.masks)
     with thread_limit(1):
-        led = coarse_fit(shape, prepared.sheet, ended.positions[shape.vertices], places, prepared.elastic)
+        led = coarse_fit(shape, stiff.sheet, ended.positions[shape.vertices], places, stiff.elastic, leading)
     pullers = prepared.rest.pullers(prepared.sheet)
     again = judged(prepared, pullers, fine_fit(prepared, shape, led, landmarks))
     return again if again.cost <= AS_CHEAP * ended.cost else ended
