@@ -207,3 +207,21 @@ def test_the_border_of_a_surface_stays_where_it_is() -> None:
     found = lay_out_parts(images, flipped, surface, np.zeros(0, dtype=np.int64))
     border = np.isin(surface.positions[:, :2], [0.0, 1.0]).any(axis=1)
     np.testing.assert_array_equal(found.positions[border], images.positions[border])
+
+
+def test_a_limb_is_not_thrown_about_for_a_ring_of_folds_at_its_root() -> None:
+    """Laid flat, a mast is a tiny place: what unfolds its root would slide all of it."""
+    places, triangles = grid()
+    r = np.linalg.norm(places[:, :2] - 0.5, axis=1)
+    mast = TriangleSurface(places + np.outer(np.interp(r, [0.05, 0.1], [0.4, 0.0]), [0, 0, 1]), triangles)
+    # Distances from its middle go back a little, around its root.
+    pushed = r + 0.05 * np.exp(-(((r - 0.11) / 0.012) ** 2))
+    wanted = np.column_stack([0.5 + (places[:, :2] - 0.5) * (pushed / np.maximum(r, 1e-9))[:, None], np.zeros(len(r))])
+    flat = SurfacePoints.nearest(flat_grid(), wanted)
+    images = SurfacePoints(mast, flat.triangle, flat.barycentric)
+    flipped = flipped_triangles(images, triangles)
+    folded = mast.areas[flipped].sum()
+    assert LEAST_SHARE < folded < MOST_FOLDED
+    laid = lay_out_parts(images, flipped, mast, np.zeros(0, dtype=np.int64))
+    far = np.linalg.norm(laid.positions - images.positions, axis=1) > 0.05
+    assert mast.vertex_areas[far].sum() <= 5.0 * folded

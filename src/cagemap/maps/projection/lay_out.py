@@ -30,7 +30,9 @@ from cagemap.maps.projection.constants import (
     LEAST_UNFOLDED,
     MARGIN,
     MOST_FOLDED,
+    MOST_THROWN,
     STEPS,
+    THROWN,
 )
 from cagemap.maps.projection.relax import BoolArray, around, convex_rows, neighbour_means, patches, touched_triangles
 from cagemap.maps.quality import flipped_triangles
@@ -72,6 +74,9 @@ def lay_out_parts(
 ) -> SurfacePoints:
     """Unfold the parts that fold over most, each within a disc, where that leaves less than half of the fold.
 
+    A limb beyond a ring of folds is a tiny place of the disc, where small changes throw it about: what moves much more
+    of the surface than is folded stays as it was.
+
     Parameters
     ----------
     images : SurfacePoints
@@ -90,7 +95,10 @@ def lay_out_parts(
             chosen, new = found
             still = flipped_triangles(new, target.triangles[chosen])
             areas = target.areas[chosen]
-            if areas @ still < (1.0 - LEAST_UNFOLDED) * (areas @ flipped[chosen]):
+            folded = areas @ flipped[chosen]
+            far = row_lengths(new.positions - images.positions) > THROWN
+            thrown = target.vertex_areas[far].sum() > MOST_THROWN * folded
+            if areas @ still < (1.0 - LEAST_UNFOLDED) * folded and not thrown:
                 images, flipped = new, flipped.copy()
                 flipped[chosen] = still
                 break
