@@ -77,8 +77,11 @@ def build_tree(positions: FloatArray, triangles: IndexArray) -> TriangleTree:
         raise ParameterError(f"expected finite positions, got {len(bad)} that are not, first at vertices {bad[:5]}")
     order = _leaf_order(positions, triangles)
     ordered, normals = triangles.take(order, axis=0), np.empty((len(order), 3))
-    for part in parts(len(order), CACHED):
+
+    def fill(part: slice) -> None:
         normals[part] = normalized(triangle_normals(positions, ordered[part]))
+
+    in_threads(fill, parts(len(order), CACHED))
     n_leaves = 1 << int(np.ceil(np.log2(max(1, -(-len(order) // _LEAF_SIZE)))))
     boxes, corners = np.empty((2 * n_leaves - 1, 12)), np.empty((len(order), 3, 3))
     _fill_boxes(read_only(positions), ordered, normals, corners, boxes)
@@ -160,12 +163,15 @@ def _leaf_order(positions: FloatArray, triangles: IndexArray) -> IndexArray:
     """(t,) triangles leaf by leaf along a space-filling curve."""
     leaves = len(triangles) // _LEAF_SIZE
     extents, means = np.full(max(leaves, 1), np.inf), np.empty((leaves, 3))
-    for part in parts(leaves, CACHED // _LEAF_SIZE):
+
+    def fill(part: slice) -> None:
         # Coordinate by coordinate, a leaf's triangles below each other: short rows are slow in array operations.
         centres = triangle_centres(positions, triangles[part.start * _LEAF_SIZE : part.stop * _LEAF_SIZE])
         runs = [np.ascontiguousarray(centres[:, d].reshape(-1, _LEAF_SIZE).T) for d in range(3)]
         extents[part] = np.sqrt(sum(np.square(run.max(axis=0) - run.min(axis=0)) for run in runs))
         means[part] = np.column_stack([run.mean(axis=0) for run in runs])
+
+    in_threads(fill, parts(leaves, CACHED // _LEAF_SIZE))
     sizes = triangle_areas(positions, triangles)
     if extents.mean() > _COMPACT * np.sqrt(2.0 * sizes).mean():
         return np.argsort(_morton_codes(triangle_centres(positions, triangles)), kind="stable")
