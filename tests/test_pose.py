@@ -11,11 +11,11 @@ from cagemap.basis import BasisConfig, Surface, hierarchical_basis
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.elastic import both_ways, method
 from cagemap.maps.elastic.config import ElasticConfig, StartConfig
-from cagemap.maps.elastic.constants import LOOSEST, POSES_DIFFER, POSES_FOUND
+from cagemap.maps.elastic.constants import LIMB, LIMB_POSED, LOOSEST, POSES_DIFFER, POSES_FOUND
 from cagemap.maps.elastic.ends import FineFit
 from cagemap.maps.elastic.fit import CoarseFit, coarse_fit, fine_stage
 from cagemap.maps.elastic.graph import mesh_graph
-from cagemap.maps.elastic.pose import fit_in_pose, posed, stiffness, turn
+from cagemap.maps.elastic.pose import fit_in_pose, limb_turn, posed, stiffness, turn
 from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair, RestShape
 from cagemap.maps.pair import Pair, PointPairs
 from cagemap.mesh import ControlMesh
@@ -64,6 +64,36 @@ def test_a_bent_and_stretched_body_is_bent_and_hardly_stretched(rest: RestShape)
     assert np.abs(np.log(lengths(rest, bent) / own)).mean() > 0.1
     assert np.abs(np.log(lengths(rest, found) / own)).mean() < 0.07
     assert np.linalg.norm(found - bent, axis=1).mean() < 0.1 < np.linalg.norm(found - at, axis=1).mean()
+
+
+def test_one_limb_is_posed_where_the_body_stands_as_it_did(rest: RestShape) -> None:
+    at, areas = rest.graph.positions, rest.graph.areas
+    behind = np.argsort(at[:, 2])
+    share = np.cumsum(areas[behind]) / areas.sum()
+    bent = at.copy()
+    limb = behind[share < 4 * LIMB]
+    hinge = at[limb][:, 2].max()
+    height, depth = at[limb, 1], at[limb, 2] - hinge
+    bent[limb, 1] = np.cos(1.2) * height - np.sin(1.2) * depth
+    bent[limb, 2] = hinge + np.sin(1.2) * height + np.cos(1.2) * depth
+    assert limb_turn(rest, at) < 1e-5
+    assert turn(rest, bent) < POSES_DIFFER
+    assert limb_turn(rest, bent) > LIMB_POSED
+
+
+@pytest.mark.parametrize("angle", [0.9 * LIMB_POSED, 1.1 * LIMB_POSED])
+def test_ends_that_agree_are_doubted_where_a_limb_is_posed(
+    bent: PreparedPair, monkeypatch: pytest.MonkeyPatch, angle: float
+) -> None:
+    at_rest, better = CoarseFit(1.0, bent.rest.graph.positions, np.zeros(0)), FineFit(0.5, bent.on_source.positions)
+    monkeypatch.setattr(method, "coarse_fit", lambda *given: at_rest)
+    monkeypatch.setattr(method, "fine_fit", lambda *given: bent.rest.graph.positions)
+    monkeypatch.setattr(method, "start_map", lambda prepared, pair, vertices, areas: vertices)
+    monkeypatch.setattr(method, "mean_distance", lambda *given: 0.0)
+    monkeypatch.setattr(method, "limb_turn", lambda rest, positions: angle)
+    monkeypatch.setattr(method, "doubtful_ends", lambda *given: (better, better))
+    ends = method.fits(bent, Pair(bent.target, bent.source, every_twelfth(bent)))
+    assert [end.cost for end in ends] == ([0.5, 0.5] if angle > LIMB_POSED else [1.0])
 
 
 def test_edges_are_loose_where_a_body_turns_and_stiff_where_it_does_not(rest: RestShape) -> None:

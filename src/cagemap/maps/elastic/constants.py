@@ -36,6 +36,11 @@ PART_RINGS = 3
 # 0.13 to 0.18, striding, sitting and crouching ones 0.43 to 0.86.
 POSES_DIFFER = 0.3
 
+# Share of the area, less than a forearm and its hand, and its least turn from which on a limb is posed otherwise:
+# bodies that stand alike had 0.25 to 0.41, animals of other species up to 0.88, one bent elbow 0.54.
+LIMB = 0.02
+LIMB_POSED = 0.48
+
 # The target in the source's pose: what it weighs that limbs stay rigid, against an end that shows the pose (its square
 # root is a length of sqrt(area), 1 loses hands); smoothing of its differentials, see `Stage`; how often joints are
 # looked for, over which length, of sqrt(area), the least weight of their edges, and rounds of rotations and places each

@@ -9,10 +9,10 @@ import numpy as np
 
 from cagemap.basis import Surface
 from cagemap.maps.elastic.both_ways import both_ways
-from cagemap.maps.elastic.constants import DOUBTFUL, POSES_DIFFER
+from cagemap.maps.elastic.constants import DOUBTFUL, LIMB_POSED, POSES_DIFFER
 from cagemap.maps.elastic.ends import FineFit, finished_ends, mean_distance
 from cagemap.maps.elastic.fit import CoarseFit, coarse_fit, fine_fit
-from cagemap.maps.elastic.pose import fit_in_pose, turn
+from cagemap.maps.elastic.pose import fit_in_pose, limb_turn, turn
 from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair
 from cagemap.maps.elastic.starts import SpectralSides, spectral_starts, start_map
 from cagemap.maps.elastic.update import respond
@@ -64,8 +64,8 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
 
     The functional map starts as the paper's (eqs. 13-16) and grows on the search levels beside harmonic and biharmonic
     landmark coordinates; from where it sends some vertices, and from the landmarks alone, the coarse stage of the
-    elastic fit starts. Where these two end apart, limbs may be turned (`doubtful_ends`). Where they end alike, no joint
-    needs the soft stage, and a stiffer one spreads the strain more evenly.
+    elastic fit starts. Where these two end apart, or a limb is posed otherwise, limbs may be turned (`doubtful_ends`).
+    Elsewhere no joint needs the soft stage, and a stiffer one spreads the strain more evenly.
     """
     progress("functional map")
     places, sheet, elastic = pair.landmarks.source.positions, prepared.sheet, prepared.elastic
@@ -82,7 +82,10 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
     # The start from the landmarks is another one here: differentials are smoothed over the stiffer stage's length.
     both: list[FloatArray | None] = [start, None]
     best = min(stiff_fits(prepared, pair, shape, both), key=lambda ended: ended.cost)
-    return (FineFit(best.cost, fine_fit(prepared, shape, best, pair.landmarks)),)
+    settled = FineFit(best.cost, fine_fit(prepared, shape, best, pair.landmarks))
+    if limb_turn(prepared.rest, settled.positions) > LIMB_POSED:  # which only the mesh shows of a single elbow
+        return doubtful_ends(prepared, pair, shape, start, ends)
+    return (settled,)
 
 
 def doubtful_ends(

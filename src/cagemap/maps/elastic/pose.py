@@ -16,6 +16,7 @@ from scipy import sparse
 from cagemap.maps.elastic.constants import (
     JOINT_SMOOTHING,
     JOINTS_FOUND,
+    LIMB,
     LOOSEST,
     POSES_FOUND,
     POSING_ROUNDS,
@@ -59,11 +60,24 @@ def fit_in_pose(
 
 
 def turn(rest: RestShape, positions: FloatArray) -> float:
-    """How far poses differ: mean angle, in radians, between the turns of a fit's vertices (n, 3) and that of all."""
+    """How far poses differ: mean of `turns`."""
+    return float(rest.graph.areas @ turns(rest, positions)) / float(rest.graph.areas.sum())
+
+
+def limb_turn(rest: RestShape, positions: FloatArray) -> float:
+    """How far single limbs are posed otherwise: what `turns` are at least on `LIMB` of the area."""
+    angles = turns(rest, positions)
+    order = np.argsort(-angles)
+    covered = np.cumsum(rest.graph.areas[order])
+    return float(angles[order[np.searchsorted(covered, LIMB * covered[-1])]])
+
+
+def turns(rest: RestShape, positions: FloatArray) -> FloatArray:
+    """(n,) angles, in radians, between the turn of every vertex of a fit (n, 3) and that of all."""
     areas, rotations = rest.graph.areas, nearest_rotations(rest.field.solve(positions))
     common = nearest_rotations(np.einsum("n,nab->ab", areas, rotations)[None])[0]
     cosines = 0.5 * (np.einsum("nab,ab->n", rotations, common) - 1.0)
-    return float(areas @ np.arccos(np.clip(cosines, -1.0, 1.0)))
+    return np.asarray(np.arccos(np.clip(cosines, -1.0, 1.0)))
 
 
 def posed(rest: RestShape, positions: FloatArray) -> FloatArray:
