@@ -105,6 +105,19 @@ def prepare_surface(
     ParameterError
         If the level or the number of basis functions is out of range.
     """
+    require_valid(control)
+    return prepare_checked(control, level, config, scheme=scheme, progress=progress)
+
+
+def prepare_checked(
+    control: ControlMesh,
+    level: int,
+    config: BasisConfig = MAP_BASIS,
+    *,
+    scheme: Scheme | None = None,
+    progress: Progress = silent,
+) -> Surface:
+    """`prepare_surface` of a control mesh that was found valid already."""
     scheme = default_scheme(control) if scheme is None else scheme
     if isinstance(scheme, Plain) and level:
         raise ParameterError(f"level: expected 0 of a plain mesh (scheme none), got {level}; bilinear refines it")
@@ -113,7 +126,6 @@ def prepare_surface(
             f"level: expected 1 to {MOST_LEVELS}, got {level}; level 0 is the control mesh, and only a plain mesh "
             "(scheme none) is matched as it is"
         )
-    require_valid(control)
     with one_blas_thread():
         progress(f"refine {control.name}")
         refinement = refined(control, level, scheme)

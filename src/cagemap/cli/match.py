@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.basis import BasisConfig
+from cagemap.basis.prepare import prepare_checked
 from cagemap.cli.bases import (
     DEFAULT_VERTICES,
     SIDES,
@@ -43,7 +44,7 @@ from cagemap.files.surface_store import prepared
 from cagemap.files.usd_space import unit_notes
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks, paired
-from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_surface, prepare_surfaces
+from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_surfaces
 
 _log = logging.getLogger(__name__)
 
@@ -253,7 +254,7 @@ def match_meshes(inputs: Inputs, settings: MatchSettings, stages: Stages) -> Mat
     for control, level in zip(controls, settings.levels, strict=True):
         require_size(control, level)
         _log.info("%s: level %d", control.name, level)
-    prepare = prepare_surface if settings.cache is None else partial(prepared, settings.cache)
+    prepare = prepare_checked if settings.cache is None else partial(prepared, settings.cache)
     target, source = prepare_surfaces(*controls, settings.levels, settings.bases, prepare=prepare, progress=stages)
     config = replace(settings.config, masks=masks_on(inputs.masks, (target, source)))
     found = match(target, source, inputs.landmarks, config, progress=stages)

@@ -51,11 +51,10 @@ def _handle_notes(*meshes: ControlMesh) -> list[str]:
 
 
 def _ready(mesh: ControlMesh) -> ControlMesh | PlainMesh:
-    """A cage as it is, once it is checked; a plain mesh mended."""
-    if isinstance(mesh.scheme, Plain):
-        return plain_mesh(mesh)
-    require_valid(mesh)
-    return mesh
+    """A cage as it is, or a plain mesh mended, once it is checked."""
+    ready = plain_mesh(mesh) if isinstance(mesh.scheme, Plain) else mesh
+    require_valid(ready.mesh if isinstance(ready, PlainMesh) else ready)
+    return ready
 
 
 def _same(vertices: IndexArray) -> IndexArray:
