@@ -111,6 +111,20 @@ def test_points_of_the_surface_are_nearest_to_themselves(surface: TriangleSurfac
     np.testing.assert_allclose(np.linalg.norm(found.normals, axis=1), 1.0, rtol=1e-12)
 
 
+@pytest.mark.parametrize("asked", [(), ("positions",), ("positions", "normals")])
+def test_places_and_normals_are_those_of_the_points_that_took_others_place(
+    surface: TriangleSurface, asked: tuple[str, ...]
+) -> None:
+    points, others = some_points(surface, 9, 5), some_points(surface, 2, 6)
+    known = [getattr(points, name) for name in asked]
+    changed = points.replaced(np.array([8, 1]), others)
+    anew = SurfacePoints(surface, changed.triangle, changed.barycentric)
+    np.testing.assert_array_equal(changed.positions, anew.positions)
+    np.testing.assert_array_equal(changed.normals, anew.normals)
+    assert not changed.positions.flags.writeable
+    assert [getattr(points, name) is before for name, before in zip(asked, known, strict=True)] == [True] * len(asked)
+
+
 def test_some_points_and_points_in_place_of_others(surface: TriangleSurface) -> None:
     points, others = some_points(surface, 9, 6), some_points(surface, 2, 7)
     changed = points.replaced(np.array([8, 1]), others)

@@ -234,7 +234,12 @@ class SurfacePoints:
             raise ParameterError(f"expected points of {self.surface}, got points of another surface, {others.surface}")
         triangle, barycentric = self.triangle.copy(), self.barycentric.copy()
         triangle[rows], barycentric[rows] = others.triangle, others.barycentric
-        return SurfacePoints(self.surface, triangle, barycentric)
+        made = SurfacePoints(self.surface, triangle, barycentric)
+        for name in vars(self).keys() & {"positions", "normals"}:  # known already, but for a few
+            values = getattr(self, name).copy()
+            values[rows] = getattr(others, name)
+            vars(made)[name] = read_only(values)
+        return made
 
     def __repr__(self) -> str:
         return f"SurfacePoints({len(self)} of {self.surface})"
