@@ -25,7 +25,18 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.parts import extract
 from cagemap.mesh.shapes import creature, cube
 from cagemap.refinement import refine
-from cagemap.studio.bench import Bench, ChooseAnswer, Dress, FindMap, Found, Opened, Opening, OpenModels, perform
+from cagemap.studio.bench import (
+    Bench,
+    ChooseAnswer,
+    Dress,
+    FindMap,
+    Found,
+    Opened,
+    Opening,
+    OpenModels,
+    perform,
+    told_apart,
+)
 from cagemap.studio.finish import FinishOptions, commands
 from cagemap.studio.glb import Primitive, glb
 from cagemap.studio.landmark_files import load_landmarks, save_landmarks
@@ -413,3 +424,12 @@ def test_a_vertex_cannot_be_named_twice(opened: tuple[Bench, OpenModels]) -> Non
     one = landmarks(bench, 0).items[0]
     with pytest.raises(ValueError, match="one pair only"):
         perform(bench, FindMap(task.opening, LandmarkList((one, replace(one, name="again"))), View()), lambda _: None)
+
+
+def test_answers_of_one_name_are_told_apart() -> None:
+    assert told_apart(["as filed", "turned", "as filed", "as filed"]) == (
+        "as filed",
+        "turned",
+        "as filed (2)",
+        "as filed (3)",
+    )

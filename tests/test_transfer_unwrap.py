@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -38,6 +40,9 @@ SHAPES = {
     "creature": creature(),
 }
 ANIMALS = ["spot", "cow", "red_fox"]
+
+# The function of the same name hides the module.
+layout = importlib.import_module("cagemap.transfer.unwrap")
 
 
 def check_layout(control: ControlMesh, size: int = 700) -> None:
@@ -153,6 +158,38 @@ def test_the_same_mesh_gives_the_same_layout_whatever_its_place_and_size() -> No
     np.testing.assert_array_equal(first.uv_indices, again.uv_indices)
     for factor in (1e-6, 2.0**20):
         check_layout(unwrap(control.with_positions(control.positions * factor + 3 * factor)), 300)
+
+
+def apart(one: np.ndarray, other: np.ndarray) -> bool:
+    """The slow twin: whether an edge of either of two convex polygons has the other one on its outer side."""
+    return any(
+        all((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0] <= 1e-9 for c in second)
+        for first, second in ((one, other), (other, one))
+        for a, b in zip(first, np.roll(first, -1, axis=0), strict=True)
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_charts_that_run_over_themselves_are_found_as_one_by_one(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(layout, "_PAIRS", 50)
+    rng = np.random.default_rng(seed)
+    count = 60
+    sizes = rng.integers(3, 6, count)
+    around = [np.sort(rng.uniform(0, 2 * np.pi, size)) for size in sizes]
+    loops = [rng.uniform(0, 4, 2) + rng.uniform(0.1, 1) * np.column_stack([np.cos(a), np.sin(a)]) for a in around]
+    uvs, corner_uvs = np.concatenate(loops), np.arange(sizes.sum())
+    control = ControlMesh.from_faces(np.zeros((len(uvs), 3)), np.split(corner_uvs, np.cumsum(sizes)[:-1]))
+    chart = rng.integers(-1, 3, count)
+    found = layout._overlapping(control, uvs, corner_uvs, chart)
+    expected = {
+        (a, b)
+        for a, b in itertools.combinations(range(count), 2)
+        if chart[a] == chart[b] >= 0 and not apart(loops[a], loops[b])
+    }
+    assert len(expected) > 20
+    assert {(min(pair), max(pair)) for pair in found.tolist()} == expected
+    layout._loosen_overlaps(control, uvs, corner_uvs, chart)
+    assert not len(layout._overlapping(control, uvs, corner_uvs, chart))
 
 
 def test_degenerate_polygons_get_a_spot_of_their_own() -> None:

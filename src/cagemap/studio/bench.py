@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -246,6 +246,12 @@ def _opened(bench: Bench) -> Models:
     return bench.models
 
 
+def told_apart(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of answers with a number after those that were there before: several may end from one kind of start."""
+    counts = [names[: i + 1].count(name) for i, name in enumerate(names)]
+    return tuple(f"{name} ({count})" if count > 1 else name for name, count in zip(names, counts, strict=True))
+
+
 def _found(bench: Bench, view: View, started: float) -> Found:
     """What the page is told about the map there is now."""
     result = bench.result
@@ -254,7 +260,7 @@ def _found(bench: Bench, view: View, started: float) -> Found:
     skin = _target_skin(_opened(bench), images, view)
     free = None if bench.free is None else bench.free.confidence
     known = MapState(
-        answers=() if free is None else tuple(reading.name for reading in free.readings),
+        answers=() if free is None else told_apart([reading.name for reading in free.readings]),
         chosen=bench.chosen,
         confidence="" if result.confidence is None or bench.chosen else result.confidence.message,
         strain=_strain(result),

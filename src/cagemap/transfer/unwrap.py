@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh, Plain
@@ -26,6 +27,8 @@ _STRAIGHT = -1e-9
 _SMOOTHING = 2
 # Islands thinner than this, relative to their length squared, are as good as folded.
 _FLAT = 1e-6
+# Pairs of polygons that are looked at at once.
+_PAIRS = 2**18
 
 
 def unwrap(control: ControlMesh, *, padding: float = 1 / 256) -> ControlMesh:
@@ -164,24 +167,47 @@ def _whole_polygons(control: ControlMesh, charts: _Charts) -> tuple[IndexArray, 
 
 def _loosen_overlaps(control: ControlMesh, uvs: FloatArray, corner_uvs: IndexArray, chart: IndexArray) -> None:
     """Take polygons out of charts, in place, until no two overlap: xatlas lets a chart run over itself now and then."""
-    loops = np.split(corner_uvs, control.face_offsets[1:-1])
-    for number in range(int(chart.max(initial=-1)) + 1):
-        faces = np.flatnonzero(chart == number)
-        low = np.array([uvs[loops[face]].min(axis=0) for face in faces]).reshape(-1, 2)
-        high = np.array([uvs[loops[face]].max(axis=0) for face in faces]).reshape(-1, 2)
-        near = np.triu((low[:, None] < high[None]).all(axis=2) & (low[None] < high[:, None]).all(axis=2), 1)
+    pairs = _overlapping(control, uvs, corner_uvs, chart)
+    while len(pairs):
+        members, counts = np.unique(pairs, return_counts=True)
+        worst = int(members[counts.argmax()])
+        corner_uvs[control.face_offsets[worst] : control.face_offsets[worst + 1]] = -1
+        chart[worst] = -1
+        pairs = pairs[(pairs != worst).all(axis=1)]
+
+
+def _overlapping(control: ControlMesh, uvs: FloatArray, corner_uvs: IndexArray, chart: IndexArray) -> IndexArray:
+    """(q, 2) polygons of one chart that have an area in common; they are swept from left to right, chart by chart."""
+    corners, begin = uvs[corner_uvs], control.face_offsets[:-1]
+    low, high = np.minimum.reduceat(corners, begin), np.maximum.reduceat(corners, begin)
+    # Charts side by side, so far apart that none reaches the next one.
+    shift = 2 * np.ptp(corners[:, 0]) * chart
+    faces = np.flatnonzero(chart >= 0)
+    faces = faces[np.argsort((low[:, 0] + shift)[faces], kind="stable")]
+    starts, ends = (low[:, 0] + shift)[faces], (high[:, 0] + shift)[faces]
+    counts = np.maximum(np.searchsorted(starts, ends, side="right") - np.arange(len(faces)) - 1, 0)
+    before = np.cumsum(counts) - counts
+    used = csr_array((np.ones(len(corner_uvs)), np.maximum(corner_uvs, 0), control.face_offsets))
+    found = [np.zeros((0, 2), np.int64)]
+    for rows in np.split(np.arange(len(faces)), np.searchsorted(before, np.arange(_PAIRS, counts.sum(), _PAIRS))):
+        first = np.repeat(rows, counts[rows])
+        second = first + 1 + np.arange(len(first)) - np.repeat(before[rows] - before[rows[:1]], counts[rows])
+        a, b = faces[first], faces[second]
+        near = ((low[a] < high[b]) & (low[b] < high[a])).all(axis=1)
+        a, b = a[near], b[near]
         # Convex polygons on either side of a common edge cannot overlap.
-        pairs = [
-            (a, b)
-            for a, b in faces[np.argwhere(near)]
-            if len(np.intersect1d(loops[a], loops[b])) < 2 and _overlap(uvs[loops[a]], uvs[loops[b]])
-        ]
-        while pairs:
-            members, counts = np.unique(np.array(pairs), return_counts=True)
-            worst = int(members[counts.argmax()])
-            corner_uvs[control.face_offsets[worst] : control.face_offsets[worst + 1]] = -1
-            chart[worst] = -1
-            pairs = [pair for pair in pairs if worst not in pair]
+        apart = used[a].multiply(used[b]).sum(axis=1) < 2
+        a, b = a[apart], b[apart]
+        over = _overlap(*(_polygons(control, uvs, corner_uvs, side) for side in (a, b)))
+        found.append(np.column_stack([a, b])[over])
+    return np.concatenate(found)
+
+
+def _polygons(control: ControlMesh, uvs: FloatArray, corner_uvs: IndexArray, faces: IndexArray) -> FloatArray:
+    """(q, k, 2) corners of some polygons; the last one of smaller ones is there several times."""
+    size = control.face_sizes[faces]
+    step = np.minimum(np.arange(size.max(initial=1)), size[:, None] - 1)
+    return np.asarray(uvs[corner_uvs[control.face_offsets[faces][:, None] + step]])
 
 
 def _convex_faces(control: ControlMesh, points: FloatArray) -> np.ndarray:
@@ -252,24 +278,23 @@ def _lay_against(
     taken_uvs = uvs[corner_uvs[np.repeat(begin - first, size) + np.arange(size.sum())]]
     apart = np.any(np.minimum.reduceat(taken_uvs, first) >= points.max(axis=0), axis=1)
     apart |= np.any(np.maximum.reduceat(taken_uvs, first) <= points.min(axis=0), axis=1)
-    for face in neighbors[~apart]:
-        taken = uvs[corner_uvs[control.face_offsets[face] : control.face_offsets[face + 1]]]
-        if _overlap(points, taken):
-            return None
+    near = _polygons(control, uvs, corner_uvs, neighbors[~apart])
+    if _overlap(np.broadcast_to(points, (len(near), *points.shape)), near).any():
+        return None
     return points
 
 
-def _overlap(first: FloatArray, second: FloatArray) -> bool:
-    """Whether two convex polygons that turn left have an area in common (separating axis theorem)."""
-    scale = np.abs(first - first.mean(axis=0)).max()
+def _overlap(first: FloatArray, second: FloatArray) -> np.ndarray:
+    """(q,) whether convex polygons (q, k, 2) that turn left have an area in common (separating axis theorem)."""
+    scale = 0.5 * np.ptp(first, axis=1).max(axis=1)
+    apart = np.zeros(len(first), dtype=bool)
     for polygon, other in ((first, second), (second, first)):
-        edges = np.roll(polygon, -1, axis=0) - polygon
-        outward = np.column_stack([edges[:, 1], -edges[:, 0]])
-        outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-300)
-        distance = np.einsum("ed,eod->eo", outward, other[None] - polygon[:, None])
-        if (distance.min(axis=1) >= -1e-6 * scale).any():
-            return False
-    return True
+        edges = np.roll(polygon, -1, axis=1) - polygon
+        lengths = np.linalg.norm(edges, axis=2)
+        outward = np.stack([edges[..., 1], -edges[..., 0]], axis=2) / np.maximum(lengths, 1e-300)[..., None]
+        distance = np.einsum("qed,qeod->qeo", outward, other[:, None] - polygon[:, :, None])
+        apart |= ((distance.min(axis=2) >= -1e-6 * scale[:, None]) & (lengths > 0)).any(axis=1)
+    return ~apart
 
 
 def _islands(control: ControlMesh, corner_uvs: IndexArray, n_uvs: int) -> IndexArray:
