@@ -14,6 +14,7 @@ from cagemap.mesh import creature, triangulated
 from cagemap.refinement import level_triangles, refine
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from benchmarks.public.harder import detail, write_shuffled
 from benchmarks.public.lookalikes import TRIANGLES as TRIANGLES_WRITTEN
 from benchmarks.public.lookalikes import write_shape
 from benchmarks.skeleton import Bone, shares, skinned
@@ -63,3 +64,33 @@ def test_a_written_shape_knows_its_points(tmp_path: Path) -> None:
     assert found.n_faces == TRIANGLES_WRITTEN < len(triangles)
     away = np.linalg.norm(found.positions[vertices - 1] - positions[::97] / scale, axis=1)
     assert 0 < away.mean() < np.sqrt(1 / found.n_vertices)
+
+
+def test_detail_is_as_large_and_as_smooth_as_asked(tmp_path: Path) -> None:
+    fine = refine(MESH, 2)
+    triangles, positions = level_triangles(fine, 2), fine.finest.positions
+    scale = np.sqrt(triangle_areas(positions, triangles).sum())
+    for length in (0.05, 0.2):
+        shifts = detail(positions, triangles, length, 0.01, 3)
+        assert np.sqrt((shifts**2).mean()) == pytest.approx(0.01 * scale)
+        along = np.linalg.norm(shifts[triangles[:, 0]] - shifts[triangles[:, 1]], axis=1).mean()
+        edges = np.linalg.norm(positions[triangles[:, 0]] - positions[triangles[:, 1]], axis=1).mean()
+        assert along / edges < 1.5 * 0.01 / length  # of a wave of that length and size
+
+
+def test_shuffled_shapes_have_their_points_where_they_were(tmp_path: Path) -> None:
+    fine = refine(MESH, 4)
+    triangles, positions, known = (
+        level_triangles(fine, 4),
+        fine.finest.positions,
+        np.arange(0, fine.finest.n_vertices, 97),
+    )
+    found = []
+    for seed in (1, 2):
+        write_shuffled(tmp_path, f"body_{seed}", positions, triangles, known, seed)
+        mesh = read_mesh(tmp_path / "shapes" / f"body_{seed}.off")
+        found.append(mesh.positions[np.loadtxt(tmp_path / "corres" / f"body_{seed}.vts", dtype=int) - 1])
+        scale = np.sqrt(triangle_areas(positions, triangles).sum())
+        away = np.linalg.norm(found[-1] - positions[known] / scale, axis=1)
+        assert away.mean() < np.sqrt(1 / mesh.n_vertices)
+    assert (found[0] != found[1]).any()

@@ -238,13 +238,15 @@ def write_set(
         write_shape(root, shape, positions, triangles, known)
 
 
-def write_shape(root: Path, shape: str, positions: np.ndarray, triangles: np.ndarray, known: np.ndarray) -> None:
+def write_shape(
+    root: Path, shape: str, positions: np.ndarray, triangles: np.ndarray, known: np.ndarray, seed: int = 16
+) -> None:
     """One mesh, and the template's points on it, which are vertices of what it was refined from."""
     for folder in ("shapes", "corres"):
         (root / folder).mkdir(parents=True, exist_ok=True)
     scale = np.sqrt(triangle_areas(positions, triangles).sum())
     unit = positions / scale
-    rough = unit + NOISE * np.random.default_rng(16).standard_normal(unit.shape)
+    rough = unit + NOISE * np.random.default_rng(seed).standard_normal(unit.shape)
     _, _, collapses = fast_simplification.simplify(
         rough.astype(np.float32),
         triangles.astype(np.int32),
