@@ -399,6 +399,20 @@ def test_number_type_may_be_chosen() -> None:
     np.testing.assert_allclose(bake_texture(transfer, texture, size=20, dtype=np.float32), texture / 255, atol=1e-6)
 
 
+def test_pixels_of_any_layout_and_sizes_of_any_whole_number_give_the_same() -> None:
+    level = plane(2, 2)
+    transfer = prepare_transfer(level, level, identity_map(level))
+    pixels = noise(8, 8, 3, "uint16")
+    expected = bake_texture(transfer, pixels, size=8)
+    np.testing.assert_array_equal(bake_texture(transfer, pixels.astype(">u2"), size=np.int64(8)), expected)
+    np.testing.assert_array_equal(bake_texture(transfer, pixels, size=(np.int32(8), 8)), expected)
+    long = bake_texture(transfer, pixels.astype(np.longdouble), size=8)
+    np.testing.assert_allclose(long, bake_texture(transfer, pixels.astype(np.float64), size=8))
+    for size in (8.5, "8", None, (8,), (8, 8, 8), np.float64(8)):
+        with pytest.raises(ParameterError, match="whole number of texels"):
+            bake_texture(transfer, pixels, size=size)  # type: ignore[arg-type]
+
+
 def test_udim_tiles_of_the_source_and_of_the_target() -> None:
     plain, size = plane(8, 8), 48
     wide = plane(8, 8, lambda points: points * (2, 1))

@@ -241,6 +241,8 @@ HOUSE: dict[str, Callable[[Any], object]] = {
         s.surface, s.surface, s.landmarks, MatchConfig(masks=Masks(np.zeros(s.n)))
     ),
     "a painted mask without uvs": lambda s: cagemap.painted_mask(s.refinement.finest, np.zeros((4, 4), np.uint8)),
+    "words pulled back": lambda s: s.map.pull_back(np.full(s.n, "a")),
+    "complex numbers pulled back": lambda s: s.map.pull_back(np.full(s.n, 1j)),
     "images of two sizes": lambda s: cagemap.blend(s.byte, np.zeros((5, 4, 3), np.uint8), np.zeros((4, 4, 1))),
     "alpha of another size": lambda s: cagemap.with_alpha(s.byte, np.zeros((3, 3))),
     "an image without uvs": lambda s: cagemap.bake(s.result, s.byte, size=16),

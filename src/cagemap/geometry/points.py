@@ -192,9 +192,10 @@ class SurfacePoints:
         Raises
         ------
         ParameterError
-            If there is not one row for each vertex.
+            If there is not one row for each vertex, or the values are no real numbers.
         """
         values = np.asarray(values)
+        values = values if values.dtype.kind in "biuf" else real_numbers(values, "values")
         if values.ndim == 0 or len(values) != self.surface.n:
             raise ParameterError(
                 f"expected a value for each of the {self.surface.n} vertices of the surface that the points lie on, "

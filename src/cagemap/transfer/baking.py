@@ -8,6 +8,7 @@ gives the value at the source points. This module runs them over bands of the im
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -21,7 +22,7 @@ from cagemap.geometry.triangles import triangle_areas, triangle_neighbors
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh.udim import udim_of, udim_origin
-from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, shown
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import ThreadPool, core_count
 from cagemap.refinement import Level
@@ -226,7 +227,13 @@ def make_canvas(transfer: Transfer, size: int | tuple[int, int], options: BakeOp
         If it has no texture coordinates, or the size is out of range.
     """
     target = transfer.target
-    height, width = (size, size) if isinstance(size, int) else size
+    sides: Any = (size, size) if np.ndim(size) == 0 else size
+    try:
+        height, width = map(operator.index, sides)
+    except (TypeError, ValueError):
+        raise ParameterError(
+            f"size: expected a whole number of texels a side, or (height, width), got {shown(size)}"
+        ) from None
     if not (0 < height <= LARGEST_SIDE and 0 < width <= LARGEST_SIDE):
         raise ParameterError(f"size: expected 1 to {LARGEST_SIDE} texels a side, got {height} x {width}")
     corner_uvs = target.corner_uvs() - udim_origin(options.tile)

@@ -147,7 +147,8 @@ def as_pixels(image: Pixels) -> Pixels:
         raise ParameterError(f"expected an image of shape (height, width, channels), got shape {np.shape(image)}")
     if pixels.dtype.kind not in "uf":
         raise ParameterError(f"expected pixels of unsigned integers or floats, got {pixels.dtype}")
-    return np.ascontiguousarray(pixels)
+    kind = pixels.dtype.newbyteorder("=") if pixels.dtype.itemsize <= 8 else np.dtype(np.float64)
+    return np.ascontiguousarray(pixels, dtype=kind)  # kernels know no other order of bytes, nor longer floats
 
 
 _ROUGH = SmoothTile(np.zeros((0, 0), dtype=np.bool_), np.zeros(0), np.zeros(0))
