@@ -245,6 +245,7 @@ def test_what_a_match_read_is_no_output_of_what_follows(place: Path, force: bool
     }
     write_result(place / "R", replace(result, provenance={**result.provenance, "inputs": inputs}))
     write_npz(place / "shapes.npz", {"smile": np.zeros((8, 3))})
+    (place / "bad.png").write_text("no image")
     before = contents(place)
 
     def transfer(output: Path, **options: Any) -> object:
@@ -272,6 +273,10 @@ def test_what_a_match_read_is_no_output_of_what_follows(place: Path, force: bool
         wrapped(place / "w.obj", colors=place / "n.png")
     with pytest.raises(FormatError, match="no such file"):
         wrapped(place / "w.obj", normal_map=place / "n.png", detail=place / "gone.obj")
+    with pytest.raises(FormatError, match=r"thesis\.tex"):  # nor without that of a damaged file
+        wrapped(place / "w.obj", normal_map=place / "n.png", detail=place / "thesis.tex")
+    with pytest.raises(FormatError, match=r"bad\.png"):
+        wrapped(place / "w.obj", texture=place / "bad.png", baked=place / "n.png")
     assert contents(place) == before
 
 

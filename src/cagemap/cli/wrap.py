@@ -157,7 +157,7 @@ def _run(request: WrapRequest, stages: Stages) -> Outcome:
     if request.blend_shapes:
         return _write_shapes(request, results, config, stages)
     result, folder = results[0], request.results[0]
-    require_bakeable(request, result)
+    detail = require_bakeable(request, result)
     wrapped = _wrap(request, result, config, stages)
     original = input_file(folder, result.manifest, "target")
     stages("write")
@@ -177,7 +177,7 @@ def _run(request: WrapRequest, stages: Stages) -> Outcome:
             force=request.force,
         )
         lines.append(f"wrote {request.mhclo}: the mesh follows {result.source.control.name}")
-    more, outside = bake_wrapped(request, result, wrapped, stages)
+    more, outside = bake_wrapped(request, result, wrapped, detail, stages)
     if more and not np.allclose(space, np.eye(4)):
         length = np.cbrt(abs(np.linalg.det(space[:3, :3])))
         outside.append(

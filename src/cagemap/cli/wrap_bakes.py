@@ -12,10 +12,10 @@ from cagemap.cli.progress import Stages
 from cagemap.cli.wrap_request import WrapRequest
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import check_outputs
-from cagemap.files.images import texture_files, udim_path
+from cagemap.files.images import read_image_form, texture_files, udim_path
 from cagemap.files.meshes import read_mesh
-from cagemap.files.text import require_file
 from cagemap.maps.result import MatchResult
+from cagemap.mesh import ControlMesh
 from cagemap.transfer.vectors import Green, Space
 from cagemap.wrap import Wrapped, missing_detail, wrapped_transfer
 
@@ -54,8 +54,8 @@ def textures_read(request: WrapRequest) -> list[Path]:
     return [file for path in given for file in texture_files(path)]
 
 
-def require_bakeable(request: WrapRequest, result: MatchResult) -> None:
-    """Refuse images that cannot be baked, before any work is done for the mesh."""
+def require_bakeable(request: WrapRequest, result: MatchResult) -> ControlMesh | None:
+    """Refuse images that cannot be baked, before any work is done for the mesh; gives the detailed mesh, if any."""
     images, control = wrap_bakes(request).images, result.target.control
     if images and control.uvs is None:
         raise ParameterError(
@@ -64,14 +64,20 @@ def require_bakeable(request: WrapRequest, result: MatchResult) -> None:
         )
     if "colors" in images and request.detail is None:
         vertex_colors(result.source.control)
-    if request.detail is not None:
-        require_file(request.detail, "a mesh")
+    for texture in textures_read(request):
+        read_image_form(texture)
+    if request.detail is None:
+        return None
+    detail = read_mesh(request.detail)
+    if "colors" in images:
+        vertex_colors(detail)
+    return detail
 
 
 def bake_wrapped(
-    request: WrapRequest, result: MatchResult, wrapped: Wrapped, stages: Stages
+    request: WrapRequest, result: MatchResult, wrapped: Wrapped, mesh: ControlMesh | None, stages: Stages
 ) -> tuple[list[str], list[str]]:
-    """Bake the images that were asked for; returns a line about each, and warnings."""
+    """Bake the images that were asked for, of a detailed mesh or the source; returns lines about them and warnings."""
     bakes = wrap_bakes(request)
     if not bakes.images:
         return [], []
@@ -79,13 +85,12 @@ def bake_wrapped(
     target, source = result.target.refinement, result.source.refinement
     warnings: list[str] = []
     colors = None
-    if request.detail is None:
+    if mesh is None:
         transfer, detail, fine = missing_detail(wrapped, target, source)
         if "colors" in bakes.images:
             colors = fine.prolong(vertex_colors(source.control), 0, fine.n_levels).clip(0.0, 1.0)
     else:
         transfer, follow = wrapped_transfer(wrapped, target)
-        mesh = read_mesh(request.detail)
         if request.detail_texture is not None:
             bakes = replace(bakes, texture=detail_texture(mesh, request.detail_texture))
             bakes.check()
