@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -88,3 +89,22 @@ def test_levels_are_not_sought_by_fewer_than_no_vertices(kind: type[StartConfig 
 def test_an_error_of_no_file_says_where_room_may_be_missing() -> None:
     assert _of_system(OSError(28, "No space left on device", "a.png")).startswith("a.png: No space")
     assert "NUMBA_CACHE_DIR" in _of_system(OSError(28, "No space left on device"))
+
+
+def test_a_result_that_may_only_be_read_is_used_with_a_word(
+    place: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Somebody else's, or on a disk that is for reading."""
+    result = place / "R"
+    (result / "job.toml").write_text('output = "again"\n')
+    before = {path: path.read_bytes() for path in result.iterdir()}
+    honest = os.access
+    monkeypatch.setattr("os.access", lambda path, mode: Path(path) != result and honest(path, mode))
+    monkeypatch.setattr("cagemap.cli.job_file.is_own", lambda path: True)
+    said, _ = run_transfer(TransferRequest(result, place / "o.npz", attribute=place / "v.npy"), Stages())
+    assert "wrote" in said
+    assert (place / "o.npz").is_file()
+    assert {path: path.read_bytes() for path in result.iterdir()} == before
+    for file in ("manifest.json", "job.toml"):
+        assert f"{file}: cannot write to the folder" in caplog.text
+    assert "not noted there" in caplog.text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import platform
 import sys
@@ -21,6 +22,8 @@ from cagemap.files.mesh_arrays import CONTROL_ARRAYS
 from cagemap.files.schema import ResultRecord, checked_record, parse_json, to_json
 from cagemap.files.text import read_text
 from cagemap.mesh import ControlMesh
+
+_log = logging.getLogger(__name__)
 
 FORMAT = "cagemap-result"
 FORMAT_VERSION = 1
@@ -95,6 +98,8 @@ def peak_memory() -> int | None:
 def note_transfer(folder: str | Path, entry: dict[str, Any]) -> None:
     """Add to a result's manifest what was baked from it, so that a report can show it; the same output replaces.
 
+    A folder that cannot be written to is warned of.
+
     Parameters
     ----------
     entry : dict
@@ -103,7 +108,7 @@ def note_transfer(folder: str | Path, entry: dict[str, Any]) -> None:
     Raises
     ------
     FormatError
-        If the folder is not a result or cannot be written.
+        If the folder is not a result.
     """
     root = Path(folder)
     manifest = read_manifest(root)
@@ -111,8 +116,11 @@ def note_transfer(folder: str | Path, entry: dict[str, Any]) -> None:
     kept = [other.model_dump(exclude_unset=True) for other in record.transfers if other.output != entry.get("output")]
     manifest["transfers"] = [*kept, entry]
     manifest["written_by"] = mark()
-    with atomic_path(root / MANIFEST, force=True) as temporary:
-        temporary.write_text(to_json(manifest), encoding="utf-8")
+    try:
+        with atomic_path(root / MANIFEST, force=True) as temporary:
+            temporary.write_text(to_json(manifest), encoding="utf-8")
+    except FormatError as error:  # the output itself is there; a RESULT may be somebody else's
+        _log.warning("%s What was made with it is not noted there.", error)
 
 
 def read_manifest(root: Path) -> dict[str, Any]:
