@@ -20,27 +20,31 @@ from cagemap.maps.pair import Pair
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import in_threads, thread_limit
 
-# Starts on the mirror image that are fitted, those that begin nearest to it.
-MIRRORED_STARTS = 4
+# Starts that are fitted, those that begin nearest to the surface.
+NEAREST_STARTS = 4
 ACROSS = np.array([-1.0, 1.0, 1.0])
 
 
 def mirrored_gain(prepared: PreparedPair, pair: Pair, reading: Reading) -> float:
-    """How many times more a reading costs than the target on the source's mirror image, both on the small graph."""
+    """How many times more the target costs on the source than on its mirror image, both on the small graph.
+
+    On either from the starts that begin nearest to it, on the source from a reading as well: from one start alone, two
+    bodies of a kind that stand alike seemed 1.13 times better mirrored.
+    """
     rough, config = rough_shape(prepared, pair)
-    sheet, places = prepared.sheet, pair.landmarks.source.positions
+    graph, sheet, places = rough.rest.graph, prepared.sheet, pair.landmarks.source.positions
     mirrored = TriangleSurface(sheet.positions * ACROSS, sheet.triangles[:, ::-1])
 
-    def cost(side: TriangleSurface, start: FloatArray, held: FloatArray) -> float:
-        with thread_limit(1):
-            return coarse_fit(rough, side, start, held, config).cost
+    def least(side: TriangleSurface, held: FloatArray, *known: FloatArray) -> float:
+        def away(start: Start) -> float:
+            return float(graph.areas @ closest_points(side.tree, start.positions)[2] ** 2)
 
-    graph, tree = rough.rest.graph, mirrored.tree
+        def cost(start: FloatArray) -> float:
+            with thread_limit(1):
+                return coarse_fit(rough, side, start, held, config).cost
 
-    def away(start: Start) -> float:
-        return float(graph.areas @ closest_points(tree, start.positions)[2] ** 2)
+        nearest = sorted(rigid_starts(graph.positions, side.positions), key=away)
+        tried = different(nearest, lambda start: start.positions, graph.areas, ALIKE)[:NEAREST_STARTS]
+        return min(in_threads(cost, [*known, *(start.positions for start in tried)]))
 
-    nearest = sorted(rigid_starts(graph.positions, mirrored.positions), key=away)
-    tried = different(nearest, lambda start: start.positions, graph.areas, ALIKE)[:MIRRORED_STARTS]
-    own = cost(sheet, reading.positions[rough.vertices], places)
-    return own / min(in_threads(lambda start: cost(mirrored, start.positions, places * ACROSS), tried))
+    return least(sheet, places, reading.positions[rough.vertices]) / least(mirrored, places * ACROSS)
