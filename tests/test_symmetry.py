@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cagemap.basis import BasisConfig, hierarchical_basis
+from cagemap.basis import BasisConfig, Surface, hierarchical_basis
 from cagemap.descriptors import (
     check_symmetry,
     mirror_symmetries,
@@ -16,6 +16,8 @@ from cagemap.descriptors import (
 )
 from cagemap.errors import ParameterError
 from cagemap.files.obj import read_obj
+from cagemap.maps.pair import Pair
+from cagemap.maps.spectral.constraints import paired_mirrors
 from cagemap.mesh import ControlMesh, shapes
 from cagemap.operators import build_operators
 from cagemap.refinement import refine
@@ -66,6 +68,23 @@ def test_box_has_three_planes_and_a_cut_lid_makes_them_inexact():
     assert len(mirrors) == 3
     assert sum(mirror.exact for mirror in mirrors) < 3
     assert not sends_faces_to_faces(box, np.roll(np.arange(8), 1))
+
+
+@pytest.mark.parametrize("turned", [(0, 1, 2), (1, 0, 2), (2, 0, 1)])
+def test_planes_of_both_sides_are_paired_as_landmarks_say(turned):
+    """A box has three; which of them belong together, only landmarks tell; planes that they do not tell of are left."""
+    box = shapes.cube()
+    box = box.with_positions(box.positions * [1.0, 2.0, 3.5])
+    surface = Surface(refine(box, 1), BasisConfig(count=6))
+    corners = np.sign(box.positions)
+    partner = [int(np.flatnonzero((corners == corner[list(turned)]).all(axis=1))[0]) for corner in corners]
+    vertices = np.arange(8)
+    pairs = paired_mirrors(Pair.of_vertices(surface, surface, vertices, np.array(partner)))
+    assert len(pairs) == 3
+    for at_target, at_source in pairs:
+        np.testing.assert_array_equal(at_source[partner], np.array(partner)[at_target])
+    scrambled = np.array([0, 3, 5, 6, 1, 7, 2, 4])[partner]
+    assert paired_mirrors(Pair.of_vertices(surface, surface, vertices, scrambled)) == ()
 
 
 def test_symmetry_propagates_with_the_positions():

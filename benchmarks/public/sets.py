@@ -202,7 +202,7 @@ def _barycentric(path: Path, mesh: ControlMesh) -> Marks:
     try:
         data = loadmat(path)
         ids, vertices = (np.asarray(data[name], dtype=np.int64).ravel() for name in ("points", "verts"))
-    except (ValueError, KeyError, NotImplementedError) as error:
+    except (ValueError, KeyError, NotImplementedError) as error:  # the last is SciPy's word for MATLAB 7.3
         raise SetError(f"{path}: expected the tables `points` and `verts` (MATLAB 5 to 7), got {error!r}") from error
     triangles = mesh.face_indices.reshape(-1, 3)
     if len(ids) != len(vertices) or not len(ids) or vertices.min() < 1 or vertices.max() > mesh.n_vertices:

@@ -33,6 +33,9 @@ def main() -> None:
         parser.error(f"the meshes are not beside this checkout ({DATA.name} in ../shared)")
     if arguments.pyfm and not has_pyfm(arguments.pyfm):
         parser.error(f"--pyfm: {arguments.pyfm} cannot import pyFM; install pyfmaps==1.3.1 for it")
+    commit = machine()["commit"]  # before results are written, which are files of the repository
+    if commit.endswith("-dirty") and not arguments.quick and arguments.output == RESULTS:
+        parser.error("tables of the repository are those of a commit: commit first, or give another --output")
     name = "speed-quick" if arguments.quick else "speed"
     place = arguments.output / f"{name}.json"
     arguments.output.mkdir(parents=True, exist_ok=True)
@@ -43,7 +46,7 @@ def main() -> None:
         run_task("warm_up", {})
         for part in arguments.part:
             print(f"{part}: {PARTS[part].__doc__}", flush=True)
-            on = machine()
+            on = machine() | {"commit": commit}
             figures[part] = PARTS[part](options) | {"machine": on}
             place.write_text(json.dumps(figures, indent=1) + "\n")
             (arguments.output / f"{name}.md").write_text(markdown(figures))
