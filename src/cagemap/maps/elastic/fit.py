@@ -106,11 +106,16 @@ def fine_fit(prepared: PreparedPair, shape: CoarseShape, coarse: CoarseFit, land
 
 
 def fine_stage(prepared: PreparedPair, start: FloatArray, landmarks: PointPairs) -> FloatArray:
-    """(n, 3) where the target's mesh ends that starts at some positions (n, 3)."""
-    places, elastic = landmarks.source.positions, prepared.elastic
-    held = Anchors.on_mesh(prepared.mesh, landmarks.target)
-    curves = CurvePull.on_mesh(prepared.mesh, landmarks.curves)
-    return run_stage(prepared.rest, prepared.sheet, start, held, places, elastic.fine, elastic, curves)
+    """(n, 3) where the target's mesh, or its stand-in and the mesh with it, ends that starts at positions (n, 3)."""
+    places, elastic, rest = landmarks.source.positions, prepared.elastic, prepared.rest
+    stand_in = rest.stand_in
+    deformed, numbers = (rest, None) if stand_in is None else (stand_in.rest, stand_in.numbers)
+    first = start if stand_in is None else start[stand_in.vertices]
+    mesh = prepared.mesh if deformed.mesh is None else deformed.mesh
+    held = Anchors.on_mesh(mesh, landmarks.target, numbers)
+    curves = CurvePull.on_mesh(mesh, landmarks.curves, numbers)
+    ended = run_stage(deformed, prepared.sheet, first, held, places, elastic.fine, elastic, curves)
+    return ended if stand_in is None else stand_in.followed(ended, rest.graph)
 
 
 def landmark_start(
