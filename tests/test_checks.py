@@ -19,7 +19,7 @@ from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh, bipyramid, cube, disk, grid, icosahedron, pyramid, tetrahedron, torus, voxels
 from cagemap.mesh.checks import check_mesh, duplicate_faces, keep_faces, require_valid
 from cagemap.mesh.geometry_checks import with_openings_closed
-from cagemap.mesh.measures import face_areas, face_extents, fan_triangles, signed_volume
+from cagemap.mesh.measures import cage_triangles, face_areas, face_extents, signed_volume
 from cagemap.mesh.mesh_report import MeshReport
 from cagemap.mesh.topology import (
     boundary_loops,
@@ -523,7 +523,7 @@ def test_measures_of_known_shapes() -> None:
     np.testing.assert_allclose(signed_volume(moved), 8.0, rtol=1e-13)  # cancellation of terms ~ 7^3
     np.testing.assert_allclose(signed_volume(flip(moved, np.arange(6))), -8.0, rtol=1e-13)
     mixed = ControlMesh.from_faces(np.zeros((6, 3)), [(0, 1), (0, 1, 2, 3, 4), (5, 4, 3)])
-    triangles, faces = fan_triangles(mixed)
+    triangles, faces = cage_triangles(mixed)
     assert triangles.tolist() == [[0, 1, 2], [0, 2, 3], [0, 3, 4], [5, 4, 3]]
     assert faces.tolist() == [1, 1, 1, 2]
 

@@ -21,7 +21,7 @@ from cagemap.maps.pair import NEAR_VERTICES
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.cage_points import NamedCurve
 from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, check_landmarks, on_cage, paired
-from cagemap.mesh.measures import fan_triangles
+from cagemap.mesh.measures import cage_triangles
 from cagemap.mesh.shapes import creature, cube
 
 NOWHERE = (np.nan,) * 3
@@ -44,7 +44,7 @@ def test_what_is_written_reads_back(
     names = tuple(data.draw(st.lists(NAMES, unique=True, max_size=6)))
     vertices = np.array(data.draw(st.permutations(range(mesh.n_vertices)))[: len(names)], dtype=np.int64)
     vertices[data.draw(st.lists(st.booleans(), min_size=len(names), max_size=len(names)))] = -1
-    corners = fan_triangles(mesh)[0][data.draw(st.integers(0, 20)) + np.arange(len(names))]
+    corners = cage_triangles(mesh)[0][data.draw(st.integers(0, 20)) + np.arange(len(names))]
     between = mesh.positions[corners].mean(axis=1).reshape(-1, 3)
     points = NamedPoints(names, vertices, np.where(vertices[:, None] >= 0, np.nan, between), "creature.obj")
     line = NamedCurve("a line", mesh.face_indices[:4], mesh.positions[mesh.face_indices[:4]], closed=True)
@@ -111,7 +111,7 @@ def test_wrap_s_points_are_triangles_of_the_mesh(tmp_path: Path) -> None:
     (tmp_path / "wrap.json").write_text("[[3, 0.25, 0.5], [0, 0, 0]]")
     mesh = cube()
     found = read_points(tmp_path / "wrap.json", mesh)
-    a, b, c = mesh.positions[fan_triangles(mesh)[0][3]]
+    a, b, c = mesh.positions[cage_triangles(mesh)[0][3]]
     np.testing.assert_allclose(found.positions[0], 0.25 * a + 0.25 * b + 0.5 * c)
     (tmp_path / "far.json").write_text("[[99, 0, 0]]")
     with pytest.raises(FormatError, match="triangle from 0 to 11"):
@@ -163,7 +163,7 @@ def test_half_a_character_is_a_question_mark(tmp_path: Path, text: str) -> None:
 def test_places_on_the_mesh_are_found_where_they_are(triangles: list[int], seed: int) -> None:
     mesh = cube()
     weights = np.random.default_rng(seed).dirichlet([1, 1, 1], len(triangles))
-    places = np.einsum("qk,qkd->qd", weights, mesh.positions[fan_triangles(mesh)[0][triangles]])
+    places = np.einsum("qk,qkd->qd", weights, mesh.positions[cage_triangles(mesh)[0][triangles]])
     names = tuple(map(str, range(len(triangles))))
     found = on_cage(NamedPoints(names, np.full(len(triangles), -1), places), mesh)
     np.testing.assert_allclose(found.of(mesh.positions), places, atol=1e-9)
@@ -228,7 +228,7 @@ def bent(control: ControlMesh) -> ControlMesh:
 def test_the_map_meets_landmarks_between_vertices() -> None:
     cage = creature()
     target, source = prepare_surface(cage, 2), prepare_surface(bent(cage), 2)
-    triangles = fan_triangles(cage)[0]
+    triangles = cage_triangles(cage)[0]
     chosen = np.linspace(0, len(triangles) - 1, 10).astype(int)
     weights = np.random.default_rng(8).dirichlet([2, 2, 2], len(chosen))
     points = CagePoints(triangles[chosen], weights)
@@ -251,7 +251,7 @@ def test_coarse_search_levels_have_landmarks_between_vertices(vertices: int) -> 
     """Landmarks between vertices are vertices of the level that is searched, however coarse: it was an IndexError."""
     cage = creature()
     target, source = prepare_surface(cage, 2), prepare_surface(bent(cage), 2)
-    triangles = fan_triangles(cage)[0]
+    triangles = cage_triangles(cage)[0]
     chosen = np.linspace(0, len(triangles) - 1, 10).astype(int)
     points = CagePoints(triangles[chosen], np.full((len(chosen), 3), 1 / 3))
     landmarks = Landmarks.of_points(tuple(map(str, chosen)), points, points, "t", "s")

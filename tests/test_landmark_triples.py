@@ -12,7 +12,7 @@ from cagemap.maps.landmarks.distances import (
     LEAST_EXCHANGE_GAIN,
     SHORT,
     LandmarkDistances,
-    exchanged_pairs,
+    best_exchange,
     misplaced_pairs,
     typical_misfit,
 )
@@ -61,7 +61,7 @@ def test_exchanges_are_those_of_the_sum_over_triples() -> None:
             moved[list(exchanged)] = moved[list(exchanged)[::-1]]
         others = rng.random((30, 3))
         target, source = distances_of(points, others), distances_of(moved, others)
-        found = exchanged_pairs(target, source, np.arange(9))
+        found = best_exchange(target, source, np.arange(9))
         assert found == plain_exchange(target, source)
         assert found == exchanged
 

@@ -21,7 +21,7 @@ from cagemap.basis import Surface
 from cagemap.files.obj import read_obj
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.measures import fan_triangles
+from cagemap.mesh.measures import cage_triangles
 from cagemap.pipeline import choose_level, match, prepare_surface
 
 ANIMALS = ("zebra", "horse", "cow", "wolf", "red_fox")
@@ -79,7 +79,7 @@ def posed(animal: str, pose: str) -> ControlMesh:
     control, named = read_obj(DATA / "animals" / f"{animal}.obj"), landmarks_of(animal)
     positions = control.positions
     segments = np.array([[positions[named[end]] for end in ends] for ends in BONES.values()])
-    weights = shares(positions, fan_triangles(control)[0], segments)
+    weights = shares(positions, cage_triangles(control)[0], segments)
     turns, moved = {}, np.zeros_like(positions)
     for bone, (share, segment) in zip(BONES, zip(weights.T, segments, strict=True), strict=True):
         about_x, about_y = POSES[pose].get(bone, (0, 0))

@@ -16,7 +16,7 @@ from cagemap.cli.option_list import all_options
 from cagemap.files.landmarks import write_landmarks
 from cagemap.files.meshes import read_mesh
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.studio.page.app import StudioApp, StudioRequest
+from cagemap.studio.page.app import PageRequest, StudioApp
 from cagemap.studio.state import Files
 
 Rows = list[tuple[str, str]]
@@ -169,7 +169,7 @@ def milliseconds(seconds: list[float]) -> str:
 def server_rows(files: Files, vertices: int) -> Rows:
     """What of an answer is the studio's own, from a button's message to the panel's new text, while it computes."""
     folders = (files.target.parent,)
-    app = StudioApp(StudioRequest(files, all_options(), folders, port=0, vertices=vertices, open_browser=False))
+    app = StudioApp(PageRequest(files, all_options(), folders, port=0, vertices=vertices, open_browser=False))
     try:
         session, table = app.session, app._work._list
         waited(lambda: session.state.map.revision == 1)

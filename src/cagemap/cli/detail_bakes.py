@@ -26,8 +26,8 @@ from cagemap.transfer.detail import (
     bake_detail_texture,
     bake_detail_values,
     bake_detail_vectors,
-    covered_share,
     detail_over,
+    detailed_share,
 )
 from cagemap.transfer.displacement import Displacement
 from cagemap.transfer.occlusion import ambient_occlusion
@@ -126,7 +126,7 @@ def mesh_detail(mesh: ControlMesh, transfer: Transfer) -> tuple[Detail, list[str
     """A detailed mesh over the source of a bake; and warnings."""
     source = transfer.point_map.source
     detail = detail_over(source, mesh.positions, triangulate_control(mesh))
-    share = covered_share(detail, source)
+    share = detailed_share(detail, source)
     if share >= _COVERED:
         return detail, []
     return detail, [f"{100 * (1 - share):.1f} % of the source has nothing of {mesh.name} near it, and stays flat there"]

@@ -20,8 +20,7 @@ def run_studio(request: StudioRequest, tell: Callable[[str], None]) -> None:
         If viser is not installed, a file is missing, or the address cannot be served.
     """
     try:
-        from cagemap.studio.page.app import StudioRequest as PageRequest
-        from cagemap.studio.page.app import run_studio as run_page
+        from cagemap.studio.page.app import PageRequest, run_page
     except ModuleNotFoundError as error:
         raise ParameterError(
             f"the studio needs {error.name}, which is not installed. Run pip install 'cagemap[studio]'."

@@ -14,7 +14,7 @@ from cagemap.files.atomic import atomic_path
 from cagemap.files.marks import mark
 from cagemap.geometry.triangles import triangle_normals
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import fan_triangles
+from cagemap.mesh.measures import cage_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 # What an array in the file is for.
@@ -122,12 +122,12 @@ def _packed(mesh: ControlMesh) -> bytes:
 def _fan_corners(mesh: ControlMesh) -> tuple[IndexArray, IndexArray]:
     """(t, 3) face corners of the fans' triangles, and (t,) their faces."""
     numbered = ControlMesh(mesh.positions, mesh.face_offsets, np.arange(len(mesh.face_indices)))
-    return fan_triangles(numbered)
+    return cage_triangles(numbered)
 
 
 def _vertex_normals(mesh: ControlMesh) -> FloatArray:
     """(n, 3) unit normals, the mean of the faces around weighted by area; up where there is none."""
-    triangles, _ = fan_triangles(mesh)
+    triangles, _ = cage_triangles(mesh)
     sums = np.zeros_like(mesh.positions)
     np.add.at(sums, triangles, triangle_normals(mesh.positions, triangles)[:, None, :])
     lengths = np.linalg.norm(sums, axis=1, keepdims=True)

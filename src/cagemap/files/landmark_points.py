@@ -22,7 +22,7 @@ from cagemap.files.curves import MESH_FORM, curve_through, mesh_curves
 from cagemap.files.text import read_text, whole_characters
 from cagemap.mesh.cage_points import NamedCurve, NamedPoints
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.measures import fan_triangles
+from cagemap.mesh.measures import cage_triangles
 
 Named = list[tuple[str, int, tuple[float, float, float] | None]]
 
@@ -107,7 +107,7 @@ def _wrap(path: Path, data: list[Any], mesh: ControlMesh | None) -> Named:
     """Points as triangle of the triangulated mesh and two coordinates, P = (1 - u - v) A + u B + v C."""
     if mesh is None:
         raise FormatError(f"{path}: expected the mesh beside Wrap's points, which are triangles of it, got none.")
-    triangles = fan_triangles(mesh)[0]
+    triangles = cage_triangles(mesh)[0]
     found: Named = []
     for number, item in enumerate(data):
         triangle, u, v = _place(path, f"point {number}", item)

@@ -20,7 +20,7 @@ from cagemap.files.marks import mark
 from cagemap.geometry.closest import build_tree, closest_points
 from cagemap.mesh.cage_points import NamedCurve, NamedPoints
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.measures import fan_triangles
+from cagemap.mesh.measures import cage_triangles
 from cagemap.numerics.arrays import FloatArray
 
 # By this word, no address of today, 3D Slicer tells a file of markups from other JSON; some of its versions ask for it.
@@ -178,7 +178,7 @@ def _wrap(points: NamedPoints, mesh: ControlMesh) -> str:
     """Triangles of the triangulated mesh with two coordinates each."""
     if not points.names:
         return "[]\n"
-    triangles, _ = fan_triangles(mesh)
+    triangles, _ = cage_triangles(mesh)
     held, weights, _ = closest_points(build_tree(mesh.positions, triangles), _places(points, mesh))
     rows = [[triangle, u, v] for triangle, (_, u, v) in zip(held.tolist(), weights.tolist(), strict=True)]
     return json.dumps(rows) + "\n"

@@ -12,7 +12,7 @@ from cagemap.errors import CagemapError, FormatError
 from cagemap.files.meshes import read_mesh
 from cagemap.library.job_schema import Asset
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import face_areas, fan_triangles
+from cagemap.mesh.measures import cage_triangles, face_areas
 from cagemap.numerics.arrays import FloatArray
 
 SAMPLES = 4000
@@ -47,7 +47,7 @@ def shape_distribution(mesh: ControlMesh) -> FloatArray:
 
     Does not change with place, turn or size, and little with the connectivity.
     """
-    triangles, faces = fan_triangles(mesh)
+    triangles, faces = cage_triangles(mesh)
     areas = face_areas(mesh)
     share = (areas / np.maximum(mesh.face_sizes - 2, 1))[faces]
     random = np.random.default_rng(20020107)

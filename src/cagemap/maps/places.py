@@ -10,7 +10,7 @@ from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import normalized
 from cagemap.mesh.landmarks import CagePoints
-from cagemap.mesh.measures import fan_triangles
+from cagemap.mesh.measures import cage_triangles
 from cagemap.refinement import Refinement
 
 # Length, of sqrt(area), that opposite normals count when a landmark is put on the surface: thin parts have two sides.
@@ -68,7 +68,7 @@ def cage_points_of(surface: Surface, points: SurfacePoints) -> CagePoints:
         Of the finest surface.
     """
     finest = surface.triangles(surface.finest)
-    triangles, _ = fan_triangles(surface.control)
+    triangles, _ = cage_triangles(surface.control)
     cage = TriangleSurface(finest.positions[: surface.control.n_vertices], triangles, finest.scale)
     aims = points.positions
     best, least = None, np.full(len(points), np.inf)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cagemap.errors import InvalidLandmarksError
 from cagemap.geometry.closest import build_tree, closest_points
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.measures import fan_triangles
+from cagemap.mesh.measures import cage_triangles
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
@@ -146,7 +146,7 @@ def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
     corners, weights = found.corners.copy(), found.weights.copy()
     free = np.flatnonzero(points.vertices < 0)
     if len(free):
-        triangles, _ = fan_triangles(mesh)
+        triangles, _ = cage_triangles(mesh)
         held_by, barycentric, distances = closest_points(build_tree(mesh.positions, triangles), points.positions[free])
         size = float(np.linalg.norm(np.ptp(mesh.positions, axis=0)))
         far = np.flatnonzero(distances > FAR * size)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from cagemap.geometry.triangles import fan_triangles as fans
-from cagemap.geometry.triangles import row_lengths
+from cagemap.geometry.triangles import fan_triangles, row_lengths
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 
-def fan_triangles(mesh: ControlMesh) -> tuple[IndexArray, IndexArray]:
+def cage_triangles(mesh: ControlMesh) -> tuple[IndexArray, IndexArray]:
     """Split every face (v0, v1, ..., vk) into the fan (v0, v1, v2), (v0, v2, v3), ...
 
     Returns
@@ -20,12 +19,12 @@ def fan_triangles(mesh: ControlMesh) -> tuple[IndexArray, IndexArray]:
     faces : (t,) int64
         Face of every triangle. A face of fewer than three corners has none.
     """
-    return fans(mesh.face_offsets, mesh.face_indices)
+    return fan_triangles(mesh.face_offsets, mesh.face_indices)
 
 
 def face_areas(mesh: ControlMesh) -> FloatArray:
     """(m,) area of every face as the sum over its fan; in squared file units. A folded face counts both sides."""
-    triangles, faces = fan_triangles(mesh)
+    triangles, faces = cage_triangles(mesh)
     a, b, c = (mesh.positions[triangles[:, i]] for i in range(3))
     areas = 0.5 * row_lengths(np.cross(b - a, c - a))  # without a kernel: cages are small, and are checked first
     return np.bincount(faces, areas, minlength=mesh.n_faces).astype(np.float64)
@@ -40,6 +39,6 @@ def face_extents(mesh: ControlMesh) -> FloatArray:
 
 def signed_volume(mesh: ControlMesh) -> float:
     """Volume enclosed by a closed mesh, positive where its faces run counter-clockwise seen from outside."""
-    triangles, _ = fan_triangles(mesh)
+    triangles, _ = cage_triangles(mesh)
     a, b, c = (mesh.positions[triangles[:, i]] for i in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)

@@ -9,7 +9,7 @@ import numpy as np
 from cagemap.errors import CagemapError, ParameterError
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import fan_triangles
+from cagemap.mesh.measures import cage_triangles
 from cagemap.mesh.parts import KINDS, Part, components, extract, find_part, in_one_piece, list_parts, numbers_on_part
 from cagemap.mesh.topology import face_components
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -127,7 +127,7 @@ def rest_of(mesh: ControlMesh, faces: IndexArray, level: int) -> Rest | None:
     left = extract(replace(mesh, object_schemes=()), faces)
     while level > 0 and left.n_vertices * 4**level > _MOST_DRAWN:
         level -= 1
-    positions, triangles = left.positions, fan_triangles(left)[0]
+    positions, triangles = left.positions, cage_triangles(left)[0]
     if level > 0:
         try:
             refined = refine(left, level)

@@ -9,7 +9,7 @@ import numpy as np
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import triangle_areas
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import fan_triangles, signed_volume
+from cagemap.mesh.measures import cage_triangles, signed_volume
 from cagemap.mesh.parts import list_parts
 from cagemap.mesh.topology import EdgeTable, edge_table
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -121,7 +121,7 @@ class Shape:
     def cage(self) -> TriangleSurface:
         """Triangles of the control mesh between its vertices' points of the smooth surface, in the surface's unit."""
         return TriangleSurface(
-            self.surface.positions[: self.n_control], fan_triangles(self.control)[0], self.surface.scale
+            self.surface.positions[: self.n_control], cage_triangles(self.control)[0], self.surface.scale
         )
 
     @kept

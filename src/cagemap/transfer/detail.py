@@ -72,7 +72,7 @@ def detail_over(source: TriangleSurface, positions: FloatArray, triangles: Index
         If less than half of the source has detail near it: the mesh lies elsewhere, or is in another unit.
     """
     detail = Detail(TriangleSurface(source.scale * positions, triangles, source.scale))
-    share = covered_share(detail, source)
+    share = detailed_share(detail, source)
     if share < 0.5:
         sizes = [float(np.ptp(side.positions / side.scale, axis=0).max()) for side in (source, detail.surface)]
         raise ParameterError(
@@ -83,7 +83,7 @@ def detail_over(source: TriangleSurface, positions: FloatArray, triangles: Index
     return detail
 
 
-def covered_share(detail: Detail, source: TriangleSurface) -> float:
+def detailed_share(detail: Detail, source: TriangleSurface) -> float:
     """Share of the source's area that has detail near it."""
     feet = SurfacePoints.nearest(detail.surface, source.positions)
     near = np.linalg.norm(feet.positions - source.positions, axis=1) <= REACH

@@ -147,7 +147,7 @@ def misplaced_pairs(target: LandmarkDistances, source: LandmarkDistances) -> Ind
     """
     trusted = np.arange(len(target.to_nodes))
     wrong: list[int] = []
-    while len(trusted) > FEWEST_JUDGED and (exchanged := exchanged_pairs(target, source, trusted)) is not None:
+    while len(trusted) > FEWEST_JUDGED and (exchanged := best_exchange(target, source, trusted)) is not None:
         wrong.extend(exchanged)
         trusted = np.setdiff1d(trusted, exchanged)
     while len(trusted) >= FEWEST_JUDGED and len(wrong) <= MOST_SUSPECTS * len(target.to_nodes):
@@ -179,9 +179,7 @@ def farther_out(
     return found
 
 
-def exchanged_pairs(
-    target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray
-) -> tuple[int, int] | None:
+def best_exchange(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray) -> tuple[int, int] | None:
     """The two trusted pairs that fit best with their source vertices exchanged, if they fit much better so."""
     gain = exchange_gains(target, source, trusted)
     first, second = np.unravel_index(np.argmax(gain), gain.shape)

@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class StudioRequest:
+class PageRequest:
     """What was asked for on the command line.
 
     Attributes
@@ -68,7 +68,7 @@ class StudioApp:
         What to open in a browser.
     """
 
-    def __init__(self, request: StudioRequest) -> None:
+    def __init__(self, request: PageRequest) -> None:
         self.session = Session(Workspace.of(*request.folders), request.vertices, request.options)
         secret = new_token()
         # viser prints the addresses of its own ports, which answer nobody.
@@ -132,7 +132,7 @@ class StudioApp:
             view.refresh(state, scene)
 
 
-def run_studio(request: StudioRequest, tell: Callable[[str], None]) -> None:
+def run_page(request: PageRequest, tell: Callable[[str], None]) -> None:
     """Serve until interrupted.
 
     Raises
