@@ -10,11 +10,13 @@ from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import normalized, triangle_normals
 from cagemap.maps.elastic import counterparts as agreement
+from cagemap.maps.elastic.anchors import Anchors
 from cagemap.maps.elastic.config import ElasticConfig, Stage
 from cagemap.maps.elastic.counterparts import ReceivedArea, round_trip_weights
-from cagemap.maps.elastic.fit import Anchors, run_stage
+from cagemap.maps.elastic.fit import run_stage
 from cagemap.maps.elastic.graph import ElasticGraph, mesh_graph
 from cagemap.maps.elastic.prepared import RestShape
+from cagemap.maps.elastic.ties import Ties
 from cagemap.maps.projection.project import facing_points
 from cagemap.mesh.shapes import creature
 from cagemap.refinement import refine
@@ -71,8 +73,7 @@ def test_a_pocket_that_the_source_lacks_drags_nothing_along(
             RestShape.build(pocketed, pocket, stage.smoothing),
             mesh,
             pocketed.positions,
-            Anchors.at_vertices(landmarks),
-            smooth.positions[landmarks],
+            Ties(Anchors.at_vertices(landmarks), smooth.positions[landmarks]),
             stage,
             ElasticConfig(),
         )

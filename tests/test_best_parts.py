@@ -67,22 +67,20 @@ def test_stiff_ends_are_finished_too_and_the_best_parts_of_all_come_first(
     soft = moved(graph, along > np.quantile(along, 0.9))
     stiff = moved(graph, along < np.quantile(along, 0.1))
 
-    def judged(prepared: object, pullers: object, positions: np.ndarray) -> FineFit:
+    def judged(prepared: object, positions: np.ndarray) -> FineFit:
         return end(positions, graph.areas * ((positions - graph.positions) ** 2).sum(axis=1))
 
-    monkeypatch.setattr(ends, "fine_fit", lambda prepared, shape, coarse, landmarks: coarse.positions)
-    monkeypatch.setattr(ends, "fine_stage", lambda prepared, start, landmarks: start)
+    monkeypatch.setattr(ends, "fine_fit", lambda problem, coarse: coarse.positions)
+    monkeypatch.setattr(ends, "fine_stage", lambda problem, start: start)
     monkeypatch.setattr(ends, "judged", judged)
-    prepared: Any = SimpleNamespace(rest=SimpleNamespace(graph=graph, pullers=lambda sheet: None), sheet=None)
-    shape: Any = SimpleNamespace(rest=SimpleNamespace(graph=graph))
+    problem: Any = SimpleNamespace(prepared=SimpleNamespace(rest=SimpleNamespace(graph=graph)))
     maps = np.zeros((graph.n, 3, 3))
-    of_both = [CoarseFit(cost, positions, maps) for cost, positions in ((1.0, soft), (9.0, stiff))]
-    nothing: Any = None
-    found = ends.finished_ends(prepared, shape, of_both[:1], nothing, stiff=of_both[1:])
+    of_both = [CoarseFit(cost, positions, maps, graph) for cost, positions in ((1.0, soft), (9.0, stiff))]
+    found = ends.finished_ends(problem, of_both[:1], stiff=of_both[1:])
     assert len(found) == 3
     assert [one.cost for one in found] == sorted(one.cost for one in found)
     np.testing.assert_allclose(found[0].positions, graph.positions, atol=1e-12)
-    assert len(ends.finished_ends(prepared, shape, of_both, nothing)) == 1  # hopeless by its coarse cost
+    assert len(ends.finished_ends(problem, of_both)) == 1  # hopeless by its coarse cost
 
 
 def test_shares_of_the_energy_are_its_terms(graph: ElasticGraph) -> None:

@@ -11,8 +11,9 @@ from cagemap.maps.curves import CurvePair, SurfaceCurve
 from cagemap.maps.elastic.both_ways import both_ways, inverse, smoothed
 from cagemap.maps.elastic.config import StartConfig
 from cagemap.maps.elastic.prepared import PreparedPair
+from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.masks import Masks
-from cagemap.maps.pair import PointPairs
+from cagemap.maps.pair import Pair, PointPairs
 from cagemap.mesh.parts import extract
 from cagemap.mesh.shapes import creature
 from cagemap.operators import build_operators
@@ -54,12 +55,13 @@ def test_half_of_a_slide_is_taken_back(prepared: PreparedPair) -> None:
     landmarks = np.arange(0, prepared.target.refinement.levels[0].n_vertices, 4)
     on = prepared.on_source
     pairs = PointPairs.of_vertices(on, on, landmarks, landmarks)
+    problem = FitProblem(prepared, Pair(prepared.target, prepared.source, pairs))
     start = slid(prepared, 0.01)
     start[landmarks] = prepared.mesh.positions[landmarks]
     before = np.linalg.norm(start - prepared.mesh.positions, axis=1).mean()
-    after = np.linalg.norm(both_ways(prepared, pairs, start) - prepared.mesh.positions, axis=1).mean()
+    after = np.linalg.norm(both_ways(problem, start) - prepared.mesh.positions, axis=1).mean()
     assert 0.4 * before < after < 0.65 * before
-    still = both_ways(prepared, pairs, prepared.mesh.positions)
+    still = both_ways(problem, prepared.mesh.positions)
     assert np.linalg.norm(still - prepared.mesh.positions, axis=1).max() < 2e-3
 
 
@@ -109,8 +111,9 @@ def test_a_whole_body_is_not_fitted_back_from_a_part_of_it(prepared: PreparedPai
     corners = np.arange(0, part.n_vertices, 4)
     assert part.file_vertices is not None
     landmarks = PointPairs.of_vertices(prepared.on_source, pair.on_source, part.file_vertices[corners], corners)
+    problem = FitProblem(pair, Pair(pair.target, pair.source, landmarks))
     # All of the body in the size of the part, and what the part lacks on its edge.
     at_home = prepared.mesh.positions * pair.mesh.positions.std() / prepared.mesh.positions.std()
     at, barycentric, _ = closest_points(build_tree(pair.sheet.positions, pair.sheet.triangles), at_home)
     ended = np.einsum("mk,mkd->md", barycentric, pair.sheet.positions[pair.sheet.triangles[at]])
-    np.testing.assert_array_equal(both_ways(pair, landmarks, ended), ended)
+    np.testing.assert_array_equal(both_ways(problem, ended), ended)

@@ -13,10 +13,11 @@ from cagemap.geometry.closest import build_tree, closest_points
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import normalized, triangle_normals, vertex_normals
+from cagemap.maps.elastic.anchors import Anchors
 from cagemap.maps.elastic.config import ElasticConfig, Stage
 from cagemap.maps.elastic.counterparts import round_trip_weights
 from cagemap.maps.elastic.data import Pullers, curved_points, pull_by_source
-from cagemap.maps.elastic.fit import Anchors, coarse_fit, fine_fit, run_stage
+from cagemap.maps.elastic.fit import coarse_fit, fine_fit, run_stage
 from cagemap.maps.elastic.graph import (
     FLAT,
     LEAST_STRETCH,
@@ -27,8 +28,10 @@ from cagemap.maps.elastic.graph import (
     extrapolate,
     mesh_graph,
 )
-from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair, RestShape, level_graph
+from cagemap.maps.elastic.prepared import PreparedPair, RestShape, level_graph
+from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.elastic.system import BlockSystem
+from cagemap.maps.elastic.ties import Ties
 from cagemap.maps.elastic.update import landmark_response
 from cagemap.maps.pair import Pair, PointPairs
 from cagemap.maps.point_map import PointMap
@@ -89,10 +92,10 @@ def fitted_map(
     """The whole fit, from a source vertex for every target vertex of a level; landmarks have the same numbers."""
     pair = Pair.of_vertices(surface_of(target), surface_of(source), landmarks, landmarks)
     prepared = prepared_at(pair.target, pair.source, level, config)
-    coarse, places = prepared.coarse(landmarks), pair.landmarks.source.positions
-    start = prepared.on_source.positions[match[coarse.vertices]]
-    started = [coarse_fit(coarse, prepared.sheet, first, places, config) for first in (start, None)]
-    fitted = fine_fit(prepared, coarse, min(started, key=lambda ended: ended.cost), pair.landmarks)
+    problem = FitProblem(prepared, pair)
+    start = prepared.on_source.positions[match[problem.shape.vertices]]
+    started = [coarse_fit(problem, first) for first in (start, None)]
+    fitted = fine_fit(problem, min(started, key=lambda ended: ended.cost))
     return unfold(project(prepared, fitted, pair.landmarks), landmarks, config)
 
 
@@ -219,11 +222,10 @@ def test_a_surface_fits_itself_from_a_shaken_start(shape: tuple[Refinement, floa
     landmarks = np.arange(0, refinement.levels[0].n_vertices, 3)
     config = ElasticConfig(coarse_vertices=400)
     pair, prepared = Pair.of_vertices(surface, surface, landmarks, landmarks), prepared_at(surface, surface, 2, config)
-    graph, coarse = prepared.rest.graph, prepared.coarse(landmarks)
+    graph, problem = prepared.rest.graph, FitProblem(prepared, pair)
     start = graph.positions + 0.03 * np.random.default_rng(13).standard_normal((graph.n, 3))
-    places = pair.landmarks.source.positions
-    started = [coarse_fit(coarse, prepared.sheet, first, places, config) for first in (start[coarse.vertices], None)]
-    found = fine_fit(prepared, coarse, min(started, key=lambda ended: ended.cost), pair.landmarks)
+    started = [coarse_fit(problem, first) for first in (start[problem.shape.vertices], None)]
+    found = fine_fit(problem, min(started, key=lambda ended: ended.cost))
     error = np.linalg.norm(found - graph.positions, axis=1)
     assert error.mean() < 0.003  # ten times less than the noise; tangentially only landmarks and the energy hold it
     assert error[landmarks].max() < 1e-4
@@ -313,7 +315,7 @@ def test_momentum_gets_as_far_in_half_the_iterations(shape: tuple[Refinement, fl
         start = graph.positions + slide
         held = graph.positions[landmarks]
         rest = RestShape.build(graph, sheet, stage.smoothing)
-        found = run_stage(rest, sheet, start, Anchors.at_vertices(landmarks), held, stage, ElasticConfig())
+        found = run_stage(rest, sheet, start, Ties(Anchors.at_vertices(landmarks), held), stage, ElasticConfig())
         return float(np.linalg.norm(found - graph.positions, axis=1).mean())
 
     assert error(8, 0.8) < error(16, 0.0) < np.linalg.norm(slide, axis=1).mean()
@@ -328,8 +330,8 @@ def test_steps_with_the_factors_of_an_earlier_iteration_end_at_the_same_place(sh
     def ended(factored: int) -> np.ndarray:
         stage = Stage(12, (1e-3, 1e-4), 3e-4, momentum=0.8, factored=factored)
         rest = RestShape.build(graph, sheet, stage.smoothing)
-        held = Anchors.at_vertices(landmarks)
-        return run_stage(rest, sheet, start, held, graph.positions[landmarks], stage, ElasticConfig())
+        ties = Ties(Anchors.at_vertices(landmarks), graph.positions[landmarks])
+        return run_stage(rest, sheet, start, ties, stage, ElasticConfig())
 
     exact = ended(1)
     moved = np.linalg.norm(exact - start, axis=1).mean()
@@ -360,9 +362,8 @@ def test_patience_ends_as_soon_as_nothing_folds(shape: tuple[Refinement, float])
     def found(patience: int) -> np.ndarray:
         stage = Stage(3, (1e-3, 1e-4), 3e-4, patience=patience)
         rest = RestShape.build(graph, sheet, stage.smoothing)
-        return run_stage(
-            rest, sheet, start, Anchors.at_vertices(landmarks), graph.positions[landmarks], stage, ElasticConfig()
-        )
+        ties = Ties(Anchors.at_vertices(landmarks), graph.positions[landmarks])
+        return run_stage(rest, sheet, start, ties, stage, ElasticConfig())
 
     np.testing.assert_array_equal(found(5), found(0))
     np.testing.assert_array_equal(Stage(3, (1e-3, 1e-4), 3e-4, patience=2).ramped()[3:], 1e-4)
@@ -395,9 +396,8 @@ def test_long_thin_legs_do_not_fold_on_short_thick_ones() -> None:
     )
     config = ElasticConfig()
     prepared = prepared_at(pair.target, pair.source, 2, config)
-    coarse = prepared.coarse(pair.target_landmarks)
-    started = coarse_fit(coarse, prepared.sheet, None, pair.landmarks.source.positions, config)
-    fitted = fine_fit(prepared, coarse, started, pair.landmarks)
+    problem = FitProblem(prepared, pair)
+    fitted = fine_fit(problem, coarse_fit(problem, None))
     found = unfold(project(prepared, fitted, pair.landmarks), pair.target_landmarks)
     assert measure_quality(found).flipped_area < 1e-4
 
@@ -530,11 +530,11 @@ def test_interpolants_have_unit_values_and_are_harmonic(shape: tuple[Refinement,
 
 
 def test_what_cannot_be_fitted_is_refused(shape: tuple[Refinement, float]) -> None:
-    refinement, scale = shape
-    operators = build_operators(refinement)
+    refinement, _ = shape
+    operators, surface, one = build_operators(refinement), surface_of(refinement), np.array([0])
     with pytest.raises(InvalidLandmarksError, match="repeated"):
         interpolants(operators.stiffness[1], operators.mass[1], np.array([4, 4, 5]))
-    graph, mesh = graph_of(refinement, scale, 1)
-    coarse = CoarseShape.build(graph, np.array([0]), ElasticConfig(200))
+    prepared = prepared_at(surface, surface, 1, ElasticConfig(coarse_vertices=200))
+    problem = FitProblem(prepared, Pair.of_vertices(surface, surface, one, one))
     with pytest.raises(ParameterError, match="one for each coarse vertex"):
-        coarse_fit(coarse, mesh, graph.positions, graph.positions[:1])
+        coarse_fit(problem, prepared.rest.graph.positions)

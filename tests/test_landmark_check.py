@@ -138,7 +138,7 @@ def test_exchanged_feet_are_left_out_and_named(pair):
 
 def test_an_exchange_that_the_map_does_not_mind_is_kept_and_told(pair, monkeypatch):
     _, exchanged = among_few(pair[2], "hoof_front_L", "hoof_front_R")
-    monkeypatch.setattr(check, "coarse_map_cost", lambda pair, config: 1e-4)
+    monkeypatch.setattr(check, "coarse_map_cost", lambda problem: 1e-4)
     found = match(pair[0], pair[1], exchanged, CONFIG)
     assert found.suspects == ()
     assert "'hoof_front_L', 'hoof_front_R' seem to be exchanged" in found.landmark_check.notes[0]
@@ -238,7 +238,7 @@ def test_a_pair_that_strains_is_kept_and_named(pair):
 def test_pairs_out_of_proportion_are_kept_where_the_map_is_no_better_without(pair, monkeypatch):
     target, source, landmarks = pair
     wrong = with_source(landmarks, {3: farthest(source, landmarks.source[3], landmarks.source)})
-    monkeypatch.setattr(check, "coarse_map_cost", lambda pair, config: 1e-4)
+    monkeypatch.setattr(check, "coarse_map_cost", lambda problem: 1e-4)
     found = match(target, source, wrong, CONFIG)
     assert found.suspects == ()
     assert wrong.names[3] in found.landmark_check.notes[0]

@@ -10,14 +10,15 @@ import pytest
 from cagemap.basis import BasisConfig, Surface, hierarchical_basis
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.elastic import both_ways, method
-from cagemap.maps.elastic.config import ElasticConfig, StartConfig
+from cagemap.maps.elastic.config import StartConfig
 from cagemap.maps.elastic.constants import LIMB, LIMB_POSED, LOOSEST, POSES_DIFFER, POSES_FOUND
 from cagemap.maps.elastic.ends import FineFit
 from cagemap.maps.elastic.fit import CoarseFit, coarse_fit, fine_stage
 from cagemap.maps.elastic.graph import mesh_graph
 from cagemap.maps.elastic.pose import fit_in_pose, limb_turn, posed, stiffness, turn
-from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair, RestShape
-from cagemap.maps.pair import Pair, PointPairs
+from cagemap.maps.elastic.prepared import PreparedPair, RestShape
+from cagemap.maps.elastic.problem import FitProblem
+from cagemap.maps.pair import Pair
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.shapes import creature
 from cagemap.numerics.arrays import FloatArray
@@ -85,14 +86,15 @@ def test_one_limb_is_posed_where_the_body_stands_as_it_did(rest: RestShape) -> N
 def test_ends_that_agree_are_doubted_where_a_limb_is_posed(
     bent: PreparedPair, monkeypatch: pytest.MonkeyPatch, angle: float
 ) -> None:
-    at_rest, better = CoarseFit(1.0, bent.rest.graph.positions, np.zeros(0)), FineFit(0.5, bent.on_source.positions)
+    graph, better = bent.rest.graph, FineFit(0.5, bent.on_source.positions)
+    at_rest = CoarseFit(1.0, graph.positions, np.zeros(0), graph)
     monkeypatch.setattr(method, "coarse_fit", lambda *given: at_rest)
     monkeypatch.setattr(method, "fine_fit", lambda *given: bent.rest.graph.positions)
-    monkeypatch.setattr(method, "start_map", lambda prepared, pair, vertices, areas: vertices)
+    monkeypatch.setattr(method, "start_map", lambda problem: problem.prepared.on_source.positions)
     monkeypatch.setattr(method, "mean_distance", lambda *given: 0.0)
     monkeypatch.setattr(method, "limb_turn", lambda rest, positions: angle)
     monkeypatch.setattr(method, "doubtful_ends", lambda *given: (better, better))
-    ends = method.fits(bent, Pair(bent.target, bent.source, every_twelfth(bent)))
+    ends = method.fits(problem_of(bent))
     assert [end.cost for end in ends] == ([0.5, 0.5] if angle > LIMB_POSED else [1.0])
 
 
@@ -138,26 +140,24 @@ def bent() -> PreparedPair:
     return PreparedPair.build(surface(creature()), surface(bowed()), StartConfig(search_vertices=300))
 
 
-def every_twelfth(prepared: PreparedPair) -> PointPairs:
-    """Landmarks."""
+def problem_of(prepared: PreparedPair) -> FitProblem:
+    """With every twelfth vertex a landmark."""
     vertices = np.arange(0, prepared.target.control.n_vertices, 12)
-    return PointPairs.of_vertices(prepared.mesh, prepared.on_source, vertices, vertices)
+    return FitProblem(prepared, Pair.of_vertices(prepared.target, prepared.source, vertices, vertices))
 
 
 def test_a_bent_joint_is_no_strain_in_its_own_pose(bent: PreparedPair, monkeypatch: pytest.MonkeyPatch) -> None:
-    truth, landmarks = bent.on_source.positions, every_twelfth(bent)
+    truth, problem = bent.on_source.positions, problem_of(bent)
     stages = []
 
-    def fitted(
-        shape: CoarseShape, sheet: TriangleSurface, start: FloatArray, places: FloatArray, config: ElasticConfig
-    ) -> CoarseFit:
-        stages.append(config.coarse)
-        return coarse_fit(shape, sheet, start, places, config)
+    def fitted(problem: FitProblem, start: FloatArray) -> CoarseFit:
+        stages.append(problem.prepared.elastic.coarse)
+        return coarse_fit(problem, start)
 
     monkeypatch.setattr("cagemap.maps.elastic.pose.coarse_fit", fitted)
     assert turn(bent.rest, truth) > POSES_DIFFER
-    slid = fine_stage(bent, truth, landmarks)
-    found = fit_in_pose(bent, landmarks, slid)
+    slid = fine_stage(problem, truth)
+    found = fit_in_pose(problem, slid)
     before, after = (np.linalg.norm(places - truth, axis=1).mean() for places in (slid, found))
     assert before > 0.005  # the minimum beside the truth
     assert after < 0.75 * before
@@ -168,28 +168,27 @@ def test_a_bent_joint_is_no_strain_in_its_own_pose(bent: PreparedPair, monkeypat
 def test_only_poses_that_differ_are_fitted_in_the_other_pose(
     bent: PreparedPair, monkeypatch: pytest.MonkeyPatch, angle: float
 ) -> None:
-    landmarks = every_twelfth(bent)
+    problem = problem_of(bent)
     asked: list[tuple[PreparedPair, list[float], int]] = []
 
-    def fitted(
-        prepared: PreparedPair, pairs: PointPairs, positions: FloatArray, times: int = POSES_FOUND
-    ) -> FloatArray:
-        asked.append((prepared, pairs.target.positions[0].tolist(), times))
+    def fitted(given: FitProblem, positions: FloatArray, times: int = POSES_FOUND) -> FloatArray:
+        asked.append((given.prepared, given.pair.landmarks.target.positions[0].tolist(), times))
         return positions
 
     for room in (both_ways, method):
         monkeypatch.setattr(room, "turn", lambda rest, positions: angle)
         monkeypatch.setattr(room, "fit_in_pose", fitted)
-    monkeypatch.setattr(both_ways, "fine_stage", lambda prepared, start, pairs: start)
-    monkeypatch.setattr(method, "start_map", lambda prepared, pair, vertices, areas: vertices)
-    monkeypatch.setattr(method, "spectral_starts", lambda shape, guided, sides: [])
-    monkeypatch.setattr("cagemap.maps.elastic.method.SpectralSides.build", lambda prepared, shape: None)
-    at_rest = CoarseFit(1.0, bent.rest.graph.positions, np.zeros(0))
+    monkeypatch.setattr(both_ways, "fine_stage", lambda problem, start: start)
+    monkeypatch.setattr(method, "start_map", lambda problem: problem.prepared.on_source.positions)
+    monkeypatch.setattr(method, "spectral_starts", lambda guided, sides: [])
+    monkeypatch.setattr("cagemap.maps.elastic.method.SpectralSides.build", lambda problem: None)
+    at_rest = CoarseFit(1.0, bent.rest.graph.positions, np.zeros(0), bent.rest.graph)
     monkeypatch.setattr(method, "coarse_fit", lambda *given: at_rest)
     monkeypatch.setattr(method, "mean_distance", lambda *given: 1.0)
     ended = FineFit(1e-4, bent.on_source.positions)
     monkeypatch.setattr(method, "finished_ends", lambda *given, stiff: (ended,))
-    (first,) = method.fits(bent, Pair(bent.target, bent.source, landmarks))
+    landmarks = problem.pair.landmarks
+    (first,) = method.fits(problem)
     forth, back = (side.positions[0].tolist() for side in (landmarks.target, landmarks.source))
     assert asked == ([] if angle < POSES_DIFFER else [(bent, forth, POSES_FOUND), (bent.reversed, back, 1)])
     assert first.positions is ended.positions

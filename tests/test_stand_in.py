@@ -12,7 +12,8 @@ from cagemap.maps.elastic.anchors import Anchors
 from cagemap.maps.elastic.config import ElasticConfig
 from cagemap.maps.elastic.fit import fine_stage
 from cagemap.maps.elastic.prepared import PreparedPair, RestShape, StandIn, level_graph
-from cagemap.maps.pair import PointPairs
+from cagemap.maps.elastic.problem import FitProblem
+from cagemap.maps.pair import Pair
 from cagemap.mesh.shapes import creature
 from cagemap.pipeline import prepare_pair, prepare_surface
 
@@ -93,12 +94,12 @@ def test_a_fine_stage_ends_where_it_ends_without(pair: PreparedPair, monkeypatch
     """Two fifths of the vertices see the same shape; places and normals of the mesh that follows are those of it."""
     level, config = LEVEL, ElasticConfig()
     target, source = pair.target.triangles(level), pair.source.triangles(level)
-    landmarks = PointPairs.of_vertices(target, source, np.arange(0, 60, 6), np.arange(0, 60, 6))
+    held = Pair.of_vertices(pair.target, pair.source, np.arange(0, 60, 6), np.arange(0, 60, 6))
 
     def ended() -> np.ndarray:
         shape = RestShape.build(level_graph(pair.target, level), target, config.fine.smoothing)
         fitted = PreparedPair(pair.target, pair.source, pair.start, config, (level, level), shape, source)
-        return fine_stage(fitted, target.positions, landmarks)
+        return fine_stage(FitProblem(fitted, held), target.positions)
 
     whole = ended()
     monkeypatch.setattr(rooms, "LARGEST_MESH", target.n // 2)

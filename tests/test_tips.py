@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +18,7 @@ from cagemap.maps.elastic.ends import FineFit
 from cagemap.maps.elastic.fit import CoarseFit, coarse_fit
 from cagemap.maps.elastic.graph import cluster_graph, mesh_graph
 from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair
+from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.hypotheses.confidence import Reading
 from cagemap.maps.hypotheses.method import half_way
 from cagemap.maps.hypotheses.tips import (
@@ -103,7 +103,7 @@ def test_what_is_masked_or_has_a_landmark_is_no_tip(surface: Surface) -> None:
     cage = surface.triangles(surface.finest).positions[: surface.control.n_vertices]
     nose = int(np.linalg.norm(cage / surface.triangles(surface.finest).scale - ENDS[NOSE], axis=1).argmin())
     pair = pair_of(surface, surface, Landmarks(("nose",), np.array([nose]), np.array([nose])))
-    found = Tips.of(prepared, pair)
+    found = Tips.of(FitProblem(prepared, pair))
     assert set(range(8)) - set(ends_of(surface, positions[found.vertices])) == {NOSE}
     assert set(range(8)) - set(ends_of(surface, found.places)) == {NOSE, TAIL}
 
@@ -113,17 +113,15 @@ def test_a_fit_is_led_to_tips_that_it_missed(
 ) -> None:
     held = []
 
-    def fitted(
-        shape: CoarseShape, sheet: TriangleSurface, start: FloatArray, places: FloatArray, *others: Any
-    ) -> CoarseFit:
-        held.append((shape.rest.graph.positions[: len(places)], places))
-        return coarse_fit(shape, sheet, start, places, *others)
+    def fitted(problem: FitProblem, start: FloatArray, shape: CoarseShape, pullers: Pullers) -> CoarseFit:
+        held.append((shape.rest.graph.positions[: len(shape.ties.places)], shape.ties.places))
+        return coarse_fit(problem, start, shape, pullers)
 
     monkeypatch.setattr("cagemap.maps.hypotheses.tips.coarse_fit", fitted)
-    pair = pair_of(surface, surface, Landmarks.none())
-    found, rest = Tips.of(prepared, pair), prepared.rest.graph.positions
+    problem = FitProblem(prepared, pair_of(surface, surface, Landmarks.none()))
+    found, rest = Tips.of(problem), prepared.rest.graph.positions
     there = FineFit(1e-4, rest)
-    assert led_by_tips(prepared, pair, found, there) is there  # nothing is missed
+    assert led_by_tips(problem, found, there) is there  # nothing is missed
     tail = np.linalg.norm(rest - found.places[ends_of(surface, found.places) == TAIL], axis=1) < 0.12
     assert 3 * MET < 0.15 < NEAR
     bent = rest + tail[:, None] * np.array([0.15, 0.0, 0.0])
@@ -131,24 +129,25 @@ def test_a_fit_is_led_to_tips_that_it_missed(
     assert np.array_equal(
         ends_of(surface, rest[found.vertices[pairs[:, 0]]]), ends_of(surface, found.places[pairs[:, 1]])
     )
-    led = led_by_tips(prepared, pair, found, FineFit(1e-2, bent))
+    led = led_by_tips(problem, found, FineFit(1e-2, bent))
     assert np.linalg.norm(led.positions - rest, axis=1)[found.vertices].max() < MET
     ((tips, places),) = held  # the same shape, so that every tip is held at its own place
     assert len(tips) == len(ENDS)
     assert np.linalg.norm(tips - places, axis=1).max() < MET
     cheap = FineFit(0.5 * led.cost / AS_CHEAP, bent)
-    assert led_by_tips(prepared, pair, found, cheap) is cheap
+    assert led_by_tips(problem, found, cheap) is cheap
 
 
 def test_half_way_to_the_reversed_pair_is_left_where_it_costs_more(surface: Surface, prepared: PreparedPair) -> None:
     pair, rest = pair_of(surface, surface, Landmarks.none()), prepared.rest.graph.positions
+    problem = FitProblem(prepared, pair)
     bent = rest * (1.0 + 0.05 * np.sin(3.0 * rest[:, ::-1]))
-    moved = half_way(prepared, pair, Reading("a", 1.0, bent))
+    moved = half_way(problem, Reading("a", 1.0, bent))
     assert 0.0 < np.abs(moved - bent).max() < 0.1
-    assert half_way(prepared, pair, Reading("a", 0.9e-4, bent)) is bent  # as bodies of one kind cost
-    assert half_way(prepared, pair, Reading("a", 1.1e-4, bent)) is bent  # it costs more
+    assert half_way(problem, Reading("a", 0.9e-4, bent)) is bent  # as bodies of one kind cost
+    assert half_way(problem, Reading("a", 1.1e-4, bent)) is bent  # it costs more
     masked = replace(prepared, rest=replace(prepared.rest, masks=Masks(source=np.ones(surface.triangles(1).n))))
-    assert half_way(masked, pair, Reading("a", 1.0, bent)) is bent
+    assert half_way(FitProblem(masked, pair), Reading("a", 1.0, bent)) is bent
 
 
 def test_the_source_pulls_short_legs_to_where_long_ones_end() -> None:
@@ -157,15 +156,15 @@ def test_the_source_pulls_short_legs_to_where_long_ones_end() -> None:
     height = cage.positions[:, 1:2]
     long = cage.with_positions(cage.positions + [0.0, 2.0, 0.0] * np.minimum(height - 2.0, 0.0))
     prepared = prepare_pair(prepare_surface(cage, 1), prepare_surface(long, 1))
-    sheet, shape = prepared.sheet, prepared.coarse()
+    problem = FitProblem(prepared, pair_of(prepared.target, prepared.source, Landmarks.none())).staged(LED)
+    sheet, shape = prepared.sheet, problem.shape
     start = shape.rest.graph.positions * prepared.on_source.scale / prepared.mesh.scale
     start[:, 1] += sheet.positions[:, 1].max() - start[:, 1].max()
     feet, ground = start[:, 1] < start[:, 1].min() + 0.02, sheet.positions[:, 1].min()
     assert (start[feet, 1] > ground + 0.35).all()
 
     def above_ground(pullers: Pullers | None) -> float:
-        config = replace(prepared.elastic, coarse=LED)
-        ended = coarse_fit(shape, sheet, start, np.zeros((0, 3)), config, pullers)
+        ended = coarse_fit(problem, start, pullers=pullers)
         return float((ended.positions[feet, 1] - ground).mean())
 
     assert above_ground(None) > 0.2

@@ -5,6 +5,7 @@ from __future__ import annotations
 from cagemap.basis import Surface
 from cagemap.maps.elastic.constants import MOST_ENDS
 from cagemap.maps.elastic.ends import finished_ends
+from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.hypotheses.confidence import SURE_COST, SURE_TURNED_COST
 from cagemap.maps.hypotheses.search import coarse_fits, rough_fits
 from cagemap.maps.hypotheses.tips import Tips, led_by_tips
@@ -20,16 +21,15 @@ def may_be_sure(target: Surface, source: Surface) -> bool:
     at least and tenfold in the median. So an answer whose coarse fit costs too much already is not finished.
     """
     prepared = prepare_pair(target, source)
-    pair = pair_of(prepared.target, prepared.source, Landmarks.none())
+    problem = FitProblem(prepared, pair_of(prepared.target, prepared.source, Landmarks.none()))
     with one_blas_thread():
-        shape = prepared.coarse()
-        candidates = coarse_fits(prepared, pair, shape, rough_fits(prepared, pair, shape))
-        tips = Tips.of(prepared, pair)
+        candidates = coarse_fits(problem, rough_fits(problem))
+        tips = Tips.of(problem)
         for candidate in candidates:
             bound = SURE_COST if candidate.doubt == 1.0 else SURE_TURNED_COST
             if candidate.fit.cost <= bound:
                 most = MOST_ENDS if candidate is candidates[0] else 1
-                ended = finished_ends(prepared, shape, candidate.fits, pair.landmarks, most)[0]
-                if min(ended.cost, led_by_tips(prepared, pair, tips, ended).cost) <= bound:
+                ended = finished_ends(problem, candidate.fits, most)[0]
+                if min(ended.cost, led_by_tips(problem, tips, ended).cost) <= bound:
                     return True
     return False

@@ -25,30 +25,30 @@ from cagemap.maps.elastic.constants import (
 from cagemap.maps.elastic.fit import fine_stage
 from cagemap.maps.elastic.pose import fit_in_pose, turn
 from cagemap.maps.elastic.prepared import PreparedPair
-from cagemap.maps.pair import PointPairs
+from cagemap.maps.elastic.problem import FitProblem
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.factorization import factor
 
 
-def both_ways(prepared: PreparedPair, landmarks: PointPairs, positions: FloatArray) -> FloatArray:
+def both_ways(problem: FitProblem, positions: FloatArray) -> FloatArray:
     """Places (n, 3) half-way between a fine fit's and those by the fit of the reversed pair that starts there.
 
     Places as they are where the source has no counterpart of much of the target: of that the way back knows nothing.
 
     Parameters
     ----------
-    prepared : PreparedPair
-    landmarks : PointPairs
-        Held both ways.
+    problem : FitProblem
+        Its landmarks are held both ways.
     positions : (n, 3) float64
         Where a fine stage ended.
     """
-    back, mesh = prepared.reversed, prepared.mesh
+    prepared, back = problem.prepared, problem.prepared.reversed
+    mesh = prepared.mesh
     start, _ = inverse(mesh, positions, back.mesh)
     if turn(back.rest, start) > POSES_DIFFER:
-        returned = fit_in_pose(back, landmarks.reversed(), start, times=1)
+        returned = fit_in_pose(problem.reversed, start, times=1)
     else:
-        returned = fine_stage(back, start, landmarks.reversed())
+        returned = fine_stage(problem.reversed, start)
     places, gaps = inverse(back.mesh, returned, mesh)
     areas = prepared.rest.graph.areas
     if areas[gaps > INVERSE_FAR].sum() > INVERSE_LOST * areas.sum():

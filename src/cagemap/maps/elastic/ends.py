@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from cagemap.geometry.closest import build_tree, closest_points
 from cagemap.maps.elastic.constants import ENDS_APART, HOPELESS_END, LEAST_PART, MOST_ENDS, PART_RINGS, PARTS_APART
-from cagemap.maps.elastic.data import Pullers
 from cagemap.maps.elastic.fit import CoarseFit, fine_fit, fine_stage, vertex_costs
 from cagemap.maps.elastic.graph import ElasticGraph
-from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair
-from cagemap.maps.pair import PointPairs
+from cagemap.maps.elastic.prepared import PreparedPair
+from cagemap.maps.elastic.problem import FitProblem
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.graphs import components
 from cagemap.numerics.threads import in_threads
@@ -55,10 +54,8 @@ class FineFit:
 
 
 def finished_ends(
-    prepared: PreparedPair,
-    shape: CoarseShape,
+    problem: FitProblem,
     coarse: Sequence[CoarseFit],
-    landmarks: PointPairs,
     most: int = MOST_ENDS,
     stiff: Sequence[CoarseFit] = (),
 ) -> tuple[FineFit, ...]:
@@ -69,11 +66,9 @@ def finished_ends(
 
     Parameters
     ----------
-    prepared : PreparedPair
-    shape : CoarseShape
+    problem : FitProblem
     coarse : sequence of CoarseFit
         From different starts.
-    landmarks : PointPairs
     most : int
         How many are finished.
     stiff : sequence of CoarseFit
@@ -81,25 +76,25 @@ def finished_ends(
     """
     ranked = sorted(coarse, key=lambda ended: ended.cost)
     hopeful = [ended for ended in ranked if ended.cost <= HOPELESS_END * ranked[0].cost]
-    kept = different(hopeful, lambda ended: ended.positions, shape.rest.graph.areas, ENDS_APART)[:most]
-    pullers = prepared.rest.pullers(prepared.sheet)
+    kept = different(hopeful, lambda ended: ended.positions, ranked[0].graph.areas, ENDS_APART)[:most]
 
     def finish(ended: CoarseFit) -> FineFit:
-        return judged(prepared, pullers, fine_fit(prepared, shape, ended, landmarks))
+        return judged(problem.prepared, fine_fit(problem, ended))
 
     found = sorted(in_threads(finish, [*kept, *stiff]), key=lambda ended: ended.cost)
-    mixed = best_parts(prepared.rest.graph, found)
+    mixed = best_parts(problem.prepared.rest.graph, found)
     if mixed is not None:
-        found.append(judged(prepared, pullers, fine_stage(prepared, mixed, landmarks)))
+        found.append(judged(problem.prepared, fine_stage(problem, mixed)))
     return tuple(sorted(found, key=lambda ended: ended.cost))
 
 
-def judged(prepared: PreparedPair, pullers: Pullers, positions: FloatArray) -> FineFit:
+def judged(prepared: PreparedPair, positions: FloatArray) -> FineFit:
     """A fitted mesh with what it costs: `coarse_cost`, and the mean squared distance of source points from the mesh.
 
     The last tells a limb that lies beside its counterpart, or a body squeezed into a part of the other.
     """
     rest, config, triangles = prepared.rest, prepared.elastic, prepared.mesh.triangles
+    pullers = rest.pullers(prepared.sheet)
     costs = vertex_costs(rest, prepared.sheet, positions, rest.field.solve(positions), config)
     tree = build_tree(positions, triangles)
     at, barycentric, distance = closest_points(tree, pullers.points, pullers.planes, normal_weight=config.normal_weight)

@@ -16,15 +16,14 @@ from cagemap.errors import ParameterError
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import vertex_normals
-from cagemap.maps.elastic.anchors import Anchors as Anchors
 from cagemap.maps.elastic.config import ElasticConfig, Stage
 from cagemap.maps.elastic.constants import COST_STIFFNESS, LANDMARK_ITERATIONS, LYING, STIFFENING, STIFFEST, UNSETTLED
-from cagemap.maps.elastic.curves import NO_CURVES, CurvePull
 from cagemap.maps.elastic.data import Pullers, deformed_normals, pull_by_source, pull_on_clusters, pull_to_source
-from cagemap.maps.elastic.graph import extrapolate
-from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair, RestShape
-from cagemap.maps.pair import PointPairs
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.maps.elastic.graph import ElasticGraph, extrapolate
+from cagemap.maps.elastic.prepared import CoarseShape, RestShape
+from cagemap.maps.elastic.problem import FitProblem
+from cagemap.maps.elastic.ties import Ties
+from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.factorization import factor
 from cagemap.numerics.threads import ThreadPool
 
@@ -38,33 +37,35 @@ class CoarseFit:
     cost : float
         See `coarse_cost`.
     positions, maps : (k, 3), (k, 3, 3) float64
+    graph : ElasticGraph
+        Whose clusters these are.
     """
 
     cost: float
     positions: FloatArray
     maps: FloatArray
+    graph: ElasticGraph
+
+    def on(self, graph: ElasticGraph) -> FloatArray:
+        """(n, 3) where it takes the vertices of another graph of the same shape."""
+        return extrapolate(self.graph, self.positions, self.maps, graph)
 
 
 def coarse_fit(
-    shape: CoarseShape,
-    sheet: TriangleSurface,
+    problem: FitProblem,
     start: FloatArray | None,
-    landmark_positions: FloatArray,
-    config: ElasticConfig = ElasticConfig(),
+    shape: CoarseShape | None = None,
     pullers: Pullers | None = None,
 ) -> CoarseFit:
     """The coarse stage from rough positions, or from the landmarks alone.
 
     Parameters
     ----------
-    shape : CoarseShape
-        The landmarks its first vertices.
-    sheet : TriangleSurface
-        The source.
+    problem : FitProblem
     start : (k, 3) float64 or None
         Rough positions on the source; None to start from the landmarks.
-    landmark_positions : (p, 3) float64
-        Where they belong.
+    shape : CoarseShape, optional
+        Clusters with other ties than the problem's own.
     pullers : Pullers, optional
         Points of the source that pull at the shape too, where limbs are to reach the ends of the source's.
 
@@ -73,67 +74,47 @@ def coarse_fit(
     ParameterError
         If the start has not one position for every vertex of the coarse graph.
     """
-    rest = shape.rest
+    shape = problem.shape if shape is None else shape
+    rest, sheet, config = shape.rest, problem.prepared.sheet, problem.prepared.elastic
     expected = rest.graph.positions.shape
     if start is not None and start.shape != expected:
         raise ParameterError(f"start: expected {expected} positions, one for each coarse vertex, got {start.shape}")
-    held = np.arange(len(landmark_positions))
-    first = landmark_start(rest, held, landmark_positions, config) if start is None else start
-    anchors = Anchors.at_vertices(held)
-    positions = run_stage(rest, sheet, first, anchors, landmark_positions, config.coarse, config, shape.curves, pullers)
+    first = landmark_start(shape, config) if start is None else start
+    positions = run_stage(rest, sheet, first, shape.ties, config.coarse, config, pullers)
     maps, _ = rest.differentials(positions)
-    return CoarseFit(coarse_cost(rest, sheet, positions, maps, config), positions, maps)
+    return CoarseFit(coarse_cost(rest, sheet, positions, maps, config), positions, maps, rest.graph)
 
 
-def fine_fit(prepared: PreparedPair, shape: CoarseShape, coarse: CoarseFit, landmarks: PointPairs) -> FloatArray:
-    """Deform the target's mesh onto the source, from where a coarse fit ended.
-
-    Parameters
-    ----------
-    prepared : PreparedPair
-    shape : CoarseShape
-    coarse : CoarseFit
-        Of the shape.
-    landmarks : PointPairs
-
-    Returns
-    -------
-    (n, 3) float64
-        Positions near the source; project them for a map.
-    """
-    start = extrapolate(shape.rest.graph, coarse.positions, coarse.maps, prepared.rest.graph)
-    return fine_stage(prepared, start, landmarks)
+def fine_fit(problem: FitProblem, coarse: CoarseFit) -> FloatArray:
+    """(n, 3) positions near the source of the target's mesh, deformed from where a coarse fit ended."""
+    return fine_stage(problem, coarse.on(problem.prepared.rest.graph))
 
 
-def fine_stage(prepared: PreparedPair, start: FloatArray, landmarks: PointPairs) -> FloatArray:
+def fine_stage(problem: FitProblem, start: FloatArray) -> FloatArray:
     """(n, 3) where the target's mesh, or its stand-in and the mesh with it, ends that starts at positions (n, 3)."""
-    places, elastic, rest = landmarks.source.positions, prepared.elastic, prepared.rest
-    stand_in = rest.stand_in
-    deformed, numbers = (rest, None) if stand_in is None else (stand_in.rest, stand_in.numbers)
-    first = start if stand_in is None else start[stand_in.vertices]
-    mesh = prepared.mesh if deformed.mesh is None else deformed.mesh
-    held = Anchors.on_mesh(mesh, landmarks.target, numbers)
-    curves = CurvePull.on_mesh(mesh, landmarks.curves, numbers)
-    ended = run_stage(deformed, prepared.sheet, first, held, places, elastic.fine, elastic, curves)
-    return ended if stand_in is None else stand_in.followed(ended, rest.graph)
+    prepared, elastic, ties = problem.prepared, problem.prepared.elastic, problem.ties
+    rest, stand_in = prepared.rest, prepared.rest.stand_in
+    if stand_in is None:
+        return run_stage(rest, prepared.sheet, start, ties, elastic.fine, elastic)
+    ended = run_stage(stand_in.rest, prepared.sheet, start[stand_in.vertices], ties, elastic.fine, elastic)
+    return stand_in.followed(ended, rest.graph)
 
 
-def landmark_start(
-    rest: RestShape, landmarks: IndexArray, landmark_positions: FloatArray, config: ElasticConfig
-) -> FloatArray:
-    """(n, 3) the rest shape carried by its landmarks alone: a similarity, then the elastic energy without data.
+def landmark_start(shape: CoarseShape, config: ElasticConfig) -> FloatArray:
+    """(k, 3) the clusters carried by their landmarks alone: a similarity, then the elastic energy without data.
 
     It knows the twist of limbs, which coordinates on the surface do not: a hand with one landmark keeps its turn.
     """
-    graph, field = rest.graph, rest.field
-    rotation, scale, shift = similarity(graph.positions[landmarks], landmark_positions)
+    graph, field, places = shape.rest.graph, shape.rest.field, shape.ties.places
+    held = np.arange(len(places))
+    rotation, scale, shift = similarity(graph.positions[held], places)
     positions = scale * graph.positions @ rotation.T + shift
     blocks = np.zeros((graph.n, 3, 3))
-    blocks[landmarks] = config.landmark_weight * np.eye(3)
+    blocks[held] = config.landmark_weight * np.eye(3)
     factors = field.system.factor(1.0, blocks, field.factors)
     for _ in range(LANDMARK_ITERATIONS):
-        right = field.divergence(rest.differentials(positions)[0])
-        right[landmarks] += config.landmark_weight * landmark_positions
+        right = field.divergence(shape.rest.differentials(positions)[0])
+        right[held] += config.landmark_weight * places
         positions = factors.solve(right.ravel()).reshape(-1, 3)
     return positions
 
@@ -174,11 +155,9 @@ def run_stage(
     rest: RestShape,
     sheet: TriangleSurface,
     start: FloatArray,
-    landmarks: Anchors,
-    landmark_positions: FloatArray,
+    ties: Ties,
     stage: Stage,
     config: ElasticConfig,
-    curves: CurvePull = NO_CURVES,
     pullers: Pullers | None = None,
 ) -> FloatArray:
     """Alternate closest points, positions and differentials; returns positions (n, 3).
@@ -228,8 +207,7 @@ def run_stage(
                 blocks, right, guess_back = pull.blocks + back.blocks, pull.right + back.right, back.triangles
                 # Only the residual asks for them here: beside the factorisation, which keeps to one core.
                 differentials = aside.submit(rest.differentials, positions)
-            curves.add(blocks, right, positions, config.curve_weight)
-            landmarks.hold(blocks, right, positions, landmark_positions, config.landmark_weight)
+            ties.add(blocks, right, positions, config)
             matrix = field.system.at(alpha, blocks)
             exact = (iteration - 1) % stage.factored == 0
             if exact:

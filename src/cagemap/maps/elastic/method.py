@@ -13,7 +13,8 @@ from cagemap.maps.elastic.constants import DOUBTFUL, LIMB_POSED, POSES_DIFFER
 from cagemap.maps.elastic.ends import FineFit, finished_ends, mean_distance
 from cagemap.maps.elastic.fit import CoarseFit, coarse_fit, fine_fit
 from cagemap.maps.elastic.pose import fit_in_pose, limb_turn, turn
-from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair
+from cagemap.maps.elastic.prepared import PreparedPair
+from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.elastic.starts import SpectralSides, spectral_starts, start_map
 from cagemap.maps.elastic.update import respond
 from cagemap.maps.pair import Pair, Progress
@@ -40,26 +41,26 @@ def elastic_map(prepared: PreparedPair, pair: Pair, progress: Progress = lambda 
     InvalidLandmarksError
         If there are fewer than two landmarks.
     """
-    return elastic_answers(prepared, pair, progress)[0]
+    return elastic_answers(FitProblem(prepared, pair), progress)[0]
 
 
 def elastic_answers(
-    prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: None
+    problem: FitProblem, progress: Progress = lambda stage: None
 ) -> tuple[PointMap, tuple[FineFit, ...]]:
     """`elastic_map`, and where else the fit ended, see `fits`; the first of these is the map's own end."""
-    found = fits(prepared, pair, progress)
+    found, landmarks = fits(problem, progress), problem.pair.landmarks
     progress("projection")
-    point_map = project(prepared, found[0].answer, pair.landmarks)
-    return unfold(point_map, held_vertices(pair.landmarks), prepared.elastic), found
+    point_map = project(problem.prepared, found[0].answer, landmarks)
+    return unfold(point_map, held_vertices(landmarks), problem.prepared.elastic), found
 
 
 @kinds_checked
 def fit(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: None) -> FloatArray:
     """Places (n, 3) near the source of the target's vertices of the level that is deformed: the first of `fits`."""
-    return fits(prepared, pair, progress)[0].answer
+    return fits(FitProblem(prepared, pair), progress)[0].answer
 
 
-def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: None) -> tuple[FineFit, ...]:
+def fits(problem: FitProblem, progress: Progress = lambda stage: None) -> tuple[FineFit, ...]:
     """Where the elastic fit ends, the cheapest end first; others only where it was not clear from the start.
 
     The functional map starts as the paper's (eqs. 13-16) and grows on the search levels beside harmonic and biharmonic
@@ -68,29 +69,23 @@ def fits(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: 
     Elsewhere no joint needs the soft stage, and a stiffer one spreads the strain more evenly.
     """
     progress("functional map")
-    places, sheet, elastic = pair.landmarks.source.positions, prepared.sheet, prepared.elastic
-    shape = prepared.coarse(prepared.near(pair.landmarks)[0], pair.landmarks.curves)
+    graph = problem.shape.rest.graph
     with ThreadPool(1) as aside:  # from the landmarks alone, while the functional map is made
-        blind = aside.submit(coarse_fit, shape, sheet, None, places, elastic)
-        match = start_map(prepared, pair, shape.vertices, shape.rest.graph.areas)
+        blind = aside.submit(coarse_fit, problem, None)
+        start = start_map(problem)
         progress("elastic fit")
-        start = prepared.on_source.positions[match]
-        guided = coarse_fit(shape, sheet, start, places, elastic)
-        ends = [guided, blind.result()]
-    if mean_distance(ends[0].positions, ends[1].positions, shape.rest.graph.areas) > DOUBTFUL:
-        return doubtful_ends(prepared, pair, shape, start, ends)
+        ends = [coarse_fit(problem, start), blind.result()]
+    if mean_distance(ends[0].positions, ends[1].positions, graph.areas) > DOUBTFUL:
+        return doubtful_ends(problem, start, ends)
     # The start from the landmarks is another one here: differentials are smoothed over the stiffer stage's length.
-    both: list[FloatArray | None] = [start, None]
-    best = min(stiff_fits(prepared, pair, shape, both), key=lambda ended: ended.cost)
-    settled = FineFit(best.cost, fine_fit(prepared, shape, best, pair.landmarks))
-    if limb_turn(prepared.rest, settled.positions) > LIMB_POSED:  # which only the mesh shows of a single elbow
-        return doubtful_ends(prepared, pair, shape, start, ends)
+    best = min(stiff_fits(problem, (start, None)), key=lambda ended: ended.cost)
+    settled = FineFit(best.cost, fine_fit(problem, best))
+    if limb_turn(problem.prepared.rest, settled.positions) > LIMB_POSED:  # which only the mesh shows of a single elbow
+        return doubtful_ends(problem, start, ends)
     return (settled,)
 
 
-def doubtful_ends(
-    prepared: PreparedPair, pair: Pair, shape: CoarseShape, start: FloatArray, ends: list[CoarseFit]
-) -> tuple[FineFit, ...]:
+def doubtful_ends(problem: FitProblem, start: FloatArray, ends: list[CoarseFit]) -> tuple[FineFit, ...]:
     """Finished ends, cheapest first, where two coarse fits ended apart.
 
     Spectral upsampling makes further starts of the first one's end, and the fine stage goes on from all that lie apart,
@@ -100,35 +95,30 @@ def doubtful_ends(
 
     Parameters
     ----------
-    prepared : PreparedPair
-    pair : Pair
-    shape : CoarseShape
+    problem : FitProblem
     start : (k, 3) float64
         Where the spectral map puts the coarse vertices.
     ends : list of CoarseFit
         From there, and from the landmarks alone.
     """
-    places, landmarks = pair.landmarks.source.positions, pair.landmarks
-    starts = spectral_starts(shape, ends[0], SpectralSides.build(prepared, shape))
+    rest = problem.prepared.rest
+    starts = spectral_starts(ends[0], SpectralSides.build(problem))
     with ThreadPool(1) as aside:
-        stiff = aside.submit(stiff_fits, prepared, pair, shape, [start])
-        more = in_threads(lambda rough: coarse_fit(shape, prepared.sheet, rough, places, prepared.elastic), starts)
-        first, *others = finished_ends(prepared, shape, [*ends, *more], landmarks, stiff=stiff.result())
-    if prepared.rest.masks.any:  # what is masked is fitted back as well, and drags what is not with it
+        stiff = aside.submit(stiff_fits, problem, [start])
+        more = in_threads(lambda rough: coarse_fit(problem, rough), starts)
+        first, *others = finished_ends(problem, [*ends, *more], stiff=stiff.result())
+    if rest.masks.any:  # what is masked is fitted back as well, and drags what is not with it
         return first, *others
     moved = first.positions
-    if turn(prepared.rest, moved) > POSES_DIFFER:
-        moved = fit_in_pose(prepared, landmarks, moved)
-    return replace(first, moved=both_ways(prepared, landmarks, moved)), *others
+    if turn(rest, moved) > POSES_DIFFER:
+        moved = fit_in_pose(problem, moved)
+    return replace(first, moved=both_ways(problem, moved)), *others
 
 
-def stiff_fits(
-    prepared: PreparedPair, pair: Pair, shape: CoarseShape, starts: Sequence[FloatArray | None]
-) -> list[CoarseFit]:
+def stiff_fits(problem: FitProblem, starts: Sequence[FloatArray | None]) -> list[CoarseFit]:
     """The stiffer coarse stage from some starts, see `ElasticConfig.settled`."""
-    config = replace(prepared.elastic, coarse=prepared.elastic.settled)
-    smooth, places = shape.smoother(config.coarse.smoothing), pair.landmarks.source.positions
-    return in_threads(lambda rough: coarse_fit(smooth, prepared.sheet, rough, places, config), starts)
+    settled = problem.staged(problem.prepared.elastic.settled)
+    return in_threads(lambda rough: coarse_fit(settled, rough), starts)
 
 
 def updated_map(
@@ -146,7 +136,7 @@ def updated_map(
     progress : callable
     """
     progress("elastic response")
-    moved = respond(prepared, before, pair.landmarks)
+    moved = respond(FitProblem(prepared, pair), before)
     progress("projection")
     return unfold(project(prepared, moved, pair.landmarks), held_vertices(pair.landmarks), prepared.elastic)
 

@@ -25,37 +25,29 @@ from cagemap.maps.elastic.constants import (
 )
 from cagemap.maps.elastic.fit import coarse_fit, fine_fit
 from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph
-from cagemap.maps.elastic.prepared import PreparedPair, RestShape
-from cagemap.maps.pair import PointPairs
+from cagemap.maps.elastic.prepared import RestShape
+from cagemap.maps.elastic.problem import FitProblem
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.factorization import factor
 from cagemap.numerics.rotations import nearest_rotations
 
 
-def fit_in_pose(
-    prepared: PreparedPair, landmarks: PointPairs, positions: FloatArray, times: int = POSES_FOUND
-) -> FloatArray:
+def fit_in_pose(problem: FitProblem, positions: FloatArray, times: int = POSES_FOUND) -> FloatArray:
     """Places (n, 3) by the coarse and the fine stage of the target in the pose that a fit has found.
 
     Parameters
     ----------
-    prepared : PreparedPair
-    landmarks : PointPairs
-        Held.
+    problem : FitProblem
     positions : (n, 3) float64
         Where a fine stage ended.
     times : int
         The better the fit, the better the pose: both are found again, so often in all.
     """
-    kept = prepared.near(landmarks)[0]
-    elastic = replace(prepared.elastic, coarse=prepared.elastic.settled)
+    settled, rest = problem.staged(problem.prepared.elastic.settled), problem.prepared.rest
     for _ in range(times):
-        rest = prepared.rest.at(posed(prepared.rest, positions), elastic.fine.smoothing)
-        alike = replace(prepared, rest=rest, elastic=elastic)
-        shape = alike.coarse(kept, landmarks.curves)
-        start = rest.graph.positions[shape.vertices]
-        ended = coarse_fit(shape, alike.sheet, start, landmarks.source.positions, elastic)
-        positions = fine_fit(alike, shape, ended, landmarks)
+        there = rest.at(posed(rest, positions), settled.prepared.elastic.fine.smoothing)
+        alike = replace(settled, prepared=replace(settled.prepared, rest=there))
+        positions = fine_fit(alike, coarse_fit(alike, there.graph.positions[alike.shape.vertices]))
     return positions
 
 

@@ -10,7 +10,7 @@ from scipy import sparse
 from cagemap.basis import Surface
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import vertex_normals
-from cagemap.maps.curves import CurvePair
+from cagemap.maps.elastic.anchors import Anchors
 from cagemap.maps.elastic.config import ElasticConfig, StartConfig
 from cagemap.maps.elastic.constants import CURVE_SHARE, LARGEST_MESH, PULLERS, SHEET_VERTICES, STAND_IN
 from cagemap.maps.elastic.counterparts import ReceivedArea
@@ -24,8 +24,8 @@ from cagemap.maps.elastic.graph import (
     cluster_graph,
     mesh_graph,
 )
+from cagemap.maps.elastic.ties import Ties
 from cagemap.maps.masks import WHOLE, Masks
-from cagemap.maps.pair import PointPairs, near_vertices
 from cagemap.maps.spectral.levels import search_levels
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool, kept
@@ -151,33 +151,30 @@ class CoarseShape:
         Of the k clusters.
     vertices : (k,) int64
         Vertex of the mesh that stands for each; those that were to have a cluster of their own come first.
-    curves : CurvePull
-        Curves whose vertices have clusters of their own, after the landmarks.
+    ties : Ties
+        Landmarks, which are the first clusters, and curves, whose vertices have clusters of their own after them.
     """
 
     rest: RestShape
     vertices: IndexArray
-    curves: CurvePull = NO_CURVES
+    ties: Ties
 
     @classmethod
     def build(
         cls,
         graph: ElasticGraph,
         kept: IndexArray,
+        places: FloatArray,
         config: ElasticConfig,
         masks: Masks = WHOLE,
         curves: CurvePull = NO_CURVES,
     ) -> CoarseShape:
-        """Cluster a mesh's graph, every kept vertex (p,) a cluster of its own, and some vertices of every curve."""
+        """Cluster a mesh's graph, vertices (p,) held at places (p, 3) first, then some vertices of every curve."""
         every, own = curves.with_clusters(kept, config.coarse_vertices // CURVE_SHARE)
         coarse, vertices = cluster_graph(graph, min(config.coarse_vertices, graph.n), every)
         part = masks.for_vertices(vertices)
-        return cls(RestShape.build(coarse, None, config.coarse.smoothing, part), vertices, own)
-
-    def smoother(self, smoothing: float) -> CoarseShape:
-        """The same clusters with differentials smoothed over another length."""
-        rest = RestShape.build(self.rest.graph, None, smoothing, self.rest.masks)
-        return replace(self, rest=rest)
+        ties = Ties(Anchors.at_vertices(np.arange(len(kept))), places, own)
+        return cls(RestShape.build(coarse, None, config.coarse.smoothing, part), vertices, ties)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -247,17 +244,6 @@ class PreparedPair:
         rest = RestShape.build(self.graphs[1], mesh, self.elastic.fine.smoothing, masks)
         sheet = source.triangles(source.refinement.coarsest_level(SHEET_VERTICES))
         return PreparedPair(target, source, self.start, self.elastic, self.levels[::-1], rest, sheet)
-
-    def near(self, landmarks: PointPairs) -> tuple[IndexArray, IndexArray]:
-        """(p,) vertices of target and source that landmarks lie on or near, of the levels that are searched."""
-        target = near_vertices(landmarks.target, self.target, self.levels[0])
-        return target, near_vertices(landmarks.source, self.source, self.levels[1])
-
-    def coarse(self, kept: IndexArray | None = None, curves: tuple[CurvePair, ...] = ()) -> CoarseShape:
-        """Clusters of the target's mesh, each of the kept vertices (p,) one of its own; landmarks, or none."""
-        kept = np.zeros(0, dtype=np.int64) if kept is None else kept
-        pull = CurvePull.on_mesh(self.mesh, curves)
-        return CoarseShape.build(self.rest.graph, kept, self.elastic, self.rest.masks, pull)
 
     def __repr__(self) -> str:
         return f"PreparedPair({self.target} -> {self.source})"

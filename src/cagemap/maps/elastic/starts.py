@@ -19,8 +19,7 @@ from cagemap.maps.elastic.constants import (
 )
 from cagemap.maps.elastic.data import deformed_normals
 from cagemap.maps.elastic.fit import CoarseFit
-from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair
-from cagemap.maps.pair import Pair
+from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.spectral.constraints import gather_constraints
 from cagemap.maps.spectral.hierarchical import grown_map, search_samples
 from cagemap.maps.spectral.landmark_coordinates import landmark_coordinates
@@ -29,28 +28,17 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads
 
 
-def start_map(prepared: PreparedPair, pair: Pair, vertices: IndexArray, areas: FloatArray) -> IndexArray:
-    """Where the spectral map sends some vertices: all that the elastic fit needs to know of it.
+def start_map(problem: FitProblem) -> FloatArray:
+    """(k, 3) places on the source where the spectral map sends the coarse shape's vertices.
 
-    Parameters
-    ----------
-    prepared : PreparedPair
-    pair : Pair
-    vertices : (q,) int64
-        Target vertices of the level that is deformed.
-    areas : (q,) float64
-        Share of the surface that each stands for.
-
-    Returns
-    -------
-    (q,) int64
-        Source vertices.
+    That is all that the elastic fit needs to know of it.
     """
-    levels, config = prepared.levels, prepared.start
+    prepared, pair, vertices = problem.prepared, problem.pair, problem.shape.vertices
+    levels, config, areas = prepared.levels, prepared.start, problem.shape.rest.graph.areas
     areas = areas * prepared.rest.masks.for_vertices(vertices).of_target(len(vertices))
     constraints = gather_constraints(pair, config.descriptors)
     candidates = spread(len(pair.source.refinement.levels[levels[1]].positions), START_SAMPLES)
-    held = prepared.near(pair.landmarks)
+    held = problem.near
     candidates = np.union1d(candidates, held[1])
     sides = [
         (pair.target, levels[0], held[0], vertices, areas),
@@ -58,7 +46,7 @@ def start_map(prepared: PreparedPair, pair: Pair, vertices: IndexArray, areas: F
     ]
     target, source = in_threads(lambda side: _samples(*side), sides)
     _, match = grown_map(constraints, target, source, config.weights, config.growth, config.searched_functions)
-    return candidates[match]
+    return prepared.on_source.positions[candidates[match]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,8 +86,9 @@ class SpectralSides:
     places: SourcePlaces
 
     @classmethod
-    def build(cls, prepared: PreparedPair, shape: CoarseShape) -> SpectralSides:
+    def build(cls, problem: FitProblem) -> SpectralSides:
         """Evaluate the bases."""
+        prepared, shape = problem.prepared, problem.shape
         sheet_level = prepared.source.refinement.coarsest_level(SHEET_VERTICES)
         vertices = spread(prepared.sheet.n, PLACES)
         at = SourcePlaces.build(prepared.sheet.positions, prepared.sheet.vertex_normals, vertices)
@@ -114,7 +103,7 @@ class SpectralSides:
         return cls(target, source, at)
 
 
-def spectral_starts(shape: CoarseShape, fitted: CoarseFit, sides: SpectralSides) -> list[FloatArray]:
+def spectral_starts(fitted: CoarseFit, sides: SpectralSides) -> list[FloatArray]:
     """(k, 3) places on the source that spectral upsampling makes of a fit: limbs find limbs wherever they are posed.
 
     The fit's closest points are trusted as far as few basis functions see them, and grown from there (Melzi et al.
@@ -122,13 +111,11 @@ def spectral_starts(shape: CoarseShape, fitted: CoarseFit, sides: SpectralSides)
 
     Parameters
     ----------
-    shape : CoarseShape
     fitted : CoarseFit
-        Of the shape.
     sides : SpectralSides
     """
     target, source, places = sides.target, sides.source, sides.places
-    match = places.nearest(fitted.positions, deformed_normals(shape.rest.graph, fitted.maps))
+    match = places.nearest(fitted.positions, deformed_normals(fitted.graph, fitted.maps))
     found = []
     for start in TRUSTED_FUNCTIONS:
         better = match

@@ -15,8 +15,7 @@ from cagemap.maps.elastic.config import ElasticConfig
 from cagemap.maps.elastic.constants import CURVE_SHARE
 from cagemap.maps.elastic.curves import CurvePull
 from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph, cluster_graph, extrapolate
-from cagemap.maps.elastic.prepared import PreparedPair
-from cagemap.maps.pair import PointPairs
+from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
@@ -62,23 +61,23 @@ def landmark_response(
     return before, maps
 
 
-def respond(prepared: PreparedPair, before: PointMap, landmarks: PointPairs) -> FloatArray:
+def respond(problem: FitProblem, before: PointMap) -> FloatArray:
     """Move a map so that its landmarks are where they should be, and its curves where they are straight enough.
 
     Parameters
     ----------
-    prepared : PreparedPair
+    problem : FitProblem
+        With the landmarks as they are now.
     before : PointMap
         Of the finest levels.
-    landmarks : PointPairs
-        As they are now.
 
     Returns
     -------
     (n, 3) float64
         Positions near the source of the target's vertices of the level that is deformed; project them for a map.
     """
-    graph, mesh, held = prepared.rest.graph, prepared.mesh, prepared.near(landmarks)[0]
+    prepared, landmarks, held = problem.prepared, problem.pair.landmarks, problem.near[0]
+    graph, mesh = prepared.rest.graph, prepared.mesh
     size = min(prepared.elastic.coarse_vertices, graph.n)
     every, curves = CurvePull.on_mesh(mesh, landmarks.curves).with_clusters(held, size // CURVE_SHARE)
     coarse, vertices = cluster_graph(graph, size, every)

@@ -10,6 +10,7 @@ from cagemap.geometry.closest import build_tree, closest_points
 from cagemap.maps.elastic.both_ways import both_ways
 from cagemap.maps.elastic.ends import judged
 from cagemap.maps.elastic.prepared import PreparedPair
+from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.hypotheses.confidence import SURE, Confidence, MapShape, Reading
 from cagemap.maps.hypotheses.mirror import mirrored_gain
 from cagemap.maps.hypotheses.search import found_readings
@@ -38,30 +39,31 @@ def hypothesis_map(
     progress : callable
         Called with the name of each stage.
     """
-    best, *others = found_readings(prepared, pair, progress)
-    readings = replace(best, positions=half_way(prepared, pair, best)), *others
+    problem = FitProblem(prepared, pair)
+    best, *others = found_readings(problem, progress)
+    readings = replace(best, positions=half_way(problem, best)), *others
     progress("projection")
     found = map_of_reading(prepared, pair, readings[0])
     shape = MapShape.of(found, unreached_share(prepared, found))
     confidence = Confidence.of(readings, pair.target.control.n_vertices, shape)
     if confidence.verdict == SURE:
-        confidence = confidence.seen_mirrored(mirrored_gain(prepared, pair, readings[0]))
+        confidence = confidence.seen_mirrored(mirrored_gain(problem, readings[0]))
     if confidence.deciding is not None:
         vertex = pair.target.refinement.outer(np.array([confidence.deciding]))
         confidence = replace(confidence, deciding=int(vertex[0]))
     return found, confidence
 
 
-def half_way(prepared: PreparedPair, pair: Pair, reading: Reading) -> FloatArray:
+def half_way(problem: FitProblem, reading: Reading) -> FloatArray:
     """Positions of a reading half-way to what it is seen from the source (`both_ways`), where they cost hardly more.
 
     As they are between bodies of one kind, whose slides are small, and under masks: what is masked would be fitted back
     as well, and drag what is not with it.
     """
-    if prepared.rest.masks.any or reading.cost <= OF_ONE_KIND:
+    if problem.prepared.rest.masks.any or reading.cost <= OF_ONE_KIND:
         return reading.positions
-    moved = both_ways(prepared, pair.landmarks, reading.positions)
-    cost = judged(prepared, prepared.rest.pullers(prepared.sheet), moved).cost
+    moved = both_ways(problem, reading.positions)
+    cost = judged(problem.prepared, moved).cost
     return moved if cost <= AS_CHEAP * reading.cost else reading.positions
 
 

@@ -6,17 +6,18 @@ have changed places. That costs hardly more than a fit of bodies in different po
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cagemap.geometry.closest import closest_points
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.elastic.ends import different
 from cagemap.maps.elastic.fit import coarse_fit
-from cagemap.maps.elastic.prepared import PreparedPair
+from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.hypotheses.confidence import Reading
-from cagemap.maps.hypotheses.search import ALIKE, rough_shape
+from cagemap.maps.hypotheses.search import ALIKE, rough_problem
 from cagemap.maps.hypotheses.starts import Start, rigid_starts
-from cagemap.maps.pair import Pair
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import in_threads, thread_limit
 
@@ -25,26 +26,30 @@ NEAREST_STARTS = 4
 ACROSS = np.array([-1.0, 1.0, 1.0])
 
 
-def mirrored_gain(prepared: PreparedPair, pair: Pair, reading: Reading) -> float:
+def mirrored_gain(problem: FitProblem, reading: Reading) -> float:
     """How many times more the target costs on the source than on its mirror image, both on the small graph.
 
     On either from the starts that begin nearest to it, on the source from a reading as well: from one start alone, two
     bodies of a kind that stand alike seemed 1.13 times better mirrored.
     """
-    rough, config = rough_shape(prepared, pair)
-    graph, sheet, places = rough.rest.graph, prepared.sheet, pair.landmarks.source.positions
+    rough, sheet = rough_problem(problem), problem.prepared.sheet
+    graph, ties = rough.shape.rest.graph, rough.shape.ties
     mirrored = TriangleSurface(sheet.positions * ACROSS, sheet.triangles[:, ::-1])
 
     def least(side: TriangleSurface, held: FloatArray, *known: FloatArray) -> float:
+        onto = replace(rough, prepared=replace(rough.prepared, sheet=side))
+        shape = replace(rough.shape, ties=replace(ties, places=held))
+
         def away(start: Start) -> float:
             return float(graph.areas @ closest_points(side.tree, start.positions)[2] ** 2)
 
         def cost(start: FloatArray) -> float:
             with thread_limit(1):
-                return coarse_fit(rough, side, start, held, config).cost
+                return coarse_fit(onto, start, shape).cost
 
         nearest = sorted(rigid_starts(graph.positions, side.positions), key=away)
         tried = different(nearest, lambda start: start.positions, graph.areas, ALIKE)[:NEAREST_STARTS]
         return min(in_threads(cost, [*known, *(start.positions for start in tried)]))
 
-    return least(sheet, places, reading.positions[rough.vertices]) / least(mirrored, places * ACROSS)
+    given = least(sheet, ties.places, reading.positions[rough.shape.vertices])
+    return given / least(mirrored, ties.places * ACROSS)

@@ -5,21 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from cagemap.maps.elastic.config import ElasticConfig, Stage
+from cagemap.maps.elastic.config import Stage
 from cagemap.maps.elastic.constants import MOST_ENDS, SHEET_VERTICES
-from cagemap.maps.elastic.curves import CurvePull
 from cagemap.maps.elastic.ends import FineFit, different, finished_ends, judged, mean_distance
 from cagemap.maps.elastic.fit import CoarseFit, coarse_fit
-from cagemap.maps.elastic.graph import ElasticGraph, extrapolate
-from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair
+from cagemap.maps.elastic.prepared import PreparedPair
+from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.elastic.starts import SpectralSides, spectral_starts
 from cagemap.maps.hypotheses.confidence import Reading
 from cagemap.maps.hypotheses.starts import AS_FILED, Start, rigid_starts
 from cagemap.maps.hypotheses.tips import OF_ONE_KIND, Tips, led_by_tips
 from cagemap.maps.masks import WHOLE
-from cagemap.maps.pair import Pair, Progress
+from cagemap.maps.pair import Progress
 from cagemap.numerics.threads import in_threads, thread_limit
 
 # Size of the graph on which all starts are tried, from stiff, which turns and shifts as a whole, to soft.
@@ -51,34 +48,33 @@ class _Candidate:
         return self.doubt * self.fit.cost
 
 
-def found_readings(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: None) -> tuple[Reading, ...]:
+def found_readings(problem: FitProblem, progress: Progress = lambda stage: None) -> tuple[Reading, ...]:
     """Different ways in which the target lies on the source, fitted, best first: by cost and doubt.
 
-    Landmarks of the pair, if there are any, are held by all of them. Positions are those of the vertices of the level
+    Landmarks, if there are any, are held by all of them. Positions are those of the vertices of the level
     that is deformed.
     """
     progress("hypotheses")
-    shape = prepared.coarse(prepared.near(pair.landmarks)[0], pair.landmarks.curves)
-    rough = rough_fits(prepared, pair, shape)
+    rough = rough_fits(problem)
     progress("coarse fits")
-    candidates = coarse_fits(prepared, pair, shape, rough)
+    candidates = coarse_fits(problem, rough)
     progress("elastic fits")
 
     def finish(candidate: _Candidate) -> FineFit:
         most = MOST_ENDS if candidate is candidates[0] else 1
-        return finished_ends(prepared, shape, candidate.fits, pair.landmarks, most)[0]
+        return finished_ends(problem, candidate.fits, most)[0]
 
     ends = in_threads(finish, candidates)
     if min(ended.cost for ended in ends) > OF_ONE_KIND:
-        tips = Tips.of(prepared, pair)
-        ends = in_threads(lambda ended: led_by_tips(prepared, pair, tips, ended), ends)
+        tips = Tips.of(problem)
+        ends = in_threads(lambda ended: led_by_tips(problem, tips, ended), ends)
     finished = [
         Reading(candidate.name, ended.cost, ended.positions, candidate.doubt)
         for candidate, ended in zip(candidates, ends, strict=True)
     ]
-    least = least_cost(prepared)
+    least, areas = least_cost(problem.prepared), problem.prepared.rest.graph.areas
     readings = sorted(finished, key=lambda reading: reading.doubt * max(reading.cost, least))
-    return tuple(different(readings, lambda reading: reading.positions, prepared.rest.graph.areas, DIFFERENT))
+    return tuple(different(readings, lambda reading: reading.positions, areas, DIFFERENT))
 
 
 def least_cost(prepared: PreparedPair) -> float:
@@ -91,27 +87,25 @@ def least_cost(prepared: PreparedPair) -> float:
     sheet = target.triangles(target.refinement.coarsest_level(SHEET_VERTICES))
     on_itself = replace(prepared, rest=own, sheet=sheet)
     counts = rest.graph.areas @ rest.masks.of_target(rest.graph.n), rest.pullers(prepared.sheet).areas.sum()
-    return float(min(counts)) * judged(on_itself, own.pullers(sheet), rest.graph.positions).cost
+    return float(min(counts)) * judged(on_itself, rest.graph.positions).cost
 
 
-def rough_shape(prepared: PreparedPair, pair: Pair) -> tuple[CoarseShape, ElasticConfig]:
-    """The small graph on which all starts are tried, and how."""
-    config = replace(prepared.elastic, coarse=ROUGH, coarse_vertices=ROUGH_VERTICES)
-    held, curves = prepared.near(pair.landmarks)[0], CurvePull.on_mesh(prepared.mesh, pair.landmarks.curves)
-    return CoarseShape.build(prepared.rest.graph, held, config, prepared.rest.masks, curves), config
+def rough_problem(problem: FitProblem) -> FitProblem:
+    """The same on the small graph on which all starts are tried."""
+    return problem.staged(ROUGH, ROUGH_VERTICES)
 
 
-def rough_fits(prepared: PreparedPair, pair: Pair, shape: CoarseShape) -> list[_Candidate]:
-    """The different ends of all rigid starts on a small graph, cheapest first, brought to the coarse graph."""
-    rough, config = rough_shape(prepared, pair)
-    small, sheet, places = rough.rest.graph, prepared.sheet, pair.landmarks.source.positions
+def rough_fits(problem: FitProblem) -> list[_Candidate]:
+    """The different ends of all rigid starts on a small graph, cheapest first."""
+    rough = rough_problem(problem)
+    small = rough.shape.rest.graph
 
     def trial(start: Start) -> _Candidate:
         with thread_limit(1):  # the starts are spread over the cores: a step of one is too short to be
-            ended = coarse_fit(rough, sheet, start.positions, places, config)
+            ended = coarse_fit(rough, start.positions)
             return _Candidate(start.name, start.doubt, (ended,))
 
-    starts = rigid_starts(small.positions, sheet.positions)
+    starts = rigid_starts(small.positions, problem.prepared.sheet.positions)
     tried = in_threads(trial, different(starts, lambda start: start.positions, small.areas, ALIKE))
     ranked = sorted(tried, key=lambda one: one.rank)
     kept = _first(different(ranked, lambda one: one.fit.positions, small.areas, DIFFERENT), COARSE)
@@ -120,23 +114,18 @@ def rough_fits(prepared: PreparedPair, pair: Pair, shape: CoarseShape) -> list[_
         next(t for t in tried if mean_distance(t.fit.positions, one.fit.positions, small.areas) < DIFFERENT)
         for one in kept
     ]
-    return [
-        _Candidate(first.name, first.doubt, (_on(small, one.fit, shape.rest.graph),))
-        for first, one in zip(firsts, kept, strict=True)
-    ]
+    return [_Candidate(first.name, first.doubt, one.fits) for first, one in zip(firsts, kept, strict=True)]
 
 
-def coarse_fits(
-    prepared: PreparedPair, pair: Pair, shape: CoarseShape, rough: Sequence[_Candidate]
-) -> list[_Candidate]:
+def coarse_fits(problem: FitProblem, rough: Sequence[_Candidate]) -> list[_Candidate]:
     """Coarse fits of each rough one: from where it is, and from what spectral upsampling makes of that."""
-    graph, sheet, places, elastic = shape.rest.graph, prepared.sheet, pair.landmarks.source.positions, prepared.elastic
-    sides = SpectralSides.build(prepared, shape)
+    graph = problem.shape.rest.graph
+    sides = SpectralSides.build(problem)
 
     def improve(candidate: _Candidate) -> _Candidate:
         with thread_limit(1):
-            own = coarse_fit(shape, sheet, candidate.fit.positions, places, elastic)
-            others = [coarse_fit(shape, sheet, start, places, elastic) for start in spectral_starts(shape, own, sides)]
+            own = coarse_fit(problem, candidate.fit.on(graph))
+            others = [coarse_fit(problem, start) for start in spectral_starts(own, sides)]
         return replace(candidate, fits=tuple(sorted([own, *others], key=lambda ended: ended.cost)))
 
     improved = sorted(in_threads(improve, rough), key=lambda one: one.rank)
@@ -148,9 +137,3 @@ def coarse_fits(
 def _first(ranked: Sequence[_Candidate], count: int) -> list[_Candidate]:
     """The first candidates, and of the others the one that lies as the files stand."""
     return [*ranked[:count], *(one for one in ranked[count:] if one.name == AS_FILED)]
-
-
-def _on(small: ElasticGraph, ended: CoarseFit, graph: ElasticGraph) -> CoarseFit:
-    """A fit of a small graph as rough positions of a larger one."""
-    positions = extrapolate(small, ended.positions, ended.maps, graph)
-    return CoarseFit(ended.cost, positions, np.zeros((graph.n, 3, 3)))

@@ -6,7 +6,7 @@ leg lies within a long one. So the source pulls too: what no limb has come to pu
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
@@ -18,8 +18,7 @@ from cagemap.maps.elastic.data import Pullers
 from cagemap.maps.elastic.ends import FineFit, judged
 from cagemap.maps.elastic.fit import coarse_fit, fine_fit
 from cagemap.maps.elastic.graph import ElasticGraph
-from cagemap.maps.elastic.prepared import PreparedPair
-from cagemap.maps.pair import Pair
+from cagemap.maps.elastic.problem import FitProblem
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.graphs import components
 from cagemap.numerics.threads import thread_limit
@@ -59,13 +58,13 @@ class Tips:
     places: FloatArray
 
     @classmethod
-    def of(cls, prepared: PreparedPair, pair: Pair) -> Tips:
+    def of(cls, problem: FitProblem) -> Tips:
         """Those that are neither masked nor at a landmark."""
-        target, source = prepared.graphs
-        masks, found = prepared.rest.masks, []
+        (target, source), landmarks = problem.prepared.graphs, problem.pair.landmarks
+        masks, found = problem.prepared.rest.masks, []
         for graph, counts, given in (
-            (target, masks.of_target(target.n), pair.landmarks.target.positions),
-            (source, masks.of_source(source.n), pair.landmarks.source.positions),
+            (target, masks.of_target(target.n), landmarks.target.positions),
+            (source, masks.of_source(source.n), landmarks.source.positions),
         ):
             vertices = tip_vertices(graph)
             away = np.linalg.norm(graph.positions[vertices, None] - given, axis=2).min(axis=1, initial=np.inf)
@@ -85,23 +84,21 @@ class Tips:
         return np.column_stack([np.flatnonzero(mutual), there[mutual]])
 
 
-def led_by_tips(prepared: PreparedPair, pair: Pair, tips: Tips, ended: FineFit) -> FineFit:
+def led_by_tips(problem: FitProblem, tips: Tips, ended: FineFit) -> FineFit:
     """A fit from where another one ended, whose coarse stage holds the tips; the other one where it is much cheaper.
 
     The source pulls at that stage as well, which is a stiff one: trunks and necks follow their ends. The fine stage
     holds landmarks only: what was no counterpart slips away.
     """
-    pairs, landmarks = tips.pairs(ended.positions), pair.landmarks
+    prepared, pairs = problem.prepared, tips.pairs(ended.positions)
     if not len(pairs):
         return ended
-    stiff = replace(prepared, elastic=replace(prepared.elastic, coarse=LED))
-    shape = stiff.coarse(np.concatenate([prepared.near(landmarks)[0], tips.vertices[pairs[:, 0]]]), landmarks.curves)
-    places = np.vstack([landmarks.source.positions, tips.places[pairs[:, 1]]])
+    stiff = problem.staged(LED)
+    shape = stiff.holding(tips.vertices[pairs[:, 0]], tips.places[pairs[:, 1]])
     leading = Pullers.choose(prepared.sheet, LEADING, prepared.rest.masks)
     with thread_limit(1):
-        led = coarse_fit(shape, stiff.sheet, ended.positions[shape.vertices], places, stiff.elastic, leading)
-    pullers = prepared.rest.pullers(prepared.sheet)
-    again = judged(prepared, pullers, fine_fit(prepared, shape, led, landmarks))
+        led = coarse_fit(stiff, ended.positions[shape.vertices], shape, leading)
+    again = judged(prepared, fine_fit(problem, led))
     return again if again.cost <= AS_CHEAP * ended.cost else ended
 
 

@@ -7,7 +7,7 @@ which pair holds it where it does not want to be: it is kept, because it may say
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -17,6 +17,7 @@ from cagemap.maps.elastic.ends import FineFit
 from cagemap.maps.elastic.fit import coarse_fit
 from cagemap.maps.elastic.method import elastic_answers
 from cagemap.maps.elastic.prepared import PreparedPair
+from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.elastic.starts import start_map
 from cagemap.maps.landmarks.distances import (
     FEWEST_JUDGED,
@@ -158,73 +159,64 @@ def checked_map(
     ends : tuple of FineFit
         The map's own end, and others that were finished.
     """
-    count = len(names)
+    problem, count = FitProblem(prepared, pair), len(names)
     if count < FEWEST_JUDGED:
         note = f"{count} landmark pairs are too few to tell a wrong one; {FEWEST_JUDGED} or more are checked"
-        found, ends = elastic_answers(prepared, pair, progress)
+        found, ends = elastic_answers(problem, progress)
         return found, LandmarkCheck(notes=(note,)), ends
     progress("landmark distances")
-    distances = _distances(prepared, pair)
-    accused, notes = accused_pairs(prepared, pair, distances), list[str]()
+    distances = _distances(problem)
+    accused, notes = accused_pairs(problem, distances), list[str]()
     if accused is None:
         accused, notes = {}, [CONTRADICTION]
-
-    def solve(out: Collection[int]) -> tuple[PointMap, tuple[FineFit, ...]]:
-        return elastic_answers(prepared, pair.without(out), progress)
-
     left_out = set(accused)
     if left_out:
         progress("costs with and without suspects")
-        costs = coarse_map_cost(prepared, pair), coarse_map_cost(prepared, pair.without(left_out))
+        costs = coarse_map_cost(problem), coarse_map_cost(problem.without(left_out))
         if costs[0] < SLIP * costs[1]:
             left_out, notes = set(), [kept_note(accused, names)]
-    current, ends = solve(left_out)
+    trusted = problem.without(left_out)
+    current, ends = elastic_answers(trusted, progress)
     confirmed = {i for i in left_out if miss(pair, current, i)[0] < CONFIRMED}
     if confirmed:
         left_out -= confirmed
-        current, ends = solve(left_out)
+        trusted = problem.without(left_out)
+        current, ends = elastic_answers(trusted, progress)
     progress("landmark strain")
     kept = np.setdiff1d(np.arange(count), list(left_out))
-    energy, places = strain(prepared, pair.without(left_out), current)
+    energy, places = strain(trusted, current)
     strains = np.zeros(count)
     strains[kept] = np.linalg.norm(energy.released(places, np.arange(len(kept))), axis=1)
     strained = strained_pair(energy, places)
     if strained is not None and typical_misfit(*distances, np.delete(kept, strained)) <= DISSIMILAR:
         notes.append(strain_note(names[kept[strained]], float(strains[kept[strained]])))
     suspects = tuple(_suspect(pair, current, names, i, accused[i]) for i in sorted(left_out))
-    notes += orientation_notes(prepared, pair.without(left_out))
+    notes += orientation_notes(trusted)
     return current, LandmarkCheck(suspects, tuple(notes), strains), ends
 
 
-def accused_pairs(
-    prepared: PreparedPair, pair: Pair, distances: tuple[LandmarkDistances, LandmarkDistances]
-) -> dict[int, str] | None:
+def accused_pairs(problem: FitProblem, distances: tuple[LandmarkDistances, LandmarkDistances]) -> dict[int, str] | None:
     """Places of pairs that do not fit the others, with the evidence; None where it is not known which are right.
 
     Where distances accuse none, two that were exchanged are looked for by the sense in which the others surround them.
 
     Parameters
     ----------
-    prepared : PreparedPair
-    pair : Pair
+    problem : FitProblem
     distances : (LandmarkDistances, LandmarkDistances)
-        Of the pair's landmarks on target and source.
+        Of its landmarks on target and source.
     """
-    wrong, every = misplaced_pairs(*distances).tolist(), np.arange(len(pair.landmarks))
+    wrong, every = misplaced_pairs(*distances).tolist(), np.arange(len(problem.pair.landmarks))
     if len(wrong) > MOST_SUSPECTS * len(every) or typical_misfit(*distances, every) > UNRELATED:
         return None
     if wrong:
         return dict.fromkeys(wrong, DISTANCES)
-    return dict.fromkeys(exchanged_sides(distances, *_marks(prepared, pair)) or (), SIDES)
+    return dict.fromkeys(exchanged_sides(distances, *_marks(problem)) or (), SIDES)
 
 
-def coarse_map_cost(prepared: PreparedPair, pair: Pair) -> float:
-    """Cost of the best coarse fit that meets a pair's landmarks: what they ask of the whole shape, without the mesh."""
-    places = pair.landmarks.source.positions
-    shape = prepared.coarse(prepared.near(pair.landmarks)[0], pair.landmarks.curves)
-    match = start_map(prepared, pair, shape.vertices, shape.rest.graph.areas)
-    starts = prepared.on_source.positions[match], None
-    return min(coarse_fit(shape, prepared.sheet, start, places, prepared.elastic).cost for start in starts)
+def coarse_map_cost(problem: FitProblem) -> float:
+    """Cost of the best coarse fit that meets the landmarks: what they ask of the whole shape, without the mesh."""
+    return min(coarse_fit(problem, start).cost for start in (start_map(problem), None))
 
 
 def kept_note(accused: dict[int, str], names: Sequence[str]) -> str:
@@ -278,8 +270,8 @@ def checked_changes(
         return check
     out = [suspect.pair for suspect in check.suspects]
     kept = np.setdiff1d(np.arange(len(pair.landmarks)), out)
-    others = pair.without(out)
-    accused = accused_pairs(prepared, others, _distances(prepared, others))
+    others = FitProblem(prepared, pair.without(out))
+    accused = accused_pairs(others, _distances(others))
     if accused is None:
         return replace(check, notes=tuple(dict.fromkeys((*check.notes, CONTRADICTION))))
     wrong = {int(kept[i]): evidence for i, evidence in accused.items() if kept[i] in changed}
@@ -288,9 +280,9 @@ def checked_changes(
     return replace(check, suspects=tuple(sorted((*check.suspects, *new), key=lambda suspect: suspect.pair)))
 
 
-def _distances(prepared: PreparedPair, pair: Pair) -> tuple[LandmarkDistances, LandmarkDistances]:
+def _distances(problem: FitProblem) -> tuple[LandmarkDistances, LandmarkDistances]:
     """Distances of the landmarks on both surfaces."""
-    sides = list(zip(prepared.graphs, prepared.near(pair.landmarks), strict=True))
+    sides = list(zip(problem.prepared.graphs, problem.near, strict=True))
     target, source = in_threads(lambda side: LandmarkDistances.measure(*side), sides)
     return target, source
 
@@ -311,22 +303,21 @@ def miss(pair: Pair, point_map: PointMap, landmark: int) -> tuple[float, int]:
     return float(landmark_errors(point_map, only)[0]), int(pair.source.refinement.outer(nearest)[0])
 
 
-def strain(prepared: PreparedPair, pair: Pair, point_map: PointMap) -> tuple[ReducedEnergy, FloatArray]:
+def strain(problem: FitProblem, point_map: PointMap) -> tuple[ReducedEnergy, FloatArray]:
     """Energy of the landmarks' places at a map that holds them, and these places."""
-    graph, landmarks = prepared.rest.graph, pair.landmarks
+    graph = problem.prepared.rest.graph
     found = point_map.images.at(slice(0, graph.n))
-    return reduced_energy(
-        graph, found.positions, found.normals, prepared.near(landmarks)[0]
-    ), landmarks.source.positions
+    energy = reduced_energy(graph, found.positions, found.normals, problem.near[0])
+    return energy, problem.pair.landmarks.source.positions
 
 
-def orientation_notes(prepared: PreparedPair, pair: Pair) -> tuple[str, ...]:
+def orientation_notes(problem: FitProblem) -> tuple[str, ...]:
     """A note if the landmarks as a whole are mirrored, which neither distances nor strain of single ones tell."""
-    return () if orientation_agreement(*_marks(prepared, pair)) > MIRRORED else (MIRRORED_NOTE,)
+    return () if orientation_agreement(*_marks(problem)) > MIRRORED else (MIRRORED_NOTE,)
 
 
-def _marks(prepared: PreparedPair, pair: Pair) -> tuple[Marks, Marks]:
+def _marks(problem: FitProblem) -> tuple[Marks, Marks]:
     """Positions and normals of the landmarks of target and source."""
-    sides = zip(prepared.graphs, prepared.near(pair.landmarks), strict=True)
+    sides = zip(problem.prepared.graphs, problem.near, strict=True)
     target, source = ((graph.positions[landmarks], graph.normals[landmarks]) for graph, landmarks in sides)
     return target, source

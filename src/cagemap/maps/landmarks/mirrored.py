@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cagemap.maps.elastic.prepared import PreparedPair
+from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.hypotheses.confidence import AS_GIVEN, EXCHANGED, TWO, Confidence, MapShape, Reading
 from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS
 from cagemap.maps.hypotheses.search import found_readings
@@ -34,7 +35,7 @@ def mirrored_readings(
     progress : callable
     """
     free = Pair(pair.target, pair.source, pair.landmarks.only(np.zeros(0, dtype=np.int64)))
-    best = found_readings(prepared, free, progress=progress)[0]
+    best = found_readings(FitProblem(prepared, free), progress)[0]
     exchange = exchanged_pairs(prepared, pair.landmarks, best)
     if len(exchange) < FEWEST_LANDMARKS:
         return None
