@@ -15,6 +15,7 @@ from cagemap.files.result import (
     ARRAYS,
     MANIFEST,
     file_hash,
+    landmark_messages,
     mesh_hash,
     note_transfer,
     read_result,
@@ -281,6 +282,11 @@ def test_a_result_of_before_is_sure_only_if_its_map_may_be_now(result: MatchResu
         assert back is not None
         assert (back.verdict, back.shape.sheared) == (verdict, sheared)
         assert back.message.startswith("look at it") == (verdict == LOOK)
+        # What the report shows is what was read, not the sentence of then.
+        old = json.loads((tmp_path / verdict / MANIFEST).read_text())
+        old["confidence"] |= {"verdict": SURE, "message": "the sentence of then: sure"}
+        (tmp_path / verdict / MANIFEST).write_text(json.dumps(old))
+        assert landmark_messages(read_result(tmp_path / verdict).manifest)[:1] == [back.message]
     for cost, gap in ((1.01e4 * SURE_COST, 2.0), (1.0, 0.99 * SURE_GAP)):
         dear = Confidence(SURE, cost, gap, (Reading("", 1e-4, places),), None, MapShape())
         write_result(tmp_path / f"{cost}", replace(result, confidence=dear))
