@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from cagemap.basis import BasisConfig, hierarchical_basis
-from cagemap.basis.schedule import LARGE_MAP_BASIS
 from cagemap.cli.bases import require_level_or_vertices, side_bases, side_levels
 from cagemap.cli.match import MatchRequest, match_config, run_match
 from cagemap.cli.method import used_parameters, with_parameters
@@ -21,7 +20,7 @@ from cagemap.files.symmetry import read_symmetry
 from cagemap.maps.spectral.hierarchical import Growth, HierarchyConfig
 from cagemap.mesh import shapes
 from cagemap.operators import AlexaWardetzky, build_operators
-from cagemap.pipeline import MatchConfig, default_basis
+from cagemap.pipeline import MAP_BASIS, MatchConfig, default_basis
 
 
 def files_of(folder):
@@ -43,7 +42,7 @@ def test_other_search_levels_and_exact_bases_get_the_operators_of_the_finest_lev
     """Those of hfm end where no finer level would change the map, unless more is asked for."""
     words = {"target": tmp_path, "source": tmp_path, "landmarks": tmp_path, "output": tmp_path, "method": "hfm"}
     assert side_bases(MatchRequest(**words)) == (default_basis("hfm"), default_basis("hfm"))
-    assert default_basis("hfm").vertices == LARGE_MAP_BASIS.vertices
+    assert default_basis("hfm").vertices == MAP_BASIS.vertices
     for more in ({"parameter": ("search_vertices=50000",)}, {"tolerance": 0.01}, {"schedule": "100,50"}):
         assert [basis.vertices for basis in side_bases(MatchRequest(**words, **more))] == [None, None]
 

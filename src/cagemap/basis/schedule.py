@@ -37,8 +37,8 @@ class BasisConfig:
         their eigenvalues are within a quarter of ``tolerance``, or 1e-4 of a fixed schedule with 1e-5 or more here.
     vertices : int, optional
         Operators are those of the coarsest level with at least so many vertices, as if it were the finest; functions
-        of it refine to all levels. The eigenvalues looked for change by well below 1 % at 20 000 vertices, by 3 % at
-        most at 15 000. Default: the finest level's, as in the paper.
+        of it refine to all levels. The eigenvalues looked for change by well below 1 % at 20 000 vertices. Default: the
+        finest level's, as in the paper.
     laplacian : str
         Of the finest level's quads: "mean" of both triangulations, "alexa-wardetzky" (the paper's) or
         "de-goes-butts-desbrun"; see `cagemap.operators.polygons`.
@@ -104,7 +104,7 @@ class BasisConfig:
 
 
 # What the elastic method reads of a basis (`StartConfig.searched_functions`), from levels that its fit sees.
-MAP_BASIS = BasisConfig(count=150, vertices=15_000)
+MAP_BASIS = BasisConfig(count=150, vertices=20_000)
 # What the method hfm reads. Matches of finer levels than that start from the same map; operators of a coarser level, of
 # 2946 vertices for 300 functions, made an error of 1.30 one of 2.01 (docs/accuracy.md).
 LARGE_MAP_BASIS = BasisConfig(count=300, vertices=20_000)

@@ -42,7 +42,7 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 @dataclass(frozen=True, eq=False)
-class Simplified:
+class _Simplified:
     """A coarser mesh on some of a finer mesh's vertices.
 
     Attributes
@@ -96,7 +96,7 @@ def coarsened(plain: Refinement) -> Refinement:
             f"{control.name}: expected a plain mesh of triangles or of quads alone, got faces of different sizes; "
             "cagemap.plain_mesh splits them"
         )
-    surfaces, steps = [(control.positions, level_triangles(plain, 0))], list[Simplified]()
+    surfaces, steps = [(control.positions, level_triangles(plain, 0))], list[_Simplified]()
     for size in reversed([size for size in SIZES if size <= WORTH * control.n_vertices]):
         step = simplified(*surfaces[-1], size)
         if not FEWEST <= len(step.kept) <= WORTH * len(step.cluster):
@@ -128,7 +128,7 @@ def uncoarsened(refinement: Refinement) -> Refinement:
     return Refinement(refinement.control, refinement.scheme, (), (mesh,))
 
 
-def simplified(positions: FloatArray, triangles: IndexArray, count: int) -> Simplified:
+def simplified(positions: FloatArray, triangles: IndexArray, count: int) -> _Simplified:
     """A mesh of about ``count`` of a mesh's vertices, by edge collapses of least quadric error.
 
     Edges are then flipped to make better triangles (`delaunay`): those that the collapses leave are long and thin, and
@@ -151,10 +151,10 @@ def simplified(positions: FloatArray, triangles: IndexArray, count: int) -> Simp
     # Only vertices that triangles use stay: what the collapses left alone is a point of its cluster's neighbours.
     kept = by_cluster[first]
     flipped = delaunay(positions[kept], np.searchsorted(found, coarse))
-    return Simplified(kept, np.searchsorted(found, cluster), flipped)
+    return _Simplified(kept, np.searchsorted(found, cluster), flipped)
 
 
-def prolongation(positions: FloatArray, triangles: IndexArray, step: Simplified) -> sparse.csr_array:
+def prolongation(positions: FloatArray, triangles: IndexArray, step: _Simplified) -> sparse.csr_array:
     """(n, k) smoothed barycentric coordinates of every vertex of a mesh on the coarser one, rows sum to 1.
 
     A vertex lies at the closest point of the triangles around the coarse vertex that it was drawn to: never on another
@@ -164,7 +164,7 @@ def prolongation(positions: FloatArray, triangles: IndexArray, step: Simplified)
     ----------
     positions : (n, 3) float64
     triangles : (t, 3) int64
-    step : Simplified
+    step : _Simplified
     """
     around = np.argsort(step.triangles.ravel(), kind="stable") // 3  # triangles by coarse vertex
     counts = np.bincount(step.triangles.ravel(), minlength=len(step.kept))

@@ -32,21 +32,9 @@ class Anchors:
         return cls(np.repeat(vertices[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (len(vertices), 1)))
 
     @classmethod
-    def on_mesh(cls, mesh: TriangleSurface, points: SurfacePoints, numbers: IndexArray | None = None) -> Anchors:
-        """Points of the finest surface as points of a coarser mesh; vertices of both stay vertices.
-
-        Parameters
-        ----------
-        mesh : TriangleSurface
-            Of a level, or simplified.
-        points : SurfacePoints
-        numbers : (n,) int64, optional
-            The mesh's own vertex that each of the finest surface's first ones is, -1 for none. Default: the same.
-        """
+    def on_mesh(cls, mesh: TriangleSurface, points: SurfacePoints) -> Anchors:
+        """Points of the finest surface as points of a coarser level's mesh; vertices of both stay vertices."""
         vertices = vertices_at(points)
-        if numbers is not None:
-            known = (vertices >= 0) & (vertices < len(numbers))
-            vertices = np.where(known, numbers[np.where(known, vertices, 0)], -1)
         anchors = cls.at_vertices(vertices)
         between = np.flatnonzero((vertices < 0) | (vertices >= mesh.n))
         if len(between):

@@ -68,13 +68,6 @@ INVERSE_LOST = 0.03
 # Vertices from which a level of the source is fine enough to lie on while fitting.
 SHEET_VERTICES = 15_000
 
-# What is deformed
-
-# Vertices up to which the target's mesh itself is deformed in the fine stage, and those of the simplified one that is
-# in place of a larger one. With 6000 one of four directions was 14 % worse (docs/performance.md).
-LARGEST_MESH = 15_000
-STAND_IN = 9_000
-
 # What pulls
 
 # Vertices of the source that pull at the target, per vertex of the target's mesh: more of them change nothing.

@@ -80,9 +80,9 @@ class CurvePull:
     curves: tuple[PulledCurve, ...] = ()
 
     @classmethod
-    def on_mesh(cls, mesh: TriangleSurface, pairs: Sequence[CurvePair], numbers: IndexArray | None = None) -> CurvePull:
-        """Curves of the finest surface on a coarser mesh, see `Anchors.on_mesh`."""
-        anchors = [Anchors.on_mesh(mesh, pair.target.points, numbers) for pair in pairs]
+    def on_mesh(cls, mesh: TriangleSurface, pairs: Sequence[CurvePair]) -> CurvePull:
+        """Curves of the finest surface on the mesh of a coarser level."""
+        anchors = [Anchors.on_mesh(mesh, pair.target.points) for pair in pairs]
         return cls(
             tuple(
                 PulledCurve(at, Polyline(at.of(mesh.positions), pair.target.closed), pair.source.line)

@@ -91,13 +91,9 @@ def fine_fit(problem: FitProblem, coarse: CoarseFit) -> FloatArray:
 
 
 def fine_stage(problem: FitProblem, start: FloatArray) -> FloatArray:
-    """(n, 3) where the target's mesh, or its stand-in and the mesh with it, ends that starts at positions (n, 3)."""
-    prepared, elastic, ties = problem.prepared, problem.prepared.elastic, problem.ties
-    rest, stand_in = prepared.rest, prepared.rest.stand_in
-    if stand_in is None:
-        return run_stage(rest, prepared.sheet, start, ties, elastic.fine, elastic)
-    ended = run_stage(stand_in.rest, prepared.sheet, start[stand_in.vertices], ties, elastic.fine, elastic)
-    return stand_in.followed(ended, rest.graph)
+    """(n, 3) where the target's mesh ends that starts at some positions (n, 3)."""
+    prepared, elastic = problem.prepared, problem.prepared.elastic
+    return run_stage(prepared.rest, prepared.sheet, start, problem.ties, elastic.fine, elastic)
 
 
 def landmark_start(shape: CoarseShape, config: ElasticConfig) -> FloatArray:

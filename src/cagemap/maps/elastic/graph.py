@@ -12,7 +12,6 @@ of one.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -278,33 +277,6 @@ def extrapolate(
     offsets = fine.positions[:, None] - coarse.positions[nearest]
     moved = positions[nearest] + np.einsum("vkab,vkb->vka", maps[nearest], offsets)
     return np.einsum("vk,vka->va", blend, moved)
-
-
-def carried_along(
-    blend: Callable[[FloatArray], FloatArray],
-    rest: FloatArray,
-    positions: FloatArray,
-    maps: FloatArray,
-    places: FloatArray,
-) -> FloatArray:
-    """(n, 3) where points go that lie among some vertices: ``y_v = sum_k S_vk (x_k + A_k (p_v - p_k))``.
-
-    Exact for affine deformations, and close to smooth ones to the second order.
-
-    Parameters
-    ----------
-    blend : callable
-        S, whose rows sum to 1, times values (k, d).
-    rest, positions : (k, 3) float64
-        Of the vertices, p_k and x_k.
-    maps : (k, 3, 3) float64
-        A_k.
-    places : (n, 3) float64
-        p_v.
-    """
-    shifts = positions - np.einsum("nab,nb->na", maps, rest)
-    blended = blend(np.hstack([shifts, maps.reshape(-1, 9)]))
-    return np.asarray(blended[:, :3] + np.einsum("nab,nb->na", blended[:, 3:].reshape(-1, 3, 3), places))
 
 
 def _cells(graph: ElasticGraph, count: int) -> IndexArray:

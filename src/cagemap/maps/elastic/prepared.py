@@ -5,31 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import sparse
 
 from cagemap.basis import Surface
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import vertex_normals
 from cagemap.maps.elastic.anchors import Anchors
 from cagemap.maps.elastic.config import ElasticConfig, StartConfig
-from cagemap.maps.elastic.constants import CURVE_SHARE, LARGEST_MESH, PULLERS, SHEET_VERTICES, STAND_IN
+from cagemap.maps.elastic.constants import CURVE_SHARE, PULLERS, SHEET_VERTICES
 from cagemap.maps.elastic.counterparts import ReceivedArea
 from cagemap.maps.elastic.curves import NO_CURVES, CurvePull
 from cagemap.maps.elastic.data import Pullers
-from cagemap.maps.elastic.graph import (
-    DifferentialField,
-    ElasticGraph,
-    bounded_maps,
-    carried_along,
-    cluster_graph,
-    mesh_graph,
-)
+from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph, bounded_maps, cluster_graph, mesh_graph
 from cagemap.maps.elastic.ties import Ties
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.spectral.levels import search_levels
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool, kept
-from cagemap.operators.plain import Simplified, prolongation, simplified
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,54 +30,36 @@ class RestShape:
     Attributes
     ----------
     graph : ElasticGraph
+    field : DifferentialField
     mesh : TriangleSurface or None
         The mesh whose graph it is; None for clusters of one.
-    smoothing : float
-        Of the differentials, see `Stage`.
+    received : ReceivedArea or None
+        Of a mesh.
     masks : Masks
         What counts in the data: of the graph's vertices, and of the source's.
     """
 
     graph: ElasticGraph
+    field: DifferentialField
     mesh: TriangleSurface | None
-    smoothing: float
+    received: ReceivedArea | None
     masks: Masks = WHOLE
 
     @classmethod
     def build(
         cls, graph: ElasticGraph, mesh: TriangleSurface | None, smoothing: float, masks: Masks = WHOLE
     ) -> RestShape:
-        """Factor the matrices that stay the same in all iterations of a stage, of what is deformed in it."""
-        shape = cls(graph, mesh, smoothing, masks)
-        deformed = shape if shape.stand_in is None else shape.stand_in.rest
-        _ = deformed.field, deformed.received
-        return shape
-
-    @kept
-    def field(self) -> DifferentialField:
-        """Solver for the differentials; made when first asked for, of a mesh with a stand-in hardly ever."""
-        return DifferentialField.build(self.graph, self.graph.laplacian(), self.smoothing)
-
-    @kept
-    def received(self) -> ReceivedArea | None:
-        """Of a mesh; None for clusters."""
-        return None if self.mesh is None else ReceivedArea.build(self.graph, self.graph.laplacian())
-
-    @kept
-    def stand_in(self) -> StandIn | None:
-        """What is deformed in place of a large mesh; None for others and where simplifying fails."""
-        if self.mesh is None or self.graph.n <= LARGEST_MESH:
-            return None
-        step = simplified(self.mesh.positions, self.mesh.triangles, STAND_IN)
-        return StandIn.build(self, self.mesh, step) if STAND_IN / 2 < len(step.kept) <= LARGEST_MESH else None
+        """Factor the matrices that stay the same in all iterations of a stage."""
+        laplacian = graph.laplacian()
+        field = DifferentialField.build(graph, laplacian, smoothing)
+        return cls(graph, field, mesh, None if mesh is None else ReceivedArea.build(graph, laplacian), masks)
 
     def at(self, positions: FloatArray, smoothing: float) -> RestShape:
         """The same mesh at rest at other positions (n, 3), with the weights of its edges and areas as they are."""
         assert self.mesh is not None
         normals = vertex_normals(positions, self.mesh.triangles)
-        return RestShape.build(
-            replace(self.graph, positions=positions, normals=normals), self.mesh, smoothing, self.masks
-        )
+        graph = replace(self.graph, positions=positions, normals=normals)
+        return replace(self, graph=graph, field=DifferentialField.build(graph, graph.laplacian(), smoothing))
 
     def differentials(self, positions: FloatArray) -> tuple[FloatArray, IndexArray]:
         """(n, 3, 3) maps A for positions x (n, 3), none of which folds or flattens, and which of them were bounded."""
@@ -95,50 +68,6 @@ class RestShape:
     def pullers(self, sheet: TriangleSurface) -> Pullers:
         """Points of the source that pull at the shape, or are looked for on it."""
         return Pullers.choose(sheet, int(PULLERS * self.graph.n), self.masks)
-
-
-@dataclass(frozen=True, eq=False)
-class StandIn:
-    """A simplified mesh that is deformed in place of a large one, which follows it.
-
-    A fit sees no more of a shape than some thousand vertices show, and its time grows with their number.
-
-    Attributes
-    ----------
-    vertices : (k,) int64
-        Vertex of the large mesh that each of its own is.
-    rest : RestShape
-        Of the simplified mesh.
-    blend : (n, k) csr_array
-        Weights of its vertices at those of the large mesh, rows of sum 1.
-    """
-
-    vertices: IndexArray
-    rest: RestShape
-    blend: sparse.csr_array
-
-    @classmethod
-    def build(cls, shape: RestShape, mesh: TriangleSurface, step: Simplified) -> StandIn:
-        """Of a shape's mesh, simplified."""
-        small = TriangleSurface(mesh.positions[step.kept], step.triangles)
-        graph = mesh_graph(small, small.triangles)
-        graph = replace(graph, positions=shape.graph.positions[step.kept], normals=shape.graph.normals[step.kept])
-        rest = RestShape.build(graph, small, shape.smoothing, shape.masks.for_vertices(step.kept))
-        return cls(step.kept, rest, prolongation(mesh.positions, mesh.triangles, step))
-
-    @kept
-    def numbers(self) -> IndexArray:
-        """(n,) its own vertex that a vertex of the large mesh is, -1 where it has none."""
-        numbers = np.full(self.blend.shape[0], -1)
-        numbers[self.vertices] = np.arange(len(self.vertices))
-        return numbers
-
-    def followed(self, positions: FloatArray, graph: ElasticGraph) -> FloatArray:
-        """(n, 3) places of the large mesh's vertices, of that graph, where its own go to positions (k, 3)."""
-        maps, _ = self.rest.differentials(positions)
-        return carried_along(
-            lambda values: self.blend @ values, self.rest.graph.positions, positions, maps, graph.positions
-        )
 
 
 @dataclass(frozen=True, eq=False)

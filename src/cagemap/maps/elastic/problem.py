@@ -52,13 +52,10 @@ class FitProblem:
 
     @kept
     def ties(self) -> Ties:
-        """Landmarks and curves on the mesh that the fine stage deforms: the target's, or its stand-in."""
-        rest, landmarks = self.prepared.rest, self.pair.landmarks
-        stand_in = rest.stand_in
-        deformed, numbers = (rest, None) if stand_in is None else (stand_in.rest, stand_in.numbers)
-        mesh = self.prepared.mesh if deformed.mesh is None else deformed.mesh
-        anchors = Anchors.on_mesh(mesh, landmarks.target, numbers)
-        return Ties(anchors, landmarks.source.positions, CurvePull.on_mesh(mesh, landmarks.curves, numbers))
+        """Landmarks and curves on the mesh that the fine stage deforms."""
+        mesh, landmarks = self.prepared.mesh, self.pair.landmarks
+        anchors = Anchors.on_mesh(mesh, landmarks.target)
+        return Ties(anchors, landmarks.source.positions, CurvePull.on_mesh(mesh, landmarks.curves))
 
     @kept
     def reversed(self) -> FitProblem:

@@ -10,7 +10,6 @@ from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import vertex_normals
 from cagemap.maps.elastic.config import ElasticConfig
-from cagemap.maps.elastic.graph import carried_along
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.pair import PointPairs, vertices_at
 from cagemap.maps.point_map import PointMap
@@ -118,17 +117,18 @@ def carried(prepared: PreparedPair, fitted: FloatArray) -> FloatArray:
     """(n_f, 3) places of the target's finest vertices where those of the level that is deformed are fitted.
 
     A subdivision surface passes through the fitted points (`refined_positions`). A plain mesh has details of its own,
-    which its coarse levels lack: they are carried along by the deformation's differentials, blended by the rows of
-    S^{f,l} (`carried_along`).
+    which its coarse levels lack: they are carried by the deformation's differentials, blended by the rows of S^{f,l},
+    ``y_v = sum_k S_vk (x_k + A_k (p_v - p_k))``. Exact for affine deformations, and close to smooth ones to the second
+    order.
     """
     refinement, level = prepared.target.refinement, prepared.levels[0]
     if not refinement.is_plain:
         return refined_positions(refinement, level, fitted)
     maps, _ = prepared.rest.differentials(fitted)
     rest = prepared.target.triangles(refinement.n_levels).positions
-    return carried_along(
-        lambda values: refinement.prolong(values, level, refinement.n_levels), rest[: len(fitted)], fitted, maps, rest
-    )
+    shifts = fitted - np.einsum("nab,nb->na", maps, rest[: len(fitted)])
+    blended = refinement.prolong(np.hstack([shifts, maps.reshape(-1, 9)]), level, refinement.n_levels)
+    return np.asarray(blended[:, :3] + np.einsum("nab,nb->na", blended[:, 3:].reshape(-1, 3, 3), rest))
 
 
 def refined_positions(refinement: Refinement, level: int, points: FloatArray) -> FloatArray:
