@@ -238,7 +238,8 @@ def test_a_pair_that_strains_is_kept_and_named(pair):
 def test_pairs_out_of_proportion_are_kept_where_the_map_is_no_better_without(pair, monkeypatch):
     target, source, landmarks = pair
     wrong = with_source(landmarks, {3: farthest(source, landmarks.source[3], landmarks.source)})
-    monkeypatch.setattr(check, "coarse_map_cost", lambda problem: 1e-4)
+    costs = iter((1.1e-4, 1e-4))  # with all, without the accused: correct ears of a walking fox had this ratio
+    monkeypatch.setattr(check, "coarse_map_cost", lambda problem: next(costs))
     found = match(target, source, wrong, CONFIG)
     assert found.suspects == ()
     assert wrong.names[3] in found.landmark_check.notes[0]
