@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -11,8 +12,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cagemap.files.obj import read_obj
-from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, SURE_MIRRORED, TWO, Confidence
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.curves import CageCurves, Curves
+from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.shapes import voxels
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pipeline import MatchResult, choose_level, match, prepare_surface
@@ -20,8 +23,10 @@ from cagemap.pipeline import MatchResult, choose_level, match, prepare_surface
 pytestmark = pytest.mark.slow
 
 
-def matched(target: ControlMesh, source: ControlMesh) -> tuple[MatchResult, Confidence]:
-    result = match(*(prepare_surface(side, choose_level(side, 1500)) for side in (target, source)))
+def matched(
+    target: ControlMesh, source: ControlMesh, landmarks: Landmarks | None = None
+) -> tuple[MatchResult, Confidence]:
+    result = match(*(prepare_surface(side, choose_level(side, 1500)) for side in (target, source)), landmarks)
     assert result.confidence is not None
     return result, result.confidence
 
@@ -108,11 +113,22 @@ def test_shapes_that_are_their_own_doubles_have_two_answers(target: ControlMesh,
     assert confidence.verdict == TWO, confidence.summary()
 
 
-def test_a_corner_of_three_arms_is_not_surely_its_mirror_image() -> None:
-    """Nothing turns its arms onto those of the other; a fit lays the longest on the second, for hardly any cost."""
-    corner = solid(lambda x, y, z: (x < 2) + (y < 2) + (z < 2) > 1, 7, 5, 3)
-    confidence = matched(corner, mirrored(corner))[1]
+CORNER = solid(lambda x, y, z: (x < 2) + (y < 2) + (z < 2) > 1, 7, 5, 3)
+ALONG_AN_ARM = np.flatnonzero((CORNER.positions[:, 1:] == CORNER.positions[:, 1:].min(axis=0)).all(axis=1))
+
+
+@pytest.mark.parametrize("curve", [False, True], ids=["alone", "with a curve"])
+def test_a_corner_of_three_arms_is_not_surely_its_mirror_image(curve: bool) -> None:
+    """Nothing turns its arms onto those of the other; a fit lays the longest on the second, for hardly any cost.
+
+    Of a curve the mirror image has the mirror image: left where it was, it spoilt the fit that is to tell.
+    """
+    chain = ALONG_AN_ARM[np.argsort(CORNER.positions[ALONG_AN_ARM, 0])]
+    line = CageCurves.of_vertices([chain], [False])
+    landmarks = replace(Landmarks.none(), curves=Curves(("edge",), line, line)) if curve else None
+    confidence = matched(CORNER, mirrored(CORNER), landmarks)[1]
     assert confidence.verdict == LOOK, confidence.summary()
+    assert confidence.mirrored > SURE_MIRRORED
 
 
 def test_a_chair_is_surely_a_chair_however_it_is_turned() -> None:

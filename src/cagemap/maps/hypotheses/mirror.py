@@ -11,10 +11,13 @@ from dataclasses import replace
 import numpy as np
 
 from cagemap.geometry.closest import closest_points
+from cagemap.geometry.polylines import Polyline
 from cagemap.geometry.surface import TriangleSurface
+from cagemap.maps.elastic.curves import CurvePull
 from cagemap.maps.elastic.ends import different
 from cagemap.maps.elastic.fit import coarse_fit
 from cagemap.maps.elastic.problem import FitProblem
+from cagemap.maps.elastic.ties import Ties
 from cagemap.maps.hypotheses.confidence import Reading
 from cagemap.maps.hypotheses.search import ALIKE, rough_problem
 from cagemap.maps.hypotheses.starts import Start, rigid_starts
@@ -36,9 +39,9 @@ def mirrored_gain(problem: FitProblem, reading: Reading) -> float:
     graph, ties = rough.shape.rest.graph, rough.shape.ties
     mirrored = TriangleSurface(sheet.positions * ACROSS, sheet.triangles[:, ::-1])
 
-    def least(side: TriangleSurface, held: FloatArray, *known: FloatArray) -> float:
+    def least(side: TriangleSurface, met: Ties, *known: FloatArray) -> float:
         onto = replace(rough, prepared=replace(rough.prepared, sheet=side))
-        shape = replace(rough.shape, ties=replace(ties, places=held))
+        shape = replace(rough.shape, ties=met)
 
         def away(start: Start) -> float:
             return float(graph.areas @ closest_points(side.tree, start.positions)[2] ** 2)
@@ -51,5 +54,14 @@ def mirrored_gain(problem: FitProblem, reading: Reading) -> float:
         tried = different(nearest, lambda start: start.positions, graph.areas, ALIKE)[:NEAREST_STARTS]
         return min(in_threads(cost, [*known, *(start.positions for start in tried)]))
 
-    given = least(sheet, ties.places, reading.positions[rough.shape.vertices])
-    return given / least(mirrored, ties.places * ACROSS)
+    given = least(sheet, ties, reading.positions[rough.shape.vertices])
+    return given / least(mirrored, mirrored_ties(ties))
+
+
+def mirrored_ties(ties: Ties) -> Ties:
+    """The same points and curves, to be met on the source's mirror image."""
+    curves = (
+        replace(curve, source=Polyline(curve.source.positions * ACROSS, curve.source.closed))
+        for curve in ties.curves.curves
+    )
+    return replace(ties, places=ties.places * ACROSS, curves=CurvePull(tuple(curves)))
