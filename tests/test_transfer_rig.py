@@ -22,8 +22,9 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.elastic.graph import mesh_graph
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh, cube, torus
+from cagemap.mesh.measures import cage_triangles
 from cagemap.mesh.shapes import voxels
-from cagemap.refinement import Refinement, refine, triangulate_control
+from cagemap.refinement import Refinement, refine
 from cagemap.transfer import control_weights, prepare_transfer
 from cagemap.transfer.shapes import carry_shape, contacts, prepare_shapes
 from cagemap.transfer.skeleton import carry_joints
@@ -43,7 +44,7 @@ def same_vertices(target: Refinement, source: Refinement) -> PointMap:
 
 
 def net_of(control: ControlMesh):
-    split = triangulate_control(control)
+    split = cage_triangles(control)[0]
     return mesh_graph(TriangleSurface(control.positions, split), split)
 
 

@@ -24,9 +24,9 @@ from benchmarks.public.lookalikes import (
     HUMAN_LANDMARKS,
     HUMAN_LEVEL,
     KNOWN,
-    LEGS,
     animal_bones,
     human_bones,
+    legs,
     write_shape,
 )
 from benchmarks.public.sets import SETS
@@ -82,19 +82,15 @@ POSES: dict[str, Turns] = {
 FILED = "crouch"
 
 
-def _legs(upper: tuple[float, float], lower: tuple[float, float]) -> Sizes:
-    return {f"upper_{leg}": upper for leg in LEGS} | {f"lower_{leg}": lower for leg in LEGS}
-
-
 FAMILIES: dict[str, Sizes] = {
     "horse": {},
     "hippo": {
         "trunk": (1.05, 1.5), "neck": (0.75, 1.6), "head": (1.15, 1.8), "tail": (0.4, 1.0),
-        **_legs((0.5, 1.7), (0.45, 2.0)),
+        **legs((0.5, 1.7), (0.45, 2.0)),
     },
     "cougar": {
         "trunk": (1.1, 0.75), "neck": (0.5, 0.9), "head": (0.55, 0.9), "tail": (1.8, 0.8),
-        **_legs((0.8, 1.0), (0.7, 1.4)),
+        **legs((0.8, 1.0), (0.7, 1.4)),
     },
 }  # fmt: skip
 

@@ -77,7 +77,7 @@ OTHERS, OTHER_POSES = ("zebra", "horse", "cow", "wolf", "red_fox"), ("", "walk",
 LEGS = ("fore_left", "fore_right", "hind_left", "hind_right")
 
 
-def _legs(upper: tuple[float, float], lower: tuple[float, float]) -> Sizes:
+def legs(upper: tuple[float, float], lower: tuple[float, float]) -> Sizes:
     return {f"upper_{leg}": upper for leg in LEGS} | {f"lower_{leg}": lower for leg in LEGS}
 
 
@@ -86,11 +86,11 @@ SPECIES: dict[str, Sizes] = {
     "horse": {},
     "hippo": {
         "trunk": (1.0, 1.35), "neck": (0.55, 1.6), "head": (1.15, 1.7), "tail": (0.5, 1.0),
-        **_legs((0.55, 1.6), (0.5, 1.9)),
+        **legs((0.55, 1.6), (0.5, 1.9)),
     },
     "cougar": {
         "trunk": (1.05, 0.75), "neck": (0.5, 0.8), "head": (0.55, 0.85), "tail": (1.6, 0.7),
-        **_legs((0.8, 0.9), (0.7, 1.1)),
+        **legs((0.8, 0.9), (0.7, 1.1)),
     },
 }  # fmt: skip
 ANIMAL_POSES: dict[str, Turns] = {

@@ -11,8 +11,8 @@ from benchmarks.accuracy.data import DATA
 from cagemap.files.obj import read_obj
 from cagemap.geometry.triangles import normalized, vertex_normals
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.measures import cage_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.refinement import triangulate_control
 
 JOINTS = 60
 INFLUENCES = 4
@@ -48,7 +48,7 @@ def skin_of(control: ControlMesh) -> FloatArray:
 
 def inner_places(control: ControlMesh, count: int) -> IndexArray:
     """(count, 2) control vertices across limbs from each other: half-way between them lies a joint, in any identity."""
-    split = triangulate_control(control)
+    split = cage_triangles(control)[0]
     normals = vertex_normals(control.positions, split)
     tree = cKDTree(control.positions)
     size = np.ptp(control.positions, axis=0).max()

@@ -13,12 +13,13 @@ from cagemap.errors import ParameterError
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import surface_area
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.measures import cage_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 from cagemap.numerics.threads import kept, one_blas_thread
 from cagemap.operators import Operators, build_operators
 from cagemap.operators.plain import coarsened, uncoarsened
 from cagemap.operators.polygons import named_laplacian
-from cagemap.refinement import Refinement, level_triangles, refine, triangulate_control
+from cagemap.refinement import Refinement, level_triangles, refine
 
 # The basis of a plain mesh is that of its coarsest level with so many vertices for each function.
 VERTICES_A_FUNCTION = 40
@@ -130,7 +131,7 @@ class Surface:
     def faces(self) -> IndexArray:
         """(m, 4) or (m, 3) faces of the finest level; triangles where the mesh is not refined and has others."""
         faces = self.refinement.finest.faces
-        return read_only(triangulate_control(self.control) if faces is None else faces)
+        return read_only(cage_triangles(self.control)[0] if faces is None else faces)
 
     def triangles(self, level: int) -> TriangleSurface:
         """The triangles of a level between its vertices' places on the finest surface, at unit area.

@@ -16,8 +16,8 @@ from cagemap.errors import ParameterError
 from cagemap.files.images import Image, check_writable, first_image, pixel_type, read_texture, texture_pixels
 from cagemap.geometry.triangles import fan_triangles
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.measures import cage_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.refinement import triangulate_control
 from cagemap.transfer import BakeOptions, Transfer
 from cagemap.transfer.detail import (
     Detail,
@@ -125,7 +125,7 @@ class DetailBakes:
 def mesh_detail(mesh: ControlMesh, transfer: Transfer) -> tuple[Detail, list[str]]:
     """A detailed mesh over the source of a bake; and warnings."""
     source = transfer.point_map.source
-    detail = detail_over(source, mesh.positions, triangulate_control(mesh))
+    detail = detail_over(source, mesh.positions, cage_triangles(mesh)[0])
     share = detailed_share(detail, source)
     if share >= _COVERED:
         return detail, []

@@ -29,8 +29,8 @@ from cagemap.maps.elastic.graph import mesh_graph
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.measures import cage_triangles
 from cagemap.mesh.skeleton import Skeleton
-from cagemap.refinement import triangulate_control
 from cagemap.transfer import control_weights, prepare_transfer
 from cagemap.transfer.shapes import carry_shape, prepare_shapes
 from cagemap.transfer.skeleton import carry_joints
@@ -64,7 +64,7 @@ def carry_weights(request: TransferRequest, result: MatchResult, stages: Stages)
     stages("weights")
     weights = control_weights(prepare_transfer(target.finest, source.finest, point_map), target, source)
     control = target.control
-    split = triangulate_control(control)
+    split = cage_triangles(control)[0]
     scale = point_map.target.scale
     net = mesh_graph(TriangleSurface(scale * control.positions, split, scale), split)
     n = control.n_vertices

@@ -12,11 +12,12 @@ from numba import njit
 from scipy import sparse
 
 from cagemap.errors import ParameterError
+from cagemap.mesh.measures import cage_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.operators.laplacian import gathered
 from cagemap.operators.polygons import Laplacian, MeanTriangulation
-from cagemap.refinement import Refinement, triangulate_control
+from cagemap.refinement import Refinement
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +146,7 @@ def build_operators(refinement: Refinement, laplacian: Laplacian = MeanTriangula
     if not callable(getattr(laplacian, "face_terms", None)):
         raise ParameterError(f"laplacian: expected one such as AlexaWardetzky(1.0), got {laplacian!r}")
     finest = refinement.levels[-1]
-    faces = triangulate_control(refinement.control) if finest.faces is None else finest.faces
+    faces = cage_triangles(refinement.control)[0] if finest.faces is None else finest.faces
     weights, areas = laplacian.face_terms(finest.positions, faces)
     finest_stiffness = gathered(weights, faces, len(finest.positions))
     area = float(areas.sum())

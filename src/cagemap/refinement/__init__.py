@@ -10,7 +10,6 @@ from cagemap.refinement.refinement import (
     level_triangles,
     refine,
     triangles,
-    triangulate_control,
     with_options,
 )
 
@@ -29,6 +28,5 @@ __all__ = [
     "limit_positions",
     "refine",
     "triangles",
-    "triangulate_control",
     "with_options",
 ]

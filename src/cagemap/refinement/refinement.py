@@ -10,9 +10,9 @@ import numpy as np
 from scipy.sparse import csr_array, eye_array
 
 from cagemap.errors import InvalidMeshError, ParameterError
-from cagemap.geometry.triangles import fan_triangles
 from cagemap.geometry.triangles import triangles as triangles
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.measures import cage_triangles
 from cagemap.mesh.schemes import SCHEMES, Bilinear, CatmullClark, Loop, Plain, Scheme
 from cagemap.numerics.arrays import Array, FloatArray, IndexArray
 from cagemap.numerics.kinds import kinds_checked
@@ -382,12 +382,7 @@ def _check_size(table: CornerTable, levels: int) -> None:
         )
 
 
-def triangulate_control(mesh: ControlMesh) -> IndexArray:
-    """Fans of the control faces, (t, 3), in face order; agrees with `triangles` on quads."""
-    return fan_triangles(mesh.face_offsets, mesh.face_indices)[0]
-
-
 def level_triangles(refinement: Refinement, level: int) -> IndexArray:
     """Triangles of a level: quads split by the one rule, n-gons of the control mesh in fans; (t, 3)."""
     faces = refinement.levels[level].faces
-    return triangulate_control(refinement.control) if faces is None else triangles(faces)
+    return cage_triangles(refinement.control)[0] if faces is None else triangles(faces)

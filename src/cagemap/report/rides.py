@@ -11,6 +11,7 @@ import numpy as np
 from cagemap.geometry.closest import closest_points
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.measures import cage_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool
 from cagemap.pictures import (
@@ -27,7 +28,7 @@ from cagemap.pictures import (
     scalar_colors,
     turn_between,
 )
-from cagemap.refinement import Refinement, level_triangles, refine, triangulate_control
+from cagemap.refinement import Refinement, level_triangles, refine
 from cagemap.report.figures import PAPER
 
 _CLAY = np.array([0.86, 0.84, 0.80])
@@ -116,7 +117,7 @@ def _wrapped(result: MatchResult, cage: ControlMesh, turn: float, size: tuple[in
     own, other = _model(fine), _model(source)
     colors = Skin(vertex_colors=scalar_colors(distance, 0.0, most))
     net, rest = _net(fine), _net(target)
-    flat = [Model(mesh.positions, triangulate_control(mesh)) for mesh in (target.control, cage)]
+    flat = [Model(mesh.positions, cage_triangles(mesh)[0]) for mesh in (target.control, cage)]
     wires = [_edges(mesh) for mesh in (target.control, cage)]
     jobs = []
     for view in (FRONT, BACK):

@@ -15,10 +15,11 @@ from scipy.sparse import csr_array
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh, Plain
+from cagemap.mesh.measures import cage_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.graphs import components
 from cagemap.numerics.libraries import library
-from cagemap.refinement import refine, triangulate_control
+from cagemap.refinement import refine
 from cagemap.transfer.packing import pack_islands
 
 # A corner may be straight; rounding must not make it turn the wrong way. Relative to the product of its edges.
@@ -57,7 +58,7 @@ def unwrap(control: ControlMesh, *, padding: float = 1 / 256) -> ControlMesh:
     if control.n_faces == 0 or not (np.isfinite(size) and size > 0):
         raise InvalidMeshError(f"{control.name}: expected a mesh with faces and an extent to unwrap, got none")
     positions = _smooth_positions(control.with_positions((control.positions - low) / size))
-    flat = _attach_loose(control, positions, _charts(positions, triangulate_control(control)))
+    flat = _attach_loose(control, positions, _charts(positions, cage_triangles(control)[0]))
     islands = _islands(control, flat.corner_uvs, len(flat.uvs))
     uvs = _equalize(control, positions, flat, islands)
     edges = np.column_stack([flat.corner_uvs, flat.corner_uvs[control.next_corners]])
@@ -305,7 +306,7 @@ def _islands(control: ControlMesh, corner_uvs: IndexArray, n_uvs: int) -> IndexA
 
 def _equalize(control: ControlMesh, positions: FloatArray, flat: _Flat, islands: IndexArray) -> FloatArray:
     """UVs scaled island by island, so that each has the area of its polygons in space."""
-    triangles = triangulate_control(control)
+    triangles = cage_triangles(control)[0]
     a, b, c = (positions[triangles[:, k]] for k in range(3))
     solid = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     solid_of_face = np.bincount(np.repeat(np.arange(control.n_faces), control.face_sizes - 2), solid)

@@ -10,6 +10,7 @@ from cagemap.errors import ParameterError
 from cagemap.functional_map import MapWeights
 from cagemap.maps.spectral.constraints import DescriptorConfig
 from cagemap.maps.spectral.hierarchical import FEWEST_FUNCTIONS, Growth
+from cagemap.maps.spectral.levels import require_search
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.brief import Brief
 
@@ -93,10 +94,7 @@ class StartConfig(Brief):
             raise ParameterError(
                 f"expected at least {FEWEST_FUNCTIONS} searched functions, got {self.searched_functions}"
             )
-        if min(self.search_vertices, self.source_search_vertices) < 0:
-            raise ParameterError(
-                f"expected 0 search vertices or more, got {self.search_vertices} and {self.source_search_vertices}"
-            )
+        require_search(self.search_vertices, self.source_search_vertices)
 
 
 @dataclass(frozen=True, repr=False)

@@ -65,7 +65,7 @@ def coarse_fit(
     start : (k, 3) float64 or None
         Rough positions on the source; None to start from the landmarks.
     shape : CoarseShape, optional
-        Clusters with other ties than the problem's own.
+        Clusters with other ties or smoothing than the problem's own.
     pullers : Pullers, optional
         Points of the source that pull at the shape too, where limbs are to reach the ends of the source's.
 

@@ -118,7 +118,8 @@ def doubtful_ends(problem: FitProblem, start: FloatArray, ends: list[CoarseFit])
 def stiff_fits(problem: FitProblem, starts: Sequence[FloatArray | None]) -> list[CoarseFit]:
     """The stiffer coarse stage from some starts, see `ElasticConfig.settled`."""
     settled = problem.staged(problem.prepared.elastic.settled)
-    return in_threads(lambda rough: coarse_fit(settled, rough), starts)
+    shape = problem.shape.smoothed(settled.prepared.elastic.coarse.smoothing)
+    return in_threads(lambda rough: coarse_fit(settled, rough, shape), starts)
 
 
 def updated_map(

@@ -105,6 +105,10 @@ class CoarseShape:
         ties = Ties(Anchors.at_vertices(np.arange(len(kept))), places, own)
         return cls(RestShape.build(coarse, None, config.coarse.smoothing, part), vertices, ties)
 
+    def smoothed(self, smoothing: float) -> CoarseShape:
+        """The same clusters with differentials smoothed over another length."""
+        return replace(self, rest=RestShape.build(self.rest.graph, None, smoothing, self.rest.masks))
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PreparedPair:

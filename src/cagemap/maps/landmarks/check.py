@@ -170,13 +170,13 @@ def checked_map(
     accused, notes = accused_pairs(problem, distances), list[str]()
     if accused is None:
         accused, notes = {}, [CONTRADICTION]
-    left_out = set(accused)
+    left_out, trusted = set(accused), problem
     if left_out:
         progress("costs with and without suspects")
-        costs = coarse_map_cost(problem), coarse_map_cost(problem.without(left_out))
+        trusted = problem.without(left_out)
+        costs = coarse_map_cost(problem), coarse_map_cost(trusted)
         if costs[0] < max(SLIP[evidence] for evidence in accused.values()) * costs[1]:
-            left_out, notes = set(), [kept_note(accused, names)]
-    trusted = problem.without(left_out)
+            left_out, trusted, notes = set(), problem, [kept_note(accused, names)]
     current, ends = elastic_answers(trusted, progress)
     confirmed = {i for i in left_out if miss(pair, current, i)[0] < CONFIRMED}
     if confirmed:

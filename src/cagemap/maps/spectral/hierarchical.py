@@ -35,6 +35,7 @@ from cagemap.maps.spectral.levels import (
     basis_sizes,
     down_the_levels,
     refit,
+    require_search,
     search_level,
     search_levels,
 )
@@ -150,10 +151,7 @@ class HierarchyConfig(Brief):
                 f"expected at least {FEWEST_FUNCTIONS} searched functions and one growth, got "
                 f"{self.searched_functions} and {len(self.growths)}"
             )
-        if min(self.search_vertices, self.source_search_vertices) < 0:
-            raise ParameterError(
-                f"expected 0 search vertices or more, got {self.search_vertices} and {self.source_search_vertices}"
-            )
+        require_search(self.search_vertices, self.source_search_vertices)
 
 
 def hierarchical_map(

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from cagemap.basis import Surface
+from cagemap.errors import ParameterError
 from cagemap.maps.pair import LevelPair, Pair, Progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.spectral.row_blocks import (
@@ -67,6 +68,17 @@ class Beside:
     levels: LevelPair
     target: FloatArray
     source: FloatArray
+
+
+def require_search(vertices: int, source_vertices: int) -> None:
+    """Refuse numbers of searched vertices below 0.
+
+    Raises
+    ------
+    ParameterError
+    """
+    if min(vertices, source_vertices) < 0:
+        raise ParameterError(f"expected 0 search vertices or more, got {vertices} and {source_vertices}")
 
 
 def search_levels(target: Surface, source: Surface, vertices: int, source_vertices: int = 0) -> LevelPair:
