@@ -8,9 +8,14 @@ from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
+
+if TYPE_CHECKING:
+    from cagemap.refinement import Refinement
+    from cagemap.studio.session import Session
+    from command_line import Run
 
 # Before NumPy is loaded: test processes run side by side, and BLAS threads that wait for each other's cores spin.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -65,3 +70,66 @@ def browser(chromium_held: Chromium, request: pytest.FixtureRequest) -> Any:
         chromium_held.program = chromium_held.begun.enter_context(chromium())
         chromium_held.failed = request.session.testsfailed
     return chromium_held.program
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Run:
+    """Runs commands in an empty folder."""
+    from command_line import runner
+
+    monkeypatch.chdir(tmp_path)
+    return runner(monkeypatch, capsys)
+
+
+@pytest.fixture
+def result_folder(tmp_path: Path) -> Path:
+    """A cube twice as large as its source, and an image over its layout."""
+    import numpy as np
+
+    from cagemap.files.images import write_image
+    from cagemap.files.result import write_result
+
+    from example_result import identity_result
+
+    write_result(tmp_path / "R", identity_result())
+    gradient = np.linspace(40, 215, 64 * 96 * 3).reshape(3, 64, 96).astype(np.uint8)
+    write_image(tmp_path / "t.png", np.moveaxis(gradient, 0, 2))
+    return tmp_path / "R"
+
+
+@pytest.fixture(scope="module")
+def creature_at_3() -> tuple[Refinement, float]:
+    """The creature's refinement to level 3, and what brings it to unit area."""
+    from cagemap.mesh.shapes import creature
+    from elastic_shapes import unit_refinement
+
+    return unit_refinement(creature(), 3)
+
+
+@pytest.fixture(scope="module")
+def boxes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of two models for the studio."""
+    from studio_boxes import write_boxes
+
+    folder = tmp_path_factory.mktemp("boxes")
+    write_boxes(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def session(boxes: Path) -> Iterator[Session]:
+    """The studio over the boxes."""
+    from studio_boxes import session_of
+
+    session = session_of(boxes)
+    yield session
+    session.close()
+
+
+@pytest.fixture
+def opened(session: Session, boxes: Path) -> Session:
+    """The boxes without a landmark, mapped."""
+    from studio_boxes import open_boxes
+
+    open_boxes(session, boxes)
+    return session

@@ -33,7 +33,7 @@ from cagemap.transfer.detail import (
 from cagemap.transfer.exact import Aim, Landing, corner_samples, lookup_matrix, make_exact
 from cagemap.transfer.occlusion import ambient_occlusion
 from cagemap.transfer.texels import texel_coordinates
-from test_cli import Run, result_folder, run  # noqa: F401
+from command_line import Run
 from transfer_scenes import crossed_cube, identity_map, plane
 
 SIZE = 64
@@ -274,7 +274,7 @@ def test_detail_elsewhere_is_refused(flat: Level) -> None:
             detail_over(surface, places, triangles(np.asarray(fine.faces)))
 
 
-def test_through_the_command_line(run: Run, result_folder: Path) -> None:  # noqa: F811
+def test_through_the_command_line(run: Run, result_folder: Path) -> None:
     place = result_folder.parent
     refinement = refine(read_result(result_folder).source.refinement.control, 4)
     faces = np.asarray(refinement.finest.faces)

@@ -37,8 +37,7 @@ from cagemap.studio.session import Session
 from cagemap.studio.skins import source_skin
 from cagemap.studio.state import View
 from cagemap.studio.worker import Failure
-from cagemap.studio.workspace import Workspace
-from test_studio_session import Idle
+from studio_boxes import Idle, session_of
 
 
 def named(mesh: ControlMesh, name: str) -> ControlMesh:
@@ -239,17 +238,17 @@ def test_no_two_parts_share_a_file(folder: Path) -> None:
     assert with_parts(mine, ("eye", None)).result == mine.result
 
 
-def session_of(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
+def idle_session(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
     """A session whose computations never give an answer."""
     monkeypatch.setattr("cagemap.studio.preview.Worker", Idle)
-    return Session(Workspace.of(folder), 300, all_options())
+    return session_of(folder)
 
 
 def test_the_whole_file_can_be_chosen_while_a_part_has_unsaved_landmarks(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
-    session = session_of(folder, monkeypatch)
+    session = idle_session(folder, monkeypatch)
     session.open(replace(files, parts=("object:eye", "object:eye")))
     session._scene = opened(folder, "eye")
     session._edit(lambda present: place(present, "target", vertex_place(session._scene.target, 0)))
@@ -264,7 +263,7 @@ def test_the_whole_file_can_be_chosen_while_a_part_has_unsaved_landmarks(
 def test_an_autosave_of_a_part_that_is_gone_keeps_nobody_out(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
     write_autosave(autosave_path(files.landmarks), LandmarkList(), ("object:nose", None))
-    session = session_of(folder, monkeypatch)
+    session = idle_session(folder, monkeypatch)
     session.open(files)
     models = session._preview.models
     assert models.parts == ("object:nose", None)

@@ -29,7 +29,7 @@ from cagemap.transfer import control_weights, prepare_transfer
 from cagemap.transfer.shapes import carry_shape, contacts, prepare_shapes
 from cagemap.transfer.skeleton import carry_joints
 from cagemap.transfer.skin import carry_skin, filled_in
-from test_cli import Run, result_folder, run  # noqa: F401
+from command_line import Run
 
 from example_result import identity_result, textured_cube
 
@@ -295,7 +295,7 @@ def test_a_bound_mesh_follows_its_base(tmp_path: Path) -> None:
         write_mhclo(tmp_path / "a.txt", fitting, Path("a.obj"))
 
 
-def test_rigs_through_the_command_line(run: Run, result_folder: Path) -> None:  # noqa: F811
+def test_rigs_through_the_command_line(run: Run, result_folder: Path) -> None:
     place, result = result_folder.parent, read_result(result_folder)
     rng = np.random.default_rng(8)
     skin = rng.dirichlet(np.ones(2), 8)
@@ -324,7 +324,7 @@ def test_rigs_through_the_command_line(run: Run, result_folder: Path) -> None:  
     np.testing.assert_array_equal(read_mesh(place / "faces" / "large.obj").positions, target.positions)
 
 
-def test_maps_through_the_command_line(run: Run, result_folder: Path, small_pages: None) -> None:  # noqa: F811
+def test_maps_through_the_command_line(run: Run, result_folder: Path, small_pages: None) -> None:
     place, result = result_folder.parent, identity_result()
     write_mesh(place / "large.obj", textured_cube("large.obj", 2.0))
     write_mesh(place / "small.obj", textured_cube("small.obj"))
@@ -341,7 +341,7 @@ def test_maps_through_the_command_line(run: Run, result_folder: Path, small_page
     assert run("report", "Q", "-o", "q.html").code == 0
 
 
-def test_refused_rigs_write_nothing(run: Run, result_folder: Path) -> None:  # noqa: F811
+def test_refused_rigs_write_nothing(run: Run, result_folder: Path) -> None:
     place = result_folder.parent
     (place / "w.csv").write_text("hip,knee\n" + "\n".join(["0.5,0.5"] * 8))
     (place / "short.csv").write_text("hip\n" + "\n".join(["1.0"] * 7))
@@ -366,7 +366,7 @@ def test_refused_rigs_write_nothing(run: Run, result_folder: Path) -> None:  # n
     assert sorted(place.rglob("*")) == before
 
 
-def test_vertex_groups_come_back_under_the_identity(run: Run, result_folder: Path) -> None:  # noqa: F811
+def test_vertex_groups_come_back_under_the_identity(run: Run, result_folder: Path) -> None:
     place = result_folder.parent
     given = {"groups": [{"name": "left", "vertices": [0, 3], "weights": [0.25, 1.0]}, {"name": "top", "vertices": [1]}]}
     (place / "g.json").write_text(json.dumps(given))

@@ -15,7 +15,7 @@ from cagemap.transfer import BakeOptions, prepare_transfer
 from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.tangents import tangent_frames
 from cagemap.transfer.vectors import bake_normal_map, bake_vector_displacement
-from test_cli import Run, result_folder, run  # noqa: F401
+from command_line import Run
 from transfer_scenes import crossed_cube, identity_map, plane, plane_map, spectrum
 
 SIZE = 48
@@ -188,7 +188,7 @@ def test_what_holds_no_directions_is_refused(box: Level) -> None:
         bake_normal_map(transfer, normal_map(1), size=8, space="world")  # type: ignore[arg-type]
 
 
-def test_through_the_command_line(run: Run, result_folder: Path) -> None:  # noqa: F811
+def test_through_the_command_line(run: Run, result_folder: Path) -> None:
     place = result_folder.parent
     texture = normal_map(6, size=64)
     write_image(place / "n.png", texture)

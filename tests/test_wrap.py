@@ -23,7 +23,7 @@ from cagemap.transfer.meeting import meet
 from cagemap.wrap import WrapConfig, level_mesh, missing_detail, wrap
 from cagemap.wrap.follow import counterpart
 from cagemap.wrap.mend import fit_net
-from test_cli import Run, result_folder, run  # noqa: F401
+from command_line import Run
 
 from example_result import identity_result
 
@@ -265,7 +265,7 @@ def test_an_obj_keeps_all_but_positions(tmp_path: Path) -> None:
         )
 
 
-def test_the_command_writes_cage_and_displacement(run: Run, result_folder: Path) -> None:  # noqa: F811
+def test_the_command_writes_cage_and_displacement(run: Run, result_folder: Path) -> None:
     place = result_folder.parent
     outcome = run(
         "wrap", "R", "-o", "new.obj", "--vector-displacement", "v.exr", "--displacement", "d.exr", "--size", 32
@@ -288,7 +288,7 @@ def test_the_command_writes_cage_and_displacement(run: Run, result_folder: Path)
     assert (place / "shapes/small.obj").is_file()
 
 
-def test_the_command_refuses_and_writes_nothing(run: Run, result_folder: Path) -> None:  # noqa: F811
+def test_the_command_refuses_and_writes_nothing(run: Run, result_folder: Path) -> None:
     place = result_folder.parent
     np.save(place / "w.npy", np.ones(5))
     before = sorted(place.rglob("*"))
@@ -331,7 +331,7 @@ def test_a_fit_that_went_astray_is_tried_with_more_pull_of_the_map(
 
 
 @pytest.mark.parametrize("suffix", ["npy", "npz", "mtx", "vts"])
-def test_anyone_s_map_wraps_without_a_match(run: Run, result_folder: Path, suffix: str) -> None:  # noqa: F811
+def test_anyone_s_map_wraps_without_a_match(run: Run, result_folder: Path, suffix: str) -> None:
     """Our own map, written out and given back as a file; no level is named, and the match's is not the default one."""
     place = result_folder.parent
     result = identity_result()
@@ -350,8 +350,8 @@ def test_anyone_s_map_wraps_without_a_match(run: Run, result_folder: Path, suffi
 
 
 def test_the_report_shows_the_wrapped_cage_while_it_is_there(
-    run: Run,  # noqa: F811
-    result_folder: Path,  # noqa: F811
+    run: Run,
+    result_folder: Path,
     small_pages: None,
 ) -> None:
     pytest.importorskip("embreex")
