@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cagemap.maps.hypotheses.confidence import LOOK, SURE, Confidence, Reading
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence, Reading
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.result import MatchResult
@@ -177,7 +177,7 @@ def test_two_answers_stand_side_by_side(result: MatchResult) -> None:
     places = result.point_map.images.positions[:count]
     exchanged = places * [-1.0, 1.0, 1.0]
     answers = (Reading("as the files stand", 1e-4, places), Reading("mirrored & all", 1.1e-4, exchanged))
-    unsure = replace(result, confidence=Confidence(LOOK, 1.0, 1.1, answers, 0))
+    unsure = replace(result, confidence=Confidence(TWO, 1.0, 1.1, answers, 0))
     gallery = draw_gallery(unsure, size=SIZE)
     page = build_page(unsure, gallery)
     assert len([tag for tag, _ in outline(page).tags if tag == "img"]) == 12 + 8
@@ -193,6 +193,20 @@ def test_two_answers_stand_side_by_side(result: MatchResult) -> None:
     assert redness[0] < 20 < 60 < redness[1]
     for sure in (result, replace(unsure, confidence=Confidence(SURE, 1.0, 2.0, answers, 0))):
         assert not draw_gallery(sure, size=(30, 20)).answers
+
+
+@pytest.mark.parametrize(
+    ("verdict", "heading"),
+    [(SURE, "The map looks sound."), (LOOK, "it may not be the right one"), (TWO, "it may not be the right one")],
+)
+def test_the_page_begins_with_how_sure_a_map_without_landmarks_is(
+    result: MatchResult, gallery: Gallery, verdict: str, heading: str
+) -> None:
+    answers = tuple(Reading(name, 1e-4, result.point_map.images.positions) for name in ("one", "another"))
+    page = build_page(replace(result, confidence=Confidence(verdict, 1.0, 1.5, answers, 0)), gallery)
+    assert heading in page
+    shown = "the target lies on the source one"
+    assert f"<li>{shown}" in page if verdict == SURE else f'<li class="warning">{verdict}: {shown}' in page
 
 
 def test_written_whole(result: MatchResult, tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 import socket
 import statistics
 import sys
@@ -14,6 +16,7 @@ import numpy as np
 import pytest
 
 from browser_page import Page, studio
+from cagemap.cli import main
 from cagemap.files.meshes import write_mesh
 from cagemap.mesh.join import join_meshes
 from cagemap.mesh.shapes import creature, cube
@@ -25,12 +28,53 @@ pytestmark = [pytest.mark.slow, pytest.mark.browser]
 LONGEST_UPDATE, LONGEST_ANSWER = 20.0, 5.0
 
 
-def test_parts_are_chosen_and_other_answers_are_one_click_away(tmp_path: Path, browser: Any) -> None:
+def models(folder: Path) -> None:
+    """A small box and a body in one file for each side, and in files of their own."""
     eye = cube()
     eye = eye.with_positions(0.3 * eye.positions + np.array([0.0, 4.0, 0.0]))
     # One surface on both sides would have one answer only.
-    for name, own in (("a.obj", eye), ("b.obj", eye.with_positions(eye.positions * [1.0, 1.05, 1.0]))):
-        write_mesh(tmp_path / name, join_meshes([named(own, "eye"), named(creature(), "body")]))
+    for side, longer in (("a", [1.0, 1.0, 1.0]), ("b", [1.0, 1.05, 1.0])):
+        shapes = {"eye": eye, "body": creature()}
+        parts = [named(one.with_positions(one.positions * longer), name) for name, one in shapes.items()]
+        for name, part in zip(shapes, parts, strict=True):
+            write_mesh(folder / f"{side}_{name}.obj", part)
+        write_mesh(folder / f"{side}.obj", join_meshes(parts))
+
+
+@pytest.mark.parametrize(
+    ("target", "source", "verdict", "heading"),
+    [
+        ("body", "body", "sure", "The map looks sound."),
+        ("eye", "body", "look at it", "Do not use this map as it is."),
+        ("eye", "eye", "two answers", "Two answers: which is right?"),
+    ],
+)
+def test_how_sure_a_map_is_reads_alike_on_terminal_in_manifest_and_report(
+    tmp_path: Path, browser: Any, small_pages: None, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str], target: str, source: str, verdict: str, heading: str,
+) -> None:  # fmt: skip
+    models(tmp_path)
+    files = ["--target", f"{tmp_path}/a_{target}.obj", "--source", f"{tmp_path}/b_{source}.obj"]
+    folder, page = tmp_path / "R", tmp_path / "report.html"
+    for words in (["match", *files, "--vertices", "600", "-o", folder], ["report", folder, "-o", page]):
+        monkeypatch.setattr(sys, "argv", ["cagemap", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        assert not ended.value.code
+    terminal = capsys.readouterr()
+    known = json.loads((folder / "manifest.json").read_text())["confidence"]
+    assert known["verdict"] == verdict
+    said = terminal.out if verdict == "sure" else terminal.err
+    assert known["message"].replace("`answer=1`", "--answer 1") in said
+    browser.get(page.as_uri())
+    shown = browser.find_element("tag name", "main").text
+    assert known["message"] in shown
+    assert heading in shown
+    assert ("which is right?" in shown) == (verdict != "sure")
+
+
+def test_parts_are_chosen_and_other_answers_are_one_click_away(tmp_path: Path, browser: Any) -> None:
+    models(tmp_path)
     asked = ["--target", str(tmp_path / "a.obj"), "--source", str(tmp_path / "b.obj"), "--source-part", "object:eye"]
     with studio(*asked, "--vertices", "800") as (_, address):
         page = Page(browser, address)
@@ -46,6 +90,8 @@ def test_parts_are_chosen_and_other_answers_are_one_click_away(tmp_path: Path, b
         page.choose("target", "Target part", "object:eye (6 faces)")
         page.until(lambda: page.text("names").count(", eye, ") == 2, "the eye")
         page.until(lambda: page.revision() == 1 and page.text("map") != before, "the map of it")
+        decides = re.search(r"two answers: .* A landmark at target vertex \d+ decides", page.text("map"))
+        assert decides is not None, page.text("map")
         # A box on a cube: other answers are buttons.
         before = page.text("map")
         page.button("source", page.until(lambda: page.answers()[1:], "other answers")[0])
@@ -53,6 +99,9 @@ def test_parts_are_chosen_and_other_answers_are_one_click_away(tmp_path: Path, b
         assert page.text("map") != before
         page.choose("target", "Source part", "object:body", exact=False)
         page.until(lambda: ", body, " in page.text("names"), "the body")
+        page.until(lambda: "look at it: " in page.text("map"), "that a body on a box is not sure")
+        page.choose("target", "Target part", "object:body", exact=False)
+        page.until(lambda: "nearly as well: sure" in page.text("map"), "that a body on a body is")
 
 
 def test_another_machine_needs_the_token(tmp_path: Path, browser: Any) -> None:

@@ -39,7 +39,15 @@ from cagemap.files.landmarks import read_landmarks
 from cagemap.files.manifest import stated_inputs
 from cagemap.files.merged import merge_results
 from cagemap.files.meshes import read_mesh, read_whole
-from cagemap.files.result import ARRAYS, MANIFEST, check_result_folder, landmark_messages, peak_memory, write_result
+from cagemap.files.result import (
+    ARRAYS,
+    MANIFEST,
+    assurance,
+    check_result_folder,
+    landmark_messages,
+    peak_memory,
+    write_result,
+)
 from cagemap.files.surface_store import prepared
 from cagemap.files.usd_space import unit_notes
 from cagemap.mesh import ControlMesh
@@ -275,7 +283,7 @@ def summary(result: MatchResult, folder: Path, seconds: float) -> str:
     lines = [
         f"{result.source.control.name} -> {result.target.control.name}: {len(result.target.vertices):,} target and "
         f"{len(result.source.vertices):,} source vertices in {seconds:.1f} s",
-        f"  {landmark_summary(result)}{_assured(manifest)}",
+        "  " + "; ".join(filter(None, (landmark_summary(result), assurance(manifest)))),
         f"  {100 * quality['flipped_area']:.2f} % folded, {100 * quality['coverage']:.1f} % of the source covered",
         f"wrote {folder}; next: cagemap transfer {typed} --texture IMG -o OUT.png, or cagemap report {typed}",
     ]
@@ -303,17 +311,6 @@ def landmark_summary(result: MatchResult) -> str:
 
 
 def warnings(result: MatchResult) -> list[str]:
-    """Notes and warnings of a result; being sure is nothing to warn of."""
+    """Notes and warnings of a result."""
     manifest = result.manifest
-    about = [text for text in landmark_messages(manifest) if not (_assured(manifest) and text == _confidence(manifest))]
-    return [*manifest["notes"], *about, *manifest["quality"]["warnings"]]
-
-
-def _assured(manifest: dict[str, Any]) -> str:
-    """What is said of a map with few landmarks or none that is sure, for the summary; nothing of others."""
-    sure = (manifest.get("confidence") or {}).get("verdict") == "sure"
-    return f"; {_confidence(manifest)}" if sure else ""
-
-
-def _confidence(manifest: dict[str, Any]) -> str:
-    return str((manifest.get("confidence") or {}).get("message", ""))
+    return [*manifest["notes"], *landmark_messages(manifest), *manifest["quality"]["warnings"]]

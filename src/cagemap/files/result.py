@@ -43,6 +43,7 @@ from cagemap.files.mesh_arrays import (
 )
 from cagemap.files.npz import read_npz, write_npz
 from cagemap.files.result_values import (
+    assurance,
     landmark_messages,
     stored_basis,
     stored_check,
@@ -65,6 +66,7 @@ from cagemap.refinement.counts import vertex_counts
 __all__ = [
     "ARRAYS",
     "MANIFEST",
+    "assurance",
     "check_result_folder",
     "file_hash",
     "input_file",

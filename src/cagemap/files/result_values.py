@@ -93,10 +93,16 @@ def stored_confidence(
 _CURVE_MISSED = 0.005
 
 
+def assurance(manifest: dict[str, Any]) -> str:
+    """What a manifest says of a map with few landmarks or none that is sure, which warns of nothing; else nothing."""
+    confidence = manifest.get("confidence") or {}
+    return str(confidence.get("message", "")) if confidence.get("verdict") == SURE else ""
+
+
 def landmark_messages(manifest: dict[str, Any]) -> list[str]:
-    """Sentences of a manifest about landmarks: how sure a map without them is, what is left out or missed, notes."""
+    """What a manifest warns of about landmarks: a map that is not sure without them, what is left out or missed."""
     check, confidence = manifest.get("landmark_check") or {}, manifest.get("confidence") or {}
-    sure = [str(confidence["message"])] if "message" in confidence else []
+    doubt = [str(confidence["message"])] if "message" in confidence and not assurance(manifest) else []
     left_out = [str(suspect["message"]) for suspect in check.get("suspects", [])]
     missed = [
         f"curve '{curve['name']}' is missed by {100 * curve['mean']:.1f} % of the model's size (at most "
@@ -104,4 +110,4 @@ def landmark_messages(manifest: dict[str, Any]) -> list[str]:
         for curve in manifest.get("curves") or []
         if curve["mean"] > _CURVE_MISSED
     ]
-    return sure + left_out + missed + list(map(str, check.get("notes", [])))
+    return doubt + left_out + missed + list(map(str, check.get("notes", [])))

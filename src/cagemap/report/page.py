@@ -14,7 +14,8 @@ import OpenImageIO as oiio
 
 from cagemap.errors import FormatError
 from cagemap.files.marks import mark
-from cagemap.files.result import landmark_messages
+from cagemap.files.result import assurance, landmark_messages
+from cagemap.maps.hypotheses.confidence import SURE, TWO
 from cagemap.maps.result import MatchResult
 from cagemap.pictures import Image, distinct_colors
 from cagemap.report.figures import Figure, Gallery
@@ -26,6 +27,8 @@ _VERDICTS = {
     "fair": "The map is usable; look at the places named below.",
     "poor": "Do not use this map as it is.",
 }
+# In place of "usable", where a map with few landmarks or none is not sure.
+_UNSURE = "Look at this map first: it may not be the right one."
 _STYLE = "style.css"
 
 
@@ -40,7 +43,7 @@ def build_page(result: MatchResult, gallery: Gallery, panels: tuple[Panel, ...] 
     style = resources.files("cagemap.report").joinpath(_STYLE).read_text(encoding="utf-8")
     sections = [
         _header(result, title, verdict),
-        _warnings(warnings, [str(note) for note in (manifest.get("notes") or [])]),
+        _warnings(warnings, [*filter(None, [assurance(manifest)]), *map(str, manifest.get("notes") or [])]),
         _section(
             f"The {escape(gallery.appearance)}, transferred",
             "Left the source as it came, right the target with what it received, from the same directions.",
@@ -115,11 +118,13 @@ def _header(result: MatchResult, title: str, verdict: str) -> str:
         f"{len(result.source.vertices):,} source vertices",
         f"{len(result.landmarks)} landmarks",
     ]
+    unsure = result.confidence is not None and result.confidence.verdict != SURE
+    said = _UNSURE if unsure and verdict == "fair" else _VERDICTS[verdict]
     seconds = _total(manifest.get("timings") or {})
     chips += [f"{seconds:.1f} s"] if seconds else []
     return (
         f'<header>\n<p class="brand">cagemap</p>\n<h1>{escape(title)}</h1>\n'
-        f'<p class="verdict {verdict}">{_VERDICTS[verdict]}</p>\n'
+        f'<p class="verdict {verdict}">{said}</p>\n'
         '<ul class="chips">' + "".join(f"<li>{chip.replace(',', ' ')}</li>" for chip in chips) + "</ul>\n</header>"
     )
 
@@ -163,10 +168,11 @@ def _answers(result: MatchResult, gallery: Gallery) -> str:
         for found, (runner, apart) in zip(gallery.maps, gallery.answers, strict=True)
     )
     lead = (
-        "Colours say where on the source a point goes, as above: one of the two maps has the source's colours in the "
-        "right places. A landmark where they differ decides; answer 1 of a match is the other."
+        "Colours say where on the source a point goes, as above: the right map has the source's colours in the right "
+        "places. A landmark where they differ decides; answer 1 of a match is the other."
     )
-    return _section("Two answers: which is right?", lead, body)
+    title = "Two answers" if result.confidence.verdict == TWO else "The next best answer"
+    return _section(f"{title}: which is right?", lead, body)
 
 
 def _merits(merits: list[Any]) -> str:

@@ -57,10 +57,10 @@ def turn(rest: RestShape, positions: FloatArray) -> float:
 
 
 def limb_turn(rest: RestShape, positions: FloatArray) -> float:
-    """How far single limbs are posed otherwise: what `turns` are at least on `LIMB` of the area."""
+    """How far single limbs are posed otherwise: what `turns` are at least on `LIMB` of the area that is not masked."""
     angles = turns(rest, positions)
     order = np.argsort(-angles)
-    covered = np.cumsum(rest.graph.areas[order])
+    covered = np.cumsum((rest.graph.areas * rest.masks.of_target(rest.graph.n))[order])
     return float(angles[order[np.searchsorted(covered, LIMB * covered[-1])]])
 
 
