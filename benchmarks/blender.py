@@ -12,11 +12,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from examples.shapes import creature, cube, grid
 from scipy.spatial import cKDTree
 
 from cagemap.files.usd import read_usd
 from cagemap.files.usd_write import write_usd
-from cagemap.mesh import CatmullClark, ControlMesh, creature, cube, grid
+from cagemap.mesh import CatmullClark, ControlMesh
 from cagemap.refinement import refine
 
 LEVEL = 3

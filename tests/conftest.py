@@ -100,7 +100,8 @@ def result_folder(tmp_path: Path) -> Path:
 @pytest.fixture(scope="module")
 def creature_at_3() -> tuple[Refinement, float]:
     """The creature's refinement to level 3, and what brings it to unit area."""
-    from cagemap.mesh.shapes import creature
+    from examples.shapes import creature
+
     from elastic_shapes import unit_refinement
 
     return unit_refinement(creature(), 3)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from examples.shapes import cube
 
 from cagemap.basis import BasisConfig, Surface
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.result import MatchResult, SpectralMap
-from cagemap.mesh import ControlMesh, cube
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.refinement import CatmullClark, refine
 

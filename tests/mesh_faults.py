@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from examples.shapes import bipyramid, cube, disk, grid, icosahedron, pyramid, tetrahedron, torus, voxels
 
 from cagemap.errors import InvalidMeshError
-from cagemap.mesh import ControlMesh, bipyramid, cube, disk, grid, icosahedron, pyramid, tetrahedron, torus, voxels
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import check_mesh, require_valid
 
 SHAPES: dict[str, tuple[Callable[[], ControlMesh], int, int]] = {  # genus, boundary loops

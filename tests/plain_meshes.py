@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from examples.shapes import creature, icosahedron
 
-from cagemap.mesh import ControlMesh, Loop, Plain, creature, icosahedron
+from cagemap.mesh import ControlMesh, Loop, Plain
 from cagemap.refinement import finest_mesh, level_triangles, refine
 
 

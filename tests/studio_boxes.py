@@ -8,11 +8,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from examples.shapes import cube
 
 from cagemap.cli.option_list import all_options
 from cagemap.files.images import write_image
 from cagemap.files.meshes import write_mesh
-from cagemap.mesh.shapes import cube
 from cagemap.studio.autosave import autosave_path
 from cagemap.studio.opening import default_files
 from cagemap.studio.session import Session

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from examples.shapes import creature
 from scipy.spatial import cKDTree
 
 from cagemap.geometry.points import SurfacePoints
@@ -18,7 +19,6 @@ from cagemap.maps.elastic.graph import ElasticGraph, mesh_graph
 from cagemap.maps.elastic.prepared import RestShape
 from cagemap.maps.elastic.ties import Ties
 from cagemap.maps.projection.project import facing_points
-from cagemap.mesh.shapes import creature
 from cagemap.refinement import refine
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import cube
 
 from cagemap.errors import CagemapError, FormatError
 from cagemap.files.atomic import atomic_folder, atomic_path
@@ -22,7 +23,6 @@ from cagemap.files.maps import write_map
 from cagemap.files.marks import mark
 from cagemap.files.meshes import write_mesh
 from cagemap.files.result import write_result
-from cagemap.mesh import cube
 from cagemap.refinement import refine
 from cagemap.refinement.finest import finest_mesh
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from examples import shapes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -21,7 +22,6 @@ from cagemap.basis.overlap import clusters, new_directions
 from cagemap.basis.smoothing import smoother
 from cagemap.errors import ParameterError
 from cagemap.files.meshes import read_mesh
-from cagemap.mesh import shapes
 from cagemap.operators import build_operators
 from cagemap.refinement import refine
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from examples.shapes import creature
 
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.elastic import ends
@@ -14,7 +15,6 @@ from cagemap.maps.elastic.constants import PARTS_APART
 from cagemap.maps.elastic.ends import FineFit, best_parts
 from cagemap.maps.elastic.fit import CoarseFit
 from cagemap.maps.elastic.graph import ElasticGraph, mesh_graph
-from cagemap.mesh import creature
 from cagemap.refinement import level_triangles, refine
 
 

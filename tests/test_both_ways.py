@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from examples.shapes import creature
 
 from cagemap.basis import BasisConfig, Surface, hierarchical_basis
 from cagemap.geometry.closest import build_tree, closest_points
@@ -15,7 +16,6 @@ from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import Pair, PointPairs
 from cagemap.mesh.parts import extract
-from cagemap.mesh.shapes import creature
 from cagemap.operators import build_operators
 from cagemap.refinement import refine
 

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from examples.shapes import bipyramid, cube, grid, pyramid, tetrahedron, torus
 from hypothesis import given, settings
 
 from cagemap.errors import InvalidMeshError
-from cagemap.mesh import ControlMesh, bipyramid, cube, grid, pyramid, tetrahedron, torus
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import check_mesh, keep_faces, require_valid
 from cagemap.mesh.geometry_checks import with_openings_closed
 from cagemap.mesh.mesh_report import MeshReport

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import cube, icosahedron
 
 from cagemap import __version__
 from cagemap.cli.progress import Stages
 from cagemap.files.images import read_image
 from cagemap.files.meshes import read_mesh, write_mesh
 from cagemap.files.result import read_result
-from cagemap.mesh import cube, icosahedron
 from command_line import Run
 
 from example_result import textured_cube

@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from examples.shapes import creature, cube, grid, icosahedron, poles, pyramid, tetrahedron
 
 from cagemap.basis import BasisConfig
 from cagemap.descriptors import mirror_symmetries
 from cagemap.errors import InvalidMeshError
-from cagemap.mesh import ControlMesh, creature, cube, grid, icosahedron, poles, pyramid, tetrahedron
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import check_mesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import match, prepare_surface

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import cube, icosahedron, voxels
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
@@ -25,7 +26,7 @@ from cagemap.maps.curves import curve_pairs, edge_vertices, refined_edges
 from cagemap.maps.elastic.anchors import Anchors
 from cagemap.maps.elastic.curves import PulledCurve
 from cagemap.maps.spectral.constraints import curve_rows
-from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, cube, icosahedron, voxels
+from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
 from cagemap.mesh.curves import CageCurves, Curves, chain_of_edges, curve_faults
 from cagemap.mesh.landmarks import Landmarks, NamedPoints, check_landmarks, paired
 from cagemap.mesh.topology import edge_table

@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from examples import shapes
+from examples.shapes import icosahedron
 from scipy.io import mmwrite
 
 from cagemap.basis import BasisConfig
@@ -45,7 +47,6 @@ from cagemap.library.run import kept_outcome
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.result import MatchResult
 from cagemap.maps.spectral.levels import LevelMap
-from cagemap.mesh import icosahedron, shapes
 from cagemap.mesh.landmarks import on_cage
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.pipeline import prepare_surface

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from examples import shapes
 
 from cagemap.basis import BasisConfig
 from cagemap.descriptors import (
@@ -21,7 +22,6 @@ from cagemap.errors import ParameterError
 from cagemap.functional_map import MapWeights, solve_functional_map
 from cagemap.maps.pair import Pair
 from cagemap.maps.spectral.constraints import DescriptorConfig, gather_constraints
-from cagemap.mesh import shapes
 from cagemap.pipeline import prepare_surface
 
 RNG = np.random.default_rng(314)

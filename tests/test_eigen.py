@@ -6,12 +6,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from examples import shapes
 from scipy import sparse
 from scipy.sparse.linalg import eigsh
 
 from cagemap.basis import band_pairs, eigen, exact_basis, lowest_pairs
 from cagemap.errors import ParameterError, SolverError
-from cagemap.mesh import shapes
 from cagemap.numerics import factorization
 from cagemap.numerics.products import _multiply_rows, multiply
 from cagemap.operators import build_operators

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from examples.shapes import creature
 from scipy import sparse
 
 from cagemap.errors import InvalidLandmarksError, ParameterError
@@ -23,7 +24,6 @@ from cagemap.maps.projection.project import project, unfold
 from cagemap.maps.quality import measure_quality
 from cagemap.maps.spectral.landmark_coordinates import interpolants
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.shapes import creature
 from cagemap.numerics.factorization import factor
 from cagemap.operators import build_operators
 from cagemap.refinement import Refinement, refine

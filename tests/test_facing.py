@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from examples import shapes
 
 from cagemap.basis import BasisConfig
 from cagemap.maps.spectral import facing
@@ -13,7 +14,6 @@ from cagemap.maps.spectral.facing import LevelMesh, with_normals
 from cagemap.maps.spectral.hierarchical import search_near_few, search_samples
 from cagemap.maps.spectral.samples import Samples, fit_both_ways, fit_functional_map
 from cagemap.maps.spectral.search import nearest_both_ways, nearest_rows
-from cagemap.mesh import shapes
 from cagemap.pipeline import prepare_surface
 
 RNG = np.random.default_rng(1905)

@@ -6,10 +6,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from examples import shapes
 from scipy import sparse
 
 from cagemap.errors import ParameterError, SolverError
-from cagemap.mesh import shapes
 from cagemap.numerics import factorization
 from cagemap.numerics.factorization import analyze, factor, factor_general
 from cagemap.operators import build_operators

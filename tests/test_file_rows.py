@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import creature, poles
 
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.progress import Stages
@@ -21,7 +22,7 @@ from cagemap.files.attributes import read_attributes
 from cagemap.files.file_rows import FileRows
 from cagemap.files.landmarks import read_landmarks, write_landmarks
 from cagemap.files.meshes import read_mesh, write_mesh
-from cagemap.mesh import ControlMesh, creature, poles
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract, find_part

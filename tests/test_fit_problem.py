@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from examples.shapes import creature
 
 from cagemap.maps.elastic.config import Stage
 from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.pair import Pair
-from cagemap.mesh.shapes import creature
 from cagemap.pipeline import prepare_pair, prepare_surface
 
 TARGET, SOURCE = np.array([40, 3, 17]), np.array([41, 5, 16])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from examples import shapes
 
 from cagemap import research
 from cagemap.basis import BasisConfig
@@ -14,7 +15,7 @@ from cagemap.descriptors.spectral import heat_filters
 from cagemap.errors import ParameterError
 from cagemap.files.attributes import read_attributes
 from cagemap.files.meshes import read_mesh, write_mesh
-from cagemap.mesh import Plain, shapes
+from cagemap.mesh import Plain
 from cagemap.pipeline import prepare_surface
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from benchmarks.geodesic import HeatDistances
+from examples.shapes import icosahedron
 
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
-from cagemap.mesh.shapes import icosahedron
 from cagemap.refinement import level_triangles, refine
 
 

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import pyramid
 from scipy.spatial import cKDTree
 
 from cagemap.errors import FormatError
 from cagemap.files.marks import is_own
 from cagemap.files.meshes import read_mesh, write_mesh
-from cagemap.mesh import pyramid
 from cagemap.refinement import finest_mesh, refine
 
 from example_result import textured_cube

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import cube
 
 from cagemap.basis import BasisConfig
 from cagemap.cli import main
@@ -27,7 +28,6 @@ from cagemap.files.landmarks import write_landmarks
 from cagemap.files.meshes import read_mesh, write_mesh
 from cagemap.files.result import read_result, write_result
 from cagemap.files.surface_store import surface_key
-from cagemap.mesh import cube
 
 from example_result import identity_result
 

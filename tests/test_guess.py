@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from examples import shapes
 
 from cagemap.basis import (
     BasisConfig,
@@ -15,7 +16,6 @@ from cagemap.basis import (
     pairs_from_guess,
 )
 from cagemap.basis.ritz import Ritz, extended
-from cagemap.mesh import shapes
 from cagemap.operators import build_operators
 from cagemap.refinement import refine
 

@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from examples.shapes import creature, cube, voxels
 from scipy.spatial import cKDTree
 
 from cagemap.errors import InvalidLandmarksError
@@ -23,7 +24,6 @@ from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract
 from cagemap.mesh.schemes import Scheme
-from cagemap.mesh.shapes import creature, cube, voxels
 from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_pair, prepare_surface
 from cagemap.refinement import refine
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from examples import shapes
 
 from cagemap.geometry.triangles import triangle_areas
 from cagemap.maps.quality import dirichlet_energy
 from cagemap.maps.spectral import joining
 from cagemap.maps.spectral.joining import joined_match, parts_apart
-from cagemap.mesh import shapes
 from cagemap.refinement import level_triangles, refine
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import creature, cube
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,7 +23,6 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.cage_points import NamedCurve
 from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, check_landmarks, on_cage, paired
 from cagemap.mesh.measures import cage_triangles
-from cagemap.mesh.shapes import creature, cube
 
 NOWHERE = (np.nan,) * 3
 

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import cube, torus
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cagemap.errors import DirectionError, FormatError, InvalidLandmarksError
 from cagemap.files.landmarks import read_landmarks, write_landmarks
 from cagemap.files.meshes import read_mesh
-from cagemap.mesh import cube, torus
 from cagemap.mesh.landmarks import CagePoints, Landmarks, check_landmarks
 from test_obj import QUICK
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from examples import shapes
 from scipy import linalg
 
 from cagemap.basis import BasisConfig, exact_basis, hierarchical_basis
 from cagemap.descriptors import heat_filters, heat_times, landmark_descriptors, signatures
 from cagemap.errors import ParameterError
-from cagemap.mesh import shapes
 from cagemap.operators import build_operators
 from cagemap.refinement import refine
 

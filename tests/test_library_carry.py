@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import creature
 from typer.testing import CliRunner
 
 from cagemap.basis.prepare import prepare_surface
@@ -24,7 +25,6 @@ from cagemap.library import Plan, plan_job, read_job, spanning_tree
 from cagemap.library.carry import carried_notes, carry_landmarks, with_carried
 from cagemap.library.ways import with_ways
 from cagemap.maps.places import cage_points_of, located
-from cagemap.mesh import creature
 from cagemap.mesh.landmarks import NamedPoints
 
 from example_result import identity_result

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import torus
 
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.library import Plan, Task
@@ -19,7 +20,6 @@ from cagemap.library.consistency import (
 )
 from cagemap.library.ways import composed_map, has_ways_round, with_ways
 from cagemap.maps.point_map import PointMap
-from cagemap.mesh import torus
 from cagemap.refinement import refine
 
 NAMES = "abcdef"

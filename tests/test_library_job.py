@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
+from examples.shapes import cube, icosahedron, torus
 
 from cagemap.cli.job_file import COMMANDS as REAL
 from cagemap.cli.job_file import WRITTEN
@@ -16,7 +17,6 @@ from cagemap.library import Job, Plan, Task, plan_job, read_job, spanning_tree
 from cagemap.library.job_checks import line_of
 from cagemap.library.job_schema import Scheme
 from cagemap.library.tree import shape_distribution
-from cagemap.mesh import cube, icosahedron, torus
 from cagemap.mesh.schemes import SCHEMES
 
 

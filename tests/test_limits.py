@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from examples.shapes import bipyramid, creature, cube, disk, grid, icosahedron, poles, pyramid, triangulated
 
 from cagemap.errors import ParameterError
-from cagemap.mesh import ControlMesh, bipyramid, creature, cube, disk, grid, icosahedron, poles, pyramid, triangulated
+from cagemap.mesh import ControlMesh
 from cagemap.refinement import CatmullClark, Loop, limit_matrix, limit_normals, limit_positions, refine, triangles
 from cagemap.refinement.limit import limit_tangents
 

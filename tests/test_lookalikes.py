@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import creature, triangulated
 
 from cagemap.files.meshes import read_mesh
 from cagemap.geometry.triangles import triangle_areas
-from cagemap.mesh import creature, triangulated
 from cagemap.refinement import level_triangles, refine
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))

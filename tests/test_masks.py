@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import creature, cube, icosahedron
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -32,7 +33,7 @@ from cagemap.maps.elastic.graph import mesh_graph
 from cagemap.maps.mask_values import face_mask, soft_edge, vertex_mask
 from cagemap.maps.masks import Masks
 from cagemap.maps.quality import measure_quality
-from cagemap.mesh import ControlMesh, creature, cube, icosahedron
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import find_part
 from cagemap.pipeline import MatchConfig

@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from examples import shapes
 
 from cagemap.basis import BasisConfig, hierarchical_basis
 from cagemap.cli.bases import require_level_or_vertices, side_bases, side_levels
@@ -18,7 +19,6 @@ from cagemap.files.meshes import write_mesh
 from cagemap.files.result import read_result
 from cagemap.files.symmetry import read_symmetry
 from cagemap.maps.spectral.hierarchical import Growth, HierarchyConfig
-from cagemap.mesh import shapes
 from cagemap.operators import AlexaWardetzky, build_operators
 from cagemap.pipeline import MAP_BASIS, MatchConfig, default_basis
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import cube
 
 from cagemap.errors import MissingLibraryError
 from cagemap.example import example_pair
 from cagemap.files.meshes import write_mesh
-from cagemap.mesh import cube
 from cagemap.numerics import factorization
 from cagemap.numerics.libraries import library
 from cagemap.pictures.render import Model

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import voxels
 from scipy.spatial.transform import Rotation
 
 from cagemap.files.obj import read_obj
@@ -16,7 +17,6 @@ from cagemap.maps.hypotheses.confidence import LOOK, SURE, SURE_MIRRORED, TWO, C
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.shapes import voxels
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pipeline import MatchResult, choose_level, match, prepare_surface
 

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import cube
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cagemap.errors import CagemapError, FormatError
 from cagemap.files.meshes import check_mesh_path, read_mesh, write_mesh
 from cagemap.files.obj import read_obj, write_obj
-from cagemap.mesh import ControlMesh, cube
+from cagemap.mesh import ControlMesh
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 # What str.splitlines and friends take for line ends or blanks may stand inside a name.

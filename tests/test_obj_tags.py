@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import cube, icosahedron
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cagemap.errors import FormatError
 from cagemap.files.obj import read_obj, write_obj
-from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Scheme, cube, icosahedron
+from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Scheme
 
 # A cube as OpenSubdiv's shape files have it: tags are 0-based, faces 1-based.
 TAGGED = """\

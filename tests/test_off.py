@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import creature, cube, icosahedron, triangulated
 
 from cagemap.errors import FormatError
 from cagemap.files.meshes import read_mesh, write_mesh
-from cagemap.mesh import creature, cube, icosahedron, triangulated
 
 BOX = """OFF # a square and a triangle
 # by hand

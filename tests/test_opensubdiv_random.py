@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import bipyramid, cube, disk, grid, icosahedron, poles, pyramid, torus, triangulated
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from cagemap.mesh import ControlMesh, bipyramid, cube, disk, grid, icosahedron, poles, pyramid, torus, triangulated
+from cagemap.mesh import ControlMesh
 from cagemap.refinement import (
     Bilinear,
     CatmullClark,

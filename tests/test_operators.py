@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from examples import shapes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
@@ -13,7 +14,7 @@ from scipy import sparse
 from cagemap.basis import exact_basis
 from cagemap.errors import ParameterError
 from cagemap.geometry.triangles import triangle_areas
-from cagemap.mesh import ControlMesh, shapes
+from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.operators import (
     AlexaWardetzky,

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import creature, cube, grid, icosahedron, poles, pyramid, torus
 
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.match_parts import asked_parts, chosen_parts
@@ -20,7 +21,7 @@ from cagemap.files.landmarks import write_landmarks
 from cagemap.files.merged import part_numbers
 from cagemap.files.obj import write_obj
 from cagemap.files.result import read_result
-from cagemap.mesh import CatmullClark, ControlMesh, Loop, creature, cube, grid, icosahedron, poles, pyramid, torus
+from cagemap.mesh import CatmullClark, ControlMesh, Loop
 from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.mesh.parts import components, extract, find_part, list_parts, material_pieces, pair_parts

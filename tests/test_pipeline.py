@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 from benchmarks.truth import compare_with_truth, true_map
+from examples import shapes
 
 from cagemap import (
     BasisConfig,
@@ -25,7 +26,6 @@ from cagemap.example import example_pair
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.pair import Pair
 from cagemap.maps.spectral.levels import ladder, search_levels
-from cagemap.mesh import shapes
 from cagemap.refinement import CatmullClark, Loop
 
 BASIS = BasisConfig(count=60)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from examples.shapes import creature, cube, grid, torus
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
@@ -16,7 +17,7 @@ from cagemap.geometry.flips import delaunay
 from cagemap.geometry.triangles import triangle_normals
 from cagemap.maps.hypotheses.confidence import Confidence, Reading
 from cagemap.maps.inner import inner_reading, outer_confidence
-from cagemap.mesh import ControlMesh, Plain, creature, cube, grid, mend, torus
+from cagemap.mesh import ControlMesh, Plain, mend
 from cagemap.mesh.checks import check_mesh, require_valid
 from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import creature
 from typer.testing import CliRunner
 
 from cagemap.cli.app import app
@@ -21,7 +22,7 @@ from cagemap.files.meshes import read_mesh, write_mesh
 from cagemap.files.result import read_result
 from cagemap.files.surface_store import prepared
 from cagemap.geometry.closest import build_tree, closest_points
-from cagemap.mesh import ControlMesh, creature
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import update_match

@@ -9,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import cube, grid
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cagemap.errors import CagemapError, FormatError
 from cagemap.files.meshes import read_mesh, write_mesh
 from cagemap.files.ply import read_ply, write_ply
-from cagemap.mesh import ControlMesh, cube, grid
+from cagemap.mesh import ControlMesh
 from test_obj import QUICK, polygon_meshes
 
 HEADER = "ply\nformat ascii 1.0\ncomment made by hand\nelement vertex 4\n" + "".join(

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from examples.shapes import creature
 
 from cagemap.basis import BasisConfig, Surface, hierarchical_basis
 from cagemap.geometry.surface import TriangleSurface
@@ -21,7 +22,6 @@ from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.masks import Masks
 from cagemap.maps.pair import Pair
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.shapes import creature
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.rotations import nearest_rotations
 from cagemap.operators import build_operators

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from examples.shapes import creature
 from scipy import sparse
 
 from cagemap.geometry.points import SurfacePoints
@@ -14,7 +15,6 @@ from cagemap.maps.projection import relax as folds
 from cagemap.maps.projection.project import control_points, project
 from cagemap.maps.projection.relax import relax_folds
 from cagemap.maps.quality import flipped_triangles
-from cagemap.mesh.shapes import creature
 from cagemap.refinement import Refinement, level_triangles, refine
 from elastic_shapes import mesh_of, prepared_at, surface_of
 

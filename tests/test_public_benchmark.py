@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import creature, triangulated
 from scipy.io import savemat
 
 from cagemap.files.meshes import write_mesh
-from cagemap.mesh import ControlMesh, creature, triangulated
+from cagemap.mesh import ControlMesh
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.public import sets

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from benchmarks.truth import compare_with_truth, round_trip, true_map
+from examples.shapes import torus
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull, cKDTree
@@ -23,7 +24,6 @@ from cagemap.maps.quality import (
     stretches,
     weighted_percentiles,
 )
-from cagemap.mesh.shapes import torus
 from cagemap.numerics.threads import thread_limit
 from cagemap.refinement import level_triangles, refine
 from closest_reference import closest_points_slowly

@@ -8,12 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
-from cagemap.errors import InvalidMeshError, ParameterError
-from cagemap.mesh import (
-    ControlMesh,
+from examples.shapes import (
     bipyramid,
     creature,
     cube,
@@ -26,6 +21,11 @@ from cagemap.mesh import (
     torus,
     triangulated,
 )
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cagemap.errors import InvalidMeshError, ParameterError
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.measures import cage_triangles
 from cagemap.refinement import (

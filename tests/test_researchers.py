@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples import shapes
 
 from cagemap import research
 from cagemap.basis import BasisConfig
 from cagemap.errors import ParameterError
 from cagemap.files.result import read_result
-from cagemap.mesh import shapes
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "researchers.md"
 BASIS = BasisConfig(schedule=(20, 10))

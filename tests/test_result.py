@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import cube, icosahedron
 
 from cagemap.basis import BasisConfig, Surface
 from cagemap.errors import FormatError
@@ -36,7 +37,6 @@ from cagemap.maps.hypotheses.confidence import (
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.result import MatchResult, SpectralMap
-from cagemap.mesh import cube, icosahedron
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.refinement import CatmullClark, Loop, refine
 

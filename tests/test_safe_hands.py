@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from examples.shapes import cube
 
 from cagemap.cli.demo import run_demo
 from cagemap.cli.match import MatchRequest, run_match
@@ -34,7 +35,6 @@ from cagemap.files.marks import is_own
 from cagemap.files.meshes import read_mesh, write_mesh
 from cagemap.files.npz import write_npz
 from cagemap.files.result import MANIFEST, file_hash, read_result, write_result
-from cagemap.mesh import cube
 from cagemap.report import build_page
 from cagemap.report.figures import Gallery
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from examples import shapes
 from scipy import sparse
 
 from cagemap.functional_map import Constraints, SpectralData, coarse_functional_map
@@ -17,7 +18,6 @@ from cagemap.maps.spectral.vertex_to_point import (
     vertex_to_point,
     vertex_triangles,
 )
-from cagemap.mesh import shapes
 from cagemap.refinement import refine, triangles
 from search_reference import closest_on_triangle, nearest_candidates_reference, vertex_to_point_reference
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from examples import shapes
 from scipy import sparse
 from scipy.sparse import linalg
 
 from cagemap.basis import exact_basis
 from cagemap.basis.constants import CONDITION
 from cagemap.basis.smoothing import _chebyshev_rows, residuals, smoother
-from cagemap.mesh import shapes
 from cagemap.operators import build_operators
 from cagemap.refinement import refine
 

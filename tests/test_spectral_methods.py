@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from benchmarks.accuracy.data import HUMANS
+from examples import shapes
 
 from cagemap.basis import BasisConfig
 from cagemap.errors import ParameterError
@@ -20,7 +21,6 @@ from cagemap.maps.spectral.joining import joined_match
 from cagemap.maps.spectral.levels import search_levels
 from cagemap.maps.spectral.paper import PaperConfig, orthonormal, paper_map
 from cagemap.maps.spectral.samples import fit_functional_map
-from cagemap.mesh import shapes
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import MatchConfig, default_basis, match, prepare_surface
 from judged_pairs import THREE, Judged

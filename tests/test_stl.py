@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import icosahedron
 
 from cagemap.errors import FormatError
 from cagemap.files.meshes import read_mesh
-from cagemap.mesh import ControlMesh, icosahedron
+from cagemap.mesh import ControlMesh
 
 
 def _corners(mesh: ControlMesh) -> np.ndarray:

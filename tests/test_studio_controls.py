@@ -14,12 +14,12 @@ from urllib.request import urlopen
 
 import numpy as np
 import pytest
+from examples.shapes import creature, cube
 
 from browser_page import Page, studio
 from cagemap.cli import main
 from cagemap.files.meshes import write_mesh
 from cagemap.mesh.join import join_meshes
-from cagemap.mesh.shapes import creature, cube
 from cagemap.studio.opening import built_in_files
 from test_studio_parts import named
 

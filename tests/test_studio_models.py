@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from examples.shapes import creature, cube
 from scipy.spatial import cKDTree
 
 from cagemap.cli.option_list import all_options
@@ -23,7 +24,6 @@ from cagemap.files.images import write_image
 from cagemap.files.meshes import write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.parts import extract
-from cagemap.mesh.shapes import creature, cube
 from cagemap.refinement import refine
 from cagemap.studio.bench import (
     Bench,

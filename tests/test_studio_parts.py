@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import creature, cube, icosahedron, triangulated
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -20,7 +21,6 @@ from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.mesh.parts import extract, in_one_piece, list_parts, numbers_on_part
-from cagemap.mesh.shapes import creature, cube, icosahedron, triangulated
 from cagemap.refinement import refine
 from cagemap.studio.autosave import autosave_path, kept_parts, read_autosave, write_autosave
 from cagemap.studio.bench import Bench, Opening, OpenModels, perform

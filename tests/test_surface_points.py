@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from examples.shapes import creature, torus
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -12,7 +13,6 @@ from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import fan_triangles, surface_area, triangles
 from cagemap.maps.point_map import PointMap
-from cagemap.mesh import creature, torus
 from cagemap.refinement import refine
 
 

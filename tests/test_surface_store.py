@@ -10,11 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from examples import shapes
 
 from cagemap.basis import BasisConfig
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.surface_store import SUFFIX, load_surface, prepared, save_surface, surface_key
-from cagemap.mesh import shapes
 from cagemap.pipeline import MatchConfig, match, prepare_surface
 from cagemap.refinement import CatmullClark
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from examples import shapes
 
 from cagemap.basis import BasisConfig, Surface, hierarchical_basis
 from cagemap.descriptors import (
@@ -18,7 +19,7 @@ from cagemap.errors import ParameterError
 from cagemap.files.obj import read_obj
 from cagemap.maps.pair import Pair
 from cagemap.maps.spectral.constraints import paired_mirrors
-from cagemap.mesh import ControlMesh, shapes
+from cagemap.mesh import ControlMesh
 from cagemap.operators import build_operators
 from cagemap.refinement import refine
 

@@ -7,11 +7,11 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from examples import shapes
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from cagemap.basis import BasisConfig
 from cagemap.errors import ParameterError
-from cagemap.mesh import shapes
 from cagemap.numerics.threads import ThreadPool, core_count, in_threads, kept, one_blas_thread, thread_limit
 from cagemap.pipeline import prepare_surface, prepare_surfaces
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import creature, cube
 
 from cagemap.basis import Surface
 from cagemap.files.landmarks import read_landmarks
@@ -36,7 +37,6 @@ from cagemap.maps.hypotheses.tips import (
 from cagemap.maps.masks import Masks
 from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.shapes import creature, cube
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pipeline import MatchConfig, match, pair_of, prepare_pair, prepare_surface
 from cagemap.refinement import refine

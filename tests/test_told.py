@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import creature
 
 from cagemap.cli.entry import SIGNALLED, WRONG_INPUT
 from cagemap.cli.told import _run
 from cagemap.files.meshes import write_mesh
-from cagemap.mesh.shapes import creature
 from cagemap.studio.wrote import command_line, ended, ended_line
 
 TOLD = (sys.executable, "-m", "cagemap.cli.told")

@@ -6,10 +6,11 @@ from collections import defaultdict
 from itertools import pairwise
 
 import numpy as np
+from examples.shapes import bipyramid, cube, grid, torus
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cagemap.mesh import ControlMesh, bipyramid, cube, grid, torus
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import check_mesh, duplicate_faces, keep_faces
 from cagemap.mesh.measures import cage_triangles, face_areas, face_extents, signed_volume
 from cagemap.mesh.topology import (

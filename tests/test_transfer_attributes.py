@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import cube
 
 from cagemap.errors import FormatError, ParameterError
 from cagemap.files.attributes import read_attributes, write_attributes
-from cagemap.mesh import ControlMesh, cube
+from cagemap.mesh import ControlMesh
 from cagemap.refinement import Level, refine
 from cagemap.transfer import (
     BakeOptions,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from examples.shapes import torus
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -11,7 +12,6 @@ from cagemap.errors import ParameterError
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import triangle_areas, triangle_neighbors
 from cagemap.maps.point_map import PointMap
-from cagemap.mesh import torus
 from cagemap.refinement import Level, refine
 from cagemap.transfer import (
     BakeOptions,

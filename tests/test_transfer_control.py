@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from examples.shapes import cube, icosahedron
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
@@ -12,7 +13,7 @@ from cagemap.errors import ParameterError
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.point_map import PointMap
-from cagemap.mesh import ControlMesh, cube, icosahedron
+from cagemap.mesh import ControlMesh
 from cagemap.refinement import Refinement, refine, triangles
 from cagemap.transfer import (
     carry_uvs,

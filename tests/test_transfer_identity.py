@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from examples.shapes import torus
 
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import normalized
 from cagemap.maps.point_map import PointMap
-from cagemap.mesh import torus
 from cagemap.refinement import Level, refine
 from cagemap.transfer import BakeOptions, bake_texture, prepare_transfer, unwrap
 from cagemap.transfer.baking import make_canvas

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import cube, torus, voxels
 from scipy import sparse
 from scipy.io import mmwrite
 
@@ -21,9 +22,8 @@ from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.elastic.graph import mesh_graph
 from cagemap.maps.point_map import PointMap
-from cagemap.mesh import ControlMesh, cube, torus
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.measures import cage_triangles
-from cagemap.mesh.shapes import voxels
 from cagemap.refinement import Refinement, refine
 from cagemap.transfer import control_weights, prepare_transfer
 from cagemap.transfer.shapes import carry_shape, contacts, prepare_shapes

@@ -9,22 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import bipyramid, creature, cube, disk, icosahedron, pyramid, torus, triangulated
 
 from cagemap.errors import InvalidMeshError
 from cagemap.files.obj import read_obj
 from cagemap.geometry.triangles import triangle_areas, triangle_neighbors
-from cagemap.mesh import (
-    ControlMesh,
-    Plain,
-    bipyramid,
-    creature,
-    cube,
-    disk,
-    icosahedron,
-    pyramid,
-    torus,
-    triangulated,
-)
+from cagemap.mesh import ControlMesh, Plain
 from cagemap.refinement import refine, triangles
 from cagemap.transfer.packing import pack_islands
 from cagemap.transfer.texels import lay_out, rasterize_band

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from examples.shapes import creature
 
 from cagemap.basis import Surface
 from cagemap.maps.elastic.ends import FineFit
 from cagemap.maps.hypotheses.confidence import AS_GIVEN, LOOK
 from cagemap.maps.landmarks.turned import turned_limbs
 from cagemap.maps.point_map import PointMap
-from cagemap.mesh.shapes import creature
 from cagemap.pipeline import prepare_surface
 
 

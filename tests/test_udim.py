@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import grid
 
 from cagemap.files.images import read_image_form, read_texture, texture_files, tile_pattern, udim_path, write_image
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.point_map import PointMap
-from cagemap.mesh import ControlMesh, grid
+from cagemap.mesh import ControlMesh
 from cagemap.refinement import Level, refine
 from cagemap.transfer import BakeOptions, Transfer, bake_texture, prepare_transfer, target_tiles
 from cagemap.transfer.surface import TexturedSurface

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import cube, grid, icosahedron
 
 from cagemap.errors import FormatError
 from cagemap.files.meshes import read_mesh, write_mesh
-from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, cube, grid, icosahedron
+from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.parts import extract, find_part
 from cagemap.refinement import finest_mesh, refine

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import creature, poles
 
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.progress import Stages
@@ -16,7 +17,7 @@ from cagemap.cli.wrap import run_wrap
 from cagemap.cli.wrap_request import WrapRequest
 from cagemap.files.images import read_texture, udim_path, write_image
 from cagemap.files.landmarks import write_landmarks
-from cagemap.mesh import CatmullClark, ControlMesh, creature, poles
+from cagemap.mesh import CatmullClark, ControlMesh
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract, find_part

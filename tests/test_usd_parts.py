@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import creature, cube, poles
 
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.mesh_commands import refine_file
@@ -20,7 +21,7 @@ from cagemap.files.attributes import read_attributes
 from cagemap.files.images import write_image
 from cagemap.files.landmarks import write_landmarks
 from cagemap.geometry.surface import TriangleSurface
-from cagemap.mesh import CatmullClark, ControlMesh, creature, cube, poles
+from cagemap.mesh import CatmullClark, ControlMesh
 from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.parts import extract, find_part

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import cube, disk, torus
 
 from cagemap.descriptors import mirror_symmetries
 from cagemap.errors import FormatError, ParameterError
@@ -17,7 +18,7 @@ from cagemap.geometry.closest import closest_points
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.point_map import PointMap
-from cagemap.mesh import ControlMesh, cube, disk, torus
+from cagemap.mesh import ControlMesh
 from cagemap.refinement import Refinement, refine
 from cagemap.transfer.meeting import meet
 from cagemap.wrap import WrapConfig, level_mesh, missing_detail, wrap

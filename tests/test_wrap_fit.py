@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from examples.shapes import torus
 
 from cagemap.files.landmarks import read_landmarks
 from cagemap.files.obj import read_obj
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.point_map import PointMap
-from cagemap.mesh import torus
 from cagemap.pipeline import match, prepare_surfaces
 from cagemap.refinement import Refinement, refine
 from cagemap.wrap import wrap

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from examples.shapes import creature, cube
 from scipy import sparse
 
 import cagemap
@@ -32,7 +33,6 @@ from cagemap import (
     TriangleSurface,
 )
 from cagemap.errors import ParameterError
-from cagemap.mesh import creature, cube
 from cagemap.numerics.kinds import _expected, kinds_checked
 
 FUNCTIONS = [name for name in cagemap.__all__ if inspect.isfunction(getattr(cagemap, name))]

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from examples.shapes import cube
 
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.point_map import PointMap
-from cagemap.mesh import ControlMesh, cube
+from cagemap.mesh import ControlMesh
 from cagemap.refinement import Level
 
 

@@ -15,6 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from examples.shapes import torus
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
@@ -32,7 +33,7 @@ from cagemap.files.landmarks import write_landmarks
 from cagemap.files.meshes import read_mesh, write_mesh
 from cagemap.geometry.triangles import triangle_areas, triangles
 from cagemap.maps.result import MatchResult
-from cagemap.mesh import ControlMesh, torus
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.refinement import finest_mesh, refine
 from cagemap.transfer import BakeOptions, unwrap

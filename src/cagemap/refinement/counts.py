@@ -25,9 +25,11 @@ def vertex_counts(control: ControlMesh, scheme: Scheme | None = None) -> Iterato
     Examples
     --------
     >>> from itertools import islice
-    >>> from cagemap.mesh import cube
-    >>> list(islice(vertex_counts(cube()), 4))
-    [8, 26, 98, 386]
+    >>> from cagemap import ControlMesh
+    >>> corners = [(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)]
+    >>> tetrahedron = ControlMesh.from_faces(corners, [(0, 1, 2), (0, 2, 3), (0, 3, 1), (1, 3, 2)])
+    >>> list(islice(vertex_counts(tetrahedron), 4))
+    [4, 10, 34, 130]
     """
     loop = isinstance(default_scheme(control) if scheme is None else scheme, Loop)
     vertices, faces, corners = control.n_vertices, control.n_faces, len(control.face_indices)

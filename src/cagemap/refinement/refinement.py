@@ -289,9 +289,11 @@ def refine(control: ControlMesh, levels: int, scheme: Scheme | None = None) -> R
 
     Examples
     --------
-    >>> from cagemap.mesh import cube
-    >>> [level.n_vertices for level in refine(cube(), 2).levels]
-    [8, 26, 98]
+    >>> from cagemap import ControlMesh
+    >>> corners = [(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)]
+    >>> tetrahedron = ControlMesh.from_faces(corners, [(0, 1, 2), (0, 2, 3), (0, 3, 1), (1, 3, 2)])
+    >>> [level.n_vertices for level in refine(tetrahedron, 2).levels]
+    [4, 10, 34]
     """
     scheme = default_scheme(control) if scheme is None else scheme
     _check(control, levels, scheme)
