@@ -12,7 +12,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import match, prepare_surfaces
 from cagemap.refinement import Refinement
-from cagemap.transfer.shapes import ShapeCarrier, carry_shape, prepare_shapes
+from cagemap.transfer.blend_shapes import ShapeCarrier, carry_shape, prepare_shapes
 
 MOUTH = (0.30, 0.11)
 

@@ -27,7 +27,7 @@ from cagemap.mesh.plain import plain_mesh
 from cagemap.numerics.arrays import FloatArray, read_only
 from cagemap.numerics.threads import in_threads
 from cagemap.operators import build_operators
-from cagemap.operators.plain import coarsened, refined, uncoarsened
+from cagemap.operators.coarse_levels import coarsened, refined, uncoarsened
 from cagemap.pipeline import choose_level, match, prepare_pair, prepare_surface, update_match
 from cagemap.refinement import finest_mesh, refine
 from cagemap.wrap import wrap

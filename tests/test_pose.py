@@ -16,7 +16,7 @@ from cagemap.maps.elastic.constants import LIMB, LIMB_POSED, LOOSEST, POSES_DIFF
 from cagemap.maps.elastic.ends import FineFit
 from cagemap.maps.elastic.fit import CoarseFit, coarse_fit, fine_stage
 from cagemap.maps.elastic.graph import mesh_graph
-from cagemap.maps.elastic.pose import fit_in_pose, limb_turn, posed, stiffness, turn
+from cagemap.maps.elastic.pose import edge_stiffness, fit_in_pose, limb_turn, posed, turn
 from cagemap.maps.elastic.prepared import PreparedPair, RestShape
 from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.masks import Masks
@@ -109,18 +109,18 @@ def test_edges_are_loose_where_a_body_turns_and_stiff_where_it_does_not(rest: Re
     angle = np.clip(along / 0.1, 0.0, 1.0)
     cosine, sine, none, one = np.cos(angle), np.sin(angle), 0 * angle, 1 + 0 * angle
     turns = np.array([[cosine, -sine, none], [sine, cosine, none], [none, none, one]]).transpose(2, 0, 1)
-    found = stiffness(graph, turns)
+    found = edge_stiffness(graph, turns)
     joint = (along > 0.03) & (along < 0.07)
     far = (along < -0.1) | (along > 0.2)
     assert found[joint[graph.heads]].max() < 0.4
     assert found[far[graph.heads]].min() > 0.8
     assert found.min() >= LOOSEST
-    np.testing.assert_allclose(stiffness(graph, turns[:1] + 0 * turns), 1.0)
-    np.testing.assert_allclose(found, stiffness(graph, turns[3] @ turns), rtol=1e-6)
+    np.testing.assert_allclose(edge_stiffness(graph, turns[:1] + 0 * turns), 1.0)
+    np.testing.assert_allclose(found, edge_stiffness(graph, turns[3] @ turns), rtol=1e-6)
     # A vertex whose faces are points is seen to turn nowhere.
     positions = graph.positions.copy()
     positions[graph.heads[graph.tails == 0]] = positions[0]
-    assert np.isfinite(stiffness(replace(graph, positions=positions), turns)).all()
+    assert np.isfinite(edge_stiffness(replace(graph, positions=positions), turns)).all()
 
 
 def bowed() -> ControlMesh:

@@ -15,7 +15,7 @@ from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence, Read
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.result import MatchResult
-from cagemap.report import Gallery, Rides, Shape, Weights, build_page, draw_gallery, draw_rides, write_report
+from cagemap.report import CarriedShape, Gallery, Rides, Weights, build_page, draw_gallery, draw_rides, write_report
 from cagemap.report.figures import PAPER, for_display
 from cagemap.report.merits import explain, overall
 from cagemap.report.rides import _edges, _net
@@ -225,7 +225,7 @@ def test_what_was_wrapped_and_what_rides_on_the_map_is_shown(result: MatchResult
     rides = Rides(
         wrapped=control.with_positions(source.positions),
         weights=Weights(*skins),
-        shapes=tuple(Shape(name, *moves) for name in ("smile", "blink")),
+        shapes=tuple(CarriedShape(name, *moves) for name in ("smile", "blink")),
     )
     panels = draw_rides(result, rides, SIZE)
     assert [len(panel.pictures) for panel in panels] == [8, 4, 4]

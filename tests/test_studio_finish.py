@@ -28,7 +28,7 @@ from cagemap.studio.finish_layout import ADVANCED, FOLDS, LEFT_OUT, SIZE, VERTIC
 from cagemap.studio.opening import default_files
 from cagemap.studio.options import Key, Option, Value, catalogue
 from cagemap.studio.runner import Runner, outputs_of, stage_of
-from cagemap.studio.state import Job, Message, Output, with_message
+from cagemap.studio.state import Message, Output, RunningJob, with_message
 from cagemap.studio.workspace import Workspace
 from test_obj import QUICK
 
@@ -274,7 +274,7 @@ def test_a_process_that_ends_after_its_command_leaves_the_next_one_another(
 def test_a_cancelled_run_says_so_whatever_begins_after_it(tmp_path: Path) -> None:
     ended: queue.Queue[Message] = queue.Queue()
 
-    def on_job(job: Job | None) -> None:
+    def on_job(job: RunningJob | None) -> None:
         if job is None:  # the next one begins
             runner._cancelled = False
 

@@ -20,7 +20,7 @@ from cagemap.studio.places import vertex_place
 from cagemap.studio.preview import Preview
 from cagemap.studio.scene import carried
 from cagemap.studio.session import Session
-from cagemap.studio.state import Files, Job, Message, Output, Studio, View
+from cagemap.studio.state import Files, Message, Output, RunningJob, Studio, View
 from cagemap.studio.worker import DROPPED, Failure
 from studio_boxes import Idle, click, click_between, until
 
@@ -107,7 +107,7 @@ def test_only_the_first_opening_is_said_to_compile(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr("cagemap.studio.preview.Worker", Idle)
     titles: list[str] = []
 
-    def on_job(job: Job | None) -> None:
+    def on_job(job: RunningJob | None) -> None:
         if job is not None:
             titles.append(job.title)
 

@@ -22,9 +22,9 @@ from cagemap.transfer import (
     unwrap,
 )
 from cagemap.transfer import baking as bake_module
-from cagemap.transfer.locate import Samples
-from cagemap.transfer.mip_maps import halved, smoothed
-from cagemap.transfer.surface import TexturedSurface
+from cagemap.transfer.locate import TexelSamples
+from cagemap.transfer.mip_maps import halved, low_passed
+from cagemap.transfer.textured_surface import TexturedSurface
 from transfer_reference import look_up_slowly
 from transfer_scenes import crossed_cube, face_texture, identity_map, plane, plane_map, spectrum
 
@@ -199,12 +199,12 @@ def test_halving_keeps_what_is_constant_and_reads_only_what_is_covered(height: i
     dirty = np.where(covered[..., None] > 0, 0.7, pixels).astype(np.float32)
     half, _ = halved(dirty, covered)
     np.testing.assert_allclose(half[share > 0.1], 0.7, atol=1e-3)
-    np.testing.assert_allclose(smoothed(dirty, covered)[covered > 0], 0.7, atol=1e-3)
+    np.testing.assert_allclose(low_passed(dirty, covered)[covered > 0], 0.7, atol=1e-3)
     whole = np.rint(255 * pixels).astype(np.uint8)
     limits = whole.min(axis=(0, 1)), whole.max(axis=(0, 1))
-    kept = smoothed(whole, covered, whole)
+    kept = low_passed(whole, covered, whole)
     assert kept.dtype == np.uint8
-    np.testing.assert_array_equal(kept, np.rint(np.clip(smoothed(whole, covered), *limits)))
+    np.testing.assert_array_equal(kept, np.rint(np.clip(low_passed(whole, covered), *limits)))
 
 
 @pytest.mark.parametrize(("dtype", "value"), [("uint8", 201), ("uint16", 50001), ("float16", 0.1), ("float32", 1 / 3)])
@@ -334,12 +334,12 @@ def test_no_seam_shows_at_any_mip_level() -> None:
     surface, size = transfer.target, 512
     canvas = bake_module.make_canvas(transfer, size, BakeOptions())
 
-    def shade(samples: Samples) -> np.ndarray:
+    def shade(samples: TexelSamples) -> np.ndarray:
         corners = surface.positions[surface.triangles[samples.triangle]]
         return np.asarray(samples.mean(np.einsum("sc,scd->sd", samples.barycentric, corners)))
 
     ones = np.ones((len(surface.triangles), 2), dtype=np.int32)
-    image = bake_module.bake(transfer, canvas, ones, shade, 3, np.float32, BakeOptions())
+    image = bake_module.run_bake(transfer, canvas, ones, shade, 3, np.float32, BakeOptions())
     corner_uvs = surface.corner_uvs()
     triangle, opposite = np.nonzero(triangle_neighbors(surface.layout()[1]) < 0)
     first, second = (opposite + 1) % 3, (opposite + 2) % 3

@@ -14,10 +14,10 @@ from cagemap.maps.point_map import PointMap
 from cagemap.refinement import Level, refine
 from cagemap.transfer import BakeOptions, bake_texture, prepare_transfer, unwrap
 from cagemap.transfer.baking import make_canvas
+from cagemap.transfer.blend_shapes import carry_shape, prepare_shapes
 from cagemap.transfer.locate import locate_centers, locate_samples, map_surface
-from cagemap.transfer.shapes import carry_shape, prepare_shapes
-from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.texels import rasterize_band
+from cagemap.transfer.textured_surface import TexturedSurface
 from cagemap.transfer.vectors import bake_normal_map, bake_vector_displacement
 from transfer_scenes import crossed_cube, identity_map, plane
 
@@ -63,7 +63,7 @@ def test_directions_come_back(crumpled: Level, space: str) -> None:
 @pytest.mark.parametrize("samples", [25_000, 300])
 def test_shapes_come_back(monkeypatch: pytest.MonkeyPatch, samples: int) -> None:
     """Folds across which walks from all three corners end on the wrong side; and looked at on a coarser level, too."""
-    monkeypatch.setattr("cagemap.transfer.shapes._SAMPLES", samples)
+    monkeypatch.setattr("cagemap.transfer.blend_shapes._SAMPLES", samples)
     rng = np.random.default_rng(5)
     control = torus(10, 8)
     control = control.with_positions(control.positions + 0.4 * rng.standard_normal(control.positions.shape))

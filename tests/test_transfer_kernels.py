@@ -14,12 +14,12 @@ from cagemap.geometry.triangles import triangle_areas, triangle_neighbors
 from cagemap.maps.point_map import PointMap
 from cagemap.refinement import refine
 from cagemap.transfer.dilation import dilate
-from cagemap.transfer.locate import Samples, locate_samples, map_surface, target_barycentric
+from cagemap.transfer.locate import TexelSamples, locate_samples, map_surface, target_barycentric
 from cagemap.transfer.lookups import plan_samples
 from cagemap.transfer.smooth import SmoothTile, smooth_cells
-from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.texels import lay_out, rasterize_band
 from cagemap.transfer.texture import lay_texture, look_up
+from cagemap.transfer.textured_surface import TexturedSurface
 from cagemap.transfer.unwrap import unwrap
 
 
@@ -145,7 +145,7 @@ def test_lookup_is_bilinear(dtype: str) -> None:
     weights = rng.dirichlet((1, 1, 1), 40)
     texture = lay_texture(pixels, uvs, corners)
     none = np.zeros(40, dtype=np.int32)
-    samples = Samples(none, none.astype(np.int64), 1, 0, np.arange(41), np.arange(40), weights)
+    samples = TexelSamples(none, none.astype(np.int64), 1, 0, np.arange(41), np.arange(40), weights)
     points = np.einsum("kc,kcd->kd", weights, uvs[corners])
     expected = reference.look_up_slowly(pixels.astype(np.float64), points)
     np.testing.assert_allclose(look_up(texture, samples), expected, rtol=0, atol=1e-9)
@@ -155,7 +155,7 @@ def test_smooth_lookup_is_that_of_six_points_and_reproduces_cubics() -> None:
     rng = np.random.default_rng(578)
     uvs = 0.35 + 0.3 * rng.random((3 * 40, 2))
     corners, weights, none = np.arange(120).reshape(40, 3), rng.dirichlet((1, 1, 1), 40), np.zeros(40, dtype=np.int32)
-    samples = Samples(none, none.astype(np.int64), 1, 0, np.arange(41), np.arange(40), weights)
+    samples = TexelSamples(none, none.astype(np.int64), 1, 0, np.arange(41), np.arange(40), weights)
     points = np.einsum("kc,kcd->kd", weights, uvs[corners])
     y, x = np.indices((20, 24)) + 0.5
     cubic = (x**3 - 30 * x**2 + y**3 + x * y**2)[..., None]

@@ -15,7 +15,7 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.images import write_image
 from cagemap.files.maps import dense_map, read_images, source_level, write_map
 from cagemap.files.meshes import read_mesh, write_mesh
-from cagemap.files.mhclo import Fitting, bind, write_mhclo
+from cagemap.files.mhclo import Binding, bind, write_mhclo
 from cagemap.files.npz import write_npz
 from cagemap.files.result import read_result
 from cagemap.geometry.points import SurfacePoints
@@ -26,7 +26,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.measures import cage_triangles
 from cagemap.refinement import Refinement, refine
 from cagemap.transfer import control_weights, prepare_transfer
-from cagemap.transfer.shapes import carry_shape, contacts, prepare_shapes
+from cagemap.transfer.blend_shapes import carry_shape, contacts, prepare_shapes
 from cagemap.transfer.skeleton import carry_joints
 from cagemap.transfer.skin import carry_skin, filled_in
 from command_line import Run
@@ -189,7 +189,7 @@ def test_an_upper_lid_that_closes_meets_the_lower_one(monkeypatch: pytest.Monkey
 
     edge = np.sqrt(2 * carrier.masses).mean()
     assert missed() < 0.2 * edge
-    monkeypatch.setattr("cagemap.transfer.shapes._CONTACT", 0.0)
+    monkeypatch.setattr("cagemap.transfer.blend_shapes._CONTACT", 0.0)
     assert missed() > edge
 
 
@@ -289,7 +289,7 @@ def test_a_bound_mesh_follows_its_base(tmp_path: Path) -> None:
     table = np.array([line for line in lines if len(line) == 9], dtype=float)
     scales = np.array([line[1:] for line in lines if line and line[0][1:] == "_scale"], dtype=float)
     ends = scales[:, :2].astype(int)
-    again = Fitting(table[:, :3].astype(int), table[:, 3:6], table[:, 6:], ends, scales[:, 2])
+    again = Binding(table[:, :3].astype(int), table[:, 3:6], table[:, 6:], ends, scales[:, 2])
     np.testing.assert_array_equal(again.positions(stretched), fitting.positions(stretched))
     with pytest.raises(FormatError, match="mhclo"):
         write_mhclo(tmp_path / "a.txt", fitting, Path("a.obj"))

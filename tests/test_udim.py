@@ -14,8 +14,8 @@ from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.refinement import Level, refine
 from cagemap.transfer import BakeOptions, Transfer, bake_texture, prepare_transfer, target_tiles
-from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.texture import OVERHANG, tile_cells
+from cagemap.transfer.textured_surface import TexturedSurface
 
 
 def _tiled_grid(columns: int, rows: int, margin: float = 0.02) -> ControlMesh:

@@ -12,8 +12,8 @@ from cagemap.errors import ParameterError
 from cagemap.files.images import read_image, write_image
 from cagemap.refinement import Level, refine
 from cagemap.transfer import BakeOptions, prepare_transfer
-from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.tangents import tangent_frames
+from cagemap.transfer.textured_surface import TexturedSurface
 from cagemap.transfer.vectors import bake_normal_map, bake_vector_displacement
 from command_line import Run
 from transfer_scenes import crossed_cube, identity_map, plane, plane_map, spectrum

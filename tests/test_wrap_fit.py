@@ -20,7 +20,7 @@ from cagemap.wrap import wrap
 from cagemap.wrap.fit import WrapConfig, fit_data
 from cagemap.wrap.mend import fit_net, mend
 from cagemap.wrap.net import control_net, face_aspects, folded_faces
-from cagemap.wrap.rounds import Fitting, Pull
+from cagemap.wrap.rounds import Fitting, RoundSystem
 from test_wrap import dented, ring_and_ball, same_vertices, surface_of
 
 
@@ -37,19 +37,19 @@ def test_a_round_solves_its_system() -> None:
     for part in (None, moving):
         fitting = Fitting.build(net.graph, data, config, np.zeros(0, dtype=np.int64), part)
         positions = net.graph.positions
-        pull = Pull.at(fitting, positions, net.field.solve(positions), data.images.triangle)
-        dense, normals = data.samples.toarray(), pull.feet.normals
-        away = np.linalg.norm(pull.feet.positions - data.images.positions, axis=1) > data.reach
+        system = RoundSystem.at(fitting, positions, net.field.solve(positions), data.images.triangle)
+        dense, normals = data.samples.toarray(), system.feet.normals
+        away = np.linalg.norm(system.feet.positions - data.images.positions, axis=1) > data.reach
         free = ~(data.held | away)
         tensors = (free * data.weights)[:, None, None] * normals[:, :, None] * normals[:, None, :]
         tensors += (data.weights * np.where(free, 0.1, 1.0))[:, None, None] * np.eye(3)
         matrix = np.einsum("si,sab,sj->iajb", dense, tensors, dense)
         matrix += 1e-2 * np.einsum("ab,ij->iajb", np.eye(3), fitting.laplacian.toarray())
         moved = np.random.default_rng(0).normal(size=positions.shape)
-        np.testing.assert_allclose(pull.times(moved), np.einsum("iajb,jb->ia", matrix, moved), atol=1e-12)
-        solved = pull.solve(positions)
-        left = (pull.right - pull.times(solved))[fitting.moving]
-        before = (pull.right - pull.times(positions))[fitting.moving]
+        np.testing.assert_allclose(system.times(moved), np.einsum("iajb,jb->ia", matrix, moved), atol=1e-12)
+        solved = system.solve(positions)
+        left = (system.right - system.times(solved))[fitting.moving]
+        before = (system.right - system.times(positions))[fitting.moving]
         assert np.linalg.norm(left) <= 3.3e-2 * np.linalg.norm(before)
         still = np.setdiff1d(np.arange(net.graph.n), fitting.moving)
         np.testing.assert_array_equal(solved[still], positions[still])

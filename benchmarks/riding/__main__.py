@@ -39,7 +39,7 @@ from cagemap.mesh.skeleton import Skeleton
 from cagemap.pipeline import choose_level, match, prepare_surface
 from cagemap.refinement import finest_mesh, refine
 from cagemap.transfer import unwrap
-from cagemap.transfer.shapes import carry_shape, prepare_shapes
+from cagemap.transfer.blend_shapes import carry_shape, prepare_shapes
 from cagemap.transfer.skeleton import carry_joints
 
 Row = tuple[str, str]

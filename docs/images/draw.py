@@ -13,7 +13,7 @@ from cagemap.files.images import read_image, write_image
 from cagemap.files.result import read_result
 from cagemap.pictures import FRONT, Image, Model, Skin, View, frame, render
 from cagemap.report.figures import for_display
-from cagemap.transfer.surface import TexturedSurface
+from cagemap.transfer.textured_surface import TexturedSurface
 
 WIDTH, HEIGHT = 460, 420
 

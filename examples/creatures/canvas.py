@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from cagemap.geometry.triangles import triangle_areas, triangle_neighbors, vertex_normals
 from cagemap.numerics.arrays import FloatArray
 from cagemap.refinement import refine
-from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.texels import lay_out, rasterize_band
+from cagemap.transfer.textured_surface import TexturedSurface
 
 Float32Array = NDArray[np.float32]
 LEVEL = 3

@@ -17,7 +17,7 @@ from cagemap.mesh.checks import require_valid
 from cagemap.mesh.schemes import Plain
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import ThreadPool, in_threads, one_blas_thread
-from cagemap.operators.plain import refined
+from cagemap.operators.coarse_levels import refined
 from cagemap.refinement import Scheme, default_scheme
 from cagemap.refinement.counts import vertex_counts
 

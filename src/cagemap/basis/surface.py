@@ -17,7 +17,7 @@ from cagemap.mesh.measures import cage_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 from cagemap.numerics.threads import kept, one_blas_thread
 from cagemap.operators import Operators, build_operators
-from cagemap.operators.plain import coarsened, uncoarsened
+from cagemap.operators.coarse_levels import coarsened, uncoarsened
 from cagemap.operators.polygons import named_laplacian
 from cagemap.refinement import Refinement, level_triangles, refine
 
@@ -77,7 +77,7 @@ class Surface:
     def inner(self) -> Surface:
         """The surface that maps are found on: this one, or that of a plain mesh with coarse levels below it.
 
-        Vertices of the finest level then stand in another order, see `cagemap.operators.plain.coarsened`.
+        Vertices of the finest level then stand in another order, see `cagemap.operators.coarse_levels.coarsened`.
         """
         if self.refinement.is_plain and self.given is None:
             return Surface(coarsened(self.refinement), self.config, self)

@@ -13,7 +13,7 @@ from cagemap.mesh.landmarks import Landmarks, Renumbering
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.parts import (
     Part,
-    components,
+    connected_parts,
     connected_pieces,
     extract,
     find_part,
@@ -124,7 +124,7 @@ def _each(
 def _pieces(mesh: ControlMesh, word: str) -> tuple[Part, ...]:
     """What of a side is to be paired: all its pieces, its materials' faces, or those of the part of that name."""
     if word == EACH:
-        return components(mesh)
+        return connected_parts(mesh)
     return material_pieces(mesh) if word == MATERIAL else connected_pieces(mesh, find_part(mesh, word))
 
 

@@ -23,7 +23,7 @@ from cagemap.files.result import ARRAYS, MANIFEST, read_result
 from cagemap.files.rigs import read_shapes
 from cagemap.files.usd_primvars import JOINT_WEIGHTS
 from cagemap.maps.result import MatchResult
-from cagemap.report import Rides, Shape, Weights, check_page_path, write_report
+from cagemap.report import CarriedShape, Rides, Weights, check_page_path, write_report
 from cagemap.wrap import level_mesh
 
 _log = logging.getLogger(__name__)
@@ -115,7 +115,7 @@ def _shapes(rides: Rides, folder: Path, entry: dict[str, Any], result: MatchResu
         )
     )
     both = [name for name in given if name in carried]
-    return replace(rides, shapes=tuple(Shape(name, given[name], carried[name]) for name in both))
+    return replace(rides, shapes=tuple(CarriedShape(name, given[name], carried[name]) for name in both))
 
 
 def _single(path: Path) -> Pixels | None:

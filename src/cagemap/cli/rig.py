@@ -32,7 +32,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.measures import cage_triangles
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.transfer import control_weights, prepare_transfer
-from cagemap.transfer.shapes import carry_shape, prepare_shapes
+from cagemap.transfer.blend_shapes import carry_shape, prepare_shapes
 from cagemap.transfer.skeleton import carry_joints
 from cagemap.transfer.skin import carry_skin
 from cagemap.wrap.follow import counterpart

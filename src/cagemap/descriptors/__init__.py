@@ -1,7 +1,7 @@
 """Spectral descriptors and self-symmetry operators, in the spectral domain."""
 
 from cagemap.descriptors.mirrors import Mirror, mirror_symmetries
-from cagemap.descriptors.products import multiplication_operator
+from cagemap.descriptors.multiplication import multiplication_operator
 from cagemap.descriptors.spectral import (
     Filters,
     choose_filters,

@@ -19,7 +19,7 @@ _AXES = "xyz"
 
 
 @dataclass(frozen=True, eq=False)
-class Fitting:
+class Binding:
     """A mesh bound to a base mesh.
 
     Attributes
@@ -49,7 +49,7 @@ class Fitting:
         return np.einsum("nk,nkd->nd", self.weights, base[self.vertices]) + self.offsets * factors
 
 
-def bind(positions: FloatArray, base: ControlMesh, faces: IndexArray) -> Fitting:
+def bind(positions: FloatArray, base: ControlMesh, faces: IndexArray) -> Binding:
     """Bind a mesh to the control vertices of a base mesh that it lies on.
 
     Parameters
@@ -76,7 +76,7 @@ def bind(positions: FloatArray, base: ControlMesh, faces: IndexArray) -> Fitting
     offsets = positions - np.einsum("nk,nkd->nd", weights, base.positions[vertices])
     scales = np.stack([(base.positions[:, axis].argmin(), base.positions[:, axis].argmax()) for axis in range(3)])
     ends = base.positions[scales, np.arange(3)[:, None]]
-    return Fitting(vertices, weights, offsets, scales.astype(np.int64), np.abs(ends[:, 0] - ends[:, 1]))
+    return Binding(vertices, weights, offsets, scales.astype(np.int64), np.abs(ends[:, 0] - ends[:, 1]))
 
 
 def _coordinates(places: FloatArray, triangles: IndexArray, points: FloatArray) -> FloatArray:
@@ -93,7 +93,7 @@ def _coordinates(places: FloatArray, triangles: IndexArray, points: FloatArray) 
     return found
 
 
-def write_mhclo(path: str | Path, fitting: Fitting, obj: Path, *, force: bool = False) -> None:
+def write_mhclo(path: str | Path, binding: Binding, obj: Path, *, force: bool = False) -> None:
     """Write a ``.mhclo`` (clothes) or ``.proxy`` (the body itself) for the mesh in ``obj``.
 
     Raises
@@ -111,12 +111,12 @@ def write_mhclo(path: str | Path, fitting: Fitting, obj: Path, *, force: bool = 
         f"name {name}",
         f"uuid {uuid.uuid5(uuid.NAMESPACE_URL, name)}",
         *(f"{axis}_scale {a} {b} {length!r}" for axis, (a, b), length in zip(
-            _AXES, fitting.scales.tolist(), fitting.lengths.tolist(), strict=True
+            _AXES, binding.scales.tolist(), binding.lengths.tolist(), strict=True
         )),
         f"obj_file {obj.name}",
         "verts 0",
     ]  # fmt: skip
-    rows = zip(fitting.vertices.tolist(), fitting.weights.tolist(), fitting.offsets.tolist(), strict=True)
+    rows = zip(binding.vertices.tolist(), binding.weights.tolist(), binding.offsets.tolist(), strict=True)
     lines += [f"{a} {b} {c} {u!r} {v!r} {w!r} {x!r} {y!r} {z!r}" for (a, b, c), (u, v, w), (x, y, z) in rows]
     with atomic_path(file, force=force) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")

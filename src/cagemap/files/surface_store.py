@@ -34,7 +34,7 @@ from cagemap.files.schema import SurfaceRecord, checked_record, parse_json
 from cagemap.files.text import require_file
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.operators import Operators
-from cagemap.operators.plain import refined
+from cagemap.operators.coarse_levels import refined
 from cagemap.pipeline import MAP_BASIS, prepare_surface
 from cagemap.refinement import Refinement, Scheme, default_scheme
 from cagemap.refinement.counts import vertex_counts

@@ -14,7 +14,7 @@ from cagemap.files.usd import usd_modules
 _LAYERS = (".usd", ".usda", ".usdc")
 
 
-def named_files(name: str, content: bytes) -> tuple[str, ...]:
+def asset_paths(name: str, content: bytes) -> tuple[str, ...]:
     """Asset paths of a USD file, in any place that holds them, as they are written; none of them is opened.
 
     Paths of a package to its own entries are left out.

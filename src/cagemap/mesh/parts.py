@@ -14,7 +14,7 @@ from cagemap.mesh.checks import keep_faces
 from cagemap.mesh.control_mesh import ControlMesh, UvSet
 from cagemap.mesh.topology import face_components
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.graphs import components as labelled_components
+from cagemap.numerics.graphs import components
 
 KINDS = ("object", "group", "material", "component")
 LARGEST = "largest"
@@ -49,10 +49,10 @@ def list_parts(mesh: ControlMesh, *, pieces: bool = True) -> tuple[Part, ...]:
     parts = []
     for kind, numbers, names in _partitions(mesh):
         parts += [Part(kind, name, np.flatnonzero(numbers == number)) for number, name in enumerate(names) if name]
-    return (*(part for part in parts if len(part.faces)), *(components(mesh) if pieces else ()))
+    return (*(part for part in parts if len(part.faces)), *(connected_parts(mesh) if pieces else ()))
 
 
-def components(mesh: ControlMesh) -> tuple[Part, ...]:
+def connected_parts(mesh: ControlMesh) -> tuple[Part, ...]:
     """Connected pieces, named by what their faces are named by."""
     labels = face_components(mesh)
     pieces = _members(labels)
@@ -94,7 +94,7 @@ def find_part(mesh: ControlMesh, name: str) -> Part:
     """
     parts = list_parts(mesh)
     if name == LARGEST:
-        return max(components(mesh), key=lambda part: len(part.faces))
+        return max(connected_parts(mesh), key=lambda part: len(part.faces))
     found = [part for part in _groups_as_one(parts, name) if name in (part.name, part.title)]
     # A USD object is named by its whole path; the end of it will do.
     found = found or [part for part in parts if part.name.endswith(f"/{name}")]
@@ -172,7 +172,7 @@ def in_one_piece(mesh: ControlMesh, parts: Sequence[Part]) -> tuple[Part, ...]:
     # A vertex counts once for every part that it borders on.
     places = mesh.face_indices * (len(parts) + 1) + of_face[mesh.corner_faces]
     nodes, corners = np.unique(places, return_inverse=True)
-    labels = labelled_components(corners.ravel(), corners.ravel()[mesh.next_corners], len(nodes))
+    labels = components(corners.ravel(), corners.ravel()[mesh.next_corners], len(nodes))
     labels = labels[corners.ravel()[mesh.face_offsets[:-1]]]
     return tuple(part for part in parts if len(part.faces) and (labels[part.faces] == labels[part.faces[0]]).all())
 
@@ -232,7 +232,7 @@ def pair_parts(
     alone_target, alone_source : tuple of Part
         Components that are left alone.
     """
-    of_target, of_source = pieces or (components(target), components(source))
+    of_target, of_source = pieces or (connected_parts(target), connected_parts(source))
     mine = sorted(of_target, key=lambda part: -len(part.faces))
     theirs = list(of_source)
     votes = np.zeros((len(mine), len(theirs)), dtype=np.int64)

@@ -96,7 +96,7 @@ class Refinement:
         ``levels[0]`` is the control mesh, ``levels[-1]`` the finest.
     places : (n,) int64 or None
         Finest vertex of every control vertex, where the levels were not made by subdivision but below a plain mesh
-        (`cagemap.operators.plain`); None where control vertices keep their numbers.
+        (`cagemap.operators.coarse_levels`); None where control vertices keep their numbers.
     """
 
     control: ControlMesh

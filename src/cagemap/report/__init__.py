@@ -10,14 +10,14 @@ from cagemap.maps.result import MatchResult
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.report.figures import HEIGHT, WIDTH, Figure, Gallery, Pixels, Progress, draw_gallery, draw_thumbnail
 from cagemap.report.page import build_page
-from cagemap.report.rides import NOTHING, Panel, Rides, Shape, Weights, draw_rides
+from cagemap.report.rides import NOTHING, CarriedShape, Panel, Rides, Weights, draw_rides
 
 __all__ = [
+    "CarriedShape",
     "Figure",
     "Gallery",
     "Panel",
     "Rides",
-    "Shape",
     "Weights",
     "build_page",
     "check_page_path",

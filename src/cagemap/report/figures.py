@@ -39,7 +39,7 @@ from cagemap.pictures import (
     turn_between,
 )
 from cagemap.transfer import face_colors
-from cagemap.transfer.surface import TexturedSurface
+from cagemap.transfer.textured_surface import TexturedSurface
 
 Pixels = NDArray[Any]
 Progress = Callable[[str], None]

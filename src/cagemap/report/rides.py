@@ -48,7 +48,7 @@ class Weights:
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class CarriedShape:
     """Displacements of the control vertices of both, (n2, 3) and (n1, 3), in their own units."""
 
     name: str
@@ -65,12 +65,12 @@ class Rides:
     wrapped : ControlMesh or None
         The target's cage, or the net of a finer level, in the source's shape.
     weights : Weights or None
-    shapes : tuple of Shape
+    shapes : tuple of CarriedShape
     """
 
     wrapped: ControlMesh | None = None
     weights: Weights | None = None
-    shapes: tuple[Shape, ...] = field(default=())
+    shapes: tuple[CarriedShape, ...] = field(default=())
 
 
 NOTHING = Rides()
@@ -158,7 +158,7 @@ def _weights(result: MatchResult, weights: Weights, turn: float, size: tuple[int
     return Panel("Skinning weights", lead, tuple(_drawn(jobs, size)))
 
 
-def _shapes(result: MatchResult, shapes: tuple[Shape, ...], turn: float, size: tuple[int, int]) -> Panel:
+def _shapes(result: MatchResult, shapes: tuple[CarriedShape, ...], turn: float, size: tuple[int, int]) -> Panel:
     """The largest shapes, on source and target."""
     target, source = result.target.refinement, result.source.refinement
     largest = sorted(shapes, key=lambda shape: -float(np.linalg.norm(shape.source, axis=1).max(initial=0.0)))

@@ -17,7 +17,7 @@ from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import MatchResult, match_pair, other_answer, prepare_pair, prepare_surfaces, update_match
 from cagemap.studio.landmark_files import landmarks_of
 from cagemap.studio.landmarks import LandmarkList
-from cagemap.studio.models import Model, open_model, with_texture
+from cagemap.studio.models import OpenedModel, open_model, with_texture
 from cagemap.studio.scene import Scene
 from cagemap.studio.skins import Images, source_skin, target_skin
 from cagemap.studio.state import MapState, View
@@ -92,8 +92,8 @@ Task = OpenModels | FindMap | ChooseAnswer | Dress
 class Models:
     """Both."""
 
-    target: Model
-    source: Model
+    target: OpenedModel
+    source: OpenedModel
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from cagemap.files.usd_space import to_standard
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.mesh_report import first_few
-from cagemap.mesh.parts import components
+from cagemap.mesh.parts import connected_parts
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
@@ -40,7 +40,7 @@ _Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class OpenedModel:
     """One control mesh, opened.
 
     Attributes
@@ -114,7 +114,7 @@ def _nearest(pixels: Pixels, height: int, width: int) -> Pixels:
     return pixels[np.ix_(rows, columns)]
 
 
-def open_model(path: Path, scheme: str | None, up: str | None, vertices: int, part: str | None = None) -> Model:
+def open_model(path: Path, scheme: str | None, up: str | None, vertices: int, part: str | None = None) -> OpenedModel:
     """Read, check and refine one model.
 
     Parameters
@@ -156,7 +156,7 @@ def open_model(path: Path, scheme: str | None, up: str | None, vertices: int, pa
     shape = shape_of(refine(taken.mesh, level), original, turn)
     mirror = next((plane.image for plane in mirror_symmetries(taken.mesh)), None)
     look = replace(_own_look(taken.mesh), rest=rest_of(whole, taken.left, level))
-    return Model(level, shape, look, mirror, offer=taken.offer, scheme=scheme, dense=dense)
+    return OpenedModel(level, shape, look, mirror, offer=taken.offer, scheme=scheme, dense=dense)
 
 
 def is_dense(mesh: ControlMesh) -> bool:
@@ -165,17 +165,17 @@ def is_dense(mesh: ControlMesh) -> bool:
     return mesh.is_triangle_mesh and not stated and mesh.n_faces >= DENSE
 
 
-def _as_it_is(taken: Taken, whole: ControlMesh, turn: FloatArray) -> Model:
+def _as_it_is(taken: Taken, whole: ControlMesh, turn: FloatArray) -> OpenedModel:
     """A part, or a whole file, that is not subdivided."""
     ready = plain_mesh(taken.mesh)
     vertex_of = np.where(taken.vertex_of < 0, -1, ready.vertex_of[taken.vertex_of])
     shape = shape_of(refine(ready.mesh, 0), Original(whole, vertex_of), turn)
     look = replace(_own_look(ready.mesh), rest=rest_of(whole, taken.left, 0))
-    return Model(0, shape, look, None, ready.notes, taken.offer, NO_SCHEME)
+    return OpenedModel(0, shape, look, None, ready.notes, taken.offer, NO_SCHEME)
 
 
 def _require_one_piece(control: ControlMesh) -> None:
-    pieces = sorted(components(control), key=lambda part: -len(part.faces))
+    pieces = sorted(connected_parts(control), key=lambda part: -len(part.faces))
     if len(pieces) > 1:
         listed = first_few(f"{part.title} ({len(part.faces)} faces)" for part in pieces)
         raise ParameterError(

@@ -10,7 +10,16 @@ from cagemap.errors import CagemapError, ParameterError
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.measures import cage_triangles
-from cagemap.mesh.parts import KINDS, Part, components, extract, find_part, in_one_piece, list_parts, numbers_on_part
+from cagemap.mesh.parts import (
+    KINDS,
+    Part,
+    connected_parts,
+    extract,
+    find_part,
+    in_one_piece,
+    list_parts,
+    numbers_on_part,
+)
 from cagemap.mesh.topology import face_components
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.refinement import default_scheme, level_triangles, refine
@@ -99,7 +108,7 @@ def take_part(mesh: ControlMesh, name: str | None, *, plain: bool) -> Taken:
     whole = (count == 1 and not mesh.object_schemes) or plain
     offered = _offered(mesh, count)
     if name is None and not whole:
-        name = max(components(mesh), key=lambda part: len(part.faces)).title
+        name = max(connected_parts(mesh), key=lambda part: len(part.faces)).title
     part = None if name is None else _canonical(find_part(mesh, name), offered)
     titles, sizes = tuple(one.title for one in offered), tuple(len(one.faces) for one in offered)
     if part is not None and len(part.faces) == mesh.n_faces:

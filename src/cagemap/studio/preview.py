@@ -8,7 +8,7 @@ from collections.abc import Callable
 from cagemap.studio.bench import ChooseAnswer, Dress, FindMap, Opening, OpenModels, Task
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.skins import Images
-from cagemap.studio.state import Files, Job, View
+from cagemap.studio.state import Files, RunningJob, View
 from cagemap.studio.worker import Worker
 
 _TITLES = {
@@ -41,7 +41,7 @@ class Preview:
         self,
         vertices: int,
         wanted: Callable[[], tuple[LandmarkList, View, Images | None]],
-        on_job: Callable[[Job | None], None],
+        on_job: Callable[[RunningJob | None], None],
         on_answer: Callable[[Task, object], None],
     ) -> None:
         self._vertices, self._wanted, self._on_job, self._on_answer = vertices, wanted, on_job, on_answer
@@ -53,7 +53,7 @@ class Preview:
         self._dressing = self._closed = False
         self._title = ""
         self._task: Task | None = None
-        self._worker = Worker(lambda stage: on_job(Job(self._title, stage, can_cancel=True)))
+        self._worker = Worker(lambda stage: on_job(RunningJob(self._title, stage, can_cancel=True)))
         self._worker.start()
         threading.Thread(target=self._work, name="studio preview", daemon=True).start()
 
@@ -107,7 +107,7 @@ class Preview:
         first = set(_COMPILED)
         while (task := self._next()) is not None:
             self._title = _TITLES[type(task)] + (_COMPILES if type(task) in first else "")
-            self._on_job(Job(self._title, can_cancel=True))
+            self._on_job(RunningJob(self._title, can_cancel=True))
             self._task = task
             answer = self._worker.run(task)
             self._task = None

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cagemap.studio.finish import MAP, Command
-from cagemap.studio.state import Job, Message, Output
+from cagemap.studio.state import Message, Output, RunningJob
 from cagemap.studio.wrote import command_line, ended
 
 CANCELLED = "cancelled"
@@ -37,7 +37,7 @@ class Runner:
 
     def __init__(
         self,
-        on_job: Callable[[Job | None], None],
+        on_job: Callable[[RunningJob | None], None],
         on_output: Callable[[Output], None],
         on_message: Callable[[Message], None],
         on_end: Callable[[Message], None],
@@ -50,7 +50,7 @@ class Runner:
     def start(self, todo: tuple[Command, ...]) -> None:
         """Begin; returns at once. Where the map cannot be made, there is nothing to do for the others."""
         self._cancelled = False
-        self._on_job(Job("finish", "starting", 0.0, can_cancel=True))
+        self._on_job(RunningJob("finish", "starting", 0.0, can_cancel=True))
         threading.Thread(target=self._work, args=(todo,), name="studio finish", daemon=True).start()
 
     def cancel(self) -> None:
@@ -83,7 +83,9 @@ class Runner:
         left = 1.0
 
         def tell(stage: str) -> None:
-            self._on_job(Job(f"finish {number + 1}/{count}", stage, (number + 1 - left) / count, can_cancel=True))
+            self._on_job(
+                RunningJob(f"finish {number + 1}/{count}", stage, (number + 1 - left) / count, can_cancel=True)
+            )
 
         tell(command.title)
         process, lines = self._begun(command), list[str]()

@@ -137,7 +137,7 @@ class MapState:
 
 
 @dataclass(frozen=True)
-class Job:
+class RunningJob:
     """Something that runs.
 
     Attributes
@@ -212,7 +212,7 @@ class Studio:
         What the map proposes for the landmark that waits for its other place.
     view : View
     map : MapState
-    preview_job, finish_job : Job or None
+    preview_job, finish_job : RunningJob or None
         What runs.
     probe : Probe or None
     messages : tuple of Message
@@ -227,8 +227,8 @@ class Studio:
     proposal: Proposal | None = None
     view: View = View()
     map: MapState = MapState()
-    preview_job: Job | None = None
-    finish_job: Job | None = None
+    preview_job: RunningJob | None = None
+    finish_job: RunningJob | None = None
     probe: Probe | None = None
     messages: tuple[Message, ...] = ()
     outputs: tuple[Output, ...] = ()

@@ -18,7 +18,7 @@ from cagemap.files.meshes import MESH_SUFFIXES
 from cagemap.files.obj import named_material_files
 from cagemap.files.suffixes import IMAGE_SUFFIXES
 from cagemap.files.usd import USD_SUFFIXES
-from cagemap.files.usd_named import named_files
+from cagemap.files.usd_named import asset_paths
 
 MESHES, IMAGES = MESH_SUFFIXES, IMAGE_SUFFIXES
 LANDMARKS = (".json", ".pp", ".fcsv", ".csv", ".txt")
@@ -137,7 +137,7 @@ class Workspace:
             for file in named_material_files(wanted.name, content):
                 self.require(file)
         if wanted.suffix.lower() in USD_SUFFIXES:
-            for file in named_files(wanted.name, content):
+            for file in asset_paths(wanted.name, content):
                 self._require_layer(wanted.name, file)
         names = itertools.chain([wanted], (wanted.with_stem(f"{wanted.stem} ({k})") for k in itertools.count(2)))
         free = next(path for path in names if not path.exists())

@@ -11,8 +11,8 @@ from cagemap.errors import ParameterError
 from cagemap.geometry.triangles import triangle_areas
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
-from cagemap.transfer.baking import BakeOptions, Transfer, bake, make_canvas, unit
-from cagemap.transfer.locate import Samples, locate_centers
+from cagemap.transfer.baking import BakeOptions, Transfer, make_canvas, run_bake, unit
+from cagemap.transfer.locate import TexelSamples, locate_centers
 from cagemap.transfer.texture import Pixels
 
 # Samples along a texel's side where materials meet: 16 levels between two colours.
@@ -125,11 +125,11 @@ def bake_face_colors(
     mixed = _mixed_triangles(transfer, label_of_face.ravel()[parents])
     counts = np.where(mixed, max(1, -(-_EDGE_SAMPLES // canvas.supersample)), 1).astype(np.int32)
 
-    def shade(samples: Samples) -> FloatArray:
+    def shade(samples: TexelSamples) -> FloatArray:
         linear = samples.mean(table[parents[samples.triangle]])
         return encode_srgb(linear) * unit(kept) if kept.kind == "u" else linear
 
-    return bake(transfer, canvas, np.column_stack([counts, counts]), shade, table.shape[1], kept, options)
+    return run_bake(transfer, canvas, np.column_stack([counts, counts]), shade, table.shape[1], kept, options)
 
 
 def _mixed_triangles(transfer: Transfer, labels: IndexArray) -> NDArray[np.bool_]:

@@ -29,16 +29,16 @@ from cagemap.refinement import Level
 from cagemap.transfer.dilation import LARGEST_SIDE, dilate
 from cagemap.transfer.locate import (
     MappedSurface,
-    Samples,
+    TexelSamples,
     locate_samples,
     map_surface,
 )
 from cagemap.transfer.lookups import plan_lookups
-from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.texels import GUTTER_RADIUS, Layout, TriangleImage, lay_out, rasterize_band
 from cagemap.transfer.texture import Filter, Pixels, Wrap, lay_texture, tile_cells
+from cagemap.transfer.textured_surface import TexturedSurface
 
-Shade = Callable[[Samples], FloatArray]
+Shade = Callable[[TexelSamples], FloatArray]
 
 # Texels that one thread works on at a time: about 100 bytes each.
 _BAND_TEXELS = 1 << 18
@@ -196,11 +196,11 @@ def bake_texture(
     )
     scale = unit(kept) / unit(laid.dtype)
 
-    def shade(samples: Samples) -> FloatArray:
+    def shade(samples: TexelSamples) -> FloatArray:
         values = lookups.mips.look_up(samples)
         return values if scale == 1.0 else values * scale
 
-    return bake(transfer, canvas, lookups.counts, shade, laid.channels, kept, options, lookups.crisp)
+    return run_bake(transfer, canvas, lookups.counts, shade, laid.channels, kept, options, lookups.crisp)
 
 
 @dataclass(frozen=True)
@@ -252,7 +252,7 @@ def make_canvas(transfer: Transfer, size: int | tuple[int, int], options: BakeOp
     return Canvas(height, width, finer, layout)
 
 
-def bake(
+def run_bake(
     transfer: Transfer,
     canvas: Canvas,
     samples_per_axis: NDArray[np.int32],

@@ -24,10 +24,19 @@ from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import parts
 from cagemap.refinement import Level
-from cagemap.transfer.baking import BakeOptions, Canvas, Transfer, bake, make_canvas, prepare_transfer, to_dtype, unit
+from cagemap.transfer.baking import (
+    BakeOptions,
+    Canvas,
+    Transfer,
+    make_canvas,
+    prepare_transfer,
+    run_bake,
+    to_dtype,
+    unit,
+)
 from cagemap.transfer.displacement import Displacement, scale_ratio
 from cagemap.transfer.exact import Landing, corner_samples, make_exact
-from cagemap.transfer.locate import Samples
+from cagemap.transfer.locate import TexelSamples
 from cagemap.transfer.lookups import plan_samples
 from cagemap.transfer.meeting import REACH, Met, meet
 from cagemap.transfer.texels import texel_coordinates
@@ -126,7 +135,7 @@ def bake_detail_normals(
     """
     options, kept = options or BakeOptions(), np.dtype(dtype)
 
-    def give(samples: Samples) -> FloatArray:
+    def give(samples: TexelSamples) -> FloatArray:
         met = _met(transfer, detail, samples)
         shares = (met.near * _following(transfer, detail, samples))[:, None]
         return normalized(shares * _smooth_normals(met.foot) + (1.0 - shares) * met.normals)
@@ -166,11 +175,11 @@ def bake_detail_vectors(
     options, kept = options or BakeOptions(), np.dtype(dtype)
     middle, encode = _length_encoder(transfer, detail, scale, kept)
 
-    def seen(samples: Samples) -> tuple[Met, FloatArray]:
+    def seen(samples: TexelSamples) -> tuple[Met, FloatArray]:
         met = _met(transfer, detail, samples)
         return met, met.near * _following(transfer, detail, samples)
 
-    def give(samples: Samples) -> FloatArray:
+    def give(samples: TexelSamples) -> FloatArray:
         met, shares = seen(samples)
         return np.asarray(shares[:, None] * (met.foot.positions - met.points))
 
@@ -211,13 +220,13 @@ def bake_detail_heights(
     options, kept = options or BakeOptions(), np.dtype(dtype)
     middle, encode = _length_encoder(transfer, detail, scale, kept)
 
-    def shade(samples: Samples) -> FloatArray:
+    def shade(samples: TexelSamples) -> FloatArray:
         met = _met(transfer, detail, samples)
         heights = met.near * _following(transfer, detail, samples) * met.heights
         return encode(samples.mean(heights[:, None]))
 
     canvas = make_canvas(transfer, size, options)
-    pixels = bake(transfer, canvas, _plan(transfer, detail, canvas), shade, 1, kept, options)
+    pixels = run_bake(transfer, canvas, _plan(transfer, detail, canvas), shade, 1, kept, options)
     return Displacement(pixels, middle, scale)
 
 
@@ -251,12 +260,12 @@ def bake_detail_values(
         raise ParameterError(f"expected {detail.surface.n} rows, one a vertex of the detail, got {len(values)}")
     table = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
 
-    def shade(samples: Samples) -> FloatArray:
+    def shade(samples: TexelSamples) -> FloatArray:
         foot = _met(transfer, detail, samples).foot
         return np.asarray(samples.mean(foot.interpolate(table)) * unit(kept))
 
     canvas = make_canvas(transfer, size, options)
-    return bake(transfer, canvas, _plan(transfer, detail, canvas), shade, table.shape[1], kept, options)
+    return run_bake(transfer, canvas, _plan(transfer, detail, canvas), shade, table.shape[1], kept, options)
 
 
 def bake_detail_texture(
@@ -298,7 +307,7 @@ def bake_detail_texture(
     kept = laid.dtype if dtype is None else np.dtype(dtype)
     scale, nearest = unit(kept) / unit(laid.dtype), options.filter == "nearest"
 
-    def shade(samples: Samples) -> FloatArray:
+    def shade(samples: TexelSamples) -> FloatArray:
         foot = _met(transfer, detail, samples).foot
         met = replace(samples, triangle=foot.triangle, barycentric=foot.barycentric)
         return scale * look_up(laid, met, nearest=nearest)
@@ -309,7 +318,7 @@ def bake_detail_texture(
     canvas = make_canvas(transfer, size, options)
     once = np.ones((len(transfer.target.triangles), 2), dtype=np.int32)
     counts = once if nearest else _plan_lengths(transfer, texel, canvas)
-    return bake(transfer, canvas, counts, shade, laid.channels, kept, options)
+    return run_bake(transfer, canvas, counts, shade, laid.channels, kept, options)
 
 
 def _length_encoder(
@@ -321,7 +330,7 @@ def _length_encoder(
     return middle, lambda lengths: np.asarray((factor * lengths + middle) * unit(kept))
 
 
-def _met(transfer: Transfer, detail: Detail, samples: Samples) -> Met:
+def _met(transfer: Transfer, detail: Detail, samples: TexelSamples) -> Met:
     """Where the detail is, seen from the source points of samples."""
     source = transfer.point_map.source
     corners = source.triangles[samples.triangle]
@@ -330,7 +339,7 @@ def _met(transfer: Transfer, detail: Detail, samples: Samples) -> Met:
     return meet(detail.surface, points, normals)
 
 
-def _following(transfer: Transfer, detail: Detail, samples: Samples) -> FloatArray:
+def _following(transfer: Transfer, detail: Detail, samples: TexelSamples) -> FloatArray:
     """(s,) how much of the detail counts at samples."""
     if detail.follow is None:
         return np.ones(len(samples.triangle))

@@ -17,8 +17,8 @@ from cagemap.geometry.triangles import triangle_areas
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import parts
-from cagemap.transfer.baking import BakeOptions, Transfer, bake, make_canvas, unit
-from cagemap.transfer.locate import Samples, target_barycentric
+from cagemap.transfer.baking import BakeOptions, Transfer, make_canvas, run_bake, unit
+from cagemap.transfer.locate import TexelSamples, target_barycentric
 from cagemap.transfer.lookups import plan_lookups
 from cagemap.transfer.texture import Pixels, lay_texture
 
@@ -99,7 +99,7 @@ def bake_displacement(
         transfer.mapped, transfer.source, canvas.layout, canvas.supersample, laid, kind=options.filter
     )
 
-    def shade(samples: Samples) -> FloatArray:
+    def shade(samples: TexelSamples) -> FloatArray:
         values = lookups.mips.look_up(samples) / unit(laid.dtype)
         if constant:
             factor = factors[0]
@@ -110,7 +110,7 @@ def bake_displacement(
             return np.asarray(values * unit(kept))
         return np.asarray((middle + (values - middle) * factor) * unit(kept))
 
-    pixels = bake(transfer, canvas, lookups.counts, shade, 1, kept, options, lookups.crisp)
+    pixels = run_bake(transfer, canvas, lookups.counts, shade, 1, kept, options, lookups.crisp)
     return Displacement(pixels, middle, out_scale)
 
 

@@ -25,7 +25,7 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.mesh.udim import udim_origin
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.transfer.baking import Transfer
-from cagemap.transfer.locate import Samples
+from cagemap.transfer.locate import TexelSamples
 from cagemap.transfer.meeting import nearest_facing
 from cagemap.transfer.texture import OVERHANG, tile_cells
 
@@ -143,14 +143,14 @@ class Landing:
         return Aim(wanted, np.where(sound[:, None, None], counts @ back, 0.0))
 
 
-def corner_samples(transfer: Transfer, tile: int) -> tuple[FloatArray, Samples, IndexArray, FloatArray]:
+def corner_samples(transfer: Transfer, tile: int) -> tuple[FloatArray, TexelSamples, IndexArray, FloatArray]:
     """Corners of the target's layout in a tile, as samples: where they are, and what lies there on the source.
 
     Returns
     -------
     uvs : (k, 2) float64
         In the tile's unit square.
-    samples : Samples
+    samples : TexelSamples
     triangle : (k,) int64
         A target triangle that has the corner.
     inside : (k, 3) float64
@@ -170,7 +170,7 @@ def corner_samples(transfer: Transfer, tile: int) -> tuple[FloatArray, Samples, 
     triangle, inside = own[first // 3], np.eye(3)[first % 3]
     vertex = target.triangles[triangle, first % 3]
     count, points = len(corner), transfer.point_map
-    samples = Samples(
+    samples = TexelSamples(
         triangle.astype(np.int32),
         np.arange(count),
         count,

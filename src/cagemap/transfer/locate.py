@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from cagemap.geometry.triangles import triangle_centres, triangle_neighbors
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.texels import EDGE_TOLERANCE
+from cagemap.transfer.textured_surface import TexturedSurface
 
 _INSIDE = -1e-9
 # Steps of a walk. Corners of one target triangle land a few source triangles apart; a map that tears is cut off here.
@@ -119,7 +119,7 @@ def triangle_frames(positions: FloatArray, triangles: IndexArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class TexelSamples:
     """Source points of the samples of some texels; texel i has the samples ``first[i]:first[i + 1]``.
 
     Attributes
@@ -143,12 +143,12 @@ class Samples:
     triangle: IndexArray
     barycentric: FloatArray
 
-    def part(self, texels: IndexArray) -> Samples:
+    def part(self, texels: IndexArray) -> TexelSamples:
         """Those of some texels, given by their place among these."""
         counts = np.diff(self.first)[texels]
         first = np.concatenate([[0], np.cumsum(counts)])
         own = np.repeat(self.first[texels] - first[:-1], counts) + np.arange(first[-1])
-        return Samples(
+        return TexelSamples(
             self.target_triangle[texels],
             self.cells[texels],
             self.width,
@@ -158,10 +158,10 @@ class Samples:
             self.barycentric[own],
         )
 
-    def single(self) -> Samples:
+    def single(self) -> TexelSamples:
         """Every sample as a texel of its own."""
         repeats, count = np.diff(self.first), len(self.triangle)
-        return Samples(
+        return TexelSamples(
             np.repeat(self.target_triangle, repeats),
             np.repeat(self.cells, repeats),
             self.width,
@@ -184,7 +184,7 @@ def locate_samples(
     top: int,
     target_triangle: NDArray[np.int32],
     samples_per_axis: NDArray[np.int32],
-) -> Samples:
+) -> TexelSamples:
     """Find the source points of a grid of samples in every texel.
 
     Parameters
@@ -222,7 +222,7 @@ def locate_samples(
         triangle,
         barycentric,
     )
-    return Samples(target_triangle, cells, width, top, first, triangle, barycentric)
+    return TexelSamples(target_triangle, cells, width, top, first, triangle, barycentric)
 
 
 def locate_centers(surface: MappedSurface) -> IndexArray:
@@ -261,7 +261,7 @@ def walk_from(
     return found, barycentric / barycentric.sum(axis=1, keepdims=True)
 
 
-def target_barycentric(layout_corners: FloatArray, samples: Samples) -> FloatArray:
+def target_barycentric(layout_corners: FloatArray, samples: TexelSamples) -> FloatArray:
     """(k, 3) barycentric coordinates of the texels' centres in their target triangles; outside ones are clamped."""
     rows, columns = np.divmod(samples.cells, samples.width)
     a, b, c = (layout_corners[samples.target_triangle, corner] for corner in range(3))

@@ -14,9 +14,9 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads, parts
 from cagemap.transfer.locate import MappedSurface, locate_centers
 from cagemap.transfer.mip_maps import MipMaps
-from cagemap.transfer.surface import TexturedSurface
 from cagemap.transfer.texels import Layout, lay_out, rasterize_band
 from cagemap.transfer.texture import FILTERS, Filter, Texture, tile_cells
+from cagemap.transfer.textured_surface import TexturedSurface
 
 # No texel takes more than this many samples along each axis; beyond, it reads a smaller image of the texture.
 MAX_SAMPLES_PER_AXIS = 16

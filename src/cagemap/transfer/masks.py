@@ -11,10 +11,10 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import parts
 from cagemap.refinement import Level
-from cagemap.transfer.baking import BakeOptions, Transfer, bake, make_canvas, to_dtype, unit
-from cagemap.transfer.locate import Samples, target_barycentric
-from cagemap.transfer.surface import TexturedSurface
+from cagemap.transfer.baking import BakeOptions, Transfer, make_canvas, run_bake, to_dtype, unit
+from cagemap.transfer.locate import TexelSamples, target_barycentric
 from cagemap.transfer.texture import Pixels, lay_texture, look_up
+from cagemap.transfer.textured_surface import TexturedSurface
 
 # Rows of an image that are blended at a time.
 _ROWS = 256
@@ -42,7 +42,7 @@ def painted_mask(level: Level, image: Pixels | Mapping[int, Pixels]) -> FloatArr
     count = len(surface.triangles)
     corners = np.tile(np.eye(3), (count, 1))
     triangle = np.repeat(np.arange(count), 3)
-    each = Samples(triangle.astype(np.int32), triangle, 1, 0, np.arange(3 * count + 1), triangle, corners)
+    each = TexelSamples(triangle.astype(np.int32), triangle, 1, 0, np.arange(3 * count + 1), triangle, corners)
     values = look_up(laid, each) / unit(laid.dtype)
     colors = values.shape[1] - (1 if values.shape[1] in (2, 4) else 0)
     grey = values[:, :colors].mean(axis=1) * (values[:, -1] if colors < values.shape[1] else 1.0)
@@ -72,14 +72,14 @@ def bake_mask(transfer: Transfer, *, size: int | tuple[int, int], options: BakeO
     mine = transfer.masks.of_target(len(target.positions))
     theirs = transfer.masks.of_source(len(source.positions))
 
-    def shade(samples: Samples) -> FloatArray:
+    def shade(samples: TexelSamples) -> FloatArray:
         inside = target_barycentric(canvas.corners, samples)
         own = np.einsum("kc,kc->k", inside, mine[target.triangles[samples.target_triangle]])
         there = np.einsum("sc,sc->s", samples.barycentric, theirs[source.triangles[samples.triangle]])
         return own[:, None] * samples.mean(there[:, None])
 
     once = np.ones((len(target.triangles), 2), dtype=np.int32)
-    return bake(transfer, canvas, once, shade, 1, np.float32, options)
+    return run_bake(transfer, canvas, once, shade, 1, np.float32, options)
 
 
 def blend(baked: Pixels, base: Pixels, weight: Pixels) -> Pixels:

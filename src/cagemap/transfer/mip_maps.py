@@ -18,7 +18,7 @@ from scipy import sparse
 
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import in_threads, parts
-from cagemap.transfer.locate import Samples
+from cagemap.transfer.locate import TexelSamples
 from cagemap.transfer.smooth import SmoothTile, channel_range
 from cagemap.transfer.texture import Pixels, Texture, look_up
 
@@ -86,7 +86,7 @@ class MipMaps:
         for level in range(1, int(of_triangle.max(initial=0)) + 1):
             if np.any(of_triangle == level):
                 soft = {
-                    tile: smoothed(pixels, shares[tile], None if exact else texture.tiles[tile])
+                    tile: low_passed(pixels, shares[tile], None if exact else texture.tiles[tile])
                     for tile, pixels in tiles.items()
                 }
                 levels[level] = replace(texture, tiles=texture.tiles | soft)
@@ -96,7 +96,7 @@ class MipMaps:
                 shares = {tile: covered for tile, (_, covered) in pairs.items()}
         return cls(levels, of_triangle, fine)
 
-    def look_up(self, samples: Samples) -> FloatArray:
+    def look_up(self, samples: TexelSamples) -> FloatArray:
         """(k, c) as `cagemap.transfer.texture.look_up`, every texel in the image of its triangle's level."""
         if len(self.levels) == 1:
             return look_up(self.levels[0], samples, self.smooth, nearest=self.nearest)
@@ -114,7 +114,7 @@ def halved(pixels: Pixels, coverage: Coverage) -> tuple[Pixels, Coverage]:
     return _filtered(pixels, coverage, sides[0], sides[1])
 
 
-def smoothed(pixels: Pixels, coverage: Coverage, like: Pixels | None = None) -> Pixels:
+def low_passed(pixels: Pixels, coverage: Coverage, like: Pixels | None = None) -> Pixels:
     """(h, w, c) what texels of twice the size should see of the covered texels of an image.
 
     As float32, or in the number type and the range of the image ``like``: kernels overshoot at edges.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cagemap.geometry.triangles import normalized, vertex_normals
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
 from cagemap.numerics.graphs import components
-from cagemap.transfer.surface import TexturedSurface
+from cagemap.transfer.textured_surface import TexturedSurface
 
 
 @dataclass(frozen=True, eq=False)

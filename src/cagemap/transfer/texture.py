@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from cagemap.errors import ParameterError
 from cagemap.mesh.udim import udim_of, udim_origin
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.transfer.locate import Samples
+from cagemap.transfer.locate import TexelSamples
 from cagemap.transfer.smooth import SmoothTile
 
 Pixels = NDArray[Any]
@@ -155,14 +155,14 @@ _ROUGH = SmoothTile(np.zeros((0, 0), dtype=np.bool_), np.zeros(0), np.zeros(0))
 
 
 def look_up(
-    texture: Texture, samples: Samples, smooth: Mapping[int, SmoothTile] | None = None, *, nearest: bool = False
+    texture: Texture, samples: TexelSamples, smooth: Mapping[int, SmoothTile] | None = None, *, nearest: bool = False
 ) -> FloatArray:
     """(k, c) mean over every texel's samples of the interpolated texture, in the texture's own values.
 
     Parameters
     ----------
     texture : Texture
-    samples : Samples
+    samples : TexelSamples
     smooth : dict of int to SmoothTile, optional
         Where to look up smoothly, by tile; bilinear elsewhere.
     nearest : bool

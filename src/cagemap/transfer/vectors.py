@@ -17,9 +17,9 @@ from numpy.typing import DTypeLike, NDArray
 from cagemap.errors import ParameterError
 from cagemap.geometry.triangles import normalized, vertex_normals
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.transfer.baking import BakeOptions, Canvas, Transfer, bake, make_canvas, unit
+from cagemap.transfer.baking import BakeOptions, Canvas, Transfer, make_canvas, run_bake, unit
 from cagemap.transfer.displacement import Displacement, scale_ratio
-from cagemap.transfer.locate import Samples, target_barycentric
+from cagemap.transfer.locate import TexelSamples, target_barycentric
 from cagemap.transfer.lookups import plan_lookups
 from cagemap.transfer.tangents import TangentFrames, plane_basis, tangent_frames
 from cagemap.transfer.texture import Pixels, Texture, lay_texture
@@ -172,7 +172,7 @@ def _bake_texture_vectors(
         transfer.mapped, transfer.source, canvas.layout, canvas.supersample, laid, exact=True, kind=options.filter
     )
 
-    def give(samples: Samples) -> FloatArray:
+    def give(samples: TexelSamples) -> FloatArray:
         vectors = decode(lookups.mips.look_up(samples))[:, order]
         if frames is None:
             return vectors
@@ -191,7 +191,7 @@ def bake_turned(
     transfer: Transfer,
     canvas: Canvas,
     counts: NDArray[np.int32],
-    give: Callable[[Samples], FloatArray],
+    give: Callable[[TexelSamples], FloatArray],
     encode: Callable[[FloatArray], FloatArray],
     space: Space,
     order: list[int],
@@ -206,7 +206,7 @@ def bake_turned(
     transfer : Transfer
     canvas : Canvas
     counts : (t1, 2) int32
-        Samples in a texel, as `bake` takes them.
+        Samples in a texel, as `run_bake` takes them.
     give : callable
         Samples, each a texel of its own -> (s, 3) vectors of the source in object space.
     encode : callable
@@ -218,18 +218,18 @@ def bake_turned(
     kept : numpy.dtype
     options : BakeOptions
     crisp : (t1,) bool, optional
-        As `bake` takes it.
+        As `run_bake` takes it.
     """
     turn = Turn.of(transfer, space)
 
-    def shade(samples: Samples) -> FloatArray:
+    def shade(samples: TexelSamples) -> FloatArray:
         repeats = np.diff(samples.first)
         inside = np.repeat(target_barycentric(canvas.corners, samples), repeats, axis=0)
         triangle = np.repeat(samples.target_triangle.astype(np.int64), repeats)
         vectors = turn.back(give(samples.single()), samples, triangle, inside)
         return np.asarray(encode(samples.mean(vectors[:, np.argsort(order)])))
 
-    return bake(transfer, canvas, counts, shade, 3, kept, options, crisp)
+    return run_bake(transfer, canvas, counts, shade, 3, kept, options, crisp)
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,7 +257,7 @@ class Turn:
         normals = (vertex_normals(side.positions, side.triangles) for side in (transfer.target, transfer.source))
         return cls(transfer, frames, *normals)
 
-    def back(self, vectors: FloatArray, samples: Samples, triangle: IndexArray, inside: FloatArray) -> FloatArray:
+    def back(self, vectors: FloatArray, samples: TexelSamples, triangle: IndexArray, inside: FloatArray) -> FloatArray:
         """(s, 3) vectors of the source at samples, in the target's triangles (s,) at barycentric coordinates (s, 3)."""
         target, source, mapped = self.transfer.target, self.transfer.source, self.transfer.mapped.mapped
         corners = target.triangles[triangle]

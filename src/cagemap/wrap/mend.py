@@ -72,7 +72,7 @@ def fit_net(
     fitting = Fitting.build(graph, data, config, free, lone.attached if len(lone.points) else None)
     positions = start(fitting, net.field.solve)
     loose = np.setdiff1d(free, lone.points)
-    positions = Part(net, data, config, free, np.ones(graph.n)).moved(positions, loose, _CARRYING_ROUNDS)
+    positions = LocalFit(net, data, config, free, np.ones(graph.n)).moved(positions, loose, _CARRYING_ROUNDS)
     positions = rounds(fitting, adjust(lone.carried(positions)), config.rounds, net.field.solve, adjust)
     return adjust(lone.carried(positions)) if len(lone.points) else positions
 
@@ -123,7 +123,7 @@ def mend(
             pieces = LonePieces.find(graph, free_points(data))
             if len(pieces.points) > len(lone):
                 positions, lone = adjust(pieces.carried(positions)), pieces.points
-        part = Part(net, data, config, np.union1d(free_points(data), np.flatnonzero(released)), stiffness)
+        part = LocalFit(net, data, config, np.union1d(free_points(data), np.flatnonzero(released)), stiffness)
         moving = np.setdiff1d(_grown(graph, corners, rings), lone)
         again = folded[~small[folded] & (stiffness[folded] > _STIFFENING)]
         positions = part.moved(_laid_flat(graph, positions, np.intersect1d(again, moving)), moving, 1, field)
@@ -188,7 +188,7 @@ def _grown(graph: ElasticGraph, points: IndexArray, rings: int) -> IndexArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class LocalFit:
     """What moves parts of a net on their own.
 
     Attributes

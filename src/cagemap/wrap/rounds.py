@@ -115,14 +115,14 @@ def rounds(
     """(n, 3) positions after so many rounds, adjusted after each; what does not move is as it was."""
     guess = fitting.data.images.triangle
     for _ in range(count):
-        pull = Pull.at(fitting, positions, differentials(positions), guess)
-        guess = pull.feet.triangle
-        positions = adjust(pull.solve(positions))
+        system = RoundSystem.at(fitting, positions, differentials(positions), guess)
+        guess = system.feet.triangle
+        positions = adjust(system.solve(positions))
     return positions
 
 
 @dataclass(frozen=True, eq=False)
-class Pull:
+class RoundSystem:
     """The system of one round.
 
     Attributes
@@ -142,7 +142,7 @@ class Pull:
     right: FloatArray
 
     @classmethod
-    def at(cls, fitting: Fitting, positions: FloatArray, maps: FloatArray, guess: IndexArray) -> Pull:
+    def at(cls, fitting: Fitting, positions: FloatArray, maps: FloatArray, guess: IndexArray) -> RoundSystem:
         """The round from positions (n, 3) and differentials (n, 3, 3), with triangles (s,) that are probably near."""
         data, images = fitting.data, fitting.data.images
         places = data.samples @ positions

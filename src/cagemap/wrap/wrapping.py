@@ -138,7 +138,7 @@ def wrap(
         net = control_net(target, config.level, point_map.target.scale)
         weights = found.result() * _follow(target, follow)
     data = fit_data(net, point_map.images, weights, boundary_vertices(point_map.target))
-    adjust = partial(mirrored, symmetry) if symmetry is not None else _as_it_is
+    adjust = partial(symmetrized, symmetry) if symmetry is not None else _as_it_is
     source = point_map.source
 
     def fitted(config: WrapConfig) -> tuple[Residual, FloatArray, Closest]:
@@ -181,7 +181,7 @@ def residual_of(distance: FloatArray, follow: FloatArray, target: TriangleSurfac
     )
 
 
-def mirrored(symmetry: IndexArray, positions: FloatArray) -> FloatArray:
+def symmetrized(symmetry: IndexArray, positions: FloatArray) -> FloatArray:
     """(n, 3) a net made mirror symmetric: the mean of it and its mirror image, about the plane that suits it best."""
     # The best rigid motion of the image, with one axis turned over, is the reflection about that plane.
     flip = np.array([-1.0, 1.0, 1.0])

@@ -54,7 +54,7 @@ def both_ways(problem: FitProblem, positions: FloatArray) -> FloatArray:
     if areas[gaps > INVERSE_FAR].sum() > INVERSE_LOST * areas.sum():
         return positions
     met = 1.0 / (1.0 + (gaps / INVERSE_GAP) ** 2) ** 2
-    return positions + smoothed(prepared, 0.5 * (places - positions), met)
+    return positions + smoothed_shifts(prepared, 0.5 * (places - positions), met)
 
 
 def inverse(mesh: TriangleSurface, deformed: FloatArray, other: TriangleSurface) -> tuple[FloatArray, FloatArray]:
@@ -79,7 +79,7 @@ def inverse(mesh: TriangleSurface, deformed: FloatArray, other: TriangleSurface)
     return np.einsum("mk,mkd->md", barycentric, mesh.positions[mesh.triangles[at]]), gaps
 
 
-def smoothed(prepared: PreparedPair, shifts: FloatArray, trust: FloatArray) -> FloatArray:
+def smoothed_shifts(prepared: PreparedPair, shifts: FloatArray, trust: FloatArray) -> FloatArray:
     """Shifts (n, 3) of the target's mesh, smoothed: ``(M T + l^2 L) d = M T d_0`` with trust T (n,) from 0 to 1.
 
     What is not trusted follows its surroundings.

@@ -83,7 +83,7 @@ def posed(rest: RestShape, positions: FloatArray) -> FloatArray:
     pull, blocks = graph.areas[:, None] * positions, graph.areas[:, None, None] * np.eye(3)
     field = DifferentialField.build(graph, graph.laplacian(), POSING_SMOOTHING)
     for _ in range(JOINTS_FOUND):
-        loose = replace(graph, weights=graph.weights * stiffness(graph, nearest_rotations(field.solve(places))))
+        loose = replace(graph, weights=graph.weights * edge_stiffness(graph, nearest_rotations(field.solve(places))))
         field = DifferentialField.build(loose, loose.laplacian(), POSING_SMOOTHING)
         factors = field.system.factor(POSING_STIFFNESS, blocks, field.factors)
         for _ in range(POSING_ROUNDS):
@@ -92,7 +92,7 @@ def posed(rest: RestShape, positions: FloatArray) -> FloatArray:
     return places
 
 
-def stiffness(graph: ElasticGraph, rotations: FloatArray) -> FloatArray:
+def edge_stiffness(graph: ElasticGraph, rotations: FloatArray) -> FloatArray:
     """(2 m,) weights c of the edges, from 1 where nothing turns to `LOOSEST` at joints: ``1 / (1 + k^2 / mean k^2)``.
 
     Parameters

@@ -48,7 +48,7 @@ def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -
     if fitted.shape != (count, 3) or not np.all(np.isfinite(fitted)):
         raise ParameterError(f"fitted: expected finite places ({count}, 3), as `fit` gives them, got {fitted.shape}")
     target = prepared.target.triangles(prepared.target.finest)
-    positions = carried(prepared, fitted)
+    positions = carried_to_finest(prepared, fitted)
     normals = vertex_normals(positions, target.triangles)
     found = facing_points(prepared.on_source, positions, normals, prepared.elastic.projection_normal_weights)
     return PointMap(target, meet(found, landmarks))
@@ -113,7 +113,7 @@ def unfold(point_map: PointMap, held: IndexArray, config: ElasticConfig = Elasti
     return PointMap(point_map.target, lay_out_parts(images, flipped, point_map.target, held))
 
 
-def carried(prepared: PreparedPair, fitted: FloatArray) -> FloatArray:
+def carried_to_finest(prepared: PreparedPair, fitted: FloatArray) -> FloatArray:
     """(n_f, 3) places of the target's finest vertices where those of the level that is deformed are fitted.
 
     A subdivision surface passes through the fitted points (`refined_positions`). A plain mesh has details of its own,
