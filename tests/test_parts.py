@@ -24,7 +24,7 @@ from cagemap.files.result import read_result
 from cagemap.mesh import CatmullClark, ControlMesh, Loop
 from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import CagePoints, Landmarks
-from cagemap.mesh.parts import components, extract, find_part, list_parts, material_pieces, pair_parts
+from cagemap.mesh.parts import connected_parts, extract, find_part, list_parts, material_pieces, pair_parts
 from cagemap.refinement import refine
 
 
@@ -117,7 +117,7 @@ def test_components_are_paired_by_landmarks_then_names_then_what_is_left() -> No
     assert [(pair.target.name, pair.source.name) for pair in pairs] == [("body", "trunk")]
     assert {part.name for part in alone} == {"eye", "hat"}
     assert others == ()
-    assert len(components(target)) == 3
+    assert len(connected_parts(target)) == 3
 
 
 def test_materials_are_paired_by_name_and_their_pieces_by_landmarks() -> None:
