@@ -55,6 +55,7 @@ def main() -> None:
     """Run the command line; problems become one message and an exit code, never a traceback."""
     _collect_seldom()
     sys.setswitchinterval(TURN)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before it is loaded, or its threads spin
     tolerate_odd_names()
     set_verbosity(0, quiet=False)
     with Stop() as stop:

@@ -164,7 +164,8 @@ class ThreadPool(ThreadPoolExecutor):
 def in_threads(work: Callable[[Item], Value], items: Sequence[Item], threads: int | None = None) -> list[Value]:
     """Apply a function to every item, in threads; results in order. The first error is raised, once all have ended.
 
-    Every thread takes the next item when it has done one: handing over single items costs more than a small one takes.
+    Every thread, the asking one among them, takes the next item when it has done one: handing over single items costs
+    more than a small one takes.
     """
     threads = min(len(items), threads or core_count())
     if threads <= 1:
@@ -180,9 +181,10 @@ def in_threads(work: Callable[[Item], Value], items: Sequence[Item], threads: in
             except Exception as error:
                 failed[place] = error
 
-    with ThreadPool(threads) as pool:
-        shares = [pool.submit(share) for _ in range(threads)]
+    with ThreadPool(threads - 1) as pool:
+        shares = [pool.submit(share) for _ in range(threads - 1)]
         try:
+            share()
             for ended in shares:
                 ended.result()
         except BaseException:  # stopped: no thread takes another item

@@ -176,8 +176,8 @@ def run_stage(
     with ThreadPool(1) as aside:
         for iteration, ramped in enumerate(stage.ramped(), start=1):
             alpha = float(ramped) if miss > LYING else float(max(ramped, min(STIFFENING * alpha, STIFFEST)))
+            differentials = aside.submit(rest.differentials, positions)
             if triangles is None:
-                differentials = aside.submit(rest.differentials, positions)
                 normals = deformed_normals(graph, differentials.result()[0])
             else:
                 normals = vertex_normals(positions, triangles)
@@ -201,8 +201,6 @@ def run_stage(
                 )
                 pull = pull.scaled(rest.received.weights(back.weights))
                 blocks, right, guess_back = pull.blocks + back.blocks, pull.right + back.right, back.triangles
-                # Only the residual asks for them here: beside the factorisation, which keeps to one core.
-                differentials = aside.submit(rest.differentials, positions)
             ties.add(blocks, right, positions, config)
             matrix = field.system.at(alpha, blocks)
             exact = (iteration - 1) % stage.factored == 0

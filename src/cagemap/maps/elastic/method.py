@@ -69,23 +69,29 @@ def fits(problem: FitProblem, progress: Progress = lambda stage: None) -> tuple[
     Elsewhere no joint needs the soft stage, and a stiffer one spreads the strain more evenly.
     """
     progress("functional map")
-    graph = problem.shape.rest.graph
+    graph, settled = problem.shape.rest.graph, problem.staged(problem.prepared.elastic.settled)
+    # The start from the landmarks is another one in the stiffer stage: differentials are smoothed over its length.
+    stiffer = problem.shape.smoothed(settled.prepared.elastic.coarse.smoothing)
+
+    def ends_from(rough: FloatArray | None) -> list[CoarseFit]:
+        """Where both coarse stages end, the soft one and the stiffer one."""
+        return in_threads(lambda stage: coarse_fit(stage[0], rough, stage[1]), [(problem, None), (settled, stiffer)])
+
     with ThreadPool(1) as aside:  # from the landmarks alone, while the functional map is made
-        blind = aside.submit(coarse_fit, problem, None)
+        blind = aside.submit(ends_from, None)
         start = start_map(problem)
         progress("elastic fit")
-        ends = [coarse_fit(problem, start), blind.result()]
+        ends, stiff = zip(ends_from(start), blind.result(), strict=True)
     if mean_distance(ends[0].positions, ends[1].positions, graph.areas) > DOUBTFUL:
-        return doubtful_ends(problem, start, ends)
-    # The start from the landmarks is another one here: differentials are smoothed over the stiffer stage's length.
-    best = min(stiff_fits(problem, (start, None)), key=lambda ended: ended.cost)
-    settled = FineFit(best.cost, fine_fit(problem, best))
-    if limb_turn(problem.prepared.rest, settled.positions) > LIMB_POSED:  # which only the mesh shows of a single elbow
-        return doubtful_ends(problem, start, ends)
-    return (settled,)
+        return doubtful_ends(problem, ends, stiff[0])
+    best = min(stiff, key=lambda ended: ended.cost)
+    found = FineFit(best.cost, fine_fit(problem, best))
+    if limb_turn(problem.prepared.rest, found.positions) > LIMB_POSED:  # which only the mesh shows of a single elbow
+        return doubtful_ends(problem, ends, stiff[0])
+    return (found,)
 
 
-def doubtful_ends(problem: FitProblem, start: FloatArray, ends: list[CoarseFit]) -> tuple[FineFit, ...]:
+def doubtful_ends(problem: FitProblem, ends: Sequence[CoarseFit], stiff: CoarseFit) -> tuple[FineFit, ...]:
     """Finished ends, cheapest first, where two coarse fits ended apart.
 
     Spectral upsampling makes further starts of the first one's end, and the fine stage goes on from all that lie apart,
@@ -96,30 +102,21 @@ def doubtful_ends(problem: FitProblem, start: FloatArray, ends: list[CoarseFit])
     Parameters
     ----------
     problem : FitProblem
-    start : (k, 3) float64
-        Where the spectral map puts the coarse vertices.
-    ends : list of CoarseFit
-        From there, and from the landmarks alone.
+    ends : (CoarseFit, CoarseFit)
+        From where the spectral map puts the coarse vertices, and from the landmarks alone.
+    stiff : CoarseFit
+        From the spectral map, of the stiffer stage.
     """
     rest = problem.prepared.rest
     starts = spectral_starts(ends[0], SpectralSides.build(problem))
-    with ThreadPool(1) as aside:
-        stiff = aside.submit(stiff_fits, problem, [start])
-        more = in_threads(lambda rough: coarse_fit(problem, rough), starts)
-        first, *others = finished_ends(problem, [*ends, *more], stiff=stiff.result())
+    more = in_threads(lambda rough: coarse_fit(problem, rough), starts)
+    first, *others = finished_ends(problem, [*ends, *more], stiff=[stiff])
     if rest.masks.any:  # what is masked is fitted back as well, and drags what is not with it
         return first, *others
     moved = first.positions
     if turn(rest, moved) > POSES_DIFFER:
         moved = fit_in_pose(problem, moved)
     return replace(first, moved=both_ways(problem, moved)), *others
-
-
-def stiff_fits(problem: FitProblem, starts: Sequence[FloatArray | None]) -> list[CoarseFit]:
-    """The stiffer coarse stage from some starts, see `ElasticConfig.settled`."""
-    settled = problem.staged(problem.prepared.elastic.settled)
-    shape = problem.shape.smoothed(settled.prepared.elastic.coarse.smoothing)
-    return in_threads(lambda rough: coarse_fit(settled, rough, shape), starts)
 
 
 def updated_map(
