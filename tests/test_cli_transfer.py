@@ -215,3 +215,10 @@ def test_layouts_that_lie_over_themselves_are_warned_of(run: Run, result_folder:
     assert "materials of the source lie over each other in its layout (skin, eyes)" in outcome.err
     colours = run("transfer", "R", "--material-colors", "--size", 32, "-o", "c.png")
     assert "materials of the source" not in colours.err
+
+
+def test_a_mesh_with_the_source_s_uvs_is_noted_by_a_relative_name(run: Run, result_folder: Path) -> None:
+    outcome = run("transfer", "R", "--source-uvs", "-o", "laid.obj")
+    assert outcome.code == 0, outcome.err
+    (entry,) = read_result(result_folder).manifest["transfers"]
+    assert entry["output"] == "../laid.obj"

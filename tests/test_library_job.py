@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
 import pytest
 from examples.shapes import cube, icosahedron, torus
 
 from cagemap.cli.job_file import COMMANDS as REAL
 from cagemap.cli.job_file import WRITTEN
-from cagemap.errors import FormatError
+from cagemap.errors import FormatError, InvalidMeshError
 from cagemap.files.meshes import write_mesh
 from cagemap.library import Job, Plan, Task, plan_job, read_job, spanning_tree
 from cagemap.library.job_checks import line_of
@@ -255,6 +256,12 @@ def test_shapes_are_compared_whatever_their_place_and_size() -> None:
     moved = type(mesh)(**{**mesh.__dict__, "positions": 7.0 * mesh.positions[:, [2, 0, 1]] + 3.0})
     assert abs(shape_distribution(mesh) - shape_distribution(moved)).max() < 1e-9
     assert abs(shape_distribution(mesh) - shape_distribution(cube())).mean() > 0.02
+
+
+def test_a_mesh_without_area_is_no_part_of_a_tree() -> None:
+    flat = cube().with_positions(np.zeros((8, 3)))
+    with pytest.raises(InvalidMeshError, match="faces with an area"):
+        shape_distribution(flat)
 
 
 def test_relative_files_start_from_the_job_file(folder: Path) -> None:

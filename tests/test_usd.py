@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import fields, replace
 from pathlib import Path
@@ -174,6 +175,28 @@ def test_a_character_with_parts_weights_and_blend_shapes(tmp_path: Path) -> None
     joined = read_usd(path)
     assert joined.object_names == ("/hero/body", "/hero/eye")
     assert (joined.n_vertices, joined.n_faces) == (17, 10)
+
+
+def test_names_without_an_identifier_of_their_own_stay_apart(tmp_path: Path) -> None:
+    mesh = replace(full_cube(), material_names=("皮肤", "头发"), material_colors=np.array([[0.5, 0, 0], [0, 0, 0.5]]))
+    moves = np.eye(3)[np.arange(8) % 3]
+    attributes = {"blendShape:笑": moves, "blendShape:怒": 2 * moves, "高": np.arange(8.0), "低": -np.arange(8.0)}
+    write_usd(tmp_path / "cube.usda", mesh, UsdResults(attributes=attributes))
+    (read,) = read_usd_meshes(tmp_path / "cube.usda")
+    colors = read.control.material_colors[read.control.face_materials]  # type: ignore[index]
+    np.testing.assert_array_equal(colors, mesh.material_colors[mesh.face_materials])  # type: ignore[index]
+    np.testing.assert_array_equal(read.attributes["blendShape:笑"], moves)
+    np.testing.assert_array_equal(read.attributes["blendShape:怒"], 2 * moves)
+    others = [read.attributes[name] for name in read.attributes if name.startswith("_")]
+    np.testing.assert_array_equal(others, [np.arange(8.0), -np.arange(8.0)])
+
+
+def test_a_blend_shape_does_not_take_the_place_of_a_subset(tmp_path: Path) -> None:
+    mesh, moves = full_cube(), np.eye(3)[np.arange(8) % 3]
+    write_usd(tmp_path / "cube.usda", mesh, UsdResults(attributes={"blendShape:skin": moves}))
+    (read,) = read_usd_meshes(tmp_path / "cube.usda")
+    assert read.control.material_names == mesh.material_names
+    np.testing.assert_array_equal(read.attributes["blendShape:skin"], moves)
 
 
 def test_references_and_variants_are_resolved(tmp_path: Path) -> None:
@@ -349,6 +372,19 @@ def test_meshes_that_do_not_fit_together_are_refused(change: object, message: st
     stage.Save()
     with pytest.raises(FormatError, match=message):
         read_usd(tmp_path / "mesh.usda")
+
+
+def test_an_export_as_gltf_is_in_metres_with_y_up(tmp_path: Path) -> None:
+    write_usd(tmp_path / "cube.usda", full_cube())
+    stage = Usd.Stage.Open(str(tmp_path / "cube.usda"))
+    UsdGeom.SetStageUpAxis(stage, "Z")
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    stage.Save()
+    write_mesh(tmp_path / "cube.glb", read_mesh(tmp_path / "cube.usda"), like=tmp_path / "cube.usda")
+    data = (tmp_path / "cube.glb").read_bytes()
+    (node,) = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])["nodes"]
+    matrix = np.array(node["matrix"]).reshape(4, 4).T  # by columns, for points as columns
+    np.testing.assert_allclose(matrix @ [100, 200, 300, 1], [1, 3, -2, 1], atol=1e-12)
 
 
 def test_meshes_of_different_schemes_are_read_for_their_parts(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -139,6 +140,30 @@ def test_mutated_rigs_are_refused_by_name(tmp_path: Path) -> None:
             except FormatError:
                 refused += 1
     assert refused > 60
+
+
+def test_joints_without_an_identifier_of_their_own_stay_apart(tmp_path: Path) -> None:
+    skeleton = replace(_skeleton(), names=("胸", "腰", "左手", "右手"), parents=("腰", "", "胸", "胸"))
+    weights = np.eye(4)[np.arange(8) % 4]
+    write_usd(
+        tmp_path / "rig.usda",
+        textured_cube("rig.usda", 1.0),
+        UsdResults(attributes={"skel:jointWeights": weights}, skeleton=skeleton),
+    )
+    found = read_usd_skeleton(tmp_path / "rig.usda")
+    assert found is not None
+    assert len(set(found.names)) == 4
+    table = read_attributes(tmp_path / "rig.usda")["skel:jointWeights"]
+    heads = table @ found.heads
+    np.testing.assert_allclose(heads, weights @ skeleton.heads, atol=1e-6)
+
+
+def test_axes_of_some_joints_alone_are_refused(tmp_path: Path) -> None:
+    joints = [{"name": name, "head": [0, 0, 0], "tail": [0, 1, 0]} for name in "ab"]
+    joints[0]["axes"] = np.eye(3).tolist()
+    (tmp_path / "rig.json").write_text(json.dumps(joints))
+    with pytest.raises(FormatError, match="got 1 of 2"):
+        read_skeleton(tmp_path / "rig.json")
 
 
 @pytest.fixture

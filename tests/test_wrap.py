@@ -301,6 +301,7 @@ def test_the_command_refuses_and_writes_nothing(run: Run, result_folder: Path) -
         (("-o", "n.obj"), "RESULT"),
         (("R", "-o", "n.obj", "--target", "t.obj"), "--target and --source"),
         (("R", "-o", "n.obj", "--amount", "0.5", "--displacement", "d.exr"), "whole --amount"),
+        (("R", "-o", "n", "--blend-shapes", "--displacement", "d.exr"), "no --blend-shapes"),
         (("R", "-o", "n.stl"), "n.stl"),
     ):
         refused = run("wrap", *arguments)

@@ -9,7 +9,7 @@ from itertools import islice
 from cagemap.cli.bases import DEFAULT_VERTICES
 from cagemap.cli.subdivision import SubdivisionRequest
 from cagemap.errors import CagemapError
-from cagemap.files.meshes import read_mesh
+from cagemap.files.meshes import read_whole
 from cagemap.library import Job, Plan, Task, missing_tasks
 from cagemap.library.costs import (
     FACTOR,
@@ -124,7 +124,7 @@ def _size(job: Job, name: str, plan: Plan) -> AssetSize:
     options = next((_options(task.request) for task in plan.tasks if _reads(task, name)), {})
     try:
         own = SubdivisionRequest(job.assets[name].scheme or options.get("scheme"))
-        control = own.applied(read_mesh(job.assets[name].file))
+        control = own.applied(read_whole(job.assets[name].file))
         wanted = int(options.get("vertices") or DEFAULT_VERTICES)
         level = int(options.get("level") or choose_level(control, wanted))
         counts = list(islice(vertex_counts(control, default_scheme(control)), level + 1))

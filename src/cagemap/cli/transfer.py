@@ -193,7 +193,7 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
     original = input_file(request.result, result.manifest, "target")
     laid_out = result.target.control.with_uvs(carried.uvs, carried.uv_indices)
     write_mesh(request.output, laid_out, like=original, force=request.force)
-    note_transfer(request.result, {"kind": "uvs", "output": request.output.resolve()})
+    note_transfer(request.result, {"kind": "uvs", "output": stated_path(request.output, request.result)})
     count = len(carried.crossed)
     warnings = []
     if count:

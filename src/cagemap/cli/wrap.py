@@ -127,8 +127,10 @@ def _check_request(request: WrapRequest) -> None:
             f"expected one RESULT, got {len(request.results)}. Several need --blend-shapes and a folder as --output; "
             "meshes are given by --target and --source."
         )
-    if images and (many or request.amount != 1.0):
-        raise ParameterError("images that are baked and --mhclo: expected one RESULT, and the whole --amount")
+    if images and (many or request.blend_shapes or request.amount != 1.0):
+        raise ParameterError(
+            "images that are baked and --mhclo: expected one RESULT, the whole --amount and no --blend-shapes"
+        )
     if request.detail is not None and not bakes.images:
         raise ParameterError("--detail: expected an image to bake from it, such as --normal-map")
     inputs = [folder / name for folder in request.results for name in (MANIFEST, ARRAYS)]

@@ -62,23 +62,30 @@ class Binary:
         return b"".join([struct.pack("<4sII", b"glTF", 2, 12 + len(chunks) + self._length), chunks, *self._chunks])
 
 
-def write_glb(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> None:
+def write_glb(path: str | Path, mesh: ControlMesh, *, to_metres: FloatArray | None = None, force: bool = False) -> None:
     """Write a mesh as glTF: polygons as fans of triangles, one primitive a material, vertices parted at UV seams.
 
-    Positions are single precision in the mesh's own unit; glTF says metres. Creases and further UV sets have no place
-    in it.
+    Positions are single precision in the mesh's own unit. Creases and further UV sets have no place in it.
+
+    Parameters
+    ----------
+    path : path
+    mesh : ControlMesh
+    to_metres : (4, 4) float64, optional
+        From the mesh's space, rows times it, to metres with Y up, as glTF has them: the transform of its node.
+    force : bool
 
     Raises
     ------
     FormatError
         If the file cannot be written.
     """
-    content = _packed(mesh)
+    content = _packed(mesh, to_metres)
     with atomic_path(path, force=force) as temporary:
         temporary.write_bytes(content)
 
 
-def _packed(mesh: ControlMesh) -> bytes:
+def _packed(mesh: ControlMesh, to_metres: FloatArray | None) -> bytes:
     corners, corner_faces = _fan_corners(mesh)
     uv_indices = mesh.face_indices if mesh.uv_indices is None else mesh.uv_indices
     pairs = mesh.face_indices * (int(uv_indices.max()) + 1) + uv_indices
@@ -107,11 +114,13 @@ def _packed(mesh: ControlMesh) -> bytes:
         chosen = triangles[numbers_of[corner_faces] == material].ravel()
         primitive = {"attributes": attributes, "indices": add(chosen, INDICES)}
         primitives.append(primitive if mesh.face_materials is None else primitive | {"material": material})
+    # Columns one after the other, for points as columns: the rows of a matrix for points as rows.
+    placed = {} if to_metres is None else {"matrix": to_metres.ravel().tolist()}
     document: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "cagemap", "extras": {"mark": mark()}},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "name": mesh.name}],
+        "nodes": [{"mesh": 0, "name": mesh.name} | placed],
         "meshes": [{"primitives": primitives}],
     }
     if mesh.face_materials is not None:

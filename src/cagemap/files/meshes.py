@@ -14,7 +14,7 @@ from cagemap.files.off import read_off, write_off
 from cagemap.files.ply import read_ply, write_ply
 from cagemap.files.stl import read_stl
 from cagemap.files.usd import USD_SUFFIXES, read_usd
-from cagemap.files.usd_space import stage_space
+from cagemap.files.usd_space import stage_space, to_standard
 from cagemap.files.usd_write import write_usd
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.kinds import kinds_checked
@@ -56,7 +56,8 @@ def write_mesh(path: str | Path, mesh: ControlMesh, *, like: str | Path | None =
     path : path
     mesh : ControlMesh
     like : path, optional
-        The file that it was read from: between USD files units, up axis and the prim's transform are kept.
+        The file that it was read from: between USD files units, up axis and the prim's transform are kept, and a
+        ``.glb`` of a USD file is in metres with Y up.
     force : bool
 
     Raises
@@ -66,8 +67,11 @@ def write_mesh(path: str | Path, mesh: ControlMesh, *, like: str | Path | None =
         and ``force`` is not given.
     """
     suffix = _extension(path, _WRITERS)
-    if suffix in USD_SUFFIXES and like is not None and Path(like).suffix.lower() in USD_SUFFIXES:
-        write_usd(path, mesh, space=stage_space(like), force=force)
+    original = Path(like) if like is not None and Path(like).suffix.lower() in USD_SUFFIXES else None
+    if suffix in USD_SUFFIXES and original is not None:
+        write_usd(path, mesh, space=stage_space(original), force=force)
+    elif suffix == ".glb" and original is not None:
+        write_glb(path, mesh, to_metres=to_standard(original, mesh), force=force)
     else:
         _WRITERS[suffix](path, mesh, force=force)
 

@@ -59,8 +59,8 @@ def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skele
         heads, tails = (
             np.array([joint[end] for joint in joints], dtype=np.float64).reshape(-1, 3) for end in ("head", "tail")
         )
-        has_axes = bool(joints) and all("axes" in joint for joint in joints)
-        axes = np.array([joint["axes"] for joint in joints], dtype=np.float64).reshape(-1, 3, 3) if has_axes else None
+        turned = [joint["axes"] for joint in joints if "axes" in joint]
+        axes = np.array(turned, dtype=np.float64).reshape(-1, 3, 3) if turned else None
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise FormatError(
             f'{file}: expected a list of joints such as {{"name": "spine", "parent": null, "head": [0, 1, 0], '
@@ -73,8 +73,8 @@ def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skele
         raise FormatError(f"{file}: parents {', '.join(missing)} are no joints of the file. Export the whole skeleton.")
     if not (np.isfinite(heads).all() and np.isfinite(tails).all()):
         raise FormatError(f"{file}: expected finite positions of heads and tails.")
-    if axes is not None and not np.isfinite(axes).all():
-        raise FormatError(f"{file}: expected finite axes of joints.")
+    if axes is not None and (len(axes) != len(names) or not np.isfinite(axes).all()):
+        raise FormatError(f"{file}: expected finite axes of all joints or of none, got {len(axes)} of {len(names)}.")
     return Skeleton(names, parents, heads, tails, axes)
 
 

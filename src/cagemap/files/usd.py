@@ -6,8 +6,9 @@ comes along.
 
 from __future__ import annotations
 
+import itertools
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -92,6 +93,17 @@ def usd_modules() -> Any:
             "USD files: expected the package usd-core, which is not installed. Install cagemap[usd] or usd-core."
         ) from None
     return pxr
+
+
+def identifiers(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
+    """Names of prims and primvars for any words: what USD has no sign for becomes ``_``, and equal ones get numbers."""
+    used, made = set(taken), list[str]()
+    for name in names:
+        word = usd_modules().Tf.MakeValidIdentifier(name)
+        free = itertools.chain([word], (f"{word}_{number}" for number in itertools.count(2)))
+        made.append(next(one for one in free if one not in used))
+        used.add(made[-1])
+    return made
 
 
 def open_stage(path: str | Path) -> Any:

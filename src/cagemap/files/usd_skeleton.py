@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files.usd import named_damage, one_mesh, open_stage, read_usd_meshes, usd_modules
+from cagemap.files.usd import identifiers, named_damage, one_mesh, open_stage, read_usd_meshes, usd_modules
 from cagemap.files.usd_transforms import moved
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.skeleton import Skeleton
@@ -113,19 +113,22 @@ def write_usd_skeleton(stage: Any, prim: Any, skeleton: Skeleton, to_root: Float
 
 
 def _joint_paths(skeleton: Skeleton) -> list[str]:
-    valid = usd_modules().Tf.MakeValidIdentifier
     number = {name: joint for joint, name in enumerate(skeleton.names)}
+    words: dict[int, str] = {}
+    for parent in dict.fromkeys(skeleton.parents):
+        own = [joint for joint, above in enumerate(skeleton.parents) if above == parent]
+        words |= zip(own, identifiers(skeleton.names[joint].rpartition("/")[2] for joint in own), strict=True)
 
     def path(joint: int) -> str:
-        words = [valid(skeleton.names[joint].rpartition("/")[2])]
+        way = [words[joint]]
         seen = {joint}
         while skeleton.parents[joint]:
             joint = number[skeleton.parents[joint]]
             if joint in seen:
                 raise FormatError(f"skeleton: joint {skeleton.names[joint]} is its own parent. Repair the hierarchy.")
             seen.add(joint)
-            words.append(valid(skeleton.names[joint].rpartition("/")[2]))
-        return "/".join(reversed(words))
+            way.append(words[joint])
+        return "/".join(reversed(way))
 
     return [path(joint) for joint in range(len(skeleton.names))]
 

@@ -15,7 +15,7 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.marks import mark
 from cagemap.files.text import text_name
-from cagemap.files.usd import open_stage, reversed_corners, usd_modules
+from cagemap.files.usd import identifiers, open_stage, reversed_corners, usd_modules
 from cagemap.files.usd_material import bind_textures
 from cagemap.files.usd_primvars import BLEND_SHAPE, JOINT_WEIGHTS
 from cagemap.files.usd_skeleton import write_usd_skeleton
@@ -267,8 +267,9 @@ def _write_uvs(prim: Any, name: str, uvs: FloatArray, indices: IndexArray) -> No
 def _write_subsets(stage: Any, prim: Any, mesh: ControlMesh) -> None:
     """Materials as bound subsets, groups as plain ones."""
     pxr = usd_modules()
-    for name, faces, material in _named_faces(mesh):
-        label = pxr.Tf.MakeValidIdentifier(name)
+    named = _named_faces(mesh)
+    labels = identifiers(name for name, _, _ in named)
+    for label, (_, faces, material) in zip(labels, named, strict=True):
         family = "materialBind" if material is not None else "groups"
         subset = pxr.UsdGeom.Subset.CreateUniqueGeomSubset(prim, label, "face", _ints(faces), family)
         if material is None:
@@ -314,13 +315,13 @@ def _write_results(
         uv_name = results.uvs[0]
         _write_uvs(prim, *results.uvs)
     shapes = {}
-    for name, values in results.attributes.items():
+    for label, (name, values) in zip(identifiers(results.attributes), results.attributes.items(), strict=True):
         if name == JOINT_WEIGHTS:
             _write_weights(prim, np.asarray(values, dtype=np.float64))
         elif name.startswith(BLEND_SHAPE):
             shapes[name.removeprefix(BLEND_SHAPE)] = np.asarray(values, dtype=np.float64)
         else:
-            _write_primvar(prim, mesh, name, np.asarray(values))
+            _write_primvar(prim, mesh, label, np.asarray(values))
     if results.skeleton is not None:
         write_usd_skeleton(stage, prim, results.skeleton, np.eye(4) if to_root is None else to_root)
     if shapes:
@@ -347,7 +348,7 @@ def _write_primvar(prim: Any, mesh: ControlMesh, name: str, values: NDArray[Any]
         size = 1
     else:
         flat = flat.ravel()
-    made = pxr.UsdGeom.PrimvarsAPI(prim).CreatePrimvar(pxr.Tf.MakeValidIdentifier(name), kind, rows[len(values)], size)
+    made = pxr.UsdGeom.PrimvarsAPI(prim).CreatePrimvar(name, kind, rows[len(values)], size)
     made.Set(array.FromNumpy(np.ascontiguousarray(flat)))
 
 
@@ -367,14 +368,13 @@ def _write_weights(prim: Any, table: FloatArray) -> None:
 def _write_blend_shapes(stage: Any, prim: Any, shapes: Mapping[str, FloatArray]) -> None:
     pxr = usd_modules()
     binding = pxr.UsdSkel.BindingAPI.Apply(prim)
-    paths = []
-    for name, offsets in shapes.items():
-        path = prim.GetPath().AppendChild(pxr.Tf.MakeValidIdentifier(name))
+    others = [child.GetName() for child in prim.GetChildren() if not child.IsA(pxr.UsdSkel.BlendShape)]
+    paths = [prim.GetPath().AppendChild(label) for label in identifiers(shapes, others)]
+    for path, offsets in zip(paths, shapes.values(), strict=True):
         shape = pxr.UsdSkel.BlendShape.Define(stage, path)
         moved = np.flatnonzero(np.any(offsets != 0, axis=1))
         shape.CreateOffsetsAttr(pxr.Vt.Vec3fArray.FromNumpy(offsets[moved].astype(np.float32)))
         shape.CreatePointIndicesAttr(_ints(moved))
-        paths.append(path)
     binding.CreateBlendShapesAttr(list(shapes))
     binding.CreateBlendShapeTargetsRel().SetTargets(paths)
 

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial.distance import pdist, squareform
 
-from cagemap.errors import CagemapError, FormatError
-from cagemap.files.meshes import read_mesh
+from cagemap.errors import CagemapError, FormatError, InvalidMeshError
+from cagemap.files.meshes import read_whole
 from cagemap.library.job_schema import Asset
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.measures import cage_triangles, face_areas
@@ -30,7 +30,7 @@ def spanning_tree(assets: Sequence[Asset]) -> list[tuple[str, str]]:
     signatures = []
     for asset in assets:
         try:
-            signatures.append(shape_distribution(read_mesh(asset.file)))
+            signatures.append(shape_distribution(read_whole(asset.file)))
         except CagemapError as error:
             raise FormatError(f"{asset.name}: a spanning tree needs every mesh, and this one: {error}") from error
     lengths = squareform(pdist(np.array(signatures), "cityblock")) / QUANTILES + 1.0  # a length of 0 would be no edge
@@ -46,9 +46,16 @@ def shape_distribution(mesh: ControlMesh) -> FloatArray:
     """(q,) quantiles of the distance of two random surface points over sqrt(area): D2 of Osada et al. 2002.
 
     Does not change with place, turn or size, and little with the connectivity.
+
+    Raises
+    ------
+    InvalidMeshError
+        If the mesh has no area.
     """
     triangles, faces = cage_triangles(mesh)
     areas = face_areas(mesh)
+    if not areas.sum() > 0:
+        raise InvalidMeshError(f"{mesh.name}: expected faces with an area, got none. Export the mesh again.")
     share = (areas / np.maximum(mesh.face_sizes - 2, 1))[faces]
     random = np.random.default_rng(20020107)
     chosen = random.choice(len(triangles), size=(2, SAMPLES), p=share / share.sum())
