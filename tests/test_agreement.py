@@ -13,7 +13,7 @@ from cagemap.geometry.triangles import normalized, triangle_normals
 from cagemap.maps.elastic import counterparts as agreement
 from cagemap.maps.elastic.anchors import Anchors
 from cagemap.maps.elastic.config import ElasticConfig, Stage
-from cagemap.maps.elastic.counterparts import ReceivedArea, round_trip_weights
+from cagemap.maps.elastic.counterparts import received_factors, received_weights, round_trip_weights
 from cagemap.maps.elastic.fit import run_stage
 from cagemap.maps.elastic.graph import ElasticGraph, mesh_graph
 from cagemap.maps.elastic.prepared import RestShape
@@ -32,11 +32,11 @@ def graph() -> tuple[ElasticGraph, np.ndarray, TriangleSurface]:
 
 def test_what_receives_no_area_does_not_pull(graph: tuple[ElasticGraph, np.ndarray, TriangleSurface]) -> None:
     rest = graph[0]
-    received = ReceivedArea.build(rest, rest.laplacian())
-    np.testing.assert_allclose(received.weights(rest.areas), 1.0)
-    np.testing.assert_allclose(received.weights(np.zeros(rest.n)), 0.0)
+    factors = received_factors(rest, rest.laplacian())
+    np.testing.assert_allclose(received_weights(factors, rest.areas), 1.0)
+    np.testing.assert_allclose(received_weights(factors, np.zeros(rest.n)), 0.0)
     distance = np.linalg.norm(rest.positions - rest.positions[100], axis=1)
-    weights = received.weights(np.where(distance < 0.06, 0.0, rest.areas))
+    weights = received_weights(factors, np.where(distance < 0.06, 0.0, rest.areas))
     assert (weights[distance < 0.03] == 0).all()
     assert (weights[distance > 0.08] > 0.999).all()
 
@@ -73,7 +73,7 @@ def test_a_pocket_that_the_source_lacks_drags_nothing_along(
             RestShape.build(pocketed, pocket, stage.smoothing),
             mesh,
             pocketed.positions,
-            Ties(Anchors.at_vertices(landmarks), smooth.positions[landmarks]),
+            Ties(Anchors.of_vertices(landmarks), smooth.positions[landmarks]),
             stage,
             ElasticConfig(),
         )

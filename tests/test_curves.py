@@ -187,7 +187,7 @@ def test_points_that_lie_on_the_other_curve_do_not_pull() -> None:
     circle = Polyline(np.column_stack([np.cos(angles), np.sin(angles), 0 * angles]), closed=True)
     rows = np.sort(np.random.default_rng(3).choice(400, 120, replace=False))
     on = circle.positions[rows]
-    curve = PulledCurve(Anchors.at_vertices(np.arange(120)), Polyline(on, closed=True), circle)
+    curve = PulledCurve(Anchors.of_vertices(np.arange(120)), Polyline(on, closed=True), circle)
     blocks, forces = curve.terms(on)
     # Chords of the target lie inside the circle, by squares of their lengths.
     assert np.abs(forces).max() < 2e-3 * np.abs(blocks).max()
@@ -199,7 +199,7 @@ def test_points_that_lie_on_the_other_curve_do_not_pull() -> None:
 def test_ends_of_open_curves_pull_at_each_other() -> None:
     line = Polyline(np.column_stack([np.linspace(0, 1, 21), np.zeros(21), np.zeros(21)]), closed=False)
     short = line.positions[4:17:4]
-    curve = PulledCurve(Anchors.at_vertices(np.arange(4)), Polyline(short, closed=False), line)
+    curve = PulledCurve(Anchors.of_vertices(np.arange(4)), Polyline(short, closed=False), line)
     _, forces = curve.terms(short)
     assert forces[0, 0] < -1e-3
     assert forces[-1, 0] > 1e-3

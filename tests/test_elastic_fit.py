@@ -131,7 +131,7 @@ def test_momentum_gets_as_far_in_half_the_iterations(creature_at_3: tuple[Refine
         start = graph.positions + slide
         held = graph.positions[landmarks]
         rest = RestShape.build(graph, sheet, stage.smoothing)
-        found = run_stage(rest, sheet, start, Ties(Anchors.at_vertices(landmarks), held), stage, ElasticConfig())
+        found = run_stage(rest, sheet, start, Ties(Anchors.of_vertices(landmarks), held), stage, ElasticConfig())
         return float(np.linalg.norm(found - graph.positions, axis=1).mean())
 
     assert error(8, 0.8) < error(16, 0.0) < np.linalg.norm(slide, axis=1).mean()
@@ -148,7 +148,7 @@ def test_steps_with_the_factors_of_an_earlier_iteration_end_at_the_same_place(
     def ended(factored: int) -> np.ndarray:
         stage = Stage(12, (1e-3, 1e-4), 3e-4, momentum=0.8, factored=factored)
         rest = RestShape.build(graph, sheet, stage.smoothing)
-        ties = Ties(Anchors.at_vertices(landmarks), graph.positions[landmarks])
+        ties = Ties(Anchors.of_vertices(landmarks), graph.positions[landmarks])
         return run_stage(rest, sheet, start, ties, stage, ElasticConfig())
 
     exact = ended(1)
@@ -180,7 +180,7 @@ def test_patience_ends_as_soon_as_nothing_folds(creature_at_3: tuple[Refinement,
     def found(patience: int) -> np.ndarray:
         stage = Stage(3, (1e-3, 1e-4), 3e-4, patience=patience)
         rest = RestShape.build(graph, sheet, stage.smoothing)
-        ties = Ties(Anchors.at_vertices(landmarks), graph.positions[landmarks])
+        ties = Ties(Anchors.of_vertices(landmarks), graph.positions[landmarks])
         return run_stage(rest, sheet, start, ties, stage, ElasticConfig())
 
     np.testing.assert_array_equal(found(5), found(0))

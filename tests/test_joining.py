@@ -26,7 +26,7 @@ def spoilt(positions, centre, rng):
     return match, np.sort(near)
 
 
-def test_each_part_comes_from_the_map_that_has_it_right():
+def test_each_part_comes_from_the_map_that_has_it_right(monkeypatch):
     """Two maps, each wrong at another end of the creature: together they are the identity."""
     positions, triangles = surface()
     rng = np.random.default_rng(0)
@@ -37,7 +37,8 @@ def test_each_part_comes_from_the_map_that_has_it_right():
     def merit(match):
         return len(np.unique(match)) / dirichlet_energy(positions, positions[match], triangles)
 
-    found = joined_match([one, two], positions, triangles, merit, apart=0.0)
+    monkeypatch.setattr(joining, "APART", 0.0)
+    found = joined_match([one, two], positions, triangles, merit)
     assert merit(found) > 1.5 * max(merit(one), merit(two))
     np.testing.assert_array_equal(found, np.arange(len(positions)))
     assert len(np.intersect1d(of_one, of_two)) == 0
@@ -50,13 +51,16 @@ def test_parts_are_connected_apart_and_large_enough(monkeypatch):
     one, of_one = spoilt(positions, front, rng)
     two, of_two = spoilt(positions, back, rng)
     monkeypatch.setattr(joining, "SMALLEST", 1)
-    parts = parts_apart(one, two, positions, triangles, 0.0)
+    monkeypatch.setattr(joining, "APART", 0.0)
+    parts = parts_apart(one, two, positions, triangles)
     moved = np.flatnonzero(one != two)
     np.testing.assert_array_equal(np.sort(np.concatenate(parts)), moved)
     assert not any(np.isin(part, of_one).any() and np.isin(part, of_two).any() for part in parts)
-    assert not parts_apart(one, two, positions, triangles, 10.0)
     monkeypatch.setattr(joining, "SMALLEST", 1 + max(map(len, parts)))
-    assert not parts_apart(one, two, positions, triangles, 0.0)
+    assert not parts_apart(one, two, positions, triangles)
+    monkeypatch.setattr(joining, "SMALLEST", 1)
+    monkeypatch.setattr(joining, "APART", 10.0)
+    assert not parts_apart(one, two, positions, triangles)
 
 
 def test_nothing_is_taken_that_does_not_help():

@@ -6,7 +6,7 @@ import numpy as np
 from examples import shapes
 from scipy import sparse
 
-from cagemap.functional_map import Constraints, SpectralData, coarse_functional_map
+from cagemap.functional_map import Constraints, SpectralData, solve_functional_map
 from cagemap.maps.spectral.hierarchical import Growth, HierarchyConfig, grown_map, search_samples
 from cagemap.maps.spectral.samples import Samples, fit_functional_map, sizes_between, spread
 from cagemap.maps.spectral.search import (
@@ -156,7 +156,7 @@ def test_growing_map_repairs_a_rough_start():
         sides.append(SpectralData(spectrum, decay * np.array(at)))
     config = HierarchyConfig()
     constraints = Constraints(*sides)
-    first = coarse_functional_map(constraints.leading(6, 6), config.weights)
+    first = solve_functional_map(constraints.leading(6, 6), config.weights)
     before = np.linalg.norm(points[search_samples(samples, samples, first)] - points, axis=1).mean()
     functional_map, match = grown_map(constraints, samples, samples, config.weights, Growth(6))
     after = np.linalg.norm(points[match] - points, axis=1).mean()

@@ -213,7 +213,7 @@ def test_coordinates_beside_the_functions_help_below_the_searched_level(judged, 
     """Left out of the candidates' search and of the step from vertices to points."""
     config = HierarchyConfig(growths=THREE)
     usual = judged.errors(*hierarchical_map(judged.pair, config))[-1]
-    monkeypatch.setattr(hierarchical, "Beside", lambda *known: None)
+    monkeypatch.setattr(hierarchical, "shared_coordinates", lambda *known: None)
     assert judged.errors(*hierarchical_map(judged.pair, config))[-1] > 1.01 * usual
 
 

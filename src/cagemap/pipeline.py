@@ -19,10 +19,11 @@ from cagemap.basis.prepare import silent as silent
 from cagemap.basis.schedule import MAP_BASIS as MAP_BASIS
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.elastic.config import ElasticConfig, StartConfig
-from cagemap.maps.elastic.method import elastic_map, updated_map
+from cagemap.maps.elastic.method import elastic_answers, updated_map
 from cagemap.maps.elastic.prepared import PreparedPair
+from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS, hypothesis_map, map_of_reading
-from cagemap.maps.inner import inner_map, inner_masks, inner_reading, outer_confidence
+from cagemap.maps.inner import inner_map, inner_reading, outer_confidence
 from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck, checked_changes, checked_map
 from cagemap.maps.landmarks.mirrored import mirrored_readings
 from cagemap.maps.landmarks.turned import turned_limbs
@@ -108,8 +109,9 @@ def prepare_pair(target: Surface, source: Surface, config: MatchConfig = MatchCo
     with one_blas_thread():
         # The bases of a result that was read are not made yet, triangles of none.
         in_threads(lambda surface: (surface.inner.basis, surface.inner.triangles(0)), [target, source])
-        masks = inner_masks(config.masks, target, source)
-        return PreparedPair.build(target.inner, source.inner, config.start, config.elastic, masks)
+        mine, theirs = target.inner, source.inner
+        masks = config.masks.renumbered(mine.refinement.inner_rows, theirs.refinement.inner_rows)
+        return PreparedPair.build(mine, theirs, config.start, config.elastic, masks)
 
 
 @kinds_checked
@@ -221,7 +223,7 @@ def match_pair(
                 if MIRRORED_NOTE in check.notes:
                     confidence = mirrored_readings(prepared, pair, point_map, progress)
             else:
-                point_map = elastic_map(prepared, pair, progress)
+                point_map = elastic_answers(FitProblem(prepared, pair), progress)[0]
         judged = _judged(prepared, point_map, landmarks, check, timings, progress)
     found = replace(judged, confidence=None if confidence is None else outer_confidence(confidence, prepared))
     return other_answer(found, config.answer, config, progress=progress) if config.answer else found

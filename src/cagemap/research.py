@@ -14,7 +14,7 @@ import numpy as np
 from cagemap.basis import BasisConfig, Surface
 from cagemap.descriptors import Filters, choose_filters, landmark_descriptors
 from cagemap.errors import ParameterError
-from cagemap.functional_map import Constraints, MapWeights, coarse_functional_map, extend_functional_map
+from cagemap.functional_map import Constraints, MapWeights, extend_functional_map, solve_functional_map
 from cagemap.maps.elastic.method import functional_map_of as _functional_map_of
 from cagemap.maps.pair import LevelPair, Pair, SymmetryPair
 from cagemap.maps.point_map import PointMap
@@ -138,7 +138,7 @@ def functional_map(
     """
     last = (pair.target.finest, pair.source.finest) if levels is None else levels
     steps = [(min(l1, last[0]), min(l2, last[1])) for l1, l2 in [(0, 0), *ladder(pair, (0, 0))]]
-    found = coarse_functional_map(constraints.leading(*basis_sizes(pair, (0, 0))), weights)
+    found = solve_functional_map(constraints.leading(*basis_sizes(pair, (0, 0))), weights)
     for step in steps[1:]:
         sizes = basis_sizes(pair, step)
         if sizes != found.shape:

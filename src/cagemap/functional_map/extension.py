@@ -9,11 +9,6 @@ from cagemap.functional_map.solve import solve_functional_map
 from cagemap.numerics.arrays import FloatArray
 
 
-def coarse_functional_map(constraints: Constraints, weights: MapWeights) -> FloatArray:
-    """Functional map of level 0, eq. 13; (k1, k2)."""
-    return solve_functional_map(constraints, weights)
-
-
 def extend_functional_map(
     coarse: FloatArray, constraints: Constraints, weights: MapWeights, *, match: FloatArray | None = None
 ) -> FloatArray:

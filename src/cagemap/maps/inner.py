@@ -9,7 +9,6 @@ import numpy as np
 from cagemap.basis import Surface
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.confidence import Confidence, Reading
-from cagemap.maps.masks import Masks
 from cagemap.maps.point_map import PointMap
 
 
@@ -38,24 +37,6 @@ def outer_map(point_map: PointMap, target: Surface, source: Surface) -> PointMap
     rows = target.refinement.outer_rows
     mine, theirs = (side.outer.triangles(side.outer.finest) for side in (target, source))
     return PointMap.from_arrays(mine, theirs, rows(point_map.triangle), rows(point_map.barycentric))
-
-
-def inner_masks(masks: Masks, target: Surface, source: Surface) -> Masks:
-    """Masks of finest vertices as those of the surfaces that maps are found on."""
-    target_rows, source_rows = target.inner.refinement.inner_rows, source.inner.refinement.inner_rows
-    return Masks(
-        None if masks.target is None else target_rows(masks.target),
-        None if masks.source is None else source_rows(masks.source),
-    )
-
-
-def outer_masks(masks: Masks, target: Surface, source: Surface) -> Masks:
-    """Undo `inner_masks`; the surfaces are the inner ones."""
-    target_rows, source_rows = target.refinement.outer_rows, source.refinement.outer_rows
-    return Masks(
-        None if masks.target is None else target_rows(masks.target),
-        None if masks.source is None else source_rows(masks.source),
-    )
 
 
 def outer_confidence(confidence: Confidence, prepared: PreparedPair) -> Confidence:

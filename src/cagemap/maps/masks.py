@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,8 @@ from cagemap.errors import ParameterError
 from cagemap.geometry.points import SurfacePoints
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
+
+Rows = Callable[[FloatArray], FloatArray]
 
 # A mask that leaves less of a surface than this leaves nothing to match.
 LEAST = 1e-4
@@ -40,6 +43,11 @@ class Masks:
     def reversed(self) -> Masks:
         """The same with the source in the target's place."""
         return Masks(self.source, self.target)
+
+    def renumbered(self, target: Rows, source: Rows) -> Masks:
+        """The same after functions that put the rows of finest vertices of either surface in another order."""
+        mine, theirs = self.target, self.source
+        return Masks(None if mine is None else target(mine), None if theirs is None else source(theirs))
 
     def for_vertices(self, vertices: IndexArray) -> Masks:
         """The same of some target vertices, in their order."""

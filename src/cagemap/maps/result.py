@@ -13,7 +13,7 @@ from cagemap.maps.curves import CurveMiss, curve_miss, curve_pairs
 from cagemap.maps.elastic.method import functional_map_of
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.hypotheses.confidence import Confidence
-from cagemap.maps.inner import inner_map, outer_map, outer_masks
+from cagemap.maps.inner import inner_map, outer_map
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import point_pairs
@@ -122,7 +122,7 @@ class MatchResult:
             source=source.outer,
             point_map=outer_map(self.point_map, target, source),
             quality=replace(self.quality, trust=target.refinement.outer_rows(self.quality.trust)),
-            masks=outer_masks(self.masks, target, source),
+            masks=self.masks.renumbered(target.refinement.outer_rows, source.refinement.outer_rows),
         )
 
     def at_level(self, level: int) -> MatchResult:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,8 +85,8 @@ class CagePoints:
     weights: FloatArray
 
     @classmethod
-    def of_vertices(cls, vertices: IndexArray) -> CagePoints:
-        """Control vertices as points."""
+    def of_vertices(cls, vertices: IndexArray) -> Self:
+        """Vertices as points."""
         weights = np.zeros((len(vertices), 3))
         weights[:, 0] = 1.0
         return cls(np.repeat(vertices[:, None], 3, axis=1), weights)
@@ -114,12 +114,12 @@ class CagePoints:
         return np.take_along_axis(self.corners, self.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
 
     def of(self, values: FloatArray) -> FloatArray:
-        """(q, d) values (n_0, d) of the control vertices at the points."""
+        """(q, d) values (n, d) of the mesh's vertices at the points."""
         return np.einsum("qk,qkd->qd", self.weights, values[self.corners])
 
-    def at(self, rows: IndexArray) -> CagePoints:
+    def at(self, rows: IndexArray) -> Self:
         """Some of the points."""
-        return CagePoints(self.corners[rows], self.weights[rows])
+        return replace(self, corners=self.corners[rows], weights=self.weights[rows])
 
     def beside(self, others: CagePoints) -> CagePoints:
         """These points and others."""

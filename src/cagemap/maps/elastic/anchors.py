@@ -9,33 +9,19 @@ import numpy as np
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.pair import vertices_at
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.mesh.cage_points import CagePoints
+from cagemap.numerics.arrays import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Anchors:
-    """Points of a graph that are held: vertices, or points of its mesh's triangles.
-
-    Attributes
-    ----------
-    corners : (p, 3) int64
-    weights : (p, 3) float64
-        Rows sum to 1.
-    """
-
-    corners: IndexArray
-    weights: FloatArray
-
-    @classmethod
-    def at_vertices(cls, vertices: IndexArray) -> Anchors:
-        """Vertices (p,) as points."""
-        return cls(np.repeat(vertices[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (len(vertices), 1)))
+class Anchors(CagePoints):
+    """Points of the mesh of a level, or vertices of a graph, that are held or pulled."""
 
     @classmethod
     def on_mesh(cls, mesh: TriangleSurface, points: SurfacePoints) -> Anchors:
         """Points of the finest surface as points of a coarser level's mesh; vertices of both stay vertices."""
         vertices = vertices_at(points)
-        anchors = cls.at_vertices(vertices)
+        anchors = cls.of_vertices(vertices)
         between = np.flatnonzero((vertices < 0) | (vertices >= mesh.n))
         if len(between):
             near = SurfacePoints.nearest(mesh, points.positions[between], points.normals[between], normal_weight=0.01)
@@ -74,11 +60,3 @@ class Anchors:
         at_corners = np.einsum("pab,pkb->pka", pulls, positions[self.corners]) + forces[:, None]
         np.add.at(blocks, self.corners, self.weights[:, :, None, None] * pulls[:, None])
         np.add.at(right, self.corners, self.weights[:, :, None] * at_corners)
-
-    def of(self, values: FloatArray) -> FloatArray:
-        """(p, d) values (n, d) of the vertices at the points."""
-        return np.einsum("pk,pkd->pd", self.weights, values[self.corners])
-
-    def at(self, rows: IndexArray) -> Anchors:
-        """Some of the points."""
-        return Anchors(self.corners[rows], self.weights[rows])

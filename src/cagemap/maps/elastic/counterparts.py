@@ -8,8 +8,6 @@ source without a counterpart, the way to the target and back ends elsewhere.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy import sparse
 
@@ -19,23 +17,17 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.factorization import Factorization, factor
 
 
-@dataclass(frozen=True)
-class ReceivedArea:
-    """How much of the source's area every target vertex receives, of its own area, smoothed.
+def received_factors(graph: ElasticGraph, laplacian: sparse.csr_array) -> Factorization:
+    """Factors of ``M + l^2 L`` (n, n), M the vertices' areas, which smooth what every vertex receives."""
+    return factor(sparse.csc_array(sparse.diags_array(graph.areas) + SMOOTHING_LENGTH**2 * laplacian))
 
-    Solves ``(M + l^2 L) r = m`` with the vertices' areas M and the received areas m: r = 1 where they agree.
+
+def received_weights(factors: Factorization, received: FloatArray) -> FloatArray:
+    """(n,) from 0 (nothing lies there) to 1, by how much of the source's area vertices receive, of their own.
+
+    Solves ``(M + l^2 L) r = m`` for received areas m (n,): r = 1 where they are the vertices' own.
     """
-
-    factors: Factorization
-
-    @classmethod
-    def build(cls, graph: ElasticGraph, laplacian: sparse.csr_array) -> ReceivedArea:
-        """Factor the (n, n) matrix once for all iterations."""
-        return cls(factor(sparse.csc_array(sparse.diags_array(graph.areas) + SMOOTHING_LENGTH**2 * laplacian)))
-
-    def weights(self, received: FloatArray) -> FloatArray:
-        """(n,) from 0 (nothing lies there) to 1, for received areas (n,)."""
-        return np.clip((self.factors.solve(received) - NONE) / (FULL - NONE), 0.0, 1.0)
+    return np.clip((factors.solve(received) - NONE) / (FULL - NONE), 0.0, 1.0)
 
 
 def round_trip_weights(trips: FloatArray, heights: FloatArray, alpha: float) -> FloatArray:

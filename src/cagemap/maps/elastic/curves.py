@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -60,74 +60,58 @@ class PulledCurve:
 
     def thinned(self, count: int) -> PulledCurve:
         """At most ``count`` of its points, each moved to the vertex next to it."""
-        chosen = self.anchors.at(self.rest.spread(count))
-        vertices = np.take_along_axis(chosen.corners, chosen.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
-        _, first = np.unique(vertices, return_index=True)
-        rows = np.sort(first)
-        places = self.rest.positions[self.rest.spread(count)][rows]
-        return PulledCurve(Anchors.at_vertices(vertices[rows]), Polyline(places, self.rest.closed), self.source)
+        chosen = self.rest.spread(count)
+        vertices = self.anchors.at(chosen).nearest_vertices
+        rows = np.sort(np.unique(vertices, return_index=True)[1])
+        rest = Polyline(self.rest.positions[chosen][rows], self.rest.closed)
+        return PulledCurve(Anchors.of_vertices(vertices[rows]), rest, self.source)
 
 
-@dataclass(frozen=True, eq=False)
-class CurvePull:
-    """All curves of a graph; none by default.
+def curves_on_mesh(mesh: TriangleSurface, pairs: Sequence[CurvePair]) -> tuple[PulledCurve, ...]:
+    """Curves of the finest surface on the mesh of a coarser level."""
+    anchors = [Anchors.on_mesh(mesh, pair.target.points) for pair in pairs]
+    return tuple(
+        PulledCurve(at, Polyline(at.of(mesh.positions), pair.target.closed), pair.source.line)
+        for at, pair in zip(anchors, pairs, strict=True)
+    )
 
-    Attributes
+
+def pull_curves(
+    curves: Sequence[PulledCurve], blocks: FloatArray, right: FloatArray, positions: FloatArray, weight: float
+) -> None:
+    """Add the term of every curve, times a weight, to a data term (n, 3, 3), (n, 3) at positions (n, 3)."""
+    for curve in curves:
+        pulls, forces = curve.terms(positions)
+        curve.anchors.pull(blocks, right, positions, weight * pulls, weight * forces)
+
+
+def with_clusters(
+    curves: Sequence[PulledCurve], kept: IndexArray, count: int
+) -> tuple[IndexArray, tuple[PulledCurve, ...]]:
+    """Vertices that a coarse graph should keep, and the curves on that graph.
+
+    Parameters
     ----------
+    curves : sequence of PulledCurve
+        Of the finer graph.
+    kept : (p,) int64
+        Vertices that come first.
+    count : int
+        About how many vertices all curves may have together.
+
+    Returns
+    -------
+    vertices : (p + c,) int64
+        All different; a coarse graph numbers them in this order.
     curves : tuple of PulledCurve
     """
-
-    curves: tuple[PulledCurve, ...] = ()
-
-    @classmethod
-    def on_mesh(cls, mesh: TriangleSurface, pairs: Sequence[CurvePair]) -> CurvePull:
-        """Curves of the finest surface on the mesh of a coarser level."""
-        anchors = [Anchors.on_mesh(mesh, pair.target.points) for pair in pairs]
-        return cls(
-            tuple(
-                PulledCurve(at, Polyline(at.of(mesh.positions), pair.target.closed), pair.source.line)
-                for at, pair in zip(anchors, pairs, strict=True)
-            )
-        )
-
-    def add(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, weight: float) -> None:
-        """Add the term of every curve, times a weight, to a data term (n, 3, 3), (n, 3) at positions (n, 3)."""
-        for curve in self.curves:
-            pulls, forces = curve.terms(positions)
-            curve.anchors.pull(blocks, right, positions, weight * pulls, weight * forces)
-
-    def with_clusters(self, kept: IndexArray, count: int) -> tuple[IndexArray, CurvePull]:
-        """Vertices that a coarse graph should keep, and the curves on that graph.
-
-        Parameters
-        ----------
-        kept : (p,) int64
-            Vertices that come first.
-        count : int
-            About how many vertices all curves may have together.
-
-        Returns
-        -------
-        vertices : (p + c,) int64
-            All different; a coarse graph numbers them in this order.
-        curves : CurvePull
-            Of the coarse graph.
-        """
-        each = max(count // max(len(self.curves), 1), FEWEST_OF_CURVE)
-        thinned = [curve.thinned(each) for curve in self.curves]
-        listed = np.concatenate([kept, *(curve.anchors.corners[:, 0] for curve in thinned)])
-        values, first = np.unique(listed, return_index=True)
-        vertices = listed[np.sort(first)]
-        place = np.argsort(np.argsort(first))  # of every value among the vertices
-        numbered = [
-            PulledCurve(
-                Anchors.at_vertices(place[np.searchsorted(values, curve.anchors.corners[:, 0])]),
-                curve.rest,
-                curve.source,
-            )
-            for curve in thinned
-        ]
-        return vertices, CurvePull(tuple(numbered))
-
-
-NO_CURVES = CurvePull()
+    each = max(count // max(len(curves), 1), FEWEST_OF_CURVE)
+    thinned = [curve.thinned(each) for curve in curves]
+    listed = np.concatenate([kept, *(curve.anchors.corners[:, 0] for curve in thinned)])
+    values, first = np.unique(listed, return_index=True)
+    place = np.argsort(np.argsort(first))  # of every value among the vertices
+    numbered = (
+        replace(curve, anchors=Anchors.of_vertices(place[np.searchsorted(values, curve.anchors.corners[:, 0])]))
+        for curve in thinned
+    )
+    return listed[np.sort(first)], tuple(numbered)

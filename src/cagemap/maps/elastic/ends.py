@@ -89,7 +89,7 @@ def finished_ends(
 
 
 def judged(prepared: PreparedPair, positions: FloatArray) -> FineFit:
-    """A fitted mesh with what it costs: `coarse_cost`, and the mean squared distance of source points from the mesh.
+    """A fitted mesh with what it costs: `vertex_costs`, and the mean squared distance of source points from the mesh.
 
     The last tells a limb that lies beside its counterpart, or a body squeezed into a part of the other.
     """

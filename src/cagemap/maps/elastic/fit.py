@@ -18,6 +18,7 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import vertex_normals
 from cagemap.maps.elastic.config import ElasticConfig, Stage
 from cagemap.maps.elastic.constants import COST_STIFFNESS, LANDMARK_ITERATIONS, LYING, STIFFENING, STIFFEST, UNSETTLED
+from cagemap.maps.elastic.counterparts import received_weights
 from cagemap.maps.elastic.data import Pullers, deformed_normals, pull_by_source, pull_on_clusters, pull_to_source
 from cagemap.maps.elastic.graph import ElasticGraph, extrapolate
 from cagemap.maps.elastic.prepared import CoarseShape, RestShape
@@ -35,7 +36,7 @@ class CoarseFit:
     Attributes
     ----------
     cost : float
-        See `coarse_cost`.
+        Sum of `vertex_costs`.
     positions, maps : (k, 3), (k, 3, 3) float64
     graph : ElasticGraph
         Whose clusters these are.
@@ -82,7 +83,8 @@ def coarse_fit(
     first = landmark_start(shape, config) if start is None else start
     positions = run_stage(rest, sheet, first, shape.ties, config.coarse, config, pullers)
     maps, _ = rest.differentials(positions)
-    return CoarseFit(coarse_cost(rest, sheet, positions, maps, config), positions, maps, rest.graph)
+    cost = float(vertex_costs(rest, sheet, positions, maps, config).sum())
+    return CoarseFit(cost, positions, maps, rest.graph)
 
 
 def fine_fit(problem: FitProblem, coarse: CoarseFit) -> FloatArray:
@@ -126,17 +128,10 @@ def similarity(points: FloatArray, images: FloatArray) -> tuple[FloatArray, floa
     return rotation, scale, image_centre - scale * rotation @ centre
 
 
-def coarse_cost(
-    rest: RestShape, sheet: TriangleSurface, positions: FloatArray, maps: FloatArray, config: ElasticConfig
-) -> float:
-    """What a coarse fit costs: mean squared distance in position and normal, and the energy at a fixed stiffness."""
-    return float(vertex_costs(rest, sheet, positions, maps, config).sum())
-
-
 def vertex_costs(
     rest: RestShape, sheet: TriangleSurface, positions: FloatArray, maps: FloatArray, config: ElasticConfig
 ) -> FloatArray:
-    """(n,) shares of `coarse_cost` that every vertex has."""
+    """(n,) what a fit costs, by vertex: squared distance in position and normal, and the energy at one stiffness."""
     graph = rest.graph
     normals = deformed_normals(graph, maps)
     found = SurfacePoints.nearest(sheet, positions, normals, normal_weight=config.normal_weight)
@@ -199,7 +194,7 @@ def run_stage(
                     alpha,
                     rest.masks,
                 )
-                pull = pull.scaled(rest.received.weights(back.weights))
+                pull = pull.scaled(received_weights(rest.received, back.weights))
                 blocks, right, guess_back = pull.blocks + back.blocks, pull.right + back.right, back.triangles
             ties.add(blocks, right, positions, config)
             matrix = field.system.at(alpha, blocks)

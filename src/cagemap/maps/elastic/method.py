@@ -26,28 +26,27 @@ from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import ThreadPool, in_threads
 
 
-def elastic_map(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: None) -> PointMap:
+def elastic_answers(
+    problem: FitProblem, progress: Progress = lambda stage: None
+) -> tuple[PointMap, tuple[FineFit, ...]]:
     """Point map T12 of the finest levels: fitted on the level that is deformed, projected once, unfolded.
 
     Parameters
     ----------
-    prepared : PreparedPair
-    pair : Pair
-        The same surfaces with their landmarks.
+    problem : FitProblem
     progress : callable
+
+    Returns
+    -------
+    point_map : PointMap
+    ends : tuple of FineFit
+        Where the fit ended, see `fits`; the first is the map's own end.
 
     Raises
     ------
     InvalidLandmarksError
         If there are fewer than two landmarks.
     """
-    return elastic_answers(FitProblem(prepared, pair), progress)[0]
-
-
-def elastic_answers(
-    problem: FitProblem, progress: Progress = lambda stage: None
-) -> tuple[PointMap, tuple[FineFit, ...]]:
-    """`elastic_map`, and where else the fit ended, see `fits`; the first of these is the map's own end."""
     found, landmarks = fits(problem, progress), problem.pair.landmarks
     progress("projection")
     point_map = project(problem.prepared, found[0].answer, landmarks)

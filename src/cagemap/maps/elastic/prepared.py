@@ -12,14 +12,15 @@ from cagemap.geometry.triangles import vertex_normals
 from cagemap.maps.elastic.anchors import Anchors
 from cagemap.maps.elastic.config import ElasticConfig, StartConfig
 from cagemap.maps.elastic.constants import CURVE_SHARE, PULLERS, SHEET_VERTICES
-from cagemap.maps.elastic.counterparts import ReceivedArea
-from cagemap.maps.elastic.curves import NO_CURVES, CurvePull
+from cagemap.maps.elastic.counterparts import received_factors
+from cagemap.maps.elastic.curves import PulledCurve, with_clusters
 from cagemap.maps.elastic.data import Pullers
 from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph, bounded_maps, cluster_graph, mesh_graph
 from cagemap.maps.elastic.ties import Ties
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.spectral.levels import search_levels
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.factorization import Factorization
 from cagemap.numerics.threads import ThreadPool, kept
 
 
@@ -33,8 +34,8 @@ class RestShape:
     field : DifferentialField
     mesh : TriangleSurface or None
         The mesh whose graph it is; None for clusters of one.
-    received : ReceivedArea or None
-        Of a mesh.
+    received : Factorization or None
+        See `received_weights`, of a mesh.
     masks : Masks
         What counts in the data: of the graph's vertices, and of the source's.
     """
@@ -42,7 +43,7 @@ class RestShape:
     graph: ElasticGraph
     field: DifferentialField
     mesh: TriangleSurface | None
-    received: ReceivedArea | None
+    received: Factorization | None
     masks: Masks = WHOLE
 
     @classmethod
@@ -52,7 +53,7 @@ class RestShape:
         """Factor the matrices that stay the same in all iterations of a stage."""
         laplacian = graph.laplacian()
         field = DifferentialField.build(graph, laplacian, smoothing)
-        return cls(graph, field, mesh, None if mesh is None else ReceivedArea.build(graph, laplacian), masks)
+        return cls(graph, field, mesh, None if mesh is None else received_factors(graph, laplacian), masks)
 
     def at(self, positions: FloatArray, smoothing: float) -> RestShape:
         """The same mesh at rest at other positions (n, 3), with the weights of its edges and areas as they are."""
@@ -96,13 +97,13 @@ class CoarseShape:
         places: FloatArray,
         config: ElasticConfig,
         masks: Masks = WHOLE,
-        curves: CurvePull = NO_CURVES,
+        curves: tuple[PulledCurve, ...] = (),
     ) -> CoarseShape:
         """Cluster a mesh's graph, vertices (p,) held at places (p, 3) first, then some vertices of every curve."""
-        every, own = curves.with_clusters(kept, config.coarse_vertices // CURVE_SHARE)
+        every, own = with_clusters(curves, kept, config.coarse_vertices // CURVE_SHARE)
         coarse, vertices = cluster_graph(graph, min(config.coarse_vertices, graph.n), every)
         part = masks.for_vertices(vertices)
-        ties = Ties(Anchors.at_vertices(np.arange(len(kept))), places, own)
+        ties = Ties(Anchors.of_vertices(np.arange(len(kept))), places, own)
         return cls(RestShape.build(coarse, None, config.coarse.smoothing, part), vertices, ties)
 
     def smoothed(self, smoothing: float) -> CoarseShape:

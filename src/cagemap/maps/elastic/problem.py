@@ -9,7 +9,7 @@ import numpy as np
 
 from cagemap.maps.elastic.anchors import Anchors
 from cagemap.maps.elastic.config import Stage
-from cagemap.maps.elastic.curves import CurvePull
+from cagemap.maps.elastic.curves import curves_on_mesh
 from cagemap.maps.elastic.prepared import CoarseShape, PreparedPair
 from cagemap.maps.elastic.ties import Ties
 from cagemap.maps.pair import Pair, near_vertices
@@ -46,7 +46,7 @@ class FitProblem:
     def holding(self, vertices: IndexArray, places: FloatArray) -> CoarseShape:
         """The clusters where some vertices (q,) of the target's mesh are held at places (q, 3) beside the landmarks."""
         rest, landmarks = self.prepared.rest, self.pair.landmarks
-        curves = CurvePull.on_mesh(self.prepared.mesh, landmarks.curves)
+        curves = curves_on_mesh(self.prepared.mesh, landmarks.curves)
         held, wanted = np.concatenate([self.near[0], vertices]), np.vstack([landmarks.source.positions, places])
         return CoarseShape.build(rest.graph, held, wanted, self.prepared.elastic, rest.masks, curves)
 
@@ -55,7 +55,7 @@ class FitProblem:
         """Landmarks and curves on the mesh that the fine stage deforms."""
         mesh, landmarks = self.prepared.mesh, self.pair.landmarks
         anchors = Anchors.on_mesh(mesh, landmarks.target)
-        return Ties(anchors, landmarks.source.positions, CurvePull.on_mesh(mesh, landmarks.curves))
+        return Ties(anchors, landmarks.source.positions, curves_on_mesh(mesh, landmarks.curves))
 
     @kept
     def reversed(self) -> FitProblem:

@@ -50,40 +50,22 @@ def start_map(problem: FitProblem) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class SourcePlaces:
-    """Some points of the source that a rough fit is matched with.
+class SpectralSides:
+    """Basis rows of the coarse graph's vertices and of some places of the source, for `spectral_starts`.
 
     Attributes
     ----------
-    vertices : (m,) int64
-    positions, normals : (m, 3) float64
+    target, source : Samples
+    places : (m, 3) float64
+        Of the source's samples.
     tree : cKDTree
-        Over position and normal.
+        Over the places and their normals times `NORMAL_LENGTH`.
     """
-
-    vertices: IndexArray
-    positions: FloatArray
-    normals: FloatArray
-    tree: cKDTree
-
-    @classmethod
-    def build(cls, positions: FloatArray, normals: FloatArray, vertices: IndexArray) -> SourcePlaces:
-        """Prepare some vertices of a surface."""
-        chosen, planes = positions[vertices], normals[vertices]
-        return cls(vertices, chosen, planes, cKDTree(np.hstack([chosen, NORMAL_LENGTH * planes])))
-
-    def nearest(self, positions: FloatArray, normals: FloatArray) -> IndexArray:
-        """(k,) nearest place of every point in position and normal."""
-        return np.asarray(self.tree.query(np.hstack([positions, NORMAL_LENGTH * normals]))[1], dtype=np.int64)
-
-
-@dataclass(frozen=True, eq=False)
-class SpectralSides:
-    """Basis rows of the coarse graph's vertices and of some places of the source, for `spectral_starts`."""
 
     target: Samples
     source: Samples
-    places: SourcePlaces
+    places: FloatArray
+    tree: cKDTree
 
     @classmethod
     def build(cls, problem: FitProblem) -> SpectralSides:
@@ -91,7 +73,7 @@ class SpectralSides:
         prepared, shape = problem.prepared, problem.shape
         sheet_level = prepared.source.refinement.coarsest_level(SHEET_VERTICES)
         vertices = spread(prepared.sheet.n, PLACES)
-        at = SourcePlaces.build(prepared.sheet.positions, prepared.sheet.vertex_normals, vertices)
+        places, normals = prepared.sheet.positions[vertices], prepared.sheet.vertex_normals[vertices]
         sides = (
             (prepared.target, prepared.levels[0], shape.vertices, shape.rest.graph.areas),
             (prepared.source, sheet_level, vertices, np.ones(len(vertices))),
@@ -100,7 +82,7 @@ class SpectralSides:
             Samples(surface.basis.rows(level, chosen), areas, np.zeros((len(chosen), 0)))
             for surface, level, chosen, areas in sides
         )
-        return cls(target, source, at)
+        return cls(target, source, places, cKDTree(np.hstack([places, NORMAL_LENGTH * normals])))
 
 
 def spectral_starts(fitted: CoarseFit, sides: SpectralSides) -> list[FloatArray]:
@@ -114,8 +96,9 @@ def spectral_starts(fitted: CoarseFit, sides: SpectralSides) -> list[FloatArray]
     fitted : CoarseFit
     sides : SpectralSides
     """
-    target, source, places = sides.target, sides.source, sides.places
-    match = places.nearest(fitted.positions, deformed_normals(fitted.graph, fitted.maps))
+    target, source = sides.target, sides.source
+    normals = deformed_normals(fitted.graph, fitted.maps)
+    match = np.asarray(sides.tree.query(np.hstack([fitted.positions, NORMAL_LENGTH * normals]))[1], dtype=np.int64)
     found = []
     for start in TRUSTED_FUNCTIONS:
         better = match
@@ -123,7 +106,7 @@ def spectral_starts(fitted: CoarseFit, sides: SpectralSides) -> list[FloatArray]
             k1, k2 = min(k, target.rows.shape[1]), min(k, source.rows.shape[1])
             functional_map = fit_functional_map(target, source.rows[better][:, :k2], k1)
             better = search_samples(target, source, functional_map)
-        found.append(places.positions[better])
+        found.append(sides.places[better])
     return found
 
 

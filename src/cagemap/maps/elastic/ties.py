@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from cagemap.maps.elastic.anchors import Anchors
 from cagemap.maps.elastic.config import ElasticConfig
-from cagemap.maps.elastic.curves import NO_CURVES, CurvePull
+from cagemap.maps.elastic.curves import PulledCurve, pull_curves
 from cagemap.numerics.arrays import FloatArray
 
 
@@ -20,14 +20,14 @@ class Ties:
         (p,) points that are held.
     places : (p, 3) float64
         Where.
-    curves : CurvePull
+    curves : tuple of PulledCurve
     """
 
     anchors: Anchors
     places: FloatArray
-    curves: CurvePull = NO_CURVES
+    curves: tuple[PulledCurve, ...] = ()
 
     def add(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, config: ElasticConfig) -> None:
         """Put their terms into a data term (n, 3, 3), (n, 3) at positions (n, 3)."""
-        self.curves.add(blocks, right, positions, config.curve_weight)
+        pull_curves(self.curves, blocks, right, positions, config.curve_weight)
         self.anchors.hold(blocks, right, positions, self.places, config.landmark_weight)

@@ -13,7 +13,7 @@ import numpy as np
 from cagemap.geometry.triangles import vertex_normals
 from cagemap.maps.elastic.config import ElasticConfig
 from cagemap.maps.elastic.constants import CURVE_SHARE
-from cagemap.maps.elastic.curves import CurvePull
+from cagemap.maps.elastic.curves import curves_on_mesh, pull_curves, with_clusters
 from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph, cluster_graph, extrapolate
 from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.point_map import PointMap
@@ -79,13 +79,13 @@ def respond(problem: FitProblem, before: PointMap) -> FloatArray:
     prepared, landmarks, held = problem.prepared, problem.pair.landmarks, problem.near[0]
     graph, mesh = prepared.rest.graph, prepared.mesh
     size = min(prepared.elastic.coarse_vertices, graph.n)
-    every, curves = CurvePull.on_mesh(mesh, landmarks.curves).with_clusters(held, size // CURVE_SHARE)
+    every, curves = with_clusters(curves_on_mesh(mesh, landmarks.curves), held, size // CURVE_SHARE)
     coarse, vertices = cluster_graph(graph, size, every)
     positions = before.images.at(slice(0, graph.n)).positions
     normals = vertex_normals(positions, mesh.triangles)[vertices]
     offsets = landmarks.source.positions - landmarks.target.interpolate(before.images.positions)
     blocks, right = np.zeros((coarse.n, 3, 3)), np.zeros((coarse.n, 3))
-    curves.add(blocks, right, positions[vertices], prepared.elastic.curve_weight)
+    pull_curves(curves, blocks, right, positions[vertices], prepared.elastic.curve_weight)
     pull = blocks, right - np.einsum("nab,nb->na", blocks, positions[vertices])
     response = landmark_response(coarse, normals, np.arange(len(held)), offsets, prepared.elastic, pull)
     return positions + extrapolate(coarse, *response, graph)

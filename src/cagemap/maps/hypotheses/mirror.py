@@ -13,7 +13,6 @@ import numpy as np
 from cagemap.geometry.closest import closest_points
 from cagemap.geometry.polylines import Polyline
 from cagemap.geometry.surface import TriangleSurface
-from cagemap.maps.elastic.curves import CurvePull
 from cagemap.maps.elastic.ends import different
 from cagemap.maps.elastic.fit import coarse_fit
 from cagemap.maps.elastic.problem import FitProblem
@@ -61,7 +60,6 @@ def mirrored_gain(problem: FitProblem, reading: Reading) -> float:
 def mirrored_ties(ties: Ties) -> Ties:
     """The same points and curves, to be met on the source's mirror image."""
     curves = (
-        replace(curve, source=Polyline(curve.source.positions * ACROSS, curve.source.closed))
-        for curve in ties.curves.curves
+        replace(curve, source=Polyline(curve.source.positions * ACROSS, curve.source.closed)) for curve in ties.curves
     )
-    return replace(ties, places=ties.places * ACROSS, curves=CurvePull(tuple(curves)))
+    return replace(ties, places=ties.places * ACROSS, curves=tuple(curves))

@@ -39,7 +39,7 @@ from cagemap.maps.spectral.levels import (
     search_level,
     search_levels,
 )
-from cagemap.maps.spectral.row_blocks import functions_at
+from cagemap.maps.spectral.row_blocks import Columns, functions_at
 from cagemap.maps.spectral.samples import (
     Samples,
     embed_source,
@@ -208,7 +208,7 @@ def hierarchical_map(
         of_match = refit(pair, searched, match, constraints.shape)
         functional_map = extended(constraints, functional_map.shape, of_match, config.weights)
     first = LevelMap(searched, functional_map, match)
-    beside = Beside(searched, *shared_coordinates(target, source, meshes, first.functional_map, config.further))
+    beside = shared_coordinates(target, source, meshes, first.functional_map, config.further)
 
     def below(coarse: LevelMap, levels: LevelPair) -> LevelMap:
         return descend(pair, coarse, levels, beside)
@@ -302,11 +302,11 @@ def weighted(samples: Samples, growth: Growth) -> Samples:
 
 def shared_coordinates(
     target: Samples, source: Samples, meshes: tuple[LevelMesh, LevelMesh], functional_map: FloatArray, growth: Growth
-) -> tuple[FloatArray, FloatArray]:
+) -> Beside:
     """Landmark coordinates, and normals of the target as C places it, as a growth weighs them; of target and source."""
     sides = weighted(target, growth), weighted(source, growth)
     one, two = with_normals(sides, meshes, functional_map, growth.normal_weight)
-    return one.coordinates, two.coordinates
+    return Columns(meshes[0].level, one.coordinates), Columns(meshes[1].level, two.coordinates)
 
 
 def extended(constraints: Constraints, low: tuple[int, int], of_match: FloatArray, weights: MapWeights) -> FloatArray:

@@ -27,7 +27,6 @@ def joined_match(
     places: FloatArray,
     triangles: IndexArray,
     merit: Callable[[IndexArray], float],
-    apart: float = APART,
 ) -> IndexArray:
     """The best of several matches, with those parts of the others that make it better.
 
@@ -41,7 +40,6 @@ def joined_match(
         Of the target.
     merit : callable
         Of a match; larger is better.
-    apart : float
 
     Returns
     -------
@@ -52,7 +50,7 @@ def joined_match(
     order = np.argsort(merits)[::-1]
     best, most = matches[order[0]], merits[order[0]]
     for other in order[1:]:
-        for part in parts_apart(best, matches[other], places, triangles, apart):
+        for part in parts_apart(best, matches[other], places, triangles):
             changed = best.copy()
             changed[part] = matches[other][part]
             gained = merit(changed)
@@ -61,11 +59,9 @@ def joined_match(
     return best
 
 
-def parts_apart(
-    one: IndexArray, other: IndexArray, places: FloatArray, triangles: IndexArray, apart: float
-) -> list[IndexArray]:
+def parts_apart(one: IndexArray, other: IndexArray, places: FloatArray, triangles: IndexArray) -> list[IndexArray]:
     """Vertices of each connected part of the target whose images under two matches lie apart."""
-    inside = np.linalg.norm(places[one] - places[other], axis=1) > apart
+    inside = np.linalg.norm(places[one] - places[other], axis=1) > APART
     edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     edges = edges[inside[edges].all(axis=1)]
     label = components(edges[:, 0], edges[:, 1], len(one))

@@ -28,6 +28,9 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 SAMPLE_VERTICES = 30_000
 # The search levels have this many functions on both sides, where the bases do.
 ENOUGH_FUNCTIONS = 50
+# Coordinates that target and source share beside the functions, weighted as `Samples.coordinates` are.
+Beside = tuple[Columns, Columns]
+
 # Two levels are walked down together while neither has this many times the other's vertices.
 COMPARABLE = 2.5
 
@@ -52,22 +55,6 @@ class LevelMap:
     functional_map: FloatArray
     match: IndexArray
     points: PointMap | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Beside:
-    """Coordinates that both surfaces share beside the functions, on all levels from one pair of levels on.
-
-    Attributes
-    ----------
-    levels : (int, int)
-    target, source : (n1, c), (n2, c) arrays
-        At all vertices of these levels, weighted as `Samples.coordinates` are.
-    """
-
-    levels: LevelPair
-    target: FloatArray
-    source: FloatArray
 
 
 def require_search(vertices: int, source_vertices: int) -> None:
@@ -207,13 +194,9 @@ def _both_rows(
 ) -> tuple[SpectralRows, SpectralRows]:
     """Embeddings of a pair of levels: Phi~1 and Phi~2 C12^T, and coordinates beside them in proportion to sqrt(k)."""
     k1, k2 = functional_map.shape
-    shared: tuple[Columns | None, Columns | None] = (None, None)
-    if beside is not None:
-        both = zip(beside.levels, (beside.target, beside.source), strict=True)
-        one, two = (Columns(level, np.sqrt(k1) * values) for level, values in both)
-        shared = one, two
-    target = spectral_rows(pair.target, levels[0], k1, beside=shared[0])
-    return target, spectral_rows(pair.source, levels[1], k2, functional_map.T, shared[1])
+    one, two = (replace(side, values=np.sqrt(k1) * side.values) if side else None for side in beside or (None, None))
+    target = spectral_rows(pair.target, levels[0], k1, beside=one)
+    return target, spectral_rows(pair.source, levels[1], k2, functional_map.T, two)
 
 
 def _parents(surface: Surface, coarse: int, fine: int) -> sparse.csr_array:

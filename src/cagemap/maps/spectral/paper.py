@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cagemap.errors import ParameterError
-from cagemap.functional_map import Constraints, MapWeights, coarse_functional_map, extend_functional_map
+from cagemap.functional_map import Constraints, MapWeights, extend_functional_map, solve_functional_map
 from cagemap.maps.pair import LevelPair, Pair, Progress
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.spectral.constraints import DescriptorConfig, gather_constraints
@@ -85,7 +85,7 @@ def first_level(pair: Pair, constraints: Constraints, config: PaperConfig, start
         )
     if start is not None and start.shape != sizes:
         raise ParameterError(f"start: expected a functional map of level 0, {sizes}, got {start.shape}")
-    functional_map = coarse_functional_map(constraints.leading(*sizes), config.weights) if start is None else start
+    functional_map = solve_functional_map(constraints.leading(*sizes), config.weights) if start is None else start
     match = search_full(pair, functional_map, (0, 0))
     for _ in range(config.rounds):
         functional_map = orthonormal(refit(pair, (0, 0), match))
