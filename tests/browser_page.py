@@ -154,7 +154,7 @@ class Page:
 
     def landmarks(self) -> int:
         """How many complete landmarks the list names."""
-        found = re.match(r"(\d+) landmarks", self.text("list"))
+        found = re.match(r"(\d+) landmark", self.text("list"))
         return int(found[1]) if found else 0
 
     def choose(self, side: str, label: str, value: str, *, exact: bool = True) -> str:

@@ -12,8 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from examples.shapes import cube, icosahedron
+from typer.main import get_command
 
 from cagemap import __version__
+from cagemap.cli.app import app
 from cagemap.cli.progress import Stages
 from cagemap.files.images import read_image
 from cagemap.files.meshes import read_mesh, write_mesh
@@ -30,6 +32,17 @@ def test_version_and_help_name_every_command(run: Run) -> None:
     for command in ("demo", "check", "refine", "match", "transfer", "report"):
         assert command in shown.out
         assert run(command, "--help").code == 0
+
+
+def test_help_names_options_whole_in_a_narrow_terminal(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    _, _, listed = run("--help").out.partition("Commands:")
+    assert listed.count("\n") >= len(get_command(app).commands)
+    assert "..." not in listed, "a command's sentence is cut off"
+    for name, command in get_command(app).commands.items():
+        shown = run(name, "--help").out.replace(",", " ").split()
+        for option in (word for one in command.params for word in (*one.opts, *one.secondary_opts)):
+            assert option in shown or not option.startswith("-"), f"{name} {option}"
 
 
 def test_help_loads_nothing_heavy() -> None:

@@ -13,7 +13,7 @@ import typer
 
 import cagemap
 from cagemap.cli.app import app
-from cagemap.cli.words import OPTIONS, in_options
+from cagemap.errors import OPTIONS, in_options
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "cagemap"
@@ -217,7 +217,7 @@ def find_class(name: str, room: str) -> type:
 
 
 def test_only_the_command_line_names_its_options() -> None:
-    """Rooms below it say what Python calls a thing; `cagemap.cli.words.OPTIONS` translates, and has nothing unused."""
+    """Rooms below it say what Python calls a thing; `cagemap.errors.OPTIONS` translates, and has nothing unused."""
     below = [path for path in SOURCE.glob("*/**/*.py") if path.relative_to(SOURCE).parts[0] not in ABOVE]
     texts = {
         node.value

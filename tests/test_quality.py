@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from benchmarks.truth import compare_with_truth, round_trip, true_map
@@ -227,6 +229,15 @@ def test_a_mirrored_map_is_called_inside_out_and_missed_landmarks_are_named() ->
     assert figures.flipped_area > 0.9
     assert "inside out" in figures.warnings[0]
     assert any("left ear" in warning for warning in figures.warnings)
+
+
+def test_the_worst_place_is_told_in_the_units_of_the_file() -> None:
+    ball, triangles = sphere(400)
+    surface = TriangleSurface.from_faces(40.0 * ball + [100.0, 0.0, 0.0], triangles)
+    squeezed = surface.positions * np.array([1.0, 1.0, 0.05])
+    (message,) = measure_quality(PointMap(surface, SurfacePoints.nearest(surface, squeezed))).warnings[-1:]
+    told = [float(word) for word in re.findall(r"worst at \((.*)\) of the target's file", message)[0].split(", ")]
+    assert np.linalg.norm(np.array(told) - [100.0, 0.0, 0.0]) == pytest.approx(40.0, rel=0.01)
 
 
 def test_trust_and_stretch_are_shares_of_area_however_uneven_the_mesh() -> None:

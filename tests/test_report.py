@@ -15,6 +15,7 @@ from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence, Read
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.quality import QualityFigures
 from cagemap.maps.result import MatchResult
+from cagemap.mesh.landmarks import Landmarks
 from cagemap.report import CarriedShape, Gallery, Rides, Weights, build_page, draw_gallery, draw_rides, write_report
 from cagemap.report.figures import PAPER, for_display
 from cagemap.report.merits import explain, overall
@@ -123,6 +124,9 @@ def test_without_a_texture_material_colours_are_shown_and_without_those_a_checke
     bare = replace(result.source.control, face_materials=None, material_colors=None)
     plain = result.source.with_control(bare)
     assert draw_gallery(replace(result, source=plain), size=SIZE).appearance == "checker"
+    # One colour all over shows nothing.
+    white = replace(result.source.control, material_colors=np.ones_like(result.source.control.material_colors))
+    assert draw_gallery(replace(result, source=result.source.with_control(white)), size=SIZE).appearance == "checker"
 
 
 def test_progress_names_every_picture(result: MatchResult) -> None:
@@ -207,6 +211,27 @@ def test_the_page_begins_with_how_sure_a_map_without_landmarks_is(
     assert heading in page
     shown = "the target lies on the source one"
     assert f"<li>{shown}" in page if verdict == SURE else f'<li class="warning">{verdict}: {shown}' in page
+
+
+def test_a_sure_map_without_landmarks_is_said_to_be_sound(result: MatchResult, gallery: Gallery) -> None:
+    places, none = result.point_map.images.positions, np.zeros(0, dtype=np.int64)
+    answers = (Reading("as the files stand", 1e-4, places), Reading("mirrored", 1.1e-4, places))
+    free = replace(
+        result,
+        landmarks=Landmarks((), none, none),
+        landmark_check=LandmarkCheck(),
+        quality=replace(result.quality, landmark_errors=np.zeros(0), warnings=()),
+    )
+    sure = build_page(replace(free, confidence=Confidence(SURE, 1.0, 2.0, answers[:1], 0)), gallery)
+    assert "The map looks sound." in sure
+    assert "no other way fits nearly as well: sure" in sure
+    assert 'class="warning"' not in sure
+    for empty in ("<h2>Landmarks</h2>", "Dots are landmarks", "Lines are curves", "<td>None</td>"):
+        assert empty not in sure
+    # A page speaks the words of the command line.
+    two = build_page(replace(free, confidence=Confidence(TWO, 1.0, 1.1, answers, 0)), gallery)
+    assert "(--answer 1)" in two
+    assert "answer=1" not in two
 
 
 def test_written_whole(result: MatchResult, tmp_path: Path) -> None:

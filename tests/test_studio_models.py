@@ -46,7 +46,7 @@ from cagemap.studio.opening import default_files
 from cagemap.studio.places import place_at, place_of, vertex_place
 from cagemap.studio.scene import Scene, carried_place, mirrored, part_name
 from cagemap.studio.shape import Hit, pick, shape_of
-from cagemap.studio.skins import Images, Look, crossing_triangles, light_on, source_skin, texture_colors
+from cagemap.studio.skins import Images, Look, crossing_triangles, faced, light_on, source_skin, texture_colors
 from cagemap.studio.state import View
 from cagemap.studio.worker import DROPPED, Failure, Worker, _serve
 
@@ -69,6 +69,25 @@ def test_glb_is_read_by_others_as_it_was_written() -> None:
     np.testing.assert_array_equal(mesh.faces, [[0, 1, 2], [0, 2, 3]])
     written = np.asarray(mesh.visual.vertex_attributes["color"][:, :3], dtype=float)
     np.testing.assert_array_equal(written, np.rint(65535 * colors))
+
+
+@pytest.mark.parametrize("quarters", range(4))
+def test_a_source_is_seen_from_the_side_that_the_target_is_seen_from(quarters: int) -> None:
+    mesh = creature()
+    level = refine(mesh, 1)
+    target = shape_of(level)
+    about = np.linalg.matrix_power(np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]), quarters)
+    upright = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # of a file whose z is up
+    other = mesh.with_positions(mesh.positions @ about @ upright.T + [3.0, 1.0, 2.0])
+    source = shape_of(refine(other, 1), turn=upright)
+    owner = np.zeros(len(target.positions), dtype=np.int64)
+    owner[target.triangles.ravel()] = np.arange(target.triangles.size)
+    images = Images(owner // 3, np.eye(3)[owner % 3], np.ones(len(owner)))
+    seen = faced(source, target, images)
+    np.testing.assert_allclose(seen.to_view(seen.positions), target.to_view(target.positions), atol=1e-9)
+    np.testing.assert_allclose(seen.to_file(target.to_view(target.positions)), source.positions, atol=1e-9)
+    assert faced(seen, target, images) is seen
+    assert faced(source, target, None) is source
 
 
 def test_light_falls_on_every_side_and_most_on_the_first_views() -> None:

@@ -13,16 +13,18 @@ import numpy as np
 import pytest
 
 from cagemap.files.manifest import note_transfer
-from cagemap.studio.bench import OpenModels, Task
+from cagemap.geometry.closest import build_tree, closest_points
+from cagemap.studio.bench import FindMap, Found, OpenModels, Task
 from cagemap.studio.finish import FinishOptions
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.places import vertex_place
 from cagemap.studio.preview import Preview
 from cagemap.studio.scene import carried
 from cagemap.studio.session import Session
+from cagemap.studio.skins import Images
 from cagemap.studio.state import Files, Message, Output, RunningJob, Studio, View
 from cagemap.studio.worker import DROPPED, Failure
-from studio_boxes import Idle, click, click_between, until
+from studio_boxes import Idle, at_rest, click, click_between, until
 
 
 def test_it_starts_with_a_map_and_follows_clicks(opened: Session) -> None:
@@ -57,6 +59,21 @@ def test_a_search_that_was_dropped_is_no_error_where_its_models_are_open_again(o
     assert opened._preview.models is not None
     opened._receive(OpenModels(opened._preview.models, View()), Failure(DROPPED, "not wanted"))
     assert opened.state == before
+
+
+def test_a_source_that_the_map_turns_is_turned_in_the_view(opened: Session) -> None:
+    scene = opened.scene
+    assert scene is not None
+    assert scene.images is not None
+    # About where half a turn about the vertical takes the box, which is slanted.
+    places = scene.source.centre + (scene.target.positions - scene.target.centre) * [-1.0, 1.0, -1.0]
+    triangle, weights, _ = closest_points(build_tree(scene.source.positions, scene.source.triangles), places)
+    answer = Found(Images(triangle, weights, scene.images.trust), scene.skins[0], opened.state.map)
+    opened._receive(FindMap(opened._preview.models, LandmarkList(), View()), answer)
+    until(lambda: opened.scene.source is not scene.source, opened)
+    until(lambda: at_rest(opened), opened)
+    np.testing.assert_array_equal(opened.scene.source.turn, np.diag([-1.0, 1.0, -1.0]))
+    assert opened.scene.skins[1] != scene.skins[1]
 
 
 def test_the_next_landmark_is_proposed_on_both_models(opened: Session) -> None:

@@ -36,3 +36,21 @@ class SolverError(CagemapError, RuntimeError):
 
 class MissingLibraryError(CagemapError, ImportError):
     """A library that this step needs and that is not installed, as where it has no wheel for the platform."""
+
+
+# What messages name as Python has it, and how the command line calls it.
+OPTIONS = {
+    "`force=True`": "--force",
+    "`check_landmarks=False`": "--trust-landmarks",
+    "`Landmarks.reversed()`": "--exchange-landmarks",
+    "`answer=1`": "--answer 1",
+    "`find_part`": "--part",
+    "`unwrap`": "--unwrap",
+}
+
+
+def in_options(text: str) -> str:
+    """A message in the words of the command line, for its users and for pages."""
+    for python, option in OPTIONS.items():
+        text = text.replace(python, option)
+    return text

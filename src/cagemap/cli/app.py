@@ -31,7 +31,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    rich_markup_mode="markdown",
+    rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -87,11 +87,11 @@ def demo(
 @app.command()
 def check(
     meshes: Annotated[
-        list[Path], typer.Argument(metavar="MESH...", help="Control meshes, .obj, .ply, .off, .stl or USD.")
+        list[Path], typer.Argument(metavar="MESH", help="Control meshes, .obj, .ply, .off, .stl or USD.")
     ],
     as_json: Annotated[bool, typer.Option("--json", help="Say the same as JSON, for scripts.")] = False,
 ) -> None:
-    """Tell whether control meshes can be used, and if not, what to mend and where.
+    """Tell whether control meshes can be used, or what to mend.
 
     A mesh must be manifold, consistently oriented and in one piece; boundaries are fine. Exit code 1 if any has a
     problem.
@@ -117,10 +117,11 @@ def refine(
     creasing: CreasingOption = None,
     force: Force = False,
 ) -> None:
-    """Subdivide a control mesh: Loop for triangle meshes, Catmull-Clark for all others, unless its file says otherwise.
+    """Subdivide a control mesh.
 
-    Creases and corners shape it, holes are left out. Vertex i of the mesh stays vertex i (but for holes). UVs,
-    materials, objects and groups come along.
+    Loop for triangle meshes, Catmull-Clark for all others, unless its file says otherwise. Creases and corners shape
+    it, holes are left out. Vertex i of the mesh stays vertex i (but for holes). UVs, materials, objects and groups come
+    along.
     """
     from cagemap.cli.mesh_commands import refine_file
     from cagemap.cli.subdivision import SubdivisionRequest
@@ -143,7 +144,7 @@ def suggest(
     count: Annotated[int, typer.Option(min=1, help="How many more landmarks.")] = 3,
     force: Force = False,
 ) -> None:
-    """Say where more landmarks would tell most, and write them for correction.
+    """Say where more landmarks would tell most.
 
     The file holds the landmarks of the result and the new ones, on the source where the map puts them now. Move those
     that are wrong there, and match again.

@@ -11,8 +11,8 @@ import threading
 from types import FrameType
 from typing import Any, NoReturn
 
-from cagemap.cli.words import in_options, set_verbosity, tolerate_odd_names
-from cagemap.errors import CagemapError, ParameterError
+from cagemap.cli.words import set_verbosity, tolerate_odd_names
+from cagemap.errors import CagemapError, ParameterError, in_options
 
 WRONG_INPUT, INTERNAL, SIGNALLED = 2, 70, 128
 

@@ -61,7 +61,7 @@ class FunctionsRequest:
 @asks(FunctionsRequest)
 @in_stages
 def functions(request: FunctionsRequest, stages: Stages) -> Outcome:
-    """Write eigenfunctions and descriptors of one mesh at its vertices: for research, and to look at.
+    """Write eigenfunctions and descriptors of one mesh.
 
     Row i belongs to vertex i of the mesh that `cagemap refine` writes at the same level. The surface has unit area:
     eigenfunctions are those of the hierarchical basis, eigenvalues and times are free of the file's unit.

@@ -21,9 +21,8 @@ from cagemap.cli.progress import Stages
 from cagemap.cli.report import run_report
 from cagemap.cli.run_request import RunRequest
 from cagemap.cli.transfer import run_transfer
-from cagemap.cli.words import in_options
 from cagemap.cli.wrap import run_wrap
-from cagemap.errors import CagemapError
+from cagemap.errors import CagemapError, in_options
 from cagemap.files.code_version import code_version
 from cagemap.files.images import write_image
 from cagemap.files.result import landmark_messages, read_manifest, read_result, write_result

@@ -31,10 +31,11 @@ class MapRequest:
 @asks(MapRequest)
 @in_stages
 def map_file(request: MapRequest, stages: Stages) -> Outcome:
-    """Take a point map of any method, as if `cagemap match` had found it: bake with it, wrap, see it in a report.
+    """Take a point map of any method as a RESULT.
 
-    A list of source vertices, one for each vertex of the target at any level; or triangles of the source's level and
-    barycentric coordinates; or a sparse matrix. `cagemap transfer RESULT --write-map` writes them.
+    Bake with it, wrap, see it in a report. A list of source vertices, one for each vertex of the target at any level;
+    or triangles of the source's level and barycentric coordinates; or a sparse matrix. `cagemap transfer RESULT
+    --write-map` writes them.
     """
     from cagemap.cli.own_map import run_map
 

@@ -41,11 +41,11 @@ Space = Annotated[
     str, Option(help="Of normals and vectors: tangent (MikkTSpace) or object."), OneOf(("tangent", "object"))
 ]
 Green = Annotated[str, Option(help="Normal map: green up (OpenGL) or down (DirectX)."), OneOf(("up", "down"))]
-MeshFile = Annotated[Path, Argument(help="Control mesh, .obj, .ply, .off, .stl or USD.")]
+MeshFile = Annotated[Path, Argument(metavar="MESH", help="Control mesh, .obj, .ply, .off, .stl or USD.")]
 Force = Annotated[
     bool, Option("--force", help="Overwrite files that cagemap did not write, or that were changed since.")
 ]
-ResultFolder = Annotated[Path, Argument(help="Folder that `cagemap match` wrote.")]
+ResultFolder = Annotated[Path, Argument(metavar="RESULT", help="Folder that `cagemap match` wrote.")]
 
 SchemeOption = Annotated[
     SchemeName | None,

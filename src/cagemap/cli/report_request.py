@@ -32,9 +32,10 @@ class ReportRequest:
 @asks(ReportRequest)
 @in_stages
 def report(request: ReportRequest, stages: Stages) -> Outcome:
-    """Write one HTML page: both surfaces in the same views, the map as colours, quality in plain words.
+    """Write one HTML page: pictures, and quality in plain words.
 
-    The page needs nothing beside it: mail it, print it.
+    Both surfaces in the same views, the map as colours, what was made with it. The page needs nothing beside it: mail
+    it, print it.
     """
     from cagemap.cli.report import run_report
 

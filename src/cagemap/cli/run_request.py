@@ -30,10 +30,11 @@ class RunRequest:
 
 @asks(RunRequest)
 def run(request: RunRequest) -> None:
-    """Match and transfer many pairs, as a job file says: each surface is prepared once, what is done is kept.
+    """Match and transfer many pairs, as a job file says.
 
-    Writes a folder with a RESULT for every pair, what the job asks for beside it, index.html and figures.csv.
-    Run it again after a failure or a change: only what is missing is done. Exit code 1 if anything failed.
+    Each surface is prepared once, what is done is kept. Writes a folder with a RESULT for every pair, what the job asks
+    for beside it, index.html and figures.csv. Run it again after a failure or a change: only what is missing is done.
+    Exit code 1 if anything failed.
     """
     from cagemap.cli.library import run_job
 

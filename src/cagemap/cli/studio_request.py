@@ -45,7 +45,7 @@ class StudioRequest:
 
 @asks(StudioRequest)
 def studio(request: StudioRequest) -> None:
-    """Open both models in the browser: see the map, click landmarks where it is wrong, bake.
+    """See the map in the browser, click where it is wrong, bake.
 
     Without models the built-in pair opens. The page reads and writes only in the folders of the files given here.
     """

@@ -148,7 +148,7 @@ def _read(texture: tuple[str, ...], bases: tuple[str, ...], bake: str | None, **
 @asks(TransferRequest, said={"texture": tuple[str, ...], "bases": tuple[str, ...], "bake": str | None}, read=_read)
 @in_stages
 def transfer(request: TransferRequest, stages: Stages) -> Outcome:
-    """Carry something from source to target: textures, attributes, UVs, skinning weights, joints, blend shapes.
+    """Carry textures, values, rigs or shapes to the target.
 
     Images are baked into the target's own UV layout, texel by texel, across the source's seams.
     """

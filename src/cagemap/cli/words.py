@@ -7,24 +7,9 @@ import os
 import sys
 from collections.abc import Iterable
 
+from cagemap.errors import in_options
+
 _log = logging.getLogger("cagemap.cli")
-
-# What the rooms below name as Python has it, and how the command line calls it.
-OPTIONS = {
-    "`force=True`": "--force",
-    "`check_landmarks=False`": "--trust-landmarks",
-    "`Landmarks.reversed()`": "--exchange-landmarks",
-    "`answer=1`": "--answer 1",
-    "`find_part`": "--part",
-    "`unwrap`": "--unwrap",
-}
-
-
-def in_options(text: str) -> str:
-    """A message of the rooms below in the words of the command line."""
-    for python, option in OPTIONS.items():
-        text = text.replace(python, option)
-    return text
 
 
 class _StandardError(logging.Handler):

@@ -83,10 +83,10 @@ class WrapRequest:
 @asks(WrapRequest)
 @in_stages
 def wrap(request: WrapRequest, stages: Stages) -> Outcome:
-    """Give the target's cage the source's shape: your topology, that shape.
+    """Give the target's cage the source's shape.
 
-    The refined surface comes to lie on the source. Vertices, faces, UVs, groups and materials stay those of the
-    target.
+    Your topology, that shape: the refined surface comes to lie on the source. Vertices, faces, UVs, groups and
+    materials stay those of the target.
     """
     from cagemap.cli.wrap import run_wrap
 

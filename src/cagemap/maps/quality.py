@@ -310,8 +310,8 @@ def _warnings(
     """Sentences for a user: what is wrong, how much, where."""
     messages = []
     worst = int(np.argmin(np.where(vertex_areas > 0, trust, np.inf)))
-    place = ", ".join(f"{x:.2f}" for x in target.positions[worst])
-    where = f"worst around target vertex {worst} at ({place}) of sqrt(area)"
+    place = ", ".join(f"{x:.4g}" for x in target.positions[worst] / target.scale)
+    where = f"worst at ({place}) of the target's file"
     if flipped_area > 0.5:
         messages.append(
             f"the map turns the surface inside out ({100 * flipped_area:.0f} % of the area is flipped): left and right "
@@ -321,8 +321,8 @@ def _warnings(
         messages.append(f"{100 * flipped_area:.1f} % of the target's area is folded over, {where}")
     off = np.flatnonzero(errors > LANDMARK_TOLERANCE)
     if len(off):
-        listed = ", ".join(f"{names[i]} ({errors[i]:.3f})" for i in off[np.argsort(-errors[off])][:5])
-        messages.append(f"{len(off)} landmarks are not met exactly (distance of sqrt(area)): {listed}")
+        listed = ", ".join(f"{names[i]} ({100 * errors[i]:.1f} %)" for i in off[np.argsort(-errors[off])][:5])
+        messages.append(f"{len(off)} landmarks are not met exactly (miss, of the model's size): {listed}")
     if coverage < COVERAGE_TOLERANCE:
         messages.append(f"{100 * (1 - coverage):.1f} % of the source's area is not reached by the map")
     untrusted = float(vertex_areas[trust < 0.5].sum())

@@ -207,9 +207,12 @@ def _looks(stage: _Stage, texture: Pixels | None, baked: Pixels | None) -> tuple
             return "texture", source_skin, Skin(texture=for_display(baked), corner_uvs=stage.target.corner_uvs())
         return "texture", source_skin, Skin(vertex_colors=_pulled_texture(stage, shown))
     control = stage.result.source.control
+    own = np.zeros((1, 3))
     if control.face_materials is not None and control.material_colors is not None:
+        own = face_colors(control)
+    if np.ptp(own, axis=0).any():  # one colour all over shows nothing
         parents = stage.source.face_parents[stage.source.triangle_faces]
-        colors = to_display(face_colors(control)[parents])
+        colors = to_display(own[parents])
         return "material colours", Skin(face_colors=colors), Skin(vertex_colors=colors[stage.result.triangle])
     checker = _checker(stage.result.source.vertices, stage.result.source.vertices)
     pulled = _checker(stage.result.image(), stage.result.source.vertices)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio
 
-from cagemap.errors import FormatError
+from cagemap.errors import FormatError, in_options
 from cagemap.files.marks import mark
 from cagemap.files.result import assurance, landmark_messages
 from cagemap.maps.hypotheses.confidence import SURE, TWO
@@ -51,8 +51,9 @@ def build_page(result: MatchResult, gallery: Gallery, panels: tuple[Panel, ...] 
         ),
         _section(
             "The map as colours",
-            "Points of equal colour correspond; the faint checker shows stretch. Dots are landmarks: equal dots should "
-            "sit on equal places. Lines are curves: equal lines should lie on equal places.",
+            "Points of equal colour correspond; the faint checker shows stretch."
+            + (" Dots are landmarks: equal dots should sit on equal places." if len(result.landmarks) else "")
+            + (" Lines are curves: equal lines should lie on equal places." if len(result.curves) else ""),
             "".join(_pair(figure, result) for figure in gallery.maps),
         ),
         _answers(result, gallery),
@@ -70,7 +71,9 @@ def build_page(result: MatchResult, gallery: Gallery, panels: tuple[Panel, ...] 
         else "",
         *(_section(escape(panel.title), escape(panel.lead), _panel(panel)) for panel in panels),
         _section("Quality", "Measured on this map, without knowing the true one.", _merits(merits)),
-        _section("Landmarks", "Miss as a share of the model's size.", _landmarks(result)),
+        _section("Landmarks", "Miss as a share of the model's size.", _landmarks(result))
+        if len(result.landmarks)
+        else "",
         _section("Curves", "Distance between a curve and its counterpart, both ways.", _curves(result))
         if len(result.curves)
         else "",
@@ -116,7 +119,7 @@ def _header(result: MatchResult, title: str, verdict: str) -> str:
     chips = [
         f"{len(result.target.vertices):,} target vertices",
         f"{len(result.source.vertices):,} source vertices",
-        f"{len(result.landmarks)} landmarks",
+        f"{len(result.landmarks)} landmark{'' if len(result.landmarks) == 1 else 's'}",
     ]
     unsure = result.confidence is not None and result.confidence.verdict != SURE
     said = _UNSURE if unsure and verdict == "fair" else _VERDICTS[verdict]
@@ -130,7 +133,7 @@ def _header(result: MatchResult, title: str, verdict: str) -> str:
 
 
 def _warnings(warnings: list[str], notes: list[str]) -> str:
-    items = [f'<li class="warning">{escape(text)}</li>' for text in warnings]
+    items = [f'<li class="warning">{escape(in_options(text))}</li>' for text in warnings]
     items += [f"<li>{escape(text)}</li>" for text in notes]
     return f'<ul class="notes">{"".join(items)}</ul>' if items else ""
 
@@ -169,10 +172,10 @@ def _answers(result: MatchResult, gallery: Gallery) -> str:
     )
     lead = (
         "Colours say where on the source a point goes, as above: the right map has the source's colours in the right "
-        "places. A landmark where they differ decides; answer 1 of a match is the other."
+        "places. A landmark where they differ decides; `answer=1` takes the other."
     )
     title = "Two answers" if result.confidence.verdict == TWO else "The next best answer"
-    return _section(f"{title}: which is right?", lead, body)
+    return _section(f"{title}: which is right?", in_options(lead), body)
 
 
 def _merits(merits: list[Any]) -> str:
@@ -244,7 +247,11 @@ def _provenance(result: MatchResult) -> str:
         )
     for group in ("parameters", "versions", "inputs"):
         entries |= flattened(group, manifest.get(group) or {})
-    rows = [f"<tr><th>{escape(name)}</th><td>{escape(str(value))}</td></tr>" for name, value in entries.items()]
+    rows = [
+        f"<tr><th>{escape(name)}</th><td>{escape(str(value))}</td></tr>"
+        for name, value in entries.items()
+        if value is not None
+    ]
     return f'<table class="facts">{"".join(rows)}</table>'
 
 

@@ -135,7 +135,7 @@ def _wrapped(result: MatchResult, cage: ControlMesh, turn: float, size: tuple[in
     ]
     lead = (
         "The target's cage in the source's shape. Edge loops should run as they did; the distance says where the cage "
-        f"has no room for what the source has: {100 * float(distance.mean()):.3g} % of sqrt(area) on average."
+        "has no room for what the source has."
     )
     return Panel("Wrapped", lead, tuple(_drawn(jobs, size)))
 

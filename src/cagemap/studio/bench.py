@@ -19,7 +19,7 @@ from cagemap.studio.landmark_files import landmarks_of
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.models import OpenedModel, open_model, with_texture
 from cagemap.studio.scene import Scene
-from cagemap.studio.skins import Images, source_skin, target_skin
+from cagemap.studio.skins import Images, faced, source_skin, target_skin
 from cagemap.studio.state import MapState, View
 
 Progress = Callable[[str], None]
@@ -303,7 +303,8 @@ def _strain(result: MatchResult) -> dict[str, float]:
 
 def _skins(bench: Bench, view: View, images: Images | None) -> tuple[bytes, bytes]:
     models = _opened(bench)
-    return _target_skin(models, images, view), source_skin(models.source.shape, models.source.look, _map_view(view))
+    source = faced(models.source.shape, models.target.shape, images)
+    return _target_skin(models, images, view), source_skin(source, models.source.look, _map_view(view))
 
 
 def _target_skin(models: Models, images: Images | None, view: View) -> bytes:

@@ -13,7 +13,7 @@ from cagemap.studio.landmarks import LandmarkList, Place, Proposal, Side, other
 from cagemap.studio.pieces import NOTHING, Offer
 from cagemap.studio.places import place_at, places_of
 from cagemap.studio.shape import Hit, Shape
-from cagemap.studio.skins import Images
+from cagemap.studio.skins import Images, faced
 from cagemap.studio.state import Probe
 
 # A mirror image this close to the place itself, of the model's radius, is the same place.
@@ -50,6 +50,11 @@ class Scene:
     def shape(self, side: Side) -> Shape:
         """One of the models."""
         return self.target if side == "target" else self.source
+
+    @property
+    def faced(self) -> Shape:
+        """The source as the next skins show it: seen from the side that the target is seen from."""
+        return faced(self.source, self.target, self.images)
 
     @property
     def leaves_any(self) -> bool:

@@ -343,16 +343,25 @@ class Session(Held):
                 self._first_landmarks()
             case Found() if self._scene is not None and isinstance(task, FindMap | ChooseAnswer):
                 if self._state.map.revision == 0:  # the page has its models by now, and the processor is free
-                    threading.Thread(target=self._scene.warm, name="studio warm-up", daemon=True).start()
+                    self._warm_up(self._scene)
                 self._scene = replace(self._scene, images=answer.images, skins=(answer.skin, self._scene.skins[1]))
+                if self._scene.faced is not self._scene.source:
+                    self._preview.dress()
                 known = answer.known.under_names(task.landmarks, self._state.history.present)
                 known = replace(known, revision=self._state.map.revision + 1)
                 self._change(map=known, proposal=proposed(self._scene, self._state.history.present))
             case Dressed() if self._scene is not None:
-                self._scene = replace(self._scene, skins=answer.skins)
+                scene = replace(self._scene, source=self._scene.faced, skins=answer.skins)
+                if scene.source is not self._scene.source:
+                    self._warm_up(scene)
+                self._scene = scene
                 self._change()
             case _:
                 log.warning("unexpected answer %r to %r", type(answer), type(task))
+
+    @staticmethod
+    def _warm_up(scene: Scene) -> None:
+        threading.Thread(target=scene.warm, name="studio warm-up", daemon=True).start()
 
     def _first_landmarks(self) -> None:
         """Landmarks of newly opened models: what a killed studio left unsaved, else what the file holds."""

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from cagemap.files.images import Pixels
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.pictures.camera import turn_between
 from cagemap.pictures.colors import position_colors, to_linear
 from cagemap.studio.glb import Primitive, glb
 from cagemap.studio.pieces import Rest
@@ -82,6 +83,21 @@ class Images:
     def on(self, triangles: IndexArray, values: FloatArray) -> FloatArray:
         """Evaluate values at the corners of source triangles where the map takes every vertex."""
         return np.asarray(np.einsum("nc,ncd->nd", self.barycentric, values[triangles[self.triangle]]))
+
+
+def faced(source: Shape, target: Shape, images: Images | None) -> Shape:
+    """The source, turned about the vertical by the quarter turns after which it faces as the target does under a map.
+
+    A turn of both models' cameras then shows the same side of both; the shape itself where it faces so already.
+    """
+    if images is None:
+        return source
+    places = images.on(source.triangles, source.turned(source.positions))
+    quarters = round(turn_between(places, target.turned(target.positions)) / 90) % 4
+    if not quarters:
+        return source
+    cos, sin = ((0, 1), (-1, 0), (0, -1))[quarters - 1]
+    return replace(source, turn=source.turn @ [[cos, 0, -sin], [0, 1, 0], [sin, 0, cos]])
 
 
 def source_skin(shape: Shape, look: Look, view: View) -> bytes:

@@ -34,7 +34,8 @@ def landmark_table(state: Studio) -> str:
             f'<td style="text-align:right">{shown}</td></tr>'
         )
     curves = state.history.present.curves
-    head = f"{len(state.history.present.complete)} landmarks" + ("" if curves is None else f", {len(curves)} curves")
+    count = len(state.history.present.complete)
+    head = f"{count} landmark{'' if count == 1 else 's'}" + ("" if curves is None else f", {len(curves)} curves")
     head += "" if state.saved else " · not saved yet"
     return (
         f'<div id="list" style="font-size:12px;padding:0 8px"><div>{head}</div>'
