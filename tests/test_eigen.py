@@ -10,7 +10,7 @@ from examples import shapes
 from scipy import sparse
 from scipy.sparse.linalg import eigsh
 
-from cagemap.basis import band_pairs, eigen, exact_basis, lowest_pairs
+from cagemap.basis import band_pairs, eigen, exact_basis
 from cagemap.errors import ParameterError, SolverError
 from cagemap.numerics import factorization
 from cagemap.numerics.products import _multiply_rows, multiply
@@ -45,7 +45,7 @@ def relative(values, exact):
 
 
 def test_lanczos_agrees_with_arpack(creature, reference):
-    pairs = lowest_pairs(creature.stiffness[2], creature.mass[2], 80)
+    pairs = band_pairs(creature.stiffness[2], creature.mass[2], 0, 80)
     values, vectors = reference
     assert relative(pairs.values, values[:80]).max() < EXACT
     assert residuals_of(pairs, creature.stiffness[2], creature.mass[2]).max() < 1e-6
@@ -75,7 +75,7 @@ def test_a_krylov_space_in_single_precision(creature, reference, monkeypatch):
 
 def test_residuals_are_what_they_say(creature):
     stiffness, mass = creature.stiffness[1], creature.mass[1]
-    pairs = lowest_pairs(stiffness, mass, 30)
+    pairs = band_pairs(stiffness, mass, 0, 30)
     areas = mass.toarray().sum(axis=1)
     for j in (0, 3, 29):
         x = pairs.vectors[:, j] + 1e-3 * pairs.vectors[:, (j + 1) % 30]
@@ -137,7 +137,7 @@ def test_repeated_eigenvalues_are_complete(control, level, multiplicities):
     operators = build_operators(refine(control(), level))
     stiffness, mass = operators.stiffness[-1], operators.mass[-1]
     assert stiffness.shape[0] > eigen.DENSE_ROWS, "this must run Lanczos"
-    pairs = lowest_pairs(stiffness, mass, sum(multiplicities) + 1)
+    pairs = band_pairs(stiffness, mass, 0, sum(multiplicities) + 1)
     ends = np.cumsum(multiplicities)
     clusters = np.split(pairs.values, ends)
     for values, multiplicity in zip(clusters, multiplicities, strict=False):
@@ -158,7 +158,7 @@ def test_a_lost_pair_is_noticed(creature, monkeypatch):
 
     monkeypatch.setattr(eigen, "shift_invert_lanczos", forgetful)
     with pytest.raises(SolverError, match="inertia"):
-        lowest_pairs(creature.stiffness[2], creature.mass[2], 40)
+        band_pairs(creature.stiffness[2], creature.mass[2], 0, 40)
 
 
 @pytest.mark.parametrize(("control", "count"), [(shapes.creature, 20), (shapes.icosahedron, 9), (shapes.cube, 7)])

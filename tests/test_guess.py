@@ -22,6 +22,12 @@ from cagemap.refinement import refine
 KEPT, GUARDS = 60, 20
 
 
+def from_guess(stiffness, mass, start, values, **window):
+    """In the precision that the accuracy needs, as the basis calls it; pairs given from the first one on."""
+    window = {"first_index": 0, "dtype": guess.working_type(window["tolerance"]), **window}
+    return pairs_from_guess(stiffness, mass, start, values, **window)
+
+
 @pytest.fixture(scope="module")
 def creature():
     """Level 2 has 2434 vertices; its pairs refined to level 3, and what they should become."""
@@ -43,7 +49,7 @@ def far(creature):
 @pytest.mark.parametrize("first", [0, 30])
 def test_a_good_guess_becomes_exact(creature, tolerance, first):
     stiffness, mass, start, values, exact = creature
-    found = pairs_from_guess(stiffness, mass, start, values, kept=(first, KEPT), tolerance=tolerance)
+    found = from_guess(stiffness, mass, start, values, kept=(first, KEPT), tolerance=tolerance)
     assert found.first_index == first
     kept = slice(max(1, first), KEPT)
     errors = np.abs(found.values[kept.start - first : KEPT - first] - exact.values[kept]) / exact.values[kept]
@@ -65,7 +71,7 @@ def test_pairs_that_are_not_good_enough_get_directions_of_their_own(creature, mo
     monkeypatch.setattr(guess, "extended", lambda *a: rounds.append(a[1].shape[1]) or honest(*a))
     for end, tolerance in ((KEPT + GUARDS, 1e-7), (KEPT, 1e-3)):  # with guards above, and without
         rounds.clear()
-        found = pairs_from_guess(stiffness, mass, spoilt[:, :end], values[:end], kept=(0, KEPT), tolerance=tolerance)
+        found = from_guess(stiffness, mass, spoilt[:, :end], values[:end], kept=(0, KEPT), tolerance=tolerance)
         assert rounds
         assert max(rounds) < KEPT
         np.testing.assert_allclose(found.values[1:KEPT], exact.values[1:KEPT], rtol=tolerance)
@@ -82,7 +88,7 @@ def test_a_window_does_not_drift_to_the_pairs_below_it(creature, start, toleranc
     rng = np.random.default_rng(62)
     spoilt[:, 40:50] += 0.1 * np.abs(guessed).mean() * rng.standard_normal((len(guessed), 10))
     window = {"first_index": start, "kept": (first, KEPT), "tolerance": tolerance}
-    found = pairs_from_guess(stiffness, mass, spoilt[:, start:], values[start:], **window)
+    found = from_guess(stiffness, mass, spoilt[:, start:], values[start:], **window)
     assert found is not None
     assert found.first_index == first
     np.testing.assert_allclose(found.values[: KEPT - first], exact.values[first:KEPT], rtol=tolerance)
@@ -93,7 +99,7 @@ def test_a_window_starts_where_it_should_although_values_fall(creature, far):
     stiffness, mass, guessed, values, exact = creature
     rough = guessed.copy()
     rough[:, 29] += far
-    found = pairs_from_guess(stiffness, mass, rough, values, kept=(30, KEPT), tolerance=1e-5)
+    found = from_guess(stiffness, mass, rough, values, kept=(30, KEPT), tolerance=1e-5)
     assert found.vectors.shape[1] == KEPT + GUARDS - 30
     np.testing.assert_allclose(found.values[: KEPT - 30], exact.values[30:KEPT], rtol=1e-5)
 
@@ -104,7 +110,7 @@ def test_missing_pairs_are_found(creature, first, missing):
     """A coarse level may not know a function of a finer one at all, on a part that it resolves badly."""
     stiffness, mass, start, values, exact = creature
     kept = ~np.isin(np.arange(len(values)), missing)
-    found = pairs_from_guess(stiffness, mass, start[:, kept], values[kept], kept=(first, KEPT), tolerance=1e-4)
+    found = from_guess(stiffness, mass, start[:, kept], values[kept], kept=(first, KEPT), tolerance=1e-4)
     assert found.first_index == first
     wanted = slice(max(first, 1), KEPT)
     np.testing.assert_allclose(found.values[wanted.start - first : KEPT - first], exact.values[wanted], rtol=1e-4)
@@ -116,7 +122,7 @@ def test_missing_pairs_that_cannot_be_found_are_noticed(creature, missing):
     stiffness, mass, start, values, _ = creature
     kept = ~np.isin(np.arange(len(values)), missing)
     window = {"kept": (30, KEPT), "tolerance": 1e-3}
-    assert pairs_from_guess(stiffness, mass, start[:, kept], values[kept], **window) is None
+    assert from_guess(stiffness, mass, start[:, kept], values[kept], **window) is None
 
 
 def test_directions_nearly_alike_leave_pairs_orthonormal(creature):
@@ -136,7 +142,7 @@ def test_the_same_function_twice_is_refused(creature):
     stiffness, mass, start, values, _ = creature
     doubled, twice = start.copy(), values.copy()
     doubled[:, 11], twice[11] = doubled[:, 10], twice[10]
-    assert pairs_from_guess(stiffness, mass, doubled, twice, kept=(0, KEPT), tolerance=1e-9) is None
+    assert from_guess(stiffness, mass, doubled, twice, kept=(0, KEPT), tolerance=1e-9) is None
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from cagemap.operators import (
     vertex_areas,
 )
 from cagemap.operators.laplacian import QUAD_PAIRS, TRIANGLE_PAIRS, face_terms, gathered
-from cagemap.operators.sec import restrict, restrict_pair
+from cagemap.operators.sec import restrict_pair
 from cagemap.refinement import refine
 from cotangents import triangle_cotangents
 
@@ -40,6 +40,13 @@ SHAPES = {
 EXACT = 1e-12
 # The triangles of both triangulations of a quad.
 QUAD_SPLITS = ([0, 1, 2], [0, 2, 3], [0, 1, 3], [1, 2, 3])
+
+
+def restrict(subdivision, fine):
+    """Slow twin: Galerkin restriction by products of whole matrices."""
+    coarse = sparse.csr_array(subdivision.T @ (fine @ subdivision))
+    coarse.sort_indices()
+    return coarse
 
 
 def face_terms_reference(positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:

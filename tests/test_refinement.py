@@ -289,16 +289,11 @@ def test_product_is_the_product_of_the_steps(refinement: Refinement) -> None:
 
 
 @pytest.mark.parametrize("columns", [(), (1,), (4,)])
-def test_prolong_and_restrict_apply_the_product(refinement: Refinement, columns: tuple[int, ...]) -> None:
+def test_prolong_applies_the_product(refinement: Refinement, columns: tuple[int, ...]) -> None:
     rng = np.random.default_rng(77)
     coarse = rng.standard_normal((refinement.levels[1].n_vertices, *columns))
-    fine = rng.standard_normal((refinement.finest.n_vertices, *columns))
     product = refinement.product(3, 1)
     np.testing.assert_allclose(refinement.prolong(coarse, 1, 3), product @ coarse, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(refinement.restrict(fine, 3, 1), product.T @ fine, rtol=0, atol=1e-13)
-    # The adjoint: <prolong c, f> = <c, restrict f>.
-    pair = np.vdot(refinement.prolong(coarse, 1, 3), fine), np.vdot(coarse, refinement.restrict(fine, 3, 1))
-    assert pair[0] == pytest.approx(pair[1])
     np.testing.assert_array_equal(refinement.prolong(coarse, 1, 1), coarse)
 
 

@@ -32,7 +32,7 @@ def basis(level: int, count: int, tolerances: list[float], exact: bool) -> Figur
     """
     from scipy.sparse.linalg import LinearOperator, eigsh
 
-    from cagemap.basis import BasisConfig, hierarchical_basis, lowest_pairs
+    from cagemap.basis import BasisConfig, band_pairs, hierarchical_basis
     from cagemap.files.meshes import read_mesh
     from cagemap.numerics.factorization import factor
     from cagemap.numerics.threads import one_blas_thread
@@ -63,7 +63,7 @@ def basis(level: int, count: int, tolerances: list[float], exact: bool) -> Figur
         shifted = factor(stiffness - SHIFT * mass)
         eigsh(stiffness, OPinv=LinearOperator(stiffness.shape, shifted.solve), **asked)
     with one_blas_thread(), timed(figures, "ours exact"):
-        lowest_pairs(stiffness, mass, count, tolerance=BasisConfig(schedule=(count,)).solver_accuracy)
+        band_pairs(stiffness, mass, 0, count, tolerance=BasisConfig(schedule=(count,)).solver_accuracy)
     figures["fixed schedule"] = [count - 3 * (count // 5), *[count // 5] * 3]
     with one_blas_thread(), timed(figures, "fixed"):
         hierarchical_basis(refinement, operators, BasisConfig(schedule=tuple(figures["fixed schedule"])))

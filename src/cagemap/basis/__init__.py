@@ -1,7 +1,7 @@
 """The spectral basis: eigenpairs of every level, joined into one hierarchical basis (paper, section 4)."""
 
-from cagemap.basis.construction import extended_basis, hierarchical_basis
-from cagemap.basis.eigen import EigenPairs, band_pairs, exact_basis, lowest_pairs, residual_norms
+from cagemap.basis.construction import hierarchical_basis
+from cagemap.basis.eigen import EigenPairs, band_pairs, exact_basis, residual_norms
 from cagemap.basis.guess import pairs_from_guess
 from cagemap.basis.hierarchical_basis import HierarchicalBasis
 from cagemap.basis.schedule import BasisConfig
@@ -14,9 +14,7 @@ __all__ = [
     "Surface",
     "band_pairs",
     "exact_basis",
-    "extended_basis",
     "hierarchical_basis",
-    "lowest_pairs",
     "pairs_from_guess",
     "residual_norms",
 ]

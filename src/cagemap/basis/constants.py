@@ -55,6 +55,8 @@ NEARLY_GOOD = 0.3
 MOST_ADDED = 96
 # The largest error may grow a little from round to round as pairs change places, not more.
 DIVERGED = 10.0
+# Rounds of Rayleigh-Ritz after which a guess was not good enough.
+MOST_ROUNDS = 10
 # Most pairs that a guess may lack, columns of the block that looks for them, and its inverse iterations.
 MOST_MISSED = 8
 STRANGERS = 24

@@ -65,38 +65,7 @@ def hierarchical_basis(
         If more functions are asked for than a level has vertices.
     """
     _check_sizes(operators, config)
-    return _Growth(refinement, operators, config).grown(0)
-
-
-def extended_basis(basis: HierarchicalBasis, config: BasisConfig) -> HierarchicalBasis:
-    """A basis with more functions: those that it has, and what a larger count adds at its last level and beyond.
-
-    Parameters
-    ----------
-    basis : HierarchicalBasis
-        Error-controlled.
-    config : BasisConfig
-        As the basis was made with, but for ``count``.
-
-    Returns
-    -------
-    HierarchicalBasis
-        Its leading ``basis.count`` functions are those of the basis, unless one proves to miss the tolerance; the basis
-        itself where it has as many already.
-
-    Raises
-    ------
-    ParameterError
-        If the configuration has a fixed schedule, or more functions are asked for than the finest level has vertices.
-    """
-    if config.schedule is not None:
-        raise ParameterError(f"schedule: expected count and tolerance to extend a basis, got {config.schedule}")
-    if config.count <= basis.count:
-        return basis
-    _check_sizes(basis.operators, config)
-    growth = _Growth(basis.refinement, basis.operators, config)
-    growth.resume(basis)
-    return growth.grown(basis.last_level)
+    return _Growth(refinement, operators, config).grown()
 
 
 @dataclass
@@ -139,15 +108,9 @@ class _Growth:
         """Number of vertices of a level."""
         return int(self.operators.mass[level].shape[0])
 
-    def resume(self, basis: HierarchicalBasis) -> None:
-        """Start from a basis that is there."""
-        self.bands, self.values, self.residuals = list(basis.bands), basis.eigenvalues, basis.residuals
-        self.indices, self.errors, self.gram = basis.indices, basis.errors, basis.gram
-        self.good = basis.size(basis.last_level - 1)
-
-    def grown(self, first_level: int) -> HierarchicalBasis:
-        """The whole basis, after all levels from one on have added what they have."""
-        for level in range(first_level, self.operators.finest + 1):
+    def grown(self) -> HierarchicalBasis:
+        """The whole basis, after all levels have added what they have."""
+        for level in range(self.operators.finest + 1):
             if self.count >= self.config.total:
                 break
             if self.config.schedule is None:
@@ -221,8 +184,7 @@ class _Growth:
                 # Should the next level be needed, pairs that are no use here are a guess for it.
                 reach = self.ahead(level, reach)
         if last <= self.count and reach <= last:
-            if len(self.bands) == level:
-                self.bands.append(np.zeros((rows, 0)))
+            self.bands.append(np.zeros((rows, 0)))
             self.pairs = None
             return
         pairs = self.window(level, reach)
@@ -334,10 +296,7 @@ class _Growth:
         values = np.einsum("ij,ij->j", band, energy)
         residuals = residual_norms(values, band, energy, dual, lumped_areas(mass))
         self.gram = extend_gram(self.gram, tuple(self.bands), self.refinement, dual, level)
-        if len(self.bands) == level:
-            self.bands.append(band)
-        else:  # a basis that is extended at its last level
-            self.bands[level] = np.hstack([self.bands[level], band])
+        self.bands.append(band)
         self.values = np.concatenate([self.values, values])
         self.residuals = np.concatenate([self.residuals, residuals])
         self.errors = np.concatenate([self.errors, errors])

@@ -83,45 +83,12 @@ def residual_norms(
     return np.asarray(np.sqrt(squares) / np.maximum(values, 4.0 * np.pi / float(areas.sum())))
 
 
-def lowest_pairs(
-    stiffness: sparse.csr_array, mass: sparse.csr_array, count: int, *, tolerance: float = 1e-10
-) -> EigenPairs:
-    """Lowest eigenpairs, complete whatever their multiplicity.
-
-    Dense for small problems, else block shift-invert Lanczos; the inertia of W - tau M, tau in a gap near the last,
-    then proves that no eigenvalue was missed.
-
-    Parameters
-    ----------
-    stiffness, mass : (n, n) CSR arrays
-        W positive semi-definite, M positive definite.
-    count : int
-        Number of pairs, at most n.
-    tolerance : float
-        Convergence of the iteration, relative to each eigenvalue of the inverted operator.
-
-    Returns
-    -------
-    EigenPairs
-        With ``first_index`` 0.
-
-    Raises
-    ------
-    ParameterError
-        If count is out of range.
-    SolverError
-        If the iteration does not converge or misses eigenvalues.
-    """
-    return band_pairs(stiffness, mass, 0, count, tolerance=tolerance)
-
-
 def band_pairs(
     stiffness: sparse.csr_array,
     mass: sparse.csr_array,
     first: int,
     last: int,
     *,
-    shift: float | None = None,
     start: FloatArray | None = None,
     tolerance: float = 1e-9,
     guards: int = 0,
@@ -137,8 +104,6 @@ def band_pairs(
         W positive semi-definite, M positive definite.
     first, last : int
         Range of indices, 0 <= first < last <= n.
-    shift : float, optional
-        An estimate of the eigenvalue in the middle of the band; Weyl's law if absent.
     start : (n, b) array, optional
         Block that is rich in the pairs wanted.
     tolerance : float
@@ -169,7 +134,7 @@ def band_pairs(
         return EigenPairs(values[first:last], np.ascontiguousarray(vectors[:, first:last]), first)
     # Factors in double precision: on a body with slivers single precision lost every digit (docs/performance.md).
     low, high = max(0, first - EXTRA_PAIRS), min(n, last + EXTRA_PAIRS)
-    shifted, sigma = _shift_inside(stiffness, mass, low, high, shift)
+    shifted, sigma = _shift_inside(stiffness, mass, low, high)
     below = shifted.negative_eigenvalues
     if below is None:
         low, below = 0, 0  # the shift is then below the spectrum
@@ -207,7 +172,7 @@ def exact_basis(operators: Operators, level: int, count: int) -> EigenPairs:
     """
     if not 0 <= level <= operators.finest:
         raise ParameterError(f"expected a level from 0 to {operators.finest}, got {level}")
-    return lowest_pairs(operators.stiffness[level], operators.mass[level], count)
+    return band_pairs(operators.stiffness[level], operators.mass[level], 0, count, tolerance=1e-10)
 
 
 def _dense_pairs(stiffness: FloatArray, mass: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -223,13 +188,13 @@ def _dense_pairs(stiffness: FloatArray, mass: FloatArray) -> tuple[FloatArray, F
 
 
 def _shift_inside(
-    stiffness: sparse.csr_array, mass: sparse.csr_array, low: int, high: int, estimate: float | None
+    stiffness: sparse.csr_array, mass: sparse.csr_array, low: int, high: int
 ) -> tuple[Factorization, float]:
     """A shift inside the band low..high, factored; below the whole spectrum where no inertia can place it."""
     # Weyl's law for a surface: lambda_j is about 4 pi j / area.
     spacing = 4.0 * np.pi / float(mass.sum())
     middle = 0.6 * high if low == 0 else 0.5 * (low + high)
-    shift = middle * spacing if estimate is None else estimate
+    shift = middle * spacing
     untold = 0
     for _ in range(8):
         try:

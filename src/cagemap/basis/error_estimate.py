@@ -22,22 +22,6 @@ from cagemap.numerics.products import multiply
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
-    """Eigenpairs of the next level, predicted within reach of a correction of the present ones.
-
-    Attributes
-    ----------
-    values : (m,) array
-        Predicted eigenvalues of the next level, ascending.
-    rotation : (m, m) orthogonal array
-        Predicted eigenvectors in the prolonged ones: entry (i, j) is how much of present pair i predicted pair j has.
-    """
-
-    values: FloatArray
-    rotation: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
 class ErrorEstimate:
     """Errors of the eigenpairs of one level against the finest, safety included.
 
@@ -101,18 +85,18 @@ def estimate_errors(
         # From the first pair that is clearly too bad on nothing is kept.
         bad = sample[sampled > 2.0 * tolerance]
         chosen = slice(0, min(count, int(bad[0]) + 1 + count // 10) if len(bad) else count)
-    prediction = predict_next_level(subdivision, smooth, mass, values[chosen], vectors[:, chosen])
-    errors[chosen] = SAFETY * np.maximum(values[chosen] - prediction.values, 0.0) / scale[chosen]
+    predicted, rotation = predict_next_level(subdivision, smooth, mass, values[chosen], vectors[:, chosen])
+    errors[chosen] = SAFETY * np.maximum(values[chosen] - predicted, 0.0) / scale[chosen]
     # Entry s sums the squares of rows from s on and columns before s.
     summed = np.zeros((chosen.stop + 1, chosen.stop + 1))
-    summed[1:, 1:] = np.cumsum(np.cumsum(prediction.rotation**2, axis=0), axis=1)
+    summed[1:, 1:] = np.cumsum(np.cumsum(rotation**2, axis=0), axis=1)
     leaks[: chosen.stop + 1] = summed[-1] - np.diag(summed)
     return ErrorEstimate(errors, leaks)
 
 
 def predict_next_level(
     subdivision: sparse.csr_array, smooth: Smoother, mass: sparse.csr_array, values: FloatArray, vectors: Block
-) -> Prediction:
+) -> tuple[FloatArray, FloatArray]:
     """Predict the eigenpairs of level l + 1 from those of level l.
 
     The residuals of the prolonged pairs, R = W^{l+1} S X - M^{l+1} S X Lambda, are orthogonal to the image of S (paper,
@@ -132,10 +116,17 @@ def predict_next_level(
     values : (m,) array
     vectors : (n_l, m) array
         Eigenpairs of level l, M-orthonormal.
+
+    Returns
+    -------
+    predicted : (m,) array
+        Eigenvalues of level l + 1, ascending.
+    rotation : (m, m) orthogonal array
+        Its eigenvectors in the prolonged ones: entry (i, j) is how much of pair i predicted pair j has.
     """
     coupling = _coupling(subdivision, smooth, mass, values, vectors)
     predicted, rotation = linalg.eigh(np.diag(values) - coupling)
-    return Prediction(predicted, rotation)
+    return predicted, rotation
 
 
 def _coupling(

@@ -9,6 +9,7 @@ from cagemap.basis.constants import (
     DIVERGED,
     MOST_ADDED,
     MOST_MISSED,
+    MOST_ROUNDS,
     NEAR,
     NEARLY_GOOD,
     QUOTIENT_TOLERANCE,
@@ -51,11 +52,10 @@ def pairs_from_guess(
     guess: Block,
     guess_values: FloatArray,
     *,
-    first_index: int = 0,
-    kept: tuple[int, int] | None = None,
-    tolerance: float = 1e-6,
-    max_rounds: int = 10,
-    dtype: Precision | None = None,
+    first_index: int,
+    kept: tuple[int, int],
+    tolerance: float,
+    dtype: Precision,
 ) -> EigenPairs | None:
     """Lowest eigenpairs from prolonged ones.
 
@@ -74,14 +74,12 @@ def pairs_from_guess(
         Their approximate eigenvalues, ascending.
     first_index : int
         Index of the first of them in the spectrum; those that are not given should be far from the ones wanted.
-    kept : (int, int), optional
+    kept : (int, int)
         Range of indices that must be accurate; those above are guards, those below are not returned.
-        Default: all.
     tolerance : float
         Relative accuracy of the eigenvalues kept.
-    max_rounds : int
-    dtype : numpy.float64 or numpy.float32, optional
-        Precision of all but the proof. Default: single for tolerances from 1e-6 on.
+    dtype : numpy.float64 or numpy.float32
+        Precision of all but the proof.
 
     Returns
     -------
@@ -90,11 +88,10 @@ def pairs_from_guess(
         are missing still. Compute that level from nothing instead.
     """
     start, end = first_index, first_index + len(guess_values)
-    first, last = (start, end) if kept is None else kept
+    first, last = kept
     # Values still fall: which of them is the first is known at the end only.
     low = max(start, first - NEAR)
     iterated, asked = slice(low - start, None), slice(first - low, last - low)
-    dtype = working_type(tolerance) if dtype is None else dtype
     shift = _widest_gap(guess_values, first - start, last - start)
     areas = lumped_areas(mass)
     try:
@@ -108,7 +105,7 @@ def pairs_from_guess(
         del block, blocks
         upper: Factorization | None = None
         bound, before, searched = -np.inf, np.inf, False
-        for _ in range(max_rounds):
+        for _ in range(MOST_ROUNDS):
             residuals = squared_residuals(pairs, areas)
             errors = _kato_temple(residuals, pairs.values)[asked]
             if np.all(errors <= tolerance):

@@ -18,6 +18,9 @@ from cagemap.numerics.threads import parts
 from cagemap.operators import Operators
 from cagemap.refinement import Refinement
 
+# Rows that are made at a time of levels whose dense matrix would be too large.
+ROWS = 65_536
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class HierarchicalBasis:
@@ -118,7 +121,7 @@ class HierarchicalBasis:
         self._check_level(level)
         return refined_bands(self.bands, self.refinement, level, dtype)
 
-    def rows(self, level: int, vertices: IndexArray, *, dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    def rows(self, level: int, vertices: IndexArray) -> FloatArray:
         """Some rows of Phi~^level, without making the others.
 
         Parameters
@@ -126,7 +129,6 @@ class HierarchicalBasis:
         level : int
         vertices : (q,) int64 array
             Vertices of that level.
-        dtype : float64 or float32
 
         Returns
         -------
@@ -157,19 +159,14 @@ class HierarchicalBasis:
             if coarser > 0:
                 matrix = self.refinement.matrices[coarser - 1]
                 chosen = sparse.csr_array(matrix[vertices] if chosen is None else chosen @ matrix)
-        return np.hstack(columns[::-1]).astype(dtype, copy=False)
+        return np.hstack(columns[::-1])
 
-    def row_blocks(
-        self, level: int, *, block: int = 65_536, dtype: DTypeLike = np.float64
-    ) -> Iterator[tuple[slice, NDArray[Any]]]:
+    def row_blocks(self, level: int) -> Iterator[tuple[slice, FloatArray]]:
         """All rows of Phi~^level, some at a time, for levels whose dense matrix would be too large.
 
         Parameters
         ----------
         level : int
-        block : int
-            Rows at a time.
-        dtype : float64 or float32
 
         Yields
         ------
@@ -179,8 +176,8 @@ class HierarchicalBasis:
         """
         self._check_level(level)
         base = min(level, self.last_level)
-        dense = self.at(base, dtype=dtype)
-        for part in parts(self.refinement.levels[level].n_vertices, block):
+        dense = self.at(base)
+        for part in parts(self.refinement.levels[level].n_vertices, ROWS):
             if level == base:
                 values = dense[part]
             else:

@@ -9,9 +9,9 @@ from cagemap.basis.constants import CLUSTER
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 
-def clusters(values: FloatArray, tolerance: float = CLUSTER) -> IndexArray:
+def clusters(values: FloatArray) -> IndexArray:
     """(m,) number of the cluster of nearly equal eigenvalues that each of an ascending list belongs to."""
-    steps = np.diff(values) > tolerance * np.maximum(np.abs(values[1:]), 1e-3 * abs(values[-1]))
+    steps = np.diff(values) > CLUSTER * np.maximum(np.abs(values[1:]), 1e-3 * abs(values[-1]))
     return np.concatenate([[0], np.cumsum(steps)])
 
 

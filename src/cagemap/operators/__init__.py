@@ -9,7 +9,7 @@ from cagemap.operators.polygons import (
     MeanTriangulation,
     named_laplacian,
 )
-from cagemap.operators.sec import Operators, build_operators, lumped_areas, restrict
+from cagemap.operators.sec import Operators, build_operators, lumped_areas
 
 __all__ = [
     "LAPLACIANS",
@@ -21,7 +21,6 @@ __all__ = [
     "build_operators",
     "lumped_areas",
     "named_laplacian",
-    "restrict",
     "stiffness",
     "vertex_areas",
 ]

@@ -56,27 +56,12 @@ def lumped_areas(mass: sparse.csr_array) -> FloatArray:
     return np.asarray(mass.sum(axis=1), dtype=np.float64).ravel()
 
 
-def restrict(subdivision: sparse.csr_array, fine: sparse.csr_array) -> sparse.csr_array:
-    """Galerkin restriction of a symmetric operator by one level: A^l = (S^l)^T A^{l+1} S^l.
-
-    Parameters
-    ----------
-    subdivision : (n_{l+1}, n_l) CSR array
-    fine : (n_{l+1}, n_{l+1}) CSR array, symmetric
-
-    Returns
-    -------
-    (n_l, n_l) CSR array, symmetric
-    """
-    coarse = sparse.csr_array(subdivision.T @ (fine @ subdivision))
-    coarse.sort_indices()
-    return coarse
-
-
 def restrict_pair(
     subdivision: sparse.csr_array, mass: sparse.csr_array, stiffness: sparse.csr_array, order: IndexArray
 ) -> tuple[sparse.csr_array, sparse.csr_array]:
-    """`restrict` of mass and stiffness at once: one walk over the entries of S for both, no product in between.
+    """Galerkin restriction by one level, A^l = (S^l)^T A^{l+1} S^l, of mass and stiffness at once.
+
+    One walk over the entries of S for both, no product in between.
 
     Parameters
     ----------

@@ -178,23 +178,6 @@ class Refinement:
             values = self.matrices[level] @ values
         return values
 
-    def restrict(self, values: FloatArray, fine: int, coarse: int) -> FloatArray:
-        """Transpose of `prolong`: ``(S^{fine,coarse})^T values``, one factor after the other.
-
-        Parameters
-        ----------
-        values : (n_fine,) or (n_fine, q)
-
-        Returns
-        -------
-        (n_coarse,) or (n_coarse, q)
-        """
-        self._check_order(fine, coarse)
-        self._check_rows(values, fine)
-        for level in reversed(range(coarse, fine)):
-            values = self.matrices[level].T @ values
-        return values
-
     def _check_order(self, fine: int, coarse: int) -> None:
         if not 0 <= coarse <= fine <= self.n_levels:
             raise ParameterError(

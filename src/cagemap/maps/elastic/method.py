@@ -148,6 +148,6 @@ def functional_map_of(target: Surface, source: Surface, point_map: PointMap) -> 
         lambda side: side[0].basis.rows(side[0].finest, side[1]), [(target, chosen), (source, corners)]
     )
     weights = sampled.barycentric
-    pulled = sum(weights[:, i, None] * at_corners[places.reshape(-1, 3)[:, i]] for i in range(3))
+    pulled = np.asarray(sum(weights[:, i, None] * at_corners[places.reshape(-1, 3)[:, i]] for i in range(3)))
     samples = Samples(at_vertices, target.triangles(target.finest).vertex_areas[chosen], np.zeros((len(chosen), 0)))
     return fit_functional_map(samples, pulled, target.basis.count)
