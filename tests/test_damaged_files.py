@@ -55,6 +55,7 @@ from cagemap.report.figures import Gallery
 from cagemap.studio.autosave import kept_parts, read_autosave, write_autosave
 from cagemap.studio.landmarks import Landmark, LandmarkList, Place
 from cagemap.studio.opening import result_files
+from ply_text import write_text_ply
 
 from example_result import identity_result, textured_cube
 
@@ -265,7 +266,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, dtype in (("t.png", np.uint8), ("t.jpg", np.uint8), ("t.tif", np.uint16), ("t.exr", np.float16)):
         write_image(place / name, (100 * rng.random((9, 12, 3))).astype(dtype))
     write_mesh(place / "box.obj", textured_cube("box.obj"))
-    write_ply(place / "text.ply", textured_cube("box.obj"), text=True)
+    write_text_ply(place / "text.ply", textured_cube("box.obj"))
     write_ply(place / "binary.ply", textured_cube("box.obj"))
     write_mesh(place / "box.off", textured_cube("box.obj"))
     write_landmarks(place / "l.json", example_pair(4).landmarks)

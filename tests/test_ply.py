@@ -17,6 +17,7 @@ from cagemap.errors import CagemapError, FormatError
 from cagemap.files.meshes import read_mesh, write_mesh
 from cagemap.files.ply import read_ply, write_ply
 from cagemap.mesh import ControlMesh
+from ply_text import write_text_ply
 from test_obj import QUICK, polygon_meshes
 
 HEADER = "ply\nformat ascii 1.0\ncomment made by hand\nelement vertex 4\n" + "".join(
@@ -44,8 +45,9 @@ def assert_same(a: ControlMesh, b: ControlMesh) -> None:
 @settings(QUICK)
 @given(mesh=polygon_meshes(materials=False), text=st.booleans())
 def test_what_is_written_reads_back_bit_for_bit(tmp_path: Path, mesh: ControlMesh, text: bool) -> None:
-    write_ply(tmp_path / "mesh.ply", mesh, text=text)
-    assert_same(read_ply(tmp_path / "mesh.ply"), mesh)
+    path = tmp_path / f"{text}.ply"
+    (write_text_ply if text else write_ply)(path, mesh)
+    assert_same(read_ply(path), mesh)
 
 
 def test_real_meshes_round_trip_with_their_seams(shared_data: Path, tmp_path: Path) -> None:
@@ -74,9 +76,10 @@ def test_large_polygons_fit(tmp_path: Path, size: int) -> None:
     positions = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
     mesh = ControlMesh.from_faces(positions, [np.arange(size), [0, 1, 2]])
     mesh = mesh.with_uvs(positions[:, :2], mesh.face_indices)
-    for text in (True, False):
-        write_ply(tmp_path / "mesh.ply", mesh, text=text)
-        assert_same(read_ply(tmp_path / "mesh.ply"), mesh)
+    for write in (write_text_ply, write_ply):
+        path = tmp_path / f"{write.__name__}.ply"
+        write(path, mesh)
+        assert_same(read_ply(path), mesh)
 
 
 @pytest.mark.parametrize("order", ["<", ">", "="])
@@ -193,8 +196,9 @@ def test_bad_files_are_refused_with_the_place(tmp_path: Path, case: str) -> None
 @given(data=st.data())
 def test_damaged_files_never_end_in_another_error(tmp_path: Path, data: st.DataObject) -> None:
     mesh = cube().with_uvs(np.zeros((1, 2)), np.zeros(24, dtype=np.int64))
-    write_ply(tmp_path / "whole.ply", mesh, text=data.draw(st.booleans()))
-    content = bytearray((tmp_path / "whole.ply").read_bytes())
+    path = tmp_path / f"{data.draw(st.booleans())}.ply"
+    (write_text_ply if path.stem == "True" else write_ply)(path, mesh)
+    content = bytearray(path.read_bytes())
     for _ in range(data.draw(st.integers(0, 3))):
         place = data.draw(st.integers(0, len(content) - 1))
         content[place] = data.draw(st.sampled_from(b" \n-.0179e\xff\x7f\x00") | st.integers(0, 255))
@@ -210,7 +214,7 @@ def test_damaged_files_never_end_in_another_error(tmp_path: Path, data: st.DataO
 def test_vertex_colours_come_back_as_bytes(tmp_path: Path, text: bool) -> None:
     # The darkest: one of 255 is no full colour.
     for colors in (np.arange(24).reshape(8, 3) / 255, np.tile([1 / 255, 0, 0], (8, 1))):
-        write_ply(tmp_path / "c.ply", replace(cube(), vertex_colors=colors), text=text, force=True)
+        (write_text_ply if text else write_ply)(tmp_path / "c.ply", replace(cube(), vertex_colors=colors))
         read = read_ply(tmp_path / "c.ply")
         np.testing.assert_allclose(read.vertex_colors, colors, rtol=0, atol=1e-12)
         np.testing.assert_array_equal(read.positions, cube().positions)

@@ -218,7 +218,7 @@ def bake_tiles(
 def write_tiles(
     output: Path,
     tiles: list[int],
-    bake: Callable[[BakeOptions], Baked],
+    bake: Callable[..., Baked],
     stages: Stages,
     finished: Callable[[Image, BakeOptions], Image] = lambda image, _: image,
     *,
@@ -246,7 +246,7 @@ def write_tiles(
             place = f"tile {tile}, {number + 1} of {len(tiles)}" if tile else ""
             stages(" ".join(filter(None, ["bake", name, place])))
             options = BakeOptions(tile=tile)
-            baked = bake(options)
+            baked = bake(options=options)
             for waiting in written:
                 waiting.result()  # at most one image is on its way to the disk
             pixels = baked.pixels if isinstance(baked, Displacement) else baked

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal, get_args
@@ -213,13 +214,13 @@ def _baker(
     values: FloatArray | None,
     dtype: np.dtype[Any],
     scale: float,
-) -> Callable[[BakeOptions], Pixels | Image | Displacement]:
-    """The bake of one kind of image, for any tile."""
+) -> Callable[..., Pixels | Image | Displacement]:
+    """The bake of one kind of image, for the ``options`` of any tile."""
     size, space = bakes.size, bakes.space
     if kind == "texture" and bakes.texture is not None:
         own = bakes.texture
 
-        def bake(options: BakeOptions) -> Image:
+        def bake(*, options: BakeOptions) -> Image:
             read = replace(options, filter=own.filter)
             pixels = bake_detail_texture(
                 transfer, detail, own.texture, own.uvs, own.uv_triangles, size=size, dtype=dtype, options=read
@@ -228,22 +229,19 @@ def _baker(
 
         return bake
     if values is not None:
-        return lambda o: bake_detail_values(transfer, detail, values, size=size, dtype=dtype, options=o)
+        return partial(bake_detail_values, transfer, detail, values, size=size, dtype=dtype)
     if kind == "normal":
-        green = bakes.green
-        return lambda o: bake_detail_normals(
-            transfer, detail, size=size, space=space, green=green, dtype=dtype, options=o
-        )
+        return partial(bake_detail_normals, transfer, detail, size=size, space=space, green=bakes.green, dtype=dtype)
     if kind == "displacement":
-        return lambda o: bake_detail_heights(transfer, detail, size=size, scale=scale, dtype=dtype, options=o)
-    return lambda o: bake_detail_vectors(transfer, detail, size=size, space=space, scale=scale, dtype=dtype, options=o)
+        return partial(bake_detail_heights, transfer, detail, size=size, scale=scale, dtype=dtype)
+    return partial(bake_detail_vectors, transfer, detail, size=size, space=space, scale=scale, dtype=dtype)
 
 
-def _range(bake: Callable[[BakeOptions], Pixels | Image | Displacement], tiles: list[int]) -> float:
+def _range(bake: Callable[..., Pixels | Image | Displacement], tiles: list[int]) -> float:
     """What the values 0 and 1 of integers are apart, so that they hold all that a bake of floats has."""
     largest = 0.0
     for tile in tiles:
-        baked = bake(BakeOptions(tile=tile))
+        baked = bake(options=BakeOptions(tile=tile))
         pixels = baked.pixels if isinstance(baked, Displacement | Image) else baked
         largest = max(largest, float(np.abs(pixels).max()))
     # A trace of room, since the largest is rounded to single precision.

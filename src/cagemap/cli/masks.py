@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,11 +12,14 @@ from cagemap.basis import Surface
 from cagemap.cli.options import MASK_FILES
 from cagemap.errors import ParameterError
 from cagemap.files.attributes import read_attributes
+from cagemap.files.manifest import input_file
+from cagemap.files.meshes import read_whole
 from cagemap.files.suffixes import IMAGE_SUFFIXES
 from cagemap.files.usd import USD_SUFFIXES, read_usd_meshes
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.mask_values import face_mask, soft_edge, vertex_mask
 from cagemap.maps.masks import Masks
+from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.parts import find_part
 from cagemap.numerics.arrays import FloatArray
@@ -137,6 +140,49 @@ def masks_on(given: GivenMasks, surfaces: tuple[Surface, Surface]) -> Masks:
         for mask, surface in zip(given, surfaces, strict=True)
     )
     return Masks(target, source)
+
+
+def with_masks(result: MatchResult, options: MaskOptions, folder: Path) -> MatchResult:
+    """The same result with more left out of it: what counts is the product of its own masks and the given ones.
+
+    Parameters
+    ----------
+    result : MatchResult
+    options : MaskOptions
+        In the words and numbers of the files that were matched.
+    folder : Path
+        Of the RESULT, where the files are looked up.
+
+    Raises
+    ------
+    ParameterError
+        See `read_masks`; if nothing would be left; if only a part of a file was matched and that file is not where it
+        was.
+    """
+    if options == MaskOptions():
+        return result
+    asked = {"target": options.target, "source": options.source}
+    whole = [_matched_file(result, side, folder, given=text is not None) for side, text in asked.items()]
+    given = read_masks(options, (whole[0][0], whole[1][0]), (whole[0][1], whole[1][1]))
+    more = masks_on(given, (result.target, result.source))
+    both = zip((result.masks.target, result.masks.source), (more.target, more.source), strict=True)
+    masks = Masks(*(one if two is None else two if one is None else one * two for one, two in both))
+    masks.require_fit(len(result.target.vertices), len(result.source.vertices))
+    return replace(result, masks=masks)
+
+
+def _matched_file(result: MatchResult, side: str, folder: Path, *, given: bool) -> tuple[ControlMesh, Path]:
+    """The whole mesh of a side's file and its name, as far as a mask for it is given."""
+    control = (result.target if side == "target" else result.source).control
+    file = input_file(folder, result.manifest, side) if given else None
+    if control.file_vertices is None or not given:
+        return control, file or Path(control.name)
+    if file is None:
+        raise ParameterError(
+            f"--{side}-mask: {control.name} was matched in part, and its file is not where the match read it, or has "
+            "changed. Put it back."
+        )
+    return read_whole(file), file
 
 
 def read_mask(text: str, edge: float | None, control: ControlMesh, mesh_file: Path, option: str) -> GivenMask:

@@ -16,9 +16,8 @@ from cagemap.cli.carry_images import (
     carry_vector_displacement,
 )
 from cagemap.cli.command import Outcome
-from cagemap.cli.further_masks import with_masks
 from cagemap.cli.job_file import note_output
-from cagemap.cli.masks import MaskOptions
+from cagemap.cli.masks import MaskOptions, with_masks
 from cagemap.cli.progress import Stages
 from cagemap.cli.rig import carry_blend_shapes, carry_skeleton, carry_weights, write_point_map
 from cagemap.cli.transfer_request import TransferRequest
@@ -32,7 +31,6 @@ from cagemap.files.result import input_file, note_transfer, read_files, read_res
 from cagemap.files.usd_write import UsdResults, check_usd_path
 from cagemap.maps.result import MatchResult
 from cagemap.transfer import (
-    Transfer,
     carry_uvs,
     combine,
     control_weights,
@@ -146,7 +144,8 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
     values = read_attributes(request.attribute, result.source.control, rows)
     sides = result.target.refinement, result.source.refinement
     target, source = (side.control for side in sides)
-    transfer = _prepare(result, stages)
+    stages("prepare")
+    transfer = transfer_of(result)
     stages("pull back")
     at_vertices = control_weights(transfer, *sides)
     carried, warnings = {}, []
@@ -187,7 +186,8 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
 def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
     """The target's mesh with the source's texture coordinates, so that the source's own image fits it."""
     sides = result.target.refinement, result.source.refinement
-    transfer = _prepare(result, stages)
+    stages("prepare")
+    transfer = transfer_of(result)
     stages("texture coordinates")
     carried = carry_uvs(transfer, *sides)
     original = input_file(request.result, result.manifest, "target")
@@ -202,8 +202,3 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
             f"texture coordinates fit: {', '.join(map(str, carried.crossed))}"
         )
     return f"wrote {request.output}: {len(carried.uvs)} texture coordinates of the source", warnings
-
-
-def _prepare(result: MatchResult, stages: Stages) -> Transfer:
-    stages("prepare")
-    return transfer_of(result)

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from cagemap.cli.command import Outcome
-from cagemap.cli.further_masks import with_masks
 from cagemap.cli.job_file import note_output
 from cagemap.cli.map_request import MapRequest
-from cagemap.cli.masks import MaskOptions, mask_inputs
+from cagemap.cli.masks import MaskOptions, mask_inputs, with_masks
 from cagemap.cli.match import MatchRequest, run_match
 from cagemap.cli.own_map import run_map
 from cagemap.cli.progress import Stages

@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from cagemap.files.colors import as_shares
 from cagemap.files.marks import mark
 from cagemap.files.mtl import read_material_colors, write_materials
 from cagemap.files.obj_polypaint import KEYWORD, polypaint
-from cagemap.files.obj_tags import Tags, parse_tags
+from cagemap.files.obj_tags import parse_tags
 from cagemap.files.obj_text import obj_statements
 from cagemap.files.text import at_line, check_writable_name, decoded, read_text
 from cagemap.mesh import ControlMesh
@@ -84,7 +85,6 @@ def read_obj(path: str | Path) -> ControlMesh:
     names, face_materials = _read_names(statements, face_rows, _USE_MATERIAL)
     objects, face_objects = _read_names(statements, face_rows, _OBJECT)
     groups, face_groups = _read_names(statements, face_rows, _GROUP)
-    tags = _read_tags(statements, len(positions), len(face_rows))
     return ControlMesh(
         positions=positions,
         face_offsets=np.concatenate([[0], np.cumsum(corners.sizes)]).astype(np.int64),
@@ -99,13 +99,8 @@ def read_obj(path: str | Path) -> ControlMesh:
         object_names=objects,
         face_groups=face_groups,
         group_names=groups,
-        crease_edges=tags.crease_edges,
-        crease_sharpness=tags.crease_sharpness,
-        corner_vertices=tags.corner_vertices,
-        corner_sharpness=tags.corner_sharpness,
-        hole_faces=tags.hole_faces,
-        scheme=tags.scheme(triangles_only=bool(np.all(corners.sizes == 3))),
         name=file.name,
+        **_read_tags(statements, len(positions), corners.sizes),
     )
 
 
@@ -311,13 +306,14 @@ def _are_numbers(fields: Sequence[str]) -> bool:
         return False
 
 
-def _read_tags(statements: _Statements, n_vertices: int, n_faces: int) -> Tags:
+def _read_tags(statements: _Statements, n_vertices: int, sizes: IndexArray) -> dict[str, Any]:
     rows = statements.rows(_TAG)
 
     def fail(row: int, expected: str) -> FormatError:
         return statements.fail(int(rows[row]), expected, "See the formats page of the documentation.")
 
-    return parse_tags([statements.lines[row] for row in rows], fail, n_vertices, n_faces)
+    lines, triangles = [statements.lines[row] for row in rows], bool(np.all(sizes == 3))
+    return parse_tags(lines, fail, n_vertices, len(sizes), triangles=triangles)
 
 
 def _read_colors(statements: _Statements, names: Sequence[str]) -> FloatArray:

@@ -16,13 +16,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.mesh.schemes import SCHEMES, CatmullClark, Loop, Scheme
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.schemes import SCHEMES, CatmullClark, Loop
 
 _CHOICES: dict[str, tuple[str, tuple[str, ...]]] = {
     "interpolateboundary": ("boundary", ("none", "edge_and_corner", "edge_only")),
@@ -39,35 +41,19 @@ _WORDS: dict[str, tuple[str, dict[str, str]]] = {
 _COUNTS = {"crease": (2, 1, 0), "corner": (1, 1, 0)}
 
 
-@dataclass(frozen=True, eq=False)
-class Tags:
-    """What the tags of a file say; None where they say nothing."""
-
-    crease_edges: IndexArray | None = None
-    crease_sharpness: FloatArray | None = None
-    corner_vertices: IndexArray | None = None
-    corner_sharpness: FloatArray | None = None
-    hole_faces: IndexArray | None = None
-    options: dict[str, str] | None = None
-
-    def scheme(self, *, triangles_only: bool) -> Scheme | None:
-        """Scheme with the options named by tags, the others at their defaults; None if there is no such tag."""
-        if not self.options:
-            return None
-        options: dict[str, str] = dict(self.options)
-        name = options.pop("scheme", None)
-        kind = (Loop if triangles_only else CatmullClark) if name is None else SCHEMES[name]
-        return kind(**options)  # type: ignore[arg-type]
-
-
-def parse_tags(lines: Sequence[str], fail: Callable[[int, str], FormatError], n_vertices: int, n_faces: int) -> Tags:
-    """Read all tag lines of a file; tags of other names are left alone.
+def parse_tags(
+    lines: Sequence[str], fail: Callable[[int, str], FormatError], n_vertices: int, n_faces: int, *, triangles: bool
+) -> dict[str, Any]:
+    """Read all tag lines of a file, as fields of a control mesh; tags of other names are left alone.
 
     Parameters
     ----------
     lines : sequence of str
     fail : callable
         Makes the error for line number i of ``lines``, given what was expected.
+    n_vertices, n_faces : int
+    triangles : bool
+        Whether all faces are: then options without a scheme are Loop's.
 
     Raises
     ------
@@ -78,15 +64,15 @@ def parse_tags(lines: Sequence[str], fail: Callable[[int, str], FormatError], n_
     holes: list[int] = []
     options: dict[str, str] = {}
     for row, line in enumerate(lines):
-        name, ints, floats, words = _parse_line(line, lambda expected, row=row: fail(row, expected))  # type: ignore[misc]
+        name, ints, floats, words = _parse_line(line, partial(fail, row))
         if name in sharp:
             wanted = _COUNTS[name]
             if (len(ints), len(floats), len(words)) != wanted or not 0 <= floats[0] < np.inf:
                 raise fail(row, f"'t {name} {'/'.join(map(str, wanted))}', 0-based vertices and a sharpness")
-            _check_range(ints, n_vertices, "vertices", lambda expected, row=row: fail(row, expected))  # type: ignore[misc]
+            _check_range(ints, n_vertices, "vertices", partial(fail, row))
             sharp[name].append((ints, floats[0]))
         elif name == "hole":
-            _check_range(ints, n_faces, "faces", lambda expected, row=row: fail(row, expected))  # type: ignore[misc]
+            _check_range(ints, n_faces, "faces", partial(fail, row))
             holes += ints
         elif name in _CHOICES:
             option, choices = _CHOICES[name]
@@ -98,16 +84,18 @@ def parse_tags(lines: Sequence[str], fail: Callable[[int, str], FormatError], n_
             if len(words) != 1 or words[0] not in meanings:
                 raise fail(row, f"'t {name} 0/0/1' and one of {', '.join(meanings)}")
             options[option] = meanings[words[0]]
-    edges = np.array([ints for ints, _ in sharp["crease"]], dtype=np.int64).reshape(-1, 2)
-    corners = np.array([ints[0] for ints, _ in sharp["corner"]], dtype=np.int64)
-    return Tags(
-        crease_edges=edges if len(edges) else None,
-        crease_sharpness=np.array([s for _, s in sharp["crease"]]) if len(edges) else None,
-        corner_vertices=corners if len(corners) else None,
-        corner_sharpness=np.array([s for _, s in sharp["corner"]]) if len(corners) else None,
-        hole_faces=np.unique(np.array(holes, dtype=np.int64)) if holes else None,
-        options=options,
-    )
+    found: dict[str, Any] = {}
+    for name, where in (("crease", "crease_edges"), ("corner", "corner_vertices")):
+        if sharp[name]:
+            numbers = np.array([ints for ints, _ in sharp[name]], dtype=np.int64)
+            found[where] = numbers if name == "crease" else numbers[:, 0]
+            found[f"{name}_sharpness"] = np.array([sharpness for _, sharpness in sharp[name]])
+    if holes:
+        found["hole_faces"] = np.unique(np.array(holes, dtype=np.int64))
+    if options:
+        kind = SCHEMES[options.pop("scheme")] if "scheme" in options else Loop if triangles else CatmullClark
+        found["scheme"] = kind(**options)  # type: ignore[arg-type]
+    return found
 
 
 def _parse_line(line: str, fail: Callable[[str], FormatError]) -> tuple[str, list[int], list[float], list[str]]:
@@ -134,9 +122,9 @@ def _check_range(numbers: Sequence[int], count: int, what: str, fail: Callable[[
         raise fail(f"{what} from 0 to {count - 1} (tags are 0-based)")
 
 
-def format_tags(tags: Tags, scheme: Scheme | None) -> str:
+def format_tags(mesh: ControlMesh) -> str:
     """Write the tags of a mesh, one a line; options only where they are not the defaults."""
-    lines = []
+    lines, scheme = [], mesh.scheme
     if scheme is not None:
         default = CatmullClark()
         stated = {field.name: getattr(scheme, field.name) for field in fields(scheme)}
@@ -150,12 +138,12 @@ def format_tags(tags: Tags, scheme: Scheme | None) -> str:
         for tag, (option, meanings) in _WORDS.items():
             words = [word for word, meaning in meanings.items() if meaning == stated.get(option)]
             lines += [f"t {tag} 0/0/1 {word}" for word in words]
-    if tags.crease_edges is not None and tags.crease_sharpness is not None:
-        pairs = zip(tags.crease_edges.tolist(), tags.crease_sharpness.tolist(), strict=True)
+    if mesh.crease_edges is not None and mesh.crease_sharpness is not None:
+        pairs = zip(mesh.crease_edges.tolist(), mesh.crease_sharpness.tolist(), strict=True)
         lines += [f"t crease 2/1/0 {a} {b} {sharpness!r}" for (a, b), sharpness in pairs]
-    if tags.corner_vertices is not None and tags.corner_sharpness is not None:
-        corners = zip(tags.corner_vertices.tolist(), tags.corner_sharpness.tolist(), strict=True)
+    if mesh.corner_vertices is not None and mesh.corner_sharpness is not None:
+        corners = zip(mesh.corner_vertices.tolist(), mesh.corner_sharpness.tolist(), strict=True)
         lines += [f"t corner 1/1/0 {vertex} {sharpness!r}" for vertex, sharpness in corners]
-    if tags.hole_faces is not None and len(tags.hole_faces):
-        lines.append(f"t hole {len(tags.hole_faces)}/0/0 " + " ".join(map(str, tags.hole_faces.tolist())))
+    if mesh.hole_faces is not None and len(mesh.hole_faces):
+        lines.append(f"t hole {len(mesh.hole_faces)}/0/0 " + " ".join(map(str, mesh.hole_faces.tolist())))
     return "".join(line + "\n" for line in lines)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cagemap.files.obj_tags import Tags, format_tags
+from cagemap.files.obj_tags import format_tags
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray
 
@@ -15,8 +15,7 @@ def obj_statements(mesh: ControlMesh) -> list[str]:
     if mesh.uvs is not None:
         parts.append(_format_lines("vt %r %r\n", mesh.uvs))
     parts.extend(_format_faces(mesh))
-    sharp = (mesh.crease_edges, mesh.crease_sharpness, mesh.corner_vertices, mesh.corner_sharpness)
-    parts.append(format_tags(Tags(*sharp, mesh.hole_faces), mesh.scheme))
+    parts.append(format_tags(mesh))
     return parts
 
 

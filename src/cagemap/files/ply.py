@@ -131,8 +131,8 @@ def _uvs(
     return None, None
 
 
-def write_ply(path: str | Path, mesh: ControlMesh, *, text: bool = False, force: bool = False) -> None:
-    """Write a mesh as PLY (binary little-endian, or text), with float64 positions and per-corner ``texcoord``.
+def write_ply(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> None:
+    """Write a mesh as PLY (binary little-endian), with float64 positions and per-corner ``texcoord``.
 
     Vertex colours are bytes, which every program reads.
     Materials have no place in this format and are left out.
@@ -142,9 +142,9 @@ def write_ply(path: str | Path, mesh: ControlMesh, *, text: bool = False, force:
     FormatError
         If the file cannot be written, or cagemap did not write the one that is there and ``force`` is not given.
     """
-    body = _text_body(mesh) if text else _binary_vertices(mesh) + _binary_faces(mesh)
+    content = _header(mesh).encode("ascii") + _binary_vertices(mesh) + _binary_faces(mesh)
     with atomic_path(path, force=force) as temporary:
-        temporary.write_bytes(_header(mesh, text).encode("ascii") + body)
+        temporary.write_bytes(content)
 
 
 def _count_type(mesh: ControlMesh) -> tuple[str, str]:
@@ -152,11 +152,11 @@ def _count_type(mesh: ControlMesh) -> tuple[str, str]:
     return ("uchar", "u1") if mesh.face_sizes.max(initial=0) <= 127 else ("uint", "<u4")
 
 
-def _header(mesh: ControlMesh, text: bool) -> str:
+def _header(mesh: ControlMesh) -> str:
     count = _count_type(mesh)[0]
     lines = [
         "ply",
-        f"format {'ascii' if text else 'binary_little_endian'} 1.0",
+        "format binary_little_endian 1.0",
         f"comment {mark()}",
         f"element vertex {mesh.n_vertices}",
         *(f"property double {axis}" for axis in "xyz"),
@@ -212,20 +212,3 @@ def _binary_faces(mesh: ControlMesh) -> bytes:
             table["m"], table["uv"] = 2 * size, uvs[corners].reshape(-1, 2 * size)
         data[starts[faces][:, None] + np.arange(layout.itemsize)] = table.view(np.uint8).reshape(len(faces), -1)
     return data.tobytes()
-
-
-def _text_body(mesh: ControlMesh) -> bytes:
-    uvs = _corner_uvs(mesh)
-    colors = _color_bytes(mesh)
-    columns = (
-        mesh.positions.astype(object) if colors is None else np.column_stack([mesh.positions.astype(object), colors])
-    )
-    form = " ".join(["%r"] * columns.shape[1]) + "\n"
-    vertices = (form * mesh.n_vertices) % tuple(columns.ravel().tolist())
-    lines = []
-    for first, last in zip(mesh.face_offsets[:-1].tolist(), mesh.face_offsets[1:].tolist(), strict=True):
-        words = [last - first, *mesh.face_indices[first:last].tolist()]
-        if uvs is not None:
-            words += [2 * (last - first), *uvs[first:last].ravel().tolist()]
-        lines.append(" ".join(map(repr, words)))
-    return (vertices + "\n".join(lines) + "\n").encode("ascii")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,7 +12,7 @@ from pydantic import Field
 
 from cagemap.errors import FormatError
 from cagemap.files.marks import mark
-from cagemap.files.schema import Record, checked_record, to_json
+from cagemap.files.schema import Record, checked_record, parse_json, to_json
 from cagemap.files.text import read_text
 from cagemap.numerics.arrays import FloatArray
 
@@ -44,11 +43,7 @@ def read_groups(path: Path, count: int) -> dict[str, FloatArray]:
     FormatError
         If the file is none of groups, a name or a vertex comes twice, or there is no such vertex.
     """
-    text = read_text(path, "vertex groups")
-    try:
-        stated = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise FormatError(f"{path}: is no JSON ({error}). {_REMEDY}") from error
+    stated = parse_json(read_text(path, "vertex groups"), path, _REMEDY)
     found: dict[str, FloatArray] = {}
     for group in checked_record(GroupsRecord, stated, path, _REMEDY).groups:
         vertices = np.array(group.vertices, dtype=np.float64)

@@ -66,7 +66,6 @@ class Job:
     pairs : tuple of PairRule
         Their options include those of the whole job.
     outputs : tuple of OutputRule
-    carry : CarryRule or None
     kinds : dict of str to dict
         Type of every option of every command.
     carry : CarryRule, optional

@@ -185,7 +185,8 @@ def _shown(files: Sequence[str]) -> list[str]:
 
 def _write_marked(path: Path, content: bytes) -> None:
     """Write a file that holds a `mark`, unless just this is there already."""
-    if path.is_file() and _without_checksum(path.read_bytes()) == content:
+    blank = rb"checksum " + 64 * b"0"
+    if path.is_file() and re.sub(rb"checksum [0-9a-f]{64}", blank, path.read_bytes(), count=1) == content:
         return
     with atomic_path(path) as temporary:
         temporary.write_bytes(content)
@@ -203,10 +204,6 @@ def _write_table(path: Path, text: str, note: Path) -> None:
         temporary.write_text(text, encoding="utf-8", newline="\n")
     note.parent.mkdir(parents=True, exist_ok=True)
     note.write_text(file_hash(path) + "\n", encoding="ascii")
-
-
-def _without_checksum(content: bytes) -> bytes:
-    return re.sub(rb"checksum [0-9a-f]{64}", b"checksum " + 64 * b"0", content, count=1)
 
 
 def _badness(row: PairRow) -> tuple[float, ...]:

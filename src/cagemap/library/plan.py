@@ -195,12 +195,10 @@ class _Hashes:
             self._known[text] = "".join(map(file_hash, files)) or text
         return self._known[text]
 
-    def of_request(self, request: dict[str, Any]) -> dict[str, Any]:
-        """A request with every file that exists replaced by the hash of its content."""
-        return {name: self.of_value(value) for name, value in request.items()}
-
     def of_value(self, value: Any) -> Any:
-        """A value with every file in it replaced by the hash of its content."""
+        """A value, such as a request, with every file in it replaced by the hash of its content."""
+        if isinstance(value, dict):
+            return {name: self.of_value(item) for name, item in value.items()}
         if isinstance(value, list):
             return [self.of_value(item) for item in value]
         return self.of(value) if isinstance(value, str) and Path(value).is_absolute() else value
@@ -243,7 +241,7 @@ class _Planner:
         inputs |= {f"{side}_part": asset.part for side, asset in sides if asset.part}
         if not {"landmarks", "map"} & set(options) and source.landmarks is not None and target.landmarks is not None:
             inputs |= {"target_points": str(target.landmarks), "source_points": str(source.landmarks)}
-        key = task_key(self.version, "match", self.hashes.of_request(inputs), [task.key for task in needs])
+        key = task_key(self.version, "match", self.hashes.of_value(inputs), [task.key for task in needs])
         request = {**inputs, "output": str(self.job.output / folder)}
         request |= {} if "map" in options else {"cache": self.cache}
         pair, before = (source.name, target.name), tuple(task.name for task in needs)
@@ -281,7 +279,7 @@ class _Planner:
         }
         shown = [task.key for task in before] if rule.command == "report" else []
         key = task_key(
-            self.version, rule.command, self.hashes.of_request(options), match.key, *sorted(files.items()), *shown
+            self.version, rule.command, self.hashes.of_value(options), match.key, *sorted(files.items()), *shown
         )
         request = {**options, "result": match.request["output"]}
         request |= {option: str(self.job.output / written) for option, written in files.items()}

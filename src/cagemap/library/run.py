@@ -131,7 +131,8 @@ def execute(task: Task, root: Path, runner: Runner, *before: Outcome) -> Outcome
     start = time.perf_counter()
     try:
         state = root / STATE
-        for folder in (state / "done", state / "locks", *_folders(root, task)):
+        pairs = (root / Path(path).parts[0] for path in task.outputs)
+        for folder in (state / "done", state / "locks", *pairs):
             folder.mkdir(parents=True, exist_ok=True)
         with FileLock(state / "locks" / f"{task.slug}.lock"):
             kept = kept_outcome(root, task)
@@ -297,11 +298,6 @@ def _require_dask() -> None:
 
 def _note(root: Path, task: Task) -> Path:
     return root / STATE / "done" / f"{task.slug}.json"
-
-
-def _folders(root: Path, task: Task) -> list[Path]:
-    """Folders of the pairs that a task writes to."""
-    return [root / Path(path).parts[0] for path in task.outputs]
 
 
 def _sizes(root: Path, task: Task, written: list[Path]) -> dict[str, int]:

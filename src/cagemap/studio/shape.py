@@ -242,8 +242,3 @@ def _around(positions: FloatArray, triangles: IndexArray, start: FloatArray, lin
     sides = ((seen >= -slack) @ np.array([1, 2]) + (seen <= slack) @ np.array([4, 8])).astype(np.uint8)
     a, b, c = (sides[triangles[:, k]] for k in range(3))
     return np.flatnonzero((a | b | c) == 15)
-
-
-def nearest_vertex(shape: Shape, position: FloatArray, count: int | None = None) -> int:
-    """Vertex nearest to a position in file units, among the first ``count``."""
-    return int(np.argmin(np.linalg.norm(shape.positions[:count] - np.asarray(position), axis=1)))

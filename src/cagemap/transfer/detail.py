@@ -138,7 +138,8 @@ def bake_detail_normals(
     def give(samples: TexelSamples) -> FloatArray:
         met = _met(transfer, detail, samples)
         shares = (met.near * _following(transfer, detail, samples))[:, None]
-        return normalized(shares * _smooth_normals(met.foot) + (1.0 - shares) * met.normals)
+        smooth = normalized(met.foot.interpolate(detail.surface.vertex_normals))
+        return normalized(shares * smooth + (1.0 - shares) * met.normals)
 
     check_space(space)
     canvas = make_canvas(transfer, size, options)
@@ -345,11 +346,6 @@ def _following(transfer: Transfer, detail: Detail, samples: TexelSamples) -> Flo
         return np.ones(len(samples.triangle))
     corners = transfer.source.triangles[samples.triangle]
     return np.asarray(np.einsum("sc,sc->s", samples.barycentric, detail.follow[corners]))
-
-
-def _smooth_normals(points: SurfacePoints) -> FloatArray:
-    """(s, 3) interpolated vertex normals, of unit length."""
-    return normalized(points.interpolate(points.surface.vertex_normals))
 
 
 def _plan(transfer: Transfer, detail: Detail, canvas: Canvas) -> NDArray[np.int32]:

@@ -8,7 +8,7 @@ Where all three corners lie in one source triangle the walk begins there: from a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
@@ -148,28 +148,14 @@ class TexelSamples:
         counts = np.diff(self.first)[texels]
         first = np.concatenate([[0], np.cumsum(counts)])
         own = np.repeat(self.first[texels] - first[:-1], counts) + np.arange(first[-1])
-        return TexelSamples(
-            self.target_triangle[texels],
-            self.cells[texels],
-            self.width,
-            self.top,
-            first,
-            self.triangle[own],
-            self.barycentric[own],
-        )
+        chosen = replace(self, target_triangle=self.target_triangle[texels], cells=self.cells[texels], first=first)
+        return replace(chosen, triangle=self.triangle[own], barycentric=self.barycentric[own])
 
     def single(self) -> TexelSamples:
         """Every sample as a texel of its own."""
         repeats, count = np.diff(self.first), len(self.triangle)
-        return TexelSamples(
-            np.repeat(self.target_triangle, repeats),
-            np.repeat(self.cells, repeats),
-            self.width,
-            self.top,
-            np.arange(count + 1),
-            self.triangle,
-            self.barycentric,
-        )
+        triangles, cells = np.repeat(self.target_triangle, repeats), np.repeat(self.cells, repeats)
+        return replace(self, target_triangle=triangles, cells=cells, first=np.arange(count + 1))
 
     def mean(self, values: FloatArray) -> FloatArray:
         """(k, c) mean over every texel's samples of their (s, c) values."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.errors import ParameterError
 from cagemap.geometry.triangles import triangle_neighbors
 from cagemap.mesh.udim import udim_origin
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -15,7 +14,7 @@ from cagemap.numerics.threads import in_threads, parts
 from cagemap.transfer.locate import MappedSurface, locate_centers
 from cagemap.transfer.mip_maps import MipMaps
 from cagemap.transfer.texels import Layout, lay_out, rasterize_band
-from cagemap.transfer.texture import FILTERS, Filter, Texture, tile_cells
+from cagemap.transfer.texture import Filter, Texture, tile_cells
 from cagemap.transfer.textured_surface import TexturedSurface
 
 # No texel takes more than this many samples along each axis; beyond, it reads a smaller image of the texture.
@@ -73,19 +72,12 @@ def plan_lookups(
         See `MipMaps.build`.
     kind : "smooth", "linear" or "nearest"
         How the texture is looked up where nothing shrinks. Nearest takes the one texel in any case.
-
-    Raises
-    ------
-    ParameterError
-        If there is no such kind.
     """
-    if kind not in FILTERS:
-        raise ParameterError(f"filter: expected {', '.join(FILTERS)}, got {kind!r}")
     centers = locate_centers(mapped)
     if kind == "nearest":
         ones = np.ones((len(centers), 2), dtype=np.int32)
         return Lookups(MipMaps({0: laid}, np.zeros(len(centers), dtype=np.int64), {}, True), ones, ones[:, 0] > 0)
-    spans = _spans(mapped, layout.corners, laid.corner_texels(), centers)
+    spans = texel_spans(mapped, layout.corners, laid.corner_texels(), centers)
     near = np.unique(np.concatenate([*layout.band_triangles, *layout.border_triangles]))
     levels = np.zeros(len(spans), dtype=np.int64)
     levels[near] = mip_levels(spans[near])
@@ -138,7 +130,7 @@ def plan_samples(surface: MappedSurface, layout_corners: FloatArray, source_texe
 
     One for each texel of the source that it spans, see `texel_spans`.
     """
-    return samples_for(texel_spans(surface, layout_corners, source_texels))
+    return samples_for(texel_spans(surface, layout_corners, source_texels, locate_centers(surface)))
 
 
 def samples_for(spans: FloatArray) -> NDArray[np.int32]:
@@ -146,7 +138,9 @@ def samples_for(spans: FloatArray) -> NDArray[np.int32]:
     return np.clip(np.ceil(spans - UNSCALED + 1.0), 1, MAX_SAMPLES_PER_AXIS).astype(np.int32)
 
 
-def texel_spans(surface: MappedSurface, layout_corners: FloatArray, source_texels: FloatArray) -> FloatArray:
+def texel_spans(
+    surface: MappedSurface, layout_corners: FloatArray, source_texels: FloatArray, source: IndexArray
+) -> FloatArray:
     """(t1, 2) texels of the source that a texel of each target triangle spans along x and along y.
 
     With ``G`` the (2, 3) gradient of the source's texel coordinates on its triangle and ``Q`` the (3, 2) differential
@@ -160,14 +154,9 @@ def texel_spans(surface: MappedSurface, layout_corners: FloatArray, source_texel
         Texel coordinates of the target triangles' corners.
     source_texels : (t2, 3, 2) float64
         Texel coordinates of the source triangles' corners in the source texture.
+    source : (t1,) int64
+        Source triangle at the image of every target triangle's centre.
     """
-    return _spans(surface, layout_corners, source_texels, locate_centers(surface))
-
-
-def _spans(
-    surface: MappedSurface, layout_corners: FloatArray, source_texels: FloatArray, source: IndexArray
-) -> FloatArray:
-    """`texel_spans`, with the source triangle (t1,) at the image of every target triangle's centre."""
     found = np.empty((len(source), 2))
 
     def plan(part: slice) -> None:

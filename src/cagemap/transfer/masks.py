@@ -109,16 +109,6 @@ def blend(baked: Pixels, base: Pixels, weight: Pixels) -> Pixels:
     return result
 
 
-def _fitting(baked: Pixels, weight: Pixels) -> int:
-    """Number of channels of an image that a weight fits."""
-    if np.ndim(baked) != 3 or np.shape(weight) != (*np.shape(baked)[:2], 1):
-        raise ParameterError(
-            f"expected an image (h, w, c) and a weight (h, w, 1) of its size, got {np.shape(baked)} and "
-            f"{np.shape(weight)}"
-        )
-    return int(baked.shape[2])
-
-
 def with_alpha(baked: Pixels, weight: Pixels) -> Pixels:
     """What was baked with the weight as its alpha, multiplied into the one that it has.
 
@@ -127,10 +117,19 @@ def with_alpha(baked: Pixels, weight: Pixels) -> Pixels:
     baked : (h, w, c) array
         Of one to four channels.
     weight : (h, w, 1) float array
+
+    Raises
+    ------
+    ParameterError
+        If the weight has another size.
     """
-    channels = _fitting(baked, weight)
+    if np.ndim(baked) != 3 or np.shape(weight) != (*np.shape(baked)[:2], 1):
+        raise ParameterError(
+            f"expected an image (h, w, c) and a weight (h, w, 1) of its size, got {np.shape(baked)} and "
+            f"{np.shape(weight)}"
+        )
     one = unit(baked.dtype)
-    has_alpha = channels in (2, 4)
+    has_alpha = baked.shape[2] in (2, 4)
     alpha = weight * (baked[..., -1:].astype(np.float64) if has_alpha else one)
     colors = baked[..., :-1] if has_alpha else baked
     return np.concatenate([colors, to_dtype(alpha, baked.dtype)], axis=2)

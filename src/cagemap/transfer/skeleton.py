@@ -35,13 +35,11 @@ def carry_joints(point_map: PointMap, joints: FloatArray) -> tuple[FloatArray, F
     """
     source = point_map.images.positions
     target = point_map.target.positions
-    areas = np.zeros(point_map.target.n)
-    np.add.at(areas, point_map.target.triangles.ravel(), np.repeat(point_map.target.areas / 3, 3))
     carried, linear = np.empty((len(joints), 3)), np.empty((len(joints), 3, 3))
     for row, joint in enumerate(np.asarray(joints, dtype=np.float64) * point_map.source.scale):
         offsets = source - joint
         squared = np.einsum("nd,nd->n", offsets, offsets) + _CLOSEST**2
-        weights = areas / squared**_POWER
+        weights = point_map.target.vertex_areas / squared**_POWER
         weights /= weights.sum()
         before, after = weights @ source, weights @ target
         moved = source - before

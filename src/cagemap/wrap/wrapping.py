@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
 from cagemap.geometry.closest import closest_points
@@ -138,7 +137,7 @@ def wrap(
         net = control_net(target, config.level, point_map.target.scale)
         weights = found.result() * _follow(target, follow)
     data = fit_data(net, point_map.images, weights, boundary_vertices(point_map.target))
-    adjust = partial(symmetrized, symmetry) if symmetry is not None else _as_it_is
+    adjust = (lambda positions: positions) if symmetry is None else partial(symmetrized, symmetry)
     source = point_map.source
 
     def fitted(config: WrapConfig) -> tuple[Residual, FloatArray, Closest]:
@@ -191,11 +190,7 @@ def symmetrized(symmetry: IndexArray, positions: FloatArray) -> FloatArray:
     return 0.5 * (positions + centred @ rotation.T + positions.mean(axis=0))
 
 
-def _as_it_is(positions: FloatArray) -> FloatArray:
-    return positions
-
-
-def _follow(target: Refinement, follow: FloatArray | None) -> FloatArray | NDArray[np.float64]:
+def _follow(target: Refinement, follow: FloatArray | None) -> FloatArray:
     """(n_f,) how far the finest vertices may follow, from values at these or at control vertices."""
     n, count = target.control.n_vertices, target.finest.n_vertices
     if follow is None:
