@@ -22,6 +22,8 @@ from cagemap.maps.landmarks.distances import (
 )
 from cagemap.maps.landmarks.sides import exchanged_sides, orientation_agreement
 from cagemap.maps.landmarks.strain import ReducedEnergy, elastic_form, reduced_energy, strained_pair
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.topology import handle_count
 
 LEVEL = 1  # 1700 and 2200 vertices
 # A quick fit: these tests ask which landmarks are followed, not how accurate the map is.
@@ -142,6 +144,39 @@ def test_an_exchange_that_the_map_does_not_mind_is_kept_and_told(pair, monkeypat
     found = match(pair[0], pair[1], exchanged, CONFIG)
     assert found.suspects == ()
     assert "'hoof_front_L', 'hoof_front_R' seem to be exchanged" in found.landmark_check.notes[0]
+
+
+@pytest.fixture(scope="module")
+def bridged(pair: tuple[Surface, Surface, Landmarks]) -> Surface:
+    """The target with its fore hooves grown together: a face of each is gone, and a tube of four joins what is left."""
+    mesh, landmarks = pair[0].control, pair[2]
+    faces = np.split(mesh.face_indices, mesh.face_offsets[1:-1])
+    hooves = [landmarks.target[landmarks.names.index(f"hoof_front_{side}")] for side in "LR"]
+    gone = [next(i for i, face in enumerate(faces) if len(face) == 4 and vertex in face) for vertex in hooves]
+    one, other = faces[gone[0]], faces[gone[1]][::-1]
+    turns = [np.roll(other, k) for k in range(4)]
+    other = min(turns, key=lambda turn: np.linalg.norm(mesh.positions[one] - mesh.positions[turn], axis=1).sum())
+    tube = np.column_stack([one, np.roll(one, -1), np.roll(other, -1), other])
+    kept = [face for i, face in enumerate(faces) if i not in gone]
+    grown = ControlMesh.from_faces(mesh.positions, [*kept, *tube], name="grown together")
+    assert (handle_count(mesh), handle_count(grown)) == (0, 1)
+    return prepare_surface(grown, LEVEL, BasisConfig(count=40))
+
+
+def test_where_parts_have_grown_together_no_landmark_is_left_out(pair, bridged):
+    """Correct fingertips of arms that a scan had joined were left out, and the hands went elsewhere."""
+    _, exchanged = among_few(pair[2], "hoof_front_L", "hoof_front_R")
+    found = match(bridged, pair[1], exchanged, CONFIG)
+    assert found.suspects == ()
+    assert "'hoof_front_R'" in found.landmark_check.notes[0]
+    assert "one surface has handles that the other lacks" in found.landmark_check.notes[0]
+
+
+def test_an_update_leaves_none_out_where_parts_have_grown_together(pair, bridged):
+    right, exchanged = among_few(pair[2], "hoof_front_L", "hoof_front_R")
+    found = update_match(match(bridged, pair[1], right, CONFIG), exchanged, CONFIG)
+    assert found.suspects == ()
+    assert any("one surface has handles that the other lacks" in note for note in found.landmark_check.notes)
 
 
 def test_fewer_than_six_pairs_are_not_judged(pair, graphs):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples.shapes import creature, triangulated
+from examples.shapes import creature, grid, triangulated
 from scipy.io import savemat
 
 from cagemap.files.meshes import write_mesh
@@ -100,6 +100,57 @@ def test_points_of_shrec_are_barycentric_and_pairs_go_both_ways(shrec: Path) -> 
     assert ids[:6] == [1, 12, 18, 41, 50, 58]
     assert len(set(ids)) == 20
     assert max(ids) <= 60
+
+
+def test_smal_r_is_three_families_whose_points_share_vertices(tmp_path: Path) -> None:
+    public = sets.SETS["smal_r"]
+    vertices = np.arange(3889) // 30  # many points of the template are one vertex of a remeshed shape
+    for name in ("cougar_01", "hippo_02", "horse_03", "dog_04"):
+        for folder in ("shapes_a", "corres"):
+            (tmp_path / folder).mkdir(exist_ok=True)
+        write_mesh(tmp_path / "shapes_a" / f"{name}.off", bodies()["one"])
+        np.savetxt(tmp_path / "corres" / f"{name}.vts", vertices + 1, fmt="%d")
+    assert sorted({name for pair in public.pairs(tmp_path, None) for name in pair}) == [
+        "cougar_01", "hippo_02", "horse_03",
+    ]  # fmt: skip
+    assert len(public.pairs(tmp_path, None)) == 6
+    marks = public.marks(tmp_path, "hippo_02", bodies()["one"])
+    assert marks.ids.tolist() == list(range(3889))
+    assert marks.of(public.landmarks[6]).corners[:, 0].tolist() == [105, 64, 124, 46, 37, 33]
+
+
+def test_faust_is_known_by_the_order_of_its_vertices(tmp_path: Path) -> None:
+    public = sets.SETS["faust"]
+    write_mesh(tmp_path / "tr_reg_080.off", grid(84, 84))
+    write_mesh(tmp_path / "tr_reg_099.ply", grid(90, 90))
+    write_mesh(tmp_path / "tr_scan_080.ply", grid(2, 2))
+    assert public.pairs(tmp_path, None) == [("tr_reg_080", "tr_reg_099"), ("tr_reg_099", "tr_reg_080")]
+    marks = public.marks(tmp_path, "tr_reg_099", grid(90, 90))
+    assert marks.ids.tolist() == marks.points.corners[:, 0].tolist() == list(range(6890))
+    with pytest.raises(sets.SetError, match="expected 6890 vertices or more, got 9"):
+        public.marks(tmp_path, "tr_reg_099", grid(2, 2))
+
+
+def test_the_landmarks_are_those_that_others_published() -> None:
+    """FAUST_r from 1 (Panine et al. 2022), the others from 0 (Riva et al. 2026)."""
+    given = {name: next(iter(one.landmarks.values())) for name, one in SETS.items()}
+    assert [number + 1 for number in given.pop("faust_r")] == [2026, 3560, 2, 4489, 1971, 3406, 388]
+    assert given == {
+        "faust": (412, 5891, 6593, 3323, 2119),
+        "smal_r": (3162, 1931, 3731, 1399, 1111, 1001),
+        "shrec20": (9, 19, 48, 41, 16, 32),
+    }
+
+
+def test_a_shape_of_two_sizes_is_refused_and_copies_are_not(faust_r: Path) -> None:
+    public = sets.SETS["faust_r"]
+    (faust_r / "vtx_8k").mkdir()
+    copy = faust_r / "vtx_8k" / "tr_reg_080.off"
+    write_mesh(copy, bodies()["one"])
+    assert len(public.pairs(faust_r, None)) == 2
+    write_mesh(copy, grid(3, 3), force=True)
+    with pytest.raises(sets.SetError, match="got several in vtx_5k, vtx_8k"):
+        public.pairs(faust_r, None)
 
 
 @pytest.mark.slow

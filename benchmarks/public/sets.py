@@ -19,6 +19,8 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import CagePoints
 
 FAUST_VERTICES = 6890
+# Of meshes; where a shape has several, the last counts.
+ENDINGS = ("ply", "obj", "off")
 
 
 class SetError(Exception):
@@ -84,8 +86,14 @@ class PublicSet:
             "smal_r": r"(cougar|hippo|horse).*",
             "shrec20": r".*",
         }
-        files = [path for ending in ("off", "obj") for path in sorted(root.rglob(f"*.{ending}"))]
-        named = {path.stem: path for path in files if re.fullmatch(patterns[self.name], path.stem, re.IGNORECASE)}
+        found: dict[str, list[Path]] = {}
+        for path in sorted(path for ending in ENDINGS for path in root.rglob(f"*.{ending}")):
+            if re.fullmatch(patterns[self.name], path.stem, re.IGNORECASE):
+                found.setdefault(path.stem, []).append(path)
+        named = {}
+        for shape, paths in found.items():
+            ending = max((path.suffix[1:] for path in paths), key=ENDINGS.index)
+            named[shape] = _same(root, [path for path in paths if path.suffix[1:] == ending])
         if not named:
             raise SetError(f"{root}: expected shapes of {self.name}, found none. Give the folder as it is unpacked.")
         return named
@@ -194,6 +202,14 @@ def _only(root: Path, shape: str, ending: str) -> Path:
     files = sorted(root.rglob(f"{shape}.{ending}"))
     if not files:
         raise SetError(f"{root}: expected {shape}.{ending} somewhere in it, found none")
+    return _same(root, files)
+
+
+def _same(root: Path, files: list[Path]) -> Path:
+    """The first of some files of one name, which must be copies: sets come in several sizes."""
+    if len(files) > 1 and len({path.read_bytes() for path in files}) > 1:
+        folders = ", ".join(str(path.parent.relative_to(root)) for path in files)
+        raise SetError(f"{root}: expected one {files[0].name}, got several in {folders}. Give a folder that has one.")
     return files[0]
 
 

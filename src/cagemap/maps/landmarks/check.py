@@ -32,6 +32,7 @@ from cagemap.maps.pair import Pair, Progress, vertices_at
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import landmark_errors
 from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.topology import handle_count
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads
 
@@ -54,6 +55,10 @@ MIRRORED_NOTE = (
     "the landmarks surround each other in the opposite sense on the two surfaces: left and right seem exchanged in all "
     "pairs, or one mesh is mirrored. Exchange them in the landmark file, or mirror one of the meshes"
 )
+
+# Why accused pairs are kept.
+NO_BETTER = "the map is hardly better without"
+GROWN = "one surface has handles that the other lacks, as if parts that touch had grown together"
 
 DISTANCES, SIDES = "distances", "sides"
 # Cost of the coarse fit with the accused pairs, of that without them, from which on they are slips. By distances
@@ -171,12 +176,14 @@ def checked_map(
     if accused is None:
         accused, notes = {}, [CONTRADICTION]
     left_out, trusted = set(accused), problem
+    if left_out and grown_together(pair):
+        left_out, notes = set(), [kept_note(accused, names, GROWN)]
     if left_out:
         progress("costs with and without suspects")
         trusted = problem.without(left_out)
         costs = coarse_map_cost(problem), coarse_map_cost(trusted)
         if costs[0] < max(SLIP[evidence] for evidence in accused.values()) * costs[1]:
-            left_out, trusted, notes = set(), problem, [kept_note(accused, names)]
+            left_out, trusted, notes = set(), problem, [kept_note(accused, names, NO_BETTER)]
     current, ends = elastic_answers(trusted, progress)
     confirmed = {i for i in left_out if miss(pair, current, i)[0] < CONFIRMED}
     if confirmed:
@@ -220,10 +227,18 @@ def coarse_map_cost(problem: FitProblem) -> float:
     return min(coarse_fit(problem, start).cost for start in (start_map(problem), None))
 
 
-def kept_note(accused: dict[int, str], names: Sequence[str]) -> str:
-    """A sentence about pairs that are accused, but the map is hardly better without."""
+def grown_together(pair: Pair) -> bool:
+    """Whether one surface has handles that the other lacks, as where a scan joins a hand to the hip that it touches.
+
+    Ways along it are too short there, and a map that meets the landmarks has to tear: neither tells a slip.
+    """
+    return handle_count(pair.target.control) != handle_count(pair.source.control)
+
+
+def kept_note(accused: dict[int, str], names: Sequence[str], why: str) -> str:
+    """A sentence about pairs that are accused but not left out, and why."""
     listed = ", ".join(f"'{names[i]}'" for i in sorted(accused))
-    kept = "the map is hardly better without, so all were kept"
+    kept = f"{why}, so all were kept"
     if SIDES in accused.values():
         return (
             f"landmarks {listed} seem to be exchanged on one of the surfaces: the others lie around them in the "
@@ -276,6 +291,8 @@ def checked_changes(
     if accused is None:
         return replace(check, notes=tuple(dict.fromkeys((*check.notes, CONTRADICTION))))
     wrong = {int(kept[i]): evidence for i, evidence in accused.items() if kept[i] in changed}
+    if wrong and grown_together(pair):
+        return replace(check, notes=tuple(dict.fromkeys((*check.notes, kept_note(wrong, names, GROWN)))))
     found = [i for i in sorted(wrong) if miss(pair, before, i)[0] >= CONFIRMED]
     new = tuple(_suspect(pair, before, names, i, wrong[i]) for i in found)
     return replace(check, suspects=tuple(sorted((*check.suspects, *new), key=lambda suspect: suspect.pair)))
