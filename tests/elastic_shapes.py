@@ -16,7 +16,7 @@ from cagemap.maps.elastic.prepared import PreparedPair, RestShape, level_graph
 from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.pair import Pair
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.projection.project import project, unfold
+from cagemap.maps.projection.project import map_of_places
 from cagemap.maps.spectral.hierarchical import HierarchyConfig
 from cagemap.mesh import ControlMesh
 from cagemap.operators import build_operators
@@ -66,4 +66,4 @@ def fitted_map(
     start = prepared.on_source.positions[match[problem.shape.vertices]]
     started = [coarse_fit(problem, first) for first in (start, None)]
     fitted = fine_fit(problem, min(started, key=lambda ended: ended.cost))
-    return unfold(project(prepared, fitted, pair.landmarks), landmarks, config)
+    return map_of_places(prepared, fitted, pair.landmarks)

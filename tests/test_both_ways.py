@@ -68,11 +68,11 @@ def test_half_of_a_slide_is_taken_back(prepared: PreparedPair) -> None:
 def test_what_is_not_trusted_follows_its_surroundings(prepared: PreparedPair) -> None:
     n, rng = prepared.mesh.n, np.random.default_rng(5)
     same = np.tile([1.0, -2.0, 3.0], (n, 1))
-    np.testing.assert_allclose(smoothed_shifts(prepared, same, rng.uniform(size=n)), same, atol=1e-6)
+    np.testing.assert_allclose(smoothed_shifts(prepared.rest.graph, same, rng.uniform(size=n)), same, atol=1e-6)
     wild, trust = same.copy(), np.ones(n)
     wild[7], trust[7] = 100.0, 0.0
-    np.testing.assert_allclose(smoothed_shifts(prepared, wild, trust)[7], same[7], atol=1e-2)
-    assert np.abs(smoothed_shifts(prepared, wild, np.ones(n))[7] - same[7]).max() > 1.0
+    np.testing.assert_allclose(smoothed_shifts(prepared.rest.graph, wild, trust)[7], same[7], atol=1e-2)
+    assert np.abs(smoothed_shifts(prepared.rest.graph, wild, np.ones(n))[7] - same[7]).max() > 1.0
 
 
 def test_a_reversed_pair_has_its_sides_exchanged(prepared: PreparedPair) -> None:

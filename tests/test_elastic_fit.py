@@ -20,7 +20,7 @@ from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.elastic.system import BlockSystem
 from cagemap.maps.elastic.ties import Ties
 from cagemap.maps.pair import Pair, PointPairs
-from cagemap.maps.projection.project import project, unfold
+from cagemap.maps.projection.project import map_of_places
 from cagemap.maps.quality import measure_quality
 from cagemap.maps.spectral.landmark_coordinates import interpolants
 from cagemap.mesh import ControlMesh
@@ -216,7 +216,7 @@ def test_long_thin_legs_do_not_fold_on_short_thick_ones() -> None:
     prepared = prepared_at(pair.target, pair.source, 2, config)
     problem = FitProblem(prepared, pair)
     fitted = fine_fit(problem, coarse_fit(problem, None))
-    found = unfold(project(prepared, fitted, pair.landmarks), pair.target_landmarks)
+    found = map_of_places(prepared, fitted, pair.landmarks)
     assert measure_quality(found).flipped_area < 1e-4
 
 

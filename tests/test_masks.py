@@ -101,8 +101,8 @@ def test_a_correspondence_counts_as_the_product_of_its_ends() -> None:
     moved = 1.05 * surface.positions
     low, left = (surface.positions[:, k] > 0 for k in (2, 0))
     masks = Masks(low.astype(float), left.astype(float))
-    plain = pull_to_source(graph, surface, moved, surface.vertex_normals, None, 0.03)
-    pull = pull_to_source(graph, surface, moved, surface.vertex_normals, None, 0.03, masks)
+    plain = pull_to_source(graph.areas, surface, moved, surface.vertex_normals, None, 0.03)
+    pull = pull_to_source(graph.areas, surface, moved, surface.vertex_normals, None, 0.03, masks)
     ends = low * masks.source  # every vertex of the ball lies over itself
     np.testing.assert_allclose(pull.weights, plain.weights * ends, atol=1e-9)
     pullers = Pullers.choose(surface, surface.n, masks)

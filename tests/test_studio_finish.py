@@ -24,7 +24,7 @@ from cagemap.cli.options import MASK_FILES
 from cagemap.errors import ParameterError
 from cagemap.studio.downloads import ALL, content
 from cagemap.studio.finish import SHARED, Command, FinishOptions, commands, planned
-from cagemap.studio.finish_layout import ADVANCED, FOLDS, LEFT_OUT, SIZE, VERTICES, folds, keys, on_the_page
+from cagemap.studio.finish_layout import ADVANCED, FOLDS, LEFT_OUT, SIZE, VERTICES, folds, on_the_page
 from cagemap.studio.opening import default_files
 from cagemap.studio.options import Key, Option, Value, catalogue
 from cagemap.studio.runner import Runner, outputs_of, stage_of
@@ -33,7 +33,7 @@ from cagemap.studio.workspace import Workspace
 from test_obj import QUICK
 
 OPTIONS = all_options()
-SHOWN = (*keys(FOLDS), VERTICES, SIZE)
+SHOWN = (*(field.key for fold in FOLDS for field in fold.fields), VERTICES, SIZE)
 
 
 def test_a_finish_is_the_commands_that_one_would_type(tmp_path: Path) -> None:
@@ -60,7 +60,7 @@ def test_an_option_that_is_new_to_the_command_line_is_on_the_page() -> None:
     grain = Option("transfer", "grain", "--grain", "How coarse.", "number", 1.0)
     more = {**OPTIONS, **catalogue([grain])}
     assert folds(more)[-1].title == ADVANCED
-    assert keys(folds(more)[len(FOLDS) :]) == (grain.key,)
+    assert [field.key for fold in folds(more)[len(FOLDS) :] for field in fold.fields] == [grain.key]
     files = default_files(Path("/w"), Path("/w/cow.obj"), Path("/w/spot.obj"), Path("/w/spot.png"))
     todo = commands(more, files, FinishOptions(given={grain.key: 2.0}), landmarks=False)
     assert "--grain 2.0" in str(todo[1])

@@ -179,15 +179,15 @@ def test_source_points_neither_swell_a_round_shape_nor_pull_at_its_inside() -> N
     graph = cluster_graph(mesh_graph(ball, finest.faces), 100, np.zeros(0, dtype=np.int64))[0]
     outward = graph.positions / np.linalg.norm(graph.positions, axis=1, keepdims=True)
     around = Pullers.choose(ball, LEADING)
-    pull = pull_on_clusters(graph, around, graph.positions, outward, 0.03, graph.positions)
+    pull = pull_on_clusters(around, graph.positions, outward, 0.03, graph.positions)
     forces = pull.right - np.einsum("kab,kb->ka", pull.blocks, graph.positions)
     radial = np.einsum("ka,ka->k", forces, outward)
     assert (radial < 1e-4 * pull.weights).all()
     np.testing.assert_allclose(pull.weights.sum(), 1.0, atol=0.05)
     away = graph.positions + np.array([CLUSTER_TRIP, 0.0, 0.0])  # nothing that a point near by would lie at the end of
-    assert pull_on_clusters(graph, around, graph.positions, outward, 0.03, away).weights.sum() < 0.35
+    assert pull_on_clusters(around, graph.positions, outward, 0.03, away).weights.sum() < 0.35
     inside = replace(around, planes=-around.planes)
-    assert pull_on_clusters(graph, inside, graph.positions, outward, 0.03, graph.positions).weights.max() == 0.0
+    assert pull_on_clusters(inside, graph.positions, outward, 0.03, graph.positions).weights.max() == 0.0
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ from cagemap.maps.elastic.config import ElasticConfig, StartConfig
 from cagemap.maps.elastic.method import elastic_answers, updated_map
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.elastic.problem import FitProblem
-from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS, hypothesis_map, map_of_reading
+from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS, hypothesis_map
 from cagemap.maps.inner import inner_map, inner_reading, outer_confidence
 from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck, checked_changes, checked_map
 from cagemap.maps.landmarks.mirrored import mirrored_readings
@@ -30,6 +30,7 @@ from cagemap.maps.landmarks.turned import turned_limbs
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import Pair, PointPairs, Progress, SymmetryPair, point_pairs
 from cagemap.maps.point_map import PointMap
+from cagemap.maps.projection.project import map_of_places
 from cagemap.maps.quality import COVERAGE_SAMPLES, QualityFigures, measure_quality
 from cagemap.maps.result import MatchResult as MatchResult
 from cagemap.maps.same import identity_map, same_surface
@@ -316,11 +317,11 @@ def other_answer(
             f"answer {index}: a result that was read knows it at the control vertices only; match again to have it"
         )
     target, source = prepared.target, prepared.source
-    pair = Pair(target, source, point_pairs(target, source, landmarks))
+    met = point_pairs(target, source, landmarks)
     timings: dict[str, float] = {}
     with one_blas_thread():
         with _timed(timings, "map"):
-            point_map = map_of_reading(prepared, pair, inner_reading(readings[index], prepared))
+            point_map = map_of_places(prepared, inner_reading(readings[index], prepared).positions, met)
         judged = _judged(prepared, point_map, landmarks, before.landmark_check, timings, progress)
     return replace(judged, confidence=before.confidence)
 

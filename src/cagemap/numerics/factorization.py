@@ -41,13 +41,6 @@ _STABLE = 1e-10
 _RSLAB_THREADS = 4
 
 
-@dataclass(frozen=True)
-class Analysis:
-    """Where the entries of a sparse symmetric matrix are, ordered for a factorisation of any values there."""
-
-    _symbolic: Any = field(default=None, repr=False)
-
-
 @dataclass(frozen=True, eq=False)
 class Factorization:
     """A factored matrix A.
@@ -97,18 +90,10 @@ class Factorization:
         return np.ascontiguousarray(solution).reshape(values.shape)
 
 
-def analyze(matrix: SparseMatrix) -> Analysis:
-    """The half of a factorisation that keeps to one core and needs no values: do it while other work fills the rest.
-
-    Empty without rslab.
-    """
-    return Analysis() if rslab is None else Analysis(_ordered(_lower_triangle(matrix)))
-
-
 def factor(
     matrix: SparseMatrix,
     *,
-    like: Factorization | Analysis | None = None,
+    like: Factorization | None = None,
     library: str = "auto",
     dtype: Precision = np.float64,
 ) -> Factorization:
@@ -118,7 +103,7 @@ def factor(
     ----------
     matrix : (n, n) sparse array
         Symmetric; only its lower triangle is read (rslab). Any unit.
-    like : Factorization or Analysis, optional
+    like : Factorization, optional
         Of a matrix with the same pattern; its ordering is used again.
     library : {"auto", "rslab", "superlu"}
     dtype : numpy.float64 or numpy.float32
@@ -212,7 +197,7 @@ def _rslab_threads() -> tuple[str, int]:
     return "auto", min(_RSLAB_THREADS, core_count())
 
 
-def _factor_rslab(matrix: SparseMatrix, like: Factorization | Analysis | None, dtype: Precision) -> Factorization:
+def _factor_rslab(matrix: SparseMatrix, like: Factorization | None, dtype: Precision) -> Factorization:
     lower = _lower_triangle(matrix)
     try:
         symbolic = _ordered(lower) if like is None else like._symbolic

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 from cagemap.files.usd import USD_SUFFIXES
@@ -224,8 +223,3 @@ def on_the_page(options: Options, text: str) -> str:
 
 def _says(text: str, flag: str) -> bool:
     return re.search(rf"(?<![\w-]){re.escape(flag)}(?![\w-])", text) is not None
-
-
-def keys(shown: Iterable[Fold]) -> tuple[Key, ...]:
-    """Options that some folds hold."""
-    return tuple(field.key for fold in shown for field in fold.fields)

@@ -23,8 +23,8 @@ from cagemap.maps.elastic.constants import (
     POSES_DIFFER,
 )
 from cagemap.maps.elastic.fit import fine_stage
+from cagemap.maps.elastic.graph import ElasticGraph
 from cagemap.maps.elastic.pose import fit_in_pose, turn
-from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.elastic.problem import FitProblem
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.factorization import factor
@@ -54,7 +54,7 @@ def both_ways(problem: FitProblem, positions: FloatArray) -> FloatArray:
     if areas[gaps > INVERSE_FAR].sum() > INVERSE_LOST * areas.sum():
         return positions
     met = 1.0 / (1.0 + (gaps / INVERSE_GAP) ** 2) ** 2
-    return positions + smoothed_shifts(prepared, 0.5 * (places - positions), met)
+    return positions + smoothed_shifts(prepared.rest.graph, 0.5 * (places - positions), met)
 
 
 def inverse(mesh: TriangleSurface, deformed: FloatArray, other: TriangleSurface) -> tuple[FloatArray, FloatArray]:
@@ -79,12 +79,11 @@ def inverse(mesh: TriangleSurface, deformed: FloatArray, other: TriangleSurface)
     return np.einsum("mk,mkd->md", barycentric, mesh.positions[mesh.triangles[at]]), gaps
 
 
-def smoothed_shifts(prepared: PreparedPair, shifts: FloatArray, trust: FloatArray) -> FloatArray:
-    """Shifts (n, 3) of the target's mesh, smoothed: ``(M T + l^2 L) d = M T d_0`` with trust T (n,) from 0 to 1.
+def smoothed_shifts(graph: ElasticGraph, shifts: FloatArray, trust: FloatArray) -> FloatArray:
+    """Shifts (n, 3) of a mesh, smoothed: ``(M T + l^2 L) d = M T d_0`` with trust T (n,) from 0 to 1.
 
     What is not trusted follows its surroundings.
     """
-    graph = prepared.rest.graph
     masses = graph.areas * np.maximum(trust, 1e-6)
     matrix = sparse.csc_array(sparse.diags_array(masses) + INVERSE_SMOOTHING**2 * graph.laplacian())
     return factor(matrix).solve(masses[:, None] * shifts)

@@ -14,7 +14,7 @@ from cagemap.geometry.surface import TriangleSurface
 from cagemap.geometry.triangles import normalized
 from cagemap.maps.elastic.constants import CLUSTER_TRIP, SLIDING_SHARE
 from cagemap.maps.elastic.counterparts import round_trip_weights, trusted
-from cagemap.maps.elastic.graph import ElasticGraph, transformed_normals
+from cagemap.maps.elastic.graph import transformed_normals
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.spectral.samples import spread
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
@@ -91,7 +91,7 @@ class Pull:
 
 
 def pull_to_source(
-    graph: ElasticGraph,
+    areas: FloatArray,
     source: TriangleSurface,
     positions: FloatArray,
     normals: FloatArray,
@@ -103,7 +103,8 @@ def pull_to_source(
 
     Parameters
     ----------
-    graph : ElasticGraph
+    areas : (n,) float64
+        Of the target's vertices.
     source : TriangleSurface
     positions, normals : (n, 3) float64
         Of the deformed target.
@@ -112,14 +113,14 @@ def pull_to_source(
     normal_weight : float
         Of the search, see `closest_points`.
     masks : Masks
-        What counts of the graph's vertices and of the source's.
+        What counts of the target's vertices and of the source's.
     """
     found = SurfacePoints.nearest(source, positions, normals, normal_weight=normal_weight, guess=guess)
     corners = found.corners
     foot = curved_points(source.positions[corners], source.vertex_normals[corners], found.barycentric)
     plane = normalized(found.interpolate(source.vertex_normals))
-    weights = graph.areas * np.clip(np.einsum("nd,nd->n", plane, normals), 0.0, 1.0)
-    weights *= masks.of_target(graph.n) * masks.at_source(found)
+    weights = areas * np.clip(np.einsum("nd,nd->n", plane, normals), 0.0, 1.0)
+    weights *= masks.of_target(len(areas)) * masks.at_source(found)
     blocks = weights[:, None, None] * plane[:, :, None] * plane[:, None, :]
     return Pull(blocks, np.einsum("nab,nb->na", blocks, foot), weights, found.triangle, foot)
 
@@ -180,7 +181,6 @@ def pull_by_source(
 
 
 def pull_on_clusters(
-    graph: ElasticGraph,
     pullers: Pullers,
     positions: FloatArray,
     normals: FloatArray,
@@ -197,28 +197,26 @@ def pull_on_clusters(
 
     Parameters
     ----------
-    graph : ElasticGraph
-        Coarse, without triangles.
     pullers : Pullers
     positions, normals : (k, 3) float64
-        Of the deformed graph.
+        Of the deformed clusters.
     normal_weight : float
         Length by which normals count.
     feet : (k, 3) float64
         Where its vertices lie nearest on the source.
     masks : Masks
-        What counts of the graph's vertices; the pullers' areas know of the source's.
+        What counts of the clusters; the pullers' areas know of the source's.
     """
     points, planes = pullers.points, pullers.planes
     tree = cKDTree(np.hstack([positions, normal_weight * normals]))
     pulled = np.asarray(tree.query(np.hstack([points, normal_weight * planes]))[1], dtype=np.int64)
     between, facing = normalized(planes + normals[pulled]), np.einsum("md,md->m", planes, normals[pulled])
     shares = pullers.areas * np.clip(facing, 0.0, 1.0) * trusted(feet[pulled] - points, CLUSTER_TRIP)
-    shares *= masks.of_target(graph.n)[pulled]
+    shares *= masks.of_target(len(positions))[pulled]
     towards = (1.0 - SLIDING_SHARE) * between[:, :, None] * between[:, None, :] + SLIDING_SHARE * np.eye(3)
     right = np.einsum("mab,mb->ma", towards, points)
     asked = np.hstack([towards.reshape(-1, 9), right, np.ones((len(points), 1))])
-    summed = grouped_sums(pulled, shares[:, None] * asked, graph.n)
+    summed = grouped_sums(pulled, shares[:, None] * asked, len(positions))
     return Pull(summed[:, :9].reshape(-1, 3, 3), summed[:, 9:12], summed[:, 12], pulled, positions[pulled])
 
 
@@ -240,6 +238,6 @@ def curved_points(corners: FloatArray, normals: FloatArray, barycentric: FloatAr
     return np.asarray(flat + 0.5 * np.einsum("mk,mkd->md", barycentric * heights, normals))
 
 
-def deformed_normals(graph: ElasticGraph, maps: FloatArray) -> FloatArray:
-    """(n, 3) unit normals of a deformed graph, from its maps (n, 3, 3)."""
-    return normalized(transformed_normals(maps, graph.normals))
+def deformed_normals(normals: FloatArray, maps: FloatArray) -> FloatArray:
+    """(n, 3) unit normals of a deformed graph, from its normals (n, 3) at rest and its maps (n, 3, 3)."""
+    return normalized(transformed_normals(maps, normals))

@@ -133,7 +133,7 @@ def vertex_costs(
 ) -> FloatArray:
     """(n,) what a fit costs, by vertex: squared distance in position and normal, and the energy at one stiffness."""
     graph = rest.graph
-    normals = deformed_normals(graph, maps)
+    normals = deformed_normals(graph.normals, maps)
     found = SurfacePoints.nearest(sheet, positions, normals, normal_weight=config.normal_weight)
     areas = graph.areas * rest.masks.of_target(graph.n) * rest.masks.at_source(found)
     squared = ((found.positions - positions) ** 2).sum(axis=1)
@@ -173,13 +173,13 @@ def run_stage(
             alpha = float(ramped) if miss > LYING else float(max(ramped, min(STIFFENING * alpha, STIFFEST)))
             differentials = aside.submit(rest.differentials, positions)
             if triangles is None:
-                normals = deformed_normals(graph, differentials.result()[0])
+                normals = deformed_normals(graph.normals, differentials.result()[0])
             else:
                 normals = vertex_normals(positions, triangles)
-            pull = pull_to_source(graph, sheet, positions, normals, guess, normal_weight, rest.masks)
+            pull = pull_to_source(graph.areas, sheet, positions, normals, guess, normal_weight, rest.masks)
             blocks, right, guess = pull.blocks, pull.right, pull.triangles
             if triangles is None and pullers is not None:
-                back = pull_on_clusters(graph, pullers, positions, normals, config.normal_weight, pull.feet, rest.masks)
+                back = pull_on_clusters(pullers, positions, normals, config.normal_weight, pull.feet, rest.masks)
                 blocks, right = blocks + back.blocks, right + back.right
             elif triangles is not None and pullers is not None and rest.received is not None:
                 miss = pull.distance(positions)

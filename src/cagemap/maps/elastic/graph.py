@@ -65,10 +65,6 @@ class ElasticGraph:
         weights = sparse.csr_array((self.weights, (self.heads, self.tails)), shape=(self.n, self.n))
         return sparse.csr_array(sparse.diags_array(np.asarray(weights.sum(axis=1)).ravel()) - weights)
 
-    def energy(self, positions: FloatArray, maps: FloatArray, epsilon: float) -> float:
-        """E(x, A), every edge once."""
-        return float(self.energies(positions, maps, epsilon).sum())
-
     def energies(self, positions: FloatArray, maps: FloatArray, epsilon: float) -> FloatArray:
         """(n,) shares of E(x, A): of every edge a half at each end."""
         means = 0.5 * (maps[self.heads] + maps[self.tails])

@@ -19,7 +19,7 @@ from cagemap.maps.elastic.starts import SpectralSides, spectral_starts, start_ma
 from cagemap.maps.elastic.update import respond
 from cagemap.maps.pair import Pair, Progress
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.projection.project import held_vertices, project, unfold
+from cagemap.maps.projection.project import map_of_places
 from cagemap.maps.spectral.samples import FIT_SAMPLES, Samples, fit_functional_map, spread
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.kinds import kinds_checked
@@ -47,10 +47,9 @@ def elastic_answers(
     InvalidLandmarksError
         If there are fewer than two landmarks.
     """
-    found, landmarks = fits(problem, progress), problem.pair.landmarks
+    found = fits(problem, progress)
     progress("projection")
-    point_map = project(problem.prepared, found[0].answer, landmarks)
-    return unfold(point_map, held_vertices(landmarks), problem.prepared.elastic), found
+    return map_of_places(problem.prepared, found[0].answer, problem.pair.landmarks), found
 
 
 @kinds_checked
@@ -135,7 +134,7 @@ def updated_map(
     progress("elastic response")
     moved = respond(FitProblem(prepared, pair), before)
     progress("projection")
-    return unfold(project(prepared, moved, pair.landmarks), held_vertices(pair.landmarks), prepared.elastic)
+    return map_of_places(prepared, moved, pair.landmarks)
 
 
 @kinds_checked

@@ -97,7 +97,7 @@ def spectral_starts(fitted: CoarseFit, sides: SpectralSides) -> list[FloatArray]
     sides : SpectralSides
     """
     target, source = sides.target, sides.source
-    normals = deformed_normals(fitted.graph, fitted.maps)
+    normals = deformed_normals(fitted.graph.normals, fitted.maps)
     match = np.asarray(sides.tree.query(np.hstack([fitted.positions, NORMAL_LENGTH * normals]))[1], dtype=np.int64)
     found = []
     for start in TRUSTED_FUNCTIONS:

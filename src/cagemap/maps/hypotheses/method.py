@@ -17,7 +17,7 @@ from cagemap.maps.hypotheses.search import found_readings
 from cagemap.maps.hypotheses.tips import AS_CHEAP, OF_ONE_KIND
 from cagemap.maps.pair import Pair, Progress
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.projection.project import held_vertices, project, unfold
+from cagemap.maps.projection.project import map_of_places
 from cagemap.numerics.arrays import FloatArray
 
 # With fewer landmarks, they only help to choose among hypotheses; from here on they start a map of their own.
@@ -43,11 +43,11 @@ def hypothesis_map(
     best, *others = found_readings(problem, progress)
     readings = replace(best, positions=half_way(problem, best)), *others
     progress("projection")
-    found = map_of_reading(prepared, pair, readings[0])
+    found = map_of_places(prepared, readings[0].positions, pair.landmarks)
     shape = MapShape.of(found, unreached_share(prepared, found))
     confidence = Confidence.of(readings, pair.target.control.n_vertices, shape)
     if confidence.verdict == SURE:
-        confidence = confidence.seen_mirrored(mirrored_gain(problem, readings[0]))
+        confidence = confidence.seen_mirrored(mirrored_gain(problem, readings[0].positions))
     if confidence.deciding is not None:
         vertex = pair.target.refinement.outer(np.array([confidence.deciding]))
         confidence = replace(confidence, deciding=int(vertex[0]))
@@ -73,17 +73,3 @@ def unreached_share(prepared: PreparedPair, found: PointMap) -> float:
     image = build_tree(found.images.at(slice(0, mesh.n)).positions, mesh.triangles)
     far = closest_points(image, pullers.points)[2] > FAR
     return float(pullers.areas[far].sum() / max(pullers.areas.sum(), 1e-12))
-
-
-def map_of_reading(prepared: PreparedPair, pair: Pair, reading: Reading) -> PointMap:
-    """Point map T12 of the finest levels by one reading, the best or a runner-up.
-
-    Parameters
-    ----------
-    prepared : PreparedPair
-    pair : Pair
-        The one that was read.
-    reading : Reading
-    """
-    found = project(prepared, reading.positions, pair.landmarks)
-    return unfold(found, held_vertices(pair.landmarks), prepared.elastic)

@@ -17,7 +17,6 @@ from cagemap.maps.elastic.ends import different
 from cagemap.maps.elastic.fit import coarse_fit
 from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.elastic.ties import Ties
-from cagemap.maps.hypotheses.confidence import Reading
 from cagemap.maps.hypotheses.search import ALIKE, rough_problem
 from cagemap.maps.hypotheses.starts import Start, rigid_starts
 from cagemap.numerics.arrays import FloatArray
@@ -28,11 +27,11 @@ NEAREST_STARTS = 4
 ACROSS = np.array([-1.0, 1.0, 1.0])
 
 
-def mirrored_gain(problem: FitProblem, reading: Reading) -> float:
+def mirrored_gain(problem: FitProblem, positions: FloatArray) -> float:
     """How many times more the target costs on the source than on its mirror image, both on the small graph.
 
-    On either from the starts that begin nearest to it, on the source from a reading as well: from one start alone, two
-    bodies of a kind that stand alike seemed 1.13 times better mirrored.
+    On either from the starts that begin nearest to it, on the source from known positions (n, 3) as well: from one
+    start alone, two bodies of a kind that stand alike seemed 1.13 times better mirrored.
     """
     rough, sheet = rough_problem(problem), problem.prepared.sheet
     graph, ties = rough.shape.rest.graph, rough.shape.ties
@@ -53,7 +52,7 @@ def mirrored_gain(problem: FitProblem, reading: Reading) -> float:
         tried = different(nearest, lambda start: start.positions, graph.areas, ALIKE)[:NEAREST_STARTS]
         return min(in_threads(cost, [*known, *(start.positions for start in tried)]))
 
-    given = least(sheet, ties, reading.positions[rough.shape.vertices])
+    given = least(sheet, ties, positions[rough.shape.vertices])
     return given / least(mirrored, mirrored_ties(ties))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.hypotheses.confidence import AS_GIVEN, EXCHANGED, TWO, Confidence, MapShape, Reading
@@ -12,7 +13,7 @@ from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS
 from cagemap.maps.hypotheses.search import found_readings
 from cagemap.maps.pair import Pair, PointPairs, Progress
 from cagemap.maps.point_map import PointMap
-from cagemap.numerics.arrays import IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
 
 # How far, of sqrt(area), shapes alone may put a landmark from the one that it is exchanged with.
 NEAR_ENOUGH = 0.08
@@ -36,7 +37,7 @@ def mirrored_readings(
     """
     free = Pair(pair.target, pair.source, pair.landmarks.only(np.zeros(0, dtype=np.int64)))
     best = found_readings(FitProblem(prepared, free), progress)[0]
-    exchange = exchanged_pairs(prepared, pair.landmarks, best)
+    exchange = exchanged_pairs(prepared.mesh, pair.landmarks, best.positions)
     if len(exchange) < FEWEST_LANDMARKS:
         return None
     places = given.images.at(slice(0, prepared.rest.graph.n)).positions
@@ -48,10 +49,13 @@ def mirrored_readings(
     return Confidence(TWO, 1e4 * best.cost, 1.0, readings, None, MapShape.of(given))
 
 
-def exchanged_pairs(prepared: PreparedPair, landmarks: PointPairs, reading: Reading) -> IndexArray:
-    """(q, 2) places of landmarks whose target points a reading puts near the source points of others, one to one."""
-    near = cKDTree(prepared.mesh.positions).query(landmarks.target.positions)[1]
-    images, wanted = reading.positions[near], landmarks.source.positions
+def exchanged_pairs(mesh: TriangleSurface, landmarks: PointPairs, images: FloatArray) -> IndexArray:
+    """(q, 2) places of landmarks whose target points lie near the source points of others, one to one.
+
+    Where the vertices of the target's mesh have images (n, 3).
+    """
+    near = cKDTree(mesh.positions).query(landmarks.target.positions)[1]
+    images, wanted = images[near], landmarks.source.positions
     distance, there = cKDTree(wanted).query(images)
     back = np.asarray(cKDTree(images).query(wanted)[1])
     there = np.asarray(there)

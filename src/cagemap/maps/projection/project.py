@@ -89,6 +89,11 @@ def held_vertices(landmarks: PointPairs) -> IndexArray:
     return np.unique(np.concatenate([vertices[vertices >= 0], landmarks.target.corners[vertices < 0].ravel()]))
 
 
+def map_of_places(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -> PointMap:
+    """Point map T12 of the finest levels: fitted places (n, 3) projected, then unfolded with the landmarks held."""
+    return unfold(project(prepared, fitted, landmarks), held_vertices(landmarks), prepared.elastic)
+
+
 @kinds_checked
 def unfold(point_map: PointMap, held: IndexArray, config: ElasticConfig = ElasticConfig()) -> PointMap:
     """A map without most of its folds: relaxed where they are small, laid out where whole parts fold.

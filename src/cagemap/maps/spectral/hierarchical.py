@@ -193,7 +193,7 @@ def hierarchical_map(
 
     def merit(match: IndexArray) -> float:
         """Coverage over Dirichlet energy: a limb that is missed costs the one, parts torn off the other."""
-        return covered(match, source) / dirichlet_energy(placed.positions, images[match], placed.triangles)
+        return covered(match, len(source.areas)) / dirichlet_energy(placed.positions, images[match], placed.triangles)
 
     matches = [match for _, match in in_threads(grown, config.growths)]
     joined = joined_match(matches, images, placed.triangles, merit)
@@ -223,9 +223,9 @@ def leading(pair: Pair, found: LevelMap) -> FloatArray:
     return found.functional_map[:k1, :k2]
 
 
-def covered(match: IndexArray, source: Samples) -> float:
-    """Share of the source's samples that some target sample is matched to; a limb that is missed costs many."""
-    return len(np.unique(match)) / len(source.areas)
+def covered(match: IndexArray, count: int) -> float:
+    """Share of so many source samples that some target sample is matched to; a limb that is missed costs many."""
+    return len(np.unique(match)) / count
 
 
 def grown_map(
@@ -265,7 +265,7 @@ def grown_map(
     most = target.rows.shape[1], source.rows.shape[1]
     if min(most) < FEWEST_FUNCTIONS:
         raise ParameterError(f"expected at least {FEWEST_FUNCTIONS} basis functions on both surfaces, got {most}")
-    target, source = weighted(target, growth), weighted(source, growth)
+    target, source = weighted(target, growth.coordinate_weight), weighted(source, growth.coordinate_weight)
 
     def matched(functional_map: FloatArray, sizes: tuple[int, int]) -> FloatArray:
         """What the point map of C says about so many functions."""
@@ -295,16 +295,16 @@ def grown_map(
     return functional_map, search_near_few(facing, functional_map, meshes)
 
 
-def weighted(samples: Samples, growth: Growth) -> Samples:
-    """Samples with the growth's weight of landmark coordinates."""
-    return replace(samples, coordinates=growth.coordinate_weight * samples.coordinates)
+def weighted(samples: Samples, weight: float) -> Samples:
+    """Samples with another weight of landmark coordinates."""
+    return replace(samples, coordinates=weight * samples.coordinates)
 
 
 def shared_coordinates(
     target: Samples, source: Samples, meshes: tuple[LevelMesh, LevelMesh], functional_map: FloatArray, growth: Growth
 ) -> Beside:
     """Landmark coordinates, and normals of the target as C places it, as a growth weighs them; of target and source."""
-    sides = weighted(target, growth), weighted(source, growth)
+    sides = weighted(target, growth.coordinate_weight), weighted(source, growth.coordinate_weight)
     one, two = with_normals(sides, meshes, functional_map, growth.normal_weight)
     return Columns(meshes[0].level, one.coordinates), Columns(meshes[1].level, two.coordinates)
 
