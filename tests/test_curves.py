@@ -8,13 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from examples.shapes import cube, icosahedron, voxels
+from examples.shapes import creature, cube, icosahedron, voxels
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from cagemap.basis.prepare import prepare_surfaces
 from cagemap.cli.app import app
+from cagemap.cli.match_parts import PartInputs
+from cagemap.cli.match_plain import ready_inputs
 from cagemap.errors import FormatError, InvalidLandmarksError
 from cagemap.files.landmark_points import read_points
 from cagemap.files.landmarks import read_landmarks, write_landmarks
@@ -26,8 +28,9 @@ from cagemap.maps.curves import curve_pairs, edge_vertices, refined_edges
 from cagemap.maps.elastic.anchors import Anchors
 from cagemap.maps.elastic.curves import PulledCurve
 from cagemap.maps.spectral.constraints import curve_rows
-from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
+from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Plain
 from cagemap.mesh.curves import CageCurves, Curves, chain_of_edges, curve_faults
+from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import Landmarks, NamedPoints, check_landmarks, paired
 from cagemap.mesh.topology import edge_table
 from cagemap.pipeline import MatchResult, match, update_match
@@ -410,3 +413,15 @@ def test_the_command_takes_curves_and_says_how_they_are_met(tmp_path: Path) -> N
     assert said.exit_code == 0, said.output
     assert "3 curves missed by 0.0" in said.output
     assert len(read_result(tmp_path / "RESULT").curves) == 3
+
+
+def test_curves_on_pieces_that_are_set_aside_are_told() -> None:
+    """As landmarks are: who drew a curve there wants to know that it says nothing."""
+    away = cube().with_positions(0.1 * cube().positions + 20.0)
+    scan = replace(join_meshes([creature(), away]), scheme=Plain())
+    n = creature().n_vertices
+    lines = CageCurves.of_vertices([scan.face(0)[:2], n + cube().face(0)[:2]], [False, False])
+    landmarks = replace(Landmarks.none(), curves=Curves(("kept", "lost"), lines, lines))
+    ready = ready_inputs(PartInputs(scan, scan, landmarks))
+    assert ready.landmarks.curves.names == ("kept",)
+    assert any("1 of 2 curves" in note for note in ready.notes)

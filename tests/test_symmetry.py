@@ -47,14 +47,15 @@ def test_bent_mesh_has_no_mirror():
     assert mirror_symmetries(mesh.with_positions(positions)) == ()
 
 
-def test_a_wider_tolerance_finds_planes_that_are_farther_off():
+def test_a_wider_tolerance_finds_planes_that_are_farther_off(monkeypatch):
     """The search gave planes up by the default tolerance, whichever was asked for."""
     mesh = shapes.creature()
     off = np.random.default_rng(0).standard_normal(mesh.positions.shape)
     off *= 0.008 * np.linalg.norm(np.ptp(mesh.positions, axis=0)) / np.linalg.norm(off, axis=1, keepdims=True)
     moved = mesh.with_positions(mesh.positions + off)
     assert mirror_symmetries(moved) == ()
-    assert len(mirror_symmetries(moved, 0.02)) == 1
+    monkeypatch.setattr("cagemap.descriptors.mirrors.MOST_WITHIN", 0.02)
+    assert len(mirror_symmetries(moved)) == 1
 
 
 def test_box_has_three_planes_and_a_cut_lid_makes_them_inexact():
@@ -86,6 +87,14 @@ def test_planes_of_both_sides_are_paired_as_landmarks_say(turned):
         np.testing.assert_array_equal(at_source[partner], np.array(partner)[at_target])
     scrambled = np.array([0, 3, 5, 6, 1, 7, 2, 4])[partner]
     assert paired_mirrors(Pair.of_vertices(surface, surface, vertices, scrambled)) == ()
+
+
+def test_without_landmarks_only_single_planes_belong_together():
+    """A box has three planes, and nothing says which of one side is which of the other; a creature has one."""
+    for shape, count in ((shapes.cube, 0), (shapes.creature, 1)):
+        surface = Surface(refine(shape(), 1), BasisConfig(count=6))
+        none = np.zeros(0, dtype=np.int64)
+        assert len(paired_mirrors(Pair.of_vertices(surface, surface, none, none))) == count
 
 
 def test_symmetry_propagates_with_the_positions():

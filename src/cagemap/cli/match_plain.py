@@ -31,9 +31,12 @@ def ready_inputs(given: PartInputs) -> PartInputs:
     notes = [note for one in plain.values() for note in one.notes]
     repairs = {side: one.repairs.summary() for side, one in plain.items()}
     landmarks = given.landmarks.renumbered(*numbers)
-    left = len(given.landmarks) - len(landmarks)
-    if left:
-        notes.append(f"{left} of {len(given.landmarks)} landmarks lie on pieces that are set aside and are left out")
+    for what, before, after in (
+        ("landmarks", len(given.landmarks), len(landmarks)),
+        ("curves", len(given.landmarks.curves), len(landmarks.curves)),
+    ):
+        if after < before:
+            notes.append(f"{before - after} of {before} {what} lie on pieces that are set aside and are left out")
     if not plain:  # a scan's holes and bridges say little
         notes += _handle_notes(*meshes)
     return PartInputs(meshes[0], meshes[1], landmarks, tuple(notes), repairs)

@@ -50,18 +50,16 @@ class Mirror:
         return points - 2.0 * np.outer(points @ self.normal - self.offset, self.normal)
 
 
-def mirror_symmetries(control: ControlMesh, tolerance: float = MOST_WITHIN) -> tuple[Mirror, ...]:
+def mirror_symmetries(control: ControlMesh) -> tuple[Mirror, ...]:
     """Find the mirror planes of a control mesh, exact ones first.
 
     A plane starts through the centroid, across a coordinate axis or a principal one, and moves to where the vertices'
-    mirror images lie on vertices. It counts if 95 % of them do, within the tolerance, and none is far off; faces need
+    mirror images lie on vertices. It counts if 95 % of them do, within `MOST_WITHIN`, and none is far off; faces need
     not mirror, for cages are often triangulated without regard to it.
 
     Parameters
     ----------
     control : ControlMesh
-    tolerance : float
-        Of the bounding box diagonal.
     """
     positions = control.positions
     diagonal = float(np.linalg.norm(np.ptp(positions, axis=0)))
@@ -71,18 +69,18 @@ def mirror_symmetries(control: ControlMesh, tolerance: float = MOST_WITHIN) -> t
     sample = positions[:: max(1, len(positions) // SAMPLES)]
     found: list[Mirror] = []
     for start in (*np.eye(3), *principal.T):
-        settled = _settled_plane(sample, tree, start, float(start @ centre), diagonal, tolerance)
+        settled = _settled_plane(sample, tree, start, float(start @ centre), diagonal)
         if settled is None:
             continue
         normal, offset = settled
         if any(abs(mirror.normal @ normal) > SAME_PLANE for mirror in found):
             continue
         plane = Mirror(np.zeros(0, np.int64), normal, offset, False)
-        if np.mean(_query(tree, plane.reflect(sample))[0] <= tolerance * diagonal) < PROMISING:
+        if np.mean(_query(tree, plane.reflect(sample))[0] <= MOST_WITHIN * diagonal) < PROMISING:
             continue
         distances, nearest = _query(tree, plane.reflect(positions))
         image, own = nearest, np.arange(len(positions))
-        near = np.mean(distances <= tolerance * diagonal) >= MOST and distances.max() <= ALL_WITHIN * diagonal
+        near = np.mean(distances <= MOST_WITHIN * diagonal) >= MOST and distances.max() <= ALL_WITHIN * diagonal
         # A flat mesh mirrored onto itself says nothing.
         if near and np.mean(image[image] == own) >= MOST and not np.array_equal(image, own):
             exact = sends_faces_to_faces(control, image) and sends_creases_to_creases(control, image)
@@ -91,7 +89,7 @@ def mirror_symmetries(control: ControlMesh, tolerance: float = MOST_WITHIN) -> t
 
 
 def _settled_plane(
-    sample: FloatArray, tree: cKDTree, normal: FloatArray, offset: float, diagonal: float, tolerance: float
+    sample: FloatArray, tree: cKDTree, normal: FloatArray, offset: float, diagonal: float
 ) -> tuple[FloatArray, float] | None:
     """Move a plane to the best one for the pairs that it makes itself, until they no longer change.
 
@@ -102,7 +100,7 @@ def _settled_plane(
         mirrored = sample - 2.0 * np.outer(sample @ normal - offset, normal)
         distances, nearest = _query(tree, mirrored)
         median = float(np.median(distances))
-        if median > 0.1 * diagonal or median > max(NO_NEARER * before, ALREADY * tolerance * diagonal):
+        if median > 0.1 * diagonal or median > max(NO_NEARER * before, ALREADY * MOST_WITHIN * diagonal):
             return None
         before = median
         partner = tree.data[nearest]

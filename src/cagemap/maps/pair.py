@@ -13,8 +13,7 @@ from cagemap.errors import ParameterError
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.curves import CurvePair, curve_pairs
-from cagemap.maps.places import located as located
-from cagemap.maps.places import on_surface as on_surface
+from cagemap.maps.places import located
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import IndexArray
 from cagemap.numerics.threads import in_threads

@@ -143,15 +143,13 @@ def covered_share(
     image: FloatArray,
     triangles: IndexArray,
     source: TriangleSurface,
-    *,
-    samples: int = COVERAGE_SAMPLES,
     masks: Masks = WHOLE,
 ) -> float:
     """Share of the source's area that the image of the target reaches.
 
     A source vertex counts as reached where the image surface, with an agreeing normal, passes within half the mean
-    length of the edges around that vertex. The first ``samples`` vertices are judged: in a refined mesh they are
-    the vertices of coarser levels and spread evenly.
+    length of the edges around that vertex. The first `COVERAGE_SAMPLES` vertices are judged: in a refined mesh they
+    are the vertices of coarser levels and spread evenly.
 
     Parameters
     ----------
@@ -163,7 +161,7 @@ def covered_share(
     masks : Masks
         The share is that of what counts of the source.
     """
-    judged = min(samples, source.n)
+    judged = min(COVERAGE_SAMPLES, source.n)
     sums = ring_sums(source.positions, source.triangles, judged)
     normals, areas, edges, count = np.split(sums, (3, 4, 5), axis=1)
     reached, _, _ = closest_points(

@@ -9,25 +9,24 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh.control_mesh import ControlMesh, UvSet
 from cagemap.mesh.edge_checks import edge_manifold_problem, slit_notes
 from cagemap.mesh.geometry_checks import extent_problem, inside_out_problem, zero_area_problem
-from cagemap.mesh.mesh_report import MeshReport, Problem, first_few
+from cagemap.mesh.mesh_report import MeshReport, Problem, first_few, problem_at
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
 from cagemap.mesh.topology import (
     EdgeTable,
-    Orientation,
     boundary_loops,
     corner_fans,
     edge_table,
     face_components,
-    face_orientation,
+    turned_faces,
     used_vertices,
     uv_islands,
-    valences,
 )
 from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
 from cagemap.numerics.kinds import kinds_checked
@@ -79,14 +78,14 @@ class _Parts:
     mesh: ControlMesh
     edges: EdgeTable
     fans: IndexArray
-    orientation: Orientation
+    turned: NDArray[np.bool_] | None
     loops: tuple[IndexArray, ...] | None
 
 
 def _connect(mesh: ControlMesh) -> _Parts:
     edges = edge_table(mesh)
     fans = corner_fans(mesh, edges)
-    return _Parts(mesh, edges, fans, face_orientation(mesh, edges), boundary_loops(mesh, edges, fans))
+    return _Parts(mesh, edges, fans, turned_faces(mesh, edges), boundary_loops(mesh, edges, fans))
 
 
 def require_valid(mesh: ControlMesh, *, pieces: bool = False) -> None:
@@ -188,12 +187,12 @@ def _counts(parts: _Parts, blank: MeshReport) -> MeshReport:
     mesh, edges, loops = parts.mesh, parts.edges, parts.loops
     components = np.bincount(face_components(mesh))
     used = used_vertices(mesh)
-    edges_at = valences(mesh, edges)[used]
+    edges_at = np.bincount(edges.vertices.ravel(), minlength=mesh.n_vertices)[used]
     euler = int(used.sum()) - len(edges.vertices) + mesh.n_faces
     islands = uv_islands(mesh)
     # 2 - 2 g - b for every piece; vertices that hold two fans together are no surface and have no genus.
     handles, odd = divmod(2 * len(components) - euler - len(loops or ()), 2)
-    is_surface = loops is not None and parts.orientation.orientable and not odd and handles >= 0
+    is_surface = loops is not None and parts.turned is not None and not odd and handles >= 0
     return replace(
         blank,
         n_edges=len(edges.vertices),
@@ -217,36 +216,30 @@ def repeated_corners(mesh: ControlMesh) -> IndexArray:
 
 
 def _degenerate_problem(faces: IndexArray) -> Problem | None:
-    if not len(faces):
-        return None
-    return Problem(
+    return problem_at(
         "degenerate faces",
         f"expected at least three different vertices around every face, got {len(faces)} face(s) with fewer or with "
         "one repeated, faces",
-        tuple(faces.tolist()),
+        faces,
         "Dissolve the zero-length edges or delete these faces; connectivity is checked after that.",
     )
 
 
 def _duplicates_problem(faces: IndexArray) -> Problem | None:
-    if not len(faces):
-        return None
-    return Problem(
+    return problem_at(
         "duplicate faces",
         f"expected every face once, got {len(faces)} face(s) with the same vertices as an earlier one, faces",
-        tuple(faces.tolist()),
+        faces,
         "Delete these copies.",
     )
 
 
 def _isolated_problem(mesh: ControlMesh) -> Problem | None:
     unused = np.flatnonzero(~used_vertices(mesh))
-    if not len(unused):
-        return None
-    return Problem(
+    return problem_at(
         "isolated vertices",
         f"expected every vertex to belong to a face, got {len(unused)} without, vertices",
-        tuple(unused.tolist()),
+        unused,
         "Delete the loose vertices (this renumbers the others: landmarks must be made for the new file).",
     )
 
@@ -255,19 +248,17 @@ def _vertex_manifold_problem(parts: _Parts) -> Problem | None:
     """Vertices whose faces form several fans. Edges of too many faces are named elsewhere and count as joined here."""
     _, first_corners = np.unique(parts.fans, return_index=True)
     bad = np.flatnonzero(np.bincount(parts.mesh.face_indices[first_corners]) > 1)
-    if not len(bad):
-        return None
-    return Problem(
+    return problem_at(
         "non-manifold vertices",
         f"expected the faces around every vertex to form one fan, got {len(bad)} vertex/vertices where parts of the "
         "surface touch in a point only, vertices",
-        tuple(bad.tolist()),
+        bad,
         "Split these vertices (one copy per fan), or add the missing faces between the fans.",
     )
 
 
 def _orientation_problem(parts: _Parts, numbers: IndexArray) -> Problem | None:
-    if not parts.orientation.orientable:
+    if parts.turned is None:
         return Problem(
             "one-sided surface",
             "expected a surface with an inside and an outside, got one where no choice of face directions agrees along "
@@ -275,14 +266,12 @@ def _orientation_problem(parts: _Parts, numbers: IndexArray) -> Problem | None:
             (),
             "Cut the surface where its two sides are joined.",
         )
-    flipped = numbers[parts.orientation.flipped]
-    if not len(flipped):
-        return None
-    return Problem(
+    flipped = numbers[parts.turned]
+    return problem_at(
         "inconsistent orientation",
         f"expected neighbouring faces to run in the same sense, got {len(flipped)} of {len(numbers)} faces turned "
         "against the others, faces",
-        tuple(flipped.tolist()),
+        flipped,
         "Flip these faces (recalculate normals to the outside in the modelling program).",
     )
 

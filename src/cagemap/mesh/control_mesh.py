@@ -123,10 +123,13 @@ class ControlMesh:
             raise ParameterError(f"{name}: expected positions (n, 3), got an array {vertices.shape}. Give x, y and z.")
         if isinstance(faces, str) or not isinstance(faces, Iterable):
             raise ParameterError(f"{name}: expected faces as lists of vertex numbers, got {faces!r}")
-        lists = [np.atleast_1d(np.asarray(face)) for face in faces]
-        sizes = np.array([len(face) for face in lists], dtype=np.int64)
+        if isinstance(faces, np.ndarray) and faces.ndim == 2:
+            sizes, given = np.full(len(faces), faces.shape[1]), faces.ravel()
+        else:  # of any sizes
+            lists = [np.atleast_1d(np.asarray(face)) for face in faces]
+            sizes = np.array([len(face) for face in lists], dtype=np.int64)
+            given = np.concatenate(lists) if lists else np.zeros(0, dtype=np.int64)
         offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-        given = np.concatenate(lists) if lists else np.zeros(0, dtype=np.int64)
         indices = given.astype(np.int64)
         if given.dtype.kind not in "iu" and not np.array_equal(indices, given):
             raise ParameterError(f"{name}: expected whole numbers of vertices in faces, got {given.dtype} with others.")

@@ -11,7 +11,7 @@ import numpy as np
 
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.measures import face_areas, face_extents, signed_volume
-from cagemap.mesh.mesh_report import Problem
+from cagemap.mesh.mesh_report import Problem, problem_at
 from cagemap.mesh.topology import used_vertices
 from cagemap.numerics.arrays import IndexArray
 
@@ -68,12 +68,10 @@ def zero_area_problem(mesh: ControlMesh, examined: IndexArray) -> Problem | None
     areas, extents = face_areas(unit), face_extents(unit)
     flat = (areas <= RELATIVE_FACE_AREA) | (areas <= RELATIVE_FACE_WIDTH * extents**2)
     faces = examined[flat[examined]]
-    if not len(faces):
-        return None
-    return Problem(
+    return problem_at(
         "faces without area",
         f"expected every face to span an area, got {len(faces)} whose corners are on one line or in one point, faces",
-        tuple(faces.tolist()),
+        faces,
         "Move their vertices apart, or dissolve the edges of length zero.",
     )
 

@@ -14,7 +14,7 @@ from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.edge_checks import extra_faces
 from cagemap.mesh.geometry_checks import inside_out_problem
 from cagemap.mesh.measures import face_areas
-from cagemap.mesh.topology import EdgeTable, boundary_loops, corner_fans, edge_table, face_components, face_orientation
+from cagemap.mesh.topology import EdgeTable, boundary_loops, corner_fans, edge_table, face_components, turned_faces
 from cagemap.numerics.arrays import IndexArray
 from cagemap.numerics.graphs import components
 
@@ -134,13 +134,13 @@ def _cut(mesh: ControlMesh) -> tuple[ControlMesh, int]:
 
 def oriented(mesh: ControlMesh) -> tuple[ControlMesh, int]:
     """With faces turned so that neighbours agree, in every piece the smaller set of them, and how many they are."""
-    orientation = face_orientation(mesh, edge_table(mesh))
-    if not orientation.orientable:
+    faces = turned_faces(mesh, edge_table(mesh))
+    if faces is None:
         raise InvalidMeshError(
             f"{mesh.name}: expected a surface with an inside and an outside, got one where no choice of face "
             "directions agrees along all edges (as on a Moebius strip). Cut it where its two sides are joined."
         )
-    return turned(mesh, orientation.flipped), int(orientation.flipped.sum())
+    return turned(mesh, faces), int(faces.sum())
 
 
 def turned(mesh: ControlMesh, faces: NDArray[np.bool_]) -> ControlMesh:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from cagemap.numerics.arrays import IndexArray
+
 LISTED = 8
 
 
@@ -39,6 +41,11 @@ class Problem:
     def __str__(self) -> str:
         where = f": {first_few(self.elements)}" if self.elements else ""
         return f"{self.kind}: {self.found}{where}. {self.remedy}"
+
+
+def problem_at(kind: str, found: str, elements: IndexArray, remedy: str) -> Problem | None:
+    """A problem of some elements (k,); None where there are none."""
+    return Problem(kind, found, tuple(elements.tolist()), remedy) if len(elements) else None
 
 
 @dataclass(frozen=True)

@@ -117,15 +117,10 @@ class CatmullClark(SubdivisionOptions):
         n = np.asarray(valence, dtype=np.float64)
         return 1 - 7 / (4 * n), 3 / (2 * n**2), 1 / (4 * n**2)
 
-    @staticmethod
-    def edge_weights() -> tuple[float, float]:
-        """Smooth edge rule: weights of each end and of each new face point."""
-        return 1 / 4, 1 / 4
-
     def face_edge_weights(self, sizes: Integers) -> FloatArray:
         """What a face of each size would have its new face point weigh in an edge point; both sides are averaged."""
         smooth = (np.asarray(sizes) == 3) & (self.triangles == "smooth")
-        return np.where(smooth, SMOOTH_TRIANGLE, self.edge_weights()[1])
+        return np.where(smooth, SMOOTH_TRIANGLE, 1 / 4)
 
     @staticmethod
     def quad_edge_weights() -> tuple[float, float]:

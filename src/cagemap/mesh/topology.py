@@ -143,29 +143,10 @@ def uv_islands(mesh: ControlMesh) -> IndexArray | None:
     return _renumber(labels[mesh.uv_indices[mesh.face_offsets[:-1]]])
 
 
-def valences(mesh: ControlMesh, edges: EdgeTable) -> IndexArray:
-    """(n,) number of edges at every vertex."""
-    return np.bincount(edges.vertices.ravel(), minlength=mesh.n_vertices).astype(np.int64)
+def turned_faces(mesh: ControlMesh, edges: EdgeTable) -> NDArray[np.bool_] | None:
+    """(m,) faces to turn round so that all agree, in every piece the smaller set; None where no choice does.
 
-
-@dataclass(frozen=True, eq=False)
-class Orientation:
-    """How the faces of a mesh are turned against each other.
-
-    Attributes
-    ----------
-    orientable : bool
-        False where no choice of directions agrees along all inner edges (a Moebius strip).
-    flipped : (m,) bool
-        Faces to turn round so that all agree; in every piece the smaller set. All False if not orientable.
-    """
-
-    orientable: bool
-    flipped: NDArray[np.bool_]
-
-
-def face_orientation(mesh: ControlMesh, edges: EdgeTable) -> Orientation:
-    """Propagate directions along inner edges; two faces agree where they run along their edge in opposite ways.
+    Two faces agree where they run along their edge in opposite ways; along all inner edges of a Moebius strip none do.
 
     Every face appears twice in a graph, as it is and turned round; edges join the copies that agree. A face whose two
     copies are connected sits on a one-sided surface.
@@ -181,11 +162,11 @@ def face_orientation(mesh: ControlMesh, edges: EdgeTable) -> Orientation:
     labels = components(np.concatenate([f, f + m]), np.concatenate([g + other, g + m - other]), 2 * m)
     upright, turned = labels[:m], labels[m:]
     if np.any(upright == turned):
-        return Orientation(False, np.zeros(m, dtype=bool))
+        return None
     counts = np.bincount(upright, minlength=int(labels.max(initial=-1)) + 1)
     # The larger set stays; of two equal ones that of the lowest face, whose label is the lower one.
-    minority = (counts[upright] < counts[turned]) | ((counts[upright] == counts[turned]) & (upright > turned))
-    return Orientation(True, minority)
+    smaller, equal = counts[upright] < counts[turned], counts[upright] == counts[turned]
+    return np.asarray(smaller | (equal & (upright > turned)))
 
 
 def _renumber(labels: IndexArray) -> IndexArray:

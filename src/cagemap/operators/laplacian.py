@@ -30,7 +30,7 @@ def stiffness(positions: FloatArray, faces: IndexArray) -> sparse.csr_array:
     (n, n) CSR array
         Symmetric, positive semi-definite, rows sum to 0. Unitless (invariant to scale).
     """
-    return areas_and_stiffness(positions, faces)[1]
+    return gathered(face_terms(positions, faces)[0], faces, len(positions))
 
 
 def vertex_areas(positions: FloatArray, faces: IndexArray) -> FloatArray:
@@ -47,12 +47,6 @@ def vertex_areas(positions: FloatArray, faces: IndexArray) -> FloatArray:
         Sums to the surface's area (mean over both triangulations). Unit length squared.
     """
     return face_terms(positions, faces)[1]
-
-
-def areas_and_stiffness(positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, sparse.csr_array]:
-    """`vertex_areas` and `stiffness` from one pass over the faces."""
-    weights, areas = face_terms(positions, faces)
-    return areas, gathered(weights, faces, len(positions))
 
 
 def gathered(weights: FloatArray, faces: IndexArray, n: int) -> sparse.csr_array:

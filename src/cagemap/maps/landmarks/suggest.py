@@ -62,10 +62,10 @@ def suggested_vertices(
 
 def free_partners(places: FloatArray, wanted: FloatArray, taken: IndexArray) -> IndexArray:
     """(c,) different control vertices of the source nearest to places (c, 3), none of them taken."""
-    used = set(taken.tolist())
+    tree, used = cKDTree(places), set(taken.tolist())
     found = []
     for place in wanted:
-        _, order = cKDTree(places).query(place, k=min(len(places), len(used) + 1))
+        _, order = tree.query(place, k=min(len(places), len(used) + 1))
         free = next(int(vertex) for vertex in np.atleast_1d(order) if int(vertex) not in used)
         used.add(free)
         found.append(free)

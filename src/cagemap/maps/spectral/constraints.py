@@ -121,6 +121,8 @@ def paired_mirrors(pair: Pair) -> tuple[SymmetryPair, ...]:
         return ()  # the vertices of a scan mirror no vertices
     sides = [(pair.target.control, pair.landmarks.target), (pair.source.control, pair.landmarks.source)]
     mirrors = in_threads(lambda side: mirror_symmetries(side[0]), sides)
+    if not len(pair.landmarks) and max(map(len, mirrors)) > 1:
+        return ()  # nothing says which of one side is which of the other
     partners = [
         [(mirror, _partners(mirror, landmarks.positions / landmarks.surface.scale)) for mirror in planes]
         for planes, (_, landmarks) in zip(mirrors, sides, strict=True)
