@@ -70,6 +70,23 @@ def test_ctrl_c_while_commands_are_loaded_is_no_traceback(tmp_path: Path) -> Non
     assert ended.stderr.startswith("cagemap: error: stopped")
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="glibc's malloc")
+def test_memory_that_was_freed_is_used_again() -> None:
+    script = (
+        "import resource, numpy as np\n"
+        "from cagemap.cli.entry import keep_memory\n"
+        "keep_memory()\n"
+        "def faults():\n"
+        "    blocks = [np.ones(3_000_000) for _ in range(4)]\n"
+        "    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt\n"
+        "first, second = faults(), faults()\n"
+        "print(second - first)\n"
+    )
+    environment = {**os.environ, "NUMPY_MADVISE_HUGEPAGE": "0"}  # which fault seldom
+    said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, env=environment)
+    assert int(said.stdout) < 1000  # of 23 000 pages
+
+
 def test_a_reader_that_has_gone_is_no_error(tmp_path: Path) -> None:
     write_mesh(tmp_path / "box.obj", cube())
     with subprocess.Popen(

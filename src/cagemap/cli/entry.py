@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import ctypes
 import gc
 import os
 import signal
@@ -20,6 +21,8 @@ WRONG_INPUT, INTERNAL, SIGNALLED = 2, 70, 128
 COLLECTED_AFTER = 100_000
 # Seconds for which a thread that works in Python may keep those waiting that come back from a kernel; 0.005 by default.
 TURN = 0.0005
+# Of glibc's malloc (see mallopt(3)): M_ARENA_MAX, M_TRIM_THRESHOLD and M_MMAP_THRESHOLD, the last at most 32 MB.
+MALLOC = {-8: 2, -1: 1 << 30, -3: 32 << 20}
 
 
 class Stop:
@@ -54,6 +57,7 @@ class Stop:
 def main() -> None:
     """Run the command line; problems become one message and an exit code, never a traceback."""
     _collect_seldom()
+    keep_memory()
     sys.setswitchinterval(TURN)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before it is loaded, or its threads spin
     tolerate_odd_names()
@@ -72,6 +76,13 @@ def _collect_seldom() -> None:
     """Look for cycles of garbage seldom, and not once more when the process ends."""
     gc.set_threshold(COLLECTED_AFTER, *gc.get_threshold()[1:])
     atexit.register(_leave)
+
+
+def keep_memory() -> None:
+    """Have freed memory used again, by any thread: to take a new page costs more than the arithmetic on it."""
+    mallopt: Any = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
+    for parameter, value in MALLOC.items() if mallopt else ():  # musl has none
+        mallopt(parameter, value)
 
 
 def _leave() -> None:
