@@ -50,6 +50,30 @@ def test_a_layer_that_cannot_be_is_refused_before_its_values_are_written(place: 
     assert "does not exist" in refused(place, "o.npz", usd=place / "none" / "o.usda", **values)
 
 
+@pytest.mark.parametrize("words", [("attribute", "o.csv"), ("weights", "o.csv"), ("blend_shapes", "shapes")])
+def test_values_and_the_layer_beside_them_are_written_both_or_neither(
+    place: Path, words: tuple[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A .csv that is left alone, without a mark, would refuse the next run."""
+    pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    carried, output = words
+    np.save(place / "v.npy", np.ones(8))
+    np.savez(place / "s.npz", smile=np.ones((8, 3)))
+    given = (place / "s.npz",) if carried == "blend_shapes" else place / "v.npy"
+    options = {carried: given, "usd": place / "o.usda"}
+    with monkeypatch.context() as full:
+        full.setattr("cagemap.files.usd_write.mark", fail)
+        assert "cannot write there" in refused(place, output, **options)
+    run_transfer(TransferRequest(place / "R", place / output, **options), Stages())
+    assert (place / "o.usda").is_file()
+    assert (place / output).exists()
+    assert not [path for path in place.rglob("*.part*")]
+
+
+def fail() -> str:
+    raise FormatError("o.usda: cannot write there")
+
+
 @pytest.mark.parametrize(
     ("option", "value"),
     [

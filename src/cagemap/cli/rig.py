@@ -13,7 +13,7 @@ from cagemap.cli.progress import Stages
 from cagemap.cli.transfer_request import TransferRequest
 from cagemap.cli.usd_output import write_usd_results
 from cagemap.errors import ParameterError
-from cagemap.files.atomic import check_outputs
+from cagemap.files.atomic import all_or_nothing, check_outputs
 from cagemap.files.attributes import Attributes, read_attributes, write_attributes
 from cagemap.files.file_rows import FileRows, file_rows, given_back, other_rows
 from cagemap.files.maps import write_map
@@ -77,17 +77,18 @@ def carry_weights(request: TransferRequest, result: MatchResult, stages: Stages)
     }
     own = file_rows(request.result, result.manifest, "target", result.target.control)
     columns, notes = keep_base(request, result, columns, own)
-    write_attributes(request.output, in_file(request, columns, own), force=request.force)
-    files = {"file": request.weights, "output": request.output}
-    entry = {"kind": "weights"} | {name: stated_path(path, request.result) for name, path in files.items()}
-    note_transfer(request.result, entry)
     most = int((carried > 0).sum(axis=1).max())
     filled = int(np.count_nonzero(~trusted))
     text = f"wrote {request.output}: {len(carried)} vertices, {carried.shape[1]} joints, at most {most} a vertex"
-    if request.usd is not None:
-        kept = np.column_stack(list(columns.values()))
-        skinning = UsdResults(attributes={JOINT_WEIGHTS: kept}, skeleton=_carried(skeleton, columns, point_map))
-        text += "\n" + write_usd_results(request.usd, request.result, result, skinning, force=request.force)
+    with all_or_nothing():
+        write_attributes(request.output, in_file(request, columns, own), force=request.force)
+        if request.usd is not None:
+            kept = np.column_stack(list(columns.values()))
+            skinning = UsdResults(attributes={JOINT_WEIGHTS: kept}, skeleton=_carried(skeleton, columns, point_map))
+            text += "\n" + write_usd_results(request.usd, request.result, result, skinning, force=request.force)
+    files = {"file": request.weights, "output": request.output}
+    entry = {"kind": "weights"} | {name: stated_path(path, request.result) for name, path in files.items()}
+    note_transfer(request.result, entry)
     if filled:
         text += f"\n  {filled} vertices where the map is not to be trusted take theirs from around them"
     return text, notes
@@ -165,7 +166,12 @@ def carry_blend_shapes(request: TransferRequest, result: MatchResult, stages: St
     carried = {name: follows * carry_shape(carrier, offset) for name, offset in shapes.items()}
     rest = result.target.control if own is None else own.whole
     inputs = [*request.blend_shapes, *read_files(request.result, result.manifest)]
-    files = write_shapes(request.output, given_back(carried, own), rest, inputs, force=request.force)
+    with all_or_nothing():
+        files = write_shapes(request.output, given_back(carried, own), rest, inputs, force=request.force)
+        text = f"wrote {len(carried)} shapes to {request.output} ({len(files)} files)"
+        if request.usd is not None:
+            shaped = UsdResults(attributes={f"{BLEND_SHAPE}{name}": offsets for name, offsets in carried.items()})
+            text += "\n" + write_usd_results(request.usd, request.result, result, shaped, force=request.force)
     note_transfer(
         request.result,
         {
@@ -174,10 +180,6 @@ def carry_blend_shapes(request: TransferRequest, result: MatchResult, stages: St
             "output": stated_path(request.output, request.result),
         },
     )
-    text = f"wrote {len(carried)} shapes to {request.output} ({len(files)} files)"
-    if request.usd is not None:
-        shaped = UsdResults(attributes={f"{BLEND_SHAPE}{name}": offsets for name, offsets in carried.items()})
-        text += "\n" + write_usd_results(request.usd, request.result, result, shaped, force=request.force)
     return text, []
 
 

@@ -23,7 +23,7 @@ from cagemap.cli.rig import carry_blend_shapes, carry_skeleton, carry_weights, w
 from cagemap.cli.transfer_request import TransferRequest
 from cagemap.cli.usd_output import write_usd_results
 from cagemap.errors import ParameterError
-from cagemap.files.atomic import require_no_input, require_replaceable, require_writable_folder
+from cagemap.files.atomic import all_or_nothing, require_no_input, require_replaceable, require_writable_folder
 from cagemap.files.attributes import check_attribute_path, read_attributes, write_attributes
 from cagemap.files.file_rows import file_rows, other_rows
 from cagemap.files.meshes import write_mesh
@@ -171,11 +171,12 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
     own = file_rows(request.result, result.manifest, "target", result.target.control)
     carried, notes = keep_base(request, result, carried, own)
     whole = in_file(request, carried, own)
-    write_attributes(request.output, whole, force=request.force)
     lines = []
-    if request.usd is not None:
-        results = UsdResults(attributes=carried)
-        lines.append(write_usd_results(request.usd, request.result, result, results, force=request.force))
+    with all_or_nothing():
+        write_attributes(request.output, whole, force=request.force)
+        if request.usd is not None:
+            results = UsdResults(attributes=carried)
+            lines.append(write_usd_results(request.usd, request.result, result, results, force=request.force))
     files = {"file": request.attribute, "output": request.output}
     entry = {"kind": "attribute"} | {name: stated_path(path, request.result) for name, path in files.items()}
     note_transfer(request.result, entry)

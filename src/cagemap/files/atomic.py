@@ -13,7 +13,7 @@ import shutil
 import stat
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 
@@ -21,10 +21,12 @@ from cagemap.errors import FormatError
 from cagemap.files.marks import is_own, seal
 
 # A full disk and the like; any other error of a block is its own, perhaps about another file.
-_STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
+_STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ENAMETOOLONG)
 
 Owned = Callable[[Path], bool]
 _written: ContextVar[list[Path] | None] = ContextVar("written", default=None)
+# What puts files into place at the end of `all_or_nothing`, and what removes their temporary ones.
+_together: ContextVar[tuple[list[Callable[[], None]], ExitStack] | None] = ContextVar("together", default=None)
 
 
 @contextmanager
@@ -42,6 +44,20 @@ def _tell(*files: Path) -> None:
     listener = _written.get()
     if listener is not None:
         listener.extend(files)
+
+
+@contextmanager
+def all_or_nothing() -> Iterator[None]:
+    """Put the files that `atomic_path` writes in the block into place at its end; after an error, none of them."""
+    moves: list[Callable[[], None]] = []
+    with ExitStack() as removed:
+        token = _together.set((moves, removed))
+        try:
+            yield
+        finally:
+            _together.reset(token)
+        for move in moves:
+            move()
 
 
 @contextmanager
@@ -67,22 +83,28 @@ def atomic_path(final: str | Path, *, force: bool = False, owned: Owned = is_own
     """
     require_replaceable(final, force=force, owned=owned)
     target = _real(final)
-    temporary = _reserve(target)
-    try:
-        yield temporary
-        seal(temporary)
-        _flush(temporary)
-        require_replaceable(final, force=force, owned=owned)  # what appeared meanwhile is as precious
-        if target.exists():
-            shutil.copymode(target, temporary)
-        os.replace(temporary, target)
-        _tell(Path(final))
-    except OSError as error:
-        if error.errno in _STORAGE:
-            raise _unwritable(target, error) from error
-        raise
-    finally:
-        temporary.unlink(missing_ok=True)
+    together = _together.get()
+    with ExitStack() as removed:
+        temporary = _reserve(target)
+        removed.callback(temporary.unlink, missing_ok=True)
+        with _storage_told(target):
+            yield temporary
+            seal(temporary)
+            _flush(temporary)
+
+        def move() -> None:
+            require_replaceable(final, force=force, owned=owned)  # what appeared meanwhile is as precious
+            with _storage_told(target):
+                if target.exists():
+                    shutil.copymode(target, temporary)
+                os.replace(temporary, target)
+            _tell(Path(final))
+
+        if together is None:
+            move()
+        else:
+            together[0].append(move)
+            together[1].push(removed.pop_all())
 
 
 @contextmanager
@@ -109,29 +131,23 @@ def atomic_folder(
     """
     require_own_folder(final, names, force=force, owned=owned)
     target = _real(final)
-    try:
+    with _storage_told(target):
         temporary = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent))
-    except OSError as error:
-        raise _unwritable(target, error) from error
-    try:
-        temporary.chmod(0o777 & ~_umask())
-        yield temporary
-        for name in names:
-            seal(temporary / name)
-            _flush(temporary / name)
-        require_own_folder(final, names, force=force, owned=owned)
-        if target.is_dir():
+        try:
+            temporary.chmod(0o777 & ~_umask())
+            yield temporary
             for name in names:
-                os.replace(temporary / name, _real(target / name))
-        else:
-            os.replace(temporary, target)
-        _tell(*(Path(final) / name for name in names))
-    except OSError as error:
-        if error.errno in _STORAGE:
-            raise _unwritable(target, error) from error
-        raise
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+                seal(temporary / name)
+                _flush(temporary / name)
+            require_own_folder(final, names, force=force, owned=owned)
+            if target.is_dir():
+                for name in names:
+                    os.replace(temporary / name, _real(target / name))
+            else:
+                os.replace(temporary, target)
+            _tell(*(Path(final) / name for name in names))
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
 
 
 def require_replaceable(path: str | Path, *, force: bool = False, owned: Owned = is_own) -> None:
@@ -248,10 +264,8 @@ def _real(path: str | Path) -> Path:
 
 def _reserve(target: Path) -> Path:
     """Create an empty file of a name that nobody else has, with the permissions that a plain open would give."""
-    try:
+    with _storage_told(target):
         handle, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=f".part{target.suffix}", dir=target.parent)
-    except OSError as error:
-        raise _unwritable(target, error) from error
     os.close(handle)
     temporary = Path(name)
     temporary.chmod(0o666 & ~_umask())
@@ -281,8 +295,15 @@ def _flush(path: Path) -> None:
         os.fsync(stream.fileno())
 
 
-def _unwritable(target: Path, error: OSError) -> FormatError:
-    reason = error.strerror or type(error).__name__
-    return FormatError(
-        f"{target}: cannot write there ({reason}). Give an output folder with room that you may write to."
-    )
+@contextmanager
+def _storage_told(target: Path) -> Iterator[None]:
+    """Say of a full disk and the like what was to be written."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in _STORAGE:
+            raise
+        reason = error.strerror or type(error).__name__
+        raise FormatError(
+            f"{target}: cannot write there ({reason}). Give an output folder with room that you may write to."
+        ) from error
