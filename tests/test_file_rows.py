@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -142,6 +143,22 @@ def test_values_of_neither_are_refused_with_what_to_do(folder: Path, tmp_path: P
         with pytest.raises(ParameterError, match=f"matched in part, for each of the file's {count}"):
             run_transfer(request, Stages())
     assert not (tmp_path / "o.npz").exists()
+
+
+def test_values_of_a_part_whose_file_has_changed_say_whose_numbers_they_have(
+    folder: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    place = shutil.copytree(folder, tmp_path / "moved")
+    with (place / "hero.obj").open("a") as file:
+        file.write("v 0 0 0\n")
+    np.save(place / "own.npy", np.ones(creature().n_vertices))
+    run_transfer(TransferRequest(place / "R", place / "o.npz", attribute=place / "own.npy"), Stages())
+    assert len(read_attributes(place / "o.npz")["own"]) == creature().n_vertices
+    for side in ("target", "source"):
+        assert (
+            f"hero.obj: was matched in part, and is not where the match read it, or has changed: values of the {side}"
+            in (caplog.text)
+        )
 
 
 def test_a_wrapped_part_stays_in_its_file(folder: Path) -> None:

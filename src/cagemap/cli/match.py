@@ -129,6 +129,7 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     files.update(mask_inputs(request.target_mask, request.source_mask))
     check_result_folder(request.output, force=request.force)
     require_no_input([request.output / name for name in (ARRAYS, MANIFEST)], files.values())
+    stated = stated_inputs(files, request.output)
     inputs = read_inputs(request)
     levels = side_levels(request, (inputs.target, inputs.source))
     sides = {
@@ -149,7 +150,7 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
         **dict(zip(("target_part", "source_part"), parts, strict=True)),
         **said("target_uv_set", "source_uv_set", "target_mask", "source_mask", "mask_edge"),
     }
-    entries = {"parameters": parameters, "inputs": stated_inputs(files, request.output)}
+    entries = {"parameters": parameters, "inputs": stated}
     result = match_inputs(inputs, MatchSettings(bases, levels, config, request.cache, entries), stages)
     stages("write")
     write_result(request.output, result, force=request.force)

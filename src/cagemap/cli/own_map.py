@@ -33,6 +33,7 @@ def run_map(request: MapRequest, stages: Stages) -> tuple[str, list[str]]:
     check_result_folder(request.output, force=request.force)
     require_no_input([request.output / name for name in (ARRAYS, MANIFEST)], files.values())
     stages("read")
+    stated = stated_inputs(files, request.output)
     target, source = (_surface(path, request.level) for path in (request.target, request.source))
     level = None if request.level is not None else source_level(request.map, source.refinement)
     if level is not None and level != source.refinement.n_levels:
@@ -48,7 +49,7 @@ def run_map(request: MapRequest, stages: Stages) -> tuple[str, list[str]]:
     quality = measure_quality(point_map, masks=masks)
     asked = {"target_mask": request.target_mask, "source_mask": request.source_mask, "mask_edge": request.mask_edge}
     parameters = {"method": "map of the user's", "level": request.level, **asked}
-    provenance = {"parameters": parameters, "inputs": stated_inputs(files, request.output)}
+    provenance = {"parameters": parameters, "inputs": stated}
     result = MatchResult(target, source, Landmarks.none(), point_map, quality, masks=masks, provenance=provenance)
     stages("write")
     write_result(request.output, result, force=request.force)

@@ -258,7 +258,7 @@ def _write(
         return []
     return [
         f"{name}: the file is no longer where the match read it, or has changed; what cagemap "
-        "does not keep of it (such as group names) is not in the new mesh"
+        "does not keep of it (such as group names, and parts that were not matched) is not in the new mesh"
     ]
 
 

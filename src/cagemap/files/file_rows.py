@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +18,8 @@ from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 Attributes = dict[str, NDArray[Any]]
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +86,7 @@ class FileRows:
 
 
 def file_rows(folder: str | Path, manifest: dict[str, Any], side: str, control: ControlMesh) -> FileRows | None:
-    """The rows of a side's file; None if a result is about the whole of it, or the file is not there any more.
+    """The rows of a side's file; None if a result is about the whole of it, or, with a warning, the file is gone.
 
     In a USD file with several meshes, those of the one that the part lies in.
 
@@ -92,7 +95,16 @@ def file_rows(folder: str | Path, manifest: dict[str, Any], side: str, control: 
     FormatError
         If the file cannot be read.
     """
-    return None if control.file_vertices is None else rows_of(input_file(folder, manifest, side), control)
+    if control.file_vertices is None:
+        return None
+    file = input_file(folder, manifest, side)
+    if file is None:
+        _log.warning(
+            "%s: was matched in part, and is not where the match read it, or has changed: values of the %s are "
+            "numbered as that part (%d vertices, %d faces), not as the file. Put it back to have them as the file.",
+            *(control.name, side, control.n_vertices, control.n_faces),
+        )
+    return rows_of(file, control)
 
 
 def rows_of(path: Path | None, control: ControlMesh) -> FileRows | None:

@@ -46,10 +46,15 @@ def stated_path(path: str | Path, folder: str | Path) -> str:
 
 
 def stated_inputs(files: Mapping[str, Path], folder: Path) -> dict[str, dict[str, str]]:
-    """How a manifest names what a result was made from: a file's name, its place, and the hash of its content."""
+    """How a manifest names what a result is made from: a file's name, its place, and the hash of its content.
+
+    To be asked before the files are read: one that is replaced meanwhile is then told from what was read. Files that
+    are none are for their readers to refuse.
+    """
     return {
         name: {"file": path.name, "path": stated_path(path, folder), "sha256": file_hash(path)}
         for name, path in files.items()
+        if path.is_file()
     }
 
 
