@@ -19,7 +19,7 @@ from cagemap.files.meshes import write_mesh
 from cagemap.mesh import cube
 
 
-class Stopped(Exception):
+class StoppedError(Exception):
     """Ends a command where a test has seen enough."""
 
 
@@ -54,12 +54,12 @@ def test_a_mesh_that_is_saved_anew_while_it_is_read_is_not_taken_for_the_one_tha
 
     def stop(_: object, settings: match.MatchSettings, __: object) -> None:
         stated.update(settings.entries["inputs"])
-        raise Stopped
+        raise StoppedError
 
     stated: dict[str, Any] = {}
     before = shutil.copy(b, place / "before.obj")
     monkeypatch.setattr(match, "read_inputs", replacing(match.read_inputs, b))
     monkeypatch.setattr(match, "match_inputs", stop)
-    with pytest.raises(Stopped):
+    with pytest.raises(StoppedError):
         match.run_match(MatchRequest(a, b, None, place / "M", level=1), Stages())
     assert stated["source"]["sha256"] == match.stated_inputs({"source": Path(before)}, place)["source"]["sha256"]
