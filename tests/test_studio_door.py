@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import http.client
 import queue
+import socket
 import threading
 
 import pytest
@@ -33,6 +34,11 @@ def test_the_door_refuses_pages_of_other_sites() -> None:
     assert not admits(request(Origin="http://127.0.0.1:9999"), None)
     # A name of someone else's that resolves to this machine.
     assert not admits(Request("/", Headers({"Host": "rebound.example:8765"})), None)
+    # An image in another site's page names no origin; a link there may lead here.
+    for site in ("cross-site", "same-site"):
+        assert not admits(request("/files/all.zip", Sec_Fetch_Site=site, Sec_Fetch_Mode="no-cors"), None)
+        assert admits(request(Sec_Fetch_Site=site, Sec_Fetch_Mode="navigate"), None)
+    assert admits(request(Sec_Fetch_Site="same-origin", Sec_Fetch_Mode="cors"), None)
 
 
 def test_the_door_asks_for_the_token() -> None:
@@ -47,6 +53,22 @@ def answer(port: int, path: str, **headers: str) -> http.client.HTTPResponse:
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
     connection.request("GET", path, headers={name.replace("_", "-"): value for name, value in headers.items()})
     return connection.getresponse()
+
+
+def test_broken_requests_are_refused_without_a_traceback(caplog: pytest.LogCaptureFixture) -> None:
+    door = Door({}, "127.0.0.1", 0, None, "secret", {}.get)
+    try:
+        assert answer(door.port, "//[").status == 403
+        for broken in (b"POST / HTTP/1.1\r\n\r\n", b"\0" * 99 + b"\r\n", b"GET / HT", b"G" * 20_000):
+            with socket.create_connection(("127.0.0.1", door.port), timeout=10) as stranger:
+                stranger.sendall(broken)
+                stranger.shutdown(socket.SHUT_WR)
+                with contextlib.suppress(ConnectionError):
+                    assert b"200" not in stranger.recv(100)
+        assert answer(door.port, "/").status == 200
+    finally:
+        door.close()
+    assert "handshake failed" not in caplog.text
 
 
 def test_the_door_gives_out_only_what_is_offered() -> None:

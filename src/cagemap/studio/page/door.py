@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import hmac
 import http
+import logging
 import secrets
 import socket
 import threading
@@ -41,6 +42,9 @@ _SANDBOX = "sandbox allow-scripts; default-src 'unsafe-inline' data: blob:"
 FILES = "/files/"
 # Seconds that open pages are given to close.
 _FAREWELL = 3.0
+# Strangers' broken requests are refused; what is wrong with each, nobody in front of the terminal asks.
+_log = logging.getLogger(__name__)
+_log.setLevel(logging.CRITICAL)
 # Ports tried after the first one that is taken.
 _PORTS = 20
 
@@ -55,6 +59,9 @@ def admits(request: Request, token: str | None) -> bool:
     origin, host = request.headers.get("Origin"), request.headers.get("Host", "")
     if origin is not None and urlsplit(origin).netloc != host:
         return False
+    asks = request.headers.get("Sec-Fetch-Site", "none"), request.headers.get("Sec-Fetch-Mode")
+    if asks[0] not in ("none", "same-origin") and asks[1] != "navigate":
+        return False  # an image or a script in a page of someone else, which names no origin
     if token is None:
         # A name that merely resolves to this machine is a page of someone else.
         return (urlsplit(f"//{host}").hostname or "") in LOOPBACK
@@ -131,6 +138,7 @@ class Door:
                     select_subprotocol=lambda _, offered: offered[0] if offered else None,
                     compression=None,
                     max_size=None,
+                    logger=_log,
                 )
             except OSError as error:
                 self._error = error
@@ -147,12 +155,12 @@ class Door:
     async def _answer(self, _: websockets.asyncio.server.ServerConnection, request: Request) -> Response | None:
         """Serve a page; None lets a web socket through."""
         try:
+            path = urlsplit(request.path).path
             admitted = admits(request, self._token)
         except (ValueError, LookupError):  # two hosts, an address that is none
             admitted = False
         if not admitted:
             return refusal()
-        path = urlsplit(request.path).path
         if request.headers.get("Upgrade", "").lower() == "websocket":
             known = path.strip("/") in self._ports
             return None if known else _response(http.HTTPStatus.NOT_FOUND, b"not found")
