@@ -13,9 +13,10 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.landmarks import write_landmarks
 from cagemap.files.point_forms import POINT_FORMS
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.studio.autosave import autosave_path, read_autosave
+from cagemap.studio.autosave import autosave_path, read_autosave, write_autosave
 from cagemap.studio.finish import FinishOptions
 from cagemap.studio.landmark_files import points_file
+from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.options import Value
 from cagemap.studio.session import Session
 from studio_boxes import click, click_between, session_of, until
@@ -56,6 +57,31 @@ def test_a_landmark_file_of_other_models_is_kept(opened: Session) -> None:
         assert kept.read_text() == theirs
         assert landmarks.read_text() == ours
         assert not landmarks.with_name(f"{kept.name}-2").exists()
+
+
+def test_what_another_studio_saves_or_keeps_meanwhile_is_not_lost(opened: Session) -> None:
+    """Both have the same models and landmark file open; each file is one of ours."""
+    landmarks = opened.state.files.landmarks
+    usual = autosave_path(landmarks)
+    for vertex in (0, 3):
+        click(opened, "target", vertex)
+        opened.accept()
+    opened.save()
+    write_landmarks(landmarks, Landmarks(("theirs",), np.array([1]), np.array([1]), "b.obj", "a.obj"))
+    write_autosave(usual, LandmarkList(opened.state.history.present.items[:1]))
+    saved, kept = landmarks.read_text(), usual.read_text()
+    for vertex in (5, 6):
+        click(opened, "target", vertex)
+    own = usual.with_name(f"{usual.name}.1")
+    assert usual.read_text() == kept
+    assert len(read_autosave(own, (8, 8)).items) == len(opened.state.history.present.items)
+    assert not usual.with_name(f"{usual.name}.2").exists()
+    assert [own.name in message.text for message in opened.state.messages].count(True) == 1
+    opened.save()
+    assert landmarks.with_name(f"{landmarks.name}.before-studio").read_text() == saved
+    assert "changed by others" in "".join(message.text for message in opened.state.messages)
+    assert usual.read_text() == kept
+    assert not own.exists()
 
 
 def test_a_landmark_file_that_cannot_be_read_costs_no_map(opened: Session) -> None:

@@ -25,6 +25,7 @@ from cagemap.files.meshes import write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.parts import extract
 from cagemap.refinement import refine
+from cagemap.studio.autosave import Owned
 from cagemap.studio.bench import (
     Bench,
     ChooseAnswer,
@@ -181,10 +182,10 @@ def test_a_mesh_as_it_is_keeps_the_numbers_of_its_file(tmp_path: Path) -> None:
     files = default_files(tmp_path, opening.target, opening.source, None, opening.schemes)
     scene = opened.scene
     picked = landmarks(bench, 3, 40, 90)
-    save_landmarks(files.landmarks, picked, scene, files)
+    save_landmarks(files.landmarks, picked, scene, files, Owned())
     stored = json.loads(files.landmarks.read_text())["pairs"]
     assert [pair["target"] for pair in stored] == [7, 44, 94]
-    again, _ = load_landmarks(files.landmarks, None, scene, files)
+    again, _ = load_landmarks(files.landmarks, None, scene, files, Owned())
     assert [item.target for item in again.items] == [item.target for item in picked.items]
     # The finish says so too, and the map of a mesh onto itself takes vertices to themselves.
     assert "--target-scheme none" in str(commands(all_options(), files, FinishOptions(), landmarks=True)[0])

@@ -22,7 +22,7 @@ from cagemap.mesh.join import join_meshes
 from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.mesh.parts import extract, in_one_piece, list_parts, numbers_on_part
 from cagemap.refinement import refine
-from cagemap.studio.autosave import autosave_path, kept_parts, read_autosave, write_autosave
+from cagemap.studio.autosave import Owned, autosave_path, kept_parts, read_autosave, write_autosave
 from cagemap.studio.bench import Bench, Opening, OpenModels, perform
 from cagemap.studio.finish import FinishOptions, commands
 from cagemap.studio.landmark_files import in_files, load_landmarks, on_parts, recovered_landmarks, save_landmarks
@@ -132,15 +132,19 @@ def list_of(scene: Scene, *vertices: int) -> LandmarkList:
 def test_landmarks_of_one_part_leave_those_of_the_others_in_the_file(folder: Path) -> None:
     files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
     eyes, body = opened(folder, "eye"), opened(folder, "body")
-    save_landmarks(files.landmarks, list_of(eyes, 2, 5), eyes, files)
-    found, notes = load_landmarks(files.landmarks, None, body, files)
+    owned = Owned()
+    save_landmarks(files.landmarks, list_of(eyes, 2, 5), eyes, files, owned)
+    found, notes = load_landmarks(files.landmarks, None, body, files, owned)
     assert found.items == ()
     assert any("other parts" in note for note in notes)
     both = replace(list_of(body, 10, 20), elsewhere=found.elsewhere)
-    save_landmarks(files.landmarks, both, body, files)
+    save_landmarks(files.landmarks, both, body, files, owned)
     written, _ = read_landmarks(files.landmarks, "a.obj", "b.obj")
     assert sorted(written.target.tolist()) == [2, 5, 18, 28]
-    assert [item.name for item in load_landmarks(files.landmarks, None, eyes, files)[0].items] == ["mark 2", "mark 5"]
+    assert [item.name for item in load_landmarks(files.landmarks, None, eyes, files, owned)[0].items] == [
+        "mark 2",
+        "mark 5",
+    ]
     assert not list(folder.glob("*before-studio*"))
 
 
@@ -159,17 +163,17 @@ def test_what_was_not_saved_opens_its_part_and_waits_on_the_others(folder: Path)
     half = replace(half, items=(*half.items, Landmark(9, "half", vertex_place(eyes.target, 1))))
     write_autosave(kept, in_files(half, eyes), ("object:eye", "object:eye"))
     assert kept_parts(kept) == ("object:eye", "object:eye")
-    assert recovered_landmarks(files, eyes)[0] == half
-    elsewhere, notes = recovered_landmarks(files, body)
+    assert recovered_landmarks(files, eyes, Owned())[0] == half
+    elsewhere, notes = recovered_landmarks(files, body, Owned())
     assert elsewhere.items == ()
     assert any("half" in note for note in notes)
     # Kept on with what is done on the body, and there when the eye is opened again.
     more = replace(list_of(body, 30), elsewhere=elsewhere.elsewhere)
     write_autosave(kept, in_files(more, body), ("object:body", "object:body"))
-    again, _ = recovered_landmarks(files, eyes)
+    again, _ = recovered_landmarks(files, eyes, Owned())
     assert [(item.name, item.target.corners) for item in again.items] == [("mark 3", half.items[0].target.corners)]
     np.testing.assert_allclose(again.items[0].target.position, half.items[0].target.position, atol=1e-9)
-    assert [item.name for item in recovered_landmarks(files, body)[0].items] == ["mark 30"]
+    assert [item.name for item in recovered_landmarks(files, body, Owned())[0].items] == ["mark 30"]
     kept.write_text("{")
     assert kept_parts(kept) == (None, None)
 
@@ -284,7 +288,7 @@ def test_loaded_landmarks_leave_those_of_other_parts(folder: Path) -> None:
     assert loaded.elsewhere.names == ("mark 10 (2)", "hat")
     np.testing.assert_array_equal(loaded.elsewhere.target, [2, 5])
     files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
-    save_landmarks(files.landmarks, loaded, scene, files)
+    save_landmarks(files.landmarks, loaded, scene, files, Owned())
     assert len(read_landmarks(files.landmarks, "a.obj", "b.obj")[0]) == 3
     # A file that has some there replaces them.
     said = replace(list_of(scene, 10), elsewhere=away.without([0]))

@@ -21,8 +21,8 @@ from cagemap.errors import FormatError
 from cagemap.files.marks import is_own, seal
 
 # A full disk and the like; any other error of a block is its own, perhaps about another file.
-_STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
-_STORAGE += (errno.ENAMETOOLONG,)
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_STORAGE = (*_FULL, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ENAMETOOLONG)
 
 Owned = Callable[[Path], bool]
 _written: ContextVar[list[Path] | None] = ContextVar("written", default=None)

@@ -13,6 +13,7 @@ from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.curves import pair_entries
 from cagemap.files.landmarks import entered, entries
+from cagemap.files.manifest import file_hash
 from cagemap.files.marks import mark
 from cagemap.files.text import read_text, whole_characters
 from cagemap.mesh.curves import Curves
@@ -30,6 +31,42 @@ Parts = tuple[str | None, str | None]
 def autosave_path(landmarks: Path) -> Path:
     """Where unsaved landmarks are kept."""
     return landmarks.with_name(f".{landmarks.name}.autosave")
+
+
+class Owned:
+    """Files as this session has read or written them last, so that what others write there is not lost."""
+
+    def __init__(self) -> None:
+        self._known: dict[Path, str] = {}
+        self._autosaves: dict[Path, Path] = {}
+
+    def know(self, path: Path) -> None:
+        """Take a file for the session's own as it is now, before it is read or after it is written."""
+        if path.is_file():
+            self._known[path] = file_hash(path)
+
+    def is_other(self, path: Path) -> bool:
+        """Whether a file holds something that the session has neither read nor written."""
+        return path.is_file() and file_hash(path) != self._known.get(path)
+
+    def keep(self, landmarks: Path, present: LandmarkList, parts: Parts) -> tuple[str, ...]:
+        """Write what is not saved of a landmark file; to another name, said once, where a second studio writes too."""
+        usual = autosave_path(landmarks)
+        path = self._autosaves.get(usual, usual)
+        said: tuple[str, ...] = ()
+        if self.is_other(path):
+            path = self._autosaves[usual] = _free(usual)
+            said = (f"another studio has {landmarks.name} open; what is not saved here is kept as {path.name}",)
+        write_autosave(path, present, parts)
+        self.know(path)
+        return said
+
+    def saved(self, landmarks: Path) -> None:
+        """Remove what the session has kept, and nobody else's."""
+        usual = autosave_path(landmarks)
+        path = self._autosaves.pop(usual, usual)
+        if not self.is_other(path):
+            path.unlink(missing_ok=True)
 
 
 def write_autosave(path: Path, landmarks: LandmarkList, parts: Parts = (None, None)) -> None:
@@ -120,8 +157,12 @@ def read_autosave(path: Path, vertices: tuple[int, int]) -> LandmarkList:
 
 def set_aside(path: Path) -> Path:
     """Move an autosave out of the way of the next one; returns where it is."""
-    aside = next(name for k in itertools.count(1) if not (name := path.with_name(f"{path.name}.{k}")).exists())
-    return path.rename(aside)
+    return path.rename(_free(path))
+
+
+def _free(path: Path) -> Path:
+    """The name of a file beside it that is not there."""
+    return next(name for k in itertools.count(1) if not (name := path.with_name(f"{path.name}.{k}")).exists())
 
 
 def _entry(place: Place | None) -> dict[str, Any] | None:

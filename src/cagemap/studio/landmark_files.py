@@ -19,7 +19,7 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.cage_points import NamedCurve
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.landmarks import CagePoints, Landmarks, NamedPoints, Renumbering, check_landmarks, paired
-from cagemap.studio.autosave import autosave_path, read_autosave
+from cagemap.studio.autosave import Owned, autosave_path, read_autosave
 from cagemap.studio.landmarks import SIDES, Landmark, LandmarkList, Side
 from cagemap.studio.places import cage_points, places_of
 from cagemap.studio.scene import Scene
@@ -27,7 +27,7 @@ from cagemap.studio.state import Files
 
 
 def load_landmarks(
-    path: Path, source_points: Path | None, scene: Scene, files: Files
+    path: Path, source_points: Path | None, scene: Scene, files: Files, owned: Owned
 ) -> tuple[LandmarkList, list[str]]:
     """Read landmarks for the open models: a file of pairs, or one of points for each.
 
@@ -44,6 +44,7 @@ def load_landmarks(
         If a file is damaged, made for the other direction, or for other meshes.
     """
     target, source = scene.target.file_mesh, scene.source.file_mesh
+    owned.know(path)
     if source_points is None:
         read, notes = read_landmarks(path, files.target, files.source)
     else:
@@ -58,16 +59,17 @@ def load_landmarks(
     return LandmarkList(_items(here, scene, 1), here.curves if len(here.curves) else None, elsewhere), list(notes)
 
 
-def opened_landmarks(files: Files, scene: Scene) -> tuple[LandmarkList, list[str]] | None:
+def opened_landmarks(files: Files, scene: Scene, owned: Owned) -> tuple[LandmarkList, list[str]] | None:
     """Landmarks of the pair's file, and notes; None where there is no such file."""
-    return load_landmarks(files.landmarks, None, scene, files) if files.landmarks.is_file() else None
+    return load_landmarks(files.landmarks, None, scene, files, owned) if files.landmarks.is_file() else None
 
 
-def recovered_landmarks(files: Files, scene: Scene) -> tuple[LandmarkList, list[str]] | None:
+def recovered_landmarks(files: Files, scene: Scene, owned: Owned) -> tuple[LandmarkList, list[str]] | None:
     """Landmarks that were not saved, and notes; None where there are none."""
     kept = autosave_path(files.landmarks)
     if not kept.is_file():
         return None
+    owned.know(kept)
     meshes = scene.target.file_mesh, scene.source.file_mesh
     landmarks, notes = on_parts(read_autosave(kept, (meshes[0].n_vertices, meshes[1].n_vertices)), scene)
     return landmarks, [*notes, f"recovered unsaved landmarks of {files.landmarks.name}"]
@@ -140,13 +142,14 @@ def _renumbered(item: Landmark, numbers: dict[Side, Renumbering]) -> Landmark:
 
 
 def save_landmarks(
-    path: Path, landmarks: LandmarkList, scene: Scene, files: Files
+    path: Path, landmarks: LandmarkList, scene: Scene, files: Files, owned: Owned
 ) -> tuple[tuple[Path, ...], tuple[str, ...]]:
-    """Write complete landmarks; returns what was written, and what it could not hold.
+    """Write complete landmarks; returns what was written, and what it could not hold or what is kept of before.
 
     One file of pairs; a name with the ending of one of `cagemap.files.point_forms` asks for one file a mesh,
     NAME.target.pp and NAME.source.pp. The landmark file that is open may be one that a person made or edited, and one
-    of ours may hold the landmarks of other models: it is copied aside before it is replaced.
+    of ours may hold the landmarks of other models, or what another studio has saved since: it is copied aside before
+    it is replaced.
 
     Raises
     ------
@@ -172,10 +175,15 @@ def save_landmarks(
             write_points(file, named if form.curves else replace(named, curves=()), control)
         return tuple(file for file, _, _ in made), form.lost(made[0][1])
     is_open = path == files.landmarks
-    if path.is_file() and (is_open or is_own(path)) and not _is_of_this_pair(path, scene, files):
-        shutil.copy2(path, next(name for name in _aside(path) if not name.exists()))
+    is_other = (is_open and owned.is_other(path)) or not _is_of_this_pair(path, scene, files)
+    said: tuple[str, ...] = ()
+    if path.is_file() and (is_open or is_own(path)) and is_other:
+        kept = next(name for name in _aside(path) if not name.exists())
+        shutil.copy2(path, kept)
+        said = (f"{path.name} was changed by others or is of other models; what it held is kept as {kept.name}",)
     write_landmarks(path, complete, force=is_open)
-    return (path,), ()
+    owned.know(path)
+    return (path,), said
 
 
 def points_file(path: Path, side: Side) -> Path:

@@ -12,7 +12,7 @@ from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
 from cagemap.studio.agreement import led_elsewhere
-from cagemap.studio.autosave import Parts, autosave_path, kept_parts, set_aside, write_autosave
+from cagemap.studio.autosave import Owned, Parts, autosave_path, kept_parts, set_aside
 from cagemap.studio.bench import ChooseAnswer, Dressed, FindMap, Found, Opened, OpenModels, Task
 from cagemap.studio.finish import Command, FinishOptions, planned
 from cagemap.studio.finish_layout import on_the_page
@@ -60,7 +60,7 @@ class Session(Held):
         self._adding = threading.Lock()
         self._asked_parts: Parts = (None, None)
         self._finishing: object = None
-        self._last = LastMap()
+        self._last, self._owned = LastMap(), Owned()
         self._runner = Runner(lambda job: self._change(finish_job=job), self._written, self._told, self._ended)
         self._preview = Preview(vertices, self._wanted, lambda job: self._change(preview_job=job), self._receive)
 
@@ -103,7 +103,7 @@ class Session(Held):
             files, scene = self._open()
             file = self.workspace.require(path)
             second = None if source_points is None else self.workspace.require(source_points)
-            landmarks, notes = load_landmarks(file, second, scene, files)
+            landmarks, notes = load_landmarks(file, second, scene, files, self._owned)
             self._edit(lambda present: edit.keep_elsewhere(landmarks, present))
             self._notes(notes)
 
@@ -281,14 +281,14 @@ class Session(Held):
     def _save(self, path: Path | None = None) -> None:
         files, scene = self._open()
         target = files.landmarks if path is None else self.workspace.require(path)
-        written, lost = save_landmarks(target, self._state.history.present, scene, files)
-        self._notes(lost)
+        written, said = save_landmarks(target, self._state.history.present, scene, files, self._owned)
+        self._notes(said)
         self._say("note", f"saved {', '.join(map(self.workspace.show, written))}")
         if written == (target,):  # a file a mesh is for other programs; the file of pairs stays the open one
             if target != files.landmarks and autosave_path(target).is_file():
                 set_aside(autosave_path(target))  # of another time
             self._change(files=replace(files, landmarks=target), saved=True)
-            autosave_path(files.landmarks).unlink(missing_ok=True)
+            self._owned.saved(files.landmarks)
 
     def _written(self, output: Output) -> None:
         with self._lock:
@@ -368,7 +368,7 @@ class Session(Held):
         files, scene = self._open()
         for read, saved in ((recovered_landmarks, False), (opened_landmarks, True)):
             with self._guarded():
-                found = read(files, scene)
+                found = read(files, scene, self._owned)
                 if found is not None:
                     landmarks, notes = found
                     self._change(history=History(landmarks), saved=saved)
@@ -394,7 +394,7 @@ class Session(Held):
         files, scene = self._state.files, self._scene
         if files is not None and scene is not None:
             with self._guarded():
-                write_autosave(autosave_path(files.landmarks), in_files(history.present, scene), files.parts)
+                self._notes(self._owned.keep(files.landmarks, in_files(history.present, scene), files.parts))
         if history.present.goes_by != before.goes_by:
             self._find(fresh=False)
 
