@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from examples.shapes import cube
 
 from cagemap.cli import match, own_map
 from cagemap.cli.map_request import MapRequest
@@ -16,7 +17,6 @@ from cagemap.cli.match_request import MatchRequest
 from cagemap.cli.progress import Stages
 from cagemap.files.manifest import input_file, read_manifest
 from cagemap.files.meshes import write_mesh
-from cagemap.mesh import cube
 
 
 class StoppedError(Exception):
