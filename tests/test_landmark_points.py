@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cagemap import MatchConfig, match, prepare_surface, update_match
-from cagemap.errors import FormatError, InvalidLandmarksError
+from cagemap.errors import DirectionError, FormatError, InvalidLandmarksError
 from cagemap.files.landmark_points import read_points
 from cagemap.files.point_forms import POINT_FORMS, PointForm, write_points
 from cagemap.maps.elastic.config import StartConfig
@@ -183,6 +183,19 @@ def test_points_of_two_meshes_are_matched_by_name() -> None:
         InvalidLandmarksError, match="names that both sides have, got a, only here, b on the target and A"
     ):
         paired(target, replace(source, names=("A", "B", "C")), cube(), creature())
+
+
+def test_points_that_say_they_are_the_other_meshs_are_refused() -> None:
+    """Where both meshes have as many vertices, nothing else tells."""
+    target, source = replace(cube(), name="deer.obj"), replace(cube(), name="folder/pony.ply")
+    both = NamedPoints(("a", "b"), np.array([0, 3]), np.full((2, 3), np.nan))
+    of_target, of_source = replace(both, mesh_name="Deer"), replace(both, mesh_name="pony.obj")
+    assert len(paired(of_target, of_source, target, source)[0]) == 2
+    assert len(paired(both, replace(both, mesh_name="base"), target, source)[0]) == 2
+    assert len(paired(of_target, of_target, target, replace(target))[0]) == 2
+    for exchanged in ((of_source, of_target), (both, of_target), (of_source, both)):
+        with pytest.raises(DirectionError, match="the other mesh"):
+            paired(*exchanged, target, source)
 
 
 def test_points_far_away_and_wrong_vertices_are_refused() -> None:

@@ -49,7 +49,8 @@ def keep_base(
         if below is None or below.shape != values.shape:
             found = "none" if below is None else f"shape {below.shape}"
             raise ParameterError(
-                f"--base {base}: expected {name} of shape {values.shape}, as what is carried, got {found}"
+                f"--base {base}: expected {name} of shape {values.shape}, as what is carried, got {found}. Give "
+                "the target's own values."
             )
         share = _rows(result, weight, len(values)).reshape(-1, *([1] * (values.ndim - 1)))
         if values.dtype.kind == "i" or below.dtype.kind == "i":

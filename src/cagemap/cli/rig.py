@@ -69,7 +69,10 @@ def carry_weights(request: TransferRequest, result: MatchResult, stages: Stages)
     net = mesh_graph(TriangleSurface(scale * control.positions, split, scale), split)
     n = control.n_vertices
     trusted = (result.trust[:n] >= _TRUSTED) & (counterpart(point_map)[:n] >= 0.5)
-    carried = carry_skin(weights, skin, net, trusted, influences=request.influences or None)
+    try:
+        carried = carry_skin(weights, skin, net, trusted, influences=request.influences or None)
+    except ParameterError as error:
+        raise ParameterError(f"{request.weights}: {error}") from None
     ends = np.cumsum([1 if array.ndim == 1 else array.shape[1] for array in given.values()])[:-1]
     parts = np.split(carried, ends, axis=1)
     columns = {

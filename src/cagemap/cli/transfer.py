@@ -166,7 +166,8 @@ def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stag
                 f"{request.attribute}: {name} has {len(array)} rows; expected one for each of the source's "
                 f"{source.n_vertices} control vertices, {source.n_faces} control faces, {len(source.face_indices)} "
                 f"face corners, or {len(result.source.vertices)} vertices of level {result.source.finest}"
-                f"{other_rows(source, rows)}."
+                f"{other_rows(source, rows)}. Give the source's values: {request.result} carries from {source.name} to "
+                f"{target.name}."
             )
     own = file_rows(request.result, result.manifest, "target", result.target.control)
     carried, notes = keep_base(request, result, carried, own)

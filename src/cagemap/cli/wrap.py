@@ -217,7 +217,13 @@ def _follow(path: Path, result: MatchResult, folder: Path) -> FloatArray:
     values = read_attributes(path, control, file_rows(folder, result.manifest, "target", control))
     if len(values) != 1:
         raise ParameterError(f"{path}: expected one column of weights from 0 to 1, got {', '.join(values)}")
-    return np.asarray(next(iter(values.values())), dtype=np.float64)
+    follow = np.asarray(next(iter(values.values())), dtype=np.float64)
+    if len(follow) not in (control.n_vertices, len(result.target.vertices)):
+        raise ParameterError(
+            f"{path}: expected a weight for each of the {control.n_vertices} control vertices of {control.name}, the "
+            f"target, got {len(follow)}. Give the target's."
+        )
+    return follow
 
 
 def _symmetry(control: ControlMesh, level: int) -> IndexArray:

@@ -140,7 +140,8 @@ def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
     if len(outside):
         listed = first_few(f"{points.names[i]} ({points.vertices[i]})" for i in outside)
         raise InvalidLandmarksError(
-            f"expected vertices from 0 to {mesh.n_vertices - 1}, those of {mesh.name}, got {listed}. They are 0-based."
+            f"expected landmark points of {mesh.name}, whose vertices go from 0 to {mesh.n_vertices - 1}, got {listed}."
+            " Numbers are 0-based; check that the points of target and source are not exchanged."
         )
     found = CagePoints.of_vertices(np.maximum(points.vertices, 0))
     corners, weights = found.corners.copy(), found.weights.copy()
@@ -154,7 +155,7 @@ def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
             listed = first_few(f"{points.names[free[i]]} ({distances[i]:.3g})" for i in far)
             raise InvalidLandmarksError(
                 f"expected landmark points on or near {mesh.name}, whose size is {size:.3g}, got distances {listed}. "
-                "The points may belong to another mesh, or be in another unit or axis order."
+                "Give the points of this mesh, in its unit and axis order; are target and source exchanged?"
             )
         spread, typical = float(np.linalg.norm(np.ptp(points.positions[free], axis=0))), float(np.median(distances))
         if len(free) >= 3 and typical > max(SHRUNK * spread, 0.1 * FAR * size):

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field, replace
+from pathlib import PurePath
 
 import numpy as np
 
-from cagemap.errors import InvalidLandmarksError
+from cagemap.errors import DirectionError, InvalidLandmarksError
 from cagemap.mesh.cage_points import CagePoints as CagePoints
 from cagemap.mesh.cage_points import NamedPoints as NamedPoints
 from cagemap.mesh.cage_points import on_cage as on_cage
@@ -170,9 +171,18 @@ def paired(
 
     Raises
     ------
+    DirectionError
+        If points say that they are the other mesh's.
     InvalidLandmarksError
         If a name occurs twice on one side, none is on both, a vertex is out of range, or a place is far from its mesh.
     """
+    for points, mesh, other in ((target_points, target, source), (source_points, source, target)):
+        stated, here, there = (PurePath(name).stem.casefold() for name in (points.mesh_name, mesh.name, other.name))
+        if stated == there != here:
+            raise DirectionError(
+                f"landmark points: expected those of {mesh.name}, got a file that says it is of {points.mesh_name}, "
+                "the other mesh. Exchange the two files of points, or target and source."
+            )
     names = target_points.names, source_points.names
     shared, notes = shared_names(*names, what="points", noted="landmarks")
     places = [{name: i for i, name in enumerate(points.names)} for points in (target_points, source_points)]
