@@ -38,6 +38,6 @@ THROWN, MOST_THROWN = 0.05, 5.0
 # Steps in which landmarks move to their places.
 STEPS = 50
 # A landmark is met when it is missed by less, of sqrt(area); a few steps do, the surface is nearly flat there.
-MET, MEETING_STEPS = 1e-7, 12
-# Normal weight of the projections that keep to one side of a thin part.
+MET, MEETING_STEPS = 1e-12, 12
+# Normal weight of the first projection that keeps to one side of a thin part.
 FACING = 0.002
