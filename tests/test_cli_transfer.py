@@ -222,3 +222,15 @@ def test_a_mesh_with_the_source_s_uvs_is_noted_by_a_relative_name(run: Run, resu
     assert outcome.code == 0, outcome.err
     (entry,) = read_result(result_folder).manifest["transfers"]
     assert entry["output"] == "../laid.obj"
+
+
+def test_a_base_of_another_colour_space_is_warned_of(run: Run, result_folder: Path) -> None:
+    place = result_folder.parent
+    np.save(place / "mask.npy", np.repeat([0.0, 1.0], 4))
+    write_image(place / "base.exr", np.full((8, 8, 3), 0.5, dtype=np.float32))
+    write_image(place / "same.png", np.full((8, 8, 3), 128, dtype=np.uint8))
+    for base, warned in (("base.exr", True), ("same.png", False)):
+        words = ("--texture", "t.png", "--target-mask", "mask.npy", "--base", base, "-o", f"over_{base}.png")
+        outcome = run("transfer", "R", *words)
+        assert outcome.code == 0, outcome.err
+        assert ("mixed as they are" in outcome.err) is warned, outcome.err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
@@ -47,6 +48,7 @@ from cagemap.transfer.texture import Filter, Pixels
 DEFAULT_SIZE = 2048
 # Share of a layout that lies over other parts of it, from which on that is said: faces of artists' layouts touch.
 LEAST_DOUBLED = 0.02
+_log = logging.getLogger(__name__)
 Baked = TypeVar("Baked", bound=Pixels | Image | Displacement)
 
 
@@ -275,6 +277,11 @@ def _masked(image: Image, transfer: Transfer, base: Path | None, options: BakeOp
     under = read_image(udim_path(base, options.tile))
     if under.associated != image.associated:
         image, under = straight(image), straight(under)
+    # Floats are linear where their file says nothing, as those of EXR are.
+    spaces = [one.color_space or "linear" * (one.pixels.dtype.kind == "f") for one in (under, image)]
+    if all(spaces) and spaces[0] != spaces[1]:
+        text = "--base %s is %s, what is baked over it %s: their numbers are mixed as they are. Convert one of them."
+        _log.warning(text, base, *spaces)
     below, own = under.pixels, unit(image.pixels.dtype)
     if below.dtype != image.pixels.dtype:
         below = to_dtype(below * (own / unit(below.dtype)), image.pixels.dtype)

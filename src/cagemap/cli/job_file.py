@@ -17,7 +17,7 @@ from cagemap.cli.report_request import ReportRequest
 from cagemap.cli.transfer_request import TransferRequest
 from cagemap.cli.wrap_request import WrapRequest
 from cagemap.errors import FormatError
-from cagemap.files.atomic import atomic_path
+from cagemap.files.atomic import write_whole
 from cagemap.files.marks import is_own, mark
 from cagemap.files.result import stated_path
 
@@ -112,7 +112,6 @@ def _write(path: Path, data: dict[str, Any]) -> None:
         _log.warning("%s: is not written, for a file's name is no text, and a job file holds text alone", path)
         return
     try:
-        with atomic_path(path) as temporary:
-            temporary.write_bytes(content)
+        write_whole(path, content)
     except FormatError as error:  # what it would repeat is there; a RESULT may be somebody else's
         _log.warning("%s What was done is not noted there.", error)

@@ -18,11 +18,11 @@ from cagemap.mesh.landmarks import CagePoints, Landmarks
 
 def run_suggest(folder: Path, output: Path, count: int, *, force: bool = False) -> str:
     """Write the landmarks of a result and some more; returns a few lines for the terminal."""
-    if output.suffix.lower() != ".json":
-        raise FormatError(f"{output}: expected the name of a landmark file ending in .json. Give such a name.")
     check_outputs([output], [folder / MANIFEST, folder / ARRAYS], force=force)
     result = read_result(folder)
     require_no_input([output], read_files(folder, result.manifest))
+    if output.suffix.lower() != ".json":
+        raise FormatError(f"{output}: expected the name of a landmark file ending in .json. Give such a name.")
     landmarks = _in_files(suggested_landmarks(result, count), result)
     write_landmarks(output, landmarks, force=force)
     new = landmarks.names[-count:]

@@ -108,6 +108,19 @@ def atomic_path(final: str | Path, *, force: bool = False, owned: Owned = is_own
             together[1].push(removed.pop_all())
 
 
+def write_whole(path: str | Path, content: str | bytes, *, force: bool = False, owned: Owned = is_own) -> None:
+    """Write a file's content, text as UTF-8, whole or not at all; see `atomic_path`.
+
+    Raises
+    ------
+    FormatError
+        See `atomic_path`.
+    """
+    data = content.encode() if isinstance(content, str) else content
+    with atomic_path(path, force=force, owned=owned) as temporary:
+        temporary.write_bytes(data)
+
+
 @contextmanager
 def atomic_folder(
     final: str | Path, names: Sequence[str], *, force: bool = False, owned: Owned = is_own

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.files.atomic import atomic_path
+from cagemap.files.atomic import write_whole
 from cagemap.files.marks import mark
 from cagemap.geometry.triangles import triangle_normals
 from cagemap.mesh import ControlMesh
@@ -80,9 +80,7 @@ def write_glb(path: str | Path, mesh: ControlMesh, *, to_metres: FloatArray | No
     FormatError
         If the file cannot be written.
     """
-    content = _packed(mesh, to_metres)
-    with atomic_path(path, force=force) as temporary:
-        temporary.write_bytes(content)
+    write_whole(path, _packed(mesh, to_metres), force=force)
 
 
 def _packed(mesh: ControlMesh, to_metres: FloatArray | None) -> bytes:

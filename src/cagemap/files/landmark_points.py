@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 import re
 from pathlib import Path
@@ -19,6 +18,7 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files.curves import MESH_FORM, curve_through, mesh_curves
+from cagemap.files.schema import parse_json
 from cagemap.files.text import read_text, whole_characters
 from cagemap.mesh.cage_points import NamedCurve, NamedPoints
 from cagemap.mesh.control_mesh import ControlMesh
@@ -75,12 +75,7 @@ def _points(found: Named, mesh_name: str, curves: tuple[NamedCurve, ...] = ()) -
 
 
 def _json(path: Path, text: str, mesh: ControlMesh | None) -> NamedPoints:
-    try:
-        data = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise FormatError(
-            f"{path}: expected landmark points as JSON, got a mistake ({error}). Known are {FORMS}."
-        ) from None
+    data = parse_json(text, path, f"Known are {FORMS}.")
     if isinstance(data, list):
         return _points(_wrap(path, data, mesh), mesh.name if mesh is not None else "")
     if isinstance(data, dict) and isinstance(data.get("markups"), list):

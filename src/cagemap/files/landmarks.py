@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.errors import DirectionError, FormatError
-from cagemap.files.atomic import atomic_path
+from cagemap.files.atomic import write_whole
 from cagemap.files.curves import pair_curves, pair_entries
 from cagemap.files.marks import mark
 from cagemap.files.text import read_text, whole_characters
@@ -98,13 +98,9 @@ def write_landmarks(path: str | Path, landmarks: Landmarks, *, force: bool = Fal
     listed = ",\n  ".join(pair_entries(path, landmarks.curves))
     curves = f',\n "curves": [\n  {listed}\n ]' if listed else ""
     names = f'"source": {json.dumps(landmarks.source_name)}, "target": {json.dumps(landmarks.target_name)}'
-    with atomic_path(path, force=force) as temporary:
-        temporary.write_text(
-            f'{{"written_by": "{mark()}",\n {names},\n "pairs": [\n  '
-            + ",\n  ".join(entries(landmarks))
-            + f"\n ]{curves}}}\n",
-            encoding="utf-8",
-        )
+    pairs = ",\n  ".join(entries(landmarks))
+    head = f'{{"written_by": "{mark()}",\n {names},\n "pairs": [\n  '
+    write_whole(path, f"{head}{pairs}\n ]{curves}}}\n", force=force)
 
 
 def _parse(path: Path, text: str) -> dict[str, Any]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from cagemap import __version__
 from cagemap.errors import FormatError
-from cagemap.files.atomic import atomic_path
+from cagemap.files.atomic import write_whole
 from cagemap.files.marks import mark
 from cagemap.files.mesh_arrays import CONTROL_ARRAYS
 from cagemap.files.schema import ResultRecord, checked_record, parse_json, to_json
@@ -122,8 +122,7 @@ def note_transfer(folder: str | Path, entry: dict[str, Any]) -> None:
     manifest["transfers"] = [*kept, entry]
     manifest["written_by"] = mark()
     try:
-        with atomic_path(root / MANIFEST, force=True) as temporary:
-            temporary.write_text(to_json(manifest), encoding="utf-8")
+        write_whole(root / MANIFEST, to_json(manifest), force=True)
     except FormatError as error:  # the output itself is there; a RESULT may be somebody else's
         _log.warning("%s What was made with it is not noted there.", error)
 

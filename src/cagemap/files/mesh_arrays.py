@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError, InvalidMeshError
-from cagemap.files.forms import Form, check_arrays, check_offsets
+from cagemap.files.forms import Form, check_arrays, check_offsets, lie_in_triangles
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.curves import CageCurves, Curves
@@ -114,7 +114,7 @@ def points_from_arrays(path: Path, arrays: Mapping[str, Any], prefix: str, remed
     corners, weights = arrays.get(f"{prefix}corners"), arrays.get(f"{prefix}weights")
     if corners is None and weights is None:
         return None
-    if corners is None or weights is None or np.any(weights < -1e-6) or np.any(abs(weights.sum(axis=1) - 1) > 1e-6):
+    if corners is None or weights is None or not lie_in_triangles(weights):
         raise FormatError(f"{path}: {prefix}corners and {prefix}weights are not points of the mesh. {remedy}")
     return CagePoints(corners, weights)
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files.atomic import atomic_path
+from cagemap.files.atomic import write_whole
 from cagemap.files.marks import mark
-from cagemap.geometry.triangles import triangle_normals
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.transfer.locate import triangle_frames
 
 _AXES = "xyz"
 
@@ -80,17 +80,10 @@ def bind(positions: FloatArray, base: ControlMesh, faces: IndexArray) -> Binding
 
 
 def _coordinates(places: FloatArray, triangles: IndexArray, points: FloatArray) -> FloatArray:
-    """(n, 3) barycentric coordinates of the feet of points on the planes of triangles; a third each if degenerate."""
-    a, b, c = (places[triangles[:, k]] for k in range(3))
-    normal = triangle_normals(places, triangles)
-    area = np.einsum("nd,nd->n", normal, normal)
-    sound = area > 1e-12 * np.square(np.einsum("nd,nd->n", b - a, b - a) + np.einsum("nd,nd->n", c - a, c - a))
-    area = np.where(sound, area, 1.0)
-    beta = np.einsum("nd,nd->n", np.cross(points - a, c - a), normal) / area
-    gamma = np.einsum("nd,nd->n", np.cross(b - a, points - a), normal) / area
-    found = np.column_stack([1 - beta - gamma, beta, gamma])
-    found[~sound] = 1 / 3
-    return found
+    """(n, 3) barycentric coordinates of the feet of points on the planes of triangles."""
+    frames = triangle_frames(places, triangles)
+    inside = np.einsum("nkd,nd->nk", frames[:, 1:], points - frames[:, 0])
+    return np.column_stack([1 - inside.sum(axis=1), inside])
 
 
 def write_mhclo(path: str | Path, binding: Binding, obj: Path, *, force: bool = False) -> None:
@@ -118,5 +111,4 @@ def write_mhclo(path: str | Path, binding: Binding, obj: Path, *, force: bool = 
     ]  # fmt: skip
     rows = zip(binding.vertices.tolist(), binding.weights.tolist(), binding.offsets.tolist(), strict=True)
     lines += [f"{a} {b} {c} {u!r} {v!r} {w!r} {x!r} {y!r} {z!r}" for (a, b, c), (u, v, w), (x, y, z) in rows]
-    with atomic_path(file, force=force) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_whole(file, "\n".join(lines) + "\n", force=force)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files.atomic import atomic_path
+from cagemap.files.atomic import write_whole
 from cagemap.files.marks import mark
 from cagemap.files.text import at_line, read_text
 from cagemap.numerics.arrays import FloatArray
@@ -60,5 +60,4 @@ def write_materials(path: Path, names: Sequence[str], colors: FloatArray | None,
             lines.append(f"newmtl {name}\n")
         if colors is not None and is_known:
             lines.append("Kd {!r} {!r} {!r}\n".format(*colors[i].tolist()))
-    with atomic_path(path, force=force) as temporary:
-        temporary.write_bytes("".join(lines).encode("utf-8"))
+    write_whole(path, "".join(lines), force=force)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
-from cagemap.files.atomic import atomic_path, require_replaceable
+from cagemap.files.atomic import require_replaceable, write_whole
 from cagemap.files.colors import as_shares
 from cagemap.files.marks import mark
 from cagemap.files.mtl import read_material_colors, write_materials
@@ -370,8 +370,7 @@ def write_obj(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> No
     parts += obj_statements(mesh)
     if mesh.face_materials is not None:
         write_materials(library, mesh.material_names, mesh.material_colors, force=force)
-    with atomic_path(file, force=force) as temporary:
-        temporary.write_bytes("".join(parts).encode("utf-8"))
+    write_whole(file, "".join(parts), force=force)
 
 
 def obj_files(path: Path, mesh: ControlMesh) -> list[Path]:

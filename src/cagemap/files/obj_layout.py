@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from cagemap.errors import FormatError
-from cagemap.files.atomic import atomic_path
+from cagemap.files.atomic import write_whole
 from cagemap.files.marks import mark
 from cagemap.files.obj import read_obj
 from cagemap.files.text import read_text
@@ -60,7 +60,7 @@ def write_obj_layout(path: str | Path, original: str | Path, laid_out: ControlMe
     uvs = ("vt %r %r\n" * len(laid_out.uvs)) % tuple(laid_out.uvs.ravel().tolist())
     numbers = iter((laid_out.uv_indices + 1).tolist())
     faces = _FACE.sub(lambda found: _renumbered(found[0], numbers), text[first.start() :])
-    _write(file, f"{text[: first.start()]}{uvs}{faces}", force=force)
+    write_whole(file, f"# {mark()}\n{text[: first.start()]}{uvs}{faces}", force=force)
 
 
 def write_obj_positions(path: str | Path, original: str | Path, moved: ControlMesh, *, force: bool = False) -> None:
@@ -92,18 +92,13 @@ def write_obj_positions(path: str | Path, original: str | Path, moved: ControlMe
     positions = iter(moved.positions.tolist())
     text = _POSITION_LINE.sub(lambda found: f"v {' '.join(map(repr, next(positions)))}{found[1]}", text)
     text = _FACE.sub(lambda found: _WITH_NORMAL.sub(_without_normal, found[0]), _NORMAL_LINE.sub("", text))
-    _write(file, text, force=force)
+    write_whole(file, f"# {mark()}\n{text}", force=force)
 
 
 def _text_for(file: Path, original: Path) -> str:
     """The text of an OBJ file for a copy that may stand in another folder, without our own mark."""
     text = _OLD_MARK.sub("", read_text(original, "an OBJ file"))
     return _LIBRARY.sub(lambda found: found[1] + _moved(found[2], original.parent, file.parent), text)
-
-
-def _write(file: Path, text: str, *, force: bool) -> None:
-    with atomic_path(file, force=force) as temporary:
-        temporary.write_bytes(f"# {mark()}\n{text}".encode())
 
 
 def _without_normal(corner: re.Match[str]) -> str:

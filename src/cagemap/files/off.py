@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files.atomic import atomic_path
+from cagemap.files.atomic import write_whole
 from cagemap.files.marks import mark
 from cagemap.files.text import read_text
 from cagemap.mesh import ControlMesh
@@ -67,9 +67,8 @@ def write_off(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> No
     lines = [f"{x!r} {y!r} {z!r}" for x, y, z in mesh.positions.tolist()]
     corners = np.split(mesh.face_indices, mesh.face_offsets[1:-1])
     lines += [f"{len(face)} {' '.join(map(str, face.tolist()))}" for face in corners]
-    with atomic_path(path, force=force) as temporary:
-        text = "\n".join(["OFF", f"# {mark()}", f"{mesh.n_vertices} {mesh.n_faces} 0", *lines])
-        temporary.write_text(text + "\n", encoding="utf-8")
+    text = "\n".join(["OFF", f"# {mark()}", f"{mesh.n_vertices} {mesh.n_faces} 0", *lines])
+    write_whole(path, f"{text}\n", force=force)
 
 
 def _positions(file: Path, rows: list[list[str]]) -> FloatArray:

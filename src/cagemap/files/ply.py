@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
-from cagemap.files.atomic import atomic_path
+from cagemap.files.atomic import write_whole
 from cagemap.files.colors import as_shares
 from cagemap.files.marks import mark
 from cagemap.files.ply_records import Column, read_columns
@@ -143,8 +143,7 @@ def write_ply(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> No
         If the file cannot be written, or cagemap did not write the one that is there and ``force`` is not given.
     """
     content = _header(mesh).encode("ascii") + _binary_vertices(mesh) + _binary_faces(mesh)
-    with atomic_path(path, force=force) as temporary:
-        temporary.write_bytes(content)
+    write_whole(path, content, force=force)
 
 
 def _count_type(mesh: ControlMesh) -> tuple[str, str]:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files.atomic import atomic_path
+from cagemap.files.atomic import write_whole
 from cagemap.files.curves import mesh_entries
 from cagemap.files.marks import mark
 from cagemap.geometry.closest import build_tree, closest_points
@@ -108,8 +108,7 @@ def write_points(path: str | Path, points: NamedPoints, mesh: ControlMesh, *, fo
     form = point_form(path)
     if points.curves and not form.curves:
         raise FormatError(f"{path}: expected points alone, got curves, which {form.title} has not. Write .points.json.")
-    with atomic_path(path, force=force) as temporary:
-        temporary.write_text(form.text(points, mesh), encoding="utf-8")
+    write_whole(path, form.text(points, mesh), force=force)
 
 
 def _own(points: NamedPoints, _: ControlMesh) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files.atomic import atomic_path, check_outputs
+from cagemap.files.atomic import atomic_path, check_outputs, write_whole
 from cagemap.files.attributes import read_attributes
 from cagemap.files.file_rows import FileRows, taken
 from cagemap.files.marks import mark
@@ -88,8 +88,7 @@ def write_skeleton(path: str | Path, skeleton: Skeleton, *, force: bool = False)
     ]
     if skeleton.axes is not None:
         joints = [{**joint, "axes": axes} for joint, axes in zip(joints, skeleton.axes.tolist(), strict=True)]
-    with atomic_path(path, force=force) as temporary:
-        temporary.write_text(json.dumps({"written_by": mark(), "joints": joints}, indent=1) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps({"written_by": mark(), "joints": joints}, indent=1) + "\n", force=force)
 
 
 def read_shapes(paths: Sequence[Path], rest: ControlMesh, rows: FileRows | None = None) -> dict[str, FloatArray]:

@@ -16,7 +16,7 @@ from scipy.optimize import nnls
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from cagemap.files.atomic import atomic_path
+from cagemap.files.atomic import write_whole
 from cagemap.files.marks import mark
 from cagemap.files.schema import own_note
 from cagemap.maps.point_map import PointMap
@@ -138,8 +138,7 @@ def write_consistency(path: Path, keys: dict[str, str], verdict: Consistency) ->
         "ways": [[*pair, way] for pair, way in verdict.ways.items()],
     }
     path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(note, indent=1), encoding="utf-8")
+    write_whole(path, json.dumps(note, indent=1))
 
 
 def read_consistency(path: Path, keys: dict[str, str]) -> Consistency | None:

@@ -14,7 +14,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from cagemap.files.atomic import atomic_path
+from cagemap.files.atomic import write_whole
 from cagemap.files.marks import mark
 from cagemap.files.result import file_hash
 from cagemap.library.plan import PICTURE, RESULT, STATE, Plan, Task
@@ -188,8 +188,7 @@ def _write_marked(path: Path, content: bytes) -> None:
     blank = rb"checksum " + 64 * b"0"
     if path.is_file() and re.sub(rb"checksum [0-9a-f]{64}", blank, path.read_bytes(), count=1) == content:
         return
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(content)
+    write_whole(path, content)
 
 
 def _write_table(path: Path, text: str, note: Path) -> None:
@@ -200,8 +199,7 @@ def _write_table(path: Path, text: str, note: Path) -> None:
 
     if path.is_file() and path.read_bytes() == text.encode():
         return
-    with atomic_path(path, owned=owned) as temporary:
-        temporary.write_text(text, encoding="utf-8", newline="\n")
+    write_whole(path, text, owned=owned)
     note.parent.mkdir(parents=True, exist_ok=True)
     note.write_text(file_hash(path) + "\n", encoding="ascii")
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cagemap.errors import CagemapError, FormatError, ParameterError
-from cagemap.files.atomic import atomic_path, files_written, leftovers
+from cagemap.files.atomic import files_written, leftovers, write_whole
 from cagemap.files.marks import mark
 from cagemap.files.schema import own_note
 from cagemap.library.plan import AROUND, RESULT, STATE, Plan, Task
@@ -117,7 +117,8 @@ def kept_outcome(root: Path, task: Task) -> Outcome | None:
     note = own_note(_note(root, task))
     if note is None or note["key"] != task.key:
         return None
-    whole = all(_stands(root / path, size) for path, size in note["outputs"].items())
+    files = ((root / path, size) for path, size in note["outputs"].items())
+    whole = all(file.is_file() and file.stat().st_size == size for file, size in files)
     return Outcome(task.name, "kept", "", note["seconds"], note["figures"], tuple(note["outputs"])) if whole else None
 
 
@@ -151,8 +152,7 @@ def execute(task: Task, root: Path, runner: Runner, *before: Outcome) -> Outcome
                 "outputs": outputs,
                 "figures": figures,
             }
-            with atomic_path(_note(root, task)) as temporary:
-                temporary.write_text(json.dumps(note, indent=1), encoding="utf-8")
+            write_whole(_note(root, task), json.dumps(note, indent=1))
             return Outcome(task.name, "done", "", seconds, figures, tuple(outputs))
     except CagemapError as error:
         message = str(error)
@@ -309,11 +309,6 @@ def _sizes(root: Path, task: Task, written: list[Path]) -> dict[str, int]:
     if task.outputs and not sizes:
         raise FormatError(f"{task.outputs[0]}: expected a file, none was written. {_REMEDY}")
     return sizes
-
-
-def _stands(path: Path, size: Any) -> bool:
-    """Whether a file that a task wrote is still there."""
-    return path.is_file() and path.stat().st_size == size
 
 
 def _remove_leftovers(root: Path, task: Task) -> None:

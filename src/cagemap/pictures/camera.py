@@ -9,6 +9,9 @@ import numpy as np
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray
 
+# Vertical opening angle in degrees, and free border as a part of the image.
+_OPENING, _MARGIN = 28.0, 0.06
+
 
 @dataclass(frozen=True, eq=False)
 class Camera:
@@ -84,9 +87,7 @@ BACK = View("from the other side", 215.0, 14.0)
 VIEWS = (FRONT, SIDE, BACK)
 
 
-def frame(
-    positions: FloatArray, view: View = FRONT, *, aspect: float = 4 / 3, opening: float = 28.0, margin: float = 0.06
-) -> Camera:
+def frame(positions: FloatArray, view: View = FRONT, *, aspect: float = 4 / 3) -> Camera:
     """Camera that looks at the surface from ``view`` and keeps all of it in the image.
 
     Parameters
@@ -94,10 +95,6 @@ def frame(
     positions : (n, 3) float64
     aspect : float
         Image width / height.
-    opening : float
-        Vertical opening angle in degrees.
-    margin : float
-        Free border as a fraction of the image.
 
     Raises
     ------
@@ -114,8 +111,8 @@ def frame(
     local = positions @ axes.T  # (n,3) in camera axes
     centre = (local.min(0) + local.max(0)) / 2
     local = local - centre
-    tangent = float(np.tan(np.radians(opening) / 2))
-    usable = tangent * (1.0 - margin)
+    tangent = float(np.tan(np.radians(_OPENING) / 2))
+    usable = tangent * (1.0 - _MARGIN)
     # |x| <= (distance - z) * usable * aspect for every point, and the same upwards.
     distance = float(np.max(local[:, 2] + np.maximum(np.abs(local[:, 0]) / aspect, np.abs(local[:, 1])) / usable))
     distance = max(distance, 1e-12 * (1.0 + float(np.abs(centre).max())))

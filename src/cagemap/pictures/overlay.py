@@ -45,9 +45,7 @@ def draw_dots(
     return np.round(shown).astype(np.uint8)
 
 
-def draw_line(
-    image: Image, model: Model, camera: Camera, line: Polyline, color: FloatArray, *, width: float = 3.0
-) -> Image:
+def draw_line(image: Image, model: Model, camera: Camera, line: Polyline, color: FloatArray) -> Image:
     """Return the picture with a rimmed line along what the camera sees of a polyline on the surface.
 
     Parameters
@@ -55,15 +53,11 @@ def draw_line(
     line : Polyline
         In the surface's own unit.
     color : (3,) sRGB in [0, 1]
-    width : float
-        Pixels.
     """
-    return _stroke(image, model, camera, line.finer(DOTS_A_PIECE), color, width, rim=1.0)
+    return _stroke(image, model, camera, line.finer(DOTS_A_PIECE), color, width=3.0, rim=1.0)
 
 
-def draw_segments(
-    image: Image, model: Model, camera: Camera, segments: FloatArray, color: FloatArray, *, width: float = 1.0
-) -> Image:
+def draw_segments(image: Image, model: Model, camera: Camera, segments: FloatArray, color: FloatArray) -> Image:
     """Return the picture with a thin line along what the camera sees of straight pieces on the surface: a wireframe.
 
     Parameters
@@ -71,8 +65,6 @@ def draw_segments(
     segments : (s, 2, 3) float64
         In the surface's own unit.
     color : (3,) sRGB in [0, 1]
-    width : float
-        Pixels.
     """
     height, across = image.shape[:2]
     ends = camera.project(segments.reshape(-1, 3), across, height).reshape(-1, 2, 2)
@@ -84,7 +76,7 @@ def draw_segments(
         at = ((np.arange(count) + 0.5) / count)[:, None]
         piece = segments[np.minimum(counts, 1024) == count]
         dense.append((piece[:, None, 0] * (1 - at) + piece[:, None, 1] * at).reshape(-1, 3))
-    return _stroke(image, model, camera, np.concatenate(dense), color, width, rim=0.0) if dense else image
+    return _stroke(image, model, camera, np.concatenate(dense), color, width=1.0, rim=0.0) if dense else image
 
 
 def _stroke(

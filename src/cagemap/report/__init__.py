@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cagemap.errors import FormatError
-from cagemap.files.atomic import atomic_path
+from cagemap.files.atomic import write_whole
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.report.figures import HEIGHT, WIDTH, Figure, Gallery, Pixels, Progress, draw_gallery, draw_thumbnail
@@ -78,5 +78,4 @@ def write_report(
     check_page_path(path)
     gallery = draw_gallery(result, texture=texture, baked=baked, size=size, progress=progress)
     page = build_page(result, gallery, draw_rides(result, rides, size))
-    with atomic_path(path, force=force) as temporary:
-        temporary.write_text(page, encoding="utf-8", errors="xmlcharrefreplace")
+    write_whole(path, page.encode("utf-8", "xmlcharrefreplace"), force=force)

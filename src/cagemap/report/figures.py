@@ -45,8 +45,10 @@ Pixels = NDArray[Any]
 Progress = Callable[[str], None]
 
 WIDTH, HEIGHT = 600, 460
+_SMALL = 220, 190
 # Of sqrt(area): where two answers are so far apart they are drawn in the strongest colour.
 ELSEWHERE = 0.3
+_CELLS = 28  # of a checker, along the longest side
 _LARGEST_TEXTURE = 2048  # a picture shows no more than this
 PAPER = np.array([0.962, 0.966, 0.970])
 
@@ -176,12 +178,12 @@ def _answer_jobs(result: MatchResult) -> list[_Job]:
     return [job for view in (FRONT, BACK) for job in ((view, skins[0], skins[1], True), (view, None, skins[2], False))]
 
 
-def draw_thumbnail(result: MatchResult, size: tuple[int, int] = (220, 190)) -> Image:
+def draw_thumbnail(result: MatchResult) -> Image:
     """One small picture of a map: equal colours correspond; the source on the left, the target on the right."""
     stage = _stage(result)
     own = Skin(vertex_colors=position_colors(result.source.vertices, result.source.vertices))
     pulled = Skin(vertex_colors=position_colors(result.image(), result.source.vertices))
-    figure = _figure(stage, (FRONT, own, pulled, False), size)
+    figure = _figure(stage, (FRONT, own, pulled, False), _SMALL)
     return figure.target if figure.source is None else np.hstack([figure.source, figure.target])
 
 
@@ -225,9 +227,9 @@ def _pulled_texture(stage: _Stage, texture: FloatArray) -> FloatArray:
     return sample_texture(texture, np.einsum("nc,ncd->nd", stage.result.barycentric, corners))[:, :3]
 
 
-def _checker(points: FloatArray, reference: FloatArray, cells: int = 28) -> FloatArray:
+def _checker(points: FloatArray, reference: FloatArray) -> FloatArray:
     """(n, 3) a soft three-dimensional checker in two tones."""
-    steps = np.floor((points - reference.min(0)) * (cells / float(np.ptp(reference, axis=0).max()))).astype(np.int64)
+    steps = np.floor((points - reference.min(0)) * (_CELLS / float(np.ptp(reference, axis=0).max()))).astype(np.int64)
     odd = (steps.sum(1) % 2 == 1)[:, None]
     return np.where(odd, np.array([0.20, 0.45, 0.55]), np.array([0.93, 0.90, 0.84]))
 

@@ -90,11 +90,11 @@ def build_page(result: MatchResult, gallery: Gallery, panels: tuple[Panel, ...] 
     )
 
 
-def data_uri(image: Image, quality: int = 90) -> str:
+def data_uri(image: Image) -> str:
     """The picture as a JPEG data URI."""
     height, width = image.shape[:2]
     spec = oiio.ImageSpec(width, height, 3, oiio.UINT8)
-    spec.attribute("compression", f"jpeg:{quality}")
+    spec.attribute("compression", "jpeg:90")
     buffer = oiio.ImageBuf(spec)
     buffer.set_pixels(oiio.ROI(0, width, 0, height, 0, 1, 0, 3), np.ascontiguousarray(image))
     with tempfile.TemporaryDirectory() as folder:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cagemap.errors import FormatError
-from cagemap.files.atomic import atomic_path
+from cagemap.files.atomic import write_whole
 from cagemap.files.curves import pair_entries
 from cagemap.files.landmarks import entered, entries
 from cagemap.files.manifest import file_hash
@@ -95,8 +95,7 @@ def write_autosave(path: Path, landmarks: LandmarkList, parts: Parts = (None, No
         "pairs": list(map(json.loads, entries(others))),
         "curves": list(map(json.loads, pair_entries(path, curves))),
     }
-    with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(kept, indent=1), encoding="utf-8")
+    write_whole(path, json.dumps(kept, indent=1))
 
 
 def kept_parts(path: Path) -> Parts:

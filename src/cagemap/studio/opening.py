@@ -146,16 +146,10 @@ def _named(
     schemes: Stated,
     parts: Stated,
 ) -> Files:
-    usual = default_files(target.resolve().parent, target.resolve(), source.resolve(), None)
-    return Files(
-        usual.target,
-        usual.source,
-        None if texture is None else texture.resolve(),
-        usual.landmarks if landmarks is None else landmarks.resolve(),
-        usual.result if result is None else result.resolve(),
-        schemes,
-        parts=parts,
-    )
+    image = None if texture is None else texture.resolve()
+    usual = default_files(target.resolve().parent, target.resolve(), source.resolve(), image, schemes)
+    pairs = usual.landmarks if landmarks is None else landmarks.resolve()
+    return replace(usual, landmarks=pairs, result=usual.result if result is None else result.resolve(), parts=parts)
 
 
 def built_in_files(folder: Path) -> Files:

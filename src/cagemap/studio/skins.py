@@ -15,6 +15,7 @@ from cagemap.studio.glb import Primitive, glb
 from cagemap.studio.pieces import Rest
 from cagemap.studio.shape import Shape
 from cagemap.studio.state import Mode, View
+from cagemap.transfer.locate import triangle_frames
 
 WHITE = np.ones(3)
 CLAY = np.array([0.42, 0.41, 0.40])
@@ -167,16 +168,9 @@ def _layout_jacobians(source: Shape) -> FloatArray:
     """(t, 2, 3) differential of the texture coordinates on every triangle."""
     assert source.uvs is not None
     assert source.uv_triangles is not None
-    corners, layout = source.positions[source.triangles], source.uvs[source.uv_triangles]
-    edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)  # (t, 3, 2)
-    steps = np.stack([layout[:, 1] - layout[:, 0], layout[:, 2] - layout[:, 0]], axis=2)  # (t, 2, 2)
-    gram = np.einsum("tij,tik->tjk", edges, edges)
-    determinant = gram[:, 0, 0] * gram[:, 1, 1] - gram[:, 0, 1] ** 2
-    inverse = np.empty_like(gram)
-    inverse[:, 0, 0], inverse[:, 1, 1] = gram[:, 1, 1], gram[:, 0, 0]
-    inverse[:, 0, 1] = inverse[:, 1, 0] = -gram[:, 0, 1]
-    inverse /= np.maximum(determinant, np.finfo(np.float64).tiny)[:, None, None]
-    return np.asarray(np.einsum("tij,tjk,tlk->til", steps, inverse, edges))
+    layout = source.uvs[source.uv_triangles]
+    gradients = triangle_frames(source.positions, source.triangles)[:, 1:]
+    return np.asarray(np.einsum("tki,tkj->tij", layout[:, 1:] - layout[:, :1], gradients))
 
 
 def light_on(normals: FloatArray) -> FloatArray:

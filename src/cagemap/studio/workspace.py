@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from cagemap.errors import ParameterError
-from cagemap.files.atomic import atomic_path
+from cagemap.files.atomic import write_whole
 from cagemap.files.images import UDIM_MARK, texture_files
 from cagemap.files.meshes import MESH_SUFFIXES
 from cagemap.files.obj import named_material_files
@@ -141,8 +141,7 @@ class Workspace:
                 self._require_layer(wanted.name, file)
         names = itertools.chain([wanted], (wanted.with_stem(f"{wanted.stem} ({k})") for k in itertools.count(2)))
         free = next(path for path in names if not path.exists())
-        with atomic_path(free) as temporary:
-            temporary.write_bytes(content)
+        write_whole(free, content)
         return free
 
     def _require_layer(self, name: str, file: str) -> None:

@@ -19,7 +19,7 @@ from numpy.typing import DTypeLike, NDArray
 from cagemap.errors import ParameterError
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
-from cagemap.geometry.triangles import normalized
+from cagemap.geometry.triangles import normalized, triangle_areas
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import parts
@@ -314,8 +314,9 @@ def bake_detail_texture(
         return scale * look_up(laid, met, nearest=nearest)
 
     # A typical texel's side on the surface, from the areas that both see.
-    in_texels, in_space = _planar_areas(laid.corner_texels()), detail.surface.areas
-    texel = float(np.sqrt(np.median(in_space / np.maximum(in_texels, 1e-300)))) / detail.surface.scale
+    corners = laid.corner_texels().reshape(-1, 2)
+    in_texels = triangle_areas(corners, np.arange(len(corners)).reshape(-1, 3))
+    texel = float(np.sqrt(np.median(detail.surface.areas / np.maximum(in_texels, 1e-300)))) / detail.surface.scale
     canvas = make_canvas(transfer, size, options)
     once = np.ones((len(transfer.target.triangles), 2), dtype=np.int32)
     counts = once if nearest else _plan_lengths(transfer, texel, canvas)
@@ -366,9 +367,3 @@ def _plan_lengths(transfer: Transfer, length: float, canvas: Canvas) -> NDArray[
     flat = np.zeros((len(corners), 3, 2))
     flat[:, 1, 0], flat[:, 2, 0], flat[:, 2, 1] = side, along, up
     return plan_samples(transfer.mapped, canvas.corners, flat / max(length, 1e-300))
-
-
-def _planar_areas(corners: FloatArray) -> FloatArray:
-    """(t,) areas of triangles (t, 3, 2) in the plane."""
-    (x1, y1), (x2, y2) = (corners[:, 1:] - corners[:, :1]).transpose(1, 2, 0)
-    return np.asarray(0.5 * np.abs(x1 * y2 - x2 * y1))

@@ -20,7 +20,7 @@ from cagemap.numerics.threads import parts
 from cagemap.transfer.baking import BakeOptions, Transfer, make_canvas, run_bake, unit
 from cagemap.transfer.locate import TexelSamples, target_barycentric
 from cagemap.transfer.lookups import plan_lookups
-from cagemap.transfer.texture import Pixels, lay_texture
+from cagemap.transfer.texture import Pixels, each_tile, lay_texture
 
 # Channels of a grey image that was saved in colour differ by no more than rounding, as a part of the whole range.
 _GREY = 1e-3
@@ -85,7 +85,7 @@ def bake_displacement(
         If the image is not grey (vector displacement is another thing), or as `bake_texture`.
     """
     options = options or BakeOptions()
-    laid = lay_texture(grey(texture), *transfer.source.layout(), wrap=options.wrap)
+    laid = lay_texture(each_tile(texture, grey), *transfer.source.layout(), wrap=options.wrap)
     kept = laid.dtype if dtype is None else np.dtype(dtype)
     middle = midlevel if midlevel is not None else 0.5 if laid.dtype.kind == "u" else 0.0
     ratio = scale_ratio(transfer)
@@ -134,14 +134,8 @@ def vertex_stretch(transfer: Transfer) -> FloatArray:
     return np.clip(stretch, low, high)
 
 
-def grey(texture: Pixels | Mapping[int, Pixels]) -> Pixels | dict[int, Pixels]:
+def grey(pixels: Pixels) -> Pixels:
     """One channel of a grey image; colour channels must agree, alpha (a second or fourth channel) is ignored."""
-    if isinstance(texture, Mapping):
-        return {tile: _grey_channel(pixels) for tile, pixels in texture.items()}
-    return _grey_channel(texture)
-
-
-def _grey_channel(pixels: Pixels) -> Pixels:
     if pixels.ndim < 3 or pixels.shape[2] < 3:
         return pixels if pixels.ndim < 3 else pixels[:, :, :1]
     one, spread, largest = unit(pixels.dtype), 0.0, 0.0

@@ -18,7 +18,7 @@ _RAYS_AT_ONCE = 1 << 20
 _GOLDEN = 0.618033988749895
 
 
-def ambient_occlusion(surface: TriangleSurface, rays: int = 128, reach: float = np.inf) -> FloatArray:
+def ambient_occlusion(surface: TriangleSurface, rays: int = 128) -> FloatArray:
     """(n,) open part of the cosine-weighted hemisphere over every vertex: 1 in the open, 0 where nothing gets in.
 
     Parameters
@@ -26,18 +26,16 @@ def ambient_occlusion(surface: TriangleSurface, rays: int = 128, reach: float = 
     surface : TriangleSurface
     rays : int
         Over each vertex; the same places of the sky in every run.
-    reach : float
-        What is further away hides nothing, in units of sqrt(area).
 
     Raises
     ------
     ParameterError
-        If there is no ray, or nothing is in reach.
+        If there is no ray.
     MissingLibraryError
         If embreex, which casts the rays, is not installed.
     """
-    if rays < 1 or not reach > 0:
-        raise ParameterError(f"occlusion: expected 1 ray or more and a reach above 0, got {rays} and {reach}")
+    if rays < 1:
+        raise ParameterError(f"occlusion: expected 1 ray or more, got {rays}")
     scene = library("embreex.rtcore_scene", "ambient occlusion").EmbreeScene()
     middle = surface.positions.mean(axis=0)
     places = surface.positions - middle
@@ -57,8 +55,7 @@ def ambient_occlusion(surface: TriangleSurface, rays: int = 128, reach: float = 
         frames = np.stack([across, along, normals[part]], axis=1)  # rows
         directions = np.einsum("rk,nkd->nrd", sky, frames).reshape(-1, 3).astype(np.float32)
         origins = np.repeat(places[part] + _LIFT * normals[part], rays, axis=0).astype(np.float32)
-        far = np.full(len(origins), min(reach, 1e6), dtype=np.float32)
-        hidden = np.asarray(scene.run(origins, directions, dists=far, query="OCCLUDED")) >= 0
+        hidden = np.asarray(scene.run(origins, directions, query="OCCLUDED")) >= 0
         open_part[part] = 1.0 - hidden.reshape(-1, rays).mean(axis=1)
     return open_part
 

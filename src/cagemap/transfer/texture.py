@@ -9,7 +9,7 @@ some texel that it needs is not the surface's, at the border of an island, the l
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -130,6 +130,13 @@ def tile_cells(corners: FloatArray) -> FloatArray:
     cells = np.floor(corners.mean(axis=1))
     cells = cells - (corners.max(axis=1) - cells <= OVERHANG)
     return np.asarray(cells + (cells + 1.0 - corners.min(axis=1) <= OVERHANG))
+
+
+def each_tile(texture: Pixels | Mapping[int, Pixels], change: Callable[[Pixels], Pixels]) -> Pixels | dict[int, Pixels]:
+    """A texture whose image, or each of whose tiles, is changed."""
+    if isinstance(texture, Mapping):
+        return {tile: change(pixels) for tile, pixels in texture.items()}
+    return change(texture)
 
 
 def as_pixels(image: Pixels) -> Pixels:

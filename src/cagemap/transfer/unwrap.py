@@ -105,7 +105,8 @@ def _charts(positions: FloatArray, triangles: IndexArray) -> _Charts:
     for number in range(atlas.get_mesh_chart_count(0)):
         chart[np.asarray(atlas.get_mesh_chart(0, number).faces, dtype=np.int64)] = number
     scaled = uvs.astype(np.float64) * (atlas.width, atlas.height) / max(atlas.texels_per_unit, 1e-30)
-    turning = np.bincount(chart + 1, _turning(scaled[corners]).sum(axis=1))[1:]
+    one, two = scaled[corners[:, 1:]].transpose(1, 0, 2) - scaled[corners[:, 0]]
+    turning = np.bincount(chart + 1, _cross(one, two))[1:]
     mirrored = (chart >= 0) & (np.append(turning, 0.0)[chart] < 0)
     scaled[np.unique(corners[mirrored]), 0] *= -1
     return _Charts(scaled, vertices.astype(np.int64), corners, chart)
@@ -316,11 +317,6 @@ def _equalize(control: ControlMesh, positions: FloatArray, flat: _Flat, islands:
     ratio = np.bincount(island_of_face, solid_of_face) / np.bincount(island_of_face, flat_of_face)
     # A degenerate polygon keeps a spot of its own, however small.
     return flat.uvs * np.sqrt(np.maximum(ratio, 1e-6))[islands][:, None]
-
-
-def _turning(corners: FloatArray) -> FloatArray:
-    """(t, 1) twice the signed areas of flat triangles (t, 3, 2)."""
-    return _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, None]
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -22,7 +22,7 @@ from cagemap.transfer.displacement import Displacement, scale_ratio
 from cagemap.transfer.locate import TexelSamples, target_barycentric
 from cagemap.transfer.lookups import plan_lookups
 from cagemap.transfer.tangents import TangentFrames, plane_basis, tangent_frames
-from cagemap.transfer.texture import Pixels, Texture, lay_texture
+from cagemap.transfer.texture import Pixels, Texture, each_tile, lay_texture
 
 Space = Literal["tangent", "object"]
 Green = Literal["up", "down"]
@@ -63,7 +63,7 @@ def bake_normal_map(
     options = options or BakeOptions()
     if green not in ("up", "down"):
         raise ParameterError(f"green: expected up or down, got {green!r}")
-    laid = lay_texture(_three(texture), *transfer.source.layout(), wrap=options.wrap)
+    laid = lay_texture(each_tile(texture, _three), *transfer.source.layout(), wrap=options.wrap)
     kept = laid.dtype if dtype is None else np.dtype(dtype)
     signed = laid.dtype.kind == "f" and any(float(np.nanmin(tile)) < 0 for tile in laid.tiles.values())
     flip = np.array([1.0, -1.0 if green == "down" and space == "tangent" else 1.0, 1.0])
@@ -127,7 +127,7 @@ def bake_vector_displacement(
         If the image has fewer than three channels, the scale is 0, or as `bake_texture`.
     """
     options = options or BakeOptions()
-    laid = lay_texture(_three(texture), *transfer.source.layout(), wrap=options.wrap)
+    laid = lay_texture(each_tile(texture, _three), *transfer.source.layout(), wrap=options.wrap)
     kept = laid.dtype if dtype is None else np.dtype(dtype)
     middle = midlevel if midlevel is not None else 0.5 if laid.dtype.kind == "u" else 0.0
     if scale == 0:
@@ -301,14 +301,8 @@ def _solve(frames: FloatArray, vectors: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("skd,sd->sk", duals, vectors) / safe[:, None])
 
 
-def _three(texture: Pixels | Mapping[int, Pixels]) -> Pixels | dict[int, Pixels]:
+def _three(pixels: Pixels) -> Pixels:
     """The first three channels."""
-    if isinstance(texture, Mapping):
-        return {tile: np.ascontiguousarray(_channels(pixels)) for tile, pixels in texture.items()}
-    return np.ascontiguousarray(_channels(texture))
-
-
-def _channels(pixels: Pixels) -> Pixels:
     if pixels.ndim != 3 or pixels.shape[2] < 3:
         raise ParameterError(f"expected three channels of directions, got an image of shape {pixels.shape}")
-    return pixels[:, :, :3]
+    return np.ascontiguousarray(pixels[:, :, :3])
