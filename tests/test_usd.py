@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from examples.shapes import cube, grid, icosahedron
 
+from cagemap.cli.mesh_commands import check_files
 from cagemap.errors import FormatError
 from cagemap.files.meshes import read_mesh, write_mesh
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
@@ -404,3 +405,23 @@ def test_meshes_of_different_schemes_are_read_for_their_parts(tmp_path: Path) ->
     part = extract(mixed, find_part(mixed, "eye").faces)
     assert isinstance(part.scheme, Loop)
     assert extract(mixed, find_part(mixed, "mesh").faces).scheme == CatmullClark("edge_only")
+    text, sound = check_files([path])
+    assert not sound
+    assert "object:/Asset/eye" in text, text
+
+
+def test_in_betweens_are_left_out_aloud_and_shapes_without_a_target_refused(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "cube.usda"
+    write_usd(path, full_cube(), UsdResults(attributes={"blendShape:smile": np.eye(3)[np.arange(8) % 3]}))
+    stage = Usd.Stage.Open(str(path))
+    shape = UsdSkel.BlendShape(stage.GetPrimAtPath("/Asset/mesh/smile"))
+    shape.CreateInbetween("half").SetWeight(0.5)
+    stage.Save()
+    read_usd_meshes(path)
+    assert "blend shape smile: its in-betweens are left out" in caplog.text
+    UsdSkel.BindingAPI(stage.GetPrimAtPath("/Asset/mesh")).GetBlendShapesAttr().Set(["smile", "frown"])
+    stage.Save()
+    with pytest.raises(FormatError, match="2 names and 1 targets"):
+        read_usd_meshes(path)

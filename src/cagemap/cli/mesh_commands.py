@@ -12,7 +12,7 @@ from typing import Any
 from cagemap.cli.subdivision import SubdivisionRequest
 from cagemap.errors import CagemapError, ParameterError
 from cagemap.files.atomic import check_outputs
-from cagemap.files.meshes import check_mesh_path, mesh_files, read_mesh, write_mesh
+from cagemap.files.meshes import check_mesh_path, mesh_files, read_mesh, read_whole, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import check_mesh, require_valid
 from cagemap.mesh.parts import Part, list_parts
@@ -29,7 +29,7 @@ def check_files(paths: Sequence[Path]) -> tuple[str, bool]:
     parts, sound = [], True
     for path in paths:
         try:
-            mesh = read_mesh(path)
+            mesh = read_whole(path)
             report = check_mesh(mesh)
         except CagemapError as error:
             parts.append(f"{path}\n  cannot be read: {error}")
@@ -45,7 +45,7 @@ def check_values(paths: Sequence[Path]) -> tuple[str, bool]:
     found: list[dict[str, Any]] = []
     for path in paths:
         try:
-            mesh = read_mesh(path)
+            mesh = read_whole(path)
             report = check_mesh(mesh)
         except CagemapError as error:
             found.append({"file": str(path), "usable": False, "error": str(error)})

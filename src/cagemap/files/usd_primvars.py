@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 from cagemap.errors import FormatError
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
+
+logger = logging.getLogger(__name__)
 
 # Attributes that become skinning and blend shapes.
 JOINT_WEIGHTS = "skel:jointWeights"
@@ -167,9 +170,16 @@ def _blend_shapes(where: str, control: ControlMesh, prim: Any) -> dict[str, NDAr
     binding = UsdSkel.BindingAPI(prim)
     names = binding.GetBlendShapesAttr().Get() or []
     targets = binding.GetBlendShapeTargetsRel().GetTargets() if len(names) else []
+    if len(names) != len(targets):
+        raise FormatError(
+            f"{where}: expected a target for each blend shape, got {len(names)} names and {len(targets)} targets. "
+            "Export it again."
+        )
     arrays = {}
-    for name, target in zip(names, targets, strict=False):
+    for name, target in zip(names, targets, strict=True):
         shape = UsdSkel.BlendShape(prim.GetStage().GetPrimAtPath(target))
+        if shape.GetInbetweens():
+            logger.warning("%s: blend shape %s: its in-betweens are left out", where, name)
         offsets = np.asarray(shape.GetOffsetsAttr().Get() or np.zeros((0, 3)), dtype=np.float64).reshape(-1, 3)
         points = shape.GetPointIndicesAttr().Get()
         numbers = np.arange(len(offsets)) if points is None or not len(points) else np.asarray(points, dtype=np.int64)
