@@ -9,10 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from cagemap.basis import HierarchicalBasis
+from cagemap.descriptors.symmetry import projected_operator
 from cagemap.numerics.arrays import FloatArray
-
-# Basis functions that are multiplied at once: at a million vertices 256 MB.
-COLUMNS = 32
 
 
 def multiplication_operator(basis: HierarchicalBasis, coefficients: FloatArray) -> FloatArray:
@@ -32,12 +30,7 @@ def multiplication_operator(basis: HierarchicalBasis, coefficients: FloatArray) 
     level = basis.last_level
     function = _at_vertices(basis, coefficients, level)
     function /= max(float(np.abs(function).max()), np.finfo(float).tiny)
-    columns = []
-    for i, band in enumerate(basis.bands):
-        for start in range(0, band.shape[1], COLUMNS):
-            values = basis.refinement.prolong(band[:, start : start + COLUMNS], i, level)
-            columns.append(basis.project(function[:, None] * values, level))
-    return np.hstack(columns)
+    return projected_operator(basis, lambda values: function[:, None] * values)
 
 
 def _at_vertices(basis: HierarchicalBasis, coefficients: FloatArray, level: int) -> FloatArray:

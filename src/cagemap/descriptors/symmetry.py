@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
@@ -15,7 +17,7 @@ from cagemap.refinement import Refinement
 # Rows of S^l that generic functions tell apart by less than this are the same row.
 SAME_ROW = 1e-9
 UNKNOWN = -1
-# Basis functions that are mirrored at once: at a million vertices 256 MB.
+# Basis functions that an operator is applied to at once: at a million vertices 256 MB.
 COLUMNS = 32
 
 
@@ -119,13 +121,18 @@ def symmetry_operator(basis: HierarchicalBasis, symmetry: IndexArray) -> FloatAr
     (k, k) array, tridiagonal
         Its leading blocks are the operators of the coarser levels.
     """
+    whole = projected_operator(basis, lambda values: np.where(symmetry[:, None] == UNKNOWN, 0.0, values[symmetry]))
+    return np.triu(np.tril(whole, 1), -1)
+
+
+def projected_operator(basis: HierarchicalBasis, apply: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """(k, k) Phi~^+ O Phi~ of a linear operator O on functions (n, q) of the last level that has a band."""
     level, columns = basis.last_level, []
     for i, band in enumerate(basis.bands):
         for start in range(0, band.shape[1], COLUMNS):
             values = basis.refinement.prolong(band[:, start : start + COLUMNS], i, level)
-            mirrored = np.where(symmetry[:, None] == UNKNOWN, 0.0, values[symmetry])
-            columns.append(basis.project(mirrored, level))
-    return np.triu(np.tril(np.hstack(columns), 1), -1)
+            columns.append(basis.project(apply(values), level))
+    return np.hstack(columns)
 
 
 def sends_creases_to_creases(control: ControlMesh, image: IndexArray) -> bool:

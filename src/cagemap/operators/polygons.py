@@ -34,7 +34,17 @@ class MeanTriangulation:
 
 
 @dataclass(frozen=True)
-class AlexaWardetzky:
+class _Stabilised:
+    """What functions cost that no gradient in the polygon's plane sees: ``stabilisation``, above 0, without a unit."""
+
+    stabilisation: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Check the range."""
+        _check(self.stabilisation)
+
+
+class AlexaWardetzky(_Stabilised):
     """The paper's: Alexa and Wardetzky, *Discrete Laplacians on general polygonal meshes*, 2011.
 
     W_f = d^T (B B^T / ``|f|`` + lambda C C^T) d, with d the differences along the edges, B their midpoints, ``|f|`` the
@@ -46,12 +56,6 @@ class AlexaWardetzky:
     stabilisation : float
         lambda, above 0: what functions cost that no gradient in the polygon's plane sees. No unit.
     """
-
-    stabilisation: float = 1.0
-
-    def __post_init__(self) -> None:
-        """Check the range."""
-        _check(self.stabilisation)
 
     def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
         """See `Laplacian`."""
@@ -65,8 +69,7 @@ class AlexaWardetzky:
         return polygon.terms(inner + self.stabilisation * others, len(positions))
 
 
-@dataclass(frozen=True)
-class DeGoesButtsDesbrun:
+class DeGoesButtsDesbrun(_Stabilised):
     """De Goes, Butts and Desbrun, *Discrete differential operators on polygonal meshes*, 2020.
 
     W_f = d^T (``|f|`` U^T U + lambda P^T P) d, with U the sharp operator (the mean gradient of a 1-form), V the flat
@@ -77,12 +80,6 @@ class DeGoesButtsDesbrun:
     stabilisation : float
         lambda, above 0. No unit.
     """
-
-    stabilisation: float = 1.0
-
-    def __post_init__(self) -> None:
-        """Check the range."""
-        _check(self.stabilisation)
 
     def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
         """See `Laplacian`."""

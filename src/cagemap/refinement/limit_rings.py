@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 
 from cagemap.mesh.schemes import CREASE_LIMIT, CatmullClark, Loop
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.refinement.matrices import RowFiller, put_sharp_rows, put_smooth_rows
+from cagemap.refinement.matrices import RowFiller, put_boundary_rows, put_inner_rows, vertex_row_lengths
 from cagemap.refinement.topology import BoolArray, IntArray, Topology
 
 SmoothScheme: TypeAlias = CatmullClark | Loop
@@ -21,11 +21,10 @@ SmoothScheme: TypeAlias = CatmullClark | Loop
 
 def ring_limits(topology: Topology, scheme: SmoothScheme, corner: BoolArray) -> csr_array:
     """Weights of limit positions, (n, n): smooth inside, 1/6, 2/3, 1/6 on the boundary, a corner itself."""
-    rows = _ring_rows(topology, scheme, corner)
     own, *each = scheme.limit_weights(topology.valences)
-    rings = zip(rings_of(topology, scheme), each, strict=True)
-    put_smooth_rows(rows, topology, ~topology.boundary, own, *rings)
-    put_sharp_rows(rows, topology, topology.boundary & ~corner, corner, CREASE_LIMIT)
+    rows = RowFiller(vertex_row_lengths(topology, corner, len(each)))
+    put_inner_rows(rows, topology, own, *zip(rings_of(topology, scheme), each, strict=True))
+    put_boundary_rows(rows, topology, corner, CREASE_LIMIT)
     return rows.matrix(topology.table.n_vertices)
 
 
@@ -47,13 +46,6 @@ def rings_of(topology: Topology, scheme: SmoothScheme) -> list[IntArray]:
     table = topology.table
     neighbours = table.vertices[table.following]
     return [neighbours] if isinstance(scheme, Loop) else [neighbours, neighbours[table.following]]
-
-
-def _ring_rows(topology: Topology, scheme: SmoothScheme, corner: BoolArray) -> RowFiller:
-    n_rings = 1 if isinstance(scheme, Loop) else 2
-    lengths = np.where(topology.boundary, 3, 1 + n_rings * topology.valences)
-    lengths[corner] = 1
-    return RowFiller(lengths)
 
 
 def _interior_tangents(topology: Topology, scheme: SmoothScheme) -> list[csr_array]:

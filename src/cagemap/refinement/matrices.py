@@ -46,11 +46,9 @@ class RowFiller:
         return matrix
 
 
-def put_sharp_rows(
-    rows: RowFiller, topology: Topology, crease: BoolArray, corner: BoolArray, weights: tuple[float, float]
-) -> None:
-    """Fill the rows of crease vertices with ``weights`` (own, each neighbour along the curve), of corners with 1."""
-    table = topology.table
+def put_boundary_rows(rows: RowFiller, topology: Topology, corner: BoolArray, weights: tuple[float, float]) -> None:
+    """Fill the rows of boundary vertices with ``weights`` (own, each neighbour along the curve), of corners with 1."""
+    table, crease = topology.table, topology.boundary & ~corner
     curve = topology.boundary_corners
     starts, ends = table.vertices[curve], table.vertices[table.following[curve]]
     numbers = np.arange(table.n_vertices, dtype=np.int32)
@@ -60,14 +58,12 @@ def put_sharp_rows(
     rows.put(ends[crease[ends]], 2, starts[crease[ends]], weights[1])
 
 
-def put_smooth_rows(
-    rows: RowFiller, topology: Topology, smooth: BoolArray, own: FloatArray, *rings: tuple[IntArray, FloatArray]
-) -> None:
-    """Fill the rows of smooth vertices: own weight, then for every corner around one entry per ring.
+def put_inner_rows(rows: RowFiller, topology: Topology, own: FloatArray, *rings: tuple[IntArray, FloatArray]) -> None:
+    """Fill the rows of inner vertices: own weight, then for every corner around one entry per ring.
 
     ``own`` is per vertex; a ring is, per corner, the vertex and, per vertex, the weight.
     """
-    table = topology.table
+    table, smooth = topology.table, ~topology.boundary
     numbers = np.flatnonzero(smooth).astype(np.int32)
     rows.put(numbers, 0, numbers, own[numbers])
     around = np.flatnonzero(smooth[table.vertices]) if not smooth.all() else slice(None)
@@ -96,8 +92,9 @@ def _put_edge_rows(rows: RowFiller, topology: Topology, end_weight: float, *othe
             place += 1
 
 
-def _vertex_row_lengths(topology: Topology, smooth: BoolArray, corner: BoolArray, n_rings: int) -> IntArray:
-    lengths = np.where(smooth, 1 + n_rings * topology.valences, 3)
+def vertex_row_lengths(topology: Topology, corner: BoolArray, n_rings: int) -> IntArray:
+    """(n,) entries of every vertex' row: itself and its rings, or on the boundary its neighbours along the curve."""
+    lengths = np.where(topology.boundary, 3, 1 + n_rings * topology.valences)
     lengths[corner] = 1
     return lengths
 
@@ -105,19 +102,15 @@ def _vertex_row_lengths(topology: Topology, smooth: BoolArray, corner: BoolArray
 def quad_matrix(topology: Topology, scheme: CatmullClark, corner: BoolArray) -> csr_array:
     """One step of Catmull-Clark on a mesh of quads, from the masks written out for quads."""
     table = topology.table
-    crease = topology.boundary & ~corner
-    smooth = ~topology.boundary
     interior = topology.edge_corners[:, 1] >= 0
     rows = RowFiller(
-        np.concatenate(
-            [_vertex_row_lengths(topology, smooth, corner, 2), np.where(interior, 6, 2), np.full(table.n_faces, 4)]
-        )
+        np.concatenate([vertex_row_lengths(topology, corner, 2), np.where(interior, 6, 2), np.full(table.n_faces, 4)])
     )
     own, neighbour, opposite = scheme.quad_vertex_weights(topology.valences)
     neighbours = table.vertices[table.following]
     opposites = neighbours[table.following]
-    put_smooth_rows(rows, topology, smooth, own, (neighbours, neighbour), (opposites, opposite))
-    put_sharp_rows(rows, topology, crease, corner, CREASE_VERTEX)
+    put_inner_rows(rows, topology, own, (neighbours, neighbour), (opposites, opposite))
+    put_boundary_rows(rows, topology, corner, CREASE_VERTEX)
     end_weight, other_weight = scheme.quad_edge_weights()
     _put_edge_rows(rows, topology, end_weight, (1, other_weight), (2, other_weight))
     faces_start = rows.indptr[table.n_vertices + table.n_edges]
@@ -129,15 +122,11 @@ def quad_matrix(topology: Topology, scheme: CatmullClark, corner: BoolArray) -> 
 def triangle_matrix(topology: Topology, scheme: Loop, corner: BoolArray) -> csr_array:
     """One step of Loop."""
     table = topology.table
-    crease = topology.boundary & ~corner
-    smooth = ~topology.boundary
     interior = topology.edge_corners[:, 1] >= 0
-    rows = RowFiller(
-        np.concatenate([_vertex_row_lengths(topology, smooth, corner, 1), np.where(interior, 4, 2).astype(np.int32)])
-    )
+    rows = RowFiller(np.concatenate([vertex_row_lengths(topology, corner, 1), np.where(interior, 4, 2)]))
     own, neighbour = scheme.vertex_weights(topology.valences)
-    put_smooth_rows(rows, topology, smooth, own, (table.vertices[table.following], neighbour))
-    put_sharp_rows(rows, topology, crease, corner, CREASE_VERTEX)
+    put_inner_rows(rows, topology, own, (table.vertices[table.following], neighbour))
+    put_boundary_rows(rows, topology, corner, CREASE_VERTEX)
     _put_edge_rows(rows, topology, scheme.edge_weights()[0], (1, scheme.edge_weights()[1]))
     return rows.matrix(table.n_vertices)
 
@@ -147,9 +136,7 @@ def polygon_matrix(topology: Topology, scheme: CatmullClark, corner: BoolArray) 
 
     Used for the control mesh, and by tests as the definition that `quad_matrix` must reproduce.
     """
-    table = topology.table
-    crease = topology.boundary & ~corner
-    smooth = ~topology.boundary
+    table, smooth = topology.table, ~topology.boundary
     shape = (table.n_corners, table.n_vertices)
     here = _selection(table.vertices, shape)
     ends = _selection(table.vertices[table.following], shape)
@@ -163,7 +150,7 @@ def polygon_matrix(topology: Topology, scheme: CatmullClark, corner: BoolArray) 
         diags_array(np.where(smooth, own, 0.0))
         + diags_array(np.where(smooth, neighbour, 0.0)) @ (here.T @ ends)
         + diags_array(np.where(smooth, face, 0.0)) @ (here.T @ of_face) @ face_points
-        + _sharp_vertex_points(topology, crease, corner)
+        + _boundary_points(topology, corner)
     )
     interior = topology.edge_corners[:, 1] >= 0
     forward = topology.edge_corners[:, 0]
@@ -183,11 +170,11 @@ def _selection(columns: IntArray, shape: tuple[int, int]) -> csr_array:
     return csr_array((np.ones(shape[0]), columns, np.arange(shape[0] + 1, dtype=np.int32)), shape=shape)
 
 
-def _sharp_vertex_points(topology: Topology, crease: BoolArray, corner: BoolArray) -> csr_array:
-    n = topology.table.n_vertices
-    rows = RowFiller(np.where(crease, 3, np.where(corner, 1, 0)))
-    put_sharp_rows(rows, topology, crease, corner, CREASE_VERTEX)
-    return rows.matrix(n)
+def _boundary_points(topology: Topology, corner: BoolArray) -> csr_array:
+    """(n, n) rows of boundary vertices and corners; the others are empty."""
+    rows = RowFiller(np.where(topology.boundary | corner, vertex_row_lengths(topology, corner, 0), 0))
+    put_boundary_rows(rows, topology, corner, CREASE_VERTEX)
+    return rows.matrix(topology.table.n_vertices)
 
 
 def bilinear_matrix(topology: Topology) -> csr_array:
