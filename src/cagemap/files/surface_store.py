@@ -22,6 +22,7 @@ from scipy import sparse
 
 from cagemap import __version__
 from cagemap.basis import BasisConfig, HierarchicalBasis, Surface
+from cagemap.basis.prepare import Progress, silent
 from cagemap.errors import CagemapError, FormatError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.code_version import code_version
@@ -120,7 +121,7 @@ def prepared(
     config: BasisConfig = MAP_BASIS,
     *,
     scheme: Scheme | None = None,
-    progress: Callable[[str], None] = lambda stage: None,
+    progress: Progress = silent,
     prepare: Prepare = prepare_surface,
 ) -> Surface:
     """A prepared surface from a folder of stored ones, or prepared now and stored there.

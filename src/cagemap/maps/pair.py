@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from cagemap.basis import Surface
+from cagemap.basis.prepare import Progress as Progress
+from cagemap.basis.prepare import silent as silent
 from cagemap.errors import ParameterError
 from cagemap.geometry.points import SurfacePoints
 from cagemap.geometry.surface import TriangleSurface
@@ -21,7 +23,6 @@ from cagemap.numerics.threads import in_threads
 # Vertices of the level from which on points between vertices are given near ones.
 NEAR_VERTICES = 3000
 
-Progress = Callable[[str], None]
 LevelPair = tuple[int, int]
 SymmetryPair = tuple[IndexArray, IndexArray]
 

@@ -73,11 +73,6 @@ class ElasticGraph:
         of_edges = 0.5 * self.weights * ((residual**2).sum(axis=1) + epsilon * change)
         return np.asarray(np.bincount(self.heads, of_edges, self.n), dtype=np.float64)
 
-    def gather(self) -> sparse.csr_array:
-        """(n, 2 m) matrix that sums edge values at the edges' heads."""
-        count = len(self.heads)
-        return sparse.csr_array((np.ones(count), (self.heads, np.arange(count))), shape=(self.n, count))
-
     def moments(self) -> sparse.csr_array:
         """(3 n, n) matrix B: row 3 i + b of B x holds ``sum_j w_ij e_ij,b (x_i - x_j)``."""
         weighted = (self.weights[:, None] * self.edges).ravel()
@@ -188,7 +183,9 @@ class DifferentialField:
         """Factor the (3 n, 3 n) matrix once for all iterations."""
         edges = graph.edges
         outer = graph.weights[:, None, None] * edges[:, :, None] * edges[:, None, :]
-        blocks = (graph.gather() @ outer.reshape(-1, 9)).reshape(-1, 3, 3)
+        count = len(graph.heads)
+        at_heads = sparse.csr_array((np.ones(count), (graph.heads, np.arange(count))), shape=(graph.n, count))
+        blocks = np.asarray(at_heads @ outer.reshape(-1, 9)).reshape(-1, 3, 3)
         # A flat ring leaves its normal direction open: lean on the neighbours, and a trace of ridge for safety.
         blocks += 1e-9 * float(np.einsum("naa->n", blocks).mean()) * np.eye(3)
         system = BlockSystem.build(laplacian)

@@ -17,7 +17,7 @@ from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.elastic.starts import SpectralSides, spectral_starts, start_map
 from cagemap.maps.elastic.update import respond
-from cagemap.maps.pair import Pair, Progress
+from cagemap.maps.pair import Pair, Progress, silent
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import map_of_places
 from cagemap.maps.spectral.samples import FIT_SAMPLES, Samples, fit_functional_map, spread
@@ -26,9 +26,7 @@ from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import ThreadPool, in_threads
 
 
-def elastic_answers(
-    problem: FitProblem, progress: Progress = lambda stage: None
-) -> tuple[PointMap, tuple[FineFit, ...]]:
+def elastic_answers(problem: FitProblem, progress: Progress = silent) -> tuple[PointMap, tuple[FineFit, ...]]:
     """Point map T12 of the finest levels: fitted on the level that is deformed, projected once, unfolded.
 
     Parameters
@@ -53,12 +51,12 @@ def elastic_answers(
 
 
 @kinds_checked
-def fit(prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: None) -> FloatArray:
+def fit(prepared: PreparedPair, pair: Pair, progress: Progress = silent) -> FloatArray:
     """Places (n, 3) near the source of the target's vertices of the level that is deformed: the first of `fits`."""
     return fits(FitProblem(prepared, pair), progress)[0].answer
 
 
-def fits(problem: FitProblem, progress: Progress = lambda stage: None) -> tuple[FineFit, ...]:
+def fits(problem: FitProblem, progress: Progress = silent) -> tuple[FineFit, ...]:
     """Where the elastic fit ends, the cheapest end first; others only where it was not clear from the start.
 
     The functional map starts as the paper's (eqs. 13-16) and grows on the search levels beside harmonic and biharmonic
@@ -117,9 +115,7 @@ def doubtful_ends(problem: FitProblem, ends: Sequence[CoarseFit], stiff: CoarseF
     return replace(first, moved=both_ways(problem, moved)), *others
 
 
-def updated_map(
-    prepared: PreparedPair, pair: Pair, before: PointMap, progress: Progress = lambda stage: None
-) -> PointMap:
+def updated_map(prepared: PreparedPair, pair: Pair, before: PointMap, progress: Progress = silent) -> PointMap:
     """Point map T12 of the finest levels after landmarks changed, from the one before.
 
     Parameters

@@ -15,7 +15,7 @@ from cagemap.maps.hypotheses.confidence import SURE, Confidence, MapShape, Readi
 from cagemap.maps.hypotheses.mirror import mirrored_gain
 from cagemap.maps.hypotheses.search import found_readings
 from cagemap.maps.hypotheses.tips import AS_CHEAP, OF_ONE_KIND
-from cagemap.maps.pair import Pair, Progress
+from cagemap.maps.pair import Pair, Progress, silent
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import map_of_places
 from cagemap.numerics.arrays import FloatArray
@@ -26,9 +26,7 @@ FEWEST_LANDMARKS = 3
 FAR = 0.05
 
 
-def hypothesis_map(
-    prepared: PreparedPair, pair: Pair, progress: Progress = lambda stage: None
-) -> tuple[PointMap, Confidence]:
+def hypothesis_map(prepared: PreparedPair, pair: Pair, progress: Progress = silent) -> tuple[PointMap, Confidence]:
     """Point map T12 of the finest levels by the cheapest hypothesis, which meets the landmarks there are.
 
     Parameters

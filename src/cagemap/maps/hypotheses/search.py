@@ -16,7 +16,7 @@ from cagemap.maps.hypotheses.confidence import Reading
 from cagemap.maps.hypotheses.starts import AS_FILED, Start, rigid_starts
 from cagemap.maps.hypotheses.tips import OF_ONE_KIND, Tips, led_by_tips
 from cagemap.maps.masks import WHOLE
-from cagemap.maps.pair import Progress
+from cagemap.maps.pair import Progress, silent
 from cagemap.numerics.threads import in_threads, thread_limit
 
 # Size of the graph on which all starts are tried, from stiff, which turns and shifts as a whole, to soft.
@@ -48,7 +48,7 @@ class _Candidate:
         return self.doubt * self.fit.cost
 
 
-def found_readings(problem: FitProblem, progress: Progress = lambda stage: None) -> tuple[Reading, ...]:
+def found_readings(problem: FitProblem, progress: Progress = silent) -> tuple[Reading, ...]:
     """Different ways in which the target lies on the source, fitted, best first: by cost and doubt.
 
     Landmarks, if there are any, are held by all of them. Positions are those of the vertices of the level

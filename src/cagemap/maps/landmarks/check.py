@@ -28,7 +28,7 @@ from cagemap.maps.landmarks.distances import (
 )
 from cagemap.maps.landmarks.sides import Marks, exchanged_sides, orientation_agreement
 from cagemap.maps.landmarks.strain import ReducedEnergy, reduced_energy, strained_pair
-from cagemap.maps.pair import Pair, Progress, vertices_at
+from cagemap.maps.pair import Pair, Progress, silent, vertices_at
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import landmark_errors
 from cagemap.mesh.landmarks import Landmarks
@@ -153,7 +153,7 @@ class LandmarkCheck:
 
 
 def checked_map(
-    prepared: PreparedPair, pair: Pair, names: Sequence[str], progress: Progress = lambda stage: None
+    prepared: PreparedPair, pair: Pair, names: Sequence[str], progress: Progress = silent
 ) -> tuple[PointMap, LandmarkCheck, tuple[FineFit, ...]]:
     """`elastic_answers` without the landmark pairs that turn out to be wrong.
 

@@ -11,7 +11,7 @@ from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.hypotheses.confidence import AS_GIVEN, EXCHANGED, TWO, Confidence, MapShape, Reading
 from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS
 from cagemap.maps.hypotheses.search import found_readings
-from cagemap.maps.pair import Pair, PointPairs, Progress
+from cagemap.maps.pair import Pair, PointPairs, Progress, silent
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
@@ -20,7 +20,7 @@ NEAR_ENOUGH = 0.08
 
 
 def mirrored_readings(
-    prepared: PreparedPair, pair: Pair, given: PointMap, progress: Progress = lambda stage: None
+    prepared: PreparedPair, pair: Pair, given: PointMap, progress: Progress = silent
 ) -> Confidence | None:
     """Two answers: the map that meets landmarks as they are, and one with those exchanged that shapes alone suggest.
 

@@ -22,7 +22,7 @@ from cagemap.basis import Surface
 from cagemap.errors import ParameterError
 from cagemap.functional_map import Constraints, MapWeights, extend_functional_map, solve_functional_map
 from cagemap.geometry.points import SurfacePoints
-from cagemap.maps.pair import LevelPair, Pair, Progress, near_vertices
+from cagemap.maps.pair import LevelPair, Pair, Progress, near_vertices, silent
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import dirichlet_energy
 from cagemap.maps.spectral.constraints import DescriptorConfig, gather_constraints
@@ -157,7 +157,7 @@ class HierarchyConfig(Brief):
 def hierarchical_map(
     pair: Pair,
     config: HierarchyConfig = HierarchyConfig(),
-    progress: Progress = lambda stage: None,
+    progress: Progress = silent,
     *,
     constraints: Constraints | None = None,
     start: FloatArray | None = None,

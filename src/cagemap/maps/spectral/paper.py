@@ -8,7 +8,7 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.functional_map import Constraints, MapWeights, extend_functional_map, solve_functional_map
-from cagemap.maps.pair import LevelPair, Pair, Progress
+from cagemap.maps.pair import LevelPair, Pair, Progress, silent
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.spectral.constraints import DescriptorConfig, gather_constraints
 from cagemap.maps.spectral.levels import LevelMap, basis_sizes, down_the_levels, refit, search_full, search_level
@@ -44,7 +44,7 @@ class PaperConfig(Brief):
 def paper_map(
     pair: Pair,
     config: PaperConfig = PaperConfig(),
-    progress: Progress = lambda stage: None,
+    progress: Progress = silent,
     *,
     constraints: Constraints | None = None,
     start: FloatArray | None = None,
