@@ -87,6 +87,22 @@ def test_memory_that_was_freed_is_used_again() -> None:
     assert int(said.stdout) < 1000  # of 23 000 pages
 
 
+@pytest.mark.parametrize(("given", "expected"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "2"}, "2")])
+def test_blas_starts_no_threads_in_a_command_unless_told(given: dict[str, str], expected: str) -> None:
+    script = (
+        "import os, sys\n"
+        "from cagemap.cli import main\n"
+        "sys.argv[1:] = ['--version']\n"
+        "try:\n"
+        "    main()\n"
+        "except SystemExit:\n"
+        "    print(os.environ['OPENBLAS_NUM_THREADS'])\n"
+    )
+    own = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, env=own | given)
+    assert said.stdout.split()[-1] == expected
+
+
 def test_a_reader_that_has_gone_is_no_error(tmp_path: Path) -> None:
     write_mesh(tmp_path / "box.obj", cube())
     with subprocess.Popen(
