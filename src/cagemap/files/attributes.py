@@ -15,7 +15,7 @@ from cagemap.files.atomic import atomic_path
 from cagemap.files.file_rows import FileRows, prim_rows, taken
 from cagemap.files.npz import read_npy, read_npz, write_npy, write_npz
 from cagemap.files.suffixes import VALUE_SUFFIXES
-from cagemap.files.text import require_file
+from cagemap.files.text import is_number, require_file
 from cagemap.files.usd import USD_SUFFIXES, in_world, one_mesh, read_usd_meshes
 from cagemap.files.vertex_groups import groups_text, read_groups
 from cagemap.mesh import ControlMesh
@@ -60,7 +60,12 @@ def read_attributes(path: str | Path, control: ControlMesh | None = None, rows: 
         groups = read_groups(file, control.n_vertices if rows is None else rows.whole.n_vertices)
         return taken({name: _check(file, name, array) for name, array in groups.items()}, rows)
     try:
-        arrays = _read_csv(file) if file.suffix.lower() == ".csv" else _read_numpy(file)
+        if file.suffix.lower() == ".csv":
+            arrays = _read_csv(file)
+        elif file.suffix.lower() == ".npz":
+            arrays = read_npz(file, "Write it again.")
+        else:
+            arrays = {file.stem: read_npy(file.read_bytes(), file, "Write it again.")}
     except FormatError:
         raise
     except (OSError, ValueError, csv.Error) as error:
@@ -118,23 +123,17 @@ def check_attribute_path(file: Path) -> None:
         )
 
 
-def _read_numpy(file: Path) -> Attributes:
-    if file.suffix.lower() == ".npz":
-        return read_npz(file, "Write it again.")
-    return {file.stem: read_npy(file.read_bytes(), file, "Write it again.")}
-
-
 def _read_csv(file: Path) -> Attributes:
     with file.open(newline="", encoding="utf-8-sig") as stream:
         rows = [row for row in csv.reader(stream) if any(cell.strip() for cell in row)]
     if not rows:
         return {}
-    names = None if _is_number(rows[0][0]) else [cell.strip() for cell in rows[0]]
+    names = None if is_number(rows[0][0]) else [cell.strip() for cell in rows[0]]
     if names is not None and len(set(names)) != len(names):
         raise FormatError(f"{file}: expected columns of different names, got {', '.join(names)[:80]}. Rename them.")
     body = rows if names is None else rows[1:]
     for number, row in enumerate(body, 1 if names is None else 2):
-        if len(row) != len(rows[0]) or not all(_is_number(cell) for cell in row):
+        if len(row) != len(rows[0]) or not all(is_number(cell) for cell in row):
             raise FormatError(f"{file}: expected {len(rows[0])} numbers in row {number}, found {', '.join(row)[:80]}")
     columns = [_column(cells) for cells in zip(*body, strict=True)]
     if names is None:
@@ -160,14 +159,6 @@ def _write_csv(file: Path, attributes: Mapping[str, NDArray[Any]]) -> None:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(names)
         writer.writerows(zip(*(column.tolist() for column in columns), strict=True))
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 def _check(file: Path, name: str, array: NDArray[Any]) -> NDArray[Any]:

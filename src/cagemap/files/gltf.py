@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from cagemap.files.atomic import write_whole
 from cagemap.files.marks import mark
-from cagemap.geometry.triangles import triangle_normals
+from cagemap.geometry.triangles import fan_triangles, vertex_normals
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.measures import cage_triangles
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray
 
 # What an array in the file is for.
 VERTICES, INDICES = 34962, 34963
@@ -84,7 +83,7 @@ def write_glb(path: str | Path, mesh: ControlMesh, *, to_metres: FloatArray | No
 
 
 def _packed(mesh: ControlMesh, to_metres: FloatArray | None) -> bytes:
-    corners, corner_faces = _fan_corners(mesh)
+    corners, corner_faces = fan_triangles(mesh.face_offsets, np.arange(len(mesh.face_indices)))
     uv_indices = mesh.face_indices if mesh.uv_indices is None else mesh.uv_indices
     pairs = mesh.face_indices * (int(uv_indices.max()) + 1) + uv_indices
     _, first, numbers = np.unique(pairs, return_index=True, return_inverse=True)
@@ -97,9 +96,11 @@ def _packed(mesh: ControlMesh, to_metres: FloatArray | None) -> bytes:
         bounds = {"min": table.min(axis=0).tolist(), "max": table.max(axis=0).tolist()} if target == VERTICES else {}
         return binary.accessor(table, target, **bounds)
 
+    normals = vertex_normals(mesh.positions, mesh.face_indices[corners])
+    normals[~normals.any(axis=1)] = [0.0, 0.0, 1.0]
     attributes = {
         "POSITION": add(mesh.positions[vertices], VERTICES),
-        "NORMAL": add(_vertex_normals(mesh)[vertices], VERTICES),
+        "NORMAL": add(normals[vertices], VERTICES),
     }
     if mesh.uvs is not None:
         # glTF counts v from the top.
@@ -124,21 +125,6 @@ def _packed(mesh: ControlMesh, to_metres: FloatArray | None) -> bytes:
     if mesh.face_materials is not None:
         document["materials"] = [_material(mesh, number) for number in range(len(mesh.material_names))]
     return binary.packed(document)
-
-
-def _fan_corners(mesh: ControlMesh) -> tuple[IndexArray, IndexArray]:
-    """(t, 3) face corners of the fans' triangles, and (t,) their faces."""
-    numbered = ControlMesh(mesh.positions, mesh.face_offsets, np.arange(len(mesh.face_indices)))
-    return cage_triangles(numbered)
-
-
-def _vertex_normals(mesh: ControlMesh) -> FloatArray:
-    """(n, 3) unit normals, the mean of the faces around weighted by area; up where there is none."""
-    triangles, _ = cage_triangles(mesh)
-    sums = np.zeros_like(mesh.positions)
-    np.add.at(sums, triangles, triangle_normals(mesh.positions, triangles)[:, None, :])
-    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
-    return np.where(lengths > 0, sums / np.where(lengths > 0, lengths, 1.0), [0.0, 0.0, 1.0])
 
 
 def _material(mesh: ControlMesh, number: int) -> dict[str, Any]:

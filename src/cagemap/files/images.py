@@ -39,6 +39,7 @@ _FORMATS: dict[str, tuple[str, ...]] = {
     ".tiff": ("uint8", "uint16", "float32"),
     ".exr": ("float16", "float32"),
 }
+_OIIO = {"uint8": oiio.UINT8, "uint16": oiio.UINT16, "float16": oiio.HALF, "float32": oiio.FLOAT}
 _CHANNELS = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
 _LARGEST_CHANNELS = 4
 _TIFF = (".tif", ".tiff")
@@ -173,7 +174,7 @@ def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False)
     pixels = given.pixels[:, :, None] if given.pixels.ndim == 2 else given.pixels
     check_writable(file, pixels.dtype, pixels.shape[2] if pixels.ndim == 3 else 0)
     height, width, channels = pixels.shape
-    spec = oiio.ImageSpec(width, height, channels, _oiio_type(pixels.dtype))
+    spec = oiio.ImageSpec(width, height, channels, _OIIO[str(pixels.dtype)])
     spec.channelnames = given.channel_names if len(given.channel_names) == channels else _CHANNELS[channels]
     tiff = file.suffix.lower() in _TIFF
     pixels = pixels if tiff else straight(replace(given, pixels=pixels)).pixels
@@ -358,10 +359,6 @@ def pixel_type(bits: int, suffix: str) -> np.dtype[Any]:
     if bits not in names:
         raise FormatError(f"bits: expected 8, 16 or 32 a channel, got {bits}. Choose one of them.")
     return np.dtype(names[bits])
-
-
-def _oiio_type(dtype: np.dtype[Any]) -> Any:
-    return {"uint8": oiio.UINT8, "uint16": oiio.UINT16, "float16": oiio.HALF, "float32": oiio.FLOAT}[str(dtype)]
 
 
 def _reason(message: str) -> str:

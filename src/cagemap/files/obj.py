@@ -19,7 +19,7 @@ from cagemap.files.mtl import read_material_colors, write_materials
 from cagemap.files.obj_polypaint import KEYWORD, polypaint
 from cagemap.files.obj_tags import parse_tags
 from cagemap.files.obj_text import obj_statements
-from cagemap.files.text import at_line, check_writable_name, decoded, read_text
+from cagemap.files.text import at_line, check_writable_name, decoded, is_number, read_text
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -292,18 +292,11 @@ def _read_vertex_colors(statements: _Statements, n_vertices: int) -> FloatArray 
         table = [unknown if fields is None else [float(field) for field in fields] for fields in kept]
     except ValueError:
         rows = statements.rows(_POSITION)
-        bad = next(i for i, fields in enumerate(lines) if len(fields) in (3, 4) and not _are_numbers(fields))
+        bad = next(i for i, fields in enumerate(lines) if len(fields) in (3, 4) and not all(map(is_number, fields)))
         raise statements.fail(
             int(rows[bad]), "'v', three coordinates and three colour values", "Export the mesh again."
         ) from None
     return as_shares(np.array(table, dtype=np.float64))
-
-
-def _are_numbers(fields: Sequence[str]) -> bool:
-    try:
-        return len([float(field) for field in fields]) == len(fields)
-    except ValueError:
-        return False
 
 
 def _read_tags(statements: _Statements, n_vertices: int, sizes: IndexArray) -> dict[str, Any]:

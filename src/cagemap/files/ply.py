@@ -184,13 +184,9 @@ def _binary_vertices(mesh: ControlMesh) -> bytes:
     return table.tobytes()
 
 
-def _corner_uvs(mesh: ControlMesh) -> FloatArray | None:
-    return None if mesh.uvs is None or mesh.uv_indices is None else mesh.uvs[mesh.uv_indices]
-
-
 def _binary_faces(mesh: ControlMesh) -> bytes:
     """Bytes of all faces in order: the records of each face size are filled together."""
-    uvs = _corner_uvs(mesh)
+    uvs = None if mesh.uvs is None or mesh.uv_indices is None else mesh.uvs[mesh.uv_indices]
     count_type = _count_type(mesh)[1]
     sizes = mesh.face_sizes
     layouts = {}

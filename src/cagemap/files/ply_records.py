@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
-from cagemap.files.text import at_line
+from cagemap.files.text import at_line, is_number
 from cagemap.numerics.arrays import IndexArray
 
 _TYPES = {
@@ -148,19 +148,11 @@ def _pack_text(path: Path, body: bytes) -> bytes:
     try:
         return np.array(list(map(float, words)), dtype="<f8").tobytes()
     except ValueError:
-        bad = next(word for word in words if not _is_number(word))
+        bad = next(word for word in words if not is_number(word))
         line = body[: body.find(bad)].count(b"\n") + 1
         raise FormatError(
             f"{path}: expected numbers after the header, got {bad[:40]!r} in line {line} of the body. {_REMEDY}"
         ) from None
-
-
-def _is_number(word: bytes) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _read_element(path: Path, body: bytes, position: int, element: Element) -> tuple[dict[str, Column], int]:

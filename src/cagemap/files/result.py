@@ -269,7 +269,10 @@ def _read_side(root: Path, prefix: str, entry: SideRecord, stored: dict[str, Any
     names = entry.material_names
     control = control_from_arrays(path, stored, f"{prefix}_control_", names, entry.name, REMEDY, scheme)
     number = 1 if prefix == "target" else 2
-    sizes |= {f"c{number}": control.n_vertices, f"n{number}": _expected_vertices(control, scheme, entry.level)}
+    sizes |= {
+        f"c{number}": control.n_vertices,
+        f"n{number}": next(islice(vertex_counts(control, scheme), entry.level, None)),
+    }
     forms = {f"{prefix}_{name}": form for name, form in _side_forms(number).items()}
     arrays = check_arrays(path, stored, forms, sizes, REMEDY)
     points = points_from_arrays(path, arrays, f"{prefix}_landmark_", REMEDY)
@@ -284,10 +287,6 @@ def _read_side(root: Path, prefix: str, entry: SideRecord, stored: dict[str, Any
         CagePoints.of_vertices(arrays[f"{prefix}_landmarks"]) if points is None else points,
         arrays.get(f"{prefix}_mask"),
     )
-
-
-def _expected_vertices(control: ControlMesh, scheme: Scheme, level: int) -> int:
-    return next(islice(vertex_counts(control, scheme), level, None))
 
 
 def _side_forms(number: int) -> dict[str, Form]:

@@ -87,6 +87,15 @@ def text_name(path: Path) -> str:
     return name
 
 
+def is_number(word: str | bytes) -> bool:
+    """Whether a word is one, also NaN or infinity."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
 def at_line(path: Path, number: int, expected: str, got: str, remedy: str) -> str:
     """Message about one line of a file; what was found is cut to a readable length."""
     shown = got if len(got) <= 80 else got[:77] + "..."

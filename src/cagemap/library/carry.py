@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from cagemap.basis import Surface
 from cagemap.files.landmark_points import read_points
 from cagemap.files.point_forms import write_points
 from cagemap.files.result import file_hash, read_result
@@ -31,7 +30,7 @@ from cagemap.maps.places import cage_points_of, located
 from cagemap.maps.result import MatchResult
 from cagemap.mesh.cage_points import CagePoints, NamedCurve, NamedPoints, on_cage
 from cagemap.mesh.curves import on_cage_curve
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray
 
 # Distance, of sqrt(area), between the answers of both directions of a map from which on a point is to be looked at.
 DOUBTFUL = 0.01
@@ -124,7 +123,8 @@ def carry_landmarks(request: Mapping[str, Any]) -> dict[str, Any]:
     for step in steps:
         found = step.carried(found.positions, found.normals)
     last = steps[-1].result.source if steps[-1].forward else steps[-1].result.target
-    vertices, positions = _as_given(last, found)
+    on_control = cage_points_of(last, found)  # control vertices, or places on the control mesh in file units
+    vertices, positions = on_control.vertices, on_control.of(last.control.positions)
     ends = np.cumsum(sizes)
     curves = tuple(
         NamedCurve(curve.name, np.full(size, -1, dtype=np.int64), positions[end - size : end], curve.closed)
@@ -152,13 +152,6 @@ def carried_notes(figures: list[dict[str, Any]]) -> list[str]:
             "file counts as landmarks of its model"
         )
     return notes
-
-
-def _as_given(surface: Surface, points: SurfacePoints) -> tuple[IndexArray, FloatArray]:
-    """Points as a file of landmarks has them: control vertices, or places on the control mesh in file units."""
-    control = surface.control
-    on_control = cage_points_of(surface, points)
-    return on_control.vertices, on_control.of(control.positions)
 
 
 def _ways(start: str, matches: Mapping[Pair, Task]) -> dict[str, list[str]]:

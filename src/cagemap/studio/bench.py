@@ -256,7 +256,7 @@ def _found(bench: Bench, view: View, started: float) -> Found:
     """What the page is told about the map there is now."""
     result = bench.result
     assert result is not None
-    images = _images(result)
+    images = Images(result.point_map.triangle, result.point_map.barycentric, result.quality.trust)
     skin = _target_skin(_opened(bench), images, view)
     free = None if bench.free is None else bench.free.confidence
     known = MapState(
@@ -286,10 +286,6 @@ def _suggestion(bench: Bench, result: MatchResult) -> int | None:
     runners_up = np.array(others).reshape(len(others), count, 3)
     trust = result.quality.trust[:count]
     return int(suggested_vertices(finest.positions[:count], images, runners_up, trust, known, 1)[0])
-
-
-def _images(result: MatchResult) -> Images:
-    return Images(result.point_map.triangle, result.point_map.barycentric, result.quality.trust)
 
 
 def _strain(result: MatchResult) -> dict[str, float]:

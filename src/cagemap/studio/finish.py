@@ -229,7 +229,8 @@ class _Writer:
             carried = ["--write-map"] if self.asked.map_form else []
         if not carried:
             return None
-        output = self._output(carry)
+        says, ending = self._named(carry)
+        output = self.files.result.parent / f"{self.stem}{says}{self.giver}{ending}"
         if output in taken:
             output = output.with_name(f"{output.stem}_{carry.wants}{output.suffix}")
         others = (name for command, name in self.options if command == "transfer" and name not in _KNOWN)
@@ -269,10 +270,6 @@ class _Writer:
         names = {_plain(name): name for name, _ in self.asked.maps} | {"": COLOR, "texture": COLOR, COLOR: COLOR}
         return tuple((names[_plain(name)], path) for name, path in given if _plain(name) in names)
 
-    def _output(self, carry: Carry) -> Path:
-        says, ending = self._named(carry)
-        return self.files.result.parent / f"{self.stem}{says}{self.giver}{ending}"
-
     def _named(self, carry: Carry) -> tuple[str, str]:
         """What the name of an output says of it, before and after the source's part."""
         source, value = self.files.source, self.value("transfer", carry.wants)
@@ -293,7 +290,7 @@ class _Writer:
             case "source_uvs":
                 return f"_with_uvs_of_{source.stem}", _mesh_form(self.files.target)
             case "blend_shapes":
-                meshes = all(path.suffix.lower() in ("", ".obj", ".ply") for path in _paths(value))
+                meshes = all(path.suffix.lower() in ("", ".obj", ".ply") for path in map(Path, _parts(value)))
                 return "_blend_shapes", "" if meshes else ".npz"
             case "write_map":
                 return f"_on_{source.stem}", self.asked.map_form
@@ -317,7 +314,8 @@ class _Writer:
         words = self.words("wrap", [one.name for one in own if one.name not in (*written, *_WRAPPED)])
         for one in written:
             if self.value("wrap", one):
-                image = f"{name}_{one}{self.asked.image_form or _wrapped_form(one)}"
+                usual = ".exr" if "displacement" in one else ".png"  # offsets are floats
+                image = f"{name}_{one}{self.asked.image_form or usual}"
                 words += [options["wrap", one].flag, str(folder / (f"{name}.mhclo" if one == "mhclo" else image))]
         images = [one for one in written if one != "mhclo" and self.value("wrap", one)]
         if images:
@@ -342,10 +340,6 @@ def _parts(value: Value) -> tuple[str, ...]:
     return tuple(map(str, value)) if isinstance(value, tuple) else ()
 
 
-def _paths(value: Value) -> list[Path]:
-    return [one for one in value if isinstance(one, Path)] if isinstance(value, tuple) else []
-
-
 def _plain(name: str) -> str:
     """A name as one may say it: normal map, Normal-Map, normal_map."""
     return name.strip().lower().replace(" ", "_").replace("-", "_")
@@ -355,8 +349,3 @@ def _mesh_form(target: Path) -> str:
     """The target's own format, where meshes are written in it."""
     suffix = target.suffix.lower()
     return ".usda" if suffix == ".usdz" else suffix if suffix in (".obj", ".ply", *USD_SUFFIXES) else ".obj"
-
-
-def _wrapped_form(name: str) -> str:
-    """Offsets are floats."""
-    return ".exr" if "displacement" in name else ".png"

@@ -216,10 +216,6 @@ def on_the_page(options: Options, text: str) -> str:
     for fold in folds(options):
         for field in fold.fields:
             flag = options[field.key].flag
-            if _says(text, flag):
+            if re.search(rf"(?<![\w-]){re.escape(flag)}(?![\w-])", text):
                 found.setdefault(flag, f"{flag}: {field.label}, under {fold.title}")
     return text if not found else f"{text} (On this page {'; '.join(found.values())}.)"
-
-
-def _says(text: str, flag: str) -> bool:
-    return re.search(rf"(?<![\w-]){re.escape(flag)}(?![\w-])", text) is not None

@@ -109,7 +109,9 @@ def take_part(mesh: ControlMesh, name: str | None, *, plain: bool) -> Taken:
     offered = _offered(mesh, count)
     if name is None and not whole:
         name = max(connected_parts(mesh), key=lambda part: len(part.faces)).title
-    part = None if name is None else _canonical(find_part(mesh, name), offered)
+    part = None if name is None else find_part(mesh, name)
+    if part is not None:  # as it is offered, where it is so under another name
+        part = next((one for one in offered if np.array_equal(one.faces, part.faces)), part)
     titles, sizes = tuple(one.title for one in offered), tuple(len(one.faces) for one in offered)
     if part is not None and len(part.faces) == mesh.n_faces:
         part = None
@@ -166,9 +168,3 @@ def _offered(mesh: ControlMesh, count: int) -> tuple[Part, ...]:
             different.setdefault(part.faces.tobytes(), part)
     largest = sorted(different.values(), key=lambda part: (-len(part.faces), KINDS.index(part.kind)))
     return tuple(largest[:MOST_OFFERED])
-
-
-def _canonical(part: Part, offered: tuple[Part, ...]) -> Part:
-    """The part as it is offered, where it is under another name."""
-    same = (one for one in offered if np.array_equal(one.faces, part.faces))
-    return next(same, part)

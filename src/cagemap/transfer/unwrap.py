@@ -59,7 +59,8 @@ def unwrap(control: ControlMesh, *, padding: float = 1 / 256) -> ControlMesh:
         raise InvalidMeshError(f"{control.name}: expected a mesh with faces and an extent to unwrap, got none")
     positions = _smooth_positions(control.with_positions((control.positions - low) / size))
     flat = _attach_loose(control, positions, _charts(positions, cage_triangles(control)[0]))
-    islands = _islands(control, flat.corner_uvs, len(flat.uvs))
+    # Islands are what polygons join.
+    islands = components(flat.corner_uvs, flat.corner_uvs[control.next_corners], len(flat.uvs))
     uvs = _equalize(control, positions, flat, islands)
     edges = np.column_stack([flat.corner_uvs, flat.corner_uvs[control.next_corners]])
     return control.with_uvs(pack_islands(uvs, edges, islands, padding), flat.corner_uvs)
@@ -221,7 +222,7 @@ def _convex_faces(control: ControlMesh, points: FloatArray) -> np.ndarray:
     begin = control.face_offsets[:-1]
     straight = np.minimum.reduceat(cross - _STRAIGHT * lengths * lengths[following], begin) >= 0
     area2 = np.add.reduceat(_cross(points, points[following]), begin)
-    turns = np.add.reduceat(_exterior_angles(edges, edges[following]), begin)
+    turns = np.add.reduceat(np.arctan2(cross, np.einsum("ij,ij->i", edges, edges[following])), begin)
     solid = area2 > _FLAT * np.add.reduceat(lengths, begin) ** 2
     return straight & solid & (np.abs(turns - 2 * np.pi) < 1.0)  # a star turns left too, but twice around
 
@@ -299,12 +300,6 @@ def _overlap(first: FloatArray, second: FloatArray) -> np.ndarray:
     return ~apart
 
 
-def _islands(control: ControlMesh, corner_uvs: IndexArray, n_uvs: int) -> IndexArray:
-    """(p,) island of every UV: those that polygons join."""
-    following = corner_uvs[control.next_corners]
-    return components(corner_uvs, following, n_uvs)
-
-
 def _equalize(control: ControlMesh, positions: FloatArray, flat: _Flat, islands: IndexArray) -> FloatArray:
     """UVs scaled island by island, so that each has the area of its polygons in space."""
     triangles = cage_triangles(control)[0]
@@ -321,7 +316,3 @@ def _equalize(control: ControlMesh, positions: FloatArray, flat: _Flat, islands:
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
-
-
-def _exterior_angles(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.asarray(np.arctan2(_cross(a, b), np.einsum("ij,ij->i", a, b)))
