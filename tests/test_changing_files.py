@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import shutil
+import threading
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +17,12 @@ from cagemap.cli import match, own_map
 from cagemap.cli.map_request import MapRequest
 from cagemap.cli.match_request import MatchRequest
 from cagemap.cli.progress import Stages
-from cagemap.files.manifest import input_file, read_manifest
+from cagemap.files import manifest as notes
+from cagemap.files.manifest import input_file, note_transfer, read_manifest
 from cagemap.files.meshes import write_mesh
+from cagemap.files.result import write_result
+
+from example_result import identity_result
 
 
 class StoppedError(Exception):
@@ -63,3 +69,27 @@ def test_a_mesh_that_is_saved_anew_while_it_is_read_is_not_taken_for_the_one_tha
     with pytest.raises(StoppedError):
         match.run_match(MatchRequest(a, b, None, place / "M", level=1), Stages())
     assert stated["source"]["sha256"] == match.stated_inputs({"source": Path(before)}, place)["source"]["sha256"]
+
+
+def test_transfers_that_end_at_once_are_both_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where somebody starts one for each image: each reads the manifest, adds its own line and writes it."""
+    pytest.importorskip("fcntl", reason="no locks of folders on this system")
+    write_result(tmp_path / "R", identity_result(1))
+    both = threading.Barrier(2)
+
+    def read(root: Path) -> dict[str, Any]:
+        found = read_manifest(root)
+        with suppress(threading.BrokenBarrierError):
+            both.wait(0.3)
+        return found
+
+    monkeypatch.setattr(notes, "read_manifest", read)
+    runs = [
+        threading.Thread(target=note_transfer, args=(tmp_path / "R", {"kind": "texture", "output": name}))
+        for name in ("a.png", "b.png")
+    ]
+    for run in runs:
+        run.start()
+    for run in runs:
+        run.join()
+    assert {entry["output"] for entry in read_manifest(tmp_path / "R")["transfers"]} == {"a.png", "b.png"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import sys
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -13,6 +14,7 @@ from types import ModuleType
 import pytest
 
 from cagemap.errors import FormatError
+from cagemap.files import atomic
 from cagemap.library import Outcome, Plan, Task, pair_rows, write_library
 from cagemap.library.page import PairRow, build_library_page, build_table
 
@@ -100,6 +102,27 @@ def test_the_same_parquet_is_not_written_again(tmp_path: Path, monkeypatch: pyte
     assert (data.stat().st_mtime_ns, data.stat().st_ino) == before
     write_library(tmp_path, "night", [replace(GOOD, seconds=4.0)])
     assert b"4.0" in data.read_bytes()
+
+
+@pytest.mark.parametrize("full", [".csv", ".sha256"])
+def test_a_table_that_found_no_room_is_written_by_the_next_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, full: str
+) -> None:
+    """It has no place for a mark, so it and the note that says whose it is must go together."""
+    honest = atomic.os.replace
+
+    def replaced(temporary: Path, place: Path) -> None:
+        if place.suffix == full:
+            raise OSError(errno.ENOSPC, "No space left on device", str(place))
+        honest(temporary, place)
+
+    write_library(tmp_path, "night", [GOOD])
+    with monkeypatch.context() as disk:
+        disk.setattr(atomic.os, "replace", replaced)
+        with pytest.raises(FormatError, match="No space"):
+            write_library(tmp_path, "night", [replace(GOOD, seconds=4.0)])
+    write_library(tmp_path, "night", [replace(GOOD, seconds=4.0)])
+    assert "4.0" in (tmp_path / "figures.csv").read_text()
 
 
 @pytest.mark.parametrize("name", ["index.html", "figures.csv"])

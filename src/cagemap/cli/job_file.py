@@ -17,7 +17,7 @@ from cagemap.cli.report_request import ReportRequest
 from cagemap.cli.transfer_request import TransferRequest
 from cagemap.cli.wrap_request import WrapRequest
 from cagemap.errors import FormatError
-from cagemap.files.atomic import write_whole
+from cagemap.files.atomic import one_at_a_time, write_whole
 from cagemap.files.marks import is_own, mark
 from cagemap.files.result import stated_path
 
@@ -62,13 +62,14 @@ def note_output(command: str, folder: Path, request: Any) -> None:
     if not place.is_file() or not is_own(place):
         _log.info("%s: is not there or was edited, so this %s is not noted in it", place, command)
         return
-    data = tomllib.loads(place.read_text(encoding="utf-8"))
     options = stated_options(request, folder)
     options |= {name: getattr(request, name).name for name in WRITTEN.get(command, ()) if name in options}
     entry = {"command": command, "output": request.output.name, **options}
     files = {entry[name] for name in ("output", *WRITTEN.get(command, ())) if name in entry}
-    kept = [_without(other, files) for other in data.get("outputs", []) if other.get("output") not in files]
-    _write(place, {**data, "outputs": [*kept, entry]})
+    with one_at_a_time(folder):
+        data = tomllib.loads(place.read_text(encoding="utf-8"))
+        kept = [_without(other, files) for other in data.get("outputs", []) if other.get("output") not in files]
+        _write(place, {**data, "outputs": [*kept, entry]})
 
 
 def _without(entry: dict[str, Any], files: set[str]) -> dict[str, Any]:

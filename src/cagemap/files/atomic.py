@@ -13,7 +13,7 @@ import shutil
 import stat
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 
@@ -59,6 +59,24 @@ def all_or_nothing() -> Iterator[None]:
             _together.reset(token)
         for move in moves:
             move()
+
+
+@contextmanager
+def one_at_a_time(folder: Path) -> Iterator[None]:
+    """Keep other processes and threads from changing a folder's notes meanwhile, where the system and disk know how."""
+    try:
+        import fcntl
+
+        handle = os.open(folder, os.O_RDONLY)
+    except (ImportError, OSError):  # Windows; a folder that cannot be read
+        yield
+        return
+    try:
+        with suppress(OSError):  # a disk of a network that knows no locks
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
 
 
 @contextmanager
@@ -155,8 +173,9 @@ def atomic_folder(
                 _flush(temporary / name)
             require_own_folder(final, names, force=force, owned=owned)
             if target.is_dir():
-                for name in names:
-                    os.replace(temporary / name, _real(target / name))
+                with one_at_a_time(target):
+                    for name in names:
+                        os.replace(temporary / name, _real(target / name))
             else:
                 os.replace(temporary, target)
             _tell(*(Path(final) / name for name in names))

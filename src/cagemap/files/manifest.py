@@ -16,7 +16,7 @@ import numpy as np
 
 from cagemap import __version__
 from cagemap.errors import FormatError
-from cagemap.files.atomic import write_whole
+from cagemap.files.atomic import one_at_a_time, write_whole
 from cagemap.files.marks import mark
 from cagemap.files.mesh_arrays import CONTROL_ARRAYS
 from cagemap.files.schema import ResultRecord, checked_record, parse_json, to_json
@@ -116,15 +116,18 @@ def note_transfer(folder: str | Path, entry: dict[str, Any]) -> None:
         If the folder is not a result.
     """
     root = Path(folder)
-    manifest = read_manifest(root)
-    record = checked_record(ResultRecord, manifest, root / MANIFEST, REMEDY)
-    kept = [other.model_dump(exclude_unset=True) for other in record.transfers if other.output != entry.get("output")]
-    manifest["transfers"] = [*kept, entry]
-    manifest["written_by"] = mark()
-    try:
-        write_whole(root / MANIFEST, to_json(manifest), force=True)
-    except FormatError as error:  # the output itself is there; a RESULT may be somebody else's
-        _log.warning("%s What was made with it is not noted there.", error)
+    with one_at_a_time(root):
+        manifest = read_manifest(root)
+        record = checked_record(ResultRecord, manifest, root / MANIFEST, REMEDY)
+        kept = [
+            other.model_dump(exclude_unset=True) for other in record.transfers if other.output != entry.get("output")
+        ]
+        manifest["transfers"] = [*kept, entry]
+        manifest["written_by"] = mark()
+        try:
+            write_whole(root / MANIFEST, to_json(manifest), force=True)
+        except FormatError as error:  # the output itself is there; a RESULT may be somebody else's
+            _log.warning("%s What was made with it is not noted there.", error)
 
 
 def read_manifest(root: Path) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import csv
+import hashlib
 import importlib.util
 import io
 import re
@@ -14,7 +15,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from cagemap.files.atomic import write_whole
+from cagemap.files.atomic import require_replaceable, write_whole
 from cagemap.files.marks import mark
 from cagemap.files.result import file_hash
 from cagemap.library.plan import PICTURE, RESULT, STATE, Plan, Task
@@ -192,16 +193,23 @@ def _write_marked(path: Path, content: bytes) -> None:
 
 
 def _write_table(path: Path, text: str, note: Path) -> None:
-    """Write a table, whose format has no place for a mark: a note beside it says that it is ours."""
+    """Write a table, whose format has no place for a mark: a note beside it says that it is ours.
+
+    The note comes first, and names the table of before as well: between the two a disk may fill up, or a run end.
+    """
+    content = text.encode()
+    known = note.read_bytes().split() if note.is_file() else []
 
     def owned(existing: Path) -> bool:
-        return note.is_file() and note.read_text(encoding="ascii").strip() == file_hash(existing)
+        return file_hash(existing).encode() in known
 
-    if path.is_file() and path.read_bytes() == text.encode():
+    if path.is_file() and path.read_bytes() == content:
         return
-    write_whole(path, text, owned=owned)
+    require_replaceable(path, owned=owned)
+    before = [file_hash(path).encode()] if path.is_file() else []
     note.parent.mkdir(parents=True, exist_ok=True)
-    note.write_text(file_hash(path) + "\n", encoding="ascii")
+    write_whole(note, b"\n".join([*before, hashlib.sha256(content).hexdigest().encode(), b""]), force=True)
+    write_whole(path, content, owned=owned)
 
 
 def _badness(row: PairRow) -> tuple[float, ...]:
