@@ -281,6 +281,14 @@ def test_tolerance_is_kept_on_every_real_mesh(shared_data):
         assert np.linalg.cond(basis.gram) < 5.0, f"{path.name}: {basis}"
 
 
+@pytest.mark.parametrize("literal", [False, True])
+def test_a_schedule_may_skip_a_level(creature, literal):
+    refinement, operators, _ = creature
+    basis = hierarchical_basis(refinement, operators, BasisConfig(schedule=(20, 0, 10), literal=literal))
+    assert basis.schedule == (20, 0, 10)
+    assert basis.residuals.max() < 1e-2
+
+
 def test_a_basis_belongs_to_its_levels(creature):
     _, _, basis = creature
     other = refine(shapes.icosahedron(), 3)

@@ -104,6 +104,14 @@ def test_points_survive_their_matrix(surface: TriangleSurface) -> None:
     np.testing.assert_array_equal(again.barycentric, points.barycentric)
 
 
+def test_weights_of_one_vertex_given_twice_add_up(surface: TriangleSurface) -> None:
+    from scipy import sparse
+
+    twice = sparse.csr_array((np.array([0.25, 0.75]), np.array([5, 5]), np.array([0, 2])), shape=(1, surface.n))
+    np.testing.assert_array_equal(SurfacePoints.from_matrix(surface, twice).positions, surface.positions[[5]])
+    assert twice.nnz == 2  # the caller's matrix is as it was
+
+
 def test_points_of_the_surface_are_nearest_to_themselves(surface: TriangleSurface) -> None:
     points = some_points(surface, 400, 5)
     found = SurfacePoints.nearest(surface, points.positions)

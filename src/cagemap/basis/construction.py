@@ -161,6 +161,9 @@ class _Growth:
 
     def add_literal(self, level: int, wanted: int) -> None:
         """Add the pairs of a level that follow the largest eigenvalue so far: eq. 8 with Definition 2 to the letter."""
+        if not wanted:
+            self.bands.append(np.zeros((self.rows(level), 0)))
+            return
         stiffness, mass = self.operators.stiffness[level], self.operators.mass[level]
         first = count_below(stiffness, mass, float(self.values.max()))
         if first + wanted > self.rows(level):

@@ -96,7 +96,8 @@ class SurfacePoints:
             raise ParameterError(
                 f"matrix: expected a sparse or dense one (m, {surface.n}), got {type(matrix).__name__}"
             )
-        rows = sparse.csr_array(matrix)
+        rows = sparse.csr_array(matrix, copy=True)
+        rows.sum_duplicates()
         counts = np.diff(rows.indptr)
         if rows.shape[1] != surface.n or not np.all((counts >= 1) & (counts <= 3)):
             raise ParameterError(

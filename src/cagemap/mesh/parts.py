@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -59,7 +60,8 @@ def connected_parts(mesh: ControlMesh) -> tuple[Part, ...]:
     names = [str(number) for number in range(len(pieces))]
     for _, numbers, words in reversed(_partitions(mesh)):
         own = [words[numbers[faces[0]]] if np.all(numbers[faces] == numbers[faces[0]]) else "" for faces in pieces]
-        names = [word if word and own.count(word) == 1 else name for word, name in zip(own, names, strict=True)]
+        counts = Counter(own)
+        names = [word if word and counts[word] == 1 else name for word, name in zip(own, names, strict=True)]
     return tuple(Part("component", name, faces) for name, faces in zip(names, pieces, strict=True))
 
 
@@ -245,12 +247,13 @@ def pair_parts(
             chosen[row] = column
 
     for row, column in zip(*np.unravel_index(np.argsort(-votes, axis=None, kind="stable"), votes.shape), strict=True):
-        if votes[row, column]:
-            pair(int(row), int(column))
+        if not votes[row, column]:  # most first
+            break
+        pair(int(row), int(column))
     for row, part in enumerate(mine):
         if not part.name.rpartition(" ")[2].isdigit():
             for column, other in enumerate(theirs):
-                if part.name == other.name or part.name.rpartition("/")[2] == other.name.rpartition("/")[2]:
+                if part.name.rpartition("/")[2] == other.name.rpartition("/")[2]:
                     pair(row, column)
     left = [row for row in range(len(mine)) if row not in chosen]
     right = [column for column in range(len(theirs)) if column not in chosen.values()]
