@@ -32,7 +32,7 @@ def graph() -> tuple[ElasticGraph, np.ndarray, TriangleSurface]:
 
 def test_what_receives_no_area_does_not_pull(graph: tuple[ElasticGraph, np.ndarray, TriangleSurface]) -> None:
     rest = graph[0]
-    factors = received_factors(rest, rest.laplacian())
+    factors = received_factors(rest.areas, rest.laplacian())
     np.testing.assert_allclose(received_weights(factors, rest.areas), 1.0)
     np.testing.assert_allclose(received_weights(factors, np.zeros(rest.n)), 0.0)
     distance = np.linalg.norm(rest.positions - rest.positions[100], axis=1)

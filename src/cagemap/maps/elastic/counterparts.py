@@ -12,14 +12,13 @@ import numpy as np
 from scipy import sparse
 
 from cagemap.maps.elastic.constants import FULL, INSIDE_TRIP, NONE, OUTSIDE_TRIPS, SMOOTHING_LENGTH
-from cagemap.maps.elastic.graph import ElasticGraph
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.factorization import Factorization, factor
 
 
-def received_factors(graph: ElasticGraph, laplacian: sparse.csr_array) -> Factorization:
-    """Factors of ``M + l^2 L`` (n, n), M the vertices' areas, which smooth what every vertex receives."""
-    return factor(sparse.csc_array(sparse.diags_array(graph.areas) + SMOOTHING_LENGTH**2 * laplacian))
+def received_factors(areas: FloatArray, laplacian: sparse.csr_array) -> Factorization:
+    """Factors of ``M + l^2 L`` (n, n), M the vertices' areas (n,), which smooth what every vertex receives."""
+    return factor(sparse.csc_array(sparse.diags_array(areas) + SMOOTHING_LENGTH**2 * laplacian))
 
 
 def received_weights(factors: Factorization, received: FloatArray) -> FloatArray:

@@ -53,7 +53,7 @@ class RestShape:
         """Factor the matrices that stay the same in all iterations of a stage."""
         laplacian = graph.laplacian()
         field = DifferentialField.build(graph, laplacian, smoothing)
-        return cls(graph, field, mesh, None if mesh is None else received_factors(graph, laplacian), masks)
+        return cls(graph, field, mesh, None if mesh is None else received_factors(graph.areas, laplacian), masks)
 
     def at(self, positions: FloatArray, smoothing: float) -> RestShape:
         """The same mesh at rest at other positions (n, 3), with the weights of its edges and areas as they are."""
