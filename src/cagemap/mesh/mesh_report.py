@@ -10,11 +10,11 @@ from cagemap.numerics.arrays import IndexArray
 LISTED = 8
 
 
-def first_few(values: Iterable[object], limit: int = LISTED) -> str:
+def first_few(values: Iterable[object]) -> str:
     """List the first values, and say how many more there are."""
     items = [str(value) for value in values]
-    more = f", ... ({len(items) - limit} more)" if len(items) > limit else ""
-    return ", ".join(items[:limit]) + more
+    more = f", ... ({len(items) - LISTED} more)" if len(items) > LISTED else ""
+    return ", ".join(items[:LISTED]) + more
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.mesh_report import Problem
+from cagemap.mesh.mesh_report import Problem, problem_at
 from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
 
 _EXPORT = "Export the mesh again, or repair the arrays it was built from."
@@ -20,8 +20,12 @@ def structure_problems(mesh: ControlMesh) -> tuple[Problem, ...]:
     return tuple(problem for problem in found if problem is not None)
 
 
-def _problem(found: str, elements: NDArray[np.int64] | None = None, remedy: str = _EXPORT) -> Problem:
-    return Problem("broken data", found, () if elements is None else tuple(elements.tolist()), remedy)
+def _problem(found: str, remedy: str = _EXPORT) -> Problem:
+    return Problem("broken data", found, (), remedy)
+
+
+def _problem_at(found: str, elements: NDArray[np.int64]) -> Problem | None:
+    return problem_at("broken data", found, elements, _EXPORT)
 
 
 def _positions(mesh: ControlMesh) -> Problem | None:
@@ -29,14 +33,12 @@ def _positions(mesh: ControlMesh) -> Problem | None:
     if positions.ndim != 2 or positions.shape[1] != 3 or positions.dtype != np.float64:
         return _problem(f"expected positions of shape (n, 3) and type float64, got {positions.shape} {positions.dtype}")
     bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
-    if len(bad):
-        return Problem(
-            "positions that are not numbers",
-            f"expected finite positions, got NaN or infinity at {len(bad)} vertex/vertices, vertices",
-            tuple(bad.tolist()),
-            "Move these vertices to where they belong, or delete them.",
-        )
-    return None
+    return problem_at(
+        "positions that are not numbers",
+        f"expected finite positions, got NaN or infinity at {len(bad)} vertex/vertices, vertices",
+        bad,
+        "Move these vertices to where they belong, or delete them.",
+    )
 
 
 def _offsets(mesh: ControlMesh) -> Problem | None:
@@ -48,17 +50,13 @@ def _offsets(mesh: ControlMesh) -> Problem | None:
     if offsets[0] != 0 or offsets[-1] != len(indices):
         return _problem(f"expected face_offsets from 0 to {len(indices)}, got {offsets[0]} to {offsets[-1]}")
     empty = np.flatnonzero(np.diff(offsets) <= 0)
-    if len(empty):
-        return _problem(f"expected corners on every face, got {len(empty)} face(s) without, faces", empty)
-    return None
+    return _problem_at(f"expected corners on every face, got {len(empty)} face(s) without, faces", empty)
 
 
 def _indices(mesh: ControlMesh) -> Problem | None:
     outside = (mesh.face_indices < 0) | (mesh.face_indices >= mesh.n_vertices)
-    if not outside.any():
-        return None
     faces = np.unique(mesh.corner_faces[outside])
-    return _problem(
+    return _problem_at(
         f"expected vertex numbers from 0 to {mesh.n_vertices - 1}, got others in {len(faces)} face(s), faces", faces
     )
 
@@ -74,13 +72,11 @@ def _uvs(mesh: ControlMesh) -> Problem | None:
     outside = (indices < 0) | (indices >= len(uvs))
     if outside.any():
         faces = np.unique(mesh.corner_faces[outside])
-        return _problem(
+        return _problem_at(
             f"expected UV indices from 0 to {len(uvs) - 1}, got others in {len(faces)} face(s), faces", faces
         )
     bad = np.flatnonzero(~np.isfinite(uvs).all(axis=1))
-    if len(bad):
-        return _problem(f"expected finite texture coordinates, got NaN or infinity at {len(bad)}, UVs", bad)
-    return None
+    return _problem_at(f"expected finite texture coordinates, got NaN or infinity at {len(bad)}, UVs", bad)
 
 
 def _materials(mesh: ControlMesh) -> Problem | None:
@@ -104,9 +100,7 @@ def _partition(what: str, numbers: IndexArray | None, count: int, n_faces: int) 
     if numbers.shape != (n_faces,) or not _integers(numbers):
         return _problem(f"expected one integer {what} per face ({n_faces}), got {numbers.shape}")
     bad = np.flatnonzero((numbers < 0) | (numbers >= count))
-    if len(bad):
-        return _problem(f"expected {what} numbers from 0 to {count - 1}, got others on {len(bad)} face(s), faces", bad)
-    return None
+    return _problem_at(f"expected {what} numbers from 0 to {count - 1}, got others on {len(bad)} face(s), faces", bad)
 
 
 def _creases(mesh: ControlMesh) -> Problem | None:
@@ -119,7 +113,7 @@ def _creases(mesh: ControlMesh) -> Problem | None:
         return _problem(f"expected one sharpness per crease ({len(edges)}), got {sharpness.shape}")
     outside = ((edges < 0) | (edges >= mesh.n_vertices)).any(axis=1)
     if outside.any():
-        return _problem(
+        return _problem_at(
             f"expected creases between vertices 0 to {mesh.n_vertices - 1}, got {outside.sum()} with others, creases",
             np.flatnonzero(outside),
         )
@@ -146,7 +140,7 @@ def _corners(mesh: ControlMesh) -> Problem | None:
         return _problem(f"expected one sharpness per corner ({len(vertices)}), got {sharpness.shape}")
     outside = (vertices < 0) | (vertices >= mesh.n_vertices)
     if outside.any():
-        return _problem(
+        return _problem_at(
             f"expected corners at vertices 0 to {mesh.n_vertices - 1}, got {outside.sum()} others", vertices[outside]
         )
     return _sharpness(sharpness, "corners")
@@ -154,9 +148,7 @@ def _corners(mesh: ControlMesh) -> Problem | None:
 
 def _sharpness(sharpness: FloatArray, what: str) -> Problem | None:
     bad = np.flatnonzero(~(sharpness >= 0))
-    if not len(bad):
-        return None
-    return _problem(f"expected sharpness of 0 or more, got {len(bad)} {what} with less or with NaN, {what}", bad)
+    return _problem_at(f"expected sharpness of 0 or more, got {len(bad)} {what} with less or with NaN, {what}", bad)
 
 
 def _holes(mesh: ControlMesh) -> Problem | None:
@@ -166,9 +158,7 @@ def _holes(mesh: ControlMesh) -> Problem | None:
     if holes.ndim != 1 or not _integers(holes):
         return _problem("expected hole_faces of shape (h,) and an integer type")
     outside = holes[(holes < 0) | (holes >= mesh.n_faces)]
-    if len(outside):
-        return _problem(f"expected holes at faces 0 to {mesh.n_faces - 1}, got {len(outside)} others", outside)
-    return None
+    return _problem_at(f"expected holes at faces 0 to {mesh.n_faces - 1}, got {len(outside)} others", outside)
 
 
 def _integers(array: NDArray[np.int64]) -> bool:

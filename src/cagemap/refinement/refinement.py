@@ -13,6 +13,7 @@ from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.geometry.triangles import triangles as triangles
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.schemes import SCHEMES, Bilinear, CatmullClark, Loop, Plain, Scheme
 from cagemap.numerics.arrays import Array, FloatArray, IndexArray
 from cagemap.numerics.kinds import kinds_checked
@@ -345,9 +346,8 @@ def _check(control: ControlMesh, levels: int, scheme: Scheme) -> None:
         )
     if isinstance(scheme, Loop) and not control.is_triangle_mesh:
         others = np.flatnonzero(control.face_sizes != 3)
-        shown = ", ".join(str(face) for face in others[:5]) + (", ..." if len(others) > 5 else "")
         raise InvalidMeshError(
-            f"{control.name}: Loop expects triangles only, got {len(others)} other faces: {shown}; "
+            f"{control.name}: Loop expects triangles only, got {len(others)} other faces: {first_few(others)}; "
             "use Catmull-Clark, which takes faces of any size"
         )
     if control.uv_indices is not None and control.uvs is not None and len(control.uv_indices):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.topology import numbered_edges
 from cagemap.numerics.arrays import IndexArray
 
@@ -155,9 +156,8 @@ def cut_table(table: CornerTable, labels: IndexArray) -> tuple[CornerTable, Inde
 
 
 def _refuse(mesh: ControlMesh, problem: str, where: Sequence[object]) -> InvalidMeshError:
-    shown = ", ".join(str(item) for item in where[:5]) + (", ..." if len(where) > 5 else "")
     return InvalidMeshError(
-        f"{mesh.name}: expected an oriented manifold mesh, got {len(where)} {problem}: {shown}; "
+        f"{mesh.name}: expected an oriented manifold mesh, got {len(where)} {problem}: {first_few(where)}; "
         "`cagemap check` lists everything that needs repair"
     )
 
