@@ -111,6 +111,7 @@ output = "../elsewhere.html"
         (HEAD + ASSETS + "[[pairs]]\nsource = 'a'\ntarget = 'b'\ntree = 'all'\n", "source and target, or tree"),
         (HEAD + ASSETS.replace('"a"', '"../a"') + PAIRS, "name"),
         ("output = ", "TOML"),
+        (HEAD.replace('"out"', '"a.obj"') + ASSETS + PAIRS, "got the file a.obj"),
     ],
 )
 def test_files_of_another_form_are_refused(folder: Path, text: str, words: str) -> None:

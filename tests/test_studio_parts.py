@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from cagemap.cli.option_list import all_options
 from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.files.landmarks import read_landmarks
 from cagemap.files.meshes import write_mesh
+from cagemap.files.result import write_result
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.join import join_meshes
@@ -38,6 +38,8 @@ from cagemap.studio.skins import source_skin
 from cagemap.studio.state import View
 from cagemap.studio.worker import Failure
 from studio_boxes import Idle, session_of
+
+from example_result import identity_result
 
 
 def named(mesh: ControlMesh, name: str) -> ControlMesh:
@@ -319,14 +321,13 @@ def test_a_result_opens_the_parts_that_it_is_of(folder: Path) -> None:
     from cagemap.files.manifest import file_hash
 
     result = folder / "RESULT"
-    result.mkdir()
     inputs = {
         side: {"file": name, "path": f"../{name}", "sha256": file_hash(folder / name)}
         for side, name in (("target", "a.obj"), ("source", "b.obj"))
     }
     for word, opens in (("object:eye", "object:eye"), ("each", None)):
         parameters = {"target_part": word, "source_part": None}
-        (result / "manifest.json").write_text(json.dumps({"inputs": inputs, "parameters": parameters}))
+        write_result(result, replace(identity_result(1), provenance={"inputs": inputs, "parameters": parameters}))
         files = chosen_files(None, None, None, None, result)
         assert files is not None
         assert files.parts == (opens, None)

@@ -11,13 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cagemap.errors import FormatError, ParameterError
-from cagemap.files.result import file_hash
+from cagemap.files.result import file_hash, write_result
 from cagemap.studio import landmarks as edit
 from cagemap.studio.autosave import autosave_path, read_autosave, write_autosave
 from cagemap.studio.landmarks import History, LandmarkList, Place
 from cagemap.studio.opening import chosen_files
 from cagemap.studio.state import MapState, Output, Studio, View, baked_view, with_message
 from cagemap.studio.workspace import Workspace
+
+from example_result import identity_result
 
 
 def place(x: float) -> Place:
@@ -178,24 +180,27 @@ def test_a_result_names_its_models(tmp_path: Path) -> None:
     for name in ("cow.obj", "spot.obj", "l.json"):
         (tmp_path / name).write_text(name)
     result = tmp_path / "RESULT"
-    result.mkdir()
     inputs = {
-        side: {"path": f"../{name}", "sha256": file_hash(tmp_path / name)}
+        side: {"file": name, "path": f"../{name}", "sha256": file_hash(tmp_path / name)}
         for side, name in (("target", "cow.obj"), ("source", "spot.obj"), ("landmarks", "l.json"))
     }
-    with pytest.raises(ParameterError, match="RESULT folder"):
+    with pytest.raises(FormatError, match="result folder"):
         chosen_files(None, None, None, None, result)
-    (result / "manifest.json").write_text(json.dumps({"inputs": inputs}))
+    write_result(result, replace(identity_result(1), provenance={"inputs": inputs}))
     files = chosen_files(None, None, None, None, result)
     assert files is not None
     names = (files.target, files.source, files.landmarks, files.result)
     assert names == tuple(tmp_path / name for name in ("cow.obj", "spot.obj", "l.json", "RESULT"))
-    assert files.schemes == (None, None)
-    entries = {side: {"scheme": {"name": "loop"}} for side in ("target", "source")}
-    (result / "manifest.json").write_text(json.dumps({"inputs": inputs, **entries}))
+    assert files.schemes == ("catmull-clark", "catmull-clark")
     asked = chosen_files(None, None, None, None, result, (None, "none"))
     assert asked is not None
-    assert asked.schemes == ("loop", "none")
+    assert asked.schemes == ("catmull-clark", "none")
+    manifest = json.loads((result / "manifest.json").read_text())
+    for entry, words in (({"inputs": [1]}, "inputs"), ({"format_version": 99}, "format version 99")):
+        (result / "manifest.json").write_text(json.dumps(manifest | entry))
+        with pytest.raises(FormatError, match=words):
+            chosen_files(None, None, None, None, result)
+    (result / "manifest.json").write_text(json.dumps(manifest))
     (tmp_path / "cow.obj").write_text("edited")
     with pytest.raises(ParameterError, match="unchanged"):
         chosen_files(None, None, None, None, result)

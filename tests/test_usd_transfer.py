@@ -122,6 +122,17 @@ def test_attributes_arrive_as_primvars(folder: Path) -> None:
     assert complaints(folder / "rig.usda") == []
 
 
+def test_a_target_that_is_gone_takes_its_units_along_and_that_is_said(folder: Path) -> None:
+    def carried(output: str) -> str:
+        request = TransferRequest(Path("RESULT"), folder / output, source_uvs=True)
+        return " ".join(run_transfer(request, Stages())[1])
+
+    assert "units" not in carried("there.usda")
+    (folder / "large.usda").unlink()
+    assert "metres with Y up are written" in carried("gone.usda")
+    assert "units" not in carried("gone.obj")
+
+
 def test_a_target_that_is_no_usd_is_written_with_its_textures(folder: Path) -> None:
     (folder / "large.usda").unlink()
     _run(texture=folder / "skin.png", output=folder / "out.png", usd=folder / "asset.usda")

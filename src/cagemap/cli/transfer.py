@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 from cagemap.cli.bake_tiles import inputs_of
 from cagemap.cli.base_values import in_file, keep_base
@@ -21,13 +22,14 @@ from cagemap.cli.masks import MaskOptions, with_masks
 from cagemap.cli.progress import Stages
 from cagemap.cli.rig import carry_blend_shapes, carry_skeleton, carry_weights, write_point_map
 from cagemap.cli.transfer_request import TransferRequest
-from cagemap.cli.usd_output import write_usd_results
+from cagemap.cli.usd_output import NO_UNITS, write_usd_results
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import all_or_nothing, require_no_input, require_replaceable, require_writable_folder
 from cagemap.files.attributes import check_attribute_path, read_attributes, write_attributes
 from cagemap.files.file_rows import file_rows, other_rows
 from cagemap.files.meshes import write_mesh
 from cagemap.files.result import input_file, note_transfer, read_files, read_result, stated_path
+from cagemap.files.usd import USD_SUFFIXES
 from cagemap.files.usd_write import UsdResults, check_usd_path
 from cagemap.maps.result import MatchResult
 from cagemap.transfer import (
@@ -192,15 +194,17 @@ def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) ->
     transfer = transfer_of(result)
     stages("texture coordinates")
     carried = carry_uvs(transfer, *sides)
-    original = input_file(request.result, result.manifest, "target")
-    laid_out = result.target.control.with_uvs(carried.uvs, carried.uv_indices)
+    original, control = input_file(request.result, result.manifest, "target"), result.target.control
+    laid_out = control.with_uvs(carried.uvs, carried.uv_indices)
     write_mesh(request.output, laid_out, like=original, force=request.force)
     note_transfer(request.result, {"kind": "uvs", "output": stated_path(request.output, request.result)})
     count = len(carried.crossed)
     warnings = []
+    if original is None and {path.suffix.lower() for path in (request.output, Path(control.name))} <= set(USD_SUFFIXES):
+        warnings.append(f"{control.name}: {NO_UNITS}")
     if count:
         warnings.append(
-            f"seams of the source cross {count} of {result.target.control.n_faces} faces (numbers from 0), where no "
+            f"seams of the source cross {count} of {control.n_faces} faces (numbers from 0), where no "
             f"texture coordinates fit: {', '.join(map(str, carried.crossed))}"
         )
     return f"wrote {request.output}: {len(carried.uvs)} texture coordinates of the source", warnings

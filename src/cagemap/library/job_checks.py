@@ -108,6 +108,8 @@ def problems_of(
 ) -> Iterator[Problem]:
     """What is wrong in a file of the right form."""
     names = [asset.name for asset in job.assets]
+    if (folder / job.output).is_file():
+        yield ("output",), f"output: expected a folder for all results, got the file {job.output}. Give another name."
     for i, asset in enumerate(job.assets):
         if asset.name in names[:i]:
             yield ("assets", i, "name"), f"assets.{i}.name: {asset.name!r} is taken. Give another name."

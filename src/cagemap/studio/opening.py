@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import re
 import zlib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from cagemap.errors import CagemapError, ParameterError
+from cagemap.errors import ParameterError
 from cagemap.example import example_pair
 from cagemap.files.images import write_image
 from cagemap.files.landmarks import write_landmarks
+from cagemap.files.manifest import MANIFEST, REMEDY, input_file, read_manifest
 from cagemap.files.meshes import write_mesh
-from cagemap.files.result import MANIFEST, input_file
-from cagemap.files.text import read_text
+from cagemap.files.schema import ResultRecord, SideRecord, checked_record
 from cagemap.mesh.parts import KINDS
 from cagemap.studio.state import Files
 
@@ -103,37 +101,33 @@ def result_files(result: Path, landmarks: Path | None, texture: Path | None) -> 
 
     Raises
     ------
+    FormatError
+        If the folder is no RESULT, or one of a version that this one does not read.
     ParameterError
-        If the folder is no RESULT, or a model is not where it was or has changed.
+        If a model is not where it was or has changed.
     """
-    try:
-        manifest = json.loads(read_text(result / MANIFEST, "a RESULT folder"))
-    except (ValueError, RecursionError, CagemapError) as error:
-        raise ParameterError(f"--result {result}: expected a RESULT folder of `cagemap match` ({error}).") from None
-    manifest = manifest if isinstance(manifest, dict) else {}
+    manifest = read_manifest(result)
+    record = checked_record(ResultRecord, manifest, result / MANIFEST, REMEDY)
     target, source, pairs = (input_file(result, manifest, name) for name in ("target", "source", "landmarks"))
     if target is None or source is None:
         raise ParameterError(
             f"--result {result}: expected its models where they were, and unchanged; they are not. "
             "Name them with --target and --source."
         )
-    schemes = _scheme(manifest, "target"), _scheme(manifest, "source")
-    parts = _part(manifest, "target"), _part(manifest, "source")
+    schemes = _scheme(record.target), _scheme(record.source)
+    parts = _part(record, "target"), _part(record, "source")
     return _named(target, source, landmarks or pairs, texture, result, schemes, parts)
 
 
-def _part(manifest: dict[str, Any], side: str) -> str | None:
+def _part(record: ResultRecord, side: str) -> str | None:
     """Part of a model that a RESULT is of; None where it is of all, or of several."""
-    parameters = manifest.get("parameters")
-    name = parameters.get(f"{side}_part") if isinstance(parameters, dict) else None
+    name = record.parameters.get(f"{side}_part")
     return name if isinstance(name, str) and name not in ("each", "material") else None
 
 
-def _scheme(manifest: dict[str, Any], side: str) -> str | None:
+def _scheme(side: SideRecord) -> str | None:
     """How a RESULT's model is subdivided."""
-    entry = manifest.get(side)
-    scheme = entry.get("scheme") if isinstance(entry, dict) else None
-    name = scheme.get("name") if isinstance(scheme, dict) else None
+    name = side.scheme.get("name")
     return name if isinstance(name, str) else None
 
 
