@@ -55,7 +55,9 @@ def _option(command: str, name: str, kind: Any, info: OptionInfo, said: list[Any
     else:
         own = "name or file" if file_too is not None else _KINDS[plain]
     # In an annotation, typer takes the first name for a default; without any it makes one of the parameter's.
-    flags = [info.default, *(info.param_decls or ())] if isinstance(info.default, str) else [_flag(name)]
+    flags = (
+        [info.default, *(info.param_decls or ())] if isinstance(info.default, str) else ["--" + name.replace("_", "-")]
+    )
     flag = next((one for one in flags if one.startswith("--")), flags[0])
     on, _, off = flag.partition("/")
     return Option(
@@ -70,10 +72,6 @@ def _option(command: str, name: str, kind: Any, info: OptionInfo, said: list[Any
         info.min,
         info.max,
     )
-
-
-def _flag(name: str) -> str:
-    return "--" + name.replace("_", "-")
 
 
 def _without_none(kind: Any) -> Any:

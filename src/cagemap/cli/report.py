@@ -44,7 +44,8 @@ def run_report(request: ReportRequest, stages: Stages) -> None:
         texture = folder / known[-1]["image"] if known else None
     if texture is not None:
         check_outputs([output], [texture], force=force)
-    pixels = None if texture is None else _single(texture)
+    shown_texture = None if texture is None else read_texture(texture)
+    pixels = shown_texture.pixels if isinstance(shown_texture, Image) else None  # tiles are not shown
     baked = None
     for entry in known:
         shown = entry.get("level", whole.target.finest) == result.target.finest
@@ -116,12 +117,6 @@ def _shapes(rides: Rides, folder: Path, entry: dict[str, Any], result: MatchResu
     )
     both = [name for name in given if name in carried]
     return replace(rides, shapes=tuple(CarriedShape(name, given[name], carried[name]) for name in both))
-
-
-def _single(path: Path) -> Pixels | None:
-    """Pixels of a texture that is one image; tiles are not shown."""
-    read = read_texture(path)
-    return read.pixels if isinstance(read, Image) else None
 
 
 def _same(a: Path, b: Path) -> bool:

@@ -157,14 +157,14 @@ def write_usd_over(
     for prim, prim_path in zip(prims, prim_paths, strict=True):
         if not prim or not prim.IsA(pxr.UsdGeom.Mesh):
             raise FormatError(f"{target}: expected a mesh prim {prim_path}, there is none. Match again with this file.")
-    layer = pxr.Sdf.Layer.CreateAnonymous(".usda")
-    layer.subLayerPaths.append(Path(os.path.relpath(Path(target).resolve(), file.resolve().parent)).as_posix())
     # Relative paths of an unsaved layer have no folder: what lies below is composed from its full name meanwhile.
-    stage = pxr.Usd.Stage.Open(_with_absolute_sublayer(layer, target))
+    layer = pxr.Sdf.Layer.CreateAnonymous(".usda")
+    layer.subLayerPaths.append(str(Path(target).resolve()))
+    stage = pxr.Usd.Stage.Open(layer)
     pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.GetStageUpAxis(below))
     pxr.UsdGeom.SetStageMetersPerUnit(stage, pxr.UsdGeom.GetStageMetersPerUnit(below))
     top = prims[0].GetPath().GetPrefixes()[0]
-    stage.GetRootLayer().defaultPrim = (below.GetDefaultPrim() or below.GetPrimAtPath(top)).GetName()
+    layer.defaultPrim = (below.GetDefaultPrim() or below.GetPrimAtPath(top)).GetName()
     if _needs_skeleton(results) and not any(p.IsA(pxr.UsdSkel.Root) for p in _ancestors(prims[0])):
         stage.OverridePrim(top).SetTypeName("SkelRoot")
     for prim, prim_path in zip(prims, prim_paths, strict=True):
@@ -182,16 +182,8 @@ def write_usd_over(
             inside = inside.turned_round(mesh.face_offsets)
         to_root = to_world @ np.linalg.inv(local_to_world(below.GetPrimAtPath(top)))
         _write_results(stage, stage.OverridePrim(prim_path), mesh, inside, to_root)
-    written = stage.GetRootLayer()
-    written.subLayerPaths = list(layer.subLayerPaths)
-    _save(written, file, force=force)
-
-
-def _with_absolute_sublayer(layer: Any, target: str | Path) -> Any:
-    copy = usd_modules().Sdf.Layer.CreateAnonymous(".usda")
-    copy.TransferContent(layer)
-    copy.subLayerPaths = [str(Path(target).resolve())]
-    return copy
+    layer.subLayerPaths = [Path(os.path.relpath(Path(target).resolve(), file.resolve().parent)).as_posix()]
+    _save(layer, file, force=force)
 
 
 def _ancestors(prim: Any) -> list[Any]:
