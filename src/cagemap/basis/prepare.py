@@ -18,7 +18,7 @@ from cagemap.mesh.schemes import Plain
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import ThreadPool, in_threads, one_blas_thread
 from cagemap.operators.coarse_levels import refined
-from cagemap.refinement import Scheme, default_scheme
+from cagemap.refinement import default_scheme
 from cagemap.refinement.counts import vertex_counts
 
 Progress = Callable[[str], None]
@@ -35,7 +35,7 @@ def silent(stage: str) -> None:
 
 
 @kinds_checked
-def choose_level(control: ControlMesh, vertices: int, scheme: Scheme | None = None) -> int:
+def choose_level(control: ControlMesh, vertices: int) -> int:
     """Coarsest level of at least 1 with about this many vertices or more (three quarters count as enough).
 
     A plain mesh (scheme none) has level 0 only.
@@ -44,8 +44,6 @@ def choose_level(control: ControlMesh, vertices: int, scheme: Scheme | None = No
     ----------
     control : ControlMesh
     vertices : int
-    scheme : Scheme, optional
-        Default: as in `prepare_surface`.
 
     Raises
     ------
@@ -54,9 +52,9 @@ def choose_level(control: ControlMesh, vertices: int, scheme: Scheme | None = No
     """
     if not 1 <= vertices <= 20_000_000:
         raise ParameterError(f"vertices: expected a number from 1 to 20 000 000, got {vertices}")
-    if isinstance(default_scheme(control) if scheme is None else scheme, Plain):
+    if isinstance(default_scheme(control), Plain):
         return 0
-    counts = islice(vertex_counts(control, scheme), 1, MOST_LEVELS)
+    counts = islice(vertex_counts(control), 1, MOST_LEVELS)
     return next((level for level, n in enumerate(counts, 1) if n >= ENOUGH * vertices), MOST_LEVELS)
 
 
@@ -82,10 +80,12 @@ def prepare_surface(
     level: int,
     config: BasisConfig = MAP_BASIS,
     *,
-    scheme: Scheme | None = None,
     progress: Progress = silent,
 ) -> Surface:
     """Refine a control mesh and compute its operators and its hierarchical basis (paper, sections 2.2 and 4).
+
+    It is subdivided as the mesh says (``control.scheme``); else by Loop where all faces are triangles, by Catmull-Clark
+    where they are not.
 
     Parameters
     ----------
@@ -93,8 +93,6 @@ def prepare_surface(
     level : int
         Number of the finest level, at least 1; 0 of a plain mesh (scheme none), which is not refined.
     config : BasisConfig
-    scheme : Scheme, optional
-        Default: what the mesh says; else Loop for triangle meshes, Catmull-Clark for all others.
     progress : callable
         Called with the name of each stage.
 
@@ -106,7 +104,7 @@ def prepare_surface(
         If the level or the number of basis functions is out of range.
     """
     require_valid(control)
-    return prepare_checked(control, level, config, scheme=scheme, progress=progress)
+    return prepare_checked(control, level, config, progress=progress)
 
 
 def prepare_checked(
@@ -114,11 +112,10 @@ def prepare_checked(
     level: int,
     config: BasisConfig = MAP_BASIS,
     *,
-    scheme: Scheme | None = None,
     progress: Progress = silent,
 ) -> Surface:
     """`prepare_surface` of a control mesh that was found valid already."""
-    scheme = default_scheme(control) if scheme is None else scheme
+    scheme = default_scheme(control)
     if isinstance(scheme, Plain) and level:
         raise ParameterError(f"level: expected 0 of a plain mesh (scheme none), got {level}; bilinear refines it")
     if not isinstance(scheme, Plain) and not 1 <= level <= MOST_LEVELS:

@@ -120,7 +120,6 @@ def prepared(
     level: int,
     config: BasisConfig = MAP_BASIS,
     *,
-    scheme: Scheme | None = None,
     progress: Progress = silent,
     prepare: Prepare = prepare_surface,
 ) -> Surface:
@@ -136,7 +135,6 @@ def prepared(
     level : int
         The finest level.
     config : BasisConfig
-    scheme : CatmullClark or Loop, optional
     progress : callable
         Called with the name of each stage.
     prepare : callable
@@ -149,8 +147,8 @@ def prepared(
     CagemapError
         Whatever preparing raises; nothing is stored then.
     """
-    scheme = default_scheme(control) if scheme is None else scheme
-    place = _usable_folder(Path(folder)) / (surface_key(control, level, scheme, config) + SUFFIX)
+    key = surface_key(control, level, default_scheme(control), config)
+    place = _usable_folder(Path(folder)) / (key + SUFFIX)
     if place.is_file():
         progress(f"read prepared {control.name}")
         try:
@@ -161,7 +159,7 @@ def prepared(
             problem = str(error)
         logger.warning("%s is prepared again, its stored surface cannot be used: %s", control.name, problem)
         progress(f"prepare {control.name} again, its stored file is damaged")
-    surface = prepare(control, level, config, scheme=scheme, progress=progress)
+    surface = prepare(control, level, config, progress=progress)
     progress(f"store prepared {control.name}")
     save_surface(place, surface, force=True)  # its name says what it is, whatever state it is in
     return surface
