@@ -200,6 +200,10 @@ def test_landmarks_that_fit_pass() -> None:
         ({"source": np.array([5, 1, 2, 5])}, r"every source vertex in one pair only, got these again: mark 3 \(5\)"),
         ({"names": ("a", "b", "a", "c")}, "every name once, got these again: a"),
         ({"target": np.array([0, 1, 2])}, "one target and one source vertex for each of 4"),
+        (
+            {"target": np.array([0, 1, 8, 3]), "target_name": "horse.obj", "source_name": "zebra.obj"},
+            r"for target cube and source torus, which were made for horse\.obj and zebra\.obj:",
+        ),
     ],
 )
 def test_landmarks_that_do_not_fit_are_named(change: dict[str, object], message: str) -> None:

@@ -35,6 +35,8 @@ from cagemap import (
 from cagemap.errors import ParameterError
 from cagemap.numerics.kinds import _expected, kinds_checked
 
+from example_result import identity_result
+
 FUNCTIONS = [name for name in cagemap.__all__ if inspect.isfunction(getattr(cagemap, name))]
 # Given to them are arrays and images alone, or a number.
 OF_ARRAYS = {"blend", "painted_mask", "thread_limit", "with_alpha"}
@@ -293,3 +295,10 @@ def test_arrays_of_every_layout_and_type_give_the_same() -> None:
     faces = [list(map(int, s.mesh.face(face))) for face in range(s.mesh.n_faces)]
     for positions in (s.mesh.positions.tolist(), s.mesh.positions.astype(np.float32), s.mesh.positions[::1]):
         np.testing.assert_allclose(ControlMesh.from_faces(positions, faces).positions, s.mesh.positions, atol=1e-6)
+
+
+def test_a_map_of_another_surface_is_not_judged() -> None:
+    result = identity_result(2)
+    coarse = PointMap.from_vertices(result.target.triangles(1), result.source.triangles(1), np.arange(26))
+    with pytest.raises(ParameterError, match=r"98 finest vertices of large\.obj, got one of 26"):
+        cagemap.judge(result.target, coarse)

@@ -360,7 +360,17 @@ def judge(
         Of the landmarks, for warnings.
     masks : Masks
         What of both surfaces counts.
+
+    Raises
+    ------
+    ParameterError
+        If the map is not one of the target's finest level.
     """
+    if point_map.target.n != len(target.vertices):
+        raise ParameterError(
+            f"judge: expected a map of the {len(target.vertices)} finest vertices of {target.control.name}, got one of "
+            f"{point_map.target.n}: target and source may be exchanged, or the map belongs to another level"
+        )
     dense = target.triangles(target.refinement.coarsest_level(COVERAGE_SAMPLES))
     return measure_quality(point_map, landmarks, names, coarse_triangles=dense.triangles, masks=masks)
 

@@ -226,7 +226,10 @@ def check_landmarks(landmarks: Landmarks, target: ControlMesh, source: ControlMe
     faults += curve_faults(landmarks.curves, target, source)
     if faults:
         listed = "".join(f"\n  - {fault}" for fault in faults)
-        raise InvalidLandmarksError(f"landmarks for target {target.name} and source {source.name}:{listed}")
+        made_for = landmarks.target_name, landmarks.source_name
+        others = f", which were made for {made_for[0]} and {made_for[1]}" if all(made_for) else ""
+        others = "" if made_for == (target.name, source.name) else others
+        raise InvalidLandmarksError(f"landmarks for target {target.name} and source {source.name}{others}:{listed}")
 
 
 def _side_faults(side: str, points: CagePoints, names: np.ndarray, mesh: ControlMesh) -> list[str]:

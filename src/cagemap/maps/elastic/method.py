@@ -52,7 +52,10 @@ def elastic_answers(problem: FitProblem, progress: Progress = silent) -> tuple[P
 
 @kinds_checked
 def fit(prepared: PreparedPair, pair: Pair, progress: Progress = silent) -> FloatArray:
-    """Places (n, 3) near the source of the target's vertices of the level that is deformed: the first of `fits`."""
+    """Places (n, 3) near the source of the target's vertices of the level that is deformed: the first of `fits`.
+
+    In the unit in which the source has area 1.
+    """
     return fits(FitProblem(prepared, pair), progress)[0].answer
 
 

@@ -29,7 +29,7 @@ def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -
     ----------
     prepared : PreparedPair
     fitted : (n, 3) float64
-        Places near the source of the target's vertices of the level that is deformed.
+        Places near the source, of area 1, of the target's vertices of the level that is deformed.
     landmarks : PointPairs
         Met exactly, see `meet`.
 
