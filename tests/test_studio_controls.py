@@ -64,11 +64,11 @@ def test_how_sure_a_map_is_reads_alike_on_terminal_in_manifest_and_report(
     terminal = capsys.readouterr()
     known = json.loads((folder / "manifest.json").read_text())["confidence"]
     assert known["verdict"] == verdict
-    said = terminal.out if verdict == "sure" else terminal.err
-    assert known["message"].replace("`answer=1`", "--answer 1") in said
+    message = known["message"].replace("`answer=1`", "--answer 1")
+    assert message in (terminal.out if verdict == "sure" else terminal.err)
     browser.get(page.as_uri())
     shown = browser.find_element("tag name", "main").text
-    assert known["message"] in shown
+    assert message in shown
     assert heading in shown
     assert ("which is right?" in shown) == (verdict != "sure")
 
