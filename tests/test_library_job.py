@@ -203,6 +203,13 @@ def test_problems_of_form_and_of_content_are_told_together(folder: Path) -> None
     assert said.count("\n") == 8
 
 
+def test_a_command_that_there_is_not_hides_no_other_problem(folder: Path) -> None:
+    text = HEAD.replace("500", "-5") + ASSETS.replace("b.obj", "gone.obj") + PAIRS
+    said = refusal(folder, text + '[[outputs]]\ncommand = "raport"\n')
+    for words in ("line 3: options.vertices", "line 9: assets.1.file: gone.obj", "outputs.0.command: "):
+        assert words in said, said
+
+
 def test_outputs_go_to_the_pairs_that_have_what_they_ask_for(folder: Path) -> None:
     assets = ASSETS.replace('file = "a.obj"', 'file = "a.obj"\nfiles = { color = "a.png" }')
     output = '[[outputs]]\ncommand = "transfer"\ntexture = "{source.color}"\noutput = "{target}.png"\n'

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from copy import deepcopy
 from pathlib import Path
 from typing import Any, get_args, get_origin
@@ -49,11 +50,12 @@ def parsed_file(data: Any) -> tuple[JobFile | None, list[Problem]]:
         return JobFile.model_validate(data), []
     except ValidationError as error:
         problems = list(_validation_problems(error, ()))
-        rest = _without(data, [item["loc"] for item in error.errors()])
-    try:
-        return JobFile.model_validate(rest), problems
-    except ValidationError:
-        return None, problems
+        places = [item["loc"] for item in error.errors()]
+    # An output without its command is no output: then all else is checked without them.
+    for left_out in (places, [place[:1] if place[:1] == ("outputs",) else place for place in places]):
+        with suppress(ValidationError):
+            return JobFile.model_validate(_without(data, left_out)), problems
+    return None, problems
 
 
 def _without(data: Any, places: Iterable[Place]) -> Any:
