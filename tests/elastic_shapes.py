@@ -8,10 +8,7 @@ from cagemap.basis import BasisConfig, Surface, hierarchical_basis
 from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.elastic.config import ElasticConfig
 from cagemap.maps.elastic.fit import coarse_fit, fine_fit
-from cagemap.maps.elastic.graph import (
-    ElasticGraph,
-    mesh_graph,
-)
+from cagemap.maps.elastic.graph import ElasticGraph, mesh_graph
 from cagemap.maps.elastic.prepared import PreparedPair, RestShape, level_graph
 from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.pair import Pair

@@ -153,6 +153,12 @@ def test_a_shape_of_two_sizes_is_refused_and_copies_are_not(faust_r: Path) -> No
         public.pairs(faust_r, None)
 
 
+def test_of_several_formats_of_a_shape_the_obj_file_counts(shrec: Path) -> None:
+    for ending in ("off", "ply"):
+        write_mesh(shrec / "models" / f"one.{ending}", grid(3, 3))
+    assert {path.suffix for path in sets.SETS["shrec20"].shapes(shrec).values()} == {".obj"}
+
+
 @pytest.mark.slow
 def test_rows_are_measured_once_and_one_table_is_written(
     faust_r: Path, shrec: Path, tmp_path: Path, capsys: pytest.CaptureFixture

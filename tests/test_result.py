@@ -288,7 +288,7 @@ def test_a_result_of_before_is_sure_only_if_its_map_may_be_now(result: MatchResu
         old["confidence"] |= {"verdict": SURE, "message": "the sentence of then: sure"}
         (tmp_path / verdict / MANIFEST).write_text(json.dumps(old))
         again = read_result(tmp_path / verdict).manifest
-        # Being sure is nothing to warn of: a report and a library said 'look at it' of such maps.
+        # Being sure is nothing to warn of.
         assert (landmark_messages(again)[:1], assurance(again)) == (
             ([back.message], "") if verdict == LOOK else ([], back.message)
         )

@@ -19,8 +19,8 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import CagePoints
 
 FAUST_VERTICES = 6890
-# Of meshes; where a shape has several, the last counts.
-ENDINGS = ("ply", "obj", "off")
+# Of meshes; where a shape has several, the last counts: SHREC's lists and points are those of its .obj files.
+ENDINGS = ("ply", "off", "obj")
 
 
 class SetError(Exception):
