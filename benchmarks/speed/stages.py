@@ -64,7 +64,9 @@ def measure_stages(control: Any, level: int, count: int, run: Callable[[Any], An
             write_result(Path(folder) / "RESULT", result)
         written = sum(file.stat().st_size for file in (Path(folder) / "RESULT").iterdir())
         matrices = sum(map(_sparse_bytes, refinement.matrices))
-        levels = sum(array.nbytes for mesh in refinement.levels for array in vars(mesh).values() if isinstance(array, np.ndarray))
+        levels = sum(
+            array.nbytes for mesh in refinement.levels for array in vars(mesh).values() if isinstance(array, np.ndarray)
+        )
         patterns = sum(map(_sparse_bytes, operators.stiffness)) + sum(mass.data.nbytes for mass in operators.mass)
         bands = sum(4 * len(band) * band.shape[1] ** 2 for band in basis.bands)
         work = {
