@@ -97,6 +97,19 @@ def test_without_landmarks_only_single_planes_belong_together():
         assert len(paired_mirrors(Pair.of_vertices(surface, surface, none, none))) == count
 
 
+def test_a_landmark_that_every_plane_keeps_tells_no_planes_apart():
+    """One landmark is its own nearest: planes of two boxes were paired in the order in which they were found."""
+    box = shapes.cube()
+    sides = [
+        Surface(refine(box.with_positions(box.positions * lengths), 1), BasisConfig(count=6))
+        for lengths in ([1.0, 2.0, 3.5], [3.5, 1.0, 2.0])
+    ]
+    one = np.zeros(1, dtype=np.int64)
+    assert paired_mirrors(Pair.of_vertices(*sides, one, one)) == ()
+    creature = Surface(refine(shapes.creature(), 1), BasisConfig(count=6))
+    assert len(paired_mirrors(Pair.of_vertices(creature, creature, one, one))) == 1
+
+
 def test_symmetry_propagates_with_the_positions():
     """At every level the mirrored vertex is the mirror image of the vertex."""
     mesh = shapes.creature()

@@ -114,15 +114,14 @@ def curve_rows(surface: Surface, curves: Sequence[SurfaceCurve]) -> FloatArray:
 def paired_mirrors(pair: Pair) -> tuple[SymmetryPair, ...]:
     """Mirror planes that both control meshes have and that the landmarks agree with.
 
-    A plane takes landmark i near landmark j on either side, or it is another plane. Where each side has one plane only
-    and no landmarks tell, these two belong together. A plain mesh has none.
+    A plane takes landmark i near landmark j on either side, or it is another plane. Where too few landmarks tell planes
+    of one side apart, these are left; where each side has one plane only, the two belong together unless landmarks say
+    otherwise. A plain mesh has none.
     """
     if pair.target.refinement.is_plain or pair.source.refinement.is_plain:
         return ()  # the vertices of a scan mirror no vertices
     sides = [(pair.target.control, pair.landmarks.target), (pair.source.control, pair.landmarks.source)]
     mirrors = in_threads(lambda side: mirror_symmetries(side[0]), sides)
-    if not len(pair.landmarks) and max(map(len, mirrors)) > 1:
-        return ()  # nothing says which of one side is which of the other
     partners = [
         [(mirror, _partners(mirror, landmarks.positions / landmarks.surface.scale)) for mirror in planes]
         for planes, (_, landmarks) in zip(mirrors, sides, strict=True)
@@ -130,9 +129,12 @@ def paired_mirrors(pair: Pair) -> tuple[SymmetryPair, ...]:
     found: list[SymmetryPair] = []
     taken: set[int] = set()
     for target, at_target in partners[0]:
+        if sum(np.array_equal(at_target, others) for _, others in partners[0]) > 1:
+            continue
         agreement = [np.mean(at_target == at_source) if len(at_target) else 1.0 for _, at_source in partners[1]]
         order = [int(i) for i in np.argsort(agreement)[::-1] if int(i) not in taken]
-        if order and agreement[order[0]] >= AGREEMENT:
+        told = len(order) == 1 or (len(order) > 1 and agreement[order[0]] > agreement[order[1]])
+        if told and agreement[order[0]] >= AGREEMENT:
             taken.add(order[0])
             found.append((target.image, partners[1][order[0]][0].image))
     return tuple(found)
