@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from examples.shapes import creature, cube, grid, icosahedron, poles, pyramid, torus
 
-from cagemap.cli.match import MatchRequest, run_match
+from cagemap.cli.bases import side_levels
+from cagemap.cli.match import MatchRequest, matched_levels, read_inputs, run_match
 from cagemap.cli.match_parts import asked_parts, chosen_parts
 from cagemap.cli.mesh_commands import check_files
 from cagemap.cli.progress import Stages
@@ -290,6 +291,17 @@ def test_each_part_is_matched_and_one_texture_baked(folder: Path) -> None:
     # The two colours differ by 170; where a lookup reaches across the middle of the image they mix a little.
     assert np.abs(baked[rows, columns][on_body] - [200, 30, 30]).max() <= 20
     assert np.abs(baked[rows, columns][~on_body] - [30, 30, 200]).max() <= 20
+
+
+def test_the_level_of_one_part_is_that_of_its_own_size(folder: Path) -> None:
+    """At the level of the whole file an eye had too few vertices for its basis."""
+    files = [folder / name for name in ("target.obj", "source.obj", "landmarks.json", "R")]
+    wanted = 400
+    inputs = read_inputs(MatchRequest(*files, target_part="body", source_part="ball", vertices=wanted))
+    request = MatchRequest(*files, vertices=wanted)
+    assert matched_levels(request, inputs) == side_levels(request, (creature(), poles(6))) == (1, 2)
+    each = read_inputs(MatchRequest(*files, part="each", vertices=wanted))
+    assert matched_levels(request, each) == (1, 1)  # one file, one level
 
 
 def test_one_part_can_be_matched_alone(folder: Path) -> None:

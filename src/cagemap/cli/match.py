@@ -131,7 +131,7 @@ def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
     require_no_input([request.output / name for name in (ARRAYS, MANIFEST)], files.values())
     stated = stated_inputs(files, request.output)
     inputs = read_inputs(request)
-    levels = side_levels(request, (inputs.target, inputs.source))
+    levels = matched_levels(request, inputs)
     sides = {
         side: basis_parameters(basis) | {"level": level}
         for side, basis, level in zip(SIDES, bases, levels, strict=True)
@@ -193,6 +193,12 @@ def read_inputs(request: MatchRequest) -> Inputs:
     parts = tuple(ready_inputs(part) for part in chosen)
     notes = (*notes, *left_alone, *(note for part in parts for note in part.notes))
     return Inputs(target, source, landmarks, notes, parts, masks, tuple(part.repairs for part in parts))
+
+
+def matched_levels(request: MatchRequest, inputs: Inputs) -> tuple[int, int]:
+    """Finest levels of one part of each file by its own size; of several, which become pieces of one, by all of it."""
+    matched = inputs.parts[0] if len(inputs.parts) == 1 else inputs
+    return side_levels(request, (matched.target, matched.source))
 
 
 def read_given_landmarks(
