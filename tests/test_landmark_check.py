@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from examples.shapes import torus, voxels
 
 from cagemap import BasisConfig, Landmarks, MatchConfig, MatchResult, Surface, match, prepare_surface, update_match
 from cagemap.example import example_pair
@@ -14,7 +15,7 @@ from cagemap.maps.elastic.config import ElasticConfig, Stage, StartConfig
 from cagemap.maps.elastic.graph import ElasticGraph, cluster_graph
 from cagemap.maps.elastic.prepared import level_graph
 from cagemap.maps.landmarks import check
-from cagemap.maps.landmarks.check import DISTANCES, SIDES, LandmarkCheck, LandmarkSuspect
+from cagemap.maps.landmarks.check import DISTANCES, SIDES, LandmarkCheck, LandmarkSuspect, large_handles
 from cagemap.maps.landmarks.distances import (
     LandmarkDistances,
     misplaced_pairs,
@@ -177,6 +178,29 @@ def test_an_update_leaves_none_out_where_parts_have_grown_together(pair, bridged
     found = update_match(match(bridged, pair[1], right, CONFIG), exchanged, CONFIG)
     assert found.suspects == ()
     assert any("one surface has handles that the other lacks" in note for note in found.landmark_check.notes)
+
+
+def test_a_small_handle_is_none_that_parts_have_grown_together_by() -> None:
+    """A scan has handles of noise: with them slips were followed that are left out without them."""
+
+    def cube_with(*spans: int) -> ControlMesh:
+        block = [(x, y, z) for x in range(24) for y in range(24) for z in range(24)]
+        for y, span in enumerate(spans):  # a handle on top, over so many cubes
+            ends = [(2, 5 * y + 2, 24), (2 + span, 5 * y + 2, 24)]
+            block += [*ends, *((2 + x, 5 * y + 2, 25) for x in range(span + 1))]
+        return voxels(block)
+
+    for spans, large in (((), 0), ((2,), 0), ((2, 3, 2), 0), ((20,), 1), ((2, 20, 3), 1)):
+        mesh = cube_with(*spans)
+        assert (handle_count(mesh), large_handles(mesh)) == (len(spans), large)
+
+
+def test_cells_cut_handles_open() -> None:
+    mesh = torus(8, 5)
+    assert handle_count(mesh, np.arange(mesh.n_faces)) == 0
+    assert handle_count(mesh, np.arange(mesh.n_faces) // 20) == 0  # two tubes
+    assert handle_count(mesh, (np.arange(mesh.n_faces) == 7).astype(np.int64)) == 1  # a torus with a hole, and a face
+    assert handle_count(mesh, np.zeros(mesh.n_faces, dtype=np.int64)) == 1
 
 
 def test_fewer_than_six_pairs_are_not_judged(pair, graphs):

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import dijkstra
 
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.numerics.arrays import IndexArray
@@ -114,12 +116,36 @@ def boundary_loops(mesh: ControlMesh, edges: EdgeTable, fans: IndexArray) -> tup
     return tuple(loops)
 
 
-def handle_count(mesh: ControlMesh) -> int:
-    """Handles g (the genus) of a sound mesh in one piece with b boundary loops: V - E + F = 2 - 2 g - b."""
+def handle_count(mesh: ControlMesh, labels: IndexArray | None = None) -> int:
+    """Handles g (the genus) of c sound pieces with b boundary loops in all: V - E + F = 2 c - 2 g - b.
+
+    Of the whole mesh, or of what is left where it is cut between faces of different labels (m,).
+    """
     edges = edge_table(mesh)
-    loops = boundary_loops(mesh, edges, corner_fans(mesh, edges)) if len(edges.boundary_corners()) else ()
-    euler = int(used_vertices(mesh).sum()) - len(edges.vertices) + mesh.n_faces
-    return (2 - euler - len(loops or ())) // 2
+    if labels is not None:
+        sides = edges.corner_edges * (int(labels.max(initial=0)) + 1) + labels[mesh.corner_faces]
+        _, first, cut, counts = np.unique(sides, return_index=True, return_inverse=True, return_counts=True)
+        edges = EdgeTable(edges.vertices[edges.corner_edges[first]], cut, counts)
+    fans, (first, second) = corner_fans(mesh, edges), adjacent_corners(edges)
+    loops = boundary_loops(mesh, edges, fans) if len(edges.boundary_corners()) else ()
+    euler = int(fans.max(initial=-1)) + 1 - len(edges.vertices) + mesh.n_faces
+    joined = components(mesh.corner_faces[first], mesh.corner_faces[second], mesh.n_faces)
+    pieces = int(joined.max(initial=-1)) + 1
+    return (2 * pieces - euler - len(loops or ())) // 2
+
+
+def cells(mesh: ControlMesh, size: float, offset: float) -> IndexArray:
+    """(m,) labels of faces by the nearest of vertices that lie about so far apart, along edges.
+
+    The vertices are the first ones in the cubes of a lattice, moved by a share of their side.
+    """
+    cubes = np.floor(mesh.positions / size + offset)
+    seeds = np.unique(cubes, axis=0, return_index=True)[1]
+    heads, tails = edge_table(mesh).vertices.T
+    lengths = np.linalg.norm(mesh.positions[heads] - mesh.positions[tails], axis=1)
+    ways = sparse.csr_array((lengths, (heads, tails)), shape=(mesh.n_vertices, mesh.n_vertices))
+    nearest = dijkstra(ways, directed=False, indices=seeds, return_predecessors=True, min_only=True)[2]
+    return np.asarray(nearest[mesh.face_indices[mesh.face_offsets[:-1]]], dtype=np.int64)
 
 
 def used_vertices(mesh: ControlMesh) -> NDArray[np.bool_]:

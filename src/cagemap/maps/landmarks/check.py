@@ -21,6 +21,7 @@ from cagemap.maps.elastic.problem import FitProblem
 from cagemap.maps.elastic.starts import start_map
 from cagemap.maps.landmarks.distances import (
     FEWEST_JUDGED,
+    LEAST_DISTANCE,
     MOST_SUSPECTS,
     LandmarkDistances,
     misplaced_pairs,
@@ -31,8 +32,10 @@ from cagemap.maps.landmarks.strain import ReducedEnergy, reduced_energy, straine
 from cagemap.maps.pair import Pair, Progress, silent, vertices_at
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import landmark_errors
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.mesh.topology import handle_count
+from cagemap.mesh.measures import face_areas
+from cagemap.mesh.topology import cells, handle_count
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads
 
@@ -55,6 +58,9 @@ MIRRORED_NOTE = (
     "the landmarks surround each other in the opposite sense on the two surfaces: left and right seem exchanged in all "
     "pairs, or one mesh is mirrored. Exchange them in the landmark file, or mirror one of the meshes"
 )
+
+# Lattices of cells that handles of noise are looked for in: a cell's border cuts some.
+OFFSETS = (0.0, 0.25, 0.5, 0.75)
 
 # Why accused pairs are kept.
 NO_BETTER = "the map is hardly better without"
@@ -214,8 +220,11 @@ def accused_pairs(problem: FitProblem, distances: tuple[LandmarkDistances, Landm
     distances : (LandmarkDistances, LandmarkDistances)
         Of its landmarks on target and source.
     """
-    wrong, every = misplaced_pairs(*distances).tolist(), np.arange(len(problem.pair.landmarks))
-    if len(wrong) > MOST_SUSPECTS * len(every) or typical_misfit(*distances, every) > UNRELATED:
+    every = np.arange(len(problem.pair.landmarks))
+    if typical_misfit(*distances, every) > UNRELATED:
+        return None
+    wrong = misplaced_pairs(*distances).tolist()
+    if len(wrong) > MOST_SUSPECTS * len(every):
         return None
     if wrong:
         return dict.fromkeys(wrong, DISTANCES)
@@ -230,9 +239,17 @@ def coarse_map_cost(problem: FitProblem) -> float:
 def grown_together(pair: Pair) -> bool:
     """Whether one surface has handles that the other lacks, as where a scan joins a hand to the hip that it touches.
 
-    Ways along it are too short there, and a map that meets the landmarks has to tear: neither tells a slip.
+    Ways along it are too short there, and a map that meets the landmarks has to tear: neither tells a slip. Handles of
+    noise, which fit into a cell of half the distance by which distances accuse, shorten none of these ways.
     """
-    return handle_count(pair.target.control) != handle_count(pair.source.control)
+    target, source = pair.target.control, pair.source.control
+    return handle_count(target) != handle_count(source) and large_handles(target) != large_handles(source)
+
+
+def large_handles(mesh: ControlMesh) -> int:
+    """Handles that no cell holds by itself, in that of some lattices whose cells hold most."""
+    size = 0.5 * LEAST_DISTANCE * float(np.sqrt(face_areas(mesh).sum()))
+    return handle_count(mesh) - max(handle_count(mesh, cells(mesh, size, offset)) for offset in OFFSETS)
 
 
 def kept_note(accused: dict[int, str], names: Sequence[str], why: str) -> str:

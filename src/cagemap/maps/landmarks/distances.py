@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
@@ -40,6 +39,8 @@ LEAST_DISTANCE = 0.25
 MOST_SUSPECTS = 1 / 3
 # Terms of sums over triples of landmarks that are held at a time.
 MOST_TERMS = 4_000_000
+# Of so many pairs one is set aside before the others are judged again: among hundreds one says little of another.
+ONE_OF = 100
 # Fewer pairs cannot outvote one of them.
 FEWEST_JUDGED = 6
 
@@ -147,45 +148,65 @@ def misplaced_pairs(target: LandmarkDistances, source: LandmarkDistances) -> Ind
     """
     trusted = np.arange(len(target.to_nodes))
     wrong: list[int] = []
-    while len(trusted) > FEWEST_JUDGED and (exchanged := best_exchange(target, source, trusted)) is not None:
+    most, at_once = MOST_SUSPECTS * len(trusted), max(1, len(trusted) // ONE_OF)
+    while len(trusted) > FEWEST_JUDGED and len(wrong) <= most:
+        exchanged = best_exchanges(target, source, trusted, at_once)
+        if not exchanged:
+            break
         wrong.extend(exchanged)
         trusted = np.setdiff1d(trusted, exchanged)
-    while len(trusted) >= FEWEST_JUDGED and len(wrong) <= MOST_SUSPECTS * len(target.to_nodes):
-        placed = place_by_distances(target, source, trusted)
-        judged = (placed.distance >= LEAST_DISTANCE) & ~farther_out(target, source, trusted, placed)
-        gain = np.where(judged, placed.misfit - placed.least, 0.0)
-        worst = int(np.argmax(gain))
-        others = trusted[trusted != worst]
-        if gain[worst] < max(LEAST_GAIN, GAIN_OF_TYPICAL * typical_misfit(target, source, others)):
+    while len(trusted) >= FEWEST_JUDGED and len(wrong) <= most:
+        misplaced = worst_placed(target, source, trusted, at_once)
+        if not misplaced:
             break
-        wrong.append(worst)
-        trusted = others
+        wrong.extend(misplaced)
+        trusted = np.setdiff1d(trusted, misplaced)
     return np.array(wrong, dtype=np.int64)
 
 
-def farther_out(
-    target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray, placed: Placement
-) -> NDArray[np.bool_]:
-    """(p,) pairs of tips whose given place lies farther out on the limb that has the best one: limbs of other lengths.
-
-    The way to the tip of a long tail leads past the place that a short tail's tip would have on it.
-    """
-    found = np.zeros(len(target.to_nodes), dtype=bool)
-    for i in trusted:
-        others = trusted[trusted != i]
-        through = source.to_nodes[others, placed.node[i]] + placed.distance[i]
-        past = float(np.median(through - source.to_nodes[others, i])) < DETOUR
-        found[i] = past and target.is_tip(int(i), others) and source.is_tip(int(i), others)
+def worst_placed(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray, count: int) -> list[int]:
+    """Up to so many trusted pairs whose given place fits much worse than the best one, worst first."""
+    placed = place_by_distances(target, source, trusted)
+    gain = np.where(placed.distance >= LEAST_DISTANCE, placed.misfit - placed.least, 0.0)
+    found: list[int] = []
+    while len(found) < count:
+        worst = int(np.argmax(gain))
+        if gain[worst] > 0.0 and farther_out(target, source, trusted, placed, worst):
+            gain[worst] = 0.0
+            continue
+        others = trusted[trusted != worst]
+        if gain[worst] < max(LEAST_GAIN, GAIN_OF_TYPICAL * typical_misfit(target, source, others)):
+            break
+        found.append(worst)
+        gain[worst], trusted = 0.0, others
     return found
 
 
-def best_exchange(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray) -> tuple[int, int] | None:
-    """The two trusted pairs that fit best with their source vertices exchanged, if they fit much better so."""
+def farther_out(
+    target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray, placed: Placement, landmark: int
+) -> bool:
+    """Whether a tip's given place lies farther out on the limb that has the best one: limbs of other lengths.
+
+    The way to the tip of a long tail leads past the place that a short tail's tip would have on it.
+    """
+    others = trusted[trusted != landmark]
+    through = source.to_nodes[others, placed.node[landmark]] + placed.distance[landmark]
+    past = float(np.median(through - source.to_nodes[others, landmark])) < DETOUR
+    return past and target.is_tip(landmark, others) and source.is_tip(landmark, others)
+
+
+def best_exchanges(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray, count: int) -> list[int]:
+    """Up to so many twos of trusted pairs, one after the other, that fit much better with source vertices exchanged."""
     gain = exchange_gains(target, source, trusted)
-    first, second = np.unravel_index(np.argmax(gain), gain.shape)
-    if gain[first, second] < max(LEAST_EXCHANGE_GAIN, typical_misfit(target, source, trusted)):
-        return None
-    return int(trusted[first]), int(trusted[second])
+    least = max(LEAST_EXCHANGE_GAIN, typical_misfit(target, source, trusted))
+    found: list[int] = []
+    while len(found) < 2 * count:
+        both = np.array(np.unravel_index(np.argmax(gain), gain.shape))
+        if gain[tuple(both)] < least:
+            break
+        found.extend(trusted[both].tolist())
+        gain[both], gain[:, both] = -np.inf, -np.inf
+    return found
 
 
 def exchange_gains(target: LandmarkDistances, source: LandmarkDistances, trusted: IndexArray) -> FloatArray:
