@@ -28,11 +28,11 @@ from cagemap.mesh.parts import extract, find_part
 
 pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
 
-from pxr import Gf, Sdf, Usd, UsdGeom
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
 from cagemap.files.usd import read_usd, read_usd_meshes
 from cagemap.files.usd_write import UsdResults, write_usd, write_usd_over
-from test_usd import complaints
+from test_usd import complaints, full_cube
 
 PLACE = np.array([[0, 2.0, 0, 0], [-2.0, 0, 0, 0], [0, 0, 2.0, 0], [5, 6, 7, 1]])
 
@@ -257,3 +257,63 @@ def test_a_target_that_is_gone_has_no_units_and_that_is_said(folder: Path, tmp_p
     assert "units, up axis and transform are not known" in run_transfer(request, Stages())[0]
     _, warnings = run_wrap(WrapRequest((result,), tmp_path / "wrapped.usda"), Stages())
     assert any("units, up axis and transform are not known" in text for text in warnings)
+
+
+def test_values_under_a_changed_name_take_no_other_primvars_place(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    mesh = full_cube()
+    assert mesh.uvs is not None
+    write_usd(tmp_path / "cube.usda", mesh, UsdResults(attributes={"fur_length": np.arange(8.0)}))
+    given = {"fur length": -np.arange(8.0), mesh.uv_name or "st": np.zeros((8, 2))}
+    write_usd_over(tmp_path / "over.usda", tmp_path / "cube.usda", ["/Asset/mesh"], mesh, UsdResults(attributes=given))
+    assert capfd.readouterr().err == ""  # nor does USD look for what lies below in a wrong folder
+    (read,) = read_usd_meshes(tmp_path / "over.usda")
+    np.testing.assert_array_equal(read.attributes["fur_length"], np.arange(8))
+    np.testing.assert_array_equal(read.attributes["fur_length_2"], -np.arange(8))
+    np.testing.assert_allclose(read.control.uvs[read.control.uv_indices], mesh.uvs[mesh.uv_indices])  # type: ignore[index]
+
+
+def test_materials_of_one_name_in_two_scopes_stay_apart(tmp_path: Path) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "looks.usda"))
+    mesh = _faces(stage, "/m", cube())
+    for scope, faces, color in (("a", [0, 1, 2], (1, 0, 0)), ("b", [3, 4, 5], (0, 0, 1))):
+        material = UsdShade.Material.Define(stage, f"/{scope}/metal")
+        shader = UsdShade.Shader.Define(stage, f"/{scope}/metal/surface")
+        shader.CreateIdAttr("UsdPreviewSurface")
+        shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(color)
+        material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+        subset = UsdGeom.Subset.CreateUniqueGeomSubset(mesh, f"of_{scope}", "face", faces, "materialBind")
+        UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(material)
+    stage.Save()
+    read = read_usd(tmp_path / "looks.usda")
+    assert read.material_names == ("metal", "/b/metal")
+    colors = read.material_colors[read.face_materials]  # type: ignore[index]
+    np.testing.assert_array_equal(colors, [[1, 0, 0]] * 3 + [[0, 0, 1]] * 3)
+
+
+def test_values_of_vertices_stay_with_them_where_there_are_as_many_corners(tmp_path: Path) -> None:
+    """Faces that share no vertex, in a left-handed mesh: numbers of rows do not say what is a vertex's."""
+    stage = Usd.Stage.CreateNew(str(tmp_path / "soup.usda"))
+    soup = ControlMesh(np.eye(3)[[0, 1, 2, 1, 0, 2]], np.array([0, 3, 6]), np.arange(6))
+    mesh = _faces(stage, "/m", soup)
+    mesh.CreateOrientationAttr("leftHanded")
+    for kind in ("vertex", "faceVarying"):
+        primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(f"of_{kind}", Sdf.ValueTypeNames.FloatArray, kind)
+        primvar.Set(list(map(float, range(6))))
+    stage.Save()
+    (read,) = read_usd_meshes(tmp_path / "soup.usda")
+    np.testing.assert_array_equal(read.attributes["of_vertex"], np.arange(6))
+    np.testing.assert_array_equal(read.attributes["of_faceVarying"], read.control.face_indices)
+    results = UsdResults(attributes={"back": read.attributes["of_vertex"]})
+    write_usd_over(tmp_path / "over.usda", tmp_path / "soup.usda", ["/m"], read.control, results)
+    (again,) = read_usd_meshes(tmp_path / "over.usda")
+    np.testing.assert_array_equal(again.attributes["back"], np.arange(6))
+
+
+def test_creasing_that_usd_has_no_word_for_is_left_out_aloud(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for creasing in ("uniform", "chaikin"):
+        scheme = CatmullClark(creasing=creasing)  # type: ignore[arg-type]
+        assert not caplog.text
+        write_usd(tmp_path / f"{creasing}.usda", replace(cube(), scheme=scheme))
+    assert "creasing chaikin has no place in USD" in caplog.text

@@ -19,7 +19,15 @@ import numpy as np
 from cagemap.errors import FormatError
 from cagemap.files.text import require_file, text_name
 from cagemap.files.usd_face_sets import face_sets
-from cagemap.files.usd_primvars import BLEND_SHAPE, corner_values, integers, primvar_arrays, stated, uv_primvars
+from cagemap.files.usd_primvars import (
+    BLEND_SHAPE,
+    corner_primvars,
+    corner_values,
+    integers,
+    primvar_arrays,
+    stated,
+    uv_primvars,
+)
 from cagemap.files.usd_transforms import is_mirrored, local_to_world, moved, unflattened
 from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Plain, Scheme
 from cagemap.mesh.control_mesh import UvSet
@@ -65,12 +73,15 @@ class UsdMesh:
         for each joint, blend shapes as ``blendShape:NAME``.
     to_world : (4, 4) float64
         Positions as rows, 1 appended, times this are in world space.
+    of_corners : frozenset of str
+        Names of attributes with a row a face corner; numbers of rows do not tell where no two faces share a vertex.
     """
 
     path: str
     control: ControlMesh
     attributes: dict[str, Any]
     to_world: FloatArray
+    of_corners: frozenset[str] = frozenset()
 
 
 def usd_modules() -> Any:
@@ -243,7 +254,7 @@ def in_world(mesh: UsdMesh) -> UsdMesh:
     """The mesh and its blend shapes in world space, with its prim's path as object; a mirrored one is turned round."""
     control, attributes = mesh.control, dict(mesh.attributes)
     if is_mirrored(mesh.to_world):
-        control, attributes = _turned_round(control, attributes)
+        control, attributes = _turned_round(control, attributes, mesh.of_corners)
     turn = mesh.to_world[:3, :3]
     control = replace(
         control,
@@ -285,9 +296,10 @@ def _read_prim(file: Path, prim: Any) -> UsdMesh:
     colors = attributes.get("displayColor")
     if colors is not None and colors.shape == (control.n_vertices, 3):
         control = replace(control, vertex_colors=np.asarray(colors, dtype=np.float64))
+    of_corners = corner_primvars(prim)
     if mesh.GetOrientationAttr().Get() == "leftHanded":
-        control, attributes = _turned_round(control, attributes)
-    return UsdMesh(str(prim.GetPath()), control, attributes, local_to_world(prim))
+        control, attributes = _turned_round(control, attributes, of_corners)
+    return UsdMesh(str(prim.GetPath()), control, attributes, local_to_world(prim), of_corners)
 
 
 def _scheme(where: str, mesh: Any) -> Scheme:
@@ -341,7 +353,9 @@ def _sharpness(where: str, mesh: Any) -> dict[str, Any]:
     return result | ({"hole_faces": np.unique(holes)} if len(holes) else {})
 
 
-def _turned_round(control: ControlMesh, attributes: dict[str, Any]) -> tuple[ControlMesh, dict[str, Any]]:
+def _turned_round(
+    control: ControlMesh, attributes: dict[str, Any], of_corners: frozenset[str]
+) -> tuple[ControlMesh, dict[str, Any]]:
     """Faces of a left-handed mesh, run through the other way."""
     mirrored = reversed_corners(control.face_offsets)
     turned = replace(
@@ -350,8 +364,7 @@ def _turned_round(control: ControlMesh, attributes: dict[str, Any]) -> tuple[Con
         uv_indices=None if control.uv_indices is None else control.uv_indices[mirrored],
         uv_sets=tuple(replace(uv_set, uv_indices=uv_set.uv_indices[mirrored]) for uv_set in control.uv_sets),
     )
-    of_corners = {name: values[mirrored] for name, values in attributes.items() if len(values) == len(mirrored)}
-    return turned, attributes | of_corners
+    return turned, attributes | {name: attributes[name][mirrored] for name in of_corners & set(attributes)}
 
 
 def reversed_corners(face_offsets: IndexArray) -> IndexArray:

@@ -19,15 +19,17 @@ def face_sets(prim: Any, n_faces: int) -> dict[str, Any]:
 
     materials = np.full(n_faces, -1, dtype=np.int64)
     names: list[str] = []
+    paths: list[str] = []
     groups: list[tuple[str, IndexArray]] = []
     colors: list[FloatArray] = []
 
     def number(material: Any) -> int:
-        name = material.GetPath().name
-        if name not in names:
-            names.append(name)
+        path = material.GetPath()
+        if path.pathString not in paths:
+            paths.append(path.pathString)
+            names.append(path.name if path.name not in names else path.pathString)  # of another scope
             colors.append(_diffuse_color(material))
-        return names.index(name)
+        return paths.index(path.pathString)
 
     bound = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
     if bound:

@@ -101,6 +101,14 @@ def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDA
     return arrays | _weights(where, control, api, prim) | _blend_shapes(where, control, prim)
 
 
+def corner_primvars(prim: Any) -> frozenset[str]:
+    """Names of primvars with a value a face corner."""
+    from pxr import UsdGeom
+
+    every = UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance()
+    return frozenset(primvar.GetPrimvarName() for primvar in every if primvar.GetInterpolation() == "faceVarying")
+
+
 def _values(where: str, primvar: Any) -> tuple[NDArray[Any], IndexArray, str]:
     """Values, the index of each element, and the interpolation; elements of several values become rows."""
     values = np.asarray(stated(primvar))

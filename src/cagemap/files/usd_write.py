@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -29,6 +30,8 @@ _SCHEMES = {CatmullClark: "catmullClark", Loop: "loop", Bilinear: "bilinear", Pl
 _BOUNDARIES = {"none": "none", "edge_only": "edgeOnly", "edge_and_corner": "edgeAndCorner"}
 _TRIANGLES = {"catmull_clark": "catmullClark", "smooth": "smooth"}
 _JOINTS_KEPT = 8
+_CORNERS = "faceVarying"
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +60,10 @@ class UsdResults:
     uvs: tuple[str, FloatArray, IndexArray] | None = None
     skeleton: Skeleton | None = None
 
-    def turned_round(self, face_offsets: IndexArray) -> UsdResults:
+    def turned_round(self, mesh: ControlMesh) -> UsdResults:
         """The same for a mesh whose faces were run through the other way when it was read."""
-        order = reversed_corners(face_offsets)
-        attributes = {n: v[order] if len(v) == len(order) else v for n, v in self.attributes.items()}
+        order = reversed_corners(mesh.face_offsets)
+        attributes = {n: v[order] if _rows(mesh).get(len(v)) == _CORNERS else v for n, v in self.attributes.items()}
         uvs = None if self.uvs is None else (*self.uvs[:2], self.uvs[2][order])
         return replace(self, attributes=attributes, uvs=uvs)
 
@@ -108,6 +111,9 @@ def write_usd(
     if space is not None and not np.array_equal(space.to_world, np.eye(4)):
         pxr.UsdGeom.Xformable(root).AddTransformOp().Set(pxr.Gf.Matrix4d(*space.to_world.ravel().tolist()))
     prim = pxr.UsdGeom.Mesh.Define(stage, "/Asset/mesh")
+    if mesh.scheme is not None and mesh.scheme.creasing != "uniform":
+        text = "%s: creasing %s has no place in USD and is left out: creases of uneven sharpness come out otherwise"
+        _log.warning(text, file, mesh.scheme.creasing)
     _write_topology(prim, mesh)
     if mesh.uvs is not None and mesh.uv_indices is not None:
         _write_uvs(prim, mesh.uv_name or "st", mesh.uvs, mesh.uv_indices)
@@ -179,9 +185,10 @@ def write_usd_over(
         )
         left_handed = pxr.UsdGeom.Mesh(prim).GetOrientationAttr().Get() == "leftHanded"
         if len(prim_paths) == 1 and left_handed != (world and is_mirrored(to_world)):
-            inside = inside.turned_round(mesh.face_offsets)
+            inside = inside.turned_round(mesh)
         to_root = to_world @ np.linalg.inv(local_to_world(below.GetPrimAtPath(top)))
         _write_results(stage, stage.OverridePrim(prim_path), mesh, inside, to_root)
+    del stage  # or it looks for what lies below where an unsaved layer is, and complains
     layer.subLayerPaths = [Path(os.path.relpath(Path(target).resolve(), file.resolve().parent)).as_posix()]
     _save(layer, file, force=force)
 
@@ -306,8 +313,11 @@ def _write_results(
     if results.uvs is not None:
         uv_name = results.uvs[0]
         _write_uvs(prim, *results.uvs)
+    # A name that USD writes otherwise, or of texture coordinates, takes no other primvar's place.
+    others = {one.GetPrimvarName() for one in pxr.UsdGeom.PrimvarsAPI(prim).GetPrimvars()} - set(results.attributes)
+    labels = identifiers(results.attributes, {*others, uv_name, *(uv_set.name for uv_set in mesh.uv_sets)})
     shapes = {}
-    for label, (name, values) in zip(identifiers(results.attributes), results.attributes.items(), strict=True):
+    for label, (name, values) in zip(labels, results.attributes.items(), strict=True):
         if name == JOINT_WEIGHTS:
             _write_weights(prim, np.asarray(values, dtype=np.float64))
         elif name.startswith(BLEND_SHAPE):
@@ -322,9 +332,14 @@ def _write_results(
         bind_textures(stage, prim, results.textures, uv_name)
 
 
+def _rows(mesh: ControlMesh) -> dict[int, str]:
+    """Interpolation of values, by the number of their rows; where numbers are equal they are of the vertices."""
+    return {len(mesh.face_indices): _CORNERS, mesh.n_faces: "uniform", mesh.n_vertices: "vertex"}
+
+
 def _write_primvar(prim: Any, mesh: ControlMesh, name: str, values: NDArray[Any]) -> None:
     pxr = usd_modules()
-    rows = {mesh.n_vertices: "vertex", mesh.n_faces: "uniform", len(mesh.face_indices): "faceVarying"}
+    rows = _rows(mesh)
     if len(values) not in rows:
         raise ParameterError(f"{name}: expected a row for each vertex, face or face corner, got {len(values)}")
     table: NDArray[Any] = values.reshape(len(values), -1)
