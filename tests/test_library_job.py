@@ -244,6 +244,14 @@ def test_keys_follow_content_options_and_code_and_nothing_else(folder: Path) -> 
     assert {name for name in before if before[name] != after[name]} == {name for name in before if "c" in name}
 
 
+def test_tasks_know_the_files_that_they_are_given(folder: Path) -> None:
+    plan = plan_of(folder, HEAD + ASSETS + PAIRS)
+    for task in plan.tasks:
+        given = [value for value in task.request.values() if isinstance(value, str) and Path(value).is_file()]
+        assert set(task.reads) == set(given)
+    assert any(task.reads for task in plan.tasks if task.kind == "match")
+
+
 def test_the_same_pair_with_two_choices_is_refused(folder: Path) -> None:
     twice = PAIRS + "[[pairs]]\nsource = 'a'\ntarget = 'b'\noptions = { method = 'hfm' }\n"
     with pytest.raises(FormatError, match="asked for twice"):

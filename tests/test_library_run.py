@@ -17,6 +17,7 @@ import pytest
 
 from cagemap.errors import ParameterError
 from cagemap.library import Outcome, Plan, Task, missing_tasks, open_crew, run_plan
+from cagemap.library.plan import content_hash
 from cagemap.library.run import execute, kept_outcome
 
 from library_runner import write_name
@@ -58,6 +59,22 @@ def test_another_key_or_a_lost_output_means_that_it_is_done_again(tmp_path: Path
     assert execute(one, tmp_path, write_name).state == "done"
     for note in (tmp_path / ".cagemap" / "done").iterdir():
         note.write_text('{"key": 3')
+    assert kept_outcome(tmp_path, one) is None
+
+
+def test_what_came_of_a_file_that_changed_meanwhile_is_not_kept(tmp_path: Path) -> None:
+    mesh = tmp_path / "cow.obj"
+    mesh.write_text("as it was planned")
+    one = replace(task(tmp_path, "one"), reads={str(mesh): content_hash(str(mesh))})
+    assert execute(one, tmp_path, write_name).state == "done"
+
+    def save_meanwhile(task: Task) -> dict[str, Any]:
+        mesh.write_text("as it is now")
+        return write_name(task)
+
+    outcome = execute(replace(one, key="another"), tmp_path, save_meanwhile)
+    assert (outcome.state, outcome.message.partition(":")[0]) == ("failed", str(mesh))
+    # Nor is what it replaced.
     assert kept_outcome(tmp_path, one) is None
 
 

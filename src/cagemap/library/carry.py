@@ -98,7 +98,8 @@ def with_carried(plan: Plan, job: Job, version: str) -> Plan:
         keys = [(step.key, forward) for step, forward in steps], None if back is None else back.key
         key = task_key(version, "carry", file_hash(given), *keys, str(file))
         written = Path(os.path.relpath(file, plan.root)).as_posix()
-        made.append(Task("carry", f"carry landmarks to {name}", key, needs, request, (written,)))
+        reads = {str(given): file_hash(given)}
+        made.append(Task("carry", f"carry landmarks to {name}", key, needs, request, (written,), reads=reads))
     return replace(plan, tasks=(*plan.tasks, *made))
 
 

@@ -66,6 +66,8 @@ class Task:
         Source and target.
     after : tuple of str
         Names of the tasks that must have ended before, well or not.
+    reads : dict of str to str
+        `content_hash` of the files that it is given, as the key has them.
     """
 
     kind: str
@@ -76,6 +78,7 @@ class Task:
     outputs: tuple[str, ...] = ()
     pair: Pair | None = None
     after: tuple[str, ...] = ()
+    reads: dict[str, str] = field(default_factory=dict, repr=False)
 
     @property
     def slug(self) -> str:
@@ -182,8 +185,13 @@ def _pairs(
                 yield one, other
 
 
+def content_hash(path: str) -> str:
+    """Hash of a file, or of all tiles of a set; a file that is not there counts as its path."""
+    return "".join(file_hash(file) for file in texture_files(path) if file.is_file()) or path
+
+
 class _Hashes:
-    """Hashes of files, each read once, tiles as one; a file that is not there counts as its path."""
+    """Hashes of files, each read once."""
 
     def __init__(self) -> None:
         self._known: dict[str, str] = {}
@@ -191,8 +199,7 @@ class _Hashes:
     def of(self, path: str | Path) -> str:
         text = str(path)
         if text not in self._known:
-            files = [file for file in texture_files(text) if file.is_file()]
-            self._known[text] = "".join(map(file_hash, files)) or text
+            self._known[text] = content_hash(text)
         return self._known[text]
 
     def of_value(self, value: Any) -> Any:
@@ -202,6 +209,14 @@ class _Hashes:
         if isinstance(value, list):
             return [self.of_value(item) for item in value]
         return self.of(value) if isinstance(value, str) and Path(value).is_absolute() else value
+
+    def read_by(self, value: Any) -> dict[str, str]:
+        """The files in a value, such as a request, and their hashes."""
+        if isinstance(value, dict | list):
+            items = value.values() if isinstance(value, dict) else value
+            return {path: found for item in items for path, found in self.read_by(item).items()}
+        found = self.of_value(value)
+        return {} if found == value else {value: found}
 
 
 def task_key(version: str, kind: str, *parts: Any) -> str:
@@ -230,7 +245,8 @@ class _Planner:
         side = side if any(name.startswith(f"{side}_") for name in choices) else "target"
         request = {"asset": asset.name, "file": str(asset.file), "side": side, "options": choices}
         key = task_key(self.version, "prepare", self.hashes.of(asset.file), side, choices)
-        return Task("prepare", f"prepare {asset.name} {key[:8]}", key, (), {**request, "cache": self.cache})
+        reads, request = self.hashes.read_by(request), {**request, "cache": self.cache}
+        return Task("prepare", f"prepare {asset.name} {key[:8]}", key, (), request, reads=reads)
 
     def match(self, source: Asset, target: Asset, options: dict[str, Any], needs: list[Task]) -> Task:
         """The task of a pair's map."""
@@ -245,7 +261,8 @@ class _Planner:
         request = {**inputs, "output": str(self.job.output / folder)}
         request |= {} if "map" in options else {"cache": self.cache}
         pair, before = (source.name, target.name), tuple(task.name for task in needs)
-        return Task("match", f"match {pair[0]} -> {pair[1]}", key, before, request, (f"{folder}/{ARRAYS}",), pair)
+        title, reads = f"match {pair[0]} -> {pair[1]}", self.hashes.read_by(inputs)
+        return Task("match", title, key, before, request, (f"{folder}/{ARRAYS}",), pair, reads=reads)
 
     def picture(self, match: Task) -> Task:
         """The small picture of a pair on the page of all."""
@@ -281,8 +298,8 @@ class _Planner:
         key = task_key(
             self.version, rule.command, self.hashes.of_value(options), match.key, *sorted(files.items()), *shown
         )
-        request = {**options, "result": match.request["output"]}
+        reads, request = self.hashes.read_by(options), {**options, "result": match.request["output"]}
         request |= {option: str(self.job.output / written) for option, written in files.items()}
         title = f"{rule.command} {pair}: {Path(files['output']).name}"
         after = tuple(task.name for task in before[-1:])
-        return Task(rule.command, title, key, (match.name,), request, tuple(files.values()), match.pair, after)
+        return Task(rule.command, title, key, (match.name,), request, tuple(files.values()), match.pair, after, reads)

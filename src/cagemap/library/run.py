@@ -19,7 +19,7 @@ from cagemap.errors import CagemapError, FormatError, ParameterError
 from cagemap.files.atomic import files_written, leftovers, write_whole
 from cagemap.files.marks import mark
 from cagemap.files.schema import own_note
-from cagemap.library.plan import AROUND, RESULT, STATE, Plan, Task
+from cagemap.library.plan import AROUND, RESULT, STATE, Plan, Task, content_hash
 from cagemap.numerics.threads import core_count
 
 if TYPE_CHECKING:
@@ -140,8 +140,15 @@ def execute(task: Task, root: Path, runner: Runner, *before: Outcome) -> Outcome
             if kept is not None:
                 return kept
             _remove_leftovers(root, task)
+            if own_note(_note(root, task)) is not None:
+                _note(root, task).unlink()  # of files that are about to be replaced
             with files_written() as written:
                 figures = runner(task)
+            for path, planned in task.reads.items():
+                if content_hash(path) != planned:
+                    raise FormatError(
+                        f"{path}: has changed since this run began, so what came of it is not kept. {_REMEDY}"
+                    )
             seconds = time.perf_counter() - start
             outputs = _sizes(root, task, written)
             note = {
