@@ -16,7 +16,7 @@ import pytest
 from examples.shapes import cube
 
 from cagemap.errors import CagemapError, FormatError
-from cagemap.files.atomic import atomic_folder, atomic_path
+from cagemap.files.atomic import all_or_nothing, atomic_folder, atomic_path, write_whole
 from cagemap.files.attributes import write_attributes
 from cagemap.files.images import write_image
 from cagemap.files.maps import write_map
@@ -107,6 +107,18 @@ def test_failure_leaves_the_older_file(tmp_path: Path, error: type[BaseException
         fail_after(temporary.write_text("new"), error)
     assert final.read_text() == "old"
     assert list(tmp_path.iterdir()) == [final]
+
+
+def test_files_that_go_together_are_all_left_where_one_may_not_be_replaced(tmp_path: Path) -> None:
+    def write_both() -> None:
+        with all_or_nothing():
+            for name in ("first.txt", "second.txt"):
+                write_whole(tmp_path / name, "ours")
+            (tmp_path / "second.txt").write_text("somebody else's")
+
+    with pytest.raises(FormatError, match="not overwritten"):
+        write_both()
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"second.txt": "somebody else's"}
 
 
 def test_file_may_be_replaced_by_the_writer_itself(tmp_path: Path) -> None:

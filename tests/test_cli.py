@@ -188,6 +188,13 @@ def test_suggested_landmarks_go_to_a_landmark_file(run: Run, result_folder: Path
     assert read_image(result_folder.parent / "t.png").pixels.shape == (64, 96, 3)
 
 
+def test_the_demo_writes_nothing_where_its_result_folder_is_somebody_elses(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "demo" / "RESULT").mkdir(parents=True)
+    (tmp_path / "demo" / "RESULT" / "precious.blend").touch()
+    outcome = run("demo", "-o", "demo")
+    assert (outcome.code, [path.name for path in (tmp_path / "demo").iterdir()]) == (2, ["RESULT"])
+
+
 @pytest.mark.slow
 def test_demo_runs_and_the_readme_block_does(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

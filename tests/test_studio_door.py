@@ -39,6 +39,9 @@ def test_the_door_refuses_pages_of_other_sites() -> None:
         assert not admits(request("/files/all.zip", Sec_Fetch_Site=site, Sec_Fetch_Mode="no-cors"), None)
         assert admits(request(Sec_Fetch_Site=site, Sec_Fetch_Mode="navigate"), None)
     assert admits(request(Sec_Fetch_Site="same-origin", Sec_Fetch_Mode="cors"), None)
+    # The page's own web socket, whatever a browser takes ws:// beside http:// for.
+    own = {"Origin": "http://127.0.0.1:8765", "Upgrade": "websocket", "Sec_Fetch_Mode": "websocket"}
+    assert admits(request("/target/", Sec_Fetch_Site="cross-site", **own), None)
 
 
 def test_the_door_asks_for_the_token() -> None:

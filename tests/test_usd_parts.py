@@ -313,7 +313,7 @@ def test_values_of_vertices_stay_with_them_where_there_are_as_many_corners(tmp_p
 
 def test_creasing_that_usd_has_no_word_for_is_left_out_aloud(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     for creasing in ("uniform", "chaikin"):
-        scheme = CatmullClark(creasing=creasing)  # type: ignore[arg-type]
+        scheme = CatmullClark(creasing=creasing)
         assert not caplog.text
         write_usd(tmp_path / f"{creasing}.usda", replace(cube(), scheme=scheme))
     assert "creasing chaikin has no place in USD" in caplog.text

@@ -17,6 +17,7 @@ from cagemap.files.atomic import check_outputs
 from cagemap.files.images import write_image
 from cagemap.files.landmarks import write_landmarks
 from cagemap.files.meshes import mesh_files, write_mesh
+from cagemap.files.result import check_result_folder
 
 TEXTURE_SIZE = 2048
 VERTICES = 100_000
@@ -34,6 +35,7 @@ def run_demo(folder: Path, stages: Stages, *, force: bool = False) -> tuple[Path
     folder.mkdir(parents=True, exist_ok=True)
     models = [*mesh_files(target, pair.target), *mesh_files(source, pair.source)]
     check_outputs([*models, landmarks, texture, baked, report], [], force=force)
+    check_result_folder(result, force=force)
     write_mesh(target, pair.target, force=force)
     write_mesh(source, pair.source, force=force)
     write_landmarks(landmarks, pair.landmarks, force=force)

@@ -15,6 +15,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
+from functools import partial
 from pathlib import Path
 
 from cagemap.errors import FormatError
@@ -23,11 +24,12 @@ from cagemap.files.marks import is_own, seal
 # A full disk and the like; any other error of a block is its own, perhaps about another file.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _STORAGE = (*_FULL, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ENAMETOOLONG)
+_Step = Callable[[], None]
 
 Owned = Callable[[Path], bool]
 _written: ContextVar[list[Path] | None] = ContextVar("written", default=None)
-# What puts files into place at the end of `all_or_nothing`, and what removes their temporary ones.
-_together: ContextVar[tuple[list[Callable[[], None]], ExitStack] | None] = ContextVar("together", default=None)
+# What checks and puts files into place at the end of `all_or_nothing`, and what removes their temporary ones.
+_together: ContextVar[tuple[list[tuple[_Step, _Step]], ExitStack] | None] = ContextVar("together", default=None)
 
 
 @contextmanager
@@ -50,14 +52,16 @@ def _tell(*files: Path) -> None:
 @contextmanager
 def all_or_nothing() -> Iterator[None]:
     """Put the files that `atomic_path` writes in the block into place at its end; after an error, none of them."""
-    moves: list[Callable[[], None]] = []
+    moves: list[tuple[_Step, _Step]] = []
     with ExitStack() as removed:
         token = _together.set((moves, removed))
         try:
             yield
         finally:
             _together.reset(token)
-        for move in moves:
+        for check, _ in moves:
+            check()
+        for _, move in moves:
             move()
 
 
@@ -100,7 +104,8 @@ def atomic_path(final: str | Path, *, force: bool = False, owned: Owned = is_own
     FormatError
         See `require_replaceable`; also if the disk is full.
     """
-    require_replaceable(final, force=force, owned=owned)
+    check = partial(require_replaceable, final, force=force, owned=owned)
+    check()
     target = _real(final)
     together = _together.get()
     with ExitStack() as removed:
@@ -112,7 +117,7 @@ def atomic_path(final: str | Path, *, force: bool = False, owned: Owned = is_own
             _flush(temporary)
 
         def move() -> None:
-            require_replaceable(final, force=force, owned=owned)  # what appeared meanwhile is as precious
+            check()  # what appeared meanwhile is as precious
             with _storage_told(target):
                 if target.exists():
                     shutil.copymode(target, temporary)
@@ -122,7 +127,7 @@ def atomic_path(final: str | Path, *, force: bool = False, owned: Owned = is_own
         if together is None:
             move()
         else:
-            together[0].append(move)
+            together[0].append((check, move))
             together[1].push(removed.pop_all())
 
 

@@ -75,6 +75,10 @@ def recovered_landmarks(files: Files, scene: Scene, owned: Owned) -> tuple[Landm
     return landmarks, [*notes, f"recovered unsaved landmarks of {files.landmarks.name}"]
 
 
+# What newly opened models begin with, the first that there is; and whether that is saved.
+FIRST = ((recovered_landmarks, False), (opened_landmarks, True))
+
+
 def split(given: Landmarks, scene: Scene) -> tuple[Landmarks, Landmarks | None]:
     """Pairs and curves in the files' numbers: those of the open parts, in their numbers, and the others as they are."""
     here = given.renumbered(scene.target.from_file, scene.source.from_file)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,9 +63,13 @@ class Scene:
         return any(shape.leaves_any for shape in (self.target, self.source))
 
     def warm(self) -> None:
-        """Work out ahead what the first click asks for."""
-        for shape in (self.target, self.source):
-            place_at(shape, shape.positions[0])
+        """Work out ahead, in a thread of its own, what the first click asks for."""
+
+        def work() -> None:
+            for shape in (self.target, self.source):
+                place_at(shape, shape.positions[0])
+
+        threading.Thread(target=work, name="studio warm-up", daemon=True).start()
 
 
 def carried(scene: Scene, side: Side, position: FloatArray) -> Hit | None:

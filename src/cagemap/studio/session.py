@@ -17,13 +17,7 @@ from cagemap.studio.bench import ChooseAnswer, Dressed, FindMap, Found, Opened, 
 from cagemap.studio.finish import Command, FinishOptions, planned
 from cagemap.studio.finish_layout import on_the_page
 from cagemap.studio.held import Held
-from cagemap.studio.landmark_files import (
-    in_files,
-    load_landmarks,
-    opened_landmarks,
-    recovered_landmarks,
-    save_landmarks,
-)
+from cagemap.studio.landmark_files import FIRST, in_files, load_landmarks, save_landmarks
 from cagemap.studio.landmarks import History, LandmarkList, Place, Side
 from cagemap.studio.last_map import LastMap
 from cagemap.studio.opening import result_of, with_parts
@@ -336,14 +330,14 @@ class Session(Held):
             case Opened():
                 self._scene = answer.scene
                 if self._state.files is not None:  # as they were opened, so that the finish opens them alike
-                    target, source = answer.scene.offers
-                    parts = target.opened, source.opened
-                    self._change(files=replace(with_parts(self._state.files, parts), schemes=answer.schemes))
+                    target, source = (offer.opened for offer in answer.scene.offers)
+                    files = with_parts(self._state.files, (target, source))
+                    self._change(files=replace(files, schemes=answer.schemes))
                 self._notes(answer.notes)
                 self._first_landmarks()
             case Found() if self._scene is not None and isinstance(task, FindMap | ChooseAnswer):
                 if self._state.map.revision == 0:  # the page has its models by now, and the processor is free
-                    self._warm_up(self._scene)
+                    self._scene.warm()
                 self._scene = replace(self._scene, images=answer.images, skins=(answer.skin, self._scene.skins[1]))
                 if self._scene.faced is not self._scene.source:
                     self._preview.dress()
@@ -353,20 +347,16 @@ class Session(Held):
             case Dressed() if self._scene is not None:
                 scene = replace(self._scene, source=self._scene.faced, skins=answer.skins)
                 if scene.source is not self._scene.source:
-                    self._warm_up(scene)
+                    scene.warm()
                 self._scene = scene
                 self._change()
             case _:
                 log.warning("unexpected answer %r to %r", type(answer), type(task))
 
-    @staticmethod
-    def _warm_up(scene: Scene) -> None:
-        threading.Thread(target=scene.warm, name="studio warm-up", daemon=True).start()
-
     def _first_landmarks(self) -> None:
         """Landmarks of newly opened models: what a killed studio left unsaved, else what the file holds."""
         files, scene = self._open()
-        for read, saved in ((recovered_landmarks, False), (opened_landmarks, True)):
+        for read, saved in FIRST:
             with self._guarded():
                 found = read(files, scene, self._owned)
                 if found is not None:

@@ -60,7 +60,7 @@ def admits(request: Request, token: str | None) -> bool:
     if origin is not None and urlsplit(origin).netloc != host:
         return False
     asks = request.headers.get("Sec-Fetch-Site", "none"), request.headers.get("Sec-Fetch-Mode")
-    if asks[0] not in ("none", "same-origin") and asks[1] != "navigate":
+    if origin is None and asks[0] not in ("none", "same-origin") and asks[1] != "navigate":
         return False  # an image or a script in a page of someone else, which names no origin
     if token is None:
         # A name that merely resolves to this machine is a page of someone else.
