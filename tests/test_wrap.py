@@ -295,7 +295,7 @@ def test_the_command_refuses_and_writes_nothing(run: Run, result_folder: Path) -
     before = sorted(place.rglob("*"))
     for arguments, message in (
         (("R", "-o", "n.obj", "--amount", "2"), "--amount"),
-        (("R", "-o", "n.obj", "--weights", "w.npy"), "one a control vertex"),
+        (("R", "-o", "n.obj", "--weights", "w.npy"), "8 control vertices of large.obj, the target, got 5"),
         (("R", "-o", "n.obj", "--fit-level", "3"), "level below"),
         (("R", "R", "-o", "n.obj"), "--blend-shapes"),
         (("-o", "n.obj"), "RESULT"),
