@@ -80,7 +80,7 @@ def with_carried(plan: Plan, job: Job, version: str) -> Plan:
     matches = {task.pair: task for task in plan.tasks if task.kind == "match" and task.pair is not None}
     given = job.assets[job.carry.source].landmarks
     assert given is not None
-    made = []
+    content, made = file_hash(given), []
     for name, way in _ways(job.carry.source, matches).items():
         if job.assets[name].landmarks is not None:
             continue
@@ -96,10 +96,10 @@ def with_carried(plan: Plan, job: Job, version: str) -> Plan:
         }
         needs = tuple(task.name for task in [*(step for step, _ in steps), back] if task is not None)
         keys = [(step.key, forward) for step, forward in steps], None if back is None else back.key
-        key = task_key(version, "carry", file_hash(given), *keys, str(file))
+        key = task_key(version, "carry", content, *keys, str(file))
         written = Path(os.path.relpath(file, plan.root)).as_posix()
-        reads = {str(given): file_hash(given)}
-        made.append(Task("carry", f"carry landmarks to {name}", key, needs, request, (written,), reads=reads))
+        title, reads = f"carry landmarks to {name}", {str(given): content}
+        made.append(Task("carry", title, key, needs, request, (written,), reads=reads))
     return replace(plan, tasks=(*plan.tasks, *made))
 
 
