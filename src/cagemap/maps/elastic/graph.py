@@ -183,9 +183,7 @@ class DifferentialField:
         """Factor the (3 n, 3 n) matrix once for all iterations."""
         edges = graph.edges
         outer = graph.weights[:, None, None] * edges[:, :, None] * edges[:, None, :]
-        count = len(graph.heads)
-        at_heads = sparse.csr_array((np.ones(count), (graph.heads, np.arange(count))), shape=(graph.n, count))
-        blocks = np.asarray(at_heads @ outer.reshape(-1, 9)).reshape(-1, 3, 3)
+        blocks = grouped_sums(graph.heads, outer.reshape(-1, 9), graph.n).reshape(-1, 3, 3)
         # A flat ring leaves its normal direction open: lean on the neighbours, and a trace of ridge for safety.
         blocks += 1e-9 * float(np.einsum("naa->n", blocks).mean()) * np.eye(3)
         system = BlockSystem.build(laplacian)
