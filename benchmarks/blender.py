@@ -15,10 +15,10 @@ import numpy as np
 from examples.shapes import creature, cube, grid
 from scipy.spatial import cKDTree
 
-from cagemap.files.usd import read_usd
-from cagemap.files.usd_write import write_usd
+from cagemap.files.usd.read import read_usd
+from cagemap.files.usd.write import write_usd
 from cagemap.mesh import CatmullClark, ControlMesh
-from cagemap.refinement import refine
+from cagemap.subdivision import refine
 
 LEVEL = 3
 IN_BLENDER = """

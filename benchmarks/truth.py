@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.geometry.closest import closest_points
-from cagemap.geometry.points import SurfacePoints
-from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.pair import PointPairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import covered_share, dirichlet_energy, flipped_triangles, landmark_errors
 from cagemap.numerics.arrays import FloatArray
+from cagemap.surface.closest_points import closest_points
+from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import TriangleSurface
 
 _VALID_GAP = 0.015  # of sqrt(area): a larger gap between the neutral surfaces is no match
 
@@ -104,7 +104,7 @@ def compare_with_truth(found: PointMap, truth: Truth, landmarks: PointPairs | No
         flipped_area=float(areas[flipped].sum() / areas.sum()),
         true_flipped_area=float(areas[judged][truly].sum() / areas[judged].sum()),
         dirichlet_ratio=energies[0] / energies[1],
-        coverage=covered_share(image, target.triangles, source),
+        coverage=covered_share(target.positions, image, target.triangles, source),
         known=float(known.mean()),
         errors=errors,
     )

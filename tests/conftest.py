@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from cagemap.refinement import Refinement
     from cagemap.studio.session import Session
+    from cagemap.subdivision import Refinement
+
     from command_line import Run
 
 # Before NumPy is loaded: test processes run side by side, and BLAS threads that wait for each other's cores spin.
@@ -86,8 +87,8 @@ def result_folder(tmp_path: Path) -> Path:
     """A cube twice as large as its source, and an image over its layout."""
     import numpy as np
 
-    from cagemap.files.images import write_image
-    from cagemap.files.result import write_result
+    from cagemap.files.images.image import write_image
+    from cagemap.files.result.folder import write_result
 
     from example_result import identity_result
 

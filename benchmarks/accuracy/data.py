@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cagemap.files.landmarks import read_landmarks
-from cagemap.files.obj import read_obj
+from cagemap.files.landmarks.pairs import read_landmarks
+from cagemap.files.meshes.obj import read_obj
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 

@@ -12,13 +12,13 @@ import numpy as np
 
 from benchmarks.accuracy.data import HumanPair, animal_pair
 from benchmarks.truth import Truth, compare_with_truth, round_trip, true_map
-from cagemap.basis import Surface
-from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.pair import PointPairs
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import ENOUGH, MatchConfig, choose_level, default_basis, match, prepare_surfaces
-from cagemap.refinement import Refinement, level_triangles, refine
+from cagemap.spectral import Surface
+from cagemap.subdivision import Refinement, level_triangles, refine
+from cagemap.surface.triangle_surface import TriangleSurface
 
 WORKER = Path(__file__).resolve().parents[1] / "speed" / "pyfm_worker.py"
 

@@ -14,15 +14,15 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.accuracy.data import DATA, REPOSITORY
-from benchmarks.geodesic import geodesic_errors
 from benchmarks.truth import Truth, compare_with_truth, true_map
-from cagemap.basis import Surface
-from cagemap.files.landmarks import read_landmarks
-from cagemap.files.obj import read_obj
-from cagemap.geometry.surface import TriangleSurface
+from cagemap.files.landmarks.pairs import read_landmarks
+from cagemap.files.meshes.obj import read_obj
+from cagemap.maps.geodesic import JUDGED_VERTICES, geodesic_error
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import choose_level, match, prepare_surface
-from cagemap.refinement import level_triangles
+from cagemap.spectral import Surface
+from cagemap.subdivision import level_triangles
+from cagemap.surface.triangle_surface import TriangleSurface
 
 CAGES = (("female1605", "male1591"), ("base", "proxy741"))
 IDENTITIES = ("male_young", "female_old_heavy")
@@ -89,10 +89,12 @@ def row(bodies: Bodies, target: Body, source: Body, count: int) -> dict:
     found = match(bodies.surface(target), bodies.surface(source), landmarks_of(target[0], source[0], count))
     truth = bodies.truth(target, source)
     figures = compare_with_truth(found.point_map, truth)
+    known = np.flatnonzero(truth.known)
+    judged = known[np.unique(np.linspace(0, len(known) - 1, min(JUDGED_VERTICES, len(known))).astype(int))]
     return {
         "target": list(target), "source": list(source), "landmarks": count, "vertices": bodies.vertices,
         "mean": 100 * figures.mean, "p95": 100 * figures.p95, "flipped": 100 * figures.flipped_area,
-        "geodesic": 100 * float(geodesic_errors(found.point_map, truth).mean()),
+        "geodesic": 100 * float(geodesic_error(found.point_map, truth.images, judged).mean()),
         "left_out": [suspect.name for suspect in found.suspects],
         "notes": list(found.landmark_check.notes),
         "verdict": None if found.confidence is None else found.confidence.verdict,

@@ -17,12 +17,12 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.accuracy.data import DATA, REPOSITORY
 from benchmarks.skeleton import distances
-from cagemap.basis import Surface
-from cagemap.files.obj import read_obj
+from cagemap.files.meshes.obj import read_obj
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.measures import cage_triangles
 from cagemap.pipeline import choose_level, match, prepare_surface
+from cagemap.spectral import Surface
 
 ANIMALS = ("zebra", "horse", "cow", "wolf", "red_fox")
 # Bones: from the landmark that they turn about to their end; the first, the trunk, never turns.

@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.accuracy.data import DATA
-from cagemap.cli.library import run_job
-from cagemap.cli.match import MatchRequest, run_match
-from cagemap.cli.progress import Stages
-from cagemap.cli.run_request import RunRequest
-from cagemap.files.result import read_result
+from cagemap.files.result.folder import read_result
 from cagemap.numerics.threads import thread_limit
+from cagemap.tasks.match import MatchRequest, run_match
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.run import RunRequest
+from cagemap.tasks.run_job import run_job
 
 HUMANS = DATA / "humans"
 RESULTS = Path(__file__).resolve().parents[1] / "results" / "library.md"

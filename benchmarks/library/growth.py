@@ -1,6 +1,6 @@
 """``python -m benchmarks.library.growth``: processor seconds, memory and bytes of every stage of a job, by size.
 
-Each pair in a process of its own, on one thread, its compiled code already read. `cagemap.library.costs` is fitted to
+Each pair in a process of its own, on one thread, its compiled code already read. `cagemap.jobs.costs` is fitted to
 the figures, and a test compares them. Rows that are there are not measured again.
 """
 
@@ -20,19 +20,19 @@ from typing import Any
 import numpy as np
 
 from benchmarks.accuracy.data import DATA
-from cagemap.cli.progress import Stages
-from cagemap.cli.transfer import run_transfer
-from cagemap.cli.transfer_request import TransferRequest
-from cagemap.cli.wrap import WrapRequest, run_wrap
 from cagemap.example import example_pair
-from cagemap.files.images import write_image
-from cagemap.files.landmarks import read_landmarks
-from cagemap.files.meshes import read_mesh
-from cagemap.files.result import read_result, write_result
-from cagemap.files.surface_store import prepared
+from cagemap.files.images.image import write_image
+from cagemap.files.landmarks.pairs import read_landmarks
+from cagemap.files.meshes.formats import read_mesh
+from cagemap.files.result.folder import read_result, write_result
+from cagemap.files.result.surface_store import prepared
 from cagemap.numerics.threads import thread_limit
 from cagemap.pipeline import MAP_BASIS, choose_level, match
 from cagemap.report import draw_thumbnail, write_report
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.transfer import run_transfer
+from cagemap.tasks.wrap import WrapRequest, run_wrap
 
 RESULTS = Path(__file__).resolve().parents[1] / "results" / "growth.json"
 HUMANS = DATA / "humans"
@@ -85,8 +85,8 @@ def measured(target: str, source: str, landmarks: str, vertices: int) -> dict[st
         write_image(folder / "t.png", (255 * noise).astype(np.uint8))
         for size in (1024, 4096):
             request = TransferRequest(folder / "RESULT", folder / f"{size}.png", folder / "t.png", size=size)
-            timed(f"transfer {size}", lambda request=request: run_transfer(request, Stages(shown=False)))
-        timed("wrap", lambda: run_wrap(WrapRequest((folder / "RESULT",), folder / "w.obj"), Stages(shown=False)))
+            timed(f"transfer {size}", lambda request=request: run_transfer(request, Stages()))
+        timed("wrap", lambda: run_wrap(WrapRequest((folder / "RESULT",), folder / "w.obj"), Stages()))
     row["memory_bytes"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     return row | {"seconds": seconds}
 
@@ -99,7 +99,7 @@ def _warm_up(folder: Path) -> None:
     draw_thumbnail(read_result(folder / "warm-RESULT"))
     write_image(folder / "warm.png", pair.texture)
     request = TransferRequest(folder / "warm-RESULT", folder / "warm-out.png", folder / "warm.png", size=64)
-    run_transfer(request, Stages(shown=False))
+    run_transfer(request, Stages())
 
 
 def main() -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from tests.browser_page import chromium
 
 from benchmarks.processor import children_time
-from cagemap.library.page import PairRow, build_library_page
+from cagemap.jobs.page import PairRow, build_library_page
 
 RESULTS = Path(__file__).resolve().parents[1] / "results" / "library_page.md"
 TRIES = 5

@@ -9,12 +9,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.paper.data import SCHEDULE, human, picture, prepared, verdict
-from cagemap.basis import exact_basis
-from cagemap.basis.hierarchical_basis import HierarchicalBasis
-from cagemap.descriptors import heat_filters, heat_times, signatures
 from cagemap.operators import build_operators
+from cagemap.paper.descriptors import heat_filters, heat_times, signatures
 from cagemap.pictures import BALANCE, scalar_colors
-from cagemap.refinement import level_triangles, refine
+from cagemap.spectral import exact_basis
+from cagemap.spectral.basis import HierarchicalBasis
+from cagemap.subdivision import level_triangles, refine
 
 Drawn = tuple[Figure, str]
 # Ratio of two levels' eigenvalues below which they are called different, as in the paper's Fig. 6 (its axis ends at 0.94).

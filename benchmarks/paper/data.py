@@ -10,13 +10,13 @@ import numpy as np
 
 from benchmarks.accuracy.data import DATA, HUMANS, REPOSITORY, HumanPair
 from benchmarks.truth import true_map
-from cagemap.basis import BasisConfig, Surface
-from cagemap.files.obj import read_obj
-from cagemap.geometry.surface import TriangleSurface
+from cagemap.files.meshes.obj import read_obj
 from cagemap.maps.pair import Pair
 from cagemap.mesh import ControlMesh
 from cagemap.pictures import Model, Skin, View, frame, render
 from cagemap.pipeline import pair_of, prepare_surface
+from cagemap.spectral import BasisConfig, Surface
+from cagemap.surface.triangle_surface import TriangleSurface
 
 OUTPUT = REPOSITORY / "docs" / "paper"
 # The schedule of Fig. 13's pair and of the trolls (Table 1).
@@ -37,7 +37,7 @@ def animal(name: str) -> ControlMesh:
 
 @cache
 def prepared(name: str, level: int, schedule: tuple[int, ...] | None = SCHEDULE) -> Surface:
-    """A surface of `data/humans` or `data/animals`, by a fixed schedule or the tolerance."""
+    """A surface of `data/humans` or `data/animals`, by a fixed schedule or with a basis of one level."""
     mesh = human(name) if (DATA / "humans" / f"{name}.obj").is_file() else animal(name)
     config = BasisConfig() if schedule is None else BasisConfig(schedule=schedule[: level + 1])
     return prepare_surface(mesh, level, config)

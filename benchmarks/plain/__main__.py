@@ -19,12 +19,12 @@ import numpy as np
 
 from benchmarks.accuracy.data import DATA, HUMANS, HumanPair
 from benchmarks.truth import Truth, compare_with_truth, true_map
-from cagemap.files.meshes import write_mesh
-from cagemap.files.result import read_result
-from cagemap.geometry.surface import TriangleSurface
+from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.result.folder import read_result
 from cagemap.mesh import ControlMesh
 from cagemap.pipeline import choose_level
-from cagemap.refinement import level_triangles, refine
+from cagemap.subdivision import level_triangles, refine
+from cagemap.surface.triangle_surface import TriangleSurface
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def measure(pair: HumanPair, vertices: int, landmarks: int) -> None:
             write_mesh(file, triangles_of(mesh, level))
         plain = run(folder, files[1], files[0], marks, truth, ["--scheme", "none"])
         cages = [DATA / "humans" / f"{name}.obj" for name in names]
-        asked = ["--source-level", str(levels[0]), "--target-level", str(levels[1])]
+        asked = ["--set", f"source.level={levels[0]}", "--set", f"target.level={levels[1]}"]
         cage = run(folder, cages[1], cages[0], marks, truth, asked)
     counts = " and ".join(f"{len(surface.triangles):,}" for surface in surfaces[::-1])
     print(f"{names[0]} -> {names[1]}, {counts} triangles")

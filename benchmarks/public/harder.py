@@ -32,12 +32,12 @@ from benchmarks.public.lookalikes import (
 from benchmarks.public.sets import SETS
 from benchmarks.skeleton import Sizes, Turns, shares, skinned
 from benchmarks.truth import true_map
-from cagemap.files.obj import read_obj
-from cagemap.geometry.surface import TriangleSurface
-from cagemap.maps.spectral.samples import spread
+from cagemap.files.meshes.obj import read_obj
 from cagemap.numerics.factorization import factor
 from cagemap.operators.laplacian import stiffness, vertex_areas
-from cagemap.refinement import level_triangles, refine
+from cagemap.spectral.samples import spread
+from cagemap.subdivision import level_triangles, refine
+from cagemap.surface.triangle_surface import TriangleSurface
 
 # Cage and identity; points of the template are vertices of the last.
 HUMANS = (("male1591", "male_young"), ("female1605", "female_old_heavy"))

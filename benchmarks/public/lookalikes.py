@@ -19,12 +19,12 @@ from benchmarks.accuracy.data import DATA
 from benchmarks.accuracy.posed_animals import landmarks_of
 from benchmarks.public.sets import SETS
 from benchmarks.skeleton import Bone, Sizes, Turns, shares, skinned
-from cagemap.files.meshes import write_mesh
-from cagemap.files.obj import read_obj
-from cagemap.geometry.triangles import triangle_areas
-from cagemap.maps.spectral.samples import spread
+from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.meshes.obj import read_obj
 from cagemap.mesh import ControlMesh
-from cagemap.refinement import level_triangles, refine
+from cagemap.spectral.samples import spread
+from cagemap.subdivision import level_triangles, refine
+from cagemap.surface.triangles import triangle_areas
 
 # Triangles of a written mesh, points that are known on all, and how fast the simplification may give up quality.
 TRIANGLES, CAUTION = 10_000, 3

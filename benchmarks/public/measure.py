@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.geodesic import BATCH, HeatDistances
 from benchmarks.public.sets import Marks, PublicSet, more_landmarks
-from cagemap.basis import Surface
-from cagemap.files.meshes import read_mesh
-from cagemap.geometry.points import SurfacePoints
+from cagemap.files.meshes.formats import read_mesh
+from cagemap.maps.geodesic import BATCH, HeatDistances
 from cagemap.maps.places import located
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import SCHEMES
 from cagemap.pipeline import choose_level, match, prepare_surface
+from cagemap.spectral import Surface
+from cagemap.surface.surface_points import SurfacePoints
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +80,7 @@ def receiver(shape: Shape, points: int) -> Receiver:
     chosen = np.unique(np.linspace(0, count - 1, min(points, count)).astype(int))
     solver = HeatDistances(shape.places.surface)
     parts = [
-        solver.from_weights(shape.places.at(chosen[start : start + BATCH]).matrix().toarray().T)
-        for start in range(0, len(chosen), BATCH)
+        solver.from_points(shape.places.at(chosen[start : start + BATCH])) for start in range(0, len(chosen), BATCH)
     ]
     distances = np.hstack(parts).astype(np.float32)
     return Receiver(shape.marks.ids[chosen], distances, float(distances.max()))

@@ -20,24 +20,24 @@ import cagemap
 from benchmarks.accuracy.posed import landmarks_of
 from benchmarks.riding.scenes import body, inner_places, normal_image, skin_of
 from benchmarks.textures.__main__ import DATA, psnr, requadded, touched
-from cagemap.basis import Surface
-from cagemap.cli.match import MatchRequest, run_match
-from cagemap.cli.progress import Stages
-from cagemap.cli.transfer import run_transfer
-from cagemap.cli.transfer_request import TransferRequest
-from cagemap.files.attributes import read_attributes, write_attributes
-from cagemap.files.images import read_image, write_image
-from cagemap.files.landmarks import write_landmarks
-from cagemap.files.meshes import read_mesh, write_mesh
-from cagemap.files.mhclo import bind
-from cagemap.files.rigs import read_skeleton, write_skeleton
-from cagemap.geometry.triangles import normalized
+from cagemap.files.images.image import read_image, write_image
+from cagemap.files.landmarks.pairs import write_landmarks
+from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.files.meshes.mhclo import bind
+from cagemap.files.values.attributes import read_attributes, write_attributes
+from cagemap.files.values.rigs import read_skeleton, write_skeleton
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.skeleton import Skeleton
 from cagemap.pipeline import choose_level, match, prepare_surface
-from cagemap.refinement import finest_mesh, refine
+from cagemap.spectral import Surface
+from cagemap.subdivision import finest_mesh, refine
+from cagemap.surface.triangles import normalized
+from cagemap.tasks.match import MatchRequest, run_match
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.transfer import run_transfer
 from cagemap.transfer import unwrap
 from cagemap.transfer.blend_shapes import carry_shape, prepare_shapes
 from cagemap.transfer.skeleton import carry_joints

@@ -8,11 +8,11 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from benchmarks.accuracy.data import DATA
-from cagemap.files.obj import read_obj
-from cagemap.geometry.triangles import normalized, vertex_normals
+from cagemap.files.meshes.obj import read_obj
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.measures import cage_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.surface.triangles import normalized, vertex_normals
 
 JOINTS = 60
 INFLUENCES = 4

@@ -57,16 +57,13 @@ class Options:
 def basis(options: Options) -> Figures:
     """Our basis against SciPy's exact one at the finest level."""
     level, count = (3, 100) if options.quick else (5, 300)
-    return run_task("basis", {"level": level, "count": count, "tolerances": [5e-2, 1e-2, 1e-5], "exact": True})
+    return run_task("basis", {"level": level, "count": count, "exact": True})
 
 
 def match(options: Options) -> Figures:
     """From two OBJ files to a written RESULT, and again with both surfaces prepared."""
     figures = _match("proxies", options.level, options.result)
     figures["accuracy"] = run_task("check_map", {"pair": "proxies", "result": options.result})["mean error"]
-    tight = str(Path(options.folder) / "RESULT-tight")
-    figures["tight"] = _match("proxies", options.level, tight, "--tolerance", 0.01)
-    figures["tight"]["accuracy"] = run_task("check_map", {"pair": "proxies", "result": tight})["mean error"]
     figures["prepared"] = run_task(
         "prepared_match",
         {

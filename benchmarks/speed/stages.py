@@ -35,13 +35,13 @@ def measure_stages(control: Any, level: int, count: int, run: Callable[[Any], An
     run : callable
         Surface -> MatchResult, with that surface as target.
     """
-    from cagemap.basis import hierarchical_basis
-    from cagemap.basis.surface import Surface, operators_for
-    from cagemap.files.result import write_result
-    from cagemap.files.surface_store import load_surface, save_surface
+    from cagemap.files.result.folder import write_result
+    from cagemap.files.result.surface_store import load_surface, save_surface
     from cagemap.numerics.threads import one_blas_thread
     from cagemap.pipeline import MAP_BASIS, judge
-    from cagemap.refinement import refine
+    from cagemap.spectral import hierarchical_basis
+    from cagemap.spectral.surface import Surface, operators_for
+    from cagemap.subdivision import refine
 
     with one_blas_thread(), tempfile.TemporaryDirectory() as folder:
         times: Figures = {}

@@ -12,12 +12,12 @@ import numpy as np
 from tests.browser_page import Page, chromium, studio
 
 from benchmarks.processor import children_time
-from cagemap.cli.option_list import all_options
-from cagemap.files.landmarks import write_landmarks
-from cagemap.files.meshes import read_mesh
+from cagemap.files.landmarks.pairs import write_landmarks
+from cagemap.files.meshes.formats import read_mesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.studio.page.app import PageRequest, StudioApp
 from cagemap.studio.state import Files
+from cagemap.tasks.requests.catalogue import all_options
 
 Rows = list[tuple[str, str]]
 # Seconds that a wait may last, which is what is measured.

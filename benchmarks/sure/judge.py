@@ -11,12 +11,12 @@ from benchmarks.accuracy.posed import Bodies
 from benchmarks.sure.early import may_be_sure
 from benchmarks.sure.models import Model
 from benchmarks.truth import compare_with_truth
-from cagemap.basis import Surface
-from cagemap.basis.prepare import choose_level, prepare_surface
-from cagemap.files.obj import read_obj
+from cagemap.files.meshes.obj import read_obj
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.pipeline import match
+from cagemap.spectral import Surface
+from cagemap.spectral.prepare import choose_level, prepare_surface
 
 # Largest error of a right map, x100 of sqrt(area): the mean over a human, the median over an animal's named places.
 RIGHT = 5.0

@@ -22,20 +22,20 @@ from scipy.spatial import cKDTree
 
 import cagemap
 from benchmarks.textures.edges import border_errors
-from cagemap.cli.map_request import MapRequest
-from cagemap.cli.match import MatchRequest, run_match
-from cagemap.cli.own_map import run_map
-from cagemap.cli.progress import Stages
-from cagemap.cli.transfer import run_transfer
-from cagemap.cli.transfer_request import TransferRequest
-from cagemap.files.images import read_image, udim_path, write_image
-from cagemap.files.landmarks import write_landmarks
-from cagemap.files.meshes import read_mesh, write_mesh
-from cagemap.geometry.triangles import triangle_areas, triangles
+from cagemap.files.images.image import read_image, udim_path, write_image
+from cagemap.files.landmarks.pairs import write_landmarks
+from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
-from cagemap.refinement import finest_mesh, refine
+from cagemap.subdivision import finest_mesh, refine
+from cagemap.surface.triangles import triangle_areas, triangles
+from cagemap.tasks.import_map import run_map
+from cagemap.tasks.match import MatchRequest, run_match
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.import_map import MapRequest
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.transfer import run_transfer
 from cagemap.transfer import BakeOptions, unwrap
 from cagemap.transfer.baking import make_canvas
 from cagemap.transfer.texels import rasterize_band

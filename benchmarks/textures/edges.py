@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import ndimage, sparse
 
 import cagemap
-from cagemap.geometry.triangles import triangle_neighbors
+from cagemap.surface.triangles import triangle_neighbors
 from cagemap.transfer import BakeOptions
 from cagemap.transfer.baking import make_canvas
 from cagemap.transfer.dilation import dilate

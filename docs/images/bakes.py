@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cagemap.files.images import write_image
-from cagemap.files.result import read_result
-from cagemap.geometry.triangles import vertex_normals
+from cagemap.files.images.image import write_image
+from cagemap.files.result.folder import read_result
 from cagemap.pictures import FRONT, Model, Skin, frame, render
-from cagemap.refinement import level_triangles, refine
+from cagemap.subdivision import level_triangles, refine
+from cagemap.surface.triangles import vertex_normals
 from cagemap.transfer import transfer_of
 from cagemap.transfer.detail import bake_detail_heights, bake_detail_normals, bake_detail_values, detail_over
 from cagemap.transfer.occlusion import ambient_occlusion

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cagemap.basis.surface import Surface
-from cagemap.files.images import read_image, write_image
-from cagemap.files.result import read_result
+from cagemap.files.images.image import read_image, write_image
+from cagemap.files.result.folder import read_result
 from cagemap.pictures import FRONT, Image, Model, Skin, View, frame, render
 from cagemap.report.figures import for_display
+from cagemap.spectral.surface import Surface
 from cagemap.transfer.textured_surface import TexturedSurface
 
 WIDTH, HEIGHT = 460, 420

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from cagemap.cli.report import rides_of
-from cagemap.files.images import write_image
-from cagemap.files.result import read_result
+from cagemap.files.images.image import write_image
+from cagemap.files.result.folder import read_result
 from cagemap.report import draw_rides
+from cagemap.tasks.report import rides_of
 
 WIDTH, HEIGHT = 300, 480
 

@@ -8,9 +8,9 @@ from examples.creatures.creatures import deer, pony
 from examples.creatures.paint import paint_texture
 from examples.creatures.pair import creature_landmarks
 
-from cagemap.files.images import write_image
-from cagemap.files.landmarks import write_landmarks
-from cagemap.files.meshes import write_mesh
+from cagemap.files.images.image import write_image
+from cagemap.files.landmarks.pairs import write_landmarks
+from cagemap.files.meshes.formats import write_mesh
 
 FOLDER = Path(__file__).resolve().parents[2] / "src" / "cagemap" / "example"
 TEXTURE_SIZE = 2048

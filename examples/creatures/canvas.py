@@ -9,9 +9,9 @@ import numpy as np
 from examples.creatures.modelling import CHANNELS, Creature
 from numpy.typing import NDArray
 
-from cagemap.geometry.triangles import triangle_areas, triangle_neighbors, vertex_normals
 from cagemap.numerics.arrays import FloatArray
-from cagemap.refinement import refine
+from cagemap.subdivision import refine
+from cagemap.surface.triangles import triangle_areas, triangle_neighbors, vertex_normals
 from cagemap.transfer.texels import lay_out, rasterize_band
 from cagemap.transfer.textured_surface import TexturedSurface
 

@@ -12,23 +12,19 @@ from typing import TYPE_CHECKING
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from cagemap.basis import BasisConfig as BasisConfig
-    from cagemap.basis import HierarchicalBasis as HierarchicalBasis
-    from cagemap.basis import Surface as Surface
+    from cagemap.deform.config import ElasticConfig as ElasticConfig
+    from cagemap.deform.prepared import PreparedPair as PreparedPair
     from cagemap.errors import CagemapError as CagemapError
-    from cagemap.files.images import read_image as read_image
-    from cagemap.files.images import write_image as write_image
-    from cagemap.files.landmarks import read_landmarks as read_landmarks
-    from cagemap.files.meshes import read_mesh as read_mesh
-    from cagemap.files.meshes import write_mesh as write_mesh
-    from cagemap.files.result import read_result as read_result
-    from cagemap.files.result import write_result as write_result
-    from cagemap.geometry.points import SurfacePoints as SurfacePoints
-    from cagemap.geometry.surface import TriangleSurface as TriangleSurface
-    from cagemap.maps.elastic.config import ElasticConfig as ElasticConfig
-    from cagemap.maps.elastic.method import fit as fit
-    from cagemap.maps.elastic.method import functional_map_of as functional_map_of
-    from cagemap.maps.elastic.prepared import PreparedPair as PreparedPair
+    from cagemap.files.images.image import read_image as read_image
+    from cagemap.files.images.image import write_image as write_image
+    from cagemap.files.landmarks.pairs import read_landmarks as read_landmarks
+    from cagemap.files.meshes.formats import read_mesh as read_mesh
+    from cagemap.files.meshes.formats import write_mesh as write_mesh
+    from cagemap.files.result.folder import read_result as read_result
+    from cagemap.files.result.folder import write_result as write_result
+    from cagemap.maps.elastic import fit as fit
+    from cagemap.maps.functional_maps import functional_map_of as functional_map_of
+    from cagemap.maps.geodesic import geodesic_error as geodesic_error
     from cagemap.maps.mask_values import face_mask as face_mask
     from cagemap.maps.mask_values import soft_edge as soft_edge
     from cagemap.maps.mask_values import vertex_mask as vertex_mask
@@ -46,6 +42,8 @@ if TYPE_CHECKING:
     from cagemap.mesh.landmarks import Landmarks as Landmarks
     from cagemap.mesh.plain import PlainMesh as PlainMesh
     from cagemap.mesh.plain import plain_mesh as plain_mesh
+    from cagemap.mesh.weld import Welded as Welded
+    from cagemap.mesh.weld import weld_mesh as weld_mesh
     from cagemap.numerics.threads import thread_limit as thread_limit
     from cagemap.operators import Operators as Operators
     from cagemap.operators import build_operators as build_operators
@@ -60,11 +58,19 @@ if TYPE_CHECKING:
     from cagemap.pipeline import prepare_surface as prepare_surface
     from cagemap.pipeline import prepare_surfaces as prepare_surfaces
     from cagemap.pipeline import update_match as update_match
-    from cagemap.refinement import CatmullClark as CatmullClark
-    from cagemap.refinement import Loop as Loop
-    from cagemap.refinement import Refinement as Refinement
-    from cagemap.refinement import refine as refine
     from cagemap.report import write_report as write_report
+    from cagemap.spectral import BasisConfig as BasisConfig
+    from cagemap.spectral import HierarchicalBasis as HierarchicalBasis
+    from cagemap.spectral import Surface as Surface
+    from cagemap.subdivision import CatmullClark as CatmullClark
+    from cagemap.subdivision import Loop as Loop
+    from cagemap.subdivision import Refinement as Refinement
+    from cagemap.subdivision import refine as refine
+    from cagemap.surface.surface_points import SurfacePoints as SurfacePoints
+    from cagemap.surface.triangle_surface import TriangleSurface as TriangleSurface
+    from cagemap.tasks.carry_arrays import carry_shapes as carry_shapes
+    from cagemap.tasks.carry_arrays import carry_values as carry_values
+    from cagemap.tasks.carry_arrays import carry_weights as carry_weights
     from cagemap.transfer import BakeOptions as BakeOptions
     from cagemap.transfer import bake as bake
     from cagemap.transfer import bake_displacement as bake_displacement
@@ -75,20 +81,23 @@ if TYPE_CHECKING:
     from cagemap.transfer.masks import blend as blend
     from cagemap.transfer.masks import painted_mask as painted_mask
     from cagemap.transfer.masks import with_alpha as with_alpha
+    from cagemap.transfer.unwrap import unwrap as unwrap
 
 # The one list: room by room. `__all__`, `dir` and a test of that page follow it.
 _ROOMS = {
-    "basis": ("BasisConfig", "HierarchicalBasis", "Surface"),
+    "spectral": ("BasisConfig", "HierarchicalBasis", "Surface"),
+    "deform.config": ("ElasticConfig",),
+    "deform.prepared": ("PreparedPair",),
     "errors": ("CagemapError",),
-    "files.images": ("read_image", "write_image"),
-    "files.landmarks": ("read_landmarks",),
-    "files.meshes": ("read_mesh", "write_mesh"),
-    "files.result": ("read_result", "write_result"),
-    "geometry.points": ("SurfacePoints",),
-    "geometry.surface": ("TriangleSurface",),
-    "maps.elastic.config": ("ElasticConfig",),
-    "maps.elastic.method": ("fit", "functional_map_of"),
-    "maps.elastic.prepared": ("PreparedPair",),
+    "files.images.image": ("read_image", "write_image"),
+    "files.landmarks.pairs": ("read_landmarks",),
+    "files.meshes.formats": ("read_mesh", "write_mesh"),
+    "files.result.folder": ("read_result", "write_result"),
+    "surface.surface_points": ("SurfacePoints",),
+    "surface.triangle_surface": ("TriangleSurface",),
+    "maps.elastic": ("fit",),
+    "maps.geodesic": ("geodesic_error",),
+    "maps.functional_maps": ("functional_map_of",),
     "maps.mask_values": ("face_mask", "soft_edge", "vertex_mask"),
     "maps.masks": ("Masks",),
     "maps.pair": ("Pair", "PointPairs"),
@@ -100,6 +109,7 @@ _ROOMS = {
     "mesh.checks": ("check_mesh",),
     "mesh.landmarks": ("Landmarks",),
     "mesh.plain": ("PlainMesh", "plain_mesh"),
+    "mesh.weld": ("Welded", "weld_mesh"),
     "numerics.threads": ("thread_limit",),
     "operators": ("Operators", "build_operators"),
     "pipeline": (
@@ -115,9 +125,11 @@ _ROOMS = {
         "prepare_surfaces",
         "update_match",
     ),
-    "refinement": ("CatmullClark", "Loop", "Refinement", "refine"),
+    "subdivision": ("CatmullClark", "Loop", "Refinement", "refine"),
     "report": ("write_report",),
+    "tasks.carry_arrays": ("carry_shapes", "carry_values", "carry_weights"),
     "transfer": ("BakeOptions", "bake", "bake_displacement", "bake_texture", "prepare_transfer", "transfer_of"),
+    "transfer.unwrap": ("unwrap",),
     "transfer.masks": ("bake_mask", "blend", "painted_mask", "with_alpha"),
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}

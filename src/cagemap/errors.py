@@ -45,7 +45,9 @@ OPTIONS = {
     "`Landmarks.reversed()`": "--exchange-landmarks",
     "`answer=1`": "--answer 1",
     "`find_part`": "--part",
+    "`weld_mesh`": "--weld",
     "`unwrap`": "--unwrap",
+    "`ControlMesh.scheme`": "--target-scheme",
 }
 
 
@@ -54,3 +56,23 @@ def in_options(text: str) -> str:
     for python, option in OPTIONS.items():
         text = text.replace(python, option)
     return text
+
+
+def explained(error: Exception) -> str:
+    """What to say to a user of the command line or the studio of any error that ended a task."""
+    if isinstance(error, CagemapError):
+        return in_options(str(error))
+    if isinstance(error, MemoryError):
+        return "not enough memory for surfaces of this size. Use a lower --level or fewer --vertices."
+    if not isinstance(error, OSError):
+        return (
+            f"internal error, {type(error).__name__}: {error}. This is a fault of cagemap, please report it; "
+            "CAGEMAP_DEBUG=1 shows where it happened."
+        )
+    reason = error.strerror or error
+    if error.filename:
+        return f"{error.filename}: {reason}. Check the path and the space left on the disk."
+    return (  # of a library's own files
+        f"a file that a library keeps could not be read or written: {reason}. Is there room in the temporary folder "
+        "(TMPDIR), and where compiled code is kept (NUMBA_CACHE_DIR, else beside cagemap or in ~/.cache)?"
+    )

@@ -8,22 +8,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
-from cagemap.basis import Surface
-from cagemap.basis.prepare import ENOUGH as ENOUGH
-from cagemap.basis.prepare import METHODS as METHODS
-from cagemap.basis.prepare import choose_level as choose_level
-from cagemap.basis.prepare import default_basis as default_basis
-from cagemap.basis.prepare import prepare_surface as prepare_surface
-from cagemap.basis.prepare import prepare_surfaces as prepare_surfaces
-from cagemap.basis.prepare import silent as silent
-from cagemap.basis.schedule import MAP_BASIS as MAP_BASIS
+import numpy as np
+
+from cagemap.deform.config import ElasticConfig, StartConfig
+from cagemap.deform.prepared import PreparedPair
+from cagemap.deform.problem import Problem
 from cagemap.errors import InvalidLandmarksError, ParameterError
-from cagemap.maps.elastic.config import ElasticConfig, StartConfig
-from cagemap.maps.elastic.method import elastic_answers, updated_map
-from cagemap.maps.elastic.prepared import PreparedPair
-from cagemap.maps.elastic.problem import FitProblem
+from cagemap.maps.elastic import elastic_map, updated_map
+from cagemap.maps.hypotheses.jumps import Jumps
 from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS, hypothesis_map
 from cagemap.maps.inner import inner_map, inner_reading, outer_confidence
+from cagemap.maps.known_map import known_map
 from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck, checked_changes, checked_map
 from cagemap.maps.landmarks.mirrored import mirrored_readings
 from cagemap.maps.landmarks.turned import turned_limbs
@@ -33,15 +28,26 @@ from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import map_of_places
 from cagemap.maps.quality import COVERAGE_SAMPLES, QualityFigures, measure_quality
 from cagemap.maps.result import MatchResult as MatchResult
-from cagemap.maps.same import identity_map, same_surface
-from cagemap.maps.spectral.constraints import paired_mirrors
-from cagemap.maps.spectral.hierarchical import HierarchyConfig, hierarchical_map
-from cagemap.maps.spectral.levels import search_levels
-from cagemap.maps.spectral.paper import PaperConfig, paper_map
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.inputs import LandmarksLike, MeshLike, arrays_accepted
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.numerics.brief import Brief
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import in_threads, one_blas_thread
+from cagemap.paper.constraints import paired_mirrors
+from cagemap.paper.hfm import HfmConfig, hfm_map
+from cagemap.paper.levels import search_levels
+from cagemap.paper.method import PaperConfig, paper_map
+from cagemap.spectral.config import MAP_BASIS as MAP_BASIS
+from cagemap.spectral.prepare import DEFAULT_VERTICES
+from cagemap.spectral.prepare import ENOUGH as ENOUGH
+from cagemap.spectral.prepare import METHODS as METHODS
+from cagemap.spectral.prepare import choose_level as choose_level
+from cagemap.spectral.prepare import default_basis as default_basis
+from cagemap.spectral.prepare import prepare_surface as prepare_surface
+from cagemap.spectral.prepare import prepare_surfaces as prepare_surfaces
+from cagemap.spectral.prepare import silent as silent
+from cagemap.spectral.surface import Surface
 
 logger = logging.getLogger(__name__)
 
@@ -53,22 +59,22 @@ class MatchConfig(Brief):
     Attributes
     ----------
     method : str
-        "elastic": the spectral map with landmark coordinates, finished by an elastic fit; landmarks are met exactly.
-        "hfm": a hierarchical functional map whose bands are found by eqs. 14-16 and by the map so far.
+        "elastic": ZoomOut from landmark coordinates, finished by an elastic fit; landmarks are met exactly.
+        "hfm": the paper's method with named improvements, see `cagemap.paper.hfm`.
         "paper": the paper's own hierarchical functional map, which starts at level 0; wants a fixed schedule.
-    hierarchy : HierarchyConfig
-        Descriptors, weights and search of "hfm".
+    hfm : HfmConfig
+        Of "hfm".
     paper : PaperConfig
-        Those of "paper".
+        Of "paper".
     start : StartConfig
-        Those of the spectral map that "elastic" starts from.
+        Where "elastic" starts from.
     elastic : ElasticConfig
         The elastic fit.
     use_symmetry : bool
-        Find mirror planes that both control meshes have and let the map commute with them (paper, 5.2), unless
+        "paper" only: find mirror planes that both control meshes have and let the map commute with them (5.2), unless
         symmetries are given.
     symmetries : tuple of ((n_0 target,), (n_0 source,)) arrays
-        Self-maps of the control meshes that correspond, see `cagemap.maps.pair.Pair`.
+        "hfm" and "paper" only: self-maps of the control meshes that correspond, see `cagemap.maps.pair.Pair`.
     answer : int
         Which of the answers, where there are several: few landmarks decide, or they are mirrored as a whole. 0 is best.
     check_landmarks : bool
@@ -78,7 +84,7 @@ class MatchConfig(Brief):
     """
 
     method: str = "elastic"
-    hierarchy: HierarchyConfig = HierarchyConfig()
+    hfm: HfmConfig = HfmConfig()
     paper: PaperConfig = PaperConfig()
     start: StartConfig = StartConfig()
     elastic: ElasticConfig = ElasticConfig()
@@ -99,8 +105,18 @@ class MatchConfig(Brief):
             raise ParameterError(f"answer: expected 0 or more, got {self.answer}")
         if self.answer and self.method != "elastic":
             raise ParameterError(f"answer: expected the method elastic, which alone finds several, got {self.method!r}")
+        if self.symmetries and self.method == "elastic":
+            raise ParameterError("symmetries: expected the method paper or hfm, which use them, got 'elastic'")
         if self.masks.any and self.method != "elastic":
             raise ParameterError(f"masks: expected the method elastic, which alone knows them, got {self.method!r}")
+
+
+def _prepared(side: Surface | ControlMesh, config: MatchConfig) -> Surface:
+    """A surface as it is, a mesh prepared at the default size."""
+    if isinstance(side, Surface):
+        return side
+    level = choose_level(side, DEFAULT_VERTICES)
+    return prepare_surface(side, level, default_basis(config.method, level))
 
 
 @kinds_checked
@@ -115,11 +131,11 @@ def prepare_pair(target: Surface, source: Surface, config: MatchConfig = MatchCo
         return PreparedPair.build(mine, theirs, config.start, config.elastic, masks)
 
 
-@kinds_checked
+@arrays_accepted
 def match(
-    target: Surface,
-    source: Surface,
-    landmarks: Landmarks | None = None,
+    target: Surface | MeshLike,
+    source: Surface | MeshLike,
+    landmarks: LandmarksLike | None = None,
     config: MatchConfig = MatchConfig(),
     *,
     progress: Progress = silent,
@@ -131,29 +147,34 @@ def match(
 
     Parameters
     ----------
-    target : Surface
-        M1, the surface that receives.
-    source : Surface
+    target : Surface or mesh
+        M1, the surface that receives. A mesh, see `cagemap.mesh.inputs.control_mesh`, is prepared with about 200 000
+        vertices; `prepare_surfaces` chooses levels, and its surfaces serve further matches.
+    source : Surface or mesh
         M2, the surface that gives.
-    landmarks : Landmarks, optional
-        Points, and curves, that correspond.
+    landmarks : Landmarks or (p, 2) array, optional
+        Points, and curves, that correspond; of an array pairs (target vertex, source vertex).
     config : MatchConfig
     progress : callable
         Called with the name of each stage.
 
     Raises
     ------
+    InvalidMeshError
+        If a mesh is not an oriented connected manifold.
     InvalidLandmarksError
         If the landmarks do not fit the control meshes, or "hfm" has fewer than three.
     """
     landmarks = Landmarks.none() if landmarks is None else landmarks
-    check_landmarks(landmarks, target.control, source.control)
+    controls = [side.control if isinstance(side, Surface) else side for side in (target, source)]
+    check_landmarks(landmarks, *controls)
     if len(landmarks) < FEWEST_LANDMARKS and config.method == "hfm":
         raise InvalidLandmarksError(
             f"landmarks: expected at least {FEWEST_LANDMARKS} pairs for the method hfm, got {len(landmarks)}. Add "
             "pairs, or use the method elastic, which needs none."
         )
     timings: dict[str, float] = {}
+    target, source = in_threads(lambda side: _prepared(side, config), [target, source])
     if config.method == "elastic":
         with _timed(timings, "pair"):
             prepared = prepare_pair(target, source, config)
@@ -161,8 +182,7 @@ def match(
     target, source = target.inner, source.inner
     needed = target.finest, source.finest
     if config.method == "hfm":
-        hierarchy = config.hierarchy
-        needed = search_levels(target, source, hierarchy.search_vertices, hierarchy.source_search_vertices)
+        needed = search_levels(target, source, config.hfm.search_vertices, config.hfm.source_search_vertices)
     for surface, level in zip((target, source), needed, strict=True):
         surface.require_operators(level, config.method)
     with _timed(timings, "symmetry"):
@@ -172,17 +192,17 @@ def match(
             if config.method == "paper":
                 level_maps, point_map = paper_map(pair, config.paper, progress)
             else:
-                level_maps, point_map = hierarchical_map(pair, config.hierarchy, progress)
+                level_maps, point_map = hfm_map(pair, config.hfm, progress)
         progress("quality")
         with _timed(timings, "quality"):
             quality = judge(target, point_map, pair.landmarks, landmarks.names)
     return MatchResult(target, source, landmarks, point_map, quality, timings, level_maps=level_maps).outer()
 
 
-@kinds_checked
+@arrays_accepted
 def match_pair(
     prepared: PreparedPair,
-    landmarks: Landmarks | None = None,
+    landmarks: LandmarksLike | None = None,
     config: MatchConfig = MatchConfig(),
     *,
     progress: Progress = silent,
@@ -196,7 +216,7 @@ def match_pair(
     landmarks : Landmarks, optional
         As in `match`.
     config : MatchConfig
-        The one that the pair was prepared with.
+        Its start, elastic and masks are those that the pair was prepared with, or the defaults, which stand for them.
     progress : callable
     timings : dict of str to float, optional
         Seconds of stages that came before.
@@ -205,35 +225,38 @@ def match_pair(
     ------
     InvalidLandmarksError
         If the landmarks do not fit the control meshes.
+    ParameterError
+        If the config asks for another method, start, elastic fit or masks than the pair was prepared for.
     """
+    _require_prepared_for(prepared, config)
     target, source = prepared.target, prepared.source
     landmarks = Landmarks.none() if landmarks is None else landmarks
     check_landmarks(landmarks, target.control, source.control)
     check, confidence, timings = LandmarkCheck(), None, {} if timings is None else timings
-    with _timed(timings, "symmetry"):
-        pair = pair_of(target, source, landmarks, config)
+    pair = Pair(target, source, point_pairs(target, source, landmarks))
     with one_blas_thread():
         with _timed(timings, "map"):
-            if same_surface(pair, prepared.rest.masks):
-                point_map, confidence = identity_map(prepared, pair)
+            known = known_map(prepared, pair)
+            if known is not None:
+                point_map, confidence = known
             elif len(landmarks) < FEWEST_LANDMARKS:
                 point_map, confidence = hypothesis_map(prepared, pair, progress=progress)
             elif config.check_landmarks:
                 point_map, check, ends = checked_map(prepared, pair, landmarks.names, progress)
-                confidence = turned_limbs(ends, point_map, target)
+                confidence = turned_limbs(ends, point_map, prepared)
                 if MIRRORED_NOTE in check.notes:
                     confidence = mirrored_readings(prepared, pair, point_map, progress)
             else:
-                point_map = elastic_answers(FitProblem(prepared, pair), progress)[0]
+                point_map = elastic_map(Problem(prepared, pair), progress)[0]
         judged = _judged(prepared, point_map, landmarks, check, timings, progress)
     found = replace(judged, confidence=None if confidence is None else outer_confidence(confidence, prepared))
     return other_answer(found, config.answer, config, progress=progress) if config.answer else found
 
 
-@kinds_checked
+@arrays_accepted
 def update_match(
     before: MatchResult,
-    landmarks: Landmarks,
+    landmarks: LandmarksLike,
     config: MatchConfig = MatchConfig(),
     *,
     progress: Progress = silent,
@@ -274,8 +297,9 @@ def update_match(
                 check = checked_changes(prepared, every, landmarks.names, changed, check, point_map)
             trusted = check.trusted(landmarks)
             pair = Pair(target, source, point_pairs(target, source, trusted))
-            if same_surface(pair, prepared.rest.masks):
-                point_map = identity_map(prepared, pair)[0]
+            known = known_map(prepared, pair)
+            if known is not None:
+                point_map = known[0]
             else:
                 point_map = updated_map(prepared, pair, point_map, progress)
         return _judged(prepared, point_map, landmarks, check, timings, progress)
@@ -326,13 +350,13 @@ def other_answer(
     return replace(judged, confidence=before.confidence)
 
 
-@kinds_checked
-def pair_of(target: Surface, source: Surface, landmarks: Landmarks, config: MatchConfig = MatchConfig()) -> Pair:
-    """Two surfaces with their landmarks, and with the symmetries that are given or found (paper, 5.2)."""
+@arrays_accepted
+def pair_of(target: Surface, source: Surface, landmarks: LandmarksLike, config: MatchConfig = MatchConfig()) -> Pair:
+    """Two surfaces with their landmarks, and with the symmetries that are given, or found for "paper" (5.2)."""
     if config.symmetries and (target.refinement.is_plain or source.refinement.is_plain):
         raise ParameterError("symmetries: expected none with a plain mesh (scheme none), whose vertices mirror none")
     pair = Pair(target, source, point_pairs(target, source, landmarks), config.symmetries)
-    if not config.use_symmetry or config.symmetries:
+    if config.method != "paper" or not config.use_symmetry or config.symmetries:
         return pair
     symmetries = paired_mirrors(pair)
     if symmetries:
@@ -375,6 +399,33 @@ def judge(
     return measure_quality(point_map, landmarks, names, coarse_triangles=dense.triangles, masks=masks)
 
 
+def _require_prepared_for(prepared: PreparedPair, config: MatchConfig) -> None:
+    """Refuse a config that a prepared pair does not follow."""
+    if config.method != "elastic":
+        raise ParameterError(
+            f"match_pair: expected the method elastic, which alone has prepared pairs, got {config.method!r}; "
+            "cagemap.match runs all methods"
+        )
+    sides = prepared.target.refinement, prepared.source.refinement
+    counts = [side.finest.n_vertices for side in sides]
+    config.masks.require_fit(*counts)
+    asked, known = config.masks.renumbered(*(side.inner_rows for side in sides)), prepared.rest.masks
+    same_masks = np.array_equal(asked.of_target(counts[0]), known.of_target(counts[0])) and np.array_equal(
+        asked.of_source(counts[1]), known.of_source(counts[1])
+    )
+    followed = {
+        "start": config.start in (prepared.start, StartConfig()),
+        "elastic": config.elastic in (prepared.elastic, ElasticConfig()),
+        "masks": same_masks or not config.masks.any,
+    }
+    others = [name for name, same in followed.items() if not same]
+    if others:
+        raise ParameterError(
+            f"match_pair: expected the {' and '.join(others)} that the pair was prepared with, got others; prepare the "
+            "pair again with this config (cagemap.prepare_pair)"
+        )
+
+
 def _judged(
     prepared: PreparedPair,
     point_map: PointMap,
@@ -389,6 +440,9 @@ def _judged(
     progress("quality")
     with _timed(timings, "quality"):
         quality = judge(target, point_map, points, trusted.names, masks)
+        jumps = Jumps.of(prepared, point_map).warnings(prepared)
+        quality = replace(quality, warnings=(*jumps, *quality.warnings))
+    check = check.with_folds(quality.flipped_area, len(landmarks))
     found = MatchResult(target, source, landmarks, point_map, quality, timings, check, prepared=prepared, masks=masks)
     return found.outer()
 

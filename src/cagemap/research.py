@@ -10,35 +10,32 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from cagemap.basis import BasisConfig, Surface
-from cagemap.descriptors import Filters, choose_filters, landmark_descriptors
 from cagemap.errors import ParameterError
-from cagemap.functional_map import Constraints, MapWeights, extend_functional_map, solve_functional_map
-from cagemap.maps.elastic.method import functional_map_of as _functional_map_of
-from cagemap.maps.pair import LevelPair, Pair, SymmetryPair
+from cagemap.maps.functional_maps import functional_map_of as _functional_map_of
+from cagemap.maps.level_map import LevelMap
+from cagemap.maps.pair import LevelPair, Pair, SymmetryPair, vertices_at
+from cagemap.maps.places import cage_points_of
 from cagemap.maps.point_map import PointMap
-from cagemap.maps.spectral.constraints import DescriptorConfig, gather_constraints, signature_functions
-from cagemap.maps.spectral.hierarchical import HierarchyConfig, hierarchical_map
-from cagemap.maps.spectral.levels import (
-    LevelMap,
-    basis_sizes,
-    ladder,
-    recover_points,
-    search_full,
-    search_level,
-    search_levels,
-)
-from cagemap.maps.spectral.paper import PaperConfig, paper_map
-from cagemap.mesh import ControlMesh
-from cagemap.mesh.landmarks import Landmarks
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.mesh.inputs import control_mesh
+from cagemap.mesh.landmarks import CagePoints, Landmarks
+from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers, whole_numbers
+from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints, signature_functions
+from cagemap.paper.descriptors import Filters, choose_filters, landmark_descriptors
+from cagemap.paper.equations import extend_functional_map, solve_functional_map
+from cagemap.paper.hfm import HfmConfig, hfm_map
+from cagemap.paper.levels import basis_sizes, ladder, recover_points, search_full, search_level, search_levels
+from cagemap.paper.method import PaperConfig, paper_map
+from cagemap.paper.operators import check_symmetry
 from cagemap.pipeline import MAP_BASIS, MatchResult, judge, prepare_surface
+from cagemap.spectral import BasisConfig, Surface
+from cagemap.surface.surface_points import SurfacePoints
 
 __all__ = [
     "Constraints",
     "DescriptorConfig",
-    "HierarchyConfig",
+    "HfmConfig",
     "MapWeights",
     "PaperConfig",
     "control_mesh",
@@ -47,7 +44,7 @@ __all__ = [
     "functional_map_of",
     "gather_constraints",
     "heat_and_wave_filters",
-    "hierarchical_map",
+    "hfm_map",
     "landmark_functions",
     "make_pair",
     "paper_map",
@@ -60,29 +57,9 @@ __all__ = [
 ]
 
 
+SIDES = ("target", "source")
 # As many functions as a match reads, and operators of every level.
 EVERY_LEVEL = replace(MAP_BASIS, vertices=None)
-
-
-def control_mesh(mesh: Any, name: str = "mesh") -> ControlMesh:
-    """A control mesh from what one has.
-
-    Parameters
-    ----------
-    mesh : ControlMesh, or (vertices, faces), or an object with ``vertices`` and ``faces`` such as trimesh's
-        Faces as an (m, s) array or as lists of vertices.
-    name : str
-    """
-    if isinstance(mesh, ControlMesh):
-        return mesh
-    if isinstance(mesh, Sequence) and len(mesh) == 2:
-        return ControlMesh.from_faces(*mesh, name=name)
-    if hasattr(mesh, "vertices") and hasattr(mesh, "faces"):
-        return ControlMesh.from_faces(np.asarray(mesh.vertices), np.asarray(mesh.faces), name=name)
-    raise ParameterError(
-        "expected a ControlMesh, a pair (vertices, faces), or an object with vertices and faces, "
-        f"got {type(mesh).__name__}"
-    )
 
 
 def prepare(mesh: Any, level: int, basis: BasisConfig = EVERY_LEVEL, name: str = "mesh") -> Surface:
@@ -93,16 +70,35 @@ def prepare(mesh: Any, level: int, basis: BasisConfig = EVERY_LEVEL, name: str =
 def make_pair(
     target: Surface,
     source: Surface,
-    landmarks: tuple[object, object] = ((), ()),
-    symmetries: tuple[SymmetryPair, ...] = (),
+    landmarks: tuple[ArrayLike, ArrayLike] = ((), ()),
+    symmetries: Sequence[SymmetryPair] = (),
 ) -> Pair:
-    """Two prepared surfaces, corresponding control vertices (target's, source's), and corresponding self-maps."""
-    vertices = [np.asarray(side, dtype=np.int64) for side in landmarks]
+    """Two prepared surfaces, corresponding control vertices (target's, source's), and corresponding self-maps.
+
+    Parameters
+    ----------
+    target, source : Surface
+    landmarks : pair of (p,) arrays
+    symmetries : sequence of ((n_0 target,), (n_0 source,)) arrays
+        As in `Pair`; `cagemap.descriptors.mirror_symmetries` finds some.
+
+    Raises
+    ------
+    ParameterError
+        If the sides do not correspond one to one, or a self-map is none of the control vertices.
+    """
+    vertices = [whole_numbers(side, f"landmarks: {name}") for side, name in zip(landmarks, SIDES, strict=True)]
     if vertices[0].shape != vertices[1].shape or vertices[0].ndim != 1:
         raise ParameterError(
             f"expected as many target as source landmarks, got {vertices[0].shape} and {vertices[1].shape}"
         )
-    return Pair.of_vertices(target, source, vertices[0], vertices[1], symmetries)
+    if not all(isinstance(pair, Sequence) and len(pair) == 2 for pair in symmetries):
+        raise ParameterError("symmetries: expected pairs of arrays, the target's images and the source's, got others")
+    images = [tuple(whole_numbers(side, "symmetries") for side in pair) for pair in symmetries]
+    for on_target, on_source in images:
+        check_symmetry(on_target, target.control)
+        check_symmetry(on_source, source.control)
+    return Pair.of_vertices(target, source, vertices[0], vertices[1], tuple((one, two) for one, two in images))
 
 
 def eigenfunctions(surface: Surface, level: int) -> tuple[FloatArray, FloatArray]:
@@ -117,7 +113,7 @@ def heat_and_wave_filters(target: Surface, source: Surface, heat: int = 10, wave
 
 def landmark_functions(surface: Surface, filters: Filters, vertices: IndexArray, level: int) -> FloatArray:
     """Landmark descriptors Phi~ rho_t(Lambda~) Phi~^T delta_v (Definition 3) at a level's vertices; (n, p q)."""
-    rows = surface.basis.rows(level, np.asarray(vertices, dtype=np.int64))
+    rows = surface.basis.rows(level, whole_numbers(vertices, "vertices"))
     at_eigenvalues = filters.at(surface.basis.eigenvalues[: surface.basis.size(level)])
     return surface.basis.at(level) @ landmark_descriptors(rows, at_eigenvalues)
 
@@ -156,13 +152,14 @@ def point_map(pair: Pair, matrix: FloatArray) -> PointMap:
     matrix : (k1, k2) array
         C12 on the leading basis functions of both surfaces.
     """
+    matrix = real_numbers(matrix, "functional map")
     k1, k2 = matrix.shape
     if k1 > pair.target.basis.count or k2 > pair.source.basis.count:
         raise ParameterError(
             f"expected a functional map of at most {(pair.target.basis.count, pair.source.basis.count)}, "
             f"got {matrix.shape}"
         )
-    start = search_levels(pair.target, pair.source, HierarchyConfig().search_vertices)
+    start = search_levels(pair.target, pair.source, HfmConfig().search_vertices)
     found = LevelMap(start, matrix, search_full(pair, matrix, start))
     for levels in ladder(pair, start):
         found = LevelMap(levels, matrix, search_level(pair, matrix, levels, found))
@@ -190,6 +187,7 @@ def transport(pair: Pair, matrix: FloatArray, values: FloatArray, level: int, to
     -------
     (n1,) or (n1, q) array
     """
+    matrix, values = real_numbers(matrix, "functional map"), real_numbers(values, "values")
     k1, k2 = matrix.shape
     coefficients = matrix @ pair.source.basis.project(values, level, count=k2)
     rows = pair.target.basis.at(to)
@@ -207,11 +205,31 @@ def result_of_map(pair: Pair, found: PointMap, names: Sequence[str] = ()) -> Mat
     found : PointMap
         See its ``from_vertices``, ``from_arrays`` and ``from_matrix``.
     names : sequence of str
-        Of the pair's landmarks.
+        Of the pair's landmarks. Its curves are not in the result.
+
+    Raises
+    ------
+    ParameterError
+        If the map is not one of the target's finest level, or there is not a name for each landmark.
     """
-    labels = tuple(names) or tuple(f"point {i}" for i in range(len(pair.target_landmarks)))
-    landmarks = Landmarks(
-        labels, pair.target_landmarks, pair.source_landmarks, pair.target.control.name, pair.source.control.name
-    )
+    count = len(pair.landmarks)
+    labels = tuple(names) or tuple(f"point {i}" for i in range(count))
+    if len(labels) != count:
+        raise ParameterError(f"names: expected one for each of the pair's {count} landmarks, got {len(labels)}")
+    target, source = pair.target.outer, pair.source.outer
+    points = _cage_points(target, pair.landmarks.target), _cage_points(source, pair.landmarks.source)
+    landmarks = Landmarks.of_points(labels, *points, target.control.name, source.control.name)
     quality = judge(pair.target, found, pair.landmarks, labels)
-    return MatchResult(pair.target, pair.source, landmarks, found, quality)
+    return MatchResult(pair.target, pair.source, landmarks, found, quality).outer()
+
+
+def _cage_points(surface: Surface, points: SurfacePoints) -> CagePoints:
+    """Points of the control mesh for points of the finest surface."""
+    on = SurfacePoints(surface.triangles(surface.finest), points.triangle, points.barycentric)
+    found, vertices = cage_points_of(surface, on), vertices_at(on)
+    exact = (vertices >= 0) & (vertices < surface.control.n_vertices)
+    at_vertices = CagePoints.of_vertices(np.where(exact, vertices, 0))
+    return CagePoints(
+        np.where(exact[:, None], at_vertices.corners, found.corners),
+        np.where(exact[:, None], at_vertices.weights, found.weights),
+    )

@@ -3,22 +3,42 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from functools import wraps
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
 from cagemap import __version__
-from cagemap.cli.functions_request import functions
-from cagemap.cli.map_request import map_file
-from cagemap.cli.match_request import match
-from cagemap.cli.options import BoundaryOption, CreasingOption, Force, MeshFile, ResultFolder, SchemeOption, UvOption
-from cagemap.cli.report_request import report
-from cagemap.cli.run_request import run
-from cagemap.cli.studio_request import studio
-from cagemap.cli.transfer_request import transfer
-from cagemap.cli.words import say, set_verbosity
-from cagemap.cli.wrap_request import wrap
+from cagemap.cli.command import command_class, of_typer
+from cagemap.cli.commands import functions, map_file, match, report, run, studio, transfer, wrap
+from cagemap.cli.console import say, set_verbosity
+from cagemap.tasks.requests.options import (
+    BoundaryOption,
+    CreasingOption,
+    Force,
+    MeshFile,
+    ResultFolder,
+    SchemeOption,
+    UvOption,
+    WeldOption,
+)
+
+_Verbose = Annotated[
+    int,
+    typer.Option(
+        "--verbose",
+        "-v",
+        count=True,
+        show_default=False,
+        help="Say every step, and what was fallen back to; -vv: more.  [default: off]",
+    ),
+]
+_Quiet = Annotated[
+    bool, typer.Option("--quiet", "-q", show_default=False, help="Say nothing but errors.  [default: off]")
+]
 
 app = typer.Typer(
     name="cagemap",
@@ -36,6 +56,40 @@ app = typer.Typer(
 )
 
 
+def _command(name: str | None = None) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Add a command that takes -v and -q after its name too."""
+
+    def added(run: Callable[..., None]) -> Callable[..., None]:
+        @wraps(run)
+        def command(*, verbose: int, quiet: bool, **given: Any) -> None:
+            if verbose or quiet:
+                set_verbosity(verbose, quiet)
+            run(**given)
+
+        hints = get_type_hints(run, include_extras=True)
+        own = [
+            one.replace(annotation=_of_typer(hints[one.name], one.default))
+            for one in signature(run).parameters.values()
+        ]
+        both = [
+            Parameter("verbose", Parameter.KEYWORD_ONLY, default=0, annotation=_Verbose),
+            Parameter("quiet", Parameter.KEYWORD_ONLY, default=False, annotation=_Quiet),
+        ]
+        vars(command).update(__signature__=Signature([*own, *both]))
+        app.command(name, cls=command_class(getattr(run, "moved", {})))(command)
+        return run
+
+    return added
+
+
+def _of_typer(hint: Any, default: Any) -> Any:
+    """A parameter's type with options of requests as typer has them."""
+    if get_origin(hint) is not Annotated:
+        return hint
+    kind, *said = get_args(hint)
+    return Annotated[kind, *(of_typer(one, default) for one in said)]
+
+
 def _version(wanted: bool) -> None:
     if wanted:
         say(f"cagemap {__version__}")
@@ -45,26 +99,31 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def _root(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and stop.")
+        bool,
+        typer.Option(
+            "--version",
+            callback=_version,
+            is_eager=True,
+            show_default=False,
+            help="Show the version and stop.  [default: off]",
+        ),
     ] = False,
     threads: Annotated[
         int | None,
         typer.Option(
             min=1,
-            help="Spread work over at most this many threads; all cores by default. CAGEMAP_THREADS says the same.",
+            help="At most this many threads, as CAGEMAP_THREADS says.  [default: all cores]",
         ),
     ] = None,
-    verbose: Annotated[
-        int, typer.Option("--verbose", "-v", count=True, help="Say every step, and what was fallen back to; -vv: more.")
-    ] = 0,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
+    verbose: _Verbose = 0,
+    quiet: _Quiet = False,
 ) -> None:
     set_verbosity(verbose, quiet)
     if threads is not None:
         os.environ["CAGEMAP_THREADS"] = os.environ["OPENIMAGEIO_THREADS"] = str(threads)
 
 
-@app.command()
+@_command()
 def demo(
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write everything to.")] = Path(
         "cagemap-demo"
@@ -76,35 +135,41 @@ def demo(
     Two small creatures made for this purpose: the striped pony gives its texture to the deer. The folder also gets
     the meshes, landmarks and texture, so that you can repeat every step by hand.
     """
-    from cagemap.cli.demo import run_demo
-    from cagemap.cli.progress import Stages
+    from cagemap.cli.progress import ShownStages
+    from cagemap.tasks.demo import run_demo
 
-    with Stages() as stages:
+    with ShownStages() as stages:
         report, by_hand = run_demo(output, stages, force=force)
     say(f"The same by hand:\n{by_hand}\nOpen {report} in a browser.")
 
 
-@app.command()
+@_command()
 def check(
     meshes: Annotated[
         list[Path], typer.Argument(metavar="MESH", help="Control meshes, .obj, .ply, .off, .stl or USD.")
     ],
-    as_json: Annotated[bool, typer.Option("--json", help="Say the same as JSON, for scripts.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", show_default=False, help="Say the same as JSON, for scripts.  [default: off]")
+    ] = False,
+    scheme: SchemeOption = None,
+    weld: WeldOption = None,
 ) -> None:
     """Tell whether control meshes can be used, or what to mend.
 
-    A mesh must be manifold, consistently oriented and in one piece; boundaries are fine. Exit code 1 if any has a
-    problem.
+    A mesh must be manifold, consistently oriented and in one piece; boundaries are fine. With scheme none, of the file
+    or by --scheme, it says what a match mends and leaves out. Exit code 1 if any has a problem.
     """
-    from cagemap.cli import mesh_commands
+    from cagemap.tasks import mesh_commands
+    from cagemap.tasks.subdivision import SubdivisionRequest
 
-    text, sound = (mesh_commands.check_values if as_json else mesh_commands.check_files)(meshes)
+    checked = mesh_commands.check_values if as_json else mesh_commands.check_files
+    text, sound = checked(meshes, SubdivisionRequest(scheme), weld)
     say(text, always=not sound)
     if not sound:
         raise typer.Exit(1)
 
 
-@app.command()
+@_command()
 def refine(
     mesh: MeshFile,
     level: Annotated[
@@ -115,27 +180,28 @@ def refine(
     boundary: BoundaryOption = None,
     uv_interpolation: UvOption = None,
     creasing: CreasingOption = None,
+    weld: WeldOption = None,
     force: Force = False,
 ) -> None:
     """Subdivide a control mesh.
 
     Loop for triangle meshes, Catmull-Clark for all others, unless its file says otherwise. Creases and corners shape
-    it, holes are left out. Vertex i of the mesh stays vertex i (but for holes). UVs, materials, objects and groups come
-    along.
+    it, holes are left out. Vertex i of the mesh stays vertex i (but for holes and welded vertices). UVs, materials,
+    objects and groups come along. The mesh may have several pieces.
     """
-    from cagemap.cli.mesh_commands import refine_file
-    from cagemap.cli.subdivision import SubdivisionRequest
+    from cagemap.tasks.mesh_commands import refine_file
+    from cagemap.tasks.subdivision import SubdivisionRequest
 
     subdivision = SubdivisionRequest(scheme, boundary, uv_interpolation, creasing)
-    say(refine_file(mesh, level, output, subdivision=subdivision, force=force))
+    say(refine_file(mesh, level, output, subdivision=subdivision, weld=weld, force=force))
 
 
-app.command()(match)
-app.command()(transfer)
-app.command()(report)
+_command()(match)
+_command()(transfer)
+_command()(report)
 
 
-@app.command()
+@_command()
 def suggest(
     result: ResultFolder,
     output: Annotated[Path, typer.Option("-o", "--output", help="Landmark file to write, .json.")] = Path(
@@ -149,13 +215,13 @@ def suggest(
     The file holds the landmarks of the result and the new ones, on the source where the map puts them now. Move those
     that are wrong there, and match again.
     """
-    from cagemap.cli.suggest import run_suggest
+    from cagemap.tasks.suggest import run_suggest
 
     say(run_suggest(result, output, count, force=force))
 
 
-app.command()(run)
-app.command()(studio)
-app.command()(functions)
-app.command()(wrap)
-app.command("map")(map_file)
+_command()(run)
+_command()(studio)
+_command()(functions)
+_command()(wrap)
+_command("map")(map_file)

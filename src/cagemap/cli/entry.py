@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
-import ctypes
-import gc
 import os
 import signal
 import sys
@@ -12,17 +9,11 @@ import threading
 from types import FrameType
 from typing import Any, NoReturn
 
-from cagemap.cli.words import set_verbosity, tolerate_odd_names
-from cagemap.errors import CagemapError, ParameterError, in_options
+from cagemap.cli.console import set_verbosity, tolerate_odd_names
+from cagemap.errors import CagemapError, ParameterError, explained
+from cagemap.numerics.process import set_up_process
 
 WRONG_INPUT, INTERNAL, SIGNALLED = 2, 70, 128
-
-# New objects after which Python looks for cycles of garbage among all there are: loading makes many that stay.
-COLLECTED_AFTER = 100_000
-# Seconds for which a thread that works in Python may keep those waiting that come back from a kernel; 0.005 by default.
-TURN = 0.0005
-# Of glibc's malloc (see mallopt(3)): M_ARENA_MAX, M_TRIM_THRESHOLD and M_MMAP_THRESHOLD, the last at most 32 MB.
-MALLOC = {-8: 2, -1: 1 << 30, -3: 32 << 20}
 
 
 class Stop:
@@ -56,10 +47,7 @@ class Stop:
 
 def main() -> None:
     """Run the command line; problems become one message and an exit code, never a traceback."""
-    _collect_seldom()
-    keep_memory()
-    sys.setswitchinterval(TURN)
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before it is loaded, or its threads spin
+    set_up_process()
     tolerate_odd_names()
     set_verbosity(0, quiet=False)
     with Stop() as stop:
@@ -72,56 +60,17 @@ def main() -> None:
             _fail("stopped; outputs that were not finished are as they were before.", SIGNALLED + stop.signal)
 
 
-def _collect_seldom() -> None:
-    """Look for cycles of garbage seldom, and not once more when the process ends."""
-    gc.set_threshold(COLLECTED_AFTER, *gc.get_threshold()[1:])
-    atexit.register(_leave)
-
-
-def keep_memory() -> None:
-    """Have freed memory used again, by any thread: to take a new page costs more than the arithmetic on it."""
-    mallopt: Any = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
-    for parameter, value in MALLOC.items() if mallopt else ():  # musl has none
-        mallopt(parameter, value)
-
-
-def _leave() -> None:
-    """Spare the last look for garbage; OpenImageIO takes what is left then for leaks, and says so."""
-    if "OpenImageIO" not in sys.modules:
-        gc.freeze()
-
-
 def _run() -> None:
     try:
         from cagemap.cli.app import app  # here, so that Ctrl-C while commands are loaded is no traceback
 
         _require_words(sys.argv[1:])
         app()
-    except CagemapError as error:
-        _fail(str(error), WRONG_INPUT)
-    except MemoryError:
-        _fail("not enough memory for surfaces of this size. Use a lower --level or fewer --vertices.", WRONG_INPUT)
-    except OSError as error:
-        _fail(_of_system(error), WRONG_INPUT)
     except Exception as error:
-        if os.environ.get("CAGEMAP_DEBUG"):
+        known = isinstance(error, CagemapError | MemoryError | OSError)
+        if not known and os.environ.get("CAGEMAP_DEBUG"):
             raise
-        _fail(
-            f"internal error, {type(error).__name__}: {error}. This is a fault of cagemap, please report it; "
-            "CAGEMAP_DEBUG=1 shows where it happened.",
-            INTERNAL,
-        )
-
-
-def _of_system(error: OSError) -> str:
-    """What to say of an error of the operating system; one that names no file is of a library's own files."""
-    reason = error.strerror or error
-    if error.filename:
-        return f"{error.filename}: {reason}. Check the path and the space left on the disk."
-    return (
-        f"a file that a library keeps could not be read or written: {reason}. Is there room in the temporary folder "
-        "(TMPDIR), and where compiled code is kept (NUMBA_CACHE_DIR, else beside cagemap or in ~/.cache)?"
-    )
+        _fail(explained(error), WRONG_INPUT if known else INTERNAL)
 
 
 def _require_words(words: list[str]) -> None:
@@ -139,5 +88,5 @@ def _require_words(words: list[str]) -> None:
 
 
 def _fail(message: str, code: int) -> NoReturn:
-    sys.stderr.write(f"cagemap: error: {in_options(message)}\n")
+    sys.stderr.write(f"cagemap: error: {message}\n")
     raise SystemExit(code)

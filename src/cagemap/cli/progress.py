@@ -1,39 +1,41 @@
-"""Progress for people: a line per stage while it runs, on a terminal only; times of all stages in any case."""
+"""Progress for people: a line per stage, off a terminal only of commands that take long."""
 
 from __future__ import annotations
 
 import logging
 import sys
-import time
+import threading
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
+
+from cagemap.cli.console import say_aside
+from cagemap.tasks.progress import Stages
 
 _log = logging.getLogger("cagemap.cli")
 
+# Seconds after which a command without a terminal says its stages: short ones leave a log empty.
+SILENT = 5.0
 
-class Stages:
-    """Callable that is told the name of each stage as it begins.
 
-    Used as a context manager around a command. On a terminal it shows the running stage on standard error and leaves
-    one line for every finished one; anywhere else it is silent.
+class ShownStages(Stages):
+    """Stages of a command, used as a context manager around it.
 
-    Parameters
-    ----------
-    shown : bool, optional
-        Default: whether standard error is a terminal, and neither silence nor more words were asked for.
-
-    Attributes
-    ----------
-    timings : dict of str to float
-        Seconds of every finished stage, in order; a stage that comes again adds to its time.
+    On a terminal it shows the running stage on standard error and leaves one line for every finished one. Anywhere else
+    it writes a line as a stage begins, once it has run for `SILENT` seconds. It is silent where silence or more words
+    were asked for.
     """
 
-    def __init__(self, shown: bool | None = None) -> None:
-        self.timings: dict[str, float] = {}
-        self._name: str | None = None
-        self._start = 0.0
+    def __init__(self) -> None:
+        super().__init__()
         self._status: Any = None
-        if sys.stderr.isatty() and _log.getEffectiveLevel() == logging.WARNING if shown is None else shown:
+        self._lock, self._says_lines = threading.Lock(), False
+        self._timer: threading.Timer | None = None
+        if _log.getEffectiveLevel() != logging.WARNING:
+            return
+        if not sys.stderr.isatty():
+            self._timer = threading.Timer(SILENT, self._say_lines)
+            self._timer.daemon = True
+        else:
             from rich.console import Console
 
             self._console = Console(stderr=True)
@@ -41,11 +43,10 @@ class Stages:
 
     def __call__(self, stage: str) -> None:
         """End the running stage, begin the next."""
-        self._finish()
-        self._name, self._start = stage, time.perf_counter()
-        _log.info("stage: %s", stage)
-        if self._status is not None:
-            self._status.update(f"{stage} ...")
+        with self._lock:
+            super().__call__(stage)
+            self._write_line()
+        self.show(f"{stage} ...")
 
     def show(self, text: str) -> None:
         """Say how far the running stage is."""
@@ -54,26 +55,34 @@ class Stages:
 
     def note(self, text: str) -> None:
         """Say something that stays on the terminal; in the log in any case."""
-        _log.info("%s", text)
+        super().note(text)
         if self._status is not None:
             self._console.print(text, highlight=False, markup=False, soft_wrap=True)
 
-    def __enter__(self) -> Stages:
+    def __enter__(self) -> Self:
         if self._status is not None:
             self._status.start()
+        if self._timer is not None:
+            self._timer.start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        if kind is None:
-            self._finish()
+        if self._timer is not None:
+            self._timer.cancel()
+        super().__exit__(kind, error, at)
         if self._status is not None:
             self._status.stop()
 
-    def _finish(self) -> None:
-        if self._name is None:
-            return
-        seconds = time.perf_counter() - self._start
-        self.timings[self._name] = self.timings.get(self._name, 0.0) + seconds
+    def _say_lines(self) -> None:
+        """From now on, write a line per stage."""
+        with self._lock:
+            self._says_lines = True
+            self._write_line()
+
+    def _write_line(self) -> None:
+        if self._says_lines and self._name is not None:
+            say_aside(f"stage: {self._name}")
+
+    def _finished(self, stage: str, seconds: float) -> None:
         if self._status is not None:
-            self._console.print(f"[green]✓[/green] {self._name} [dim]{seconds:.1f} s[/dim]", highlight=False)
-        self._name = None
+            self._console.print(f"[green]✓[/green] {stage} [dim]{seconds:.1f} s[/dim]", highlight=False)

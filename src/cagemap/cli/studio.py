@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from cagemap.cli.option_list import all_options
-from cagemap.cli.studio_request import StudioRequest
 from cagemap.errors import ParameterError
 from cagemap.studio.opening import BUILT_IN_FOLDER, built_in_files, chosen_files
+from cagemap.tasks.requests.catalogue import all_options
+from cagemap.tasks.requests.studio import StudioRequest
 
 
 def run_studio(request: StudioRequest, tell: Callable[[str], None]) -> None:

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
-from cagemap.files.images import read_image
-from cagemap.files.landmarks import read_landmarks
-from cagemap.files.meshes import read_mesh
+from cagemap.files.images.image import read_image
+from cagemap.files.landmarks.pairs import read_landmarks
+from cagemap.files.meshes.formats import read_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 

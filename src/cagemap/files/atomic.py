@@ -1,7 +1,7 @@
 """Writing so that a reader never sees half a file, and that nothing is lost that cagemap did not write.
 
 Every file goes through `atomic_path`: written beside, flushed to disk, moved into place. It replaces only files that
-carry cagemap's own mark (`cagemap.files.marks`), and follows symbolic links.
+carry cagemap's own mark (`cagemap.files.ownership`), and follows symbolic links.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import re
 import shutil
 import stat
 import tempfile
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
@@ -19,11 +20,13 @@ from functools import partial
 from pathlib import Path
 
 from cagemap.errors import FormatError
-from cagemap.files.marks import is_own, seal
+from cagemap.files.ownership import is_own, seal
 
 # A full disk and the like; any other error of a block is its own, perhaps about another file.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _STORAGE = (*_FULL, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ENAMETOOLONG)
+# Seconds after which a temporary file has its lock: it is taken just after the file appears.
+_SETTLED = 10.0
 _Step = Callable[[], None]
 
 Owned = Callable[[Path], bool]
@@ -83,8 +86,14 @@ def one_at_a_time(folder: Path) -> Iterator[None]:
         os.close(handle)
 
 
+def _filled(path: Path) -> bool:
+    return path.stat().st_size > 0
+
+
 @contextmanager
-def atomic_path(final: str | Path, *, force: bool = False, owned: Owned = is_own) -> Iterator[Path]:
+def atomic_path(
+    final: str | Path, *, force: bool = False, owned: Owned = is_own, verify: Callable[[Path], bool] = _filled
+) -> Iterator[Path]:
     """Give a temporary name in the folder of ``final``; move it there when the block ends without an error.
 
     The suffix is kept, since image libraries choose their format by it. After an error, or an interrupt, the
@@ -98,11 +107,13 @@ def atomic_path(final: str | Path, *, force: bool = False, owned: Owned = is_own
         Replace a file that cagemap did not write.
     owned : callable
         Whether an existing file may be replaced without ``force``.
+    verify : callable
+        Whether the temporary file holds all that was to be written. For libraries that report no full disk.
 
     Raises
     ------
     FormatError
-        See `require_replaceable`; also if the disk is full.
+        See `require_replaceable`; also if the disk is full, or ``verify`` says no.
     """
     check = partial(require_replaceable, final, force=force, owned=owned)
     check()
@@ -111,8 +122,14 @@ def atomic_path(final: str | Path, *, force: bool = False, owned: Owned = is_own
     with ExitStack() as removed:
         temporary = _reserve(target)
         removed.callback(temporary.unlink, missing_ok=True)
+        removed.enter_context(_in_use(temporary))
         with _storage_told(target):
             yield temporary
+            removed.enter_context(_in_use(temporary))  # libraries may have put another file in its place
+            if not verify(temporary):
+                raise FormatError(
+                    f"{target}: could not be written whole; what was there before is kept. Check the room on the disk."
+                )
             seal(temporary)
             _flush(temporary)
 
@@ -140,7 +157,7 @@ def write_whole(path: str | Path, content: str | bytes, *, force: bool = False, 
         See `atomic_path`.
     """
     data = content.encode() if isinstance(content, str) else content
-    with atomic_path(path, force=force, owned=owned) as temporary:
+    with atomic_path(path, force=force, owned=owned, verify=lambda file: file.stat().st_size == len(data)) as temporary:
         temporary.write_bytes(data)
 
 
@@ -168,8 +185,10 @@ def atomic_folder(
     """
     require_own_folder(final, names, force=force, owned=owned)
     target = _real(final)
-    with _storage_told(target):
+    _remove_abandoned(target)
+    with _storage_told(target), ExitStack() as released:
         temporary = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent))
+        released.enter_context(_in_use(temporary))
         try:
             temporary.chmod(0o777 & ~_umask())
             yield temporary
@@ -302,12 +321,45 @@ def _real(path: str | Path) -> Path:
 
 def _reserve(target: Path) -> Path:
     """Create an empty file of a name that nobody else has, with the permissions that a plain open would give."""
+    _remove_abandoned(target)
     with _storage_told(target):
         handle, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=f".part{target.suffix}", dir=target.parent)
     os.close(handle)
     temporary = Path(name)
     temporary.chmod(0o666 & ~_umask())
     return temporary
+
+
+@contextmanager
+def _in_use(path: Path) -> Iterator[None]:
+    """Hold a shared lock on a temporary file or folder: it tells `_remove_abandoned` that its process lives."""
+    with ExitStack() as closed:
+        with suppress(ImportError, OSError):  # Windows; a disk that knows no locks
+            import fcntl
+
+            handle = os.open(path, os.O_RDONLY)
+            closed.callback(os.close, handle)
+            fcntl.flock(handle, fcntl.LOCK_SH)
+        yield
+
+
+def _remove_abandoned(target: Path) -> None:
+    """Remove `leftovers` that no process holds a lock on; without locks nothing is removed."""
+    with suppress(ImportError, OSError):
+        import fcntl
+
+        for left in leftovers(target):
+            with suppress(OSError), ExitStack() as closed:  # in use, gone meanwhile, or somebody else's
+                handle = os.open(left, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+                closed.callback(os.close, handle)
+                status = os.fstat(handle)
+                if time.time() - status.st_mtime < _SETTLED:
+                    continue
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if stat.S_ISDIR(status.st_mode):
+                    shutil.rmtree(left)
+                elif stat.S_ISREG(status.st_mode):
+                    left.unlink()
 
 
 def leftovers(final: str | Path) -> list[Path]:

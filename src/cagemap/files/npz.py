@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
-from cagemap.files.marks import mark
+from cagemap.files.ownership import mark
 from cagemap.numerics.threads import ThreadPool
 
 Arrays = dict[str, NDArray[Any]]

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cagemap.errors import FormatError
-from cagemap.files.marks import is_own
+from cagemap.files.ownership import is_own
 
 MOST_LEVELS = 12
 Name = Annotated[str, Field(pattern=r"^[^\x00]*$")]
@@ -76,6 +76,7 @@ class ConfidenceRecord(Record):
     aspect: float = 1.0
     unreached: float = 0.0
     sheared: float | None = None
+    jumps: float = 0.0
     mirrored: float = 1.0
 
 
@@ -121,7 +122,6 @@ class BasisRecord(Record):
     """How a surface was prepared, see `cagemap.BasisConfig`."""
 
     count: Annotated[int, Field(ge=1)]
-    tolerance: Annotated[float, Field(gt=0, lt=1)]
     schedule: list[Annotated[int, Field(ge=0)]] | None = None
     accuracy: float | None = None
     literal: bool = False

@@ -6,17 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cagemap.basis import Surface
-from cagemap.geometry.points import SurfacePoints
-from cagemap.geometry.polylines import Polyline
-from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.places import inner_points, on_surface
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.topology import edge_table
 from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
 from cagemap.numerics.threads import kept
-from cagemap.refinement import Refinement
+from cagemap.spectral import Surface
+from cagemap.subdivision import Refinement
+from cagemap.surface.polylines import Polyline
+from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import TriangleSurface
 
 # Curves are those of the first level with so many vertices: finer than the level that is deformed.
 CURVE_VERTICES = 15_000

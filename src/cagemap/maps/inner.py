@@ -1,4 +1,4 @@
-"""Maps of plain meshes in their own numbers, and in those of the levels below them (`cagemap.basis.Surface.inner`)."""
+"""Maps of plain meshes in their own numbers, and in those of the levels below them (`Surface.inner`)."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from cagemap.basis import Surface
-from cagemap.maps.elastic.prepared import PreparedPair
+from cagemap.deform.prepared import PreparedPair
 from cagemap.maps.hypotheses.confidence import Confidence, Reading
 from cagemap.maps.point_map import PointMap
+from cagemap.spectral import Surface
 
 
 def inner_map(point_map: PointMap, target: Surface, source: Surface) -> PointMap:

@@ -7,10 +7,10 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
 from cagemap.errors import ParameterError
-from cagemap.geometry.surface import TriangleSurface
 from cagemap.numerics.arrays import FloatArray, real_numbers
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.refinement import Refinement
+from cagemap.subdivision import Refinement
+from cagemap.surface.triangle_surface import TriangleSurface
 
 
 @kinds_checked

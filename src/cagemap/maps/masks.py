@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cagemap.errors import ParameterError
-from cagemap.geometry.points import SurfacePoints
 from cagemap.maps.point_map import PointMap
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers
+from cagemap.surface.surface_points import SurfacePoints
 
 Rows = Callable[[FloatArray], FloatArray]
 
@@ -34,6 +34,18 @@ class Masks:
 
     target: FloatArray | None = None
     source: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        for side, mask in (("target", self.target), ("source", self.source)):
+            if mask is not None:
+                object.__setattr__(self, side, real_numbers(mask, f"{side} mask"))
+
+    def __repr__(self) -> str:
+        sides = ("target", self.target), ("source", self.source)
+        shown = [
+            f"{name}: {np.count_nonzero(mask)} of {len(mask)} vertices" for name, mask in sides if mask is not None
+        ]
+        return f"Masks({', '.join(shown)})"
 
     @property
     def any(self) -> bool:

@@ -8,17 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cagemap.basis import Surface
-from cagemap.basis.prepare import Progress as Progress
-from cagemap.basis.prepare import silent as silent
 from cagemap.errors import ParameterError
-from cagemap.geometry.points import SurfacePoints
-from cagemap.geometry.surface import TriangleSurface
 from cagemap.maps.curves import CurvePair, curve_pairs
 from cagemap.maps.places import located
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import IndexArray
 from cagemap.numerics.threads import in_threads
+from cagemap.spectral import Surface
+from cagemap.spectral.prepare import Progress as Progress
+from cagemap.spectral.prepare import silent as silent
+from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import TriangleSurface
 
 # Vertices of the level from which on points between vertices are given near ones.
 NEAR_VERTICES = 3000
@@ -53,6 +53,9 @@ class PointPairs:
             raise ParameterError(
                 f"expected as many points on both surfaces, got {len(self.target)} and {len(self.source)}"
             )
+
+    def __repr__(self) -> str:
+        return f"PointPairs({len(self.target)} points, {len(self.curves)} curves)"
 
     @classmethod
     def of_vertices(
@@ -90,7 +93,7 @@ class Pair:
     landmarks : PointPairs
     symmetries : tuple of ((n_0 target,), (n_0 source,)) arrays
         Self-maps of the control meshes that correspond, each side's as the image of every control vertex, -1 where it
-        is not known (see `cagemap.descriptors.check_symmetry`).
+        is not known (see `cagemap.paper.operators.check_symmetry`).
     """
 
     target: Surface

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.basis import Surface
-from cagemap.geometry.points import SurfacePoints
-from cagemap.geometry.surface import TriangleSurface
-from cagemap.geometry.triangles import normalized
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.mesh.measures import cage_triangles
-from cagemap.refinement import Refinement
+from cagemap.spectral import Surface
+from cagemap.subdivision import Refinement
+from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import normalized
 
 # Length, of sqrt(area), that opposite normals count when a landmark is put on the surface: thin parts have two sides.
 LANDMARK_NORMAL_WEIGHT = 0.01

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 from scipy import sparse
 
 from cagemap.errors import ParameterError
-from cagemap.geometry.points import SurfacePoints
-from cagemap.geometry.surface import TriangleSurface
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import kinds_checked
+from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import TriangleSurface
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -93,9 +94,15 @@ class PointMap:
         """
         return self.images.interpolate(values)
 
-    def matrix(self) -> sparse.csr_array:
+    def to_sparse(self) -> sparse.csr_array:
         """P12, the (n1, n2) matrix that pulls functions back; rows sum to 1."""
         return self.images.matrix()
+
+    def nearest_vertices(self) -> IndexArray:
+        """(n1,) of the source triangle that holds an image, the corner nearest to it."""
+        corners = self.images.corners
+        away = np.linalg.norm(self.source.positions[corners] - self.images.positions[:, None], axis=2)
+        return np.asarray(corners[np.arange(len(corners)), away.argmin(axis=1)])
 
     def __repr__(self) -> str:
         return f"PointMap({self.target.n} vertices -> {self.source})"

@@ -13,21 +13,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.geometry.closest import build_tree, closest_points
-from cagemap.geometry.points import SurfacePoints
-from cagemap.geometry.surface import TriangleSurface
-from cagemap.geometry.triangles import CACHED, corner_sums, normalized, ring_sums, triangle_areas, triangle_normals
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import PointPairs
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool, in_threads, parts
+from cagemap.surface.closest_points import build_tree, closest_points
+from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import CACHED, corner_sums, normalized, row_lengths, triangle_areas, triangle_normals
 
 LANDMARK_TOLERANCE = 5e-4  # of sqrt(area): a landmark farther off than this is named
 FLIPPED_TOLERANCE = 5e-3  # of the target's area
 COVERAGE_TOLERANCE = 0.98  # of the source's area
 TRUSTED_STRETCH = 2.0  # up to this stretch or compression (relative to isometry) a map is fully trusted
 COVERAGE_SAMPLES = 50_000
+ON_SURFACE = 1e-6  # of sqrt(area): points so close to a surface lie on it
 # Figures that are one number, and percentiles of those that are a distribution, by target area.
 FIGURES = ("flipped_area", "coverage", "dirichlet", "trusted_area")
 PERCENTILES = {"area_ratio": ("1", "5", "50", "95", "99"), "aspect_ratio": ("50", "95", "99")}
@@ -59,12 +60,12 @@ class QualityFigures:
         What a user should know before using the map, worst first; empty for a good map.
     """
 
-    landmark_errors: FloatArray
+    landmark_errors: FloatArray = field(repr=False)
     flipped_area: float
     coverage: float
     dirichlet: float
-    area_ratios: FloatArray
-    aspect_ratios: FloatArray
+    area_ratios: FloatArray = field(repr=False)
+    aspect_ratios: FloatArray = field(repr=False)
     trust: FloatArray = field(repr=False)
     trusted_area: float
     warnings: tuple[str, ...] = ()
@@ -100,6 +101,17 @@ def flipped_triangles(images: SurfacePoints, triangles: IndexArray) -> NDArray[n
     A triangle's image compares with the sum of the source's normals at its three corners.
     """
     return upside_down(images.positions, images.normals, triangles)
+
+
+def _source_normals(images: SurfacePoints) -> FloatArray:
+    """(m, 3) normals at images: a vertex', where one lies there, since a triangle at a sharp one may lie across it."""
+    at_vertex = np.flatnonzero(images.barycentric.max(axis=1) == 1.0)
+    if not len(at_vertex):
+        return images.normals
+    normals = images.normals.copy()
+    corner = images.barycentric[at_vertex].argmax(axis=1)
+    normals[at_vertex] = images.surface.vertex_normals[images.corners[at_vertex, corner]]
+    return normals
 
 
 def upside_down(positions: FloatArray, normals: FloatArray, triangles: IndexArray) -> NDArray[np.bool_]:
@@ -140,39 +152,48 @@ def dirichlet_energy(target: FloatArray, image: FloatArray, triangles: IndexArra
 
 
 def covered_share(
+    target: FloatArray,
     image: FloatArray,
     triangles: IndexArray,
     source: TriangleSurface,
     masks: Masks = WHOLE,
 ) -> float:
-    """Share of the source's area that the image of the target reaches.
+    """Share of the source's area that the image of the target covers.
 
-    A source vertex counts as reached where the image surface, with an agreeing normal, passes within half the mean
-    length of the edges around that vertex. The first `COVERAGE_SAMPLES` vertices are judged: in a refined mesh they
-    are the vertices of coarser levels and spread evenly.
+    `COVERAGE_SAMPLES` points of the source are judged, each of the same area. One is covered where an image triangle
+    that faces the same way lies above or below it: in a direction less than 60 degrees from its normal, and no farther
+    than half the longest edge of the triangle, on the target and in the image. So flat triangles of a coarse target
+    cover the curved surface under them, and triangles stretched over a gap do not.
 
     Parameters
     ----------
+    target : (n1, 3) float64
+        The target's vertices.
     image : (n1, 3) float64
-        Where the target's vertices go.
+        Where they go.
     triangles : (t1, 3) int64
         Of the target.
     source : TriangleSurface
     masks : Masks
         The share is that of what counts of the source.
     """
-    judged = min(COVERAGE_SAMPLES, source.n)
-    sums = ring_sums(source.positions, source.triangles, judged)
-    normals, areas, edges, count = np.split(sums, (3, 4, 5), axis=1)
-    reached, _, _ = closest_points(
-        build_tree(image, triangles),
-        source.positions[:judged],
-        normalized(normals),
-        minimum_cosine=0.0,
-        within=0.5 * (edges / np.maximum(count, 1)).ravel(),
+    points = SurfacePoints.evenly_spread(source, COVERAGE_SAMPLES)
+    normals = normalized(points.interpolate(source.vertex_normals))
+    reach = 0.5 * np.minimum(longest_edges(target, triangles), longest_edges(image, triangles))
+    found, barycentric, distance = closest_points(
+        build_tree(image, triangles), points.positions, normals, minimum_cosine=0.0, within=reach.max() + ON_SURFACE
     )
-    areas = areas.ravel() * masks.of_source(judged)
-    return float(areas[reached >= 0].sum() / areas.sum())
+    offsets = points.positions - np.einsum("mk,mkd->md", barycentric, image[triangles[found]])
+    above = np.abs(np.einsum("md,md->m", offsets, normals)) >= 0.5 * distance
+    covered = (found >= 0) & (distance <= reach[found] + ON_SURFACE) & (above | (distance <= ON_SURFACE))
+    counts = masks.at_source(points)
+    return float(counts[covered].sum() / counts.sum())
+
+
+def longest_edges(positions: FloatArray, triangles: IndexArray) -> FloatArray:
+    """(t,) length of the longest edge of every triangle (t, 3)."""
+    first, second, third = (positions.take(triangles[:, k], axis=0) for k in range(3))
+    return np.maximum(np.maximum(row_lengths(second - first), row_lengths(third - second)), row_lengths(first - third))
 
 
 def landmark_errors(point_map: PointMap, landmarks: PointPairs) -> FloatArray:
@@ -232,7 +253,7 @@ def measure_quality(
         Shares are those of what counts; trust and the landmarks' errors do not ask.
     """
     target, images = point_map.target, point_map.images
-    image, areas = images.positions, target.areas
+    image, normals, areas = images.positions, _source_normals(images), target.areas
     counted = np.ones(target.n)
     if masks.any:
         counted = masks.joint(point_map)
@@ -240,11 +261,11 @@ def measure_quality(
 
     def on_triangles(part: slice) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:
         these = target.triangles[part]
-        return flipped_triangles(images, these), *stretches(target.positions, image, these)
+        return upside_down(image, normals, these), *stretches(target.positions, image, these)
 
     with ThreadPool(1) as pool:
         asked = target.triangles if coarse_triangles is None else coarse_triangles
-        covered = pool.submit(covered_share, image[: asked.max() + 1], asked, point_map.source, masks=masks)
+        covered = pool.submit(covered_share, target.positions, image, asked, point_map.source, masks=masks)
         found = in_threads(on_triangles, parts(len(target.triangles), CACHED))
         flipped, largest, smallest = (np.concatenate(kind) for kind in zip(*found, strict=True))
         aspect = largest / np.maximum(smallest, 1e-9)

@@ -7,24 +7,24 @@ from typing import Any
 
 import numpy as np
 
-from cagemap.basis import Surface
+from cagemap.deform.prepared import PreparedPair
 from cagemap.errors import ParameterError
 from cagemap.maps.curves import CurveMiss, curve_miss, curve_pairs
-from cagemap.maps.elastic.method import functional_map_of
-from cagemap.maps.elastic.prepared import PreparedPair
+from cagemap.maps.functional_maps import functional_map_of
 from cagemap.maps.hypotheses.confidence import Confidence
 from cagemap.maps.inner import inner_map, outer_map
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
+from cagemap.maps.level_map import LevelMap
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.pair import point_pairs
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import QualityFigures, measure_quality
-from cagemap.maps.spectral.levels import LevelMap
 from cagemap.mesh.curves import Curves
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads, kept, one_blas_thread
-from cagemap.refinement.finest import ending_at
+from cagemap.spectral import Surface
+from cagemap.subdivision.level_meshes import truncated
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +42,9 @@ class SpectralMap:
     functional_map: FloatArray
     target_eigenvalues: FloatArray
     source_eigenvalues: FloatArray
+
+    def __repr__(self) -> str:
+        return f"SpectralMap({self.functional_map.shape[0]} x {self.functional_map.shape[1]} functions)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +154,7 @@ class MatchResult:
         found = known[level]
         assert found.points is not None
         sides = zip((self.target, self.source), found.levels, strict=True)
-        target, source = (Surface(ending_at(side.refinement, on), side.config) for side, on in sides)
+        target, source = (Surface(truncated(side.refinement, on), side.config) for side, on in sides)
         point_map = PointMap.from_arrays(
             target.triangles(target.finest), source.triangles(source.finest), found.points.triangle,
             found.points.barycentric,
@@ -248,6 +251,22 @@ class MatchResult:
         others = self.confidence.readings[1:] if self.confidence else ()
         known = [other.positions[:count] / self.source.scale for other in others if len(other.positions) >= count]
         return np.array(known).reshape(len(known), count, 3)
+
+    def nearest_vertices(self) -> IndexArray:
+        """(n_0,) source control vertices: of the face that holds a target control vertex's image, the nearest.
+
+        Both are in the numbers of the control meshes. `PointMap.nearest_vertices` has those of the finest levels.
+        """
+        control, count = self.source.control, self.target.control.n_vertices
+        triangles_per_face = len(self.source_triangles) // len(self.source.faces)
+        faces = self.source.refinement.finest.face_parents[self.triangle[:count] // triangles_per_face]
+        sizes = control.face_sizes[faces]
+        first = np.cumsum(sizes) - sizes
+        owners = np.repeat(np.arange(count), sizes)
+        corners = control.face_indices[np.arange(sizes.sum()) + (control.face_offsets[faces] - first)[owners]]
+        source_positions, images = self.point_map.source.positions, self.point_map.images.positions
+        away = np.linalg.norm(source_positions[corners] - images[owners], axis=1)
+        return np.asarray(corners[np.lexsort((away, owners))[first]])
 
     def image(self) -> FloatArray:
         """(n1, 3) where every target vertex maps to, in the source file's lengths."""

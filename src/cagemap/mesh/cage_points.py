@@ -10,19 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import InvalidLandmarksError
-from cagemap.geometry.closest import build_tree, closest_points
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.mesh.measures import cage_triangles
 from cagemap.mesh.mesh_report import first_few
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.surface.closest_points import build_tree, closest_points
 
 # A point with at least this weight on one vertex is that vertex.
 AT_VERTEX = 1.0 - 1e-6
-# A place in space farther from the mesh than this share of the mesh's size (the diagonal of its box) is none of it.
-FAR = 0.1
-# Places that are typically farther from the mesh than this share of the size of their own box are in another unit: a
-# hundredth of a body, about a point inside it, is near to it everywhere.
-SHRUNK = 0.25
+# Largest distance of a position from its mesh, in units of the mesh's bounding-box diagonal.
+MAX_DISTANCE = 0.1
+# Positions whose median distance exceeds this share of their own bounding-box diagonal are in another unit: a body
+# scaled by 0.01 about a point inside it is near to it everywhere.
+MAX_MEDIAN_DISTANCE = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,8 +121,8 @@ class CagePoints:
         """Some of the points."""
         return replace(self, corners=self.corners[rows], weights=self.weights[rows])
 
-    def beside(self, others: CagePoints) -> CagePoints:
-        """These points and others."""
+    def joined_with(self, others: CagePoints) -> CagePoints:
+        """Return these points followed by others."""
         return CagePoints(
             np.concatenate([self.corners, others.corners]), np.concatenate([self.weights, others.weights])
         )
@@ -150,7 +150,7 @@ def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
         triangles, _ = cage_triangles(mesh)
         held_by, barycentric, distances = closest_points(build_tree(mesh.positions, triangles), points.positions[free])
         size = float(np.linalg.norm(np.ptp(mesh.positions, axis=0)))
-        far = np.flatnonzero(distances > FAR * size)
+        far = np.flatnonzero(distances > MAX_DISTANCE * size)
         if len(far):
             listed = first_few(f"{points.names[free[i]]} ({distances[i]:.3g})" for i in far)
             raise InvalidLandmarksError(
@@ -158,7 +158,7 @@ def on_cage(points: NamedPoints, mesh: ControlMesh) -> CagePoints:
                 "Give the points of this mesh, in its unit and axis order; are target and source exchanged?"
             )
         spread, typical = float(np.linalg.norm(np.ptp(points.positions[free], axis=0))), float(np.median(distances))
-        if len(free) >= 3 and typical > max(SHRUNK * spread, 0.1 * FAR * size):
+        if len(free) >= 3 and typical > max(MAX_MEDIAN_DISTANCE * spread, 0.1 * MAX_DISTANCE * size):
             raise InvalidLandmarksError(
                 f"expected landmark points on {mesh.name}, whose size is {size:.3g}, got {len(free)} within "
                 f"{spread:.3g} of each other that are typically {typical:.3g} away from it. They look like points in "

@@ -1,20 +1,22 @@
-"""Whether a control mesh is one that the method can take, and if not, which elements are at fault and what to do.
+"""Check whether the method can take a control mesh; name the elements at fault and the remedy.
 
-`check_mesh` reports everything it finds, `require_valid` raises. Geometry is judged relative to the mesh's own size, so
-that the unit of the file does not matter. Vertices at the same place are valid, and so are vertices of valence 2.
+`check_mesh` reports everything it finds, `require_valid` raises. Tolerances are relative to the extent of the mesh or
+of a face, so that the file's unit does not matter. Vertices at the same place and vertices of valence 2 are valid.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import InvalidMeshError
-from cagemap.mesh.control_mesh import ControlMesh, UvSet
-from cagemap.mesh.edge_checks import edge_manifold_problem, slit_notes
-from cagemap.mesh.geometry_checks import extent_problem, inside_out_problem, zero_area_problem
+from cagemap.mesh.control_mesh import ControlMesh
+from cagemap.mesh.faces import degenerate_faces, duplicate_faces, keep_faces
+from cagemap.mesh.inputs import MeshLike, arrays_accepted
+from cagemap.mesh.measures import face_areas, face_extents, signed_volume
 from cagemap.mesh.mesh_report import MeshReport, Problem, first_few, problem_at
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
@@ -28,51 +30,96 @@ from cagemap.mesh.topology import (
     used_vertices,
     uv_islands,
 )
-from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
-from cagemap.numerics.kinds import kinds_checked
+from cagemap.mesh.weld import weld_tolerance, welded_pieces
+from cagemap.numerics.arrays import FloatArray, IndexArray
 
 SEVERAL = "several components"
+# Problems that subdivision does not have: it needs oriented manifold connectivity, no size, area or inside.
+UNREFINED = frozenset({SEVERAL, "no size", "size", "no area", "faces without area", "no volume", "inside out"})
+
+# An edge shorter than this share of those around it is two vertices that should be one.
+TINY_EDGE = 0.01
+# A boundary loop of few edges that encloses less than this share of its length squared is a slit; a square has 1/16.
+SLIT_AREA = 0.004
+MAX_SLIT_EDGES = 8
+# Squares and products of lengths must neither overflow nor vanish in float64 (1e308, 1e-308).
+SMALLEST_EXTENT, LARGEST_EXTENT = 1e-60, 1e60
+# Of the extent; third power of rounding away from a line. Real cages are above 1e-2.
+RELATIVE_WIDTH = 1e-9
+# Of the extent squared: edges of 3e-8, the resolution of float32 positions. The smallest face of real cages has 1e-9.
+RELATIVE_FACE_AREA = 1e-15
+# Of the face's extent squared: below it cotangent weights would be 1e9. The thinnest face of real cages has 1e-3.
+RELATIVE_FACE_WIDTH = 1e-9
+# 36 pi V^2 / A^3: 1 for a ball, 0.08 to 0.28 for real cages; below this an open surface has no inside.
+OPEN_ROUNDNESS = 0.02
 
 
-@kinds_checked
-def check_mesh(mesh: ControlMesh) -> MeshReport:
+@arrays_accepted
+def check_mesh(mesh: MeshLike) -> MeshReport:
     """Count the elements of a control mesh and list everything that keeps the method from taking it.
 
-    A fault that would only produce others hides them: copies of faces are named as such and not also as non-manifold
-    edges, and faces with a repeated vertex are to be repaired before connectivity is judged.
+    A fault that would only produce others hides them: copies of faces are not named as non-manifold edges too, and
+    connectivity is judged only where no face repeats a vertex.
     """
     blank = MeshReport(mesh.name, len(mesh.positions), None, max(len(mesh.face_offsets) - 1, 0))
     broken = structure_problems(mesh)
     if broken:
         return replace(blank, problems=broken)
-    degenerate = repeated_corners(mesh)
+    degenerate = degenerate_faces(mesh)
     duplicates = duplicate_faces(mesh)
     kept = np.delete(np.arange(mesh.n_faces), duplicates)
-    parts = _connect(keep_faces(mesh, kept) if len(duplicates) else mesh)
+    parts = _connectivity(keep_faces(mesh, kept) if len(duplicates) else mesh)
     problems = [_degenerate_problem(degenerate), _duplicates_problem(duplicates), _isolated_problem(mesh)]
     if not len(degenerate):
         problems += [
-            edge_manifold_problem(parts.mesh, parts.edges, kept),
+            _edge_manifold_problem(parts.mesh, parts.edges, kept),
             _vertex_manifold_problem(parts),
             _orientation_problem(parts, kept),
         ]
-    problems += [_components_problem(mesh, face_components(mesh)), extent_problem(mesh)]
+    problems += [_components_problem(mesh, face_components(mesh)), _extent_problem(mesh)]
     if problems[-1] is None and not isinstance(mesh.scheme, Plain):  # slivers of a scan are points of its surface
         problems.append(zero_area_problem(mesh, np.delete(np.arange(mesh.n_faces), degenerate)))
     if parts.loops is not None and not any(problems):
         problems.append(inside_out_problem(mesh, parts.loops))
     report = blank if len(degenerate) else _counts(parts, blank)
-    sharp = _length(mesh.crease_edges), _length(mesh.corner_vertices), _length(mesh.hole_faces)
-    found = tuple(problem for problem in problems if problem is not None)
-    return replace(report, face_sizes=_face_sizes(mesh), sharp=sharp, problems=found)
+    sizes, counts = np.unique(mesh.face_sizes, return_counts=True)
+    sharp = mesh.crease_edges, mesh.corner_vertices, mesh.hole_faces
+    creases, corners, holes = (0 if elements is None else len(elements) for elements in sharp)
+    return replace(
+        report,
+        face_sizes=tuple(zip(sizes.tolist(), counts.tolist(), strict=True)),
+        sharp=(creases, corners, holes),
+        problems=tuple(problem for problem in problems if problem is not None),
+    )
 
 
-def _length(values: IndexArray | None) -> int:
-    return 0 if values is None else len(values)
+def require_valid(mesh: ControlMesh, *, allowed: Collection[str] = ()) -> None:
+    """Raise unless the method can take the mesh.
+
+    Parameters
+    ----------
+    mesh : ControlMesh
+    allowed : collection of str
+        Kinds of problems that do not matter: `SEVERAL` where each component was matched for itself, `UNREFINED` where
+        the mesh is only subdivided.
+
+    Raises
+    ------
+    InvalidMeshError
+        Names every kind of problem, its first elements (0-based, in the file's numbering) and the remedy.
+    """
+    problems = [problem for problem in check_mesh(mesh).problems if problem.kind not in allowed]
+    if problems:
+        count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
+        listed = "".join(f"\n  - {problem}" for problem in problems)
+        one_piece = "" if SEVERAL in allowed else " of one piece"
+        raise InvalidMeshError(
+            f"{mesh.name}: expected a manifold, consistently oriented mesh{one_piece}, got {count}:{listed}"
+        )
 
 
 @dataclass(frozen=True, eq=False)
-class _Parts:
+class _Connectivity:
     """A mesh with what several checks ask of its connectivity."""
 
     mesh: ControlMesh
@@ -82,112 +129,17 @@ class _Parts:
     loops: tuple[IndexArray, ...] | None
 
 
-def _connect(mesh: ControlMesh) -> _Parts:
+def _connectivity(mesh: ControlMesh) -> _Connectivity:
     edges = edge_table(mesh)
     fans = corner_fans(mesh, edges)
-    return _Parts(mesh, edges, fans, turned_faces(mesh, edges), boundary_loops(mesh, edges, fans))
+    return _Connectivity(mesh, edges, fans, turned_faces(mesh, edges), boundary_loops(mesh, edges, fans))
 
 
-def require_valid(mesh: ControlMesh, *, pieces: bool = False) -> None:
-    """Raise unless the method can take the mesh.
-
-    Parameters
-    ----------
-    mesh : ControlMesh
-    pieces : bool
-        Take a mesh of several components too, each of which was matched for itself.
-
-    Raises
-    ------
-    InvalidMeshError
-        Names every kind of problem, its first elements (0-based, in the file's numbering) and the remedy.
-    """
-    problems = [problem for problem in check_mesh(mesh).problems if not (pieces and problem.kind == SEVERAL)]
-    if problems:
-        count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
-        listed = "".join(f"\n  - {problem}" for problem in problems)
-        raise InvalidMeshError(
-            f"{mesh.name}: expected a manifold, consistently oriented mesh of one piece, got {count}:{listed}"
-        )
-
-
-def keep_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
-    """Return the mesh with only some of its faces; vertices and texture coordinates stay as they are."""
-    sizes = mesh.face_sizes[faces]
-    offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-    corners = np.repeat(mesh.face_offsets[faces] - offsets[:-1], sizes) + np.arange(offsets[-1])
-    return with_corners_of(mesh, faces, offsets, corners)
-
-
-def with_corners_of(mesh: ControlMesh, faces: IndexArray, offsets: IndexArray, corners: IndexArray) -> ControlMesh:
-    """Return the mesh with other faces, made of its own face corners.
-
-    Parameters
-    ----------
-    mesh : ControlMesh
-    faces : (k,) int64
-        Face that every new one comes from; ascending where there are hole faces.
-    offsets : (k + 1,) int64
-        Where each new face starts in ``corners``.
-    corners : (c,) int64
-        Corner of the mesh that every new one is.
-    """
-    indices = mesh.face_indices[corners]
-    creases, sharpness = _creases_left(mesh, indices, offsets)
-
-    def of_faces(values: IndexArray | None) -> IndexArray | None:
-        return None if values is None else values[faces]
-
-    return replace(
-        mesh,
-        face_offsets=offsets,
-        face_indices=indices,
-        uv_indices=None if mesh.uv_indices is None else mesh.uv_indices[corners],
-        uv_sets=tuple(UvSet(one.name, one.uvs, one.uv_indices[corners]) for one in mesh.uv_sets),
-        face_materials=of_faces(mesh.face_materials),
-        face_objects=of_faces(mesh.face_objects),
-        face_groups=of_faces(mesh.face_groups),
-        file_faces=of_faces(mesh.file_faces),
-        hole_faces=None if mesh.hole_faces is None else np.flatnonzero(np.isin(faces, mesh.hole_faces)),
-        crease_edges=creases,
-        crease_sharpness=sharpness,
-    )
-
-
-def _creases_left(
-    mesh: ControlMesh, indices: IndexArray, offsets: IndexArray
-) -> tuple[IndexArray | None, FloatArray | None]:
-    """Creases that are edges of the faces kept."""
-    if mesh.crease_edges is None or mesh.crease_sharpness is None:
-        return None, None
-    following = ControlMesh(mesh.positions, offsets, indices).next_corners
-    ends = pair_keys(np.column_stack([indices, indices[following]]), mesh.n_vertices)
-    there = np.isin(pair_keys(mesh.crease_edges, mesh.n_vertices), ends)
-    return mesh.crease_edges[there], mesh.crease_sharpness[there]
-
-
-def duplicate_faces(mesh: ControlMesh) -> IndexArray:
-    """Faces that have the same vertices, in whatever order, as a face of a lower number."""
-    copies = []
-    for size in np.unique(mesh.face_sizes):
-        faces = np.flatnonzero(mesh.face_sizes == size)
-        corners = np.sort(mesh.face_indices[mesh.face_offsets[faces][:, None] + np.arange(size)], axis=1)
-        order = np.lexsort(corners.T)  # stable: of equal faces the lowest number comes first
-        same = np.all(corners[order][1:] == corners[order][:-1], axis=1)
-        copies.append(faces[order][1:][same])
-    return np.sort(np.concatenate(copies))
-
-
-def _face_sizes(mesh: ControlMesh) -> tuple[tuple[int, int], ...]:
-    sizes, counts = np.unique(mesh.face_sizes, return_counts=True)
-    return tuple(zip(sizes.tolist(), counts.tolist(), strict=True))
-
-
-def _counts(parts: _Parts, blank: MeshReport) -> MeshReport:
+def _counts(parts: _Connectivity, blank: MeshReport) -> MeshReport:
     mesh, edges, loops = parts.mesh, parts.edges, parts.loops
     components = np.bincount(face_components(mesh))
     used = used_vertices(mesh)
-    edges_at = np.bincount(edges.vertices.ravel(), minlength=mesh.n_vertices)[used]
+    valences = np.bincount(edges.vertices.ravel(), minlength=mesh.n_vertices)[used]
     euler = int(used.sum()) - len(edges.vertices) + mesh.n_faces
     islands = uv_islands(mesh)
     # 2 - 2 g - b for every piece; vertices that hold two fans together are no surface and have no genus.
@@ -200,19 +152,11 @@ def _counts(parts: _Parts, blank: MeshReport) -> MeshReport:
         genus=handles if is_surface else None,
         boundary_edges=len(edges.boundary_corners()),
         boundary_loops=None if loops is None else tuple(tuple(loop.tolist()) for loop in loops),
-        notes=slit_notes(mesh, loops),
+        notes=_slit_notes(mesh, loops),
         component_sizes=tuple(components.tolist()),
-        valence_range=(int(edges_at.min()), int(edges_at.max())),
+        valence_range=(int(valences.min()), int(valences.max())),
         uv_islands=None if islands is None else int(islands.max()) + 1,
     )
-
-
-def repeated_corners(mesh: ControlMesh) -> IndexArray:
-    """Faces of fewer than three corners, or that visit a vertex twice."""
-    faces = mesh.corner_faces
-    order = np.lexsort([mesh.face_indices, faces])
-    same = (np.diff(mesh.face_indices[order]) == 0) & (np.diff(faces[order]) == 0)
-    return np.union1d(np.flatnonzero(mesh.face_sizes < 3), faces[order][1:][same])
 
 
 def _degenerate_problem(faces: IndexArray) -> Problem | None:
@@ -244,8 +188,72 @@ def _isolated_problem(mesh: ControlMesh) -> Problem | None:
     )
 
 
-def _vertex_manifold_problem(parts: _Parts) -> Problem | None:
-    """Vertices whose faces form several fans. Edges of too many faces are named elsewhere and count as joined here."""
+def _edge_manifold_problem(mesh: ControlMesh, edges: EdgeTable, numbers: IndexArray) -> Problem | None:
+    """Edges of more than two faces, and the remedy for each; ``numbers`` (m,) are those of the file."""
+    bad = edges.face_counts > 2
+    if not bad.any():
+        return None
+    extra = extra_faces(mesh, edges)
+    left = bad & (edges.face_counts - _counts_of(mesh, edges, extra) > 2)
+    tiny = left & _tiny_edges(mesh, edges)
+    split = left & ~tiny
+    remedies = []
+    if extra.any():
+        faces = numbers[np.flatnonzero(extra)]
+        remedies.append(f"Delete face(s) {first_few(faces.tolist())}, which hang on such edges alone.")
+    if tiny.any():
+        remedies.append(
+            f"Merge the two vertices of edge(s) {first_few(_pairs(edges, tiny))}, which are almost at the same place; "
+            "splitting there would leave a slit."
+        )
+    if split.any():
+        at = np.unique(mesh.corner_faces[split[edges.corner_edges]])
+        remedies.append(
+            f"At edge(s) {first_few(_pairs(edges, split))} delete the inner ones of faces "
+            f"{first_few(numbers[at].tolist())}, or split the edge so that each sheet has its own."
+        )
+    return Problem(
+        "non-manifold edges",
+        f"expected one or two faces at every edge, got {int(bad.sum())} edge(s) with up to {edges.face_counts.max()}, "
+        "between vertices",
+        _pairs(edges, bad),
+        " ".join(remedies),
+    )
+
+
+def extra_faces(mesh: ControlMesh, edges: EdgeTable) -> NDArray[np.bool_]:
+    """(m,) walls inside a surface and fins on it: joined by edges of more than two faces only, and no hole without."""
+    counts = edges.face_counts[edges.corner_edges]
+    starts = mesh.face_offsets[:-1]
+    extra = np.logical_or.reduceat(counts > 2, starts) & ~np.logical_or.reduceat(counts == 2, starts)
+    # Where too many faces would go, none of them is the culprit for certain.
+    opened = (edges.face_counts > 2) & (edges.face_counts - _counts_of(mesh, edges, extra) < 2)
+    return extra & ~np.logical_or.reduceat(opened[edges.corner_edges], starts)
+
+
+def _counts_of(mesh: ControlMesh, edges: EdgeTable, faces: NDArray[np.bool_]) -> IndexArray:
+    """(e,) how many of some faces are at every edge."""
+    corners = faces[mesh.corner_faces]
+    return np.bincount(edges.corner_edges[corners], minlength=len(edges.vertices)).astype(np.int64)
+
+
+def _tiny_edges(mesh: ControlMesh, edges: EdgeTable) -> NDArray[np.bool_]:
+    """(e,) edges much shorter than the longest edges of their faces."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        ends = mesh.positions[edges.vertices]
+        lengths: FloatArray = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        longest = np.maximum.reduceat(lengths[edges.corner_edges], mesh.face_offsets[:-1])
+        around = np.zeros(len(lengths))
+        np.maximum.at(around, edges.corner_edges, longest[mesh.corner_faces])
+        return lengths <= TINY_EDGE * around
+
+
+def _pairs(edges: EdgeTable, chosen: NDArray[np.bool_]) -> tuple[tuple[int, int], ...]:
+    return tuple((a, b) for a, b in edges.vertices[chosen].tolist())
+
+
+def _vertex_manifold_problem(parts: _Connectivity) -> Problem | None:
+    """Vertices of several fans. Edges of too many faces are named elsewhere and count as joined here."""
     _, first_corners = np.unique(parts.fans, return_index=True)
     bad = np.flatnonzero(np.bincount(parts.mesh.face_indices[first_corners]) > 1)
     return problem_at(
@@ -257,7 +265,7 @@ def _vertex_manifold_problem(parts: _Parts) -> Problem | None:
     )
 
 
-def _orientation_problem(parts: _Parts, numbers: IndexArray) -> Problem | None:
+def _orientation_problem(parts: _Connectivity, numbers: IndexArray) -> Problem | None:
     if parts.turned is None:
         return Problem(
             "one-sided surface",
@@ -281,13 +289,21 @@ def _components_problem(mesh: ControlMesh, labels: IndexArray) -> Problem | None
     if len(sizes) == 1:
         return None
     first_faces = np.unique(labels, return_index=True)[1]
-    copy = " One is a copy of another in the same place." if _has_copied_component(mesh, labels) else ""
+    copied = _has_copied_component(mesh, labels)
+    tolerance = None if copied else weld_tolerance(mesh)
+    seams = ""
+    if tolerance is not None:
+        left = welded_pieces(mesh, tolerance)
+        seams = (
+            "Its vertices are split at seams, as glTF and FBX exporters write them: "
+            f"`weld_mesh` {tolerance:g} leaves {left} piece{'s' * (left != 1)}. {'Or match' if left == 1 else 'Match'}"
+        )
     return Problem(
         SEVERAL,
         f"expected one connected piece, got {len(sizes)} of {first_few(sizes.tolist())} faces, which begin at faces",
         tuple(first_faces.tolist()),
-        "Match a part (`find_part` NAME, largest, or each; the check lists them), or delete the pieces not "
-        f"wanted.{copy}",
+        f"{seams or 'Match'} a part (`find_part` NAME, largest, or each; the check lists them), or delete the pieces "
+        f"not wanted.{' One is a copy of another in the same place.' if copied else ''}",
     )
 
 
@@ -295,10 +311,130 @@ def _has_copied_component(mesh: ControlMesh, labels: IndexArray, examined: int =
     """Whether two of the first few components have the same vertex positions."""
     clouds = set()
     for label in range(min(int(labels.max()) + 1, examined)):
-        vertices = np.unique(mesh.face_indices[(labels == label)[mesh.corner_faces]])
-        points = mesh.positions[vertices]
+        points = mesh.positions[np.unique(mesh.face_indices[(labels == label)[mesh.corner_faces]])]
         cloud = points[np.lexsort(points.T)].tobytes()
         if cloud in clouds:
             return True
         clouds.add(cloud)
     return False
+
+
+def _slit_notes(mesh: ControlMesh, loops: tuple[IndexArray, ...] | None) -> tuple[str, ...]:
+    """Sentences about boundary loops that look like accidents: thin slits and holes much smaller than faces."""
+    return tuple(
+        f"the boundary has a slit of {len(loop)} edges at vertices {first_few(loop.tolist())}. If it is not meant, "
+        "merge its vertices by distance or fill it."
+        for loop in loops or ()
+        if len(loop) <= MAX_SLIT_EDGES and _is_slit(mesh, loop)
+    )
+
+
+def _is_slit(mesh: ControlMesh, loop: IndexArray) -> bool:
+    with np.errstate(over="ignore", invalid="ignore"):
+        points = mesh.positions[loop] - mesh.positions[loop].mean(axis=0)
+        following = np.roll(points, -1, axis=0)
+        length = np.linalg.norm(following - points, axis=1).sum()
+        area = np.linalg.norm(np.cross(points, following).sum(axis=0)) / 2
+        tails, heads = mesh.positions[mesh.face_indices], mesh.positions[mesh.face_indices[mesh.next_corners]]
+        usual = len(loop) * np.median(np.linalg.norm(heads - tails, axis=1))
+        return bool(area <= SLIT_AREA * length**2 or length <= TINY_EDGE * usual)
+
+
+def _extent_problem(mesh: ControlMesh) -> Problem | None:
+    """Vertices all at one point or on one line, or a size that overflows."""
+    points = mesh.positions[used_vertices(mesh)]
+    with np.errstate(over="ignore"):
+        extent = float(np.max(points.max(axis=0) - points.min(axis=0)))
+    if extent == 0.0:
+        return Problem(
+            "no size",
+            "expected vertices in different places, got all in one point",
+            (),
+            "Export the mesh again; the transform may have a scale of zero.",
+        )
+    if not SMALLEST_EXTENT <= extent <= LARGEST_EXTENT:
+        return Problem(
+            "size",
+            f"expected an extent between {SMALLEST_EXTENT:g} and {LARGEST_EXTENT:g} file units, got {extent:.3g}",
+            (),
+            "Scale the mesh.",
+        )
+    unit = _unit_sized(mesh).positions[used_vertices(mesh)]
+    offsets = unit - unit[0]
+    lengths = np.linalg.norm(offsets, axis=1)
+    farthest = offsets[np.argmax(lengths)]
+    widths = np.linalg.norm(np.cross(offsets, farthest), axis=1) / lengths.max() ** 2
+    if widths.max() <= RELATIVE_WIDTH:
+        return Problem(
+            "no area",
+            "expected a surface, got all vertices on one line",
+            (),
+            "Export the mesh again; the transform may have scales of zero.",
+        )
+    return None
+
+
+def zero_area_problem(mesh: ControlMesh, examined: IndexArray) -> Problem | None:
+    """Faces, of those examined, whose corners are on one line or in one point."""
+    unit = _unit_sized(mesh)
+    areas, extents = face_areas(unit), face_extents(unit)
+    flat = (areas <= RELATIVE_FACE_AREA) | (areas <= RELATIVE_FACE_WIDTH * extents**2)
+    faces = examined[flat[examined]]
+    return problem_at(
+        "faces without area",
+        f"expected every face to span an area, got {len(faces)} whose corners are on one line or in one point, faces",
+        faces,
+        "Move their vertices apart, or dissolve the edges of length zero.",
+    )
+
+
+def inside_out_problem(mesh: ControlMesh, loops: Sequence[IndexArray]) -> Problem | None:
+    """Faces that look inwards, or a closed mesh that encloses nothing.
+
+    An open mesh is closed with a cone over every loop first, and judged only where that encloses a good part of what
+    a ball of the same area would; a sheet has no inside.
+    """
+    unit = with_openings_closed(_unit_sized(mesh), loops)
+    volume, area = signed_volume(unit), float(face_areas(unit).sum())
+    roundness = 36.0 * np.pi * volume * abs(volume) / area**3
+    if not loops and abs(roundness) < RELATIVE_WIDTH:
+        return Problem(
+            "no volume",
+            "expected a closed mesh to enclose a volume, got one that is folded flat",
+            (),
+            "Export the mesh again; the transform may have a scale of zero. Delete one side of a flat sheet.",
+        )
+    if roundness < (-OPEN_ROUNDNESS if loops else 0.0):
+        opened = ", judged with its openings closed," if loops else ""
+        return Problem(
+            "inside out",
+            f"expected faces counter-clockwise seen from outside, got a mesh{opened} whose faces all look inwards",
+            (),
+            "Flip all faces (recalculate normals to the outside).",
+        )
+    return None
+
+
+def with_openings_closed(mesh: ControlMesh, loops: Sequence[IndexArray]) -> ControlMesh:
+    """Close every boundary loop with triangles to its centroid."""
+    if not loops:
+        return mesh
+    centres = np.array([mesh.positions[loop].mean(axis=0) for loop in loops])
+    cones = [
+        np.column_stack([np.roll(loop, -1), loop, np.full(len(loop), mesh.n_vertices + i)])
+        for i, loop in enumerate(loops)
+    ]
+    caps = np.concatenate(cones)
+    return ControlMesh(
+        np.concatenate([mesh.positions, centres]),
+        np.concatenate([mesh.face_offsets, mesh.face_offsets[-1] + 3 * np.arange(1, len(caps) + 1)]),
+        np.concatenate([mesh.face_indices, caps.ravel()]),
+    )
+
+
+def _unit_sized(mesh: ControlMesh) -> ControlMesh:
+    """The mesh with the bounding box of its faces centred at the origin, its longest side 1."""
+    points = mesh.positions[used_vertices(mesh)]
+    low, high = points.min(axis=0), points.max(axis=0)
+    with np.errstate(over="ignore"):  # a loose vertex may lie anywhere
+        return mesh.with_positions((mesh.positions - 0.5 * (low + high)) / np.max(high - low))

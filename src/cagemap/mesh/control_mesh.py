@@ -6,10 +6,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from cagemap.errors import ParameterError
 from cagemap.mesh.schemes import Scheme
-from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers, whole_numbers
+from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, real_numbers, whole_numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +73,8 @@ class ControlMesh:
         Faces that shape the surface but are no part of it.
     file_vertices, file_faces : (n,) and (m,) int64, or None
         Number in the file of every vertex and face, where the mesh is a part of it.
+    file_copies : (k, 2) int64 or None
+        Vertex of the mesh and number of a further vertex of the file that was welded into it.
     scheme : CatmullClark, Loop, Bilinear or None
         How the file says that the mesh is to be subdivided; None where it says nothing.
     name : str
@@ -101,6 +104,7 @@ class ControlMesh:
     hole_faces: IndexArray | None = None
     file_vertices: IndexArray | None = None
     file_faces: IndexArray | None = None
+    file_copies: IndexArray | None = None
     scheme: Scheme | None = None
     name: str = "mesh"
 
@@ -123,6 +127,8 @@ class ControlMesh:
             raise ParameterError(f"{name}: expected positions (n, 3), got an array {vertices.shape}. Give x, y and z.")
         if isinstance(faces, str) or not isinstance(faces, Iterable):
             raise ParameterError(f"{name}: expected faces as lists of vertex numbers, got {faces!r}")
+        if hasattr(faces, "__array__"):
+            faces = array_of(faces)
         if isinstance(faces, np.ndarray) and faces.ndim == 2:
             sizes, given = np.full(len(faces), faces.shape[1]), faces.ravel()
         else:  # of any sizes
@@ -206,16 +212,16 @@ class ControlMesh:
             others.insert(0, UvSet(self.uv_name, self.uvs, self.uv_indices))
         return replace(self, uvs=chosen.uvs, uv_indices=chosen.uv_indices, uv_name=chosen.name, uv_sets=tuple(others))
 
-    def with_creases(self, edges: object, sharpness: object) -> ControlMesh:
+    def with_creases(self, edges: ArrayLike, sharpness: ArrayLike) -> ControlMesh:
         """Return the same mesh with other creases: (k, 2) vertices of edges and (k,) or one sharpness."""
-        pairs = np.array(edges, dtype=np.int64).reshape(-1, 2)
-        values = np.array(np.broadcast_to(np.asarray(sharpness, dtype=np.float64), len(pairs)))
+        pairs = np.array(whole_numbers(edges, f"{self.name}: crease edges")).reshape(-1, 2)
+        values = np.array(np.broadcast_to(real_numbers(sharpness, f"{self.name}: crease sharpness"), len(pairs)))
         return replace(self, crease_edges=pairs, crease_sharpness=values)
 
-    def with_corners(self, vertices: object, sharpness: object) -> ControlMesh:
+    def with_corners(self, vertices: ArrayLike, sharpness: ArrayLike) -> ControlMesh:
         """Return the same mesh with other sharp corners: (k,) vertices and (k,) or one sharpness."""
-        corners = np.array(vertices, dtype=np.int64).ravel()
-        values = np.array(np.broadcast_to(np.asarray(sharpness, dtype=np.float64), len(corners)))
+        corners = np.array(whole_numbers(vertices, f"{self.name}: corner vertices")).ravel()
+        values = np.array(np.broadcast_to(real_numbers(sharpness, f"{self.name}: corner sharpness"), len(corners)))
         return replace(self, corner_vertices=corners, corner_sharpness=values)
 
     def with_uvs(self, uvs: FloatArray | None, uv_indices: IndexArray | None) -> ControlMesh:

@@ -1,7 +1,6 @@
-"""Curves: pairs of polylines, one on the target and one on the source, that are the same line (eyelids, lips, hems).
+"""Curves: pairs of polylines on target and source that correspond as a whole (eyelids, lips, hems).
 
-A curve says less than its points would: it lies on the other one, but which of its points goes where is left open. The
-ends of open curves belong to each other, whichever way round.
+Which point of a curve goes to which point of the other is left open. Ends of open curves correspond, in either order.
 """
 
 from __future__ import annotations
@@ -40,21 +39,20 @@ class CageCurves:
     @classmethod
     def of_vertices(cls, chains: Sequence[IndexArray], closed: Sequence[bool]) -> CageCurves:
         """Chains of control vertices as curves."""
-        sizes = [len(chain) for chain in chains]
         vertices = np.concatenate([np.zeros(0, dtype=np.int64), *chains]).astype(np.int64)
-        starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        starts = _starts([len(chain) for chain in chains])
         return cls(CagePoints.of_vertices(vertices), starts, np.array(closed, dtype=bool))
 
     @classmethod
     def joined(cls, curves: Sequence[CageCurves]) -> CageCurves:
         """All curves of several."""
-        none = cls.of_vertices((), ())
-        points = [one.points for one in (none, *curves)]
-        sizes = np.concatenate([np.diff(one.starts) for one in (none, *curves)])
+        curves = (cls.of_vertices((), ()), *curves)
         return cls(
-            CagePoints(np.vstack([p.corners for p in points]), np.vstack([p.weights for p in points])),
-            np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
-            np.concatenate([one.closed for one in (none, *curves)]),
+            CagePoints(
+                np.vstack([one.points.corners for one in curves]), np.vstack([one.points.weights for one in curves])
+            ),
+            _starts(np.concatenate([np.diff(one.starts) for one in curves])),
+            np.concatenate([one.closed for one in curves]),
         )
 
     def __len__(self) -> int:
@@ -67,7 +65,7 @@ class CageCurves:
 
     @property
     def segments(self) -> IndexArray:
-        """(s, 2) places of the points that every straight piece joins."""
+        """(s, 2) numbers of the two points that every segment joins."""
         count = len(self.points.corners)
         after = np.arange(1, count + 1)
         last = self.starts[1:] - 1
@@ -77,10 +75,13 @@ class CageCurves:
 
     def at(self, rows: Sequence[int]) -> CageCurves:
         """Some of the curves."""
-        places = [np.arange(self.starts[row], self.starts[row + 1]) for row in rows]
-        starts = np.concatenate([[0], np.cumsum([len(place) for place in places])]).astype(np.int64)
-        kept = np.concatenate([np.zeros(0, dtype=np.int64), *places])
-        return CageCurves(self.points.at(kept), starts, self.closed[np.asarray(rows, dtype=np.int64)])
+        chosen = np.asarray(rows, dtype=np.int64)
+        kept = np.concatenate([np.zeros(0, dtype=np.int64), *(np.flatnonzero(self.curve_of == row) for row in rows)])
+        return CageCurves(self.points.at(kept), _starts(np.diff(self.starts)[chosen]), self.closed[chosen])
+
+
+def _starts(sizes: Sequence[int] | IndexArray) -> IndexArray:
+    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +116,7 @@ class Curves:
         return Curves(tuple(self.names[row] for row in rows), self.target.at(rows), self.source.at(rows))
 
     def renumbered(self, target: IndexArray, source: IndexArray) -> Curves:
-        """The curves with other numbers (c, 3) for the corners of their points, without those that have none (-1)."""
+        """The curves with new vertex numbers (c, 3) of their points' corners; drops curves with -1."""
         sides = [
             CageCurves(CagePoints(corners, side.points.weights), side.starts, side.closed)
             for side, corners in ((self.target, target), (self.source, source))
@@ -124,14 +125,14 @@ class Curves:
         kept = np.setdiff1d(np.arange(len(self)), np.concatenate(lost))
         return Curves(self.names, *sides).only(kept.tolist())
 
-    def beside(self, others: Curves) -> Curves:
-        """These pairs and others."""
+    def joined_with(self, others: Curves) -> Curves:
+        """Return these pairs followed by others."""
         sides = (self.target, others.target), (self.source, others.source)
         return Curves(self.names + others.names, *(CageCurves.joined(side) for side in sides))
 
 
 def chain_of_edges(edges: IndexArray) -> tuple[IndexArray, bool]:
-    """Vertices along the chain or loop that edges (e, 2) in any order make, and whether it is a loop.
+    """Order edges (e, 2) into a chain or loop: its vertices, and whether it is a loop.
 
     Raises
     ------
@@ -169,7 +170,7 @@ def chain_of_edges(edges: IndexArray) -> tuple[IndexArray, bool]:
 def paired_curves(
     target_points: NamedPoints, source_points: NamedPoints, target: ControlMesh, source: ControlMesh
 ) -> tuple[Curves, tuple[str, ...]]:
-    """Curves of two meshes, matched by name, and notes on names that only one side has.
+    """Pair the curves of two meshes by name; also notes on names of one side only.
 
     Raises
     ------
@@ -190,7 +191,7 @@ def paired_curves(
 
 
 def on_cage_curve(curve: NamedCurve, mesh: ControlMesh) -> CageCurves:
-    """A curve on a control mesh: its vertices, and the mesh's nearest points to its places in space."""
+    """Put a curve on a control mesh: its vertices, and nearest points to its positions."""
     names = tuple(f"{curve.name}, point {i}" for i in range(len(curve.vertices)))
     points = on_cage(NamedPoints(names, curve.vertices, curve.positions), mesh)
     return CageCurves(points, np.array([0, len(names)]), np.array([curve.closed]))

@@ -1,14 +1,17 @@
-"""Several meshes as one, and parts of a mesh as meshes of their own."""
+"""Join several control meshes into one."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
 from cagemap.mesh.control_mesh import ControlMesh, UvSet
 from cagemap.numerics.arrays import FloatArray, IndexArray
+
+Values = TypeVar("Values", FloatArray, IndexArray)
 
 
 def join_meshes(meshes: Sequence[ControlMesh]) -> ControlMesh:
@@ -17,36 +20,18 @@ def join_meshes(meshes: Sequence[ControlMesh]) -> ControlMesh:
     Names that several meshes have, of materials, objects, groups or UV sets, become one. Where a mesh lacks a UV set,
     all its corners lie in one point of it, so that nothing of it is baked there.
     """
-    starts = np.cumsum([0, *(mesh.n_vertices for mesh in meshes)])
-    faces = np.cumsum([0, *(mesh.n_faces for mesh in meshes)])
+    vertices = np.cumsum([0, *(mesh.n_vertices for mesh in meshes)])[:-1]
+    faces = np.cumsum([0, *(mesh.n_faces for mesh in meshes)])[:-1]
     sizes = np.concatenate([mesh.face_sizes for mesh in meshes])
-    joined = ControlMesh(
-        np.concatenate([mesh.positions for mesh in meshes]),
-        np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
-        _shifted([mesh.face_indices for mesh in meshes], starts),
-        name=meshes[0].name,
-        scheme=meshes[0].scheme,
-    )
-    sets = _uv_sets(meshes)
-    if sets:
-        joined = replace(
-            joined, uvs=sets[0].uvs, uv_indices=sets[0].uv_indices, uv_name=sets[0].name, uv_sets=tuple(sets[1:])
-        )
-    creased = [(mesh.crease_edges, mesh.crease_sharpness, start) for mesh, start in zip(meshes, starts, strict=False)]
-    edges = [(e + start, s) for e, s, start in creased if e is not None and s is not None]
-    if edges:
-        joined = joined.with_creases(*(np.concatenate(arrays) for arrays in zip(*edges, strict=True)))
-    cornered = [(m.corner_vertices, m.corner_sharpness, start) for m, start in zip(meshes, starts, strict=False)]
-    corners = [(v + start, s) for v, s, start in cornered if v is not None and s is not None]
-    if corners:
-        joined = joined.with_corners(*(np.concatenate(arrays) for arrays in zip(*corners, strict=True)))
-    holes = [mesh.hole_faces + start for mesh, start in zip(meshes, faces, strict=False) if mesh.hole_faces is not None]
+    uv_sets = _uv_sets(meshes)
     materials, material_names = _names([(m.face_materials, m.material_names, m.n_faces) for m in meshes])
     objects, object_names = _names([(m.face_objects, m.object_names, m.n_faces) for m in meshes])
     groups, group_names = _names([(m.face_groups, m.group_names, m.n_faces) for m in meshes])
-    return replace(
-        joined,
-        hole_faces=np.concatenate(holes) if holes else None,
+    joined = ControlMesh(
+        np.concatenate([mesh.positions for mesh in meshes]),
+        np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
+        _shifted([mesh.face_indices for mesh in meshes], vertices),
+        uv_sets=tuple(uv_sets[1:]),
         face_materials=materials,
         material_names=material_names,
         material_colors=_colors(meshes, material_names),
@@ -55,15 +40,36 @@ def join_meshes(meshes: Sequence[ControlMesh]) -> ControlMesh:
         object_names=object_names,
         face_groups=groups,
         group_names=group_names,
+        crease_edges=_known([mesh.crease_edges for mesh in meshes], vertices),
+        crease_sharpness=_known([mesh.crease_sharpness for mesh in meshes]),
+        corner_vertices=_known([mesh.corner_vertices for mesh in meshes], vertices),
+        corner_sharpness=_known([mesh.corner_sharpness for mesh in meshes]),
+        hole_faces=_known([mesh.hole_faces for mesh in meshes], faces),
         file_vertices=_file_numbers([mesh.file_vertices for mesh in meshes]),
         file_faces=_file_numbers([mesh.file_faces for mesh in meshes]),
+        file_copies=_known([mesh.file_copies for mesh in meshes], np.column_stack([vertices, 0 * vertices])),
+        scheme=meshes[0].scheme,
+        name=meshes[0].name,
     )
+    if not uv_sets:
+        return joined
+    return replace(joined, uvs=uv_sets[0].uvs, uv_indices=uv_sets[0].uv_indices, uv_name=uv_sets[0].name)
+
+
+def _shifted(arrays: Sequence[IndexArray], starts: IndexArray) -> IndexArray:
+    return np.concatenate([array + start for array, start in zip(arrays, starts, strict=True)])
+
+
+def _known(arrays: Sequence[Values | None], shifts: IndexArray | None = None) -> Values | None:
+    """Those that are there, joined; None if there is none."""
+    shifts = np.zeros(len(arrays), dtype=np.int64) if shifts is None else shifts
+    known = [array + shift for array, shift in zip(arrays, shifts, strict=True) if array is not None]
+    return np.concatenate(known) if known else None
 
 
 def _file_numbers(numbers: Sequence[IndexArray | None]) -> IndexArray | None:
     """Numbers in the file, if all meshes are parts of one."""
-    known = [array for array in numbers if array is not None]
-    return np.concatenate(known) if len(known) == len(numbers) else None
+    return None if any(array is None for array in numbers) else _known(numbers)
 
 
 def _uv_sets(meshes: Sequence[ControlMesh]) -> list[UvSet]:
@@ -76,14 +82,10 @@ def _uv_sets(meshes: Sequence[ControlMesh]) -> list[UvSet]:
     for name in dict.fromkeys(name for own in known for name in own):
         bare = [UvSet(name, np.full((1, 2), 0.5), np.zeros(len(mesh.face_indices), dtype=np.int64)) for mesh in meshes]
         sets = [own.get(name, other) for own, other in zip(known, bare, strict=True)]
-        starts = np.cumsum([0, *(len(uv_set.uvs) for uv_set in sets)])
+        starts = np.cumsum([0, *(len(uv_set.uvs) for uv_set in sets)])[:-1]
         values = np.concatenate([uv_set.uvs for uv_set in sets])
         result.append(UvSet(name, values, _shifted([uv_set.uv_indices for uv_set in sets], starts)))
     return result
-
-
-def _shifted(arrays: Sequence[IndexArray], starts: IndexArray) -> IndexArray:
-    return np.concatenate([array + start for array, start in zip(arrays, starts, strict=False)])
 
 
 def _names(
@@ -116,10 +118,6 @@ def _colors(meshes: Sequence[ControlMesh], names: tuple[str, ...]) -> FloatArray
 def _vertex_colors(meshes: Sequence[ControlMesh]) -> FloatArray | None:
     if all(mesh.vertex_colors is None for mesh in meshes):
         return None
-    unknown = [np.full((mesh.n_vertices, 3), np.nan) for mesh in meshes]
     return np.concatenate(
-        [
-            blank if mesh.vertex_colors is None else mesh.vertex_colors
-            for mesh, blank in zip(meshes, unknown, strict=True)
-        ]
+        [np.full((m.n_vertices, 3), np.nan) if m.vertex_colors is None else m.vertex_colors for m in meshes]
     )

@@ -1,6 +1,6 @@
-"""Landmarks: pairs of points, one on the target and one on the source, that are the same place, and pairs of curves.
+"""Landmarks: pairs of corresponding points and curves on target and source.
 
-A point is a control vertex, or lies anywhere on the control mesh: three vertices of a face and their weights.
+A point is a control vertex, or three vertices of a face with barycentric weights.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class Landmarks:
         return f"Landmarks({len(self)} pairs{f': {named}' if named else ''}{also})"
 
     def renumbered(self, target: Renumbering, source: Renumbering) -> Landmarks:
-        """Return the pairs on meshes made of parts of these ones, without those that do not lie on both.
+        """Return the pairs in new vertex numbers, without those that are not on both meshes.
 
         Parameters
         ----------
@@ -108,16 +108,16 @@ class Landmarks:
         moved = Landmarks.of_points(self.names, on_target, on_source, self.target_name, self.source_name)
         return replace(moved._at(inside, inside), curves=self.curves.renumbered(target_curves, source_curves))
 
-    def beside(self, others: Landmarks) -> Landmarks:
-        """Return these pairs and curves and others, on the same meshes."""
+    def joined_with(self, others: Landmarks) -> Landmarks:
+        """Return these pairs and curves followed by others, on the same meshes."""
         joined = Landmarks.of_points(
             self.names + others.names,
-            self.target_points.beside(others.target_points),
-            self.source_points.beside(others.source_points),
+            self.target_points.joined_with(others.target_points),
+            self.source_points.joined_with(others.source_points),
             self.target_name,
             self.source_name,
         )
-        return replace(joined, curves=self.curves.beside(others.curves))
+        return replace(joined, curves=self.curves.joined_with(others.curves))
 
     def reversed(self) -> Landmarks:
         """Return the same pairs for the map the other way round."""
@@ -133,27 +133,27 @@ class Landmarks:
         )
 
     def new_since(self, before: Landmarks) -> IndexArray:
-        """Places of the pairs that were not there before, or joined other points."""
+        """Indices of the pairs that are new or join other points than before."""
         known = set(before.places)
         return np.array([i for i, pair in enumerate(self.places) if pair not in known], dtype=np.int64)
 
     @property
     def places(self) -> list[tuple[bytes, bytes]]:
-        """What tells pairs apart: the points that each joins, whatever its name."""
+        """A key of the two points of each pair; names do not count."""
         return list(zip(self.target_points.keys, self.source_points.keys, strict=True))
 
     def exchanged(self, places: Collection[tuple[int, int]]) -> Landmarks:
-        """Return pairs of the target's point of one pair with the source's of another, with the former's name."""
+        """Return pairs of target point i and source point j for every (i, j), with the name of i."""
         target, source = (np.array([place[side] for place in places], dtype=np.int64) for side in (0, 1))
         return self._at(target, source)
 
     def without(self, left_out: Collection[int]) -> Landmarks:
-        """Return the pairs whose places are not among those given."""
+        """Return the pairs but those of these indices."""
         kept = np.setdiff1d(np.arange(len(self)), list(left_out))
         return self._at(kept, kept)
 
     def _at(self, target: IndexArray, source: IndexArray) -> Landmarks:
-        """Target's points at some places with the source's at others, under the former's names."""
+        """Target points of some pairs with source points of others, under the names of the former."""
         return replace(
             self,
             names=tuple(self.names[i] for i in target.tolist()),
@@ -167,7 +167,7 @@ class Landmarks:
 def paired(
     target_points: NamedPoints, source_points: NamedPoints, target: ControlMesh, source: ControlMesh
 ) -> tuple[Landmarks, tuple[str, ...]]:
-    """Landmarks and curves from those of two meshes, matched by name, and notes on names that only one side has.
+    """Pair points and curves of two meshes by name; also notes on names of one side only.
 
     Raises
     ------

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from cagemap.geometry.triangles import fan_triangles, row_lengths
 from cagemap.mesh.control_mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.surface.triangles import fan_triangles, row_lengths
 
 
 def cage_triangles(mesh: ControlMesh) -> tuple[IndexArray, IndexArray]:

@@ -1,4 +1,4 @@
-"""Parts of a mesh: its objects, groups, materials and components, found by name and taken out as meshes."""
+"""Parts of a mesh (objects, groups, materials, connected pieces): find them by name, extract them, pair them."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
-from cagemap.mesh.checks import keep_faces
 from cagemap.mesh.control_mesh import ControlMesh, UvSet
+from cagemap.mesh.faces import keep_faces
 from cagemap.mesh.topology import face_components
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.graphs import components
@@ -66,21 +66,21 @@ def connected_parts(mesh: ControlMesh) -> tuple[Part, ...]:
 
 
 def _members(labels: IndexArray) -> list[IndexArray]:
-    """Places of every label, from 0 on, in order."""
+    """Indices of every label, from 0 on, ascending."""
     if not len(labels):
         return []
     return np.split(np.argsort(labels, kind="stable"), np.cumsum(np.bincount(labels))[:-1])
 
 
 def material_pieces(mesh: ControlMesh) -> tuple[Part, ...]:
-    """Faces of every named material; one that lies in several connected pieces gives a numbered part for each."""
+    """Faces of every named material, split into numbered parts where they are not connected."""
     return tuple(
         piece for part in list_parts(mesh) if part.kind == "material" for piece in connected_pieces(mesh, part)
     )
 
 
 def connected_pieces(mesh: ControlMesh, part: Part) -> tuple[Part, ...]:
-    """A part, or, where it lies in several connected pieces, a numbered part for each."""
+    """A part, split into numbered parts where it is not connected."""
     found = [part.faces[piece] for piece in _members(face_components(keep_faces(mesh, part.faces)))]
     names = [part.name] if len(found) == 1 else [f"{part.name} {number}" for number in range(len(found))]
     return tuple(Part(part.kind, name, faces) for name, faces in zip(names, found, strict=True))
@@ -116,7 +116,7 @@ def find_part(mesh: ControlMesh, name: str) -> Part:
 
 
 def _groups_as_one(parts: tuple[Part, ...], name: str) -> list[Part]:
-    """Parts, with the groups that share a name as one: a group of several names, OBJ's ``g one two``, is in each."""
+    """Parts, with all groups of the name as one; OBJ's ``g one two`` is a group of both names."""
     wanted = name.removeprefix("group:")
     meant = [p for p in parts if p.kind == "group" and (p.name == wanted or wanted in p.name.split())]
     if not meant:
@@ -127,7 +127,7 @@ def _groups_as_one(parts: tuple[Part, ...], name: str) -> list[Part]:
 
 
 def extract(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
-    """Some faces as a mesh of their own, without the vertices and UVs that they do not use.
+    """Return some faces as a mesh of their own, without unused vertices and UVs.
 
     ``file_vertices`` and ``file_faces`` of the result say which they were.
     """
@@ -153,12 +153,22 @@ def extract(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
         corner_sharpness=None if kept.corner_sharpness is None else kept.corner_sharpness[inside],
         **_own_scheme(kept),
         file_vertices=vertices if earlier[0] is None else earlier[0][vertices],
+        file_copies=renumbered_copies(mesh.file_copies, number),
         file_faces=np.asarray(faces) if earlier[1] is None else earlier[1][faces],
     )
 
 
+def renumbered_copies(copies: IndexArray | None, number: IndexArray) -> IndexArray | None:
+    """``file_copies`` in new vertex numbers (n,), -1 for those that are gone; None if none is left."""
+    if copies is None:
+        return None
+    moved = np.column_stack([number[copies[:, 0]], copies[:, 1]])
+    moved = moved[moved[:, 0] >= 0]
+    return moved if len(moved) else None
+
+
 def numbers_on_part(part: ControlMesh, mesh: ControlMesh) -> IndexArray:
-    """(n,) number that every vertex of a mesh has on a part that `extract` took of it, -1 where the part has it not."""
+    """(n,) number of every vertex of a mesh on a part that `extract` took of it, -1 where there is none."""
     assert part.file_vertices is not None
     own = np.arange(mesh.n_vertices) if mesh.file_vertices is None else mesh.file_vertices
     number = np.full(int(own.max()) + 1, -1, dtype=np.int64)
@@ -172,10 +182,8 @@ def in_one_piece(mesh: ControlMesh, parts: Sequence[Part]) -> tuple[Part, ...]:
     for number, part in enumerate(parts):
         of_face[part.faces] = number
     # A vertex counts once for every part that it borders on.
-    places = mesh.face_indices * (len(parts) + 1) + of_face[mesh.corner_faces]
-    nodes, corners = np.unique(places, return_inverse=True)
-    labels = components(corners.ravel(), corners.ravel()[mesh.next_corners], len(nodes))
-    labels = labels[corners.ravel()[mesh.face_offsets[:-1]]]
+    nodes, corners = np.unique(mesh.face_indices * (len(parts) + 1) + of_face[mesh.corner_faces], return_inverse=True)
+    labels = components(corners, corners[mesh.next_corners], len(nodes))[corners[mesh.face_offsets[:-1]]]
     return tuple(part for part in parts if len(part.faces) and (labels[part.faces] == labels[part.faces[0]]).all())
 
 
@@ -217,7 +225,7 @@ def pair_parts(
     landmarks: IndexArray,
     pieces: tuple[Sequence[Part], Sequence[Part]] | None = None,
 ) -> tuple[tuple[PartPair, ...], tuple[Part, ...], tuple[Part, ...]]:
-    """Pair the pieces of two meshes: by landmarks that lie on both, else by name, else if just one is left over.
+    """Pair the pieces of two meshes: by landmarks on both, then by name, then the last of both.
 
     Parameters
     ----------
@@ -225,7 +233,7 @@ def pair_parts(
     landmarks : (p, 2) int64
         Target and source vertex of every pair.
     pieces : (sequence of Part, sequence of Part), optional
-        What is paired of both; their `components` by default. Numbers are no names.
+        What is paired of both; their connected parts by default. Numbers are no names.
 
     Returns
     -------
@@ -240,25 +248,23 @@ def pair_parts(
     votes = np.zeros((len(mine), len(theirs)), dtype=np.int64)
     ends = np.column_stack([_owners(target, mine)[landmarks[:, 0]], _owners(source, theirs)[landmarks[:, 1]]])
     np.add.at(votes, tuple(ends[(ends >= 0).all(axis=1)].T), 1)
+    most_votes = np.argsort(-votes, axis=None, kind="stable")[: np.count_nonzero(votes)]
+    candidates = [divmod(number, len(theirs)) for number in most_votes.tolist()]
+    candidates += [
+        (row, column)
+        for row, part in enumerate(mine)
+        if not part.name.rpartition(" ")[2].isdigit()
+        for column, other in enumerate(theirs)
+        if part.name.rpartition("/")[2] == other.name.rpartition("/")[2]
+    ]
     chosen: dict[int, int] = {}
-
-    def pair(row: int, column: int) -> None:
+    for row, column in candidates:
         if row not in chosen and column not in chosen.values():
             chosen[row] = column
-
-    for row, column in zip(*np.unravel_index(np.argsort(-votes, axis=None, kind="stable"), votes.shape), strict=True):
-        if not votes[row, column]:  # most first
-            break
-        pair(int(row), int(column))
-    for row, part in enumerate(mine):
-        if not part.name.rpartition(" ")[2].isdigit():
-            for column, other in enumerate(theirs):
-                if part.name.rpartition("/")[2] == other.name.rpartition("/")[2]:
-                    pair(row, column)
     left = [row for row in range(len(mine)) if row not in chosen]
     right = [column for column in range(len(theirs)) if column not in chosen.values()]
     if len(left) == len(right) == 1:
-        pair(left[0], right[0])
+        chosen[left[0]] = right[0]
     return (
         tuple(PartPair(mine[row], theirs[chosen[row]]) for row in sorted(chosen)),
         tuple(part for row, part in enumerate(mine) if row not in chosen),
@@ -267,7 +273,7 @@ def pair_parts(
 
 
 def _owners(mesh: ControlMesh, parts: list[Part]) -> IndexArray:
-    """(n,) part that every vertex belongs to, -1 for none; the last of those that share it (components do not)."""
+    """(n,) part of every vertex, the last of those that share it; -1 for none."""
     of_face = np.full(mesh.n_faces, -1, dtype=np.int64)
     for number, part in enumerate(parts):
         of_face[part.faces] = number

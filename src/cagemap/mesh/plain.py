@@ -1,29 +1,45 @@
-"""Plain meshes, matched as they are: scans and generated meshes, made ready and said how.
+"""Plain meshes, such as scans and generated meshes: repair them so that they can be matched as they are.
 
-Subdivision wants an oriented manifold of one piece, and so does the method. What scans have instead is mended where
-that is certain, and set aside where it is not; `Repairs` counts what was done.
+The method needs an oriented manifold of one piece. Faults are repaired where the repair is certain; other faces and
+vertices are set aside. `Repairs` counts what was done.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cagemap.errors import InvalidMeshError
-from cagemap.mesh import mend
+from cagemap.mesh.checks import extra_faces, inside_out_problem, zero_area_problem
 from cagemap.mesh.control_mesh import ControlMesh
-from cagemap.mesh.geometry_checks import zero_area_problem
+from cagemap.mesh.faces import degenerate_faces, duplicate_faces, keep_faces, with_corners_of
+from cagemap.mesh.inputs import MeshLike, arrays_accepted
+from cagemap.mesh.measures import face_areas
 from cagemap.mesh.parts import extract
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
-from cagemap.mesh.topology import used_vertices
+from cagemap.mesh.topology import (
+    EdgeTable,
+    boundary_loops,
+    corner_fans,
+    edge_table,
+    face_components,
+    turned_faces,
+    used_vertices,
+)
+from cagemap.mesh.weld import coincident_vertices, file_copies, weld_tolerance
 from cagemap.numerics.arrays import IndexArray
-from cagemap.numerics.kinds import kinds_checked
+from cagemap.numerics.brief import Brief
+from cagemap.surface.triangles import fan_triangles
+
+# Rounds in which faces at edges of more than two faces are taken out; two are enough for scans.
+MAX_FIN_ROUNDS = 20
 
 
-@dataclass(frozen=True)
-class Repairs:
+@dataclass(frozen=True, repr=False)
+class Repairs(Brief):
     """What was done to a mesh before it was matched as it is; zero where nothing was.
 
     Attributes
@@ -47,6 +63,8 @@ class Repairs:
         Their share of the area.
     pieces_vertices : int
         Their vertices.
+    pieces_weld : float
+        Tolerance of `cagemap.mesh.weld.weld_mesh` that joins pieces; 0 where none does.
     loose_vertices : int
         Vertices of no face, set aside.
     slivers : int
@@ -64,6 +82,7 @@ class Repairs:
     pieces: int = 0
     pieces_share: float = 0.0
     pieces_vertices: int = 0
+    pieces_weld: float = 0.0
     loose_vertices: int = 0
     slivers: int = 0
     openings: int = 0
@@ -78,12 +97,17 @@ class Repairs:
             f"{self.cut_vertices} vertices where parts only touch are split": self.cut_vertices,
             f"{self.turned_faces} faces are turned round": self.turned_faces,
             f"{self.pieces} smaller pieces ({self.pieces_vertices} vertices, {100 * self.pieces_share:.1f} % of the "
-            "area) are set aside: nothing is matched or transferred there": self.pieces,
+            f"area) are set aside: nothing is matched or transferred there. {self._pieces_remedy()}": self.pieces,
             f"{self.loose_vertices} vertices of no face are set aside": self.loose_vertices,
             f"{self.slivers} faces without area stay": self.slivers,
             f"{self.openings} openings stay open": self.openings,
         }
         return tuple(sentence for sentence, count in said.items() if count)
+
+    def _pieces_remedy(self) -> str:
+        if self.pieces_weld:
+            return f"`weld_mesh` {self.pieces_weld:g} joins pieces that lie against each other"
+        return "`find_part` each matches every piece with its counterpart"
 
     def summary(self) -> dict[str, float]:
         """Numbers for a manifest, those that are not zero."""
@@ -105,7 +129,7 @@ class PlainMesh:
     """
 
     mesh: ControlMesh
-    vertex_of: IndexArray
+    vertex_of: IndexArray = field(repr=False)
     repairs: Repairs
 
     @property
@@ -118,9 +142,9 @@ class PlainMesh:
         return self.vertex_of[vertices]
 
 
-@kinds_checked
-def plain_mesh(mesh: ControlMesh) -> PlainMesh:
-    """Make a triangle or quad mesh ready to be matched as it is (scheme none), and say what was done to it.
+@arrays_accepted
+def plain_mesh(mesh: MeshLike) -> PlainMesh:
+    """Repair a triangle or quad mesh so that it can be matched as it is (scheme none).
 
     Joins vertices that a file repeats, takes out faces that are none, separates parts that only touch, turns faces to
     agree, and sets smaller pieces aside. A mesh that needs none of it keeps its numbers.
@@ -137,55 +161,186 @@ def plain_mesh(mesh: ControlMesh) -> PlainMesh:
     work = replace(
         mesh,
         scheme=Plain(),
-        file_vertices=np.arange(mesh.n_vertices),
+        file_vertices=np.arange(mesh.n_vertices),  # numbers on the mesh given, until all is done
         file_faces=np.arange(mesh.n_faces),
+        file_copies=None,
         crease_edges=None,
         crease_sharpness=None,
         corner_vertices=None,
         corner_sharpness=None,
     )
-    representative = mend.representatives(work)
-    joined = int(np.sum(representative != np.arange(mesh.n_vertices)))
-    if joined:
+    representative = coincident_vertices(work, collapse=True)
+    joined = np.flatnonzero(representative != np.arange(mesh.n_vertices))
+    if len(joined):
         work = replace(work, face_indices=representative[work.face_indices])
-    work, holes = mend.without_holes(work)
-    work, split = mend.uniform(work)
-    work, dropped = mend.without_copies(work)
-    work, fins, cut = mend.manifold(work)
-    work, turned = mend.oriented(work)
-    work, pieces, share, vertices = mend.largest_piece(work)
-    work, inwards = mend.outwards(work)
-    repairs = Repairs(
-        joined_vertices=joined,
+    work, holes = _without_holes(work)
+    work, split = _of_one_face_size(work)
+    work, dropped = _without_bad_faces(work)
+    work, fins, cut = _manifold(work)
+    work, turned = _oriented(work)
+    work, aside = _largest_piece(work)
+    work, inwards = _outwards(work)
+    repairs = replace(
+        aside,
+        joined_vertices=len(joined),
         split_faces=split,
         dropped_faces=dropped + holes,
         fins=fins,
         cut_vertices=cut,
         turned_faces=work.n_faces - turned if inwards else turned,
-        pieces=pieces,
-        pieces_share=share,
-        pieces_vertices=vertices,
+        pieces_weld=(weld_tolerance(mesh) or 0.0) if aside.pieces else 0.0,
         loose_vertices=int(mesh.n_vertices - used_vertices(mesh).sum()),
     )
     changed = bool(repairs.summary())
-    ready = extract(work, np.arange(work.n_faces)) if changed else replace(work, file_vertices=None, file_faces=None)
+    ready = extract(work, np.arange(work.n_faces)) if changed else work
     sliver = zero_area_problem(ready, np.arange(ready.n_faces))
-    repairs = replace(
-        repairs, slivers=0 if sliver is None else len(sliver.elements), openings=len(mend.openings(ready))
-    )
-    own = np.arange(mesh.n_vertices) if ready.file_vertices is None else ready.file_vertices
-    vertex_of = np.full(mesh.n_vertices, -1, dtype=np.int64)
-    vertex_of[own[::-1]] = np.arange(len(own))[::-1]  # of a vertex that was split, its first copy
-    return PlainMesh(_in_file_numbers(ready, mesh), vertex_of[representative], repairs)
-
-
-def _in_file_numbers(ready: ControlMesh, given: ControlMesh) -> ControlMesh:
-    """Numbers of vertices and faces in the file, where the mesh given was a part of one."""
+    repairs = replace(repairs, slivers=0 if sliver is None else len(sliver.elements), openings=len(_loops(ready)))
     vertices, faces = ready.file_vertices, ready.file_faces
-    if vertices is None or faces is None:
-        return replace(ready, file_vertices=given.file_vertices, file_faces=given.file_faces)
-    return replace(
+    assert vertices is not None
+    assert faces is not None
+    vertex_of = np.full(mesh.n_vertices, -1, dtype=np.int64)
+    vertex_of[vertices[::-1]] = np.arange(len(vertices))[::-1]  # of a vertex that was cut, its first copy
+    vertex_of = vertex_of[representative]
+    ready = replace(
         ready,
-        file_vertices=vertices if given.file_vertices is None else given.file_vertices[vertices],
-        file_faces=faces if given.file_faces is None else given.file_faces[faces],
+        file_vertices=_file_numbers(mesh.file_vertices, vertices) if changed else mesh.file_vertices,
+        file_faces=_file_numbers(mesh.file_faces, faces) if changed else mesh.file_faces,
+        file_copies=file_copies(mesh, joined, vertex_of),
     )
+    return PlainMesh(ready, vertex_of, repairs)
+
+
+def _file_numbers(in_file: IndexArray | None, numbers: IndexArray) -> IndexArray:
+    return numbers if in_file is None else in_file[numbers]
+
+
+def _without_holes(mesh: ControlMesh) -> tuple[ControlMesh, int]:
+    """Drop the faces that the file says are holes; also their number."""
+    if mesh.hole_faces is None or not len(mesh.hole_faces):
+        return replace(mesh, hole_faces=None), 0
+    kept = np.delete(np.arange(mesh.n_faces), mesh.hole_faces)
+    return replace(keep_faces(mesh, kept), hole_faces=None), len(mesh.hole_faces)
+
+
+def _of_one_face_size(mesh: ControlMesh) -> tuple[ControlMesh, int]:
+    """Split into triangles unless all faces are triangles or sound quads; also how many differ."""
+    sizes = mesh.face_sizes
+    size = int(np.bincount(sizes).argmax())
+    odd = sizes != size
+    odd[degenerate_faces(mesh)] |= size == 4
+    if size == 3 and not np.any(sizes > 3):
+        return mesh, 0  # faces of fewer corners are none
+    if size == 4 and not odd.any():
+        return mesh, 0
+    corners, faces = fan_triangles(mesh.face_offsets, np.arange(len(mesh.face_indices)))
+    return with_corners_of(mesh, faces, 3 * np.arange(len(faces) + 1), corners.ravel()), max(int(odd.sum()), 1)
+
+
+def _without_bad_faces(mesh: ControlMesh) -> tuple[ControlMesh, int]:
+    """Drop faces that visit a vertex twice and copies of faces; also their number."""
+    bad = np.union1d(degenerate_faces(mesh), duplicate_faces(mesh))
+    if len(bad) == mesh.n_faces:
+        raise InvalidMeshError(f"{mesh.name}: expected faces, got {mesh.n_faces} that visit a vertex twice")
+    return (keep_faces(mesh, np.delete(np.arange(mesh.n_faces), bad)), len(bad)) if len(bad) else (mesh, 0)
+
+
+def _manifold(mesh: ControlMesh) -> tuple[ControlMesh, int, int]:
+    """Remove fins and separate sheets that only touch; also counts of removed faces and cut vertices."""
+    n_faces = mesh.n_faces
+    edges = edge_table(mesh)
+    if np.any(edges.face_counts > 2):
+        mesh = _only_faces(mesh, ~extra_faces(mesh, edges))
+    mesh, cut = _one_fan_per_vertex(mesh)
+    for _ in range(MAX_FIN_ROUNDS):
+        edges = edge_table(mesh)
+        bad = edges.face_counts > 2
+        if not bad.any():
+            return mesh, n_faces - mesh.n_faces, cut
+        # Faces that run around the cut and meet again: nothing says which of them belong together.
+        mesh = _only_faces(mesh, ~np.logical_or.reduceat(bad[edges.corner_edges], mesh.face_offsets[:-1]))
+        mesh, more = _one_fan_per_vertex(mesh)
+        cut += more
+    raise InvalidMeshError(f"{mesh.name}: expected a surface, got faces that meet in more than two at nearly all edges")
+
+
+def _only_faces(mesh: ControlMesh, kept: NDArray[np.bool_]) -> ControlMesh:
+    if not kept.any():
+        raise InvalidMeshError(f"{mesh.name}: expected a surface, got faces that meet in more than two at all edges")
+    return keep_faces(mesh, np.flatnonzero(kept))
+
+
+def _one_fan_per_vertex(mesh: ControlMesh) -> tuple[ControlMesh, int]:
+    """Give every fan of faces its own vertex, copies last; also the number of vertices copied."""
+    edges = edge_table(mesh)
+    many = (edges.face_counts > 2)[edges.corner_edges]  # such edges join no faces
+    apart = edges.corner_edges.copy()
+    apart[many] = len(edges.vertices) + np.arange(many.sum())
+    fans = corner_fans(mesh, EdgeTable(edges.vertices, apart, edges.face_counts))
+    _, first = np.unique(fans, return_index=True)
+    at = mesh.face_indices[first]
+    order = np.argsort(at, kind="stable")
+    again = np.zeros(len(at), dtype=bool)
+    again[order[1:]] = at[order[1:]] == at[order[:-1]]
+    if not again.any():
+        return mesh, 0
+    number = at.copy()
+    number[again] = mesh.n_vertices + np.arange(again.sum())
+    copied = at[again]
+    source = np.concatenate([np.arange(mesh.n_vertices), copied])
+    assert mesh.file_vertices is not None
+    return replace(
+        mesh,
+        positions=mesh.positions[source],
+        face_indices=number[fans],
+        vertex_colors=None if mesh.vertex_colors is None else mesh.vertex_colors[source],
+        file_vertices=mesh.file_vertices[source],
+    ), len(np.unique(copied))
+
+
+def _oriented(mesh: ControlMesh) -> tuple[ControlMesh, int]:
+    """Turn faces so that neighbours agree, in every piece the smaller set of them; also their number."""
+    faces = turned_faces(mesh, edge_table(mesh))
+    if faces is None:
+        raise InvalidMeshError(
+            f"{mesh.name}: expected a surface with an inside and an outside, got one where no choice of face "
+            "directions agrees along all edges (as on a Moebius strip). Cut it where its two sides are joined."
+        )
+    return turn_faces(mesh, faces), int(faces.sum())
+
+
+def turn_faces(mesh: ControlMesh, faces: NDArray[np.bool_]) -> ControlMesh:
+    """Reverse some faces (m,) of a mesh with one face size; first corners stay, so that quads are split alike."""
+    if not faces.any():
+        return mesh
+    corners = np.arange(len(mesh.face_indices)).reshape(mesh.n_faces, -1)
+    corners[faces, 1:] = corners[faces, :0:-1]
+    return with_corners_of(mesh, np.arange(mesh.n_faces), mesh.face_offsets, corners.ravel())
+
+
+def _largest_piece(mesh: ControlMesh) -> tuple[ControlMesh, Repairs]:
+    """Keep the connected piece of most area; also what is set aside."""
+    labels = face_components(mesh)
+    count = int(labels.max()) + 1
+    if count == 1:
+        return mesh, Repairs()
+    areas = np.bincount(labels, face_areas(mesh), minlength=count)
+    kept = labels == areas.argmax()
+    share = 1.0 - float(areas.max() / areas.sum()) if areas.sum() > 0 else 0.0
+    vertices = len(np.unique(mesh.face_indices[~kept[mesh.corner_faces]]))
+    aside = Repairs(pieces=count - 1, pieces_share=share, pieces_vertices=vertices)
+    return keep_faces(mesh, np.flatnonzero(kept)), aside
+
+
+def _outwards(mesh: ControlMesh) -> tuple[ControlMesh, bool]:
+    """Turn all faces where they look inwards, and whether they did."""
+    if not face_areas(mesh).sum() > 0.0:
+        raise InvalidMeshError(f"{mesh.name}: expected a surface with an area, got {mesh.n_faces} faces without")
+    problem = inside_out_problem(mesh, _loops(mesh))
+    if problem is None or problem.kind != "inside out":
+        return mesh, False
+    return turn_faces(mesh, np.ones(mesh.n_faces, dtype=bool)), True
+
+
+def _loops(mesh: ControlMesh) -> tuple[IndexArray, ...]:
+    edges = edge_table(mesh)
+    return boundary_loops(mesh, edges, corner_fans(mesh, edges)) or ()

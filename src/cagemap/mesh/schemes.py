@@ -86,12 +86,8 @@ def _half_ring_sines(valence: int) -> FloatArray:
 
 
 def _boundary_part(value: float, fed_centre: float, fed_end: float) -> tuple[float, float]:
-    """Weights of the vertex and of both its boundary neighbours in a left eigenvector that is symmetric.
-
-    The boundary curve's own rule is (3/4, 1/8, 1/8) for the vertex and (1/2, 1/2) for an edge; ``fed`` is what the
-    inner ring's weights add:
-    ``value centre = 3/4 centre + 2/2 end + fed_centre``, ``value end = 1/8 centre + 1/2 end + fed_end``.
-    """
+    """Weights of a vertex and of its boundary neighbours in a symmetric left eigenvector; ``fed``: the inner ring."""
+    # value centre = 3/4 centre + 2/2 end + fed_centre; value end = 1/8 centre + 1/2 end + fed_end
     determinant = (value - 1) * (value - 1 / 4)
     centre = ((value - 1 / 2) * fed_centre + fed_end) / determinant
     end = (fed_centre / 8 + (value - 3 / 4) * fed_end) / determinant

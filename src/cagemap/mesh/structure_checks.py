@@ -13,7 +13,7 @@ _EXPORT = "Export the mesh again, or repair the arrays it was built from."
 
 
 def structure_problems(mesh: ControlMesh) -> tuple[Problem, ...]:
-    """List what keeps the arrays from describing a mesh; further checks make sense only where this is empty."""
+    """List what keeps the arrays from describing a mesh; other checks need it to be empty."""
     found = [_positions(mesh), _offsets(mesh)]
     if not any(found):
         found += [_indices(mesh), _uvs(mesh), _materials(mesh), _creases(mesh), _corners(mesh), _holes(mesh)]
@@ -69,14 +69,11 @@ def _uvs(mesh: ControlMesh) -> Problem | None:
         return _problem("expected uvs of shape (p, 2) together with integer uv_indices, or neither")
     if indices.shape != mesh.face_indices.shape:
         return _problem(f"expected one UV index per corner ({len(mesh.face_indices)}), got {indices.shape}")
-    outside = (indices < 0) | (indices >= len(uvs))
-    if outside.any():
-        faces = np.unique(mesh.corner_faces[outside])
-        return _problem_at(
-            f"expected UV indices from 0 to {len(uvs) - 1}, got others in {len(faces)} face(s), faces", faces
-        )
+    faces = np.unique(mesh.corner_faces[(indices < 0) | (indices >= len(uvs))])
     bad = np.flatnonzero(~np.isfinite(uvs).all(axis=1))
-    return _problem_at(f"expected finite texture coordinates, got NaN or infinity at {len(bad)}, UVs", bad)
+    return _problem_at(
+        f"expected UV indices from 0 to {len(uvs) - 1}, got others in {len(faces)} face(s), faces", faces
+    ) or _problem_at(f"expected finite texture coordinates, got NaN or infinity at {len(bad)}, UVs", bad)
 
 
 def _materials(mesh: ControlMesh) -> Problem | None:
@@ -117,9 +114,8 @@ def _creases(mesh: ControlMesh) -> Problem | None:
             f"expected creases between vertices 0 to {mesh.n_vertices - 1}, got {outside.sum()} with others, creases",
             np.flatnonzero(outside),
         )
-    ends = np.column_stack([mesh.face_indices, mesh.face_indices[mesh.next_corners]])
-    known = pair_keys(ends, mesh.n_vertices)
-    loose = ~np.isin(pair_keys(edges, mesh.n_vertices), known)
+    of_faces = np.column_stack([mesh.face_indices, mesh.face_indices[mesh.next_corners]])
+    loose = ~np.isin(pair_keys(edges, mesh.n_vertices), pair_keys(of_faces, mesh.n_vertices))
     if loose.any():
         return Problem(
             "creases beside the mesh",
@@ -138,12 +134,10 @@ def _corners(mesh: ControlMesh) -> Problem | None:
         return _problem("expected corner_vertices of shape (k,) together with corner_sharpness, or neither")
     if sharpness.shape != vertices.shape:
         return _problem(f"expected one sharpness per corner ({len(vertices)}), got {sharpness.shape}")
-    outside = (vertices < 0) | (vertices >= mesh.n_vertices)
-    if outside.any():
-        return _problem_at(
-            f"expected corners at vertices 0 to {mesh.n_vertices - 1}, got {outside.sum()} others", vertices[outside]
-        )
-    return _sharpness(sharpness, "corners")
+    outside = vertices[(vertices < 0) | (vertices >= mesh.n_vertices)]
+    return _problem_at(
+        f"expected corners at vertices 0 to {mesh.n_vertices - 1}, got {len(outside)} others", outside
+    ) or _sharpness(sharpness, "corners")
 
 
 def _sharpness(sharpness: FloatArray, what: str) -> Problem | None:

@@ -40,7 +40,7 @@ class EdgeTable:
 
 
 def edge_table(mesh: ControlMesh) -> EdgeTable:
-    """Find the edges of a mesh; two corners share an edge where they join the same two vertices."""
+    """Find the edges of a mesh: corners that join the same two vertices share one."""
     tails = mesh.face_indices
     first, corner_edges, counts = numbered_edges(tails, tails[mesh.next_corners], mesh.n_vertices)
     vertices = np.sort(np.column_stack([tails[first], tails[mesh.next_corners[first]]]), axis=1)
@@ -117,9 +117,9 @@ def boundary_loops(mesh: ControlMesh, edges: EdgeTable, fans: IndexArray) -> tup
 
 
 def handle_count(mesh: ControlMesh, labels: IndexArray | None = None) -> int:
-    """Handles g (the genus) of c sound pieces with b boundary loops in all: V - E + F = 2 c - 2 g - b.
+    """Genus g of a mesh, or of what is left after a cut between faces of different labels (m,).
 
-    Of the whole mesh, or of what is left where it is cut between faces of different labels (m,).
+    For c manifold pieces with b boundary loops in all: V - E + F = 2 c - 2 g - b.
     """
     edges = edge_table(mesh)
     if labels is not None:
@@ -170,12 +170,11 @@ def uv_islands(mesh: ControlMesh) -> IndexArray | None:
 
 
 def turned_faces(mesh: ControlMesh, edges: EdgeTable) -> NDArray[np.bool_] | None:
-    """(m,) faces to turn round so that all agree, in every piece the smaller set; None where no choice does.
+    """(m,) faces to turn so that neighbours agree, the smaller set of each piece; None for one-sided surfaces.
 
-    Two faces agree where they run along their edge in opposite ways; along all inner edges of a Moebius strip none do.
-
-    Every face appears twice in a graph, as it is and turned round; edges join the copies that agree. A face whose two
-    copies are connected sits on a one-sided surface.
+    Two faces agree where they run along their edge in opposite ways. Every face appears twice in a graph, as it is and
+    turned round; edges join the copies that agree. Where the two copies of a face are connected, the surface is
+    one-sided.
     """
     first, second = adjacent_corners(edges)
     manifold = edges.face_counts[edges.corner_edges[first]] == 2

@@ -1,1 +1,1 @@
-"""Threads, sparse factorisations and products: what every room above computes with."""
+"""Threads, sparse factorisations, sparse products and argument checks, used by all other packages."""

@@ -1,8 +1,8 @@
-"""Types of the arrays that pass between rooms, and arrays that nobody changes."""
+"""Array types, conversions of a user's arrays, and read-only views."""
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,15 +15,16 @@ IndexArray = NDArray[np.int64]
 Array = TypeVar("Array", bound=NDArray)  # type: ignore[type-arg]
 
 
-def whole_numbers(values: ArrayLike, what: str) -> IndexArray:
-    """Values as int64; floats only where nothing is lost.
+def array_of(values: object) -> NDArray[Any]:
+    """Values as an array; torch tensors with gradients or on a device are copied to memory."""
+    if hasattr(values, "detach"):
+        values = values.detach().cpu()
+    return np.asarray(values)
 
-    Raises
-    ------
-    ParameterError
-        If they are no whole numbers.
-    """
-    given = np.asarray(values)
+
+def whole_numbers(values: ArrayLike, what: str) -> IndexArray:
+    """Values as int64; ParameterError if they are no whole numbers."""
+    given = array_of(values)
     if not given.size:
         return np.zeros(given.shape, dtype=np.int64)
     whole = given.dtype.kind in "iu" or (given.dtype.kind == "f" and bool(np.all(given == np.floor(given))))
@@ -33,15 +34,9 @@ def whole_numbers(values: ArrayLike, what: str) -> IndexArray:
 
 
 def real_numbers(values: ArrayLike, what: str) -> FloatArray:
-    """Values as float64.
-
-    Raises
-    ------
-    ParameterError
-        If they are no real numbers.
-    """
+    """Values as float64; ParameterError if they are no real numbers."""
     try:
-        given = np.asarray(values)
+        given = array_of(values)
         if given.dtype.kind not in "biufO":
             raise ValueError
         return np.asarray(given, dtype=np.float64)
@@ -50,13 +45,13 @@ def real_numbers(values: ArrayLike, what: str) -> FloatArray:
 
 
 def shown(value: object) -> str:
-    """A value as a message shows it, cut short where it is long."""
+    """A value's text for messages, at most 60 characters."""
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def pair_keys(pairs: IndexArray, count: int) -> IndexArray:
-    """(m,) one number for every pair (m, 2) of numbers below ``count``, whichever of the two comes first."""
+    """(m,) a number for every unordered pair (m, 2) of numbers below ``count``."""
     return np.asarray(np.sort(pairs, axis=1) @ [count, 1])
 
 
@@ -66,10 +61,9 @@ def grouped_sums(groups: IndexArray, values: FloatArray, count: int) -> FloatArr
 
 
 def read_only(array: Array) -> Array:
-    """The same numbers behind a view that refuses to be written to; the array itself stays as it is.
+    """A read-only view; the array itself stays writable.
 
-    Values hold such views. Compiled kernels get them too: they are compiled anew for each kind of argument, and so meet
-    one kind only.
+    Compiled kernels get such views too, so that they are compiled for one kind of argument only.
     """
     if not array.flags.writeable:
         return array

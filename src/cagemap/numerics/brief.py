@@ -1,4 +1,4 @@
-"""Values whose text is short: signatures, `help` and messages show what was chosen, not every default."""
+"""Short text of configurations."""
 
 from __future__ import annotations
 

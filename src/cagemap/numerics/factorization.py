@@ -1,14 +1,13 @@
-"""Sparse factorisations behind one small interface, so that the library can be replaced.
+"""Sparse factorisations: rslab (LDL^T, exact inertia) where it is installed, SciPy's SuperLU elsewhere.
 
-rslab (LDL^T, exact inertia) where it is installed, SciPy's SuperLU elsewhere: held to diagonal pivots it is an LDL^T
-too, and its diagonal tells the inertia. Everything else in cagemap that solves a large sparse system calls `factor` or
-`factor_general` and `Factorization.solve` and nothing more.
+SuperLU with diagonal pivots is an LDL^T too: the signs of its diagonal are the inertia.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache
 from threading import Lock
@@ -33,12 +32,11 @@ _log = logging.getLogger(__name__)
 Precision = type[np.float64 | np.float32]
 SparseMatrix = sparse.csr_array | sparse.csc_array
 
-# SuperLU's minimum degree ordering gives the least fill on small meshes and takes minutes on large ones.
-_SUPERLU_MINIMUM_DEGREE_ROWS = 30_000
-# Backward error of a solve above which diagonal pivots have let entries grow, and their signs prove nothing.
-_STABLE = 1e-10
-# Most threads that rslab gives one matrix by default.
-_RSLAB_THREADS = 4
+# Rows up to which SuperLU orders by minimum degree: least fill on small meshes, minutes on large ones.
+_MAX_MINIMUM_DEGREE_ROWS = 30_000
+# Relative backward error above which diagonal pivots are unstable, and their signs prove nothing.
+_MAX_BACKWARD_ERROR = 1e-10
+_MAX_RSLAB_THREADS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +47,8 @@ class Factorization:
     ----------
     shape : (int, int)
     negative_eigenvalues : int or None
-        Number of negative eigenvalues of A (Sylvester's law of inertia); None where the library cannot tell: where
-        SuperLU left the diagonal, lost digits or works in single precision.
+        Number of negative eigenvalues of A (Sylvester's law of inertia); None where SuperLU cannot tell: pivots off
+        the diagonal, lost digits or single precision.
     library : str
         "rslab" or "superlu".
     dtype : numpy dtype
@@ -65,15 +63,7 @@ class Factorization:
     dtype: Precision = np.float64
 
     def solve(self, right_sides: NDArray[Any]) -> NDArray[Any]:
-        """Solve A X = B.
-
-        Parameters
-        ----------
-        right_sides : (n,) or (n, q) array
-
-        Returns
-        -------
-        array of the same shape, in the precision of the factors
+        """Solve A X = B for B (n,) or (n, q), in the precision of the factors.
 
         Raises
         ------
@@ -102,9 +92,9 @@ def factor(
     Parameters
     ----------
     matrix : (n, n) sparse array
-        Symmetric; only its lower triangle is read (rslab). Any unit.
+        Symmetric; rslab reads its lower triangle only. Any unit.
     like : Factorization, optional
-        Of a matrix with the same pattern; its ordering is used again.
+        Of a matrix with the same pattern, whose ordering is reused.
     library : {"auto", "rslab", "superlu"}
     dtype : numpy.float64 or numpy.float32
         Precision of the factors. Single takes half the memory and two thirds of the time; its inertia proves nothing.
@@ -116,53 +106,47 @@ def factor(
     SolverError
         If the matrix is singular to working precision.
     """
-    if _chosen(library, matrix) == "superlu":
+    if _chosen_library(library, matrix) == "superlu":
         return _factor_superlu(matrix, dtype)
-    return _factor_rslab(matrix, like, dtype)
+    lower = sparse.csc_array(sparse.tril(matrix, format="csc"))
+    lower.sort_indices()
+    with _singular_refused(matrix):
+        symbolic = _analyzed(lower, "ldlt") if like is None else like._symbolic
+        factors = symbolic.factor(lower.data.astype(dtype, copy=False))
+    return Factorization(matrix.shape, int(factors.inertia[1]), "rslab", factors.solve_many, symbolic, dtype)
 
 
 def factor_general(matrix: SparseMatrix, *, library: str = "auto") -> Factorization:
-    """Factor a sparse matrix whose pattern is symmetric and whose values need not be, in double precision.
+    """Factor a sparse matrix of symmetric pattern and any values, in double precision, without inertia.
 
     Parameters
     ----------
     matrix : (n, n) sparse array
-        Whose diagonal may serve as pivots, such as a diagonally dominant one. Any unit.
+        Its diagonal serves as pivots, so that it should be diagonally dominant. Any unit.
     library : {"auto", "rslab", "superlu"}
-
-    Returns
-    -------
-    Factorization
-        Without a number of negative eigenvalues.
 
     Raises
     ------
-    ParameterError
-        If the matrix is not square, or the library named is not installed.
-    SolverError
-        If the matrix is singular to working precision.
+    ParameterError, SolverError
+        As `factor`.
     """
-    if _chosen(library, matrix) == "superlu":
+    if _chosen_library(library, matrix) == "superlu":
         return replace(_factor_superlu(matrix, np.float64), negative_eigenvalues=None)
     entries = sparse.csc_array(matrix, dtype=np.float64)
     entries.sort_indices()
-    try:
-        # Minimum degree as in `_ordered`.
-        factors = rslab.analyze(entries, "lu", ordering="amd", threads=_rslab_threads()).factor(entries.data)
-    except (RuntimeError, ValueError) as error:
-        raise SolverError(_singular_message(matrix, error)) from error
+    with _singular_refused(matrix):
+        factors = _analyzed(entries, "lu").factor(entries.data)
     return Factorization(matrix.shape, None, "rslab", factors.solve_many)
 
 
-def _chosen(library: str, matrix: SparseMatrix) -> str:
-    """Name of the library to factor a matrix with, both checked."""
-    rows, columns = matrix.shape
-    if rows != columns:
+def _chosen_library(library: str, matrix: SparseMatrix) -> str:
+    """Check the matrix' shape and the library's name; "auto" becomes the one that is installed."""
+    if matrix.shape[0] != matrix.shape[1]:
         raise ParameterError(f"expected a square matrix, got shape {matrix.shape}")
     if library == "auto":
         if rslab is not None:
             return "rslab"
-        with _SAYING:
+        with _WARNING_LOCK:
             _say_that_rslab_is_missing()
         return "superlu"
     if library not in ("rslab", "superlu") or (library == "rslab" and rslab is None):
@@ -170,7 +154,7 @@ def _chosen(library: str, matrix: SparseMatrix) -> str:
     return library
 
 
-_SAYING = Lock()  # both surfaces of a pair come here at the same time
+_WARNING_LOCK = Lock()  # both surfaces of a pair are factored at the same time
 
 
 @cache  # once for each process
@@ -181,47 +165,26 @@ def _say_that_rslab_is_missing() -> None:
     )
 
 
-def _lower_triangle(matrix: SparseMatrix) -> sparse.csc_array:
-    lower = sparse.csc_array(sparse.tril(matrix, format="csc"))
-    lower.sort_indices()
-    return lower
-
-
-def _ordered(lower: sparse.csc_array) -> Any:
+def _analyzed(entries: sparse.csc_array, kind: str) -> Any:
+    """Symbolic factors by rslab; they do not depend on the number of threads."""
     # Approximate minimum degree: on meshes it beats nested dissection once analysis time is counted.
-    return rslab.analyze(lower, "ldlt", ordering="amd", threads=_rslab_threads())
-
-
-def _rslab_threads() -> tuple[str, int]:
-    """What rslab chooses for a matrix, within its own cap and ours; factors do not depend on it."""
-    return "auto", min(_RSLAB_THREADS, core_count())
-
-
-def _factor_rslab(matrix: SparseMatrix, like: Factorization | None, dtype: Precision) -> Factorization:
-    lower = _lower_triangle(matrix)
-    try:
-        symbolic = _ordered(lower) if like is None else like._symbolic
-        factors = symbolic.factor(lower.data.astype(dtype, copy=False))
-    except (RuntimeError, ValueError) as error:
-        raise SolverError(_singular_message(matrix, error)) from error
-    negative = int(factors.inertia[1])
-    return Factorization(matrix.shape, negative, "rslab", factors.solve_many, symbolic, dtype)
+    threads = "auto", min(_MAX_RSLAB_THREADS, core_count())
+    return rslab.analyze(entries, kind, ordering="amd", threads=threads)
 
 
 def _factor_superlu(matrix: SparseMatrix, dtype: Precision) -> Factorization:
-    small = matrix.shape[0] <= _SUPERLU_MINIMUM_DEGREE_ROWS
-    try:
+    small = matrix.shape[0] <= _MAX_MINIMUM_DEGREE_ROWS
+    with _singular_refused(matrix):
         factors = sparse_linalg.splu(
             sparse.csc_array(matrix, dtype=dtype),
             permc_spec="MMD_AT_PLUS_A" if small else "COLAMD",
             diag_pivot_thresh=0.0,
             options={"SymmetricMode": small},
         )
-    except RuntimeError as error:
-        raise SolverError(_singular_message(matrix, error)) from error
     # With diagonal pivots only, P A P^T = L D L^T with D the diagonal of U, and Sylvester's law counts its signs.
-    told = np.array_equal(factors.perm_r, factors.perm_c) and _backward_error(matrix, factors.solve, dtype) < _STABLE
-    negative = int(np.count_nonzero(factors.U.diagonal() < 0)) if told else None
+    diagonal_pivots = np.array_equal(factors.perm_r, factors.perm_c)
+    stable = diagonal_pivots and _backward_error(matrix, factors.solve, dtype) < _MAX_BACKWARD_ERROR
+    negative = int(np.count_nonzero(factors.U.diagonal() < 0)) if stable else None
     return Factorization(matrix.shape, negative, "superlu", factors.solve, dtype=dtype)
 
 
@@ -233,8 +196,13 @@ def _backward_error(matrix: SparseMatrix, solve: Callable[[NDArray[Any]], NDArra
     return float(np.abs(matrix @ solution - right_side).max() / size)
 
 
-def _singular_message(matrix: SparseMatrix, error: Exception) -> str:
-    return (
-        f"expected a non-singular matrix, got one of {matrix.shape[0]} rows that the factorisation refused ({error}); "
-        "shift it away from its eigenvalues, or fix a vertex"
-    )
+@contextmanager
+def _singular_refused(matrix: SparseMatrix) -> Iterator[None]:
+    """Turn the libraries' errors into SolverError."""
+    try:
+        yield
+    except (RuntimeError, ValueError) as error:
+        raise SolverError(
+            f"expected a non-singular matrix, got one of {matrix.shape[0]} rows that the factorisation refused "
+            f"({error}); shift it away from its eigenvalues, or fix a vertex"
+        ) from error

@@ -1,4 +1,4 @@
-"""The doors of public functions: a value of another kind is refused by name, before it fails somewhere inside."""
+"""Runtime argument type checks for the public API."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ from cagemap.errors import ParameterError
 P = ParamSpec("P")
 R = TypeVar("R")
 
-# Where a value of a kind comes from.
+_NAMES: dict[type, str] = {int: "a whole number", float: "a number", str: "a text", Path: "a path"}
+_NAMES |= {bool: "True or False", NoneType: "None"}
+
+# How a user gets a value of a class.
 _SOURCES = {
     "ControlMesh": "read_mesh or ControlMesh.from_faces gives one",
     "HierarchicalBasis": "a Surface has one, as `surface.basis`",
@@ -37,72 +40,62 @@ _SOURCES = {
 
 
 def kinds_checked(function: Callable[P, R]) -> Callable[P, R]:
-    """Refuse arguments that are of none of the kinds that the function's annotations name.
+    """Check arguments against the annotations: cagemap's classes, numbers, texts and paths.
 
-    Classes, numbers, texts and paths are looked at; arrays, sequences and callables are the function's own business.
+    Arrays, sequences and callables are checked by the function itself.
 
     Raises
     ------
     ParameterError
+        If an argument is of another type.
     """
     parameters = signature(function)
 
     @wraps(function)
-    def door(*args: P.args, **kwargs: P.kwargs) -> R:
+    def checked(*args: P.args, **kwargs: P.kwargs) -> R:
         expected = _expected(function)
         try:
             given = parameters.bind(*args, **kwargs).arguments
-        except TypeError:  # too many arguments or too few: the function itself says so by its name
+        except TypeError:  # the call below names the missing or unknown argument
             given = {}
-        for name, value in given.items():
-            kinds = expected.get(name)
-            if kinds and not any(_is(value, kind) for kind in kinds):
-                raise ParameterError(_message(function.__name__, name, kinds, value))
+        for name in (name for name in given if name in expected):
+            if not any(_is(given[name], kind) for kind in expected[name]):
+                raise ParameterError(f"{function.__name__}: {name}: {_mismatch(expected[name], given[name])}")
         return function(*args, **kwargs)
 
-    return door
+    return checked
 
 
-def _message(function: str, name: str, kinds: tuple[type, ...], value: object) -> str:
+def _mismatch(kinds: tuple[type, ...], value: object) -> str:
     names = [_NAMES.get(kind, kind.__name__) for kind in kinds if not (kind is str and Path in kinds)]
-    remedy = next((f"; {_SOURCES[kind.__name__]}" for kind in kinds if kind.__name__ in _SOURCES), "")
-    return f"{function}: {name}: expected {' or '.join(names)}, got {_word(value)}{remedy}"
-
-
-_NAMES = {int: "a whole number", float: "a number", str: "a text", Path: "a path", bool: "True or False"}
-_NAMES[NoneType] = "None"
-
-
-def _word(value: object) -> str:
-    return repr(value) if isinstance(value, str | Real | NoneType) else f"a {type(value).__name__}"
+    source = next((f"; {_SOURCES[kind.__name__]}" for kind in kinds if kind.__name__ in _SOURCES), "")
+    shown = repr(value) if isinstance(value, str | Real | NoneType) else f"a {type(value).__name__}"
+    return f"expected {' or '.join(names)}, got {shown}{source}"
 
 
 def _is(value: object, kind: type) -> bool:
-    if kind is bool:
-        return isinstance(value, bool | np.bool_)
+    """Whether a value is of a type; NumPy's scalars count as Python's, booleans are no numbers."""
     if kind is int:
         try:
-            operator.index(value)  # type: ignore[arg-type]
+            return operator.index(value) is not None and not isinstance(value, bool)  # type: ignore[arg-type]
         except TypeError:
             return False
-        return not isinstance(value, bool)
     if kind is float:
         return isinstance(value, Real) and not isinstance(value, bool)
-    return isinstance(value, os.PathLike) if kind is Path else isinstance(value, kind)
+    accepted: dict[type, Any] = {bool: bool | np.bool_, Path: os.PathLike}
+    return isinstance(value, accepted.get(kind, kind))
 
 
 @cache
 def _expected(function: Callable[..., Any]) -> dict[str, tuple[type, ...]]:
-    """Kinds of each parameter that can be told apart; annotations are looked up once, when all modules are there."""
-    hints = get_type_hints(function)
-    kinds = {name: _classes(hint) for name, hint in hints.items() if name != "return"}
+    """Types of the parameters that are checked; read at the first call, when all modules are imported."""
+    kinds = {name: _classes(hint) for name, hint in get_type_hints(function).items() if name != "return"}
     return {name: found for name, found in kinds.items() if found}
 
 
 def _classes(hint: object) -> tuple[type, ...]:
-    """The classes of an annotation; none where one of its kinds is no class of ours and no plain one."""
+    """Classes of an annotation; none if one of them cannot be checked."""
     hints = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-    plain = (int, float, str, bool, Path, NoneType)
-    known = [isinstance(one, type) and (one in plain or one.__module__.startswith("cagemap.")) for one in hints]
+    known = [isinstance(one, type) and (one in _NAMES or one.__module__.startswith("cagemap.")) for one in hints]
     protocols = [getattr(one, "_is_protocol", False) for one in hints]
     return tuple(hints) if all(known) and not any(protocols) else ()

@@ -1,4 +1,4 @@
-"""Libraries that only some steps need, and that have no wheel for every platform."""
+"""Import of libraries that only some steps need, and that have no wheel for every platform."""
 
 from __future__ import annotations
 
@@ -9,14 +9,7 @@ from cagemap.errors import MissingLibraryError
 
 
 def library(module: str, purpose: str) -> Any:
-    """Import a module that only one step needs.
-
-    Parameters
-    ----------
-    module : str
-        Full name.
-    purpose : str
-        What needs it, in the plural, such as "pictures".
+    """Import a module by its full name; ``purpose`` is what needs it, in the plural, such as "pictures".
 
     Raises
     ------
@@ -29,5 +22,6 @@ def library(module: str, purpose: str) -> Any:
         name = module.partition(".")[0]
         raise MissingLibraryError(
             f"{purpose}: expected the library {name}, which is not installed ({error}); `pip install {name}` where it "
-            "has a wheel for this platform, or do this step on another machine: everything else works without it"
+            "has a wheel for this platform and version of Python, or do this step where it has: everything else works "
+            "without it"
         ) from error

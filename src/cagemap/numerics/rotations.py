@@ -10,7 +10,7 @@ from cagemap.numerics.arrays import FloatArray
 def nearest_rotations(maps: FloatArray) -> FloatArray:
     """(n, 3, 3) rotations nearest to linear maps (n, 3, 3): the orthogonal factors of their polar decompositions.
 
-    Of maps that turn space over, whose factors are reflections, those with the axis of least stretch turned back.
+    Where the factor is a reflection, the axis of least stretch is reversed.
     """
     left, _, right = np.linalg.svd(maps)
     left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]

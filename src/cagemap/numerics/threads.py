@@ -1,10 +1,8 @@
-"""Who uses the cores: one BLAS thread for each Python thread, and Python threads over surfaces and row ranges.
+"""Python threads over surfaces and row ranges, each with one BLAS thread.
 
-OpenBLAS splits every product among all cores and lets its threads spin while they wait for each other. On tall, narrow
-blocks that gains little, and as soon as anything else runs on the machine it costs four times the processor time.
-
-How many threads there are is set in one place: `thread_limit` for what runs inside it, the environment variable
-CAGEMAP_THREADS for a process, and otherwise the cores that the process may use.
+BLAS threads gain little on tall, narrow blocks, and spin while they wait: four times the processor time on a busy
+machine. The number of threads comes from `thread_limit`, else from the environment variable CAGEMAP_THREADS, else from
+the cores that the process may use.
 """
 
 from __future__ import annotations
@@ -16,7 +14,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from functools import cached_property
-from typing import Any, ParamSpec, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from threadpoolctl import OpenBLASController, threadpool_limits
 
@@ -32,10 +30,9 @@ _thread_limit: ContextVar[int | None] = ContextVar("cagemap_thread_limit", defau
 
 
 class _BlasLimit:
-    """The process's BLAS libraries, held at one thread from the first that asks until the last one has left.
+    """Limit of the process' BLAS libraries: set by the first user, restored by the last one to leave.
 
-    The setting belongs to the process: were every caller to restore what it found, then of two whose stays overlap
-    the one that ends last would restore the other's limit, and it would stay for ever.
+    If each user restored what it found, two whose stays overlap could leave the limit for ever.
     """
 
     def __init__(self) -> None:
@@ -44,31 +41,29 @@ class _BlasLimit:
         self._limits: threadpool_limits | None = None
 
     def enter(self) -> None:
-        with self._lock:
+        with self._lock, _controlling_blas():
             if self._users == 0:
-                _any_thread_may_set()
                 self._limits = threadpool_limits(limits=1, user_api="blas")
-                _any_thread_may_set()
             self._users += 1
 
     def leave(self) -> None:
-        with self._lock:
+        with self._lock, _controlling_blas():
             self._users -= 1
             if self._users == 0 and self._limits is not None:
-                _any_thread_may_set()
                 self._limits.restore_original_limits()
                 self._limits = None
-                _any_thread_may_set()
 
 
-def _any_thread_may_set() -> None:
-    """Let this thread, and any after it, set the number of OpenBLAS threads.
+@contextmanager
+def _controlling_blas() -> Iterator[None]:
+    """Let this thread set the number of OpenBLAS threads, and then any other.
 
-    From 3.7 on threadpoolctl heeds the thread that has set it first and silently ignores all others while it lives.
+    From 3.7 on threadpoolctl ignores all threads but the first that has set it, while that one lives.
     """
-    release = getattr(OpenBLASController, "clear_controlling_thread", None)
-    if release is not None:
-        release(force=True)
+    release = getattr(OpenBLASController, "clear_controlling_thread", lambda force: None)
+    release(force=True)
+    yield
+    release(force=True)
 
 
 _blas_limit = _BlasLimit()
@@ -76,10 +71,9 @@ _blas_limit = _BlasLimit()
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Keep BLAS and LAPACK to the calling thread while the block runs; any number of threads may be inside at once.
+    """Limit BLAS and LAPACK to the calling thread inside the block; several threads may be inside at once.
 
-    The setting belongs to the process: where several threads work, enter it before they start. What was set before is
-    restored when the last one leaves.
+    The limit belongs to the process: enter the block before threads start. The last to leave restores what was set.
     """
     _blas_limit.enter()
     try:
@@ -90,15 +84,9 @@ def one_blas_thread() -> Iterator[None]:
 
 @contextmanager
 def thread_limit(count: int) -> Iterator[None]:
-    """Spread work over at most this many threads inside the block, and in the threads that cagemap starts there.
+    """Use at most ``count`` threads inside the block, and in the threads that cagemap starts there.
 
-    Other threads of the caller keep their own setting. Work within work may be spread once more, so that only 1 is a
-    limit of the whole.
-
-    Parameters
-    ----------
-    count : int
-        At least 1.
+    Other threads of the caller keep their own limit. Nested work may start as many again: only 1 limits the whole.
 
     Raises
     ------
@@ -113,13 +101,7 @@ def thread_limit(count: int) -> Iterator[None]:
 
 
 def core_count() -> int:
-    """Threads to spread work over: `thread_limit`, else CAGEMAP_THREADS, else the cores that this process may use.
-
-    Raises
-    ------
-    ParameterError
-        If the environment variable is no positive integer.
-    """
+    """Number of threads: `thread_limit`, else CAGEMAP_THREADS, else the cores that this process may use."""
     limit = _thread_limit.get()
     if limit is not None:
         return limit
@@ -144,7 +126,7 @@ def _checked_count(count: int | str, name: str) -> int:
 
 
 class ThreadPool(ThreadPoolExecutor):
-    """A thread pool whose work sees its caller's `thread_limit`; under a limit of 1 the caller does it at once."""
+    """A thread pool that keeps its caller's `thread_limit`; under a limit of 1 the caller does the work at once."""
 
     def submit(
         self, work: Callable[Arguments, Value], /, *args: Arguments.args, **kwargs: Arguments.kwargs
@@ -162,10 +144,9 @@ class ThreadPool(ThreadPoolExecutor):
 
 
 def in_threads(work: Callable[[Item], Value], items: Sequence[Item], threads: int | None = None) -> list[Value]:
-    """Apply a function to every item, in threads; results in order. The first error is raised, once all have ended.
+    """Apply a function to every item, in threads; results in order. The first error is raised once all have ended.
 
-    Every thread, the asking one among them, takes the next item when it has done one: handing over single items costs
-    more than a small one takes.
+    Every thread, the caller among them, takes the next item when it is done: submitting small items costs too much.
     """
     threads = min(len(items), threads or core_count())
     if threads <= 1:
@@ -196,35 +177,31 @@ def in_threads(work: Callable[[Item], Value], items: Sequence[Item], threads: in
     return [made[place] for place in range(len(items))]
 
 
-class kept(cached_property[Value]):  # noqa: N801, named as the decorators that it stands beside
-    """A property that is worked out once, when it is first asked for; who asks meanwhile waits.
+if TYPE_CHECKING:
+    kept = cached_property
+else:
 
-    `functools.cached_property` has one lock for all values of a class, so that the threads of two surfaces wait for
-    each other; from Python 3.12 on it has none, and two threads may each make one. Here a value has a lock of its own,
-    while it is worked out.
-    """
+    class kept(cached_property):  # noqa: N801, a decorator
+        """A cached property: computed once, when first read; other threads wait.
 
-    @overload
-    def __get__(self, instance: None, owner: type[Any] | None = None) -> Self: ...
+        `functools.cached_property` has one lock for all values of a class, and none from Python 3.12 on. Here every
+        value has its own lock while it is computed.
+        """
 
-    @overload
-    def __get__(self, instance: object, owner: type[Any] | None = None) -> Value: ...
-
-    def __get__(self, instance: object | None, owner: type[Any] | None = None) -> Self | Value:
-        """Return what is kept, or work it out."""
-        if instance is None:
-            return self
-        known, name, lock = vars(instance), str(self.attrname), f"lock of {self.attrname}"
-        with known.setdefault(lock, threading.RLock()):
-            try:
-                if name not in known:
-                    known[name] = self.func(instance)
-            finally:
-                known.pop(lock, None)
-            made: Value = known[name]
-            return made
+        def __get__(self, instance, owner=None):
+            """Return the cached value, or compute it."""
+            if instance is None:
+                return self
+            known, name, lock = vars(instance), self.attrname, f"lock of {self.attrname}"
+            with known.setdefault(lock, threading.RLock()):
+                try:
+                    if name not in known:
+                        known[name] = self.func(instance)
+                finally:
+                    known.pop(lock, None)
+                return known[name]
 
 
 def parts(count: int, size: int) -> list[slice]:
-    """All rows or columns, ``size`` at a time: pieces to work on in threads, or one after the other within a cache."""
+    """Slices of ``size`` that cover ``count`` rows, for threads or for a core's cache."""
     return [slice(start, min(count, start + size)) for start in range(0, count, size)]

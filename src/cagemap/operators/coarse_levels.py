@@ -1,9 +1,8 @@
 """Coarse levels below a plain mesh, so that the method finds the hierarchy that subdivision gives a cage.
 
 A dense mesh is simplified step by step (quadric error metrics, Garland and Heckbert 1997, by `fast_simplification`).
-Each coarser vertex stands at a vertex of the finer mesh, and each finer vertex is a point of a coarser triangle near
-it: its barycentric coordinates are a row of S^l, which carries functions to the finer level as a subdivision matrix
-does. All levels take their geometry from the mesh itself, as in the paper's section 2.2.2.
+Coarse vertices are vertices of the finer mesh. A row of S^l holds the barycentric coordinates of a finer vertex in a
+coarse triangle, so that S^l prolongs functions as a subdivision matrix does.
 """
 
 from __future__ import annotations
@@ -14,46 +13,37 @@ from dataclasses import dataclass, replace
 import fast_simplification
 import numpy as np
 from scipy import sparse
+from scipy.spatial import cKDTree
 
 from cagemap.errors import InvalidMeshError
-from cagemap.geometry.closest import closest_among
-from cagemap.geometry.flips import delaunay
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.schemes import Plain, Scheme
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import in_threads, parts
 from cagemap.operators.laplacian import stiffness
-from cagemap.refinement import Level, Refinement, default_scheme, level_triangles, refine
+from cagemap.subdivision import Level, Refinement, default_scheme, level_triangles, refine
+from cagemap.surface.closest_points import closest_among
+from cagemap.surface.flips import delaunay
 
-# Vertices of the levels below the mesh, as the method's stages want them: basis, deformation, a sheet to lie on.
+# Numbers of vertices of the coarse levels: for the basis, the deformation and the search for correspondences.
 SIZES = (1500, 6000, 24_000)
-# A level counts where it has at most this share of the vertices of the next.
-WORTH = 0.7
-# How fast the library's threshold grows from one pass of collapses to the next; slower makes better triangles.
-CAUTION = 3
-# Of the Jacobi step that smooths prolonged functions.
+# Largest share of the next finer level's vertices.
+MAX_SHARE = 0.7
+# Fewest vertices of a level.
+MIN_VERTICES = 100
+# `agg` of fast_simplification: how fast its threshold grows; slower makes better triangles.
+AGGRESSIVENESS = 3
+# omega of the Jacobi step that smooths prolonged functions.
 DAMPING = 2 / 3
-# A level of fewer vertices is none: the collapses went too far.
-FEWEST = 100
-# Vertices whose place on the coarser mesh is sought at once.
+# Vertices that a thread locates on the coarser mesh at once.
 BLOCK = 65_536
 # The library keeps its mesh in globals: two threads would simplify each other's.
-_ONE_AT_A_TIME = threading.Lock()
+_SIMPLIFICATION_LOCK = threading.Lock()
 
 
 @dataclass(frozen=True, eq=False)
 class _Simplified:
-    """A coarser mesh on some of a finer mesh's vertices.
-
-    Attributes
-    ----------
-    kept : (k,) int64
-        Finer vertex of every coarser one.
-    cluster : (n,) int64
-        Coarser vertex that every finer one was drawn to.
-    triangles : (t, 3) int64
-        Of coarser vertices.
-    """
+    """A coarser mesh: its vertices in the finer mesh (k,), the coarse vertex of every finer one (n,), its triangles."""
 
     kept: IndexArray
     cluster: IndexArray
@@ -61,34 +51,16 @@ class _Simplified:
 
 
 def refined(control: ControlMesh, level: int, scheme: Scheme | None = None) -> Refinement:
-    """The levels of a mesh that a map is found on: those of its subdivision, or those below a plain mesh.
-
-    Parameters
-    ----------
-    control : ControlMesh
-    level : int
-        Number of subdivision steps; 0 of a plain mesh.
-    scheme : Scheme, optional
-        Default: `default_scheme`.
-    """
+    """Levels of a mesh by ``level`` steps of subdivision, or coarse levels of a plain mesh (``level`` 0)."""
     scheme = default_scheme(control) if scheme is None else scheme
     return coarsened(refine(control, level, scheme)) if isinstance(scheme, Plain) else refine(control, level, scheme)
 
 
 def coarsened(plain: Refinement) -> Refinement:
-    """A plain mesh with coarse levels below it; the mesh itself is the finest of them.
+    """Coarse levels of a plain mesh (a Refinement without steps), which becomes the finest level.
 
-    Vertices of the finest level stand in another order than in the mesh, those of the coarsest first, so that vertex i
-    of a level is vertex i of every finer one; ``places`` says which is which. Faces keep their order.
-
-    Parameters
-    ----------
-    plain : Refinement
-        Of no steps.
-
-    Notes
-    -----
-    Time and memory are linear in the mesh's size: about 3 s for 400 000 triangles.
+    Vertices are renumbered, those of the coarsest level first, so that vertex i of a level is vertex i of every finer
+    one; ``places`` holds the new numbers. Faces keep their order. Time and memory are linear in the mesh's size.
     """
     control, dense = plain.control, plain.finest
     if dense.faces is None:
@@ -97,13 +69,13 @@ def coarsened(plain: Refinement) -> Refinement:
             "cagemap.plain_mesh splits them"
         )
     surfaces, steps = [(control.positions, level_triangles(plain, 0))], list[_Simplified]()
-    for size in reversed([size for size in SIZES if size <= WORTH * control.n_vertices]):
+    for size in reversed([size for size in SIZES if size <= MAX_SHARE * control.n_vertices]):
         step = simplified(*surfaces[-1], size)
-        if not FEWEST <= len(step.kept) <= WORTH * len(step.cluster):
+        if not MIN_VERTICES <= len(step.kept) <= MAX_SHARE * len(step.cluster):
             break
         steps.append(step)
         surfaces.append((surfaces[-1][0][step.kept], step.triangles))
-    # From the coarsest level up: `order` holds a level's vertices, in the numbers of its step, as they will stand.
+    # From the coarsest level up; `order` holds the vertices of the step in their new order.
     positions, faces = surfaces[-1]
     order, levels, matrices = np.arange(len(positions)), [Level(positions, faces, np.arange(len(faces)))], []
     for step, (positions, faces) in zip(reversed(steps), reversed(surfaces[:-1]), strict=True):
@@ -119,7 +91,7 @@ def coarsened(plain: Refinement) -> Refinement:
 
 
 def uncoarsened(refinement: Refinement) -> Refinement:
-    """Undo `coarsened`: the plain mesh alone, with its own numbers."""
+    """The plain mesh alone, in its own numbering: undoes `coarsened`."""
     if refinement.places is None:
         return refinement
     finest, order = refinement.finest, np.argsort(refinement.places)
@@ -129,26 +101,25 @@ def uncoarsened(refinement: Refinement) -> Refinement:
 
 
 def simplified(positions: FloatArray, triangles: IndexArray, count: int) -> _Simplified:
-    """A mesh of about ``count`` of a mesh's vertices, by edge collapses of least quadric error.
+    """A mesh of about ``count`` vertices by edge collapses of least quadric error.
 
-    Edges are then flipped to make better triangles (`delaunay`): those that the collapses leave are long and thin, and
-    an elastic energy on them made maps a quarter worse.
-
-    A coarse vertex stands at the vertex nearest to the place that the collapses gave it, among those that they drew
-    there: it is then a vertex of all finer levels.
+    A coarse vertex is moved to the nearest vertex of its cluster, so that it is a vertex of all finer levels. Edges are
+    then flipped: on the thin triangles that collapses leave, elastic maps were a quarter worse.
     """
     low = positions.min(axis=0)
     unit = (positions - low) / np.max(positions.max(axis=0) - low)  # the library's thresholds are absolute
     faces = triangles.astype(np.int32)
-    with _ONE_AT_A_TIME:
+    with _SIMPLIFICATION_LOCK:
         _, _, collapses = fast_simplification.simplify(
-            unit, faces, target_count=2 * count, agg=CAUTION, return_collapses=True
+            unit, faces, target_count=2 * count, agg=AGGRESSIVENESS, return_collapses=True
         )
         places, coarse, cluster = fast_simplification.replay_simplification(unit, faces, collapses)
+    used = np.isin(cluster, coarse)
+    if not used.all():  # vertices of a cluster without triangles join the nearest other cluster
+        cluster[~used] = cluster[used][cKDTree(unit[used]).query(unit[~used])[1]]
     distance = np.linalg.norm(unit - places[cluster], axis=1)
     by_cluster = np.lexsort((distance, cluster))
     found, first = np.unique(cluster[by_cluster], return_index=True)
-    # Only vertices that triangles use stay: what the collapses left alone is a point of its cluster's neighbours.
     kept = by_cluster[first]
     flipped = delaunay(positions[kept], np.searchsorted(found, coarse))
     return _Simplified(kept, np.searchsorted(found, cluster), flipped)
@@ -157,22 +128,14 @@ def simplified(positions: FloatArray, triangles: IndexArray, count: int) -> _Sim
 def prolongation(positions: FloatArray, triangles: IndexArray, step: _Simplified) -> sparse.csr_array:
     """(n, k) smoothed barycentric coordinates of every vertex of a mesh on the coarser one, rows sum to 1.
 
-    A vertex lies at the closest point of the triangles around the coarse vertex that it was drawn to: never on another
-    part of the surface that merely touches this one.
-
-    Parameters
-    ----------
-    positions : (n, 3) float64
-    triangles : (t, 3) int64
-    step : _Simplified
+    The closest point is sought among the triangles around the coarse vertex of its cluster only, so that it never lies
+    on another part of the surface that is near in space.
     """
     around = np.argsort(step.triangles.ravel(), kind="stable") // 3  # triangles by coarse vertex
     counts = np.bincount(step.triangles.ravel(), minlength=len(step.kept))
     starts = np.cumsum(counts) - counts
     corners = positions[step.kept][step.triangles]
-    # A coarse vertex without triangles has none near it; any will do.
     ranges = np.column_stack([starts, starts + counts])
-    ranges[counts == 0] = [0, 1]
     vertices, weights = np.empty((len(positions), 3), dtype=np.int64), np.empty((len(positions), 3))
 
     def locate(part: slice) -> None:
@@ -180,7 +143,7 @@ def prolongation(positions: FloatArray, triangles: IndexArray, step: _Simplified
         vertices[part] = step.triangles[found]
 
     in_threads(locate, parts(len(positions), BLOCK))
-    # A kept vertex is a vertex of both, to the last bit.
+    # Vertices of both meshes: exact.
     vertices[step.kept], weights[step.kept] = np.arange(len(step.kept))[:, None], [1.0, 0.0, 0.0]
     rows = 3 * np.arange(len(positions) + 1)
     matrix = sparse.csr_array((weights.ravel(), vertices.ravel(), rows), shape=(len(positions), len(step.kept)))
@@ -189,11 +152,10 @@ def prolongation(positions: FloatArray, triangles: IndexArray, step: _Simplified
 
 
 def smoothing(positions: FloatArray, triangles: IndexArray) -> sparse.csr_array:
-    """(n, n) means of every vertex and its neighbours by cotangent weights, which round the edges of linear functions.
+    """(n, n) damped Jacobi step ``1 - omega D^-1 W`` without negative weights.
 
-    A damped Jacobi step ``1 - omega D^-1 W`` without negative weights, so that no entry of a prolongation is negative.
-    Prolonged functions have less energy after it (smoothed aggregation, Vanek et al. 1996): eigenvalues of
-    the coarse levels come several times closer to those of the mesh.
+    Smoothed aggregation (Vanek et al. 1996): prolonged functions have less energy after it, and eigenvalues of coarse
+    levels come several times closer to those of the mesh.
     """
     upper = sparse.triu(stiffness(positions, triangles), 1).tocoo()
     rows, columns = (upper.coords[i].astype(np.int64) for i in (0, 1))

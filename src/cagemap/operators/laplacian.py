@@ -12,48 +12,29 @@ from scipy import sparse
 
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 
-# A triangle whose doubled area is below this fraction of its longest squared edge is treated as if it had that area:
-# its cotangents stay finite, and its energy only shrinks, so W stays positive semi-definite.
+# Least doubled area of a triangle, as a share of its longest squared edge: smaller ones get this area, so that
+# cotangents stay finite. Their energy only shrinks, so that W stays positive semi-definite.
 SLIVER = 1e-5
 
 
 def stiffness(positions: FloatArray, faces: IndexArray) -> sparse.csr_array:
-    """Integrated Laplacian W of a refined surface: cotangents, mean of both triangulations of each quad.
+    """Integrated Laplacian W (n, n): cotangents, mean of both triangulations of each quad (m, 4).
 
-    Parameters
-    ----------
-    positions : (n, 3) array, length
-    faces : (m, 4) or (m, 3) array
-
-    Returns
-    -------
-    (n, n) CSR array
-        Symmetric, positive semi-definite, rows sum to 0. Unitless (invariant to scale).
+    Symmetric, positive semi-definite, rows sum to 0. Unitless (invariant to scale).
     """
     return gathered(face_terms(positions, faces)[0], faces, len(positions))
 
 
 def vertex_areas(positions: FloatArray, faces: IndexArray) -> FloatArray:
-    """Diagonal of the mass matrix: a third of the areas of the triangles around each vertex.
+    """(n,) diagonal of the mass matrix: a third of the areas of the triangles around each vertex.
 
-    Parameters
-    ----------
-    positions : (n, 3) array, length
-    faces : (m, 4) or (m, 3) array
-
-    Returns
-    -------
-    (n,) array
-        Sums to the surface's area (mean over both triangulations). Unit length squared.
+    Sums to the area of faces (m, 4) or (m, 3), for quads the mean over both triangulations. Unit length squared.
     """
     return face_terms(positions, faces)[1]
 
 
 def gathered(weights: FloatArray, faces: IndexArray, n: int) -> sparse.csr_array:
-    """The stiffness matrix (n, n) from the weights of every face's pairs of corners, see `face_terms`.
-
-    Every vertex gathers its row from the faces around it, so that nothing is sorted but the row itself.
-    """
+    """Stiffness matrix (n, n) from the weights of every face's pairs of corners (`face_terms`), row by row."""
     corners = faces.shape[1]
     incident = sparse.csr_array(  # row v: the corners, face * size + place, at vertex v; a counting sort
         sparse.csc_array(
@@ -68,20 +49,15 @@ def gathered(weights: FloatArray, faces: IndexArray, n: int) -> sparse.csr_array
     return sparse.csr_array((data, indices, indptr), shape=(n, n))
 
 
-# Corner pairs of a face that its triangulations use as edges: the sides, then both diagonals of a quad.
+# Corner pairs that are edges of a face's triangulations: sides, then both diagonals of a quad.
 TRIANGLE_PAIRS = ((1, 2), (2, 0), (0, 1))
 QUAD_PAIRS = ((0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3))
 
 
 def face_terms(positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
-    """What every face contributes: half cotangent sums of its corner pairs, and the areas of its vertices.
+    """Half cotangent sums of every face's corner pairs, (m, 6) or (m, 3), and `vertex_areas`.
 
-    Returns
-    -------
-    weights : (m, 6) or (m, 3) array
-        In the order of `QUAD_PAIRS` or `TRIANGLE_PAIRS`; means of both triangulations of a quad. Unitless.
-    areas : (n,) array
-        See `vertex_areas`.
+    Pairs stand in the order of `QUAD_PAIRS` or `TRIANGLE_PAIRS`; weights are means of both triangulations of a quad.
     """
     quads = faces.shape[1] == 4
     weights, areas = np.zeros((len(faces), 6 if quads else 3)), np.zeros(len(positions))

@@ -1,7 +1,7 @@
-"""Laplacians of polygon meshes to choose from: each says what one face adds to W and M (paper, section 2.1.1).
+"""Laplacians of polygon meshes, each given by the terms of one face in W and M (paper, section 2.1.1).
 
-All three are the cotangent Laplacian on triangles, exact on linear functions of flat polygons, and converge to the same
-surface; on coarse, bent quads they differ by some per cent.
+On triangles all three are the cotangent Laplacian. They are exact on linear functions of flat polygons and differ by
+some per cent on coarse, bent quads.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from cagemap.operators.laplacian import QUAD_PAIRS, SLIVER, TRIANGLE_PAIRS, face
 
 
 class Laplacian(Protocol):
-    """What the faces of a mesh of quads, or of triangles, add to W and M."""
+    """Terms of the faces of a mesh of quads, or of triangles, in W and M."""
 
     def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
         """Weights of every face's pairs of corners, and vertex areas, as `cagemap.operators.laplacian.face_terms`."""
@@ -35,26 +35,24 @@ class MeanTriangulation:
 
 @dataclass(frozen=True)
 class _Stabilised:
-    """What functions cost that no gradient in the polygon's plane sees: ``stabilisation``, above 0, without a unit."""
+    """A Laplacian with a weight of the functions that no gradient in the polygon's plane sees; above 0, no unit."""
 
     stabilisation: float = 1.0
 
     def __post_init__(self) -> None:
-        """Check the range."""
-        _check(self.stabilisation)
+        if not 0.0 < self.stabilisation < np.inf:
+            raise ParameterError(
+                f"stabilisation: expected a finite number above 0, got {self.stabilisation}; 1 is usual, and without "
+                "it functions such as +1 and -1 in turn over a quad's corners cost nothing"
+            )
 
 
 class AlexaWardetzky(_Stabilised):
     """The paper's: Alexa and Wardetzky, *Discrete Laplacians on general polygonal meshes*, 2011.
 
     W_f = d^T (B B^T / ``|f|`` + lambda C C^T) d, with d the differences along the edges, B their midpoints, ``|f|`` the
-    size of the vector area, and C an orthonormal basis of what is orthogonal to the edges of the polygon laid in its
-    plane.
-
-    Attributes
-    ----------
-    stabilisation : float
-        lambda, above 0: what functions cost that no gradient in the polygon's plane sees. No unit.
+    size of the vector area, and C an orthonormal basis of the complement of the edges projected to the polygon's plane;
+    lambda is ``stabilisation``.
     """
 
     def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
@@ -73,12 +71,7 @@ class DeGoesButtsDesbrun(_Stabilised):
     """De Goes, Butts and Desbrun, *Discrete differential operators on polygonal meshes*, 2020.
 
     W_f = d^T (``|f|`` U^T U + lambda P^T P) d, with U the sharp operator (the mean gradient of a 1-form), V the flat
-    one and P = 1 - V U what a mean gradient does not see.
-
-    Attributes
-    ----------
-    stabilisation : float
-        lambda, above 0. No unit.
+    one and P = 1 - V U; lambda is ``stabilisation``.
     """
 
     def face_terms(self, positions: FloatArray, faces: IndexArray) -> tuple[FloatArray, FloatArray]:
@@ -97,24 +90,18 @@ LAPLACIANS = ("mean", "alexa-wardetzky", "de-goes-butts-desbrun")
 
 
 def named_laplacian(name: str, stabilisation: float = 1.0) -> Laplacian:
-    """A Laplacian by its name, one of `LAPLACIANS`.
-
-    Raises
-    ------
-    ParameterError
-        If there is none of that name, or the stabilisation is not above 0.
-    """
+    """A Laplacian by its name, one of `LAPLACIANS`; ParameterError for other names and stabilisations not above 0."""
     if name not in LAPLACIANS:
         raise ParameterError(f"laplacian: expected one of {', '.join(LAPLACIANS)}, got {name!r}")
-    _check(stabilisation)
-    if name == "mean":
-        return MeanTriangulation()
-    return AlexaWardetzky(stabilisation) if name == "alexa-wardetzky" else DeGoesButtsDesbrun(stabilisation)
+    if name == "de-goes-butts-desbrun":
+        return DeGoesButtsDesbrun(stabilisation)
+    paper = AlexaWardetzky(stabilisation)  # checks the value also where it is not used
+    return paper if name == "alexa-wardetzky" else MeanTriangulation()
 
 
 @dataclass(frozen=True, eq=False)
 class _Polygons:
-    """Polygons of k corners each: edges, their midpoints around the centre (m, k, 3), vector areas' sizes, normals."""
+    """Polygons of k corners: edges and their midpoints about the centre (m, k, 3), bounded areas, normals, areas."""
 
     faces: IndexArray
     edges: FloatArray
@@ -131,14 +118,14 @@ class _Polygons:
         vectors = 0.5 * np.cross(corners, following).sum(axis=1)
         sizes = np.linalg.norm(vectors, axis=1)
         edges = following - corners
-        # As slivers among triangles: their energy stays finite. A polygon shrunk to a point has none.
+        # Energies stay finite, as for triangles (`SLIVER`). A polygon of one point has none.
         areas = np.maximum(sizes, 0.5 * SLIVER * np.einsum("fid,fid->fi", edges, edges).max(axis=1))
         areas = np.where(areas == 0.0, 1.0, areas)
         normals = vectors / np.where(sizes == 0.0, 1.0, sizes)[:, None]
         return cls(faces, edges, 0.5 * (corners + following), areas, normals, sizes)
 
     def terms(self, inner: FloatArray, n_vertices: int) -> tuple[FloatArray, FloatArray]:
-        """Weights and areas from the inner products M (m, k, k) of functions on edges: minus the entries of d^T M d."""
+        """Weights -(d^T M d)_ij and areas from inner products M (m, k, k) of functions on edges."""
         k = self.faces.shape[1]
         # (d^T M d)_ij = M_(i-1)(j-1) - M_(i-1)j - M_i(j-1) + M_ij, edge i leading from corner i to corner i + 1.
         rows = np.roll(inner, 1, axis=1) - inner
@@ -147,11 +134,3 @@ class _Polygons:
         weights = -energy[:, pairs[:, 0], pairs[:, 1]]
         areas = np.bincount(self.faces.ravel(), np.repeat(self.sizes / k, k), minlength=n_vertices)
         return np.ascontiguousarray(weights), np.asarray(areas, dtype=np.float64)
-
-
-def _check(stabilisation: float) -> None:
-    if not 0.0 < stabilisation < np.inf:
-        raise ParameterError(
-            f"stabilisation: expected a finite number above 0, got {stabilisation}; 1 is usual, and without it "
-            "functions such as +1 and -1 in turn over a quad's corners cost nothing"
-        )

@@ -17,7 +17,10 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.operators.laplacian import gathered
 from cagemap.operators.polygons import Laplacian, MeanTriangulation
-from cagemap.refinement import Refinement
+from cagemap.subdivision import Refinement
+
+# Entries a row that the lower triangle of a restricted matrix gets at first; doubled where they do not suffice.
+_FIRST_ROOM = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,27 +62,15 @@ def lumped_areas(mass: sparse.csr_array) -> FloatArray:
 def restrict_pair(
     subdivision: sparse.csr_array, mass: sparse.csr_array, stiffness: sparse.csr_array, order: IndexArray
 ) -> tuple[sparse.csr_array, sparse.csr_array]:
-    """Galerkin restriction by one level, A^l = (S^l)^T A^{l+1} S^l, of mass and stiffness at once.
+    """Galerkin restriction by one level, A^l = (S^l)^T A^{l+1} S^l, of mass and stiffness in one pass (2.2.2).
 
-    One walk over the entries of S for both, no product in between.
-
-    Parameters
-    ----------
-    subdivision : (n_{l+1}, n_l) CSR array
-    mass, stiffness : (n_{l+1}, n_{l+1}) CSR arrays, symmetric
-        With the same pattern.
-    order : (n_l,) array
-        Permutation in which rows are computed; neighbours soon after each other find each other's data in the cache.
-
-    Returns
-    -------
-    mass, stiffness : (n_l, n_l) CSR arrays, symmetric, sorted
-        With the same pattern again.
+    Both are symmetric and have the same pattern, before and after. Rows are computed in the given order (n_l,), in
+    which neighbours should follow each other (cache).
     """
     n = subdivision.shape[1]
     subdivision = subdivision if subdivision.has_sorted_indices else subdivision.sorted_indices()
     transposed = sparse.csr_array(subdivision.T)
-    room = min(n * (n + 1) // 2, 32 * n)
+    room = min(n * (n + 1) // 2, _FIRST_ROOM * n)
     nowhere = np.iinfo(np.uint32).max
     rows = [(np.empty((size, 2)), np.full(size, nowhere, dtype=np.uint32)) for size in subdivision.shape]
     touched = np.empty(subdivision.shape[0], dtype=np.uint32)
@@ -112,6 +103,9 @@ def restrict_pair(
 def build_operators(refinement: Refinement, laplacian: Laplacian = MeanTriangulation()) -> Operators:
     """Operators of every level of a refinement, normalised to unit area of the finest level.
 
+    O(n_f) time and memory; a restricted matrix has about 25 nonzeros a row just below the finest level, 50 further
+    down.
+
     Parameters
     ----------
     refinement : Refinement
@@ -122,11 +116,6 @@ def build_operators(refinement: Refinement, laplacian: Laplacian = MeanTriangula
     ------
     ParameterError
         If the laplacian is none.
-
-    Notes
-    -----
-    O(n_f) time and memory; a restricted matrix has about 25 nonzeros a row just below the finest level, 50
-    further down.
     """
     if not callable(getattr(laplacian, "face_terms", None)):
         raise ParameterError(f"laplacian: expected one such as AlexaWardetzky(1.0), got {laplacian!r}")
@@ -146,10 +135,7 @@ def build_operators(refinement: Refinement, laplacian: Laplacian = MeanTriangula
 
 
 def _coherent_orders(refinement: Refinement) -> list[IndexArray]:
-    """For every level but the finest an order in which vertices of the same region follow each other.
-
-    Levels store vertices, edges and faces in turn, far apart for neighbours; here each follows the place of a parent.
-    """
+    """For every level but the finest an order of its vertices in which neighbours follow each other."""
     orders = [np.arange(refinement.levels[0].n_vertices)]
     for subdivision in refinement.matrices[:-1]:
         rank = np.argsort(orders[-1])
@@ -159,13 +145,13 @@ def _coherent_orders(refinement: Refinement) -> list[IndexArray]:
 
 
 def _with_diagonal(pattern: sparse.csr_array, diagonal: FloatArray) -> sparse.csr_array:
-    """A diagonal matrix stored with zeros in the pattern of another one."""
+    """A diagonal matrix, stored with zeros in the pattern of another one."""
     rows = np.repeat(np.arange(len(diagonal), dtype=pattern.indices.dtype), np.diff(pattern.indptr))
     data = np.where(pattern.indices == rows, diagonal[rows], 0.0)
     return sparse.csr_array((data, pattern.indices, pattern.indptr), shape=pattern.shape)
 
 
-# Unsigned indices: signed ones are asked on every access whether they count from the end, a quarter of the time.
+# Unsigned indices: the sign test of signed ones takes a quarter of the time.
 @njit(cache=True, nogil=True)
 def _restrict_pair(transposed, fine, subdivision, order, rows, lower):  # type: ignore[no-untyped-def]
     """Lower triangle of S^T A S for both matrices A, row order[0] first; the number of entries, -1 if out of room.

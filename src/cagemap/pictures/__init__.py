@@ -11,6 +11,7 @@ from cagemap.pictures.colors import (
     to_display,
     to_linear,
 )
+from cagemap.pictures.orientation import UP_AXES, Y_UP, Z_UP, Orientation, matching_turn, orientation
 from cagemap.pictures.overlay import draw_dots, draw_line, draw_segments
 from cagemap.pictures.render import Image, Model, Skin, render, sample_texture, visible
 
@@ -21,10 +22,14 @@ __all__ = [
     "ENOUGH",
     "FRONT",
     "SIDE",
+    "UP_AXES",
     "VIEWS",
+    "Y_UP",
+    "Z_UP",
     "Camera",
     "Image",
     "Model",
+    "Orientation",
     "Skin",
     "View",
     "distinct_colors",
@@ -32,6 +37,8 @@ __all__ = [
     "draw_line",
     "draw_segments",
     "frame",
+    "matching_turn",
+    "orientation",
     "position_colors",
     "render",
     "sample_texture",

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cagemap.geometry.polylines import Polyline
 from cagemap.numerics.arrays import FloatArray
 from cagemap.pictures.camera import Camera
 from cagemap.pictures.render import Image, Model, visible
+from cagemap.surface.polylines import Polyline
 
 # Points that stand for a straight piece of a line.
 DOTS_A_PIECE = 12

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
 from cagemap.errors import ParameterError
-from cagemap.geometry.triangles import vertex_normals
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.libraries import library
 from cagemap.numerics.threads import kept
 from cagemap.pictures.camera import Camera
 from cagemap.pictures.colors import to_display, to_linear
+from cagemap.surface.triangles import vertex_normals
 
 Image = NDArray[np.uint8]
 _CLAY = np.array([0.80, 0.78, 0.75])
@@ -68,7 +68,7 @@ class Model:
         if self.triangles.ndim != 2 or self.triangles.shape[1:] != (3,) or len(self.triangles) == 0:
             raise ParameterError(
                 f"Model: expected triangles (t, 3) with t > 0, got {self.triangles.shape}. "
-                "Split quads with cagemap.refinement.triangles first."
+                "Split quads with cagemap.subdivision.triangles first."
             )
 
     @kept

@@ -7,10 +7,12 @@ from pathlib import Path
 from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
 from cagemap.maps.result import MatchResult
+from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.report.figures import HEIGHT, WIDTH, Figure, Gallery, Pixels, Progress, draw_gallery, draw_thumbnail
 from cagemap.report.page import build_page
-from cagemap.report.rides import NOTHING, CarriedShape, Panel, Rides, Weights, draw_rides
+from cagemap.report.rig_panels import NOTHING, CarriedShape, Panel, Rides, Weights, draw_rides
+from cagemap.report.seen import seen
 
 __all__ = [
     "CarriedShape",
@@ -51,6 +53,8 @@ def write_report(
     rides: Rides = NOTHING,
     size: tuple[int, int] = (WIDTH, HEIGHT),
     progress: Progress | None = None,
+    upright: FloatArray | None = None,
+    reason: str = "as asked",
     force: bool = False,
 ) -> None:
     """Draw and write the report of a result.
@@ -68,6 +72,9 @@ def write_report(
         Width and height of each picture, in pixels.
     progress : callable, optional
         Called with the name of each step.
+    upright : (3, 3) float64, optional
+        Rotation for rows after which the target's up is +Y; by default its shape tells. The report gives the
+        ``reason``.
 
     Raises
     ------
@@ -76,6 +83,7 @@ def write_report(
         there and ``force`` is not given.
     """
     check_page_path(path)
-    gallery = draw_gallery(result, texture=texture, baked=baked, size=size, progress=progress)
-    page = build_page(result, gallery, draw_rides(result, rides, size))
+    views = seen(result, upright, reason)
+    gallery = draw_gallery(result, texture=texture, baked=baked, size=size, progress=progress, views=views)
+    page = build_page(result, gallery, draw_rides(result, rides, size, views))
     write_whole(path, page.encode("utf-8", "xmlcharrefreplace"), force=force)

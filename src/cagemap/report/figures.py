@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.basis import Surface
-from cagemap.geometry.polylines import Polyline
 from cagemap.maps.curves import surface_curves
 from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.maps.result import MatchResult
@@ -36,8 +34,10 @@ from cagemap.pictures import (
     sample_texture,
     scalar_colors,
     to_display,
-    turn_between,
 )
+from cagemap.report.seen import Seen, seen
+from cagemap.spectral import Surface
+from cagemap.surface.polylines import Polyline
 from cagemap.transfer import face_colors
 from cagemap.transfer.textured_surface import TexturedSurface
 
@@ -80,6 +80,8 @@ class Gallery:
         "texture", "material colours" or "checker".
     looks, maps, trust : tuple of Figure
         The transferred look; the map as colours with landmarks; where the map is to be trusted.
+    orientation : str
+        What of the target is taken to be up and in front, and why.
     masks : tuple of Figure
         What was matched of both surfaces, where not all of them was.
     answers : tuple of (Figure, Figure)
@@ -91,20 +93,21 @@ class Gallery:
     looks: tuple[Figure, ...]
     maps: tuple[Figure, ...]
     trust: tuple[Figure, ...]
+    orientation: str
     masks: tuple[Figure, ...] = ()
     answers: tuple[tuple[Figure, Figure], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class _Stage:
-    """Both surfaces, ready to draw; ``turn`` more degrees of azimuth show the source from where the target is seen."""
+    """Both surfaces, ready to draw, turned to where they are seen from."""
 
     result: MatchResult
     target: TexturedSurface
     source: TexturedSurface
     target_model: Model
     source_model: Model
-    turn: float
+    seen: Seen
 
 
 def draw_gallery(
@@ -114,6 +117,7 @@ def draw_gallery(
     baked: Pixels | None = None,
     size: tuple[int, int] = (WIDTH, HEIGHT),
     progress: Progress | None = None,
+    views: Seen | None = None,
 ) -> Gallery:
     """Draw everything a report shows.
 
@@ -129,8 +133,10 @@ def draw_gallery(
         Width and height of each picture, in pixels.
     progress : callable, optional
         Called with the name of each step.
+    views : Seen, optional
+        From where; by default as the target's shape shows.
     """
-    stage = _stage(result)
+    stage = _stage(result, views or seen(result))
     appearance, source_skin, target_skin = _looks(stage, texture, baked)
     pulled = position_colors(result.image(), result.source.vertices)
     own = position_colors(result.source.vertices, result.source.vertices)
@@ -143,9 +149,9 @@ def draw_gallery(
     masks, answers = _mask_jobs(result), _answer_jobs(result)
     figures = tuple(_figures(stage, [*jobs, *masks, *answers], size, progress))
     masked, other = figures[7 : 7 + len(masks)], figures[7 + len(masks) :]
-    return Gallery(
-        appearance, figures[:3], figures[3:5], figures[5:7], masked, tuple(zip(other[::2], other[1::2], strict=True))
-    )
+    both = tuple(zip(other[::2], other[1::2], strict=True))
+    said = str(stage.seen.target)
+    return Gallery(appearance, figures[:3], figures[3:5], figures[5:7], said, masked, both)
 
 
 def _mask_jobs(result: MatchResult) -> list[_Job]:
@@ -180,23 +186,22 @@ def _answer_jobs(result: MatchResult) -> list[_Job]:
 
 def draw_thumbnail(result: MatchResult) -> Image:
     """One small picture of a map: equal colours correspond; the source on the left, the target on the right."""
-    stage = _stage(result)
+    stage = _stage(result, seen(result))
     own = Skin(vertex_colors=position_colors(result.source.vertices, result.source.vertices))
     pulled = Skin(vertex_colors=position_colors(result.image(), result.source.vertices))
     figure = _figure(stage, (FRONT, own, pulled, False), _SMALL)
     return figure.target if figure.source is None else np.hstack([figure.source, figure.target])
 
 
-def _stage(result: MatchResult) -> _Stage:
+def _stage(result: MatchResult, views: Seen) -> _Stage:
     target, source = (TexturedSurface.from_level(side.refinement.finest) for side in (result.target, result.source))
-    turn = turn_between(target.positions, result.image())
     return _Stage(
         result,
         target,
         source,
-        Model(target.positions, target.triangles),
-        Model(source.positions, source.triangles),
-        turn,
+        Model(target.positions @ views.target.turn, target.triangles),
+        Model(source.positions @ views.source_turn, source.triangles),
+        views,
     )
 
 
@@ -264,16 +269,15 @@ def _figures(stage: _Stage, jobs: list[_Job], size: tuple[int, int], progress: P
 def _figure(stage: _Stage, job: _Job, size: tuple[int, int]) -> Figure:
     view, source_skin, target_skin, dotted = job
     result = stage.result
-    turned = replace(view, azimuth=view.azimuth + stage.turn)
     pairs = result.landmarks
     marks = [
-        _marks(side, points, lines) if dotted else None
-        for side, points, lines in (
-            (result.target, pairs.target_points, pairs.curves.target),
-            (result.source, pairs.source_points, pairs.curves.source),
+        _marks(side, points, lines, turn) if dotted else None
+        for side, points, lines, turn in (
+            (result.target, pairs.target_points, pairs.curves.target, stage.seen.target.turn),
+            (result.source, pairs.source_points, pairs.curves.source, stage.seen.source_turn),
         )
     ]
-    source = None if source_skin is None else _draw(stage.source_model, source_skin, turned, size, marks[1])
+    source = None if source_skin is None else _draw(stage.source_model, source_skin, view, size, marks[1])
     return Figure(view.name, source, _draw(stage.target_model, target_skin, view, size, marks[0]))
 
 
@@ -285,11 +289,11 @@ class _Marks:
     curves: tuple[Polyline, ...]
 
 
-def _marks(surface: Surface, points: CagePoints, lines: CageCurves) -> _Marks:
+def _marks(surface: Surface, points: CagePoints, lines: CageCurves, turn: FloatArray) -> _Marks:
     finest = surface.triangles(surface.finest)
     found = surface_curves(surface.refinement, finest, lines) if len(lines) else ()
-    curves = tuple(Polyline(curve.line.positions / finest.scale, curve.closed) for curve in found)
-    return _Marks(surface.vertices[points.nearest_vertices], curves)
+    curves = tuple(Polyline(curve.line.positions @ turn / finest.scale, curve.closed) for curve in found)
+    return _Marks(surface.vertices[points.nearest_vertices] @ turn, curves)
 
 
 def _draw(model: Model, skin: Skin, view: View, size: tuple[int, int], marks: _Marks | None) -> Image:

@@ -13,14 +13,14 @@ import numpy as np
 import OpenImageIO as oiio
 
 from cagemap.errors import FormatError, in_options
-from cagemap.files.marks import mark
-from cagemap.files.result import assurance, landmark_messages
+from cagemap.files.ownership import mark
+from cagemap.files.result.folder import assurance, landmark_messages
 from cagemap.maps.hypotheses.confidence import SURE, TWO
 from cagemap.maps.result import MatchResult
 from cagemap.pictures import Image, distinct_colors
 from cagemap.report.figures import Figure, Gallery
-from cagemap.report.merits import explain, overall
-from cagemap.report.rides import Panel
+from cagemap.report.rig_panels import Panel
+from cagemap.report.verdicts import explain, overall
 
 _VERDICTS = {
     "good": "The map looks sound.",
@@ -46,7 +46,8 @@ def build_page(result: MatchResult, gallery: Gallery, panels: tuple[Panel, ...] 
         _warnings(warnings, [*filter(None, [assurance(manifest)]), *map(str, manifest.get("notes") or [])]),
         _section(
             f"The {escape(gallery.appearance)}, transferred",
-            "Left the source as it came, right the target with what it received, from the same directions.",
+            "Left the source as it came, right the target with what it received, from the same directions. "
+            f"Of the target, {escape(gallery.orientation)}.",
             "".join(_pair(figure, result) for figure in gallery.looks),
         ),
         _section(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cagemap.errors import CagemapError
-from cagemap.files.result import read_result
+from cagemap.files.result.folder import read_result
 from cagemap.maps.hypotheses.search import DIFFERENT
 from cagemap.studio.finish import MAP
 from cagemap.studio.scene import Scene

@@ -11,10 +11,10 @@ from typing import Any
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
-from cagemap.files.curves import pair_entries
-from cagemap.files.landmarks import entered, entries
-from cagemap.files.manifest import file_hash
-from cagemap.files.marks import mark
+from cagemap.files.landmarks.curves import pair_entries
+from cagemap.files.landmarks.pairs import entered, entries
+from cagemap.files.ownership import mark
+from cagemap.files.result.manifest import file_hash
 from cagemap.files.text import read_text, whole_characters
 from cagemap.mesh.curves import Curves
 from cagemap.mesh.landmarks import Landmarks
@@ -85,7 +85,7 @@ def write_autosave(path: Path, landmarks: LandmarkList, parts: Parts = (None, No
         for item in landmarks.items
     ]
     others = Landmarks.none() if landmarks.elsewhere is None else landmarks.elsewhere
-    curves = (landmarks.curves or Curves.none()).beside(others.curves)
+    curves = (landmarks.curves or Curves.none()).joined_with(others.curves)
     kept = {
         "format": _AUTOSAVE,
         "numbers": _NUMBERS,

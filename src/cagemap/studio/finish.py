@@ -1,20 +1,28 @@
-"""The finish: what to make of a pair, and the package's own commands that make it at full resolution."""
+"""The finish: what to make of a pair, and the requests of the package's own tasks that make it at full resolution."""
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 
 from cagemap.errors import ParameterError
-from cagemap.files.images import UDIM_MARK
-from cagemap.files.usd import USD_SUFFIXES
+from cagemap.files.images.image import UDIM_MARK
+from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.studio.opening import word_of
-from cagemap.studio.options import Key, NamedFiles, Option, Options, Value
 from cagemap.studio.state import Files
 from cagemap.studio.workspace import Workspace
+from cagemap.tasks.requests.catalogue import (
+    WRITTEN,
+    CommandOption,
+    Key,
+    NamedFiles,
+    Options,
+    Request,
+    Value,
+    request_of,
+)
 
 DEFAULT_VERTICES = 200_000
 # Said once on the page and meant by several commands: field of a command, and the one that it is asked by.
@@ -24,6 +32,8 @@ SHARED: dict[Key, Key] = {
 }
 # What the first command makes.
 MAP = "the map"
+# Titles of the commands that carry nothing.
+MAP_ALONE = ("match", "report")
 # The open texture among other maps of its material.
 COLOR = "color"
 _IMAGE = ("size", "bits", "filter", "unwrap", "bases", "force")
@@ -102,7 +112,7 @@ class FinishOptions:
         """
         if self.name and (Path(self.name).name != self.name or self.name.startswith(".")):
             raise ParameterError(f"Name: expected what files begin with, without a folder, got {self.name!r}.")
-        images = Option("transfer", "maps", "--texture", "", "named files")
+        images = CommandOption("transfer", "maps", "--texture", "", "named files")
         given = {key: options[key].placed(value, require) for key, value in self.given.items()}
         maps: NamedFiles = images.placed(self.maps, require)  # type: ignore[assignment]
         return replace(self, maps=maps, given=given)
@@ -110,26 +120,25 @@ class FinishOptions:
 
 @dataclass(frozen=True)
 class Command:
-    """One call of the command line.
+    """One task of a finish.
 
     Attributes
     ----------
     title : str
-    arguments : tuple of str
-        After ``cagemap``.
-    output : Path
-        What ``-o`` names; other files may be written beside it.
+    request : request
+        Beside its output other files may be written.
     makes : str
-        What that is; '' for the title.
+        What its output is; '' for the title.
     """
 
     title: str
-    arguments: tuple[str, ...]
-    output: Path
+    request: Request
     makes: str = ""
 
-    def __str__(self) -> str:
-        return shlex.join(("cagemap", *self.arguments))
+    @property
+    def output(self) -> Path:
+        """What it writes."""
+        return self.request.output
 
 
 def planned(
@@ -140,7 +149,7 @@ def planned(
     Raises
     ------
     ParameterError
-        If a file lies outside them, or a link leads there.
+        If a file lies outside them, or a link leads there; if a number is outside its range.
     """
     todo = commands(options, files, asked.placed(options, workspace.require), landmarks=landmarks)
     for command in todo:
@@ -175,7 +184,7 @@ def commands(options: Options, files: Files, asked: FinishOptions, *, landmarks:
 
 @dataclass(frozen=True)
 class _Writer:
-    """Writes down commands for what is asked."""
+    """Makes requests of what is asked."""
 
     options: Options
     files: Files
@@ -199,63 +208,62 @@ class _Writer:
         key = SHARED.get((command, name), (command, name))
         return self.asked.given.get(key, self.options[key].default)
 
-    def words(self, command: str, names: Iterable[str]) -> list[str]:
-        """What is typed for some options."""
-        return [word for name in names for word in self.options[command, name].words(self.value(command, name))]
+    def values(self, command: str, names: Iterable[str]) -> dict[str, Value]:
+        """What is asked for some options."""
+        return {name: self.value(command, name) for name in names}
 
     def match(self, *, landmarks: bool) -> Command:
         """The map at full resolution."""
         files = self.files
-        own: dict[str, Value] = {
+        values = self.values("match", (name for command, name in self.options if command == "match")) | {
             "target": files.target,
             "source": files.source,
             "landmarks": files.landmarks if landmarks else None,
+            "output": files.result,
             "target_scheme": files.schemes[0],
             "source_scheme": files.schemes[1],
+            "target_weld": files.welds[0],
+            "source_weld": files.welds[1],
             "target_part": files.parts[0],
             "source_part": files.parts[1],
         }
-        stated = [word for name, value in own.items() for word in self.options["match", name].words(value)]
-        others = [name for command, name in self.options if command == "match" and name not in own]
-        words = self.words("match", others)
-        if self.value("match", "level") is None and self.value("match", "vertices") is None:
-            words += ["--vertices", str(DEFAULT_VERTICES)]
-        return Command("match", ("match", *stated, *words, "-o", str(files.result)), files.result, MAP)
+        if values["level"] is None and values["vertices"] is None:
+            values["vertices"] = DEFAULT_VERTICES
+        return Command("match", request_of(self.options, "match", values), MAP)
 
     def transfer(self, carry: Carry, taken: list[Path]) -> Command | None:
         """One thing carried, unless it is not asked for; into a file of its own."""
-        carried = self._texture() if carry.wants == "texture" else self.words("transfer", [carry.wants])
+        carried = self._texture() if carry.wants == "texture" else self.values("transfer", [carry.wants])
         if carry.wants == "write_map":
-            carried = ["--write-map"] if self.asked.map_form else []
-        if not carried:
+            carried = {"write_map": bool(self.asked.map_form)}
+        if not any(carried.values()):
             return None
         says, ending = self._named(carry)
         output = self.files.result.parent / f"{self.stem}{says}{self.giver}{ending}"
         if output in taken:
             output = output.with_name(f"{output.stem}_{carry.wants}{output.suffix}")
         others = (name for command, name in self.options if command == "transfer" and name not in _KNOWN)
-        words = [word for name in (*carry.takes, *others) for word in self._belonging(carry, name, output)]
-        arguments = ("transfer", str(self.files.result), *carried, *words, "-o", str(output))
-        return Command(carry.title, arguments, output)
+        values = {name: self._belonging(carry, name, output) for name in (*carry.takes, *others)}
+        values |= {**carried, "result": self.files.result, "output": output}
+        return Command(carry.title, request_of(self.options, "transfer", values))
 
-    def _texture(self) -> list[str]:
+    def _texture(self) -> dict[str, Value]:
         """The open texture, alone or as one of the maps of its material."""
         own = self.files.texture if self.asked.texture else None
         if not self.asked.maps:
-            return [] if own is None else ["--texture", str(own)]
-        maps = (*(() if own is None else ((COLOR, own),)), *self.asked.maps)
-        return [word for name, path in maps for word in ("--texture", f"{name}={path}")]
+            return {"texture": own}
+        return {"maps": (*(() if own is None else ((COLOR, own),)), *self.asked.maps)}
 
-    def _belonging(self, carry: Carry, name: str, output: Path) -> list[str]:
-        """What is typed for an option that belongs to something carried."""
+    def _belonging(self, carry: Carry, name: str, output: Path) -> Value:
+        """What is asked for an option that belongs to something carried."""
         value = self.value("transfer", name)
         if name == "usd":
-            return ["--usd", str(output.with_suffix(".usda"))] if value else []
+            return output.with_suffix(".usda") if value else None
         if name == "bases":
-            return self.options["transfer", name].words(self._bases(carry))
+            return self._bases(carry)
         if name == "detail_texture" and "texture" not in _parts(self.value("transfer", "bake")):
-            return []  # said for the wrapped cage alone
-        return self.options["transfer", name].words(value)
+            return None  # said for the wrapped cage alone
+        return value
 
     def _bases(self, carry: Carry) -> NamedFiles:
         """The target's own images or values under what is carried: each has the name of that, or of none."""
@@ -306,34 +314,33 @@ class _Writer:
 
     def wrap(self) -> Command:
         """The target's cage in the source's shape."""
-        options, files = self.options, self.files
+        files, written = self.files, WRITTEN["wrap"]
         folder, name = files.result.parent, f"{self.stem}_as_{files.source.stem}{self.giver}"
-        mesh = folder / f"{name}{_mesh_form(files.target)}"
-        own = [option for (command, _), option in options.items() if command == "wrap"]
-        written = [option.name for option in own if option.kind == "output"]
-        words = self.words("wrap", [one.name for one in own if one.name not in (*written, *_WRAPPED)])
+        own = [name for command, name in self.options if command == "wrap"]
+        values = self.values("wrap", [one for one in own if one not in (*written, *_WRAPPED)])
         for one in written:
             if self.value("wrap", one):
                 usual = ".exr" if "displacement" in one else ".png"  # offsets are floats
                 image = f"{name}_{one}{self.asked.image_form or usual}"
-                words += [options["wrap", one].flag, str(folder / (f"{name}.mhclo" if one == "mhclo" else image))]
-        images = [one for one in written if one != "mhclo" and self.value("wrap", one)]
+                values[one] = folder / (f"{name}.mhclo" if one == "mhclo" else image)
+        images = [one for one in written if one != "mhclo" and one in values]
         if images:
-            words += self.words("wrap", ("size", "space", "green", "rays"))
-        if self.value("wrap", "baked") and self.value("wrap", "detail_texture") is None:
-            words += options["wrap", "texture"].words(files.texture)
-        elif self.value("wrap", "baked"):
-            words += self.words("wrap", ("detail_texture",))
-        if [one for one in images if one != "baked"] or "--detail-texture" in words:
-            words += self.words("wrap", ("detail",))
-        words += self.words("wrap", ("force",))
-        return Command("wrap", ("wrap", str(files.result), *words, "-o", str(mesh)), mesh)
+            values |= self.values("wrap", ("size", "space", "green", "rays"))
+        if "baked" in values:
+            values["detail_texture"] = self.value("wrap", "detail_texture")
+            values["texture"] = files.texture if values["detail_texture"] is None else None
+        if [one for one in images if one != "baked"] or values.get("detail_texture") is not None:
+            values |= self.values("wrap", ("detail",))
+        mesh = folder / f"{name}{_mesh_form(files.target)}"
+        values |= {"results": (files.result,), "output": mesh, "force": self.value("wrap", "force")}
+        return Command("wrap", request_of(self.options, "wrap", values))
 
     def report(self) -> Command:
         """The page about the map."""
         result = self.files.result
-        page = result.with_name(f"{result.name}.html")
-        return Command("report", ("report", str(result), *self.words("report", ("force",)), "-o", str(page)), page)
+        values = {"up": self.files.ups[0], "force": self.value("report", "force")}
+        values |= {"result": result, "output": result.with_name(f"{result.name}.html")}
+        return Command("report", request_of(self.options, "report", values))
 
 
 def _parts(value: Value) -> tuple[str, ...]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from cagemap.files.usd import USD_SUFFIXES
+from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.studio.finish import SHARED
-from cagemap.studio.options import Key, Options
 from cagemap.studio.workspace import IMAGES, MESHES, TABLES
+from cagemap.tasks.requests.catalogue import Key, Options
 
 # Stands for folders that hold files of the other endings.
 FOLDERS = "/"
@@ -139,9 +139,9 @@ FOLDS = (
             "match",
             ("method", "Method", (), "elastic meets landmarks exactly; hfm and paper are functional maps"),
             ("level", "Level", (), "subdivision level of both, in place of Vertices"),
-            ("k", "Functions", (), "basis functions of each surface; empty: 150, or 300 with hfm"),
+            ("k", "Functions", (), "basis functions of each surface; empty: 150"),
             ("trust_landmarks", "Trust landmarks", (), "meet every landmark, also one that looks wrong"),
-            ("symmetry", "Symmetry", (), "use mirror symmetry where both meshes have it"),
+            ("symmetry", "Symmetry", (), "method paper: use mirror symmetry where both meshes have it"),
             ("boundary", "Boundary"),
             ("uv_interpolation", "UVs linear"),
             ("creasing", "Creases"),
@@ -164,7 +164,7 @@ _SIDES = ("target_", "source_")
 _OPENED = "chosen under Models"
 _EIGEN = "how the spectral basis is computed: for research"
 _ALIKE = "both models have about as many"
-_SPECTRAL = ("tolerance", "schedule", "laplacian", "accuracy", "literal")
+_SPECTRAL = ("schedule", "laplacian", "accuracy", "literal")
 _PLACE = "the page names what it writes"
 # Not on the page, and why.
 LEFT_OUT: dict[Key, str] = {
@@ -176,6 +176,7 @@ LEFT_OUT: dict[Key, str] = {
     **{("match", f"{side}symmetry"): "self-maps as lists of vertices: for research" for side in _SIDES},
     **{("match", name): _OPENED for name in ("target", "source", "scheme", "target_scheme", "source_scheme")},
     **{("match", name): _OPENED for name in ("part", "target_part", "source_part")},
+    **{(command, f"{side}weld"): _OPENED for command in ("match", "wrap") for side in ("", *_SIDES)},
     **{("match", name): "under Landmarks" for name in ("landmarks", "target_points", "source_points", "curves")},
     ("match", "exchange_landmarks"): "landmarks on the page are always those of this direction",
     ("match", "answer"): "Answer, under Map",
@@ -197,6 +198,7 @@ LEFT_OUT: dict[Key, str] = {
     ("wrap", "blend_shapes"): "one pair is open; several results become shapes on the command line",
     ("wrap", "texture"): "Texture, under Wrap",
     ("report", "texture"): "the report shows what was baked",
+    ("report", "up"): _OPENED,
 }
 
 

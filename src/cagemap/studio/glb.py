@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.files.gltf import INDICES, VERTICES, Binary
+from cagemap.files.gltf.write import INDICES, VERTICES, Binary
 
 # Colours are linear: 8 bits would show steps in the dark.
 _WHITE = 65535

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.errors import CagemapError
-from cagemap.files.landmark_points import read_points
-from cagemap.files.landmarks import read_landmarks, write_landmarks
-from cagemap.files.marks import is_own
-from cagemap.files.point_forms import is_of_pairs, point_form, write_points
+from cagemap.files.landmarks.pairs import read_landmarks, write_landmarks
+from cagemap.files.landmarks.point_formats import is_of_pairs, point_form, write_points
+from cagemap.files.landmarks.points import read_points
+from cagemap.files.ownership import is_own
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.cage_points import NamedCurve
 from cagemap.mesh.curves import CageCurves, Curves
@@ -116,7 +116,7 @@ def on_parts(kept: LandmarkList, scene: Scene) -> tuple[LandmarkList, list[str]]
     ]
     given = landmarks_of(away, scene.target.file_mesh, scene.source.file_mesh)
     if kept.elsewhere is not None:
-        given = given.beside(kept.elsewhere)
+        given = given.joined_with(kept.elsewhere)
     here, elsewhere = split(replace(given, curves=kept.curves or Curves.none()), scene)
     items = tuple(item for item, here in zip(moved, inside, strict=True) if here)
     items += _items(here, scene, 1 + max((item.number for item in items), default=0))
@@ -150,7 +150,7 @@ def save_landmarks(
 ) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """Write complete landmarks; returns what was written, and what it could not hold or what is kept of before.
 
-    One file of pairs; a name with the ending of one of `cagemap.files.point_forms` asks for one file a mesh,
+    One file of pairs; a name with the ending of one of `files.landmarks.point_formats` asks for one file a mesh,
     NAME.target.pp and NAME.source.pp. The landmark file that is open may be one that a person made or edited, and one
     of ours may hold the landmarks of other models, or what another studio has saved since: it is copied aside before
     it is replaced.
@@ -164,7 +164,7 @@ def save_landmarks(
     target, source = scene.target.file_mesh, scene.source.file_mesh
     complete = landmarks_of(landmarks, scene.target.control, scene.source.control)
     complete = complete.renumbered(scene.target.in_file, scene.source.in_file)
-    complete = complete if landmarks.elsewhere is None else complete.beside(landmarks.elsewhere)
+    complete = complete if landmarks.elsewhere is None else complete.joined_with(landmarks.elsewhere)
     if not is_of_pairs(path):
         sides: tuple[tuple[Side, CagePoints, CageCurves, ControlMesh], ...] = (
             ("target", complete.target_points, complete.curves.target, target),

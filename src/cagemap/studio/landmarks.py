@@ -202,7 +202,7 @@ def keep_elsewhere(landmarks: LandmarkList, before: LandmarkList) -> LandmarkLis
     here = landmarks.curves or Curves.none()
     pairs = replace(pairs, names=_apart(pairs.names, (item.name for item in landmarks.items)))
     curves = replace(curves, names=_apart(curves.names, (*here.names, *said.curves.names)))
-    both = said.beside(replace(pairs, curves=curves))
+    both = said.joined_with(replace(pairs, curves=curves))
     return replace(landmarks, elsewhere=both if len(both) + len(both.curves) else None)
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from cagemap.files.result import ARRAYS, MANIFEST
-from cagemap.files.usd import USD_SUFFIXES
+from cagemap.files.result.folder import ARRAYS, MANIFEST
+from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.studio.finish import MAP, Command
 from cagemap.studio.state import Output, Studio
 
-# Options that name files which are not followed; nor are layers that a USD file names.
-_MASKS = ("--target-mask", "--source-mask")
+# Fields that name files which are not followed; nor are layers that a USD file names.
+_MASKS = ("target_mask", "source_mask")
 Stamp = tuple[int, int] | None
 
 
@@ -40,7 +40,7 @@ class LastMap:
 def _decided_by(match: Command, state: Studio) -> object:
     """Command, landmarks and both models' files as they are; None where that is not all."""
     files = state.files
-    if files is None or any(word in match.arguments for word in _MASKS):
+    if files is None or any(getattr(match.request, name, None) for name in _MASKS):
         return None
     models = files.target, files.source
     if any(model.suffix.lower() in USD_SUFFIXES for model in models):

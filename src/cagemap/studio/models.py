@@ -8,26 +8,27 @@ from pathlib import Path
 
 import numpy as np
 
-from cagemap.descriptors import mirror_symmetries
 from cagemap.errors import CagemapError, InvalidMeshError, ParameterError
-from cagemap.files.images import Pixels, read_image, tile_files, write_image
-from cagemap.files.meshes import read_whole
-from cagemap.files.usd import USD_SUFFIXES
-from cagemap.files.usd_space import to_standard
+from cagemap.files.images.image import Pixels, read_image, tile_files, write_image
+from cagemap.files.meshes.formats import read_whole
+from cagemap.files.usd.space import upright_turn
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import require_valid
 from cagemap.mesh.mesh_report import first_few
+from cagemap.mesh.mirrors import mirror_symmetries
 from cagemap.mesh.parts import connected_parts
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
 from cagemap.mesh.udim import udim_origin
+from cagemap.mesh.weld import Welded, unwelded, weld_mesh, weld_tolerance
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.pictures import UP_AXES, Y_UP
 from cagemap.pipeline import choose_level
-from cagemap.refinement import refine, with_options
 from cagemap.studio.pieces import NOTHING, Offer, Taken, rest_of, take_part
 from cagemap.studio.shape import Original, Shape, shape_of
 from cagemap.studio.skins import Look
+from cagemap.subdivision import refine, with_options
 from cagemap.transfer import face_colors
 
 # Largest side of the texture in the page; the bake uses the whole image.
@@ -35,8 +36,6 @@ TEXTURE_SIZE = 1024
 # A triangle mesh of so many faces is rather a scan than a cage.
 DENSE = 20_000
 NO_SCHEME = "none"
-# From a file whose z axis points up to the view, for rows.
-_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +59,8 @@ class OpenedModel:
         How it is subdivided, as asked for or, where it is no cage, as it is.
     dense : bool
         Whether it is subdivided although it looks like a scan.
+    weld : str or None
+        Tolerance that it was welded with, as `cagemap match --weld` takes it.
     """
 
     level: int
@@ -70,6 +71,7 @@ class OpenedModel:
     offer: Offer = NOTHING
     scheme: str | None = None
     dense: bool = False
+    weld: str | None = None
 
     @property
     def control(self) -> ControlMesh:
@@ -115,7 +117,7 @@ def _nearest(pixels: Pixels, height: int, width: int) -> Pixels:
 
 
 def open_model(path: Path, scheme: str | None, up: str | None, vertices: int, part: str | None = None) -> OpenedModel:
-    """Read, check and refine one model.
+    """Read, weld where its file is split at seams, check and refine one model.
 
     Parameters
     ----------
@@ -132,15 +134,26 @@ def open_model(path: Path, scheme: str | None, up: str | None, vertices: int, pa
     InvalidMeshError, FormatError
         If it cannot be taken or read.
     """
-    whole = replace(read_whole(path), name=path.name)
-    if structure_problems(whole):
-        require_valid(whole)
-    turn = upright(path, whole, up)
+    filed = replace(read_whole(path), name=path.name)
+    if structure_problems(filed):
+        require_valid(filed)
+    turn = upright(path, filed, up)
     if scheme is not None:
-        whole = replace(with_options(whole, scheme), object_schemes=())
-    taken = take_part(whole, part, plain=isinstance(whole.scheme, Plain))
+        filed = replace(with_options(filed, scheme), object_schemes=())
+    tolerance = weld_tolerance(filed)
+    welded = unwelded(filed) if tolerance is None else weld_mesh(filed, tolerance)
+    model = _open_welded(welded, filed, scheme, part, vertices, turn)
+    return replace(model, notes=(*welded.notes, *model.notes), weld=None if tolerance is None else f"{tolerance:g}")
+
+
+def _open_welded(
+    welded: Welded, filed: ControlMesh, scheme: str | None, part: str | None, vertices: int, turn: FloatArray
+) -> OpenedModel:
+    """Take a part of a mesh, or all of it, check and refine it."""
+    whole = welded.mesh
+    taken = _of_file(take_part(whole, part, plain=isinstance(whole.scheme, Plain)), welded)
     if isinstance(taken.mesh.scheme, Plain):
-        return _as_it_is(taken, whole, turn)
+        return _as_it_is(taken, whole, filed, turn)
     _require_one_piece(taken.mesh)
     dense = scheme is None and is_dense(taken.mesh)
     try:
@@ -148,15 +161,20 @@ def open_model(path: Path, scheme: str | None, up: str | None, vertices: int, pa
     except InvalidMeshError as error:
         if not dense:
             raise
-        again = take_part(with_options(whole, NO_SCHEME), part, plain=True)
-        model = _as_it_is(again, whole, turn)
-        return replace(model, notes=(f"{path.name} is no cage and is taken as it is: {error}", *model.notes))
+        again = _of_file(take_part(with_options(whole, NO_SCHEME), part, plain=True), welded)
+        model = _as_it_is(again, whole, filed, turn)
+        return replace(model, notes=(f"{filed.name} is no cage and is taken as it is: {error}", *model.notes))
     level = choose_level(taken.mesh, vertices)
-    original = Original(whole, taken.vertex_of) if len(taken.left) else None
+    original = Original(filed, taken.vertex_of) if taken.mesh.file_vertices is not None else None
     shape = shape_of(refine(taken.mesh, level), original, turn)
     mirror = next((plane.image for plane in mirror_symmetries(taken.mesh)), None)
     look = replace(_own_look(taken.mesh), rest=rest_of(whole, taken.left, level))
     return OpenedModel(level, shape, look, mirror, offer=taken.offer, scheme=scheme, dense=dense)
+
+
+def _of_file(taken: Taken, welded: Welded) -> Taken:
+    """A part of a welded mesh, with its vertex for each of the file's."""
+    return replace(taken, vertex_of=np.where(welded.vertex_of < 0, -1, taken.vertex_of[welded.vertex_of]))
 
 
 def is_dense(mesh: ControlMesh) -> bool:
@@ -165,11 +183,11 @@ def is_dense(mesh: ControlMesh) -> bool:
     return mesh.is_triangle_mesh and not stated and mesh.n_faces >= DENSE
 
 
-def _as_it_is(taken: Taken, whole: ControlMesh, turn: FloatArray) -> OpenedModel:
+def _as_it_is(taken: Taken, whole: ControlMesh, filed: ControlMesh, turn: FloatArray) -> OpenedModel:
     """A part, or a whole file, that is not subdivided."""
     ready = plain_mesh(taken.mesh)
     vertex_of = np.where(taken.vertex_of < 0, -1, ready.vertex_of[taken.vertex_of])
-    shape = shape_of(refine(ready.mesh, 0), Original(whole, vertex_of), turn)
+    shape = shape_of(refine(ready.mesh, 0), Original(filed, vertex_of), turn)
     look = replace(_own_look(ready.mesh), rest=rest_of(whole, taken.left, 0))
     return OpenedModel(0, shape, look, None, ready.notes, taken.offer, NO_SCHEME)
 
@@ -187,11 +205,9 @@ def _require_one_piece(control: ControlMesh) -> None:
 def upright(path: Path, control: ControlMesh, up: str | None) -> FloatArray:
     """(3, 3) rotation from a file's space to the view, for rows: as asked, else as a USD file says, else y is up."""
     if up is not None:
-        return _Z_UP if up == "z" else np.eye(3)
-    if path.suffix.lower() not in USD_SUFFIXES:
-        return np.eye(3)
-    left, _, right = np.linalg.svd(to_standard(path, control)[:3, :3])
-    return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
+        return UP_AXES[up]
+    said = upright_turn(path, control)
+    return Y_UP if said is None else said
 
 
 def _own_look(control: ControlMesh) -> Look:

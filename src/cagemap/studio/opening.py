@@ -9,10 +9,10 @@ from pathlib import Path
 
 from cagemap.errors import ParameterError
 from cagemap.example import example_pair
-from cagemap.files.images import write_image
-from cagemap.files.landmarks import write_landmarks
-from cagemap.files.manifest import MANIFEST, REMEDY, input_file, read_manifest
-from cagemap.files.meshes import write_mesh
+from cagemap.files.images.image import write_image
+from cagemap.files.landmarks.pairs import write_landmarks
+from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.result.manifest import MANIFEST, REMEDY, input_file, read_manifest
 from cagemap.files.schema import ResultRecord, SideRecord, checked_record
 from cagemap.mesh.parts import KINDS
 from cagemap.studio.state import Files

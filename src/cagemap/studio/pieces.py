@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cagemap.errors import CagemapError, ParameterError
-from cagemap.geometry.surface import TriangleSurface
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.measures import cage_triangles
 from cagemap.mesh.parts import (
@@ -22,7 +21,8 @@ from cagemap.mesh.parts import (
 )
 from cagemap.mesh.topology import face_components
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.refinement import default_scheme, level_triangles, refine
+from cagemap.subdivision import default_scheme, level_triangles, refine
+from cagemap.surface.triangle_surface import TriangleSurface
 
 # Parts that are offered; a file of more has its largest ones on the page, and all of them on the command line.
 MOST_OFFERED = 60

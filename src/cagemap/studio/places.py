@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cagemap.geometry.points import SurfacePoints
-from cagemap.geometry.triangles import normalized
 from cagemap.maps.places import LANDMARK_NORMAL_WEIGHT, on_surface
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.numerics.arrays import FloatArray
 from cagemap.studio.landmarks import Place
 from cagemap.studio.shape import Hit, Shape, line_hits
+from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangles import normalized
 
 # Lines that are tried from a place to the control mesh at most, and how close, of sqrt(area), is there.
 _STEPS = 10

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from cagemap.studio.bench import ChooseAnswer, Dress, FindMap, Opening, OpenModels, Task
+from cagemap.studio.compute import ChooseAnswer, Dress, FindMap, Opening, OpenModels, Task
 from cagemap.studio.landmarks import LandmarkList
 from cagemap.studio.skins import Images
 from cagemap.studio.state import Files, RunningJob, View

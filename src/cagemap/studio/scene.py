@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cagemap.geometry.closest import build_tree, closest_points
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.studio.landmarks import LandmarkList, Place, Proposal, Side, other
@@ -16,6 +15,7 @@ from cagemap.studio.places import place_at, places_of
 from cagemap.studio.shape import Hit, Shape
 from cagemap.studio.skins import Images, faced
 from cagemap.studio.state import Probe
+from cagemap.surface.closest_points import build_tree, closest_points
 
 # A mirror image this close to the place itself, of the model's radius, is the same place.
 _ON_PLANE = 0.01

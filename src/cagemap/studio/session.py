@@ -13,24 +13,24 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.studio import landmarks as edit
 from cagemap.studio.agreement import led_elsewhere
 from cagemap.studio.autosave import Owned, Parts, autosave_path, kept_parts, set_aside
-from cagemap.studio.bench import ChooseAnswer, Dressed, FindMap, Found, Opened, OpenModels, Task
-from cagemap.studio.finish import Command, FinishOptions, planned
+from cagemap.studio.compute import ChooseAnswer, Dressed, FindMap, Found, Opened, OpenModels, Task
+from cagemap.studio.finish import MAP_ALONE, Command, FinishOptions, planned
 from cagemap.studio.finish_layout import on_the_page
-from cagemap.studio.held import Held
 from cagemap.studio.landmark_files import FIRST, in_files, load_landmarks, save_landmarks
 from cagemap.studio.landmarks import History, LandmarkList, Place, Side
 from cagemap.studio.last_map import LastMap
 from cagemap.studio.opening import result_of, with_parts
-from cagemap.studio.options import Options
 from cagemap.studio.places import place_of, vertex_place
 from cagemap.studio.preview import Preview
 from cagemap.studio.runner import Runner
 from cagemap.studio.scene import Scene, mirrored, probed, proposed
 from cagemap.studio.shape import pick
+from cagemap.studio.shared_state import Held
 from cagemap.studio.skins import Images
 from cagemap.studio.state import AFRESH, Files, Message, Output, View, baked_view, changed_view, map_view
 from cagemap.studio.worker import DROPPED, STOPPED, Failure
 from cagemap.studio.workspace import Workspace
+from cagemap.tasks.requests.catalogue import Options
 
 log = logging.getLogger(__name__)
 
@@ -246,12 +246,20 @@ class Session(Held):
             if self._state.finish_job is not None:
                 raise ParameterError("expected no finish to be running; cancel it or wait for its end")
             todo = self.plan(options)
+            without = options.texture and self._open()[0].texture is None
+            if without and not any(command.title not in MAP_ALONE for command in todo):
+                raise ParameterError(
+                    "Texture: expected an image to bake, none is open. Choose one under Models and press Open, or "
+                    "untick Texture to make the map alone"
+                )
             if self._state.history.present.decides:
                 self._save()
             self.show(map_view(self._state.view))  # what is baked anew is drawn anew
             left = self._last.left_of(todo, self._state)
             self._change(outputs=() if left == todo else (Output(todo[0].output, todo[0].makes),))
             self._finishing = self._state.wish
+            if without:
+                self._say("note", "no texture is open, so none is baked; choose one under Models and press Open")
             self._runner.start(left)
 
     def cancel_finish(self) -> None:
@@ -332,7 +340,7 @@ class Session(Held):
                 if self._state.files is not None:  # as they were opened, so that the finish opens them alike
                     target, source = (offer.opened for offer in answer.scene.offers)
                     files = with_parts(self._state.files, (target, source))
-                    self._change(files=replace(files, schemes=answer.schemes))
+                    self._change(files=replace(files, schemes=answer.schemes, welds=answer.welds))
                 self._notes(answer.notes)
                 self._first_landmarks()
             case Found() if self._scene is not None and isinstance(task, FindMap | ChooseAnswer):

@@ -6,15 +6,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cagemap.geometry.surface import TriangleSurface
-from cagemap.geometry.triangles import triangle_areas
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.measures import cage_triangles, signed_volume
 from cagemap.mesh.parts import list_parts
 from cagemap.mesh.topology import EdgeTable, edge_table
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import kept
-from cagemap.refinement import Refinement, level_triangles, limit_normals, limit_positions, triangles
+from cagemap.subdivision import Refinement, level_triangles, limit_normals, limit_positions, triangles
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import triangle_areas
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.files.images import Pixels
+from cagemap.files.images.image import Pixels
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pictures.camera import turn_between
 from cagemap.pictures.colors import position_colors, to_linear

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from cagemap.errors import ParameterError
-from cagemap.files.images import UDIM_MARK
+from cagemap.files.images.image import UDIM_MARK
 from cagemap.studio.landmarks import History, LandmarkList, Proposal
 from cagemap.studio.workspace import IMAGES
 
@@ -43,6 +43,8 @@ class Files:
     parts : (str or None, str or None)
         Part of either file that is meant, as `cagemap match --part` takes it; None: the whole file. A file of several
         pieces is opened with its largest one where none is named, and that one is named here from then on.
+    welds : (str or None, str or None)
+        Tolerance that either file was welded with when it was opened, as `cagemap match --weld` takes it.
     """
 
     target: Path
@@ -53,6 +55,7 @@ class Files:
     schemes: tuple[str | None, str | None] = (None, None)
     ups: tuple[str | None, str | None] = (None, None)
     parts: tuple[str | None, str | None] = (None, None)
+    welds: tuple[str | None, str | None] = (None, None)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A process of its own for everything that takes longer than a click, so that the page always answers."""
+"""Processes of their own for everything that takes longer than a click, so that the page always answers."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ STOPPED = "Stopped"
 DROPPED = "Dropped"
 # Of a map's computation; the page has 0.
 NICENESS = 5
+# Seconds after which a process that was asked to end is ended whatever it does.
+PATIENCE = 20.0
 # In place of a task: the one before is not wanted any more.
 _DROP = "drop"
 
@@ -40,12 +42,16 @@ class Failure:
 
 
 @dataclass(frozen=True)
-class _Stage:
+class Stage:
+    """What a task does now, said by its process."""
+
     name: str
 
 
 @dataclass(frozen=True)
-class _Done:
+class Done:
+    """What a task gives, said by its process."""
+
     answer: Any
 
 
@@ -60,10 +66,13 @@ class Worker:
     ----------
     on_stage : callable
         Told what a task does now.
+    serve : callable, optional
+        Loop of the process: a task in, `Stage` and `Done` or `Failure` out; None in place of a task ends it. That of
+        the preview by default.
     """
 
-    def __init__(self, on_stage: Callable[[str], None]) -> None:
-        self._on_stage = on_stage
+    def __init__(self, on_stage: Callable[[str], None], serve: Callable[[Connection], None] | None = None) -> None:
+        self._on_stage, self._serve = on_stage, _serve if serve is None else serve
         self._lock = threading.Lock()
         self._process: multiprocessing.process.BaseProcess | None = None
         self._connection: Connection | None = None
@@ -75,8 +84,14 @@ class Worker:
         with self._lock:
             self._connected()
 
-    def run(self, task: Any) -> Any:
+    def run(self, task: Any, unless: Callable[[], bool] = lambda: False) -> Any:
         """Do a task; blocks, so call it from a thread of its own.
+
+        Parameters
+        ----------
+        task : value
+        unless : callable
+            Whether the task is not wanted any more, asked when no `end` can come between.
 
         Returns
         -------
@@ -85,16 +100,17 @@ class Worker:
         """
         with self._lock:
             try:
-                connection = self._connected()
                 with self._sending:
+                    if unless():
+                        return Failure(DROPPED, "the computation is not wanted any more")
                     self._task = task
-                    connection.send(task)
+                    connection = self._sent(task)
                 while True:
                     reply = connection.recv()
-                    if isinstance(reply, _Stage):
+                    if isinstance(reply, Stage):
                         self._on_stage(reply.name)
                     else:
-                        return reply.answer if isinstance(reply, _Done) else reply
+                        return reply.answer if isinstance(reply, Done) else reply
             except (EOFError, OSError):
                 return self._buried()
 
@@ -104,6 +120,17 @@ class Worker:
             if self._task is task and self._connection is not None:
                 self._connection.send(_DROP)
 
+    def end(self) -> None:
+        """Have the process end, with what it is doing, but not in the midst of putting files into place."""
+        with self._sending, contextlib.suppress(OSError):
+            if self._connection is not None:
+                self._connection.send(None)
+            if self._lock.acquire(blocking=False):  # no task waits for its end
+                try:
+                    self._buried()
+                finally:
+                    self._lock.release()
+
     def stop(self) -> None:
         """Kill the process, with what it is doing; the next task starts another one."""
         process = self._process
@@ -111,11 +138,22 @@ class Worker:
             process.kill()
             process.join(5)
 
+    def _sent(self, task: Any) -> Connection:
+        """Where the answer to a task comes from; a process that has ended since the task before gets a successor."""
+        connection = self._connected()
+        try:
+            connection.send(task)
+        except OSError:
+            self._buried()
+            connection = self._connected()
+            connection.send(task)
+        return connection
+
     def _connected(self) -> Connection:
         if self._connection is None or self._process is None or not self._process.is_alive():
             context = multiprocessing.get_context("spawn")
             here, there = context.Pipe()
-            self._process = context.Process(target=_serve, args=(there,), daemon=True, name="cagemap studio bench")
+            self._process = context.Process(target=self._serve, args=(there,), daemon=True, name="cagemap studio")
             self._process.start()
             there.close()
             self._connection = here
@@ -125,7 +163,7 @@ class Worker:
         process, self._connection, self._process = self._process, None, None
         code = None
         if process is not None:
-            process.join(5)
+            process.join(PATIENCE + 5)
             code = process.exitcode
         if code is not None and code < 0:
             return Failure(STOPPED, f"the computation was ended by signal {-code}; there may be too little memory")
@@ -134,12 +172,12 @@ class Worker:
 
 def _serve(connection: Connection) -> None:
     """Loop of the process: a task in, stages and an answer out."""
-    from cagemap.studio.bench import Bench, OpenModels, perform
+    from cagemap.studio.compute import Bench, OpenModels, perform
 
     bench = Bench()
 
     def tell(stage: str) -> None:
-        connection.send(_Stage(stage))
+        connection.send(Stage(stage))
         if connection.poll():  # while a task runs there is no other word than that it is not wanted
             connection.recv()
             raise _DroppedError
@@ -153,7 +191,7 @@ def _serve(connection: Connection) -> None:
                 _step_back()
             try:
                 bench, answer = perform(bench, task, tell)
-                connection.send(_Done(answer))
+                connection.send(Done(answer))
             except _DroppedError:
                 connection.send(Failure(DROPPED, "the computation is not wanted any more"))
             except CagemapError as error:

@@ -13,12 +13,12 @@ from typing import TypeVar
 
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import write_whole
-from cagemap.files.images import UDIM_MARK, texture_files
-from cagemap.files.meshes import MESH_SUFFIXES
-from cagemap.files.obj import named_material_files
+from cagemap.files.images.image import UDIM_MARK, texture_files
+from cagemap.files.meshes.formats import MESH_SUFFIXES
+from cagemap.files.meshes.obj import named_material_files
 from cagemap.files.suffixes import IMAGE_SUFFIXES
-from cagemap.files.usd import USD_SUFFIXES
-from cagemap.files.usd_named import asset_paths
+from cagemap.files.usd.named import asset_paths
+from cagemap.files.usd.read import USD_SUFFIXES
 
 MESHES, IMAGES = MESH_SUFFIXES, IMAGE_SUFFIXES
 LANDMARKS = (".json", ".pp", ".fcsv", ".csv", ".txt")

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cagemap.errors import ParameterError
-from cagemap.geometry.triangles import triangle_areas
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
+from cagemap.surface.triangles import triangle_areas
 from cagemap.transfer.baking import BakeOptions, Transfer, make_canvas, run_bake, unit
 from cagemap.transfer.locate import TexelSamples, locate_centers
 from cagemap.transfer.texture import Pixels

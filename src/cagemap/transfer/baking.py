@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cagemap.errors import ParameterError
-from cagemap.geometry.triangles import triangle_areas, triangle_neighbors
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh.udim import udim_of, udim_origin
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, shown
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import ThreadPool, core_count
-from cagemap.refinement import Level
+from cagemap.subdivision import Level
+from cagemap.surface.triangles import triangle_areas, triangle_neighbors
 from cagemap.transfer.dilation import LARGEST_SIDE, dilate
 from cagemap.transfer.locate import (
     MappedSurface,
@@ -40,6 +40,8 @@ from cagemap.transfer.textured_surface import TexturedSurface
 
 Shade = Callable[[TexelSamples], FloatArray]
 
+# Area in the layout up to which a triangle covers nothing: 1e-6 a side, where a texel of a 16k image has 6e-5.
+_NO_AREA = 1e-12
 # Texels that one thread works on at a time: about 100 bytes each.
 _BAND_TEXELS = 1 << 18
 # Samples located at a time within a band: 60 bytes each.
@@ -152,7 +154,8 @@ def prepare_transfer(
 
 def target_tiles(target: TexturedSurface) -> list[int]:
     """UDIM numbers of the tiles that the target's layout uses, ascending; [0] if it stays in one unit square."""
-    cells = tile_cells(target.corner_uvs())
+    corners, laid = target.corner_uvs(), _laid_out(target)
+    cells = tile_cells(corners[laid] if laid.any() else corners)
     return [int(tile) for tile in np.unique(udim_of(cells))] if cells.any() else [0]
 
 
@@ -224,7 +227,7 @@ def make_canvas(transfer: Transfer, size: int | tuple[int, int], options: BakeOp
     Raises
     ------
     ParameterError
-        If it has no texture coordinates, or the size is out of range.
+        If it has no texture coordinates, none of its triangles covers a part of the tile, or the size is out of range.
     """
     target = transfer.target
     sides: Any = (size, size) if np.ndim(size) == 0 else size
@@ -242,6 +245,7 @@ def make_canvas(transfer: Transfer, size: int | tuple[int, int], options: BakeOp
         # Shrunk to a point, a triangle holds no texel; the rim of a hole is a border of its island.
         corner_uvs[target.holes] = corner_uvs[target.holes, :1]
         neighbors = np.where(target.holes[neighbors], -1, neighbors)
+    _require_covered(target, corner_uvs, options.tile)
     finer = options.supersample or (1 if options.filter == "nearest" else _supersample(target, height, width))
     if not 1 <= finer <= 16:
         raise ParameterError(f"supersample: expected 1 to 16 samples along a texel's side, got {finer}")
@@ -250,6 +254,25 @@ def make_canvas(transfer: Transfer, size: int | tuple[int, int], options: BakeOp
         corner_uvs, neighbors, height * finer, width * finer, band_rows=band_rows, gutter=GUTTER_RADIUS * finer
     )
     return Canvas(height, width, finer, layout)
+
+
+def _laid_out(target: TexturedSurface) -> NDArray[np.bool_]:
+    """(t1,) whether a triangle has an area in the layout."""
+    return np.asarray(triangle_areas(*target.layout()) > _NO_AREA)
+
+
+def _require_covered(target: TexturedSurface, corner_uvs: FloatArray, tile: int) -> None:
+    """Refuse a tile that no triangle covers a part of: its image would be black."""
+    laid = _laid_out(target)
+    beside = (corner_uvs.max(axis=1) <= 0.0).any(axis=1) | (corner_uvs.min(axis=1) >= 1.0).any(axis=1)
+    if not np.any(laid & ~beside):
+        place = f"UDIM tile {tile}" if tile else "the unit square"
+        flat, outside = np.count_nonzero(~laid), np.count_nonzero(laid & beside)
+        raise ParameterError(
+            f"expected texture coordinates of the target that cover a part of {place}, got {len(laid)} triangles, "
+            f"{flat} of them in one point or on a line and {outside} outside. Move the layout there, or make "
+            "another one (`unwrap`)."
+        )
 
 
 def run_bake(

@@ -21,14 +21,14 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from cagemap.errors import ParameterError
-from cagemap.geometry.triangles import corner_sums, normalized, triangle_areas, triangle_normals, vertex_normals
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import weighted_percentiles
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization, factor
 from cagemap.numerics.rotations import nearest_rotations
-from cagemap.refinement import Refinement, level_triangles
-from cagemap.transfer.interpolation import interpolate_linearly
+from cagemap.subdivision import Refinement, level_triangles
+from cagemap.subdivision.linear_values import interpolate_linearly
+from cagemap.surface.triangles import corner_sums, normalized, triangle_areas, triangle_normals, vertex_normals
 from cagemap.transfer.locate import triangle_frames, walk_from, whole_triangles
 
 # Vertices of the target at which a shape is looked at, about; far more than a shape has detail.

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from cagemap.errors import ParameterError
-from cagemap.geometry.triangles import triangle_neighbors
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.refinement import Refinement
+from cagemap.subdivision import Refinement
+from cagemap.subdivision.linear_values import LinearValues, corner_triangles, interpolate_linearly
+from cagemap.surface.triangles import triangle_neighbors
 from cagemap.transfer.attributes import largest_share
 from cagemap.transfer.baking import Transfer
-from cagemap.transfer.interpolation import LinearValues, corner_triangles, interpolate_linearly
 from cagemap.transfer.locate import locate_centers, walk_from
 
 # Texture coordinates of one vertex that differ by less are one.
@@ -124,7 +124,7 @@ def corner_weights(
     control = target.control
     linear = interpolate_linearly(source.control, nodes, count, source.n_levels, source.scheme)
     sides = triangle_neighbors(linear.corners)
-    tips = corner_triangles(len(control.face_indices), target.n_levels, target.scheme)
+    tips = corner_triangles(control, target.n_levels, target.scheme)
     centres = locate_centers(transfer.mapped)
     points = transfer.mapped.mapped[control.face_indices]
     triangle, barycentric = walk_from(transfer.mapped.frames, sides, centres[tips], points)

@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cagemap.errors import ParameterError
-from cagemap.geometry.points import SurfacePoints
-from cagemap.geometry.surface import TriangleSurface
-from cagemap.geometry.triangles import normalized, triangle_areas
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import parts
-from cagemap.refinement import Level
+from cagemap.subdivision import Level
+from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import normalized, triangle_areas
 from cagemap.transfer.baking import (
     BakeOptions,
     Canvas,

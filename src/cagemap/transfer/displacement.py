@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from cagemap.errors import ParameterError
-from cagemap.geometry.triangles import triangle_areas
-from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.arrays import FloatArray, array_of
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import parts
+from cagemap.surface.triangles import triangle_areas
 from cagemap.transfer.baking import BakeOptions, Transfer, make_canvas, run_bake, unit
 from cagemap.transfer.locate import TexelSamples, target_barycentric
 from cagemap.transfer.lookups import plan_lookups
@@ -136,6 +136,7 @@ def vertex_stretch(transfer: Transfer) -> FloatArray:
 
 def grey(pixels: Pixels) -> Pixels:
     """One channel of a grey image; colour channels must agree, alpha (a second or fourth channel) is ignored."""
+    pixels = array_of(pixels)
     if pixels.ndim < 3 or pixels.shape[2] < 3:
         return pixels if pixels.ndim < 3 else pixels[:, :, :1]
     one, spread, largest = unit(pixels.dtype), 0.0, 0.0

@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import linalg
 
-from cagemap.geometry.surface import TriangleSurface
 from cagemap.mesh.udim import udim_origin
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.surface.surface_points import nearest_facing
+from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.baking import Transfer
 from cagemap.transfer.locate import TexelSamples
-from cagemap.transfer.meeting import nearest_facing
+from cagemap.transfer.meeting import REACH
 from cagemap.transfer.texture import OVERHANG, tile_cells
 
 # Corners that share all their texels cannot all be right: lookups are weighed against this much change of texels.
@@ -135,7 +136,7 @@ class Landing:
         sound = np.abs(np.linalg.det(self.coordinates)) > 1e-9
         back = np.linalg.inv(np.where(sound[:, None, None], self.coordinates, np.eye(3)))
         now = self.points + np.einsum("kab,kb->ka", back, read)
-        feet, _ = nearest_facing(self.surface, now, self.normals)
+        feet, _ = nearest_facing(self.surface, now, self.normals, REACH)
         offsets = np.where(self.slides[:, None], feet.positions - self.points, self.offsets)
         across = feet.normals[:, :, None] * feet.normals[:, None, :]
         counts = np.where(self.slides[:, None, None], _SLIDE * np.eye(3) + (1.0 - _SLIDE) * across, np.eye(3))

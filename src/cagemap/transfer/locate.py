@@ -14,9 +14,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.geometry.triangles import triangle_centres, triangle_neighbors
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.surface.triangles import triangle_centres, triangle_neighbors
 from cagemap.transfer.texels import EDGE_TOLERANCE
 from cagemap.transfer.textured_surface import TexturedSurface
 

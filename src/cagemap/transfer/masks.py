@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from cagemap.errors import ParameterError
-from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.arrays import FloatArray, array_of
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import parts
-from cagemap.refinement import Level
+from cagemap.subdivision import Level
 from cagemap.transfer.baking import BakeOptions, Transfer, make_canvas, run_bake, to_dtype, unit
 from cagemap.transfer.locate import TexelSamples, target_barycentric
 from cagemap.transfer.texture import Pixels, lay_texture, look_up
@@ -96,6 +96,7 @@ def blend(baked: Pixels, base: Pixels, weight: Pixels) -> Pixels:
     ParameterError
         If the images have other sizes, channels or number types.
     """
+    baked, base, weight = array_of(baked), array_of(base), array_of(weight)
     if baked.shape != base.shape or baked.dtype != base.dtype:
         raise ParameterError(
             f"base image: expected {baked.shape[0]} x {baked.shape[1]} texels of {baked.shape[2]} channels, "
@@ -123,6 +124,7 @@ def with_alpha(baked: Pixels, weight: Pixels) -> Pixels:
     ParameterError
         If the weight has another size.
     """
+    baked, weight = array_of(baked), array_of(weight)
     if np.ndim(baked) != 3 or np.shape(weight) != (*np.shape(baked)[:2], 1):
         raise ParameterError(
             f"expected an image (h, w, c) and a weight (h, w, 1) of its size, got {np.shape(baked)} and "

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.geometry.closest import closest_points
-from cagemap.geometry.points import SurfacePoints
-from cagemap.geometry.surface import TriangleSurface
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray
+from cagemap.surface.surface_points import SurfacePoints, nearest_facing
+from cagemap.surface.triangle_surface import TriangleSurface
 
 # Detail further from the source than this, in units of sqrt(area), belongs to something else.
 REACH = 0.1
@@ -57,7 +56,7 @@ def meet(surface: TriangleSurface, points: FloatArray, normals: FloatArray) -> M
     points, normals : (s, 3) float64
         Of the source at unit area; unit length.
     """
-    first, distance = nearest_facing(surface, points, normals)
+    first, distance = nearest_facing(surface, points, normals, REACH)
     triangle, barycentric = first.triangle.copy(), first.barycentric.copy()
     heights, met = np.zeros(len(points)), np.zeros(len(points), dtype=np.bool_)
     open_, foot = np.arange(len(points)), first
@@ -66,7 +65,7 @@ def meet(surface: TriangleSurface, points: FloatArray, normals: FloatArray) -> M
         slope = np.einsum("sd,sd->s", along, across)
         ahead = np.einsum("sd,sd->s", foot.positions - origin, across) / np.where(slope > _GRAZING, slope, np.inf)
         ahead = np.clip(ahead, -REACH, REACH)
-        foot, missed = nearest_facing(surface, origin + ahead[:, None] * along, along, foot.triangle)
+        foot, missed = nearest_facing(surface, origin + ahead[:, None] * along, along, REACH, foot.triangle)
         here = (missed < _MET) & (slope > _GRAZING)
         done = open_[here]
         heights[done], triangle[done], barycentric[done] = ahead[here], foot.triangle[here], foot.barycentric[here]
@@ -77,16 +76,3 @@ def meet(surface: TriangleSurface, points: FloatArray, normals: FloatArray) -> M
     aside = np.einsum("sd,sd->s", first.positions - points, normals)
     place = SurfacePoints(surface, triangle, barycentric)
     return Met(points, normals, place, np.where(met, heights, aside), distance <= REACH)
-
-
-def nearest_facing(
-    surface: TriangleSurface, points: FloatArray, normals: FloatArray, guess: IndexArray | None = None
-) -> tuple[SurfacePoints, FloatArray]:
-    """The nearest points whose triangle faces the way of the normals, or any where none in reach does; and how far."""
-    triangle, barycentric, distance = closest_points(
-        surface.tree, points, normals, minimum_cosine=0.0, guess=guess, within=REACH
-    )
-    rest = np.flatnonzero(triangle < 0)
-    if len(rest):
-        triangle[rest], barycentric[rest], distance[rest] = closest_points(surface.tree, points[rest])
-    return SurfacePoints(surface, triangle, barycentric), distance

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from cagemap.errors import ParameterError
-from cagemap.geometry.surface import TriangleSurface
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.libraries import library
+from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.tangents import plane_basis
 
 # Rays start so far above the surface, in units of sqrt(area): Embree computes in single precision.

@@ -6,13 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from cagemap.deform.graph import ElasticGraph
 from cagemap.errors import ParameterError
-from cagemap.maps.elastic.graph import ElasticGraph
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.factorization import factor
 
-# By how much a row's weights may miss a sum of 1 and still count as rounding.
-_ROUNDING = 1e-3
+# Sums of weights that differ less from 1 are rounding: such rows stay as they are.
+_ROUNDING = 1e-5
+# Sums that differ less from 1 are normalised: exporters round, and rigs are kept unnormalised (MakeHuman's sums are
+# 0.954 to 1.063). What differs more are other values, or weights of which joints are missing.
+_MOST_OFF = 0.1
 
 
 def carry_skin(
@@ -30,7 +33,7 @@ def carry_skin(
     weights : (n1, n2) csr_array
         Convex, see `control_weights`.
     skin : (n2, j) float64
-        Weight of each joint at the source's control vertices, not negative; rows with any weight sum to 1.
+        Weight of each joint at the source's control vertices; rows as `normalised_skin` takes them.
     net : ElasticGraph
         Of the target's control mesh.
     trusted : (n1,) bool
@@ -47,23 +50,56 @@ def carry_skin(
     Raises
     ------
     ParameterError
-        If weights are negative, rows do not sum to 1, or nothing is trusted.
+        If rows are no weights (`normalised_skin`), or nothing is trusted.
     """
-    skin = np.asarray(skin, dtype=np.float64)
-    sums = skin.sum(axis=1)
+    skin, _ = normalised_skin(skin)
     if len(skin) != weights.shape[1]:
         raise ParameterError(f"skinning weights: expected {weights.shape[1]} rows, one a vertex, got {len(skin)}")
-    # Written so that a NaN fails it too.
-    wrong = np.flatnonzero(~((skin.min(axis=1) >= 0) & ((sums == 0) | (np.abs(sums - 1) <= _ROUNDING))))
-    if len(wrong):
-        raise ParameterError(
-            f"skinning weights: expected rows without negative weights that sum to 1, not so at {len(wrong)} vertices, "
-            f"first {wrong[:5].tolist()} (sum {sums[wrong[0]]:.4g}); normalise them in the rig"
-        )
     if influences is not None and influences < 1:
         raise ParameterError(f"influences: expected at least 1 joint a vertex, got {influences}")
     carried = filled_in(np.asarray(weights @ skin), net, trusted)
     return normalised(pruned(carried, influences), carried.sum(axis=1))
+
+
+def normalised_skin(skin: FloatArray) -> tuple[FloatArray, str]:
+    """Skinning weights with rows that sum to 1, and what to tell a user whose rows did not.
+
+    Parameters
+    ----------
+    skin : (n, j) float64
+        Not negative; a row sums to 0 (no joint) or to 1, give or take a tenth.
+
+    Returns
+    -------
+    (n, j) float64
+        Rows that sum to 1 or 0 already are as they were.
+    str
+        Empty where nothing was scaled.
+
+    Raises
+    ------
+    ParameterError
+        If weights are negative or no numbers, or a sum is further from 1.
+    """
+    skin = np.asarray(skin, dtype=np.float64)
+    sums = skin.sum(axis=1)
+    off = np.where(sums == 0, 0.0, np.abs(sums - 1))
+    wrong = np.flatnonzero(~((skin.min(axis=1) >= 0) & (off <= _MOST_OFF)))  # so written, a NaN is wrong too
+    if len(wrong):
+        raise ParameterError(
+            f"skinning weights: expected rows without negative weights that sum to 1 (0.9 to 1.1 is normalised), got "
+            f"{len(wrong)} others, first {wrong[:5].tolist()} (sum {sums[wrong[0]]:.4g}); give the weights of all "
+            "joints and nothing else, or normalise them in the rig"
+        )
+    scaled = np.flatnonzero(off > _ROUNDING)
+    if not len(scaled):
+        return skin, ""
+    skin = skin / np.where(off > _ROUNDING, sums, 1.0)[:, None]
+    lowest, highest = sums[scaled].min(), sums[scaled].max()
+    return skin, (
+        f"weights of {len(scaled)} of {len(skin)} vertices did not sum to 1 (sums from {lowest:.4g} to {highest:.4g}) "
+        "and are normalised"
+    )
 
 
 def filled_in(values: FloatArray, net: ElasticGraph, known: NDArray[np.bool_]) -> FloatArray:
@@ -78,7 +114,7 @@ def filled_in(values: FloatArray, net: ElasticGraph, known: NDArray[np.bool_]) -
         return values
     if not known.any():
         raise ParameterError("expected a map that is to be trusted somewhere, got one that is trusted nowhere")
-    laplacian = net.laplacian()
+    laplacian = net.laplacian
     unknown = np.flatnonzero(~known)
     inner = laplacian[unknown][:, unknown]
     # A trace of the identity for parts of the net that touch nothing known; they then get no weight at all.

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.geometry.triangles import normalized, vertex_normals
 from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
 from cagemap.numerics.graphs import components
+from cagemap.surface.triangles import normalized, vertex_normals
 from cagemap.transfer.textured_surface import TexturedSurface
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
 from cagemap.mesh.udim import udim_of, udim_origin
-from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray, array_of
 from cagemap.transfer.locate import TexelSamples
 from cagemap.transfer.smooth import SmoothTile
 
@@ -147,7 +147,7 @@ def as_pixels(image: Pixels) -> Pixels:
     ParameterError
         If it is not 2- or 3-dimensional, empty, or not of integers or floats.
     """
-    pixels = np.asarray(image)
+    pixels = array_of(image)
     if pixels.ndim == 2:
         pixels = pixels[:, :, None]
     if pixels.ndim != 3 or 0 in pixels.shape:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.refinement import Level, triangles
+from cagemap.subdivision import Level, triangles
 
 
 @dataclass(frozen=True, eq=False)

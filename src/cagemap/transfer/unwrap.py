@@ -15,11 +15,12 @@ from scipy.sparse import csr_array
 
 from cagemap.errors import InvalidMeshError
 from cagemap.mesh import ControlMesh, Plain
+from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.measures import cage_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.graphs import components
 from cagemap.numerics.libraries import library
-from cagemap.refinement import refine
+from cagemap.subdivision import refine
 from cagemap.transfer.packing import pack_islands
 
 # A corner may be straight; rounding must not make it turn the wrong way. Relative to the product of its edges.
@@ -32,12 +33,13 @@ _FLAT = 1e-6
 _PAIRS = 2**18
 
 
-def unwrap(control: ControlMesh, *, padding: float = 1 / 256) -> ControlMesh:
+@arrays_accepted
+def unwrap(control: MeshLike, *, padding: float = 1 / 256) -> ControlMesh:
     """Give a control mesh texture coordinates.
 
     Parameters
     ----------
-    control : ControlMesh
+    control : mesh, see `cagemap.mesh.inputs.control_mesh`
         Any polygon mesh; texture coordinates it already has are replaced.
     padding : float
         Distance between islands, as a part of the image's side; half of it to the border.

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cagemap.errors import ParameterError
-from cagemap.geometry.triangles import normalized, vertex_normals
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.surface.triangles import normalized, vertex_normals
 from cagemap.transfer.baking import BakeOptions, Canvas, Transfer, make_canvas, run_bake, unit
 from cagemap.transfer.displacement import Displacement, scale_ratio
 from cagemap.transfer.locate import TexelSamples, target_barycentric

@@ -1,8 +1,8 @@
 """Wrap: the target's cage in the source's shape, such that the refined surface lies on the source."""
 
-from cagemap.wrap.fit import WrapConfig
-from cagemap.wrap.missing import missing_detail, wrapped_transfer
+from cagemap.wrap.config import WrapConfig
 from cagemap.wrap.net import level_mesh
+from cagemap.wrap.residual_detail import missing_detail, wrapped_transfer
 from cagemap.wrap.wrapping import Residual, Wrapped, wrap
 
 __all__ = ["Residual", "WrapConfig", "Wrapped", "level_mesh", "missing_detail", "wrap", "wrapped_transfer"]

@@ -1,117 +1,142 @@
-"""My topology, that shape: control points whose *refined* surface lies on the source.
+"""Fit a control net: control points whose *refined* surface lies on the source.
 
-The map says where every point of the target's refined surface belongs. With S the refinement from the net's level to
-the finest and P the images of the finest vertices, the net starts at the minimum of ``||S X - P||^2`` and is then drawn
-onto the source's tangent planes at the closest points, which lets it slide along the surface:
-
-    sum_i w_i ( (n_i . (S X - q)_i)^2 + anchor |(S X - P)_i|^2 ) + fairness E(X)
-
-E is the elastic fit's as-affine-as-possible energy of the net against its rest shape (`maps.elastic.graph`): it keeps
-the flow of edge loops, stops faces from crossing, and carries what has no counterpart (w = 0) along.
+The map says where every point of the target's refined surface belongs. The net starts at the minimum of
+``||S X - P||^2`` and is then drawn onto the source's tangent planes at the closest points (`cagemap.wrap.terms`), which
+lets it slide along the surface. The as-affine-as-possible energy of the net keeps the flow of edge loops, stops faces
+from crossing, and carries what has no counterpart along.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import sparse
 
-from cagemap.errors import ParameterError
-from cagemap.geometry.points import SurfacePoints
-from cagemap.numerics.arrays import FloatArray
-from cagemap.operators.laplacian import vertex_areas
-from cagemap.refinement import level_triangles
+from cagemap.deform.config import Stage
+from cagemap.deform.energy import Admissible, ElasticEnergy, bounded_maps
+from cagemap.deform.graph import ElasticGraph
+from cagemap.deform.minimise import Energy, minimise
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.rotations import nearest_rotations
+from cagemap.wrap.config import WrapConfig
+from cagemap.wrap.detached import DetachedPieces
 from cagemap.wrap.net import ControlNet
+from cagemap.wrap.terms import NetTerms, Samples
 
-# Levels below the net whose vertices the fit looks at: about 16 for every point of the net.
-_SAMPLED_BELOW = 2
-# ... but no level that has more vertices than this, where the next one has 4 for every point.
-_MOST_SAMPLES = 60_000
-# A closest point further from the map's image than so many edges of the net belongs to another part.
-_REACH = 2.0
+Adjust = Callable[[FloatArray], FloatArray]
 
 
-@dataclass(frozen=True)
-class WrapConfig:
-    """How closely a net follows.
-
-    Attributes
-    ----------
-    level : int
-        Level whose points are fitted; 0 is the control mesh.
-    fairness : float
-        Weight of the net's energy against squared distances to the source.
-    anchor : float
-        Weight of the map's own images along the surface, against the distance from it.
-    rounds : int
-        Times that closest points are looked for.
-    """
-
-    level: int = 0
-    fairness: float = 1e-4
-    anchor: float = 0.003
-    rounds: int = 3
-
-    def __post_init__(self) -> None:
-        if self.level < 0 or self.rounds < 0:
-            raise ParameterError(f"level and rounds: expected 0 or more, got {self.level} and {self.rounds}")
-        if not 0 < self.fairness < np.inf:
-            raise ParameterError(f"fairness: expected a number above 0, got {self.fairness}; the default is 1e-4")
-        if not 0 <= self.anchor < np.inf:
-            raise ParameterError(f"anchor: expected 0 or more, got {self.anchor}; the default is 0.003")
+def unchanged(positions: FloatArray) -> FloatArray:
+    """No symmetry to keep."""
+    return positions
 
 
-@dataclass(frozen=True, eq=False)
-class FitData:
-    """What a net is fitted to, at unit area of the source.
-
-    Attributes
-    ----------
-    samples : (s, n_l) csr_array
-        Rows of S: vertices of the refined surface from the net's points.
-    images : SurfacePoints
-        Where the map takes them.
-    reach : (s,) float64
-        How far from its image a sample may slide: the length of the net's edges there.
-    weights : (s,) float64
-        Their areas times how far they may follow.
-    held : (s,) bool
-        Samples that stay at their image (boundaries), instead of sliding along the surface.
-    """
-
-    samples: sparse.csr_array
-    images: SurfacePoints
-    reach: FloatArray
-    weights: FloatArray
-    held: NDArray[np.bool_]
-
-
-def fit_data(net: ControlNet, images: SurfacePoints, follow: FloatArray, held: NDArray[np.bool_]) -> FitData:
-    """Choose the vertices that the fit looks at, and weigh them.
+def fit_net(net: ControlNet, samples: Samples, config: WrapConfig, adjust: Adjust = unchanged) -> FloatArray:
+    """Fit the points of a net.
 
     Parameters
     ----------
     net : ControlNet
-    images : SurfacePoints
-        Where the map takes the target's finest vertices.
-    follow : (n_f,) float64
-        1 where a vertex is to follow, 0 where it has no counterpart.
-    held : (n_f,) bool
+    samples : Samples
+    config : WrapConfig
+    adjust : callable
+        Applied to the net after every round, to keep a symmetry.
+
+    Returns
+    -------
+    (n_l, 3) float64
+        At unit area of the source.
     """
-    refinement, graph = net.refinement, net.graph
-    seen = min(net.level + 1, refinement.n_levels)
-    while seen < min(net.level + _SAMPLED_BELOW, refinement.n_levels):
-        if refinement.levels[seen + 1].n_vertices > _MOST_SAMPLES:
-            break
-        seen += 1
-    level = refinement.levels[seen]
-    count = level.n_vertices
-    rows = sparse.csr_array(refinement.product(refinement.n_levels, net.level)[:count])
-    areas = vertex_areas(level.positions, level_triangles(refinement, seen) if level.faces is None else level.faces)
-    lengths = np.linalg.norm(graph.edges, axis=1)
-    around = np.bincount(graph.heads, lengths, graph.n) / np.maximum(np.bincount(graph.heads, minlength=graph.n), 1)
-    return FitData(
-        rows, images.at(slice(count)), _REACH * (rows @ around), follow[:count] * areas / areas.sum(), held[:count]
-    )
+    free = free_points(samples, config)
+    detached = DetachedPieces.find(net.graph, free)
+    terms = NetTerms.build(net.graph, samples, config, detached.attached if len(detached.points) else None)
+    energy = replace(net.energy, admissible=similar_at(free))
+    positions = terms.start(energy)
+    loose = np.setdiff1d(free, detached.points)
+    local = LocalFit(net, samples, config, free, np.ones(net.graph.n))
+    positions = local.moved(positions, loose, config.net.carrying_rounds)
+    positions = adjust(detached.carried(positions, config.net))
+    positions = rounds(energy, terms, positions, config.rounds, adjust)
+    return adjust(detached.carried(positions, config.net)) if len(detached.points) else positions
+
+
+def free_points(samples: Samples, config: WrapConfig) -> IndexArray:
+    """(k,) points of the net that no sample acts on: what has no counterpart."""
+    own = samples.rows.T @ samples.weights
+    most = samples.rows.T @ np.full(len(samples.weights), samples.weights.max())
+    return np.flatnonzero(own <= config.net.min_weight * most)
+
+
+def rounds(
+    energy: Energy, terms: NetTerms, positions: FloatArray, count: int, adjust: Adjust = unchanged
+) -> FloatArray:
+    """(n, 3) positions after so many rounds, adjusted after each; what does not move is as it was."""
+    if not count:
+        return positions
+    config = terms.config
+    stage = Stage(count, (config.fairness, config.fairness), config.net.smoothing)
+    return minimise(energy, terms, positions, stage, adjust)
+
+
+def similar_at(points: IndexArray) -> Admissible:
+    """Bounded differentials; those of some points (k,) are similarities: turned and scaled, and not sheared."""
+
+    def admissible(maps: FloatArray, normals: FloatArray) -> tuple[FloatArray, IndexArray]:
+        maps, bounded = bounded_maps(maps, normals)
+        if len(points):
+            maps, near = maps.copy(), maps[points]
+            size = np.cbrt(np.abs(np.linalg.det(near)))
+            maps[points] = size[:, None, None] * nearest_rotations(near)
+        return maps, bounded
+
+    return admissible
+
+
+@dataclass(frozen=True, eq=False)
+class FixedMaps:
+    """An energy whose differentials stay as they are, wherever the net goes: it needs no factorisation."""
+
+    graph: ElasticGraph
+    maps: tuple[FloatArray, IndexArray]
+
+    def differentials(self, positions: FloatArray) -> tuple[FloatArray, IndexArray]:
+        """(n, 3, 3) the maps, and which of them were bounded."""
+        return self.maps
+
+
+@dataclass(frozen=True, eq=False)
+class LocalFit:
+    """Fits of parts of a net, with similarities at some points (k,) and a stiffness (n,) of all."""
+
+    net: ControlNet
+    samples: Samples
+    config: WrapConfig
+    similar: IndexArray
+    stiffness: FloatArray
+
+    def moved(self, positions: FloatArray, moving: IndexArray, count: int, *, fixed: bool = False) -> FloatArray:
+        """(n, 3) the net after some rounds in which few points (m,) move.
+
+        Their differentials are those of a part around them, as stiff as it is and anew in every round; or fixed, those
+        of the whole net at the positions before, which costs no factorisation.
+        """
+        if not len(moving):
+            return positions
+        net = self.net
+        part = net.graph.rings(moving, self.config.net.around)
+        graph = net.graph.part(part, self.stiffness)
+        moves = np.zeros(net.graph.n)
+        moves[moving] = 1.0
+        seen = np.flatnonzero((self.samples.rows @ moves > 0) & (self.samples.weights > 0))
+        samples = self.samples.of_part(seen, part)
+        terms = NetTerms.build(graph, samples, self.config, np.searchsorted(part, moving))
+        admissible = similar_at(np.searchsorted(part, np.intersect1d(part, self.similar)))
+        energy: Energy
+        if fixed:
+            energy = FixedMaps(graph, admissible(net.energy.maps(positions)[part], graph.normals))
+        else:
+            energy = ElasticEnergy.build(graph, self.config.net.smoothing, admissible)
+        moved = positions.copy()
+        moved[part] = rounds(energy, terms, positions[part], count)
+        return moved

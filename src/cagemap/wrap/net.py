@@ -7,46 +7,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cagemap.deform.energy import ElasticEnergy
+from cagemap.deform.graph import ElasticGraph, mesh_graph
 from cagemap.errors import ParameterError
-from cagemap.geometry.surface import TriangleSurface
-from cagemap.geometry.triangles import triangle_normals
-from cagemap.maps.elastic.graph import DifferentialField, ElasticGraph, mesh_graph
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.refinement import Refinement, finest_mesh, level_triangles
-
-# Exponent of an edge's squared length in its weight, relative to the mean: 0 weighs edges alike, whatever the faces'
-# size, 1 weighs them as the squared distances that they compete with. Chosen on two pairs.
-_POWER = 0.5
-# Neighbouring differentials are as alike as this, relative to the energy of the edges between them.
-SMOOTHING = 0.01
+from cagemap.subdivision import Refinement, finest_mesh, level_triangles
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import triangle_normals
+from cagemap.wrap.config import NetConfig
 
 
 @dataclass(frozen=True, eq=False)
 class ControlNet:
-    """One level of a surface, whose vertices are free to move.
-
-    Attributes
-    ----------
-    refinement : Refinement
-    level : int
-        Of the net; below the finest.
-    mesh : ControlMesh
-        The net, at rest.
-    graph : ElasticGraph
-        Its rest shape at unit area of the surface. Weights are cotangents times lengths of edges (times their mean), so
-        that the energy weighs against squared distances to a surface much the same for small faces as for large ones.
-    field : DifferentialField
-        Its differentials.
-    first_triangles : (m,) int64
-        Where every face's triangles of the finest level begin: those of one face follow those of the face before.
-    """
+    """One level of a surface, whose vertices are free to move."""
 
     refinement: Refinement
-    level: int
-    mesh: ControlMesh
+    level: int  # of the net; below the finest
+    mesh: ControlMesh  # the net, at rest
+    # Its rest shape at unit area of the surface. Weights are cotangents times lengths of edges (times their mean), so
+    # that the energy weighs against squared distances to a surface much the same for small faces as for large ones
     graph: ElasticGraph
-    field: DifferentialField
+    energy: ElasticEnergy
+    # (m,) Where every face's triangles of the finest level begin: those of one face follow those of the face before
     first_triangles: IndexArray
 
     @property
@@ -72,29 +55,23 @@ def level_mesh(refinement: Refinement, level: int) -> ControlMesh:
     return finest_mesh(replace(refinement, matrices=refinement.matrices[:level], levels=refinement.levels[: level + 1]))
 
 
-def control_net(refinement: Refinement, level: int, scale: float) -> ControlNet:
-    """Prepare a level of the target for fitting.
-
-    Parameters
-    ----------
-    refinement : Refinement
-    level : int
-    scale : float
-        What the target's lengths are multiplied by to get a surface of unit area.
-    """
+def control_net(refinement: Refinement, level: int, scale: float, config: NetConfig = NetConfig()) -> ControlNet:
+    """Prepare a level of the target for fitting."""
     mesh = level_mesh(refinement, level)
     net = TriangleSurface(scale * mesh.positions, level_triangles(refinement, level), scale)
     faces = refinement.levels[level].faces
     graph = mesh_graph(net, net.triangles if faces is None else faces)
     lengths2 = np.einsum("ed,ed->e", graph.edges, graph.edges)
-    graph = replace(graph, weights=graph.weights * (lengths2 / lengths2.mean()) ** _POWER * lengths2.mean())
-    field = DifferentialField.build(graph, graph.laplacian(), SMOOTHING)
+    graph = replace(
+        graph, weights=graph.weights * (lengths2 / lengths2.mean()) ** config.weight_power * lengths2.mean()
+    )
+    energy = ElasticEnergy.build(graph, config.smoothing)
     finest = refinement.finest
     steps = refinement.n_levels - level
     face = finest.face_parents if level == 0 else np.arange(finest.n_faces) // 4**steps
     per_face = len(level_triangles(refinement, refinement.n_levels)) // finest.n_faces
     first = per_face * np.searchsorted(face, np.arange(mesh.n_faces))
-    return ControlNet(refinement, level, mesh, graph, field, first)
+    return ControlNet(refinement, level, mesh, graph, energy, first)
 
 
 def face_normals(mesh: ControlMesh, positions: FloatArray) -> FloatArray:

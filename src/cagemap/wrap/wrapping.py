@@ -6,26 +6,30 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
+from cagemap.deform.fit import similarity
 from cagemap.errors import ParameterError
-from cagemap.geometry.closest import closest_points
-from cagemap.geometry.surface import TriangleSurface
-from cagemap.maps.elastic.fit import similarity
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import ControlMesh
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import ThreadPool
-from cagemap.refinement import Refinement
-from cagemap.wrap.fit import WrapConfig, fit_data
-from cagemap.wrap.follow import boundary_vertices, counterpart
-from cagemap.wrap.mend import fit_net, mend
+from cagemap.subdivision import Refinement
+from cagemap.surface.closest_points import closest_points
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.wrap.config import WrapConfig
+from cagemap.wrap.counterpart import boundary_vertices, counterpart
+from cagemap.wrap.fit import fit_net, unchanged
+from cagemap.wrap.mend import mend
 from cagemap.wrap.net import control_net, face_aspects, folded_faces
+from cagemap.wrap.terms import Samples
 
-# A vertex that follows less than this has no counterpart, and its distance to the source is no error.
-_FOLLOWS = 0.5
-# Where more than a hundredth of a surface is further away than this, part of it has slid into a wrong place: it is
-# fitted again with so much more pull of the map, and the closer one counts.
-_ASTRAY, _HELD = 0.01, 3.0
+# What is said of a plain target.
+NO_CAGE = (
+    "expected a cage to wrap, got a plain mesh (scheme none), which has no control points. Say how the target is "
+    "subdivided (`ControlMesh.scheme`): catmull-clark, loop for triangles, or bilinear, which leaves its form. The "
+    "source may be plain."
+)
 
 # Triangles, barycentric coordinates and distances of closest points.
 Closest = tuple[IndexArray, FloatArray, FloatArray]
@@ -33,23 +37,19 @@ Closest = tuple[IndexArray, FloatArray, FloatArray]
 
 @dataclass(frozen=True)
 class Residual:
-    """Distances of the refined surface to the source, over the vertices that follow; parts of sqrt(source area).
+    """Distances of a surface's vertices to another surface, as parts of sqrt(source area).
 
     Attributes
     ----------
     mean, p99, largest : float
-        Over the finest vertices.
     where : int
-        Finest vertex that is furthest.
-    left_out : float
-        Share of the target's area that has no counterpart.
+        Vertex that is furthest.
     """
 
     mean: float
     p99: float
     largest: float
     where: int
-    left_out: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +71,13 @@ class Wrapped:
     follow : (n_f,) float64
         How far each vertex was to follow, from 0 to 1.
     residual : Residual
+        Of all finest vertices to the source.
+    followed : Residual
+        The same of those that have a counterpart.
+    from_source : Residual
+        Of all vertices of the source to the wrapped surface.
+    left_out : float
+        Share of the target's area that has no counterpart.
     folded : (k,) int64
         Faces of the net that turn against their refined surface, and did not at rest.
     aspect : float
@@ -84,6 +91,9 @@ class Wrapped:
     distance: FloatArray
     follow: FloatArray
     residual: Residual
+    followed: Residual
+    from_source: Residual
+    left_out: float
     folded: IndexArray
     aspect: float
 
@@ -118,10 +128,7 @@ def wrap(
     """
     finest = target.n_levels
     if target.is_plain:
-        raise ParameterError(
-            f"{target.control.name}: expected a cage to wrap, got a plain mesh (scheme none), which has no control "
-            "points; give the cage as target and the scan as source, and the scheme of a cage whose file says none"
-        )
+        raise ParameterError(f"{target.control.name}: {NO_CAGE}")
     if config.level >= finest:
         raise ParameterError(
             f"fit level: expected a level below the map's own, 0 to {finest - 1}, got {config.level}; "
@@ -133,24 +140,30 @@ def wrap(
             f"{point_map.target.n}: are target and source exchanged, or of other levels?"
         )
     with ThreadPool(1) as pool:
-        found = pool.submit(counterpart, point_map)
-        net = control_net(target, config.level, point_map.target.scale)
+        found = pool.submit(counterpart, point_map, config.counterpart)
+        net = control_net(target, config.level, point_map.target.scale, config.net)
         weights = found.result() * _follow(target, follow)
-    data = fit_data(net, point_map.images, weights, boundary_vertices(point_map.target))
-    adjust = (lambda positions: positions) if symmetry is None else partial(symmetrized, symmetry)
+    boundary = boundary_vertices(point_map.target)
+    samples = Samples.choose(net, point_map.images, weights, boundary, config.net)
+    adjust = unchanged if symmetry is None else partial(symmetrized, symmetry)
+    follows = weights >= config.counterpart.followed
+    if not follows.any():
+        raise ParameterError("expected a part of the target that follows the source, got weights of 0 everywhere")
     source = point_map.source
 
     def fitted(config: WrapConfig) -> tuple[Residual, FloatArray, Closest]:
-        positions = mend(net, data, config, fit_net(net, data, config, adjust), adjust)
+        positions = mend(net, samples, config, fit_net(net, samples, config, adjust), adjust)
         closest = closest_points(source.tree, net.surface(positions), guess=point_map.triangle)
-        return residual_of(closest[2], weights, point_map.target), positions, closest
+        return residual_of(closest[2], follows), positions, closest
 
     first = fitted(config)
-    if first[0].p99 > _ASTRAY and config.anchor > 0:
-        held = fitted(replace(config, anchor=_HELD * config.anchor))
+    if first[0].p99 > config.max_distance and config.anchor > 0:
+        held = fitted(replace(config, anchor=config.stronger_anchor * config.anchor))
         first = min(first, held, key=lambda fit: fit[0].mean)
-    residual, positions, (triangle, barycentric, distance) = first
+    followed, positions, (triangle, barycentric, distance) = first
     surface = net.surface(positions)
+    triangles = point_map.target.triangles
+    _, _, back = closest_points(TriangleSurface(surface, triangles).tree, source.positions)
     at_rest = net.graph.positions
     folded = folded_faces(net, positions) & ~folded_faces(net, at_rest)
     aspects = [np.percentile(face_aspects(net.mesh, x), 99) for x in (positions, at_rest)]
@@ -161,22 +174,21 @@ def wrap(
         closest=PointMap.from_arrays(point_map.target, source, triangle, barycentric),
         distance=distance,
         follow=weights,
-        residual=residual,
+        residual=residual_of(distance),
+        followed=followed,
+        from_source=residual_of(back),
+        left_out=float(point_map.target.areas @ (~follows)[triangles].mean(axis=1)),
         folded=np.flatnonzero(folded),
         aspect=float(aspects[0] / aspects[1]),
     )
 
 
-def residual_of(distance: FloatArray, follow: FloatArray, target: TriangleSurface) -> Residual:
-    """Figures of the distances (n_f,) over the vertices that follow."""
-    follows = follow >= _FOLLOWS
-    if not follows.any():
-        raise ParameterError("expected a part of the target that follows the source, got weights of 0 everywhere")
-    seen = np.where(follows, distance, 0.0)
-    left = target.areas @ (~follows)[target.triangles].mean(axis=1)
-    among = distance[follows]
+def residual_of(distance: FloatArray, counted: NDArray[np.bool_] | None = None) -> Residual:
+    """Figures of distances (n,), of all of them or those that are counted."""
+    vertices = np.arange(len(distance)) if counted is None else np.flatnonzero(counted)
+    among = distance[vertices]
     return Residual(
-        float(among.mean()), float(np.percentile(among, 99)), float(among.max()), int(seen.argmax()), float(left)
+        float(among.mean()), float(np.percentile(among, 99)), float(among.max()), int(vertices[among.argmax()])
     )
 
 

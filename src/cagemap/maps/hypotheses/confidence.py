@@ -33,6 +33,9 @@ SURE_ASPECT = 1.6
 SURE_SHEARED = 2.7
 # Measured: hind legs that end at the hocks leave 4 % of the source to nothing, right answers up to 1 %.
 SURE_UNREACHED = 0.02
+# Share of the target's area at which the map jumps across a contact (`Jumps`): 0 in most right maps, 9 to 38 % where
+# limbs lie on other limbs; 4 % with one hand on the hip that it touches (docs/accuracy.md).
+SURE_JUMPS = 0.02
 # How many times better the target may lie on the source's mirror image: at most 1.01 in 24 pairs of bodies and animals
 # that are sure; 3.3 and 9 where strides are opposite and legs changed places, 1.26 and more of a foot on the other.
 SURE_MIRRORED = 1.2
@@ -52,27 +55,30 @@ class MapShape:
         Share of the source's area that lies far from all that the map leads to: limbs that nothing came to.
     sheared : float
         The ratio of stretches that a tenth of the area exceeds.
+    jumps : float
+        Share of the target's area at which the map jumps across a contact.
     """
 
     folded: float = 0.0
     aspect: float = 1.0
     unreached: float = 0.0
     sheared: float = 1.0
+    jumps: float = 0.0
 
     @classmethod
-    def of(cls, found: PointMap, unreached: float = 0.0) -> MapShape:
+    def of(cls, found: PointMap, unreached: float = 0.0, jumps: float = 0.0) -> MapShape:
         """Measure a map."""
         target, images = found.target, found.images
         folded = target.areas @ flipped_triangles(images, target.triangles) / target.areas.sum()
         largest, smallest = stretches(target.positions, images.positions, target.triangles)
         aspect, sheared = weighted_percentiles(largest / np.maximum(smallest, 1e-9), target.areas, [50.0, 90.0])
-        return cls(float(folded), float(aspect), unreached, float(sheared))
+        return cls(float(folded), float(aspect), unreached, float(sheared), jumps)
 
     @property
     def sound(self) -> bool:
         """Whether shapes that truly correspond may be bent so much."""
         bent = self.folded <= SURE_FOLDED and self.aspect <= SURE_ASPECT and self.sheared <= SURE_SHEARED
-        return bent and self.unreached <= SURE_UNREACHED
+        return bent and self.unreached <= SURE_UNREACHED and self.jumps <= SURE_JUMPS
 
 
 def may_be_sure(cost: float, gap: float, shape: MapShape, most: float = SURE_COST, mirrored: float = 1.0) -> bool:
@@ -195,6 +201,8 @@ class Confidence:
         hint = f", first at target vertex {vertex}" if self.deciding is not None else ""
         missing = self.shape.unreached
         why = f"nothing comes to {100 * missing:.0f} % of the source" if missing > SURE_UNREACHED else DIFFERENT
+        if self.shape.jumps > SURE_JUMPS:
+            why = f"it jumps across a contact at {100 * self.shape.jumps:.0f} % of the target"
         if self.mirrored > SURE_MIRRORED:
             why = (
                 f"it fits the source's mirror image {self.mirrored:.1f} times as well: a left part on a right one, or "
@@ -224,5 +232,6 @@ class Confidence:
             "aspect": self.shape.aspect,
             "unreached": self.shape.unreached,
             "sheared": self.shape.sheared,
+            "jumps": self.shape.jumps,
             "mirrored": self.mirrored,
         }

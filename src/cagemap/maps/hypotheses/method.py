@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from cagemap.geometry.closest import build_tree, closest_points
-from cagemap.maps.elastic.both_ways import both_ways
-from cagemap.maps.elastic.ends import judged
-from cagemap.maps.elastic.prepared import PreparedPair
-from cagemap.maps.elastic.problem import FitProblem
+from cagemap.deform.fit import with_cost
+from cagemap.deform.inverse_consistency import inverse_consistent
+from cagemap.deform.prepared import PreparedPair
+from cagemap.deform.problem import Problem
 from cagemap.maps.hypotheses.confidence import SURE, Confidence, MapShape, Reading
+from cagemap.maps.hypotheses.jumps import Jumps
 from cagemap.maps.hypotheses.mirror import mirrored_gain
 from cagemap.maps.hypotheses.search import found_readings
 from cagemap.maps.hypotheses.tips import AS_CHEAP, OF_ONE_KIND
@@ -19,6 +20,7 @@ from cagemap.maps.pair import Pair, Progress, silent
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.project import map_of_places
 from cagemap.numerics.arrays import FloatArray
+from cagemap.surface.closest_points import build_tree, closest_points
 
 # With fewer landmarks, they only help to choose among hypotheses; from here on they start a map of their own.
 FEWEST_LANDMARKS = 3
@@ -37,13 +39,17 @@ def hypothesis_map(prepared: PreparedPair, pair: Pair, progress: Progress = sile
     progress : callable
         Called with the name of each stage.
     """
-    problem = FitProblem(prepared, pair)
+    problem = Problem(prepared, pair)
     best, *others = found_readings(problem, progress)
     readings = replace(best, positions=half_way(problem, best)), *others
-    progress("projection")
+    progress("closest points")
     found = map_of_places(prepared, readings[0].positions, pair.landmarks)
-    shape = MapShape.of(found, unreached_share(prepared, found))
-    confidence = Confidence.of(readings, pair.target.control.n_vertices, shape)
+    jumps, controls = Jumps.of(prepared, found), pair.target.control.n_vertices
+    shape = MapShape.of(found, unreached_share(prepared, found), jumps.share)
+    confidence = Confidence.of(readings, controls, shape)
+    if jumps.many:  # decided there, whatever other answers differ in
+        places = prepared.mesh.positions
+        confidence = replace(confidence, deciding=int(cKDTree(places[:controls]).query(places[jumps.vertex])[1]))
     if confidence.verdict == SURE:
         confidence = confidence.seen_mirrored(mirrored_gain(problem, readings[0].positions))
     if confidence.deciding is not None:
@@ -52,22 +58,22 @@ def hypothesis_map(prepared: PreparedPair, pair: Pair, progress: Progress = sile
     return found, confidence
 
 
-def half_way(problem: FitProblem, reading: Reading) -> FloatArray:
-    """Positions of a reading half-way to what it is seen from the source (`both_ways`), where they cost hardly more.
+def half_way(problem: Problem, reading: Reading) -> FloatArray:
+    """Positions of a reading, made inverse consistent where that costs hardly more.
 
     As they are between bodies of one kind, whose slides are small, and under masks: what is masked would be fitted back
     as well, and drag what is not with it.
     """
     if problem.prepared.rest.masks.any or reading.cost <= OF_ONE_KIND:
         return reading.positions
-    moved = both_ways(problem, reading.positions)
-    cost = judged(problem.prepared, moved).cost
+    moved = inverse_consistent(problem, reading.positions)
+    cost = with_cost(problem.prepared, moved).cost
     return moved if cost <= AS_CHEAP * reading.cost else reading.positions
 
 
 def unreached_share(prepared: PreparedPair, found: PointMap) -> float:
     """Share of the source's area, where it is not masked, that lies `FAR` or farther from what the map leads to."""
-    mesh, pullers = prepared.mesh, prepared.rest.pullers(prepared.sheet)
+    mesh, samples = prepared.mesh, prepared.source_samples
     image = build_tree(found.images.at(slice(0, mesh.n)).positions, mesh.triangles)
-    far = closest_points(image, pullers.points)[2] > FAR
-    return float(pullers.areas[far].sum() / max(pullers.areas.sum(), 1e-12))
+    far = closest_points(image, samples.points)[2] > FAR
+    return float(samples.areas[far].sum() / max(samples.areas.sum(), 1e-12))

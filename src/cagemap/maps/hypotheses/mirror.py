@@ -10,38 +10,38 @@ from dataclasses import replace
 
 import numpy as np
 
-from cagemap.geometry.closest import closest_points
-from cagemap.geometry.polylines import Polyline
-from cagemap.geometry.surface import TriangleSurface
-from cagemap.maps.elastic.ends import different
-from cagemap.maps.elastic.fit import coarse_fit
-from cagemap.maps.elastic.problem import FitProblem
-from cagemap.maps.elastic.ties import Ties
+from cagemap.deform.constraints import Constraints
+from cagemap.deform.fit import coarse_fit
+from cagemap.deform.placement import Placement, distinct
+from cagemap.deform.problem import Problem
 from cagemap.maps.hypotheses.search import ALIKE, rough_problem
-from cagemap.maps.hypotheses.starts import Start, rigid_starts
+from cagemap.maps.hypotheses.starts import rigid_starts
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import in_threads, thread_limit
+from cagemap.surface.closest_points import closest_points
+from cagemap.surface.polylines import Polyline
+from cagemap.surface.triangle_surface import TriangleSurface
 
 # Starts that are fitted, those that begin nearest to the surface.
 NEAREST_STARTS = 4
 ACROSS = np.array([-1.0, 1.0, 1.0])
 
 
-def mirrored_gain(problem: FitProblem, positions: FloatArray) -> float:
+def mirrored_gain(problem: Problem, positions: FloatArray) -> float:
     """How many times more the target costs on the source than on its mirror image, both on the small graph.
 
     On either from the starts that begin nearest to it, on the source from known positions (n, 3) as well: from one
     start alone, two bodies of a kind that stand alike seemed 1.13 times better mirrored.
     """
-    rough, sheet = rough_problem(problem), problem.prepared.sheet
-    graph, ties = rough.shape.rest.graph, rough.shape.ties
-    mirrored = TriangleSurface(sheet.positions * ACROSS, sheet.triangles[:, ::-1])
+    rough, source = rough_problem(problem), problem.prepared.source_surface
+    graph, constraints = rough.shape.rest.graph, rough.shape.constraints
+    mirrored = TriangleSurface(source.positions * ACROSS, source.triangles[:, ::-1])
 
-    def least(side: TriangleSurface, met: Ties, *known: FloatArray) -> float:
-        onto = replace(rough, prepared=replace(rough.prepared, sheet=side))
-        shape = replace(rough.shape, ties=met)
+    def least(side: TriangleSurface, held: Constraints, *known: FloatArray) -> float:
+        onto = replace(rough, prepared=replace(rough.prepared, source_surface=side))
+        shape = replace(rough.shape, constraints=held)
 
-        def away(start: Start) -> float:
+        def away(start: Placement) -> float:
             return float(graph.areas @ closest_points(side.tree, start.positions)[2] ** 2)
 
         def cost(start: FloatArray) -> float:
@@ -49,16 +49,17 @@ def mirrored_gain(problem: FitProblem, positions: FloatArray) -> float:
                 return coarse_fit(onto, start, shape).cost
 
         nearest = sorted(rigid_starts(graph.positions, side.positions), key=away)
-        tried = different(nearest, lambda start: start.positions, graph.areas, ALIKE)[:NEAREST_STARTS]
+        tried = distinct(nearest, graph.areas, ALIKE)[:NEAREST_STARTS]
         return min(in_threads(cost, [*known, *(start.positions for start in tried)]))
 
-    given = least(sheet, ties, positions[rough.shape.vertices])
-    return given / least(mirrored, mirrored_ties(ties))
+    given = least(source, constraints, positions[rough.shape.vertices])
+    return given / least(mirrored, mirrored_constraints(constraints))
 
 
-def mirrored_ties(ties: Ties) -> Ties:
-    """The same points and curves, to be met on the source's mirror image."""
+def mirrored_constraints(constraints: Constraints) -> Constraints:
+    """The same points and curves on the source's mirror image."""
     curves = (
-        replace(curve, source=Polyline(curve.source.positions * ACROSS, curve.source.closed)) for curve in ties.curves
+        replace(curve, source=Polyline(curve.source.positions * ACROSS, curve.source.closed))
+        for curve in constraints.curves
     )
-    return replace(ties, places=ties.places * ACROSS, curves=tuple(curves))
+    return replace(constraints, places=constraints.places * ACROSS, curves=tuple(curves))

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from cagemap.maps.elastic.config import Stage
-from cagemap.maps.elastic.constants import MOST_ENDS, SHEET_VERTICES
-from cagemap.maps.elastic.ends import FineFit, different, finished_ends, judged, mean_distance
-from cagemap.maps.elastic.fit import CoarseFit, coarse_fit
-from cagemap.maps.elastic.prepared import PreparedPair
-from cagemap.maps.elastic.problem import FitProblem
-from cagemap.maps.elastic.starts import SpectralSides, spectral_starts
+from cagemap.deform.config import Stage
+from cagemap.deform.fit import coarse_fit, with_cost
+from cagemap.deform.placement import Placement, distinct, mean_distance
+from cagemap.deform.prepared import PreparedPair
+from cagemap.deform.problem import Problem
+from cagemap.deform.search import refine_best
+from cagemap.deform.starts import SpectralSides, spectral_starts
 from cagemap.maps.hypotheses.confidence import Reading
-from cagemap.maps.hypotheses.starts import AS_FILED, Start, rigid_starts
+from cagemap.maps.hypotheses.starts import AS_FILED, rigid_starts
 from cagemap.maps.hypotheses.tips import OF_ONE_KIND, Tips, led_by_tips
 from cagemap.maps.masks import WHOLE
 from cagemap.maps.pair import Progress, silent
@@ -31,109 +31,95 @@ COARSE, FINISHED = 4, 3
 HOPELESS = 2.5
 
 
-@dataclass(frozen=True)
-class _Candidate:
-    """Where a start ended, and where others of the same name did; cheapest first."""
-
-    name: str
-    doubt: float
-    fits: tuple[CoarseFit, ...]
-
-    @property
-    def fit(self) -> CoarseFit:
-        return self.fits[0]
-
-    @property
-    def rank(self) -> float:
-        return self.doubt * self.fit.cost
+Candidate = tuple[Placement, ...]  # coarse placements from one start, cheapest first
 
 
-def found_readings(problem: FitProblem, progress: Progress = silent) -> tuple[Reading, ...]:
+def found_readings(problem: Problem, progress: Progress = silent) -> tuple[Reading, ...]:
     """Different ways in which the target lies on the source, fitted, best first: by cost and doubt.
 
     Landmarks, if there are any, are held by all of them. Positions are those of the vertices of the level
     that is deformed.
     """
-    progress("hypotheses")
+    progress("possible alignments")
     rough = rough_fits(problem)
-    progress("coarse fits")
+    progress("rough alignment")
     candidates = coarse_fits(problem, rough)
-    progress("elastic fits")
+    progress("elastic alignment")
 
-    def finish(candidate: _Candidate) -> FineFit:
-        most = MOST_ENDS if candidate is candidates[0] else 1
-        return finished_ends(problem, candidate.fits, most)[0]
+    def refine(candidate: Candidate) -> Placement:
+        refined = refine_best(problem, candidate, None if candidate is candidates[0] else 1)[0]
+        return replace(refined, name=candidate[0].name, doubt=candidate[0].doubt)
 
-    ends = in_threads(finish, candidates)
-    if min(ended.cost for ended in ends) > OF_ONE_KIND:
+    found = in_threads(refine, candidates)
+    if min(placed.cost for placed in found) > OF_ONE_KIND:
         tips = Tips.of(problem)
-        ends = in_threads(lambda ended: led_by_tips(problem, tips, ended), ends)
-    finished = [
-        Reading(candidate.name, ended.cost, ended.positions, candidate.doubt)
-        for candidate, ended in zip(candidates, ends, strict=True)
-    ]
+        found = in_threads(lambda placed: led_by_tips(problem, tips, placed), found)
     least, areas = least_cost(problem.prepared), problem.prepared.rest.graph.areas
-    readings = sorted(finished, key=lambda reading: reading.doubt * max(reading.cost, least))
-    return tuple(different(readings, lambda reading: reading.positions, areas, DIFFERENT))
+    ranked = sorted(found, key=lambda placed: placed.doubt * max(placed.cost, least))
+    return tuple(
+        Reading(placed.name, placed.cost, placed.positions, placed.doubt)
+        for placed in distinct(ranked, areas, DIFFERENT)
+    )
 
 
 def least_cost(prepared: PreparedPair) -> float:
-    """What the target costs where it lies on itself: chords and samples, which tell nothing of how a fit is.
+    """Discretisation floor of the cost: the target fitted to itself. Costs below it are ties.
 
     What costs less is as good as what costs as much: a box turned upon itself stretches affinely, which is free, and
     its samples may fall better. Under masks a fit costs less because less of it counts, and so does this.
     """
     target, rest, own = prepared.target, prepared.rest, replace(prepared.rest, masks=WHOLE)
-    sheet = target.triangles(target.refinement.coarsest_level(SHEET_VERTICES))
-    on_itself = replace(prepared, rest=own, sheet=sheet)
-    counts = rest.graph.areas @ rest.masks.of_target(rest.graph.n), rest.pullers(prepared.sheet).areas.sum()
-    return float(min(counts)) * judged(on_itself, rest.graph.positions).cost
+    surface = target.triangles(target.refinement.coarsest_level(prepared.elastic.source_vertices))
+    on_itself = replace(prepared, rest=own, source_surface=surface)
+    counts = rest.graph.areas @ rest.masks.of_target(rest.graph.n), prepared.source_samples.areas.sum()
+    return float(min(counts)) * with_cost(on_itself, rest.graph.positions).cost
 
 
-def rough_problem(problem: FitProblem) -> FitProblem:
+def rough_problem(problem: Problem) -> Problem:
     """The same on the small graph on which all starts are tried."""
     return problem.staged(ROUGH, ROUGH_VERTICES)
 
 
-def rough_fits(problem: FitProblem) -> list[_Candidate]:
-    """The different ends of all rigid starts on a small graph, cheapest first."""
+def rough_fits(problem: Problem) -> list[Candidate]:
+    """The different placements of all rigid starts on a small graph, cheapest first."""
     rough = rough_problem(problem)
     small = rough.shape.rest.graph
 
-    def trial(start: Start) -> _Candidate:
+    def trial(start: Placement) -> Placement:
         with thread_limit(1):  # the starts are spread over the cores: a step of one is too short to be
-            ended = coarse_fit(rough, start.positions)
-            return _Candidate(start.name, start.doubt, (ended,))
+            return replace(coarse_fit(rough, start.positions), name=start.name, doubt=start.doubt)
 
-    starts = rigid_starts(small.positions, problem.prepared.sheet.positions)
-    tried = in_threads(trial, different(starts, lambda start: start.positions, small.areas, ALIKE))
-    ranked = sorted(tried, key=lambda one: one.rank)
-    kept = _first(different(ranked, lambda one: one.fit.positions, small.areas, DIFFERENT), COARSE)
+    starts = rigid_starts(small.positions, problem.prepared.source_surface.positions)
+    tried = in_threads(trial, distinct(starts, small.areas, ALIKE))
+    ranked = sorted(tried, key=lambda placed: placed.rank)
+    kept = _first([(placed,) for placed in distinct(ranked, small.areas, DIFFERENT)], COARSE)
     # What starts of several names lead to has the first one's, which is the simplest.
     firsts = [
-        next(t for t in tried if mean_distance(t.fit.positions, one.fit.positions, small.areas) < DIFFERENT)
-        for one in kept
+        next(t for t in tried if mean_distance(t.positions, one.positions, small.areas) < DIFFERENT) for (one,) in kept
     ]
-    return [_Candidate(first.name, first.doubt, one.fits) for first, one in zip(firsts, kept, strict=True)]
+    return [(replace(one, name=first.name, doubt=first.doubt),) for first, (one,) in zip(firsts, kept, strict=True)]
 
 
-def coarse_fits(problem: FitProblem, rough: Sequence[_Candidate]) -> list[_Candidate]:
-    """Coarse fits of each rough one: from where it is, and from what spectral upsampling makes of that."""
+def coarse_fits(problem: Problem, rough: Sequence[Candidate]) -> list[Candidate]:
+    """Coarse placements of each rough one: from where it is, and from what spectral upsampling makes of that."""
     graph = problem.shape.rest.graph
     sides = SpectralSides.build(problem)
 
-    def improve(candidate: _Candidate) -> _Candidate:
+    def improve(candidate: Candidate) -> Candidate:
+        (placed,) = candidate
         with thread_limit(1):
-            own = coarse_fit(problem, candidate.fit.on(graph))
+            own = coarse_fit(problem, placed.on(graph, problem.prepared.elastic.graph))
             others = [coarse_fit(problem, start) for start in spectral_starts(own, sides)]
-        return replace(candidate, fits=tuple(sorted([own, *others], key=lambda ended: ended.cost)))
+        named = [replace(one, name=placed.name, doubt=placed.doubt) for one in (own, *others)]
+        return tuple(sorted(named, key=lambda one: one.cost))
 
-    improved = sorted(in_threads(improve, rough), key=lambda one: one.rank)
-    kept = different(improved, lambda one: one.fit.positions, graph.areas, DIFFERENT)
-    hopeful = [one for one in kept if one.fit.cost <= HOPELESS * kept[0].fit.cost]
+    improved = sorted(in_threads(improve, rough), key=lambda candidate: candidate[0].rank)
+    best = distinct([candidate[0] for candidate in improved], graph.areas, DIFFERENT)
+    kept = [candidate for candidate in improved if candidate[0] in best]
+    hopeful = [candidate for candidate in kept if candidate[0].cost <= HOPELESS * kept[0][0].cost]
     return _first(hopeful, FINISHED)
 
 
-def _first(ranked: Sequence[_Candidate], count: int) -> list[_Candidate]:
+def _first(ranked: Sequence[Candidate], count: int) -> list[Candidate]:
     """The first candidates, and of the others the one that lies as the files stand."""
-    return [*ranked[:count], *(one for one in ranked[count:] if one.name == AS_FILED)]
+    return [*ranked[:count], *(one for one in ranked[count:] if one[0].name == AS_FILED)]

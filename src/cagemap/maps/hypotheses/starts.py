@@ -6,38 +6,20 @@ the elastic energy cannot turn a mirrored start over, so that left stays left.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import permutations, product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cagemap.deform.placement import Placement
 from cagemap.numerics.arrays import FloatArray
 
 AS_FILED = "as the files stand"
-# Doubt of a start, see `Start`: turned about the vertical, and turned otherwise.
+# Factors on the cost of a start turned about the vertical, and turned otherwise: files nearly always agree in what is
+# up, and mostly in what is front.
 TURNED_DOUBT, OTHER_DOUBT = 1.1, 1.3
 # A box that is flat along an axis is not stretched along it.
 LEAST_EXTENT = 1e-6
-
-
-@dataclass(frozen=True, eq=False)
-class Start:
-    """One way in which the target may lie on the source.
-
-    Attributes
-    ----------
-    name : str
-        In words, such as "turned 180 degrees about y".
-    positions : (k, 3) float64
-        On or near the source, one for every vertex of the coarse graph.
-    doubt : float
-        Factor on costs when answers are ranked: files nearly always agree in what is up, and mostly in what is front.
-    """
-
-    name: str
-    positions: FloatArray
-    doubt: float = OTHER_DOUBT
 
 
 def axis_rotations() -> list[FloatArray]:
@@ -65,8 +47,8 @@ def rotation_name(matrix: FloatArray) -> str:
     return f"turned {angle} degrees about ({', '.join(map(str, axis))})"
 
 
-def rigid_starts(points: FloatArray, source_points: FloatArray) -> list[Start]:
-    """Both shapes' bounding boxes and principal frames laid on each other, in all 24 ways.
+def rigid_starts(points: FloatArray, source_points: FloatArray) -> list[Placement]:
+    """Placements with both shapes' bounding boxes and principal frames laid on each other, in all 24 ways.
 
     Boxes agree in their diagonal (one scale) or along every axis (three scales); principal frames, for files whose axes
     mean nothing, keep unit area.
@@ -83,15 +65,15 @@ def rigid_starts(points: FloatArray, source_points: FloatArray) -> list[Start]:
         turned = points @ matrix.T
         doubt = OTHER_DOUBT if matrix[1, 1] < 0.5 else 1.0 if matrix[0, 0] > 0.5 else TURNED_DOUBT
         starts += [
-            Start(rotation_name(matrix), _boxed(turned, source_points, stretched), doubt) for stretched in (False, True)
+            Placement(_boxed(turned, source_points, stretched), name=rotation_name(matrix), doubt=doubt)
+            for stretched in (False, True)
         ]
     centre, frame = _principal_frame(points)
     source_centre, source_frame = _principal_frame(source_points)
     for signs in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         flips = np.array([*signs, signs[0] * signs[1]], dtype=np.float64)
-        starts.append(
-            Start("by its principal axes", (points - centre) @ (frame * flips) @ source_frame.T + source_centre)
-        )
+        positions = (points - centre) @ (frame * flips) @ source_frame.T + source_centre
+        starts.append(Placement(positions, name="by its principal axes", doubt=OTHER_DOUBT))
     return starts
 
 

@@ -1,32 +1,25 @@
 """Tips of limbs, tails, noses and ears, from one shape alone, and a fit that is led by those that lie near each other.
 
 Between species the energy leaves an ear or a hoof beside its counterpart, and drags what is around it along; a short
-leg lies within a long one. So the source pulls too: what no limb has come to pulls at the nearest one.
+leg lies within a long one. So the coarse stage has data terms of the source too.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from cagemap.maps.elastic.config import Stage
-from cagemap.maps.elastic.data import Pullers
-from cagemap.maps.elastic.ends import FineFit, judged
-from cagemap.maps.elastic.fit import coarse_fit, fine_fit
-from cagemap.maps.elastic.graph import ElasticGraph
-from cagemap.maps.elastic.problem import FitProblem
+from cagemap.deform.config import Stage
+from cagemap.deform.data import SourceSamples
+from cagemap.deform.fit import coarse_fit, fine_fit, with_cost
+from cagemap.deform.graph import ElasticGraph
+from cagemap.deform.placement import Placement
+from cagemap.deform.problem import Problem
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.graphs import components
 from cagemap.numerics.threads import thread_limit
 
-# Places, far from each other, that stand for the surface in mean distances.
-STATIONS = 60
-# Pieces of a mesh with less than this share of its area, eyes and teeth, have no tips.
-LEAST_PIECE = 0.05
 # Height of a tip over the highest pass to a higher one, of sqrt(area): ears have 0.01 to 0.05, feet 0.1 to 0.3.
 LEAST_HEIGHT = 0.01
 # Tips of two surfaces that a fit leaves so close are the same, of sqrt(area); a fit that leaves all of them closer than
@@ -34,8 +27,7 @@ LEAST_HEIGHT = 0.01
 NEAR, MET, TAKEN = 0.2, 0.02, 0.05
 # What a fit that meets the tips may cost, of the one that does not: the energy does not know ears from cheeks.
 AS_CHEAP = 1.15
-# The coarse stage that is led: as stiff as that of bodies that stand alike, and twice as long; and how many points of
-# the source pull at it.
+# The coarse stage that holds tips, as stiff as that of bodies that stand alike and twice as long; its source samples.
 LED = Stage(20, (5e-2, 2e-4), 1e-2, momentum=0.6)
 LEADING = 4000
 # Bodies of one kind cost less: nothing that either stage after the fit would gain is worth its time there.
@@ -58,7 +50,7 @@ class Tips:
     places: FloatArray
 
     @classmethod
-    def of(cls, problem: FitProblem) -> Tips:
+    def of(cls, problem: Problem) -> Tips:
         """Those that are neither masked nor at a landmark."""
         (target, source), landmarks = problem.prepared.graphs, problem.pair.landmarks
         masks, found = problem.prepared.rest.masks, []
@@ -84,22 +76,22 @@ class Tips:
         return np.column_stack([np.flatnonzero(mutual), there[mutual]])
 
 
-def led_by_tips(problem: FitProblem, tips: Tips, ended: FineFit) -> FineFit:
-    """A fit from where another one ended, whose coarse stage holds the tips; the other one where it is much cheaper.
+def led_by_tips(problem: Problem, tips: Tips, placed: Placement) -> Placement:
+    """Refit from a placement with the tips held in the coarse stage; the placement itself where it is much cheaper.
 
-    The source pulls at that stage as well, which is a stiff one: trunks and necks follow their ends. The fine stage
-    holds landmarks only: what was no counterpart slips away.
+    That stage is stiff and has data terms of the source as well: trunks and necks follow their ends. The fine stage
+    holds landmarks only: tips that are no counterparts slip away.
     """
-    prepared, pairs = problem.prepared, tips.pairs(ended.positions)
+    prepared, pairs = problem.prepared, tips.pairs(placed.positions)
     if not len(pairs):
-        return ended
+        return placed
     stiff = problem.staged(LED)
     shape = stiff.holding(tips.vertices[pairs[:, 0]], tips.places[pairs[:, 1]])
-    leading = Pullers.choose(prepared.sheet, LEADING, prepared.rest.masks)
+    leading = SourceSamples.choose(prepared.source_surface, LEADING, prepared.rest.masks)
     with thread_limit(1):
-        led = coarse_fit(stiff, ended.positions[shape.vertices], shape, leading)
-    again = judged(prepared, fine_fit(problem, led))
-    return again if again.cost <= AS_CHEAP * ended.cost else ended
+        led = coarse_fit(stiff, placed.positions[shape.vertices], shape, leading)
+    again = replace(with_cost(prepared, fine_fit(problem, led)), name=placed.name, doubt=placed.doubt)
+    return again if again.cost <= AS_CHEAP * placed.cost else placed
 
 
 def tip_vertices(graph: ElasticGraph) -> IndexArray:
@@ -115,22 +107,14 @@ def tip_vertices(graph: ElasticGraph) -> IndexArray:
 
 
 def mean_distances(graph: ElasticGraph) -> FloatArray:
-    """(n,) mean distance along the edges to the whole surface, by some vertices, each far from the others.
+    """(n,) mean distance along the edges to the whole surface.
 
-    A piece of its own knows only itself; those with less than `LEAST_PIECE` of the area have 0.
+    A piece of its own knows only itself; small ones, see `ElasticGraph.station_distances`, have 0.
     """
-    piece = components(graph.heads, graph.tails, graph.n)
-    sizes = np.bincount(piece, graph.areas)
-    large = (sizes >= min(LEAST_PIECE, sizes.max()))[piece]
-    lengths = np.linalg.norm(graph.edges, axis=1)
-    edges = sparse.csr_array((lengths, (graph.heads, graph.tails)), shape=(graph.n, graph.n))
-    rows, nearest = [], np.where(large, np.inf, -1.0)
-    for _ in range(min(STATIONS, graph.n)):
-        rows.append(dijkstra(edges, indices=[int(nearest.argmax())])[0])
-        nearest = np.minimum(nearest, rows[-1])
-    distances = np.array(rows)
-    shares = np.bincount(distances.argmin(axis=0), graph.areas * large, len(rows))
+    distances = graph.station_distances
     reached = np.isfinite(distances)
+    large = reached.any(axis=0)
+    shares = np.bincount(distances.argmin(axis=0), graph.areas * large, len(distances))
     return np.asarray((shares @ np.where(reached, distances, 0.0)) / np.where(large, shares @ reached, 1.0))
 
 

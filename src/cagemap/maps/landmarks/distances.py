@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
-from cagemap.maps.elastic.graph import ElasticGraph, cluster_graph
+from cagemap.deform.graph import ElasticGraph, cluster_graph
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import parts
 

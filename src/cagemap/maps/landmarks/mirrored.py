@@ -5,15 +5,16 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cagemap.geometry.surface import TriangleSurface
-from cagemap.maps.elastic.prepared import PreparedPair
-from cagemap.maps.elastic.problem import FitProblem
+from cagemap.deform.fit import with_cost
+from cagemap.deform.prepared import PreparedPair
+from cagemap.deform.problem import Problem
 from cagemap.maps.hypotheses.confidence import AS_GIVEN, EXCHANGED, TWO, Confidence, MapShape, Reading
 from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS
 from cagemap.maps.hypotheses.search import found_readings
 from cagemap.maps.pair import Pair, PointPairs, Progress, silent
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.surface.triangle_surface import TriangleSurface
 
 # How far, of sqrt(area), shapes alone may put a landmark from the one that it is exchanged with.
 NEAR_ENOUGH = 0.08
@@ -36,17 +37,17 @@ def mirrored_readings(
     progress : callable
     """
     free = Pair(pair.target, pair.source, pair.landmarks.only(np.zeros(0, dtype=np.int64)))
-    best = found_readings(FitProblem(prepared, free), progress)[0]
+    best = found_readings(Problem(prepared, free), progress)[0]
     exchange = exchanged_pairs(prepared.mesh, pair.landmarks, best.positions)
     if len(exchange) < FEWEST_LANDMARKS:
         return None
     places = given.images.at(slice(0, prepared.rest.graph.n)).positions
-    # What the given map costs was never asked: mirrored, it fits as well as the other where bodies are symmetric.
+    cost = with_cost(prepared, places).cost
     readings = (
-        Reading(AS_GIVEN, best.cost, places),
+        Reading(AS_GIVEN, cost, places),
         Reading(EXCHANGED, best.cost, best.positions, exchange=tuple(map(tuple, exchange.tolist()))),
     )
-    return Confidence(TWO, 1e4 * best.cost, 1.0, readings, None, MapShape.of(given))
+    return Confidence(TWO, 1e4 * cost, best.cost / max(cost, 1e-12), readings, None, MapShape.of(given))
 
 
 def exchanged_pairs(mesh: TriangleSurface, landmarks: PointPairs, images: FloatArray) -> IndexArray:

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from cagemap.geometry.triangles import normalized
 from cagemap.maps.landmarks.distances import MOST_TERMS, SHORT, LandmarkDistances, exchange_gains
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.surface.triangles import normalized
 
 # Positions and unit normals (p, 3) of landmarks on one surface.
 Marks = tuple[FloatArray, FloatArray]

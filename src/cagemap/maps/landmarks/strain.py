@@ -16,9 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from cagemap.maps.elastic.graph import ElasticGraph, cluster_graph
+from cagemap.deform.energy import energy_matrix
+from cagemap.deform.graph import ElasticGraph, cluster_graph
 from cagemap.numerics.arrays import FloatArray, IndexArray
-from cagemap.numerics.factorization import factor
+from cagemap.numerics.factorization import Factorization, factor
+from cagemap.numerics.threads import kept, parts
 
 # The graph of the quadratic problem; sampling and smoothing are coarse because one landmark's surroundings are.
 GRAPH_VERTICES = 300
@@ -32,22 +34,58 @@ LEAST_DISPLACEMENT = 0.05
 OF_NEXT = 1.5
 # With fewer landmarks the others are too far away to know better, and too few to compare with.
 FEWEST_JUDGED = 10
+# Landmarks whose blocks of H are worked out at once.
+LANDMARKS_AT_ONCE = 32
 
 
 @dataclass(frozen=True, eq=False)
 class ReducedEnergy:
-    """``(l - rest)^T H (l - rest)`` of the landmarks' places, all else at its best.
+    """``(l - l_0)^T H (l - l_0)`` of the landmarks' places l, all other unknowns f at their best.
+
+    H is the Schur complement ``K_ll - K_fl^T K_ff^-1 K_fl`` of the whole quadratic problem, of which only products and
+    diagonal blocks are made: with thousands of landmarks it would fill the memory.
 
     Attributes
     ----------
-    hessian : (3 p, 3 p) float64
-        H; rows are landmarks times coordinates.
-    rest : (p, 3) float64
-        l_0, where the landmarks lie when none is held.
+    own : (3 p, 3 p) CSC array
+        K_ll; rows are landmarks times coordinates.
+    coupling : (m, 3 p) CSC array
+        K_fl.
+    others : Factorization
+        Of K_ff.
+    load : (3 p,) float64
+        ``H l_0``, where l_0 are the places that no landmark held would take.
     """
 
-    hessian: FloatArray
-    rest: FloatArray
+    own: sparse.csc_array
+    coupling: sparse.csc_array
+    others: Factorization
+    load: FloatArray
+
+    @classmethod
+    def of(cls, matrix: sparse.csc_array, right: FloatArray, landmarks: IndexArray) -> ReducedEnergy:
+        """Eliminate all but the unknowns (3 p,) of the landmarks from ``z^T K z - 2 z^T b``, K (n, n) and b (n,)."""
+        rest = np.setdiff1d(np.arange(len(right)), landmarks)
+        own, columns = matrix[:, landmarks], matrix[:, rest]
+        coupling, others = sparse.csc_array(own[rest]), factor(sparse.csc_array(columns[rest]))
+        load = right[landmarks] - coupling.T @ others.solve(right[rest])
+        return cls(sparse.csc_array(own[landmarks]), coupling, others, np.asarray(load))
+
+    def times(self, values: FloatArray) -> FloatArray:
+        """H x for x (3 p,) or (3 p, q)."""
+        return np.asarray(self.own @ values - self.coupling.T @ self.others.solve(self.coupling @ values))
+
+    @kept
+    def blocks(self) -> FloatArray:
+        """(p, 3, 3) diagonal blocks of H."""
+        count = len(self.load) // 3
+        blocks = np.empty((count, 3, 3))
+        for part in parts(count, LANDMARKS_AT_ONCE):
+            rows = slice(3 * part.start, 3 * part.stop)
+            coupling = self.coupling[:, rows]
+            found = self.own[rows, rows].toarray() - coupling.T @ self.others.solve(coupling.toarray())
+            blocks[part] = _diagonal_blocks(np.asarray(found))
+        return blocks
 
     def released(self, places: FloatArray, held: IndexArray) -> FloatArray:
         """(p, 3) displacements u_i of every held landmark let go alone; zero for those not held, which are free.
@@ -57,16 +95,18 @@ class ReducedEnergy:
         places : (p, 3) float64
         held : (q,) int64
         """
+        force, blocks = self.times(places.ravel()) - self.load, self.blocks
         free = np.setdiff1d(np.arange(len(places)), held)
-        rows, gone = _rows(held), _rows(free)
-        hessian = self.hessian[np.ix_(rows, rows)]
-        if len(free):
-            coupling = self.hessian[np.ix_(gone, rows)]
-            hessian = hessian - coupling.T @ np.linalg.solve(self.hessian[np.ix_(gone, gone)], coupling)
-        force = (hessian @ (places - self.rest)[held].ravel()).reshape(-1, 3)
-        own = hessian.reshape(len(held), 3, len(held), 3)[np.arange(len(held)), :, np.arange(len(held))]
+        if len(free):  # eliminated as well
+            gone = _rows(free)
+            chosen = np.zeros((len(force), len(gone)))
+            chosen[gone, np.arange(len(gone))] = 1.0
+            columns = self.times(chosen)
+            weights = np.linalg.solve(columns[gone], columns.T)
+            force = force - force[gone] @ weights
+            blocks = blocks - np.einsum("gik,gij->ikj", *(m.reshape(len(gone), -1, 3) for m in (columns.T, weights)))
         moved = np.zeros_like(places)
-        moved[held] = -np.linalg.solve(own, force[:, :, None])[:, :, 0]
+        moved[held] = -np.linalg.solve(blocks[held], force.reshape(-1, 3, 1)[held])[:, :, 0]
         return moved
 
 
@@ -91,32 +131,11 @@ def reduced_energy(
     size = 12 * coarse.n
     at_row, at_column = (_spread(side.astype(np.int64)) for side in data.coords)
     placed = sparse.coo_array((data.data, (at_row, at_column)), shape=(size, size))
-    elastic = sparse.kron(STIFFNESS * elastic_form(coarse, SMOOTHING), sparse.eye_array(3))
-    factors = factor(sparse.csc_array(elastic + placed))
-    right = np.zeros((size, 3 * len(landmarks) + 1))
-    at = _spread(np.arange(3 * len(landmarks)))  # the landmarks are the first clusters
-    right[at, np.arange(len(at))] = 1.0
-    right[_spread(np.arange(3 * coarse.n)), -1] = np.einsum("nab,nb->na", blocks, images[vertices]).ravel()
-    solved = factors.solve(right)[at]
-    compliance = 0.5 * (solved[:, :-1] + solved[:, :-1].T)
-    return ReducedEnergy(np.asarray(np.linalg.inv(compliance), dtype=np.float64), solved[:, -1].reshape(-1, 3))
-
-
-def elastic_form(graph: ElasticGraph, epsilon: float) -> sparse.csr_array:
-    """(4 n, 4 n) matrix Q of E(x, A) for one coordinate: z^T Q z with z_i = (x_i, row of A_i)."""
-    once = graph.heads < graph.tails
-    heads, tails, weights, edges = graph.heads[once], graph.tails[once], graph.weights[once], graph.edges[once]
-    ones = np.ones((len(heads), 1))
-    values = np.hstack([ones, -0.5 * edges, -ones, -0.5 * edges])
-    columns = np.hstack([4 * heads[:, None] + np.arange(4), 4 * tails[:, None] + np.arange(4)])
-    rows = np.repeat(np.arange(len(heads)), 8)
-    residual = sparse.csr_array((values.ravel(), (rows, columns.ravel())), shape=(len(heads), 4 * graph.n))
-    stretch = residual.T @ sparse.diags_array(weights) @ residual
-    maps_only = sparse.diags_array([0.0, 1.0, 1.0, 1.0])
-    # A flat ring leaves the normal direction of its map open, as in `DifferentialField`.
-    ridge = 1e-9 * float(stretch.diagonal().mean())
-    change = sparse.kron(epsilon * graph.laplacian() + ridge * sparse.eye_array(graph.n), maps_only)
-    return sparse.csr_array(stretch + change)
+    elastic = sparse.kron(STIFFNESS * energy_matrix(coarse, SMOOTHING), sparse.eye_array(3))
+    right = np.zeros(size)
+    right[_spread(np.arange(3 * coarse.n))] = np.einsum("nab,nb->na", blocks, images[vertices]).ravel()
+    unknowns = _spread(np.arange(3 * len(landmarks)))  # the landmarks are the first clusters
+    return ReducedEnergy.of(sparse.csc_array(elastic + placed), right, unknowns)
 
 
 def strained_pair(energy: ReducedEnergy, places: FloatArray) -> int | None:
@@ -143,6 +162,12 @@ def strained_pair(energy: ReducedEnergy, places: FloatArray) -> int | None:
 def _rows(landmarks: IndexArray) -> IndexArray:
     """Rows of H of some landmarks."""
     return np.asarray((3 * landmarks[:, None] + np.arange(3)).ravel())
+
+
+def _diagonal_blocks(matrix: FloatArray) -> FloatArray:
+    """(q, 3, 3) of a matrix (3 q, 3 q)."""
+    count = len(matrix) // 3
+    return np.asarray(matrix.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)])
 
 
 def _spread(rows: IndexArray) -> IndexArray:

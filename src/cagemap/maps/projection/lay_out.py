@@ -19,9 +19,6 @@ from scipy.sparse import csgraph
 from scipy.spatial import Delaunay
 
 from cagemap.errors import SolverError
-from cagemap.geometry.points import SurfacePoints
-from cagemap.geometry.surface import TriangleSurface
-from cagemap.geometry.triangles import row_lengths
 from cagemap.maps.projection.constants import (
     APART,
     GROWTHS,
@@ -38,6 +35,9 @@ from cagemap.maps.projection.relax import BoolArray, around, convex_rows, neighb
 from cagemap.maps.quality import flipped_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import factor_general
+from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import row_lengths
 
 
 @dataclass(frozen=True, eq=False)

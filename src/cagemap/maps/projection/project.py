@@ -5,12 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
+from cagemap.deform.config import ElasticConfig
+from cagemap.deform.prepared import PreparedPair
 from cagemap.errors import ParameterError
-from cagemap.geometry.points import SurfacePoints
-from cagemap.geometry.surface import TriangleSurface
-from cagemap.geometry.triangles import vertex_normals
-from cagemap.maps.elastic.config import ElasticConfig
-from cagemap.maps.elastic.prepared import PreparedPair
 from cagemap.maps.pair import PointPairs, vertices_at
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.projection.constants import FACING, LEAST_COSINE, MEETING_STEPS, MET
@@ -18,7 +15,10 @@ from cagemap.maps.projection.lay_out import lay_out_parts
 from cagemap.maps.projection.relax import relax_folds
 from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers, whole_numbers
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.refinement import Refinement
+from cagemap.subdivision import Refinement
+from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import vertex_normals
 
 
 @kinds_checked
@@ -50,7 +50,7 @@ def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -
     target = prepared.target.triangles(prepared.target.finest)
     positions = carried_to_finest(prepared, fitted)
     normals = vertex_normals(positions, target.triangles)
-    found = facing_points(prepared.on_source, positions, normals, prepared.elastic.projection_normal_weights)
+    found = facing_points(prepared.finest_source, positions, normals, prepared.elastic.projection_normal_weights)
     return PointMap(target, meet(found, landmarks))
 
 
@@ -130,7 +130,7 @@ def carried_to_finest(prepared: PreparedPair, fitted: FloatArray) -> FloatArray:
     refinement, level = prepared.target.refinement, prepared.levels[0]
     if not refinement.is_plain:
         return refined_positions(refinement, level, fitted)
-    maps, _ = prepared.rest.differentials(fitted)
+    maps, _ = prepared.rest.energy.differentials(fitted)
     rest = prepared.target.triangles(refinement.n_levels).positions
     shifts = fitted - np.einsum("nab,nb->na", maps, rest[: len(fitted)])
     blended = refinement.prolong(np.hstack([shifts, maps.reshape(-1, 9)]), level, refinement.n_levels)

@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from cagemap.geometry.points import SurfacePoints
-from cagemap.geometry.surface import TriangleSurface
-from cagemap.geometry.triangles import CACHED, normalized
 from cagemap.maps.projection.constants import LEAST_MENDED, RINGS, SWEEPS
 from cagemap.maps.quality import flipped_triangles, upside_down
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 from cagemap.numerics.graphs import components
 from cagemap.numerics.threads import in_threads, parts
+from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import CACHED, normalized
 
 BoolArray = NDArray[np.bool_]
 

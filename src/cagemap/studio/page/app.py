@@ -15,17 +15,17 @@ import viser
 
 from cagemap.studio.downloads import content
 from cagemap.studio.landmarks import SIDES
-from cagemap.studio.options import Options
 from cagemap.studio.page.cameras import Cameras
 from cagemap.studio.page.choices import Choices
-from cagemap.studio.page.door import LOOPBACK, Door, new_token
-from cagemap.studio.page.guard import guarded, require_guarded
 from cagemap.studio.page.panels import SetupPanel, WorkPanel
+from cagemap.studio.page.proxy import LOOPBACK, Door, new_token
 from cagemap.studio.page.view import FIRST_VIEW, ModelView
+from cagemap.studio.page.viser_auth import guarded, require_guarded
 from cagemap.studio.scene import Scene
 from cagemap.studio.session import Session
 from cagemap.studio.state import Files, Studio
 from cagemap.studio.workspace import Workspace
+from cagemap.tasks.requests.catalogue import Options
 
 log = logging.getLogger(__name__)
 

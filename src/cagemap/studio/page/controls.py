@@ -9,8 +9,8 @@ from typing import Any
 
 from cagemap.errors import ParameterError
 from cagemap.studio.finish_layout import Field
-from cagemap.studio.options import NamedFiles, Option, Value
 from cagemap.studio.page.choices import NONE, Choices, put
+from cagemap.tasks.requests.catalogue import CommandOption, NamedFiles, Value
 
 USUAL = "as usual"
 _SEPARATOR = ", "
@@ -31,7 +31,7 @@ class Control:
     value: Callable[[], Value]
 
 
-def control(gui: Any, choices: Choices, option: Option, field: Field) -> Control:
+def control(gui: Any, choices: Choices, option: CommandOption, field: Field) -> Control:
     """Show an option; its usual value is chosen."""
     label, hint = field.label, field.hint or option.help
     made: Callable[[], Value]
@@ -90,13 +90,13 @@ def last_word(file: str) -> str:
     return "".join(c if c.isalnum() else " " for c in stem).split()[-1].lower() if stem else "map"
 
 
-def _choice(gui: Any, option: Option, label: str, hint: str) -> Callable[[], Value]:
+def _choice(gui: Any, option: CommandOption, label: str, hint: str) -> Callable[[], Value]:
     words = option.choices if option.default is not None else (USUAL, *option.choices)
     dropdown = gui.add_dropdown(label, words, initial_value=str(option.default or USUAL), hint=hint)
     return lambda: None if dropdown.value == USUAL else str(dropdown.value)
 
 
-def _number(gui: Any, option: Option, field: Field, hint: str) -> Callable[[], Value]:
+def _number(gui: Any, option: CommandOption, field: Field, hint: str) -> Callable[[], Value]:
     kind = int if option.kind == "whole" else float
     if isinstance(option.default, int | float):
         number = gui.add_number(

@@ -9,13 +9,13 @@ import viser
 from cagemap.errors import CagemapError
 from cagemap.studio.finish import DEFAULT_VERTICES, FinishOptions
 from cagemap.studio.finish_layout import FILES, MORE_IMAGES, SIZE, VERTICES, WRAP, Field, Fold, folds
-from cagemap.studio.options import Key, Value
 from cagemap.studio.page.choices import Choices, put
 from cagemap.studio.page.controls import Control, control, named_files
 from cagemap.studio.page.texts import outputs_text
 from cagemap.studio.session import Session
 from cagemap.studio.state import Studio
 from cagemap.studio.workspace import IMAGES
+from cagemap.tasks.requests.catalogue import Key, Value
 
 AS_IMAGE = "as the image"
 NO_MAP = "(none)"

@@ -11,7 +11,7 @@ from typing import Any
 import viser
 
 from cagemap.errors import CagemapError, ParameterError
-from cagemap.files.point_forms import POINT_FORMS
+from cagemap.files.landmarks.point_formats import POINT_FORMS
 from cagemap.mesh.schemes import SCHEMES
 from cagemap.studio.landmarks import Landmark, rename
 from cagemap.studio.opening import default_files

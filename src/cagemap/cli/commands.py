@@ -1,0 +1,145 @@
+"""Commands of the command line: each makes a request of its options and hands it to its task."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from typer import Exit
+
+from cagemap.cli.command import asks, in_stages
+from cagemap.cli.console import say
+from cagemap.cli.progress import ShownStages
+from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.requests.functions import FunctionsRequest
+from cagemap.tasks.requests.import_map import MapRequest
+from cagemap.tasks.requests.match import MatchRequest
+from cagemap.tasks.requests.report import ReportRequest
+from cagemap.tasks.requests.run import RunRequest
+from cagemap.tasks.requests.studio import StudioRequest
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.wrap import WrapRequest
+
+
+@asks(MatchRequest)
+@in_stages
+def match(request: MatchRequest, stages: Stages) -> Outcome:
+    """Find for every point of the target its place on the source.
+
+    Writes a folder with manifest.json (what was done, how long it took, how good the map is) and map.npz (the map
+    itself). Without landmarks every way in which one shape may lie on the other is tried, and the answer says how sure
+    it is. Landmarks make it better: six to thirty, spread over the whole surface, are a good number; tips of limbs,
+    nose and tail first.
+    """
+    from cagemap.tasks.match import run_match
+
+    return run_match(request, stages)
+
+
+def _read_transfer(
+    texture: tuple[str, ...], bases: tuple[str, ...], bake: str | None, **others: Any
+) -> TransferRequest:
+    """The request of a command line, where an image may have a name and kinds of bakes are listed with commas."""
+    from cagemap.tasks.texture_maps import texture_and_maps
+
+    image, maps = texture_and_maps(texture)
+    whole, named = texture_and_maps(bases, "--base")
+    kinds = tuple(name.strip() for name in bake.split(",")) if bake else ()
+    under = named if whole is None else (("", whole),)
+    return TransferRequest(texture=image, maps=maps, bases=under, bake=kinds, **others)
+
+
+@asks(
+    TransferRequest,
+    said={"texture": tuple[str, ...], "bases": tuple[str, ...], "bake": str | None},
+    read=_read_transfer,
+)
+@in_stages
+def transfer(request: TransferRequest, stages: Stages) -> Outcome:
+    """Carry textures, values, rigs or shapes to the target.
+
+    Images are baked into the target's own UV layout, texel by texel, across the source's seams.
+    """
+    from cagemap.tasks.transfer import run_transfer
+
+    return run_transfer(request, stages)
+
+
+@asks(WrapRequest)
+@in_stages
+def wrap(request: WrapRequest, stages: Stages) -> Outcome:
+    """Give the target's cage the source's shape.
+
+    Your topology, that shape: the refined surface comes to lie on the source. Vertices, faces, UVs, groups and
+    materials stay those of the target.
+    """
+    from cagemap.tasks.wrap import run_wrap
+
+    return run_wrap(request, stages)
+
+
+@asks(ReportRequest)
+@in_stages
+def report(request: ReportRequest, stages: Stages) -> Outcome:
+    """Write one HTML page: pictures, and quality in plain words.
+
+    Both surfaces in the same views, the map as colours, what was made with it. The page needs nothing beside it: mail
+    it, print it.
+    """
+    from cagemap.tasks.report import run_report
+
+    return run_report(request, stages)
+
+
+@asks(RunRequest)
+def run(request: RunRequest) -> None:
+    """Match and transfer many pairs, as a job file says.
+
+    Each surface is prepared once, what is done is kept. Writes a folder with a RESULT for every pair, what the job asks
+    for beside it, index.html and figures.csv. Run it again after a failure or a change: only what is missing is done.
+    Exit code 1 if anything failed.
+    """
+    from cagemap.tasks.run_job import run_job
+
+    with ShownStages() as stages:
+        text, complete = run_job(request, stages)
+    say(text, always=not complete)
+    if not complete:
+        raise Exit(1)
+
+
+@asks(StudioRequest)
+def studio(request: StudioRequest) -> None:
+    """See the map in the browser, click where it is wrong, bake.
+
+    Without models the built-in pair opens. The page reads and writes only in the folders of the files given here.
+    """
+    from cagemap.cli.studio import run_studio
+
+    run_studio(request, say)
+
+
+@asks(FunctionsRequest)
+@in_stages
+def functions(request: FunctionsRequest, stages: Stages) -> Outcome:
+    """Write eigenfunctions and descriptors of one mesh.
+
+    Row i belongs to vertex i of the mesh that `cagemap refine` writes at the same level. The surface has unit area:
+    eigenfunctions are those of the hierarchical basis, eigenvalues and times are free of the file's unit.
+    """
+    from cagemap.tasks.functions import run_functions
+
+    return run_functions(request, stages)
+
+
+@asks(MapRequest)
+@in_stages
+def map_file(request: MapRequest, stages: Stages) -> Outcome:
+    """Take a point map of any method as a RESULT.
+
+    Bake with it, wrap, see it in a report. A list of source vertices, one for each vertex of the target at any level;
+    or triangles of the source's level and barycentric coordinates; or a sparse matrix. `cagemap transfer RESULT
+    --write-map` writes them. With --weld the numbers are those of what `cagemap refine --weld` writes.
+    """
+    from cagemap.tasks.import_map import run_map
+
+    return run_map(request, stages)

@@ -1,0 +1,152 @@
+"""Constraints of a placement: landmarks that are held at places, and curves that lie on curves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cagemap.deform.config import DataConfig, ElasticConfig
+from cagemap.maps.curves import CurvePair
+from cagemap.maps.pair import vertices_at
+from cagemap.mesh.cage_points import CagePoints
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.surface.polylines import Polyline
+from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import TriangleSurface
+
+
+@dataclass(frozen=True, eq=False)
+class Anchors(CagePoints):
+    """Points of the mesh of a level, or vertices of a graph, that are held, or that curves go through."""
+
+    @classmethod
+    def on_mesh(cls, mesh: TriangleSurface, points: SurfacePoints, config: DataConfig = DataConfig()) -> Anchors:
+        """Points of the finest surface as points of a coarser level's mesh; vertices of both stay vertices."""
+        vertices = vertices_at(points)
+        anchors = cls.of_vertices(vertices)
+        between = np.flatnonzero((vertices < 0) | (vertices >= mesh.n))
+        if len(between):
+            weight = config.anchor_normal_weight
+            near = SurfacePoints.nearest(mesh, points.positions[between], points.normals[between], normal_weight=weight)
+            anchors.corners[between], anchors.weights[between] = near.corners, near.barycentric
+        return anchors
+
+    def hold(
+        self, blocks: FloatArray, right: FloatArray, positions: FloatArray, places: FloatArray, weight: float
+    ) -> None:
+        """Put the term ``weight |sum_k b_k x_k - y|^2`` of every point into a data term (n, 3, 3), (n, 3).
+
+        A vertex has no other term. Between vertices the residual r = y - sum_k b_k x_k is given to each corner
+        with weight b_k, as in `source_to_target`: an upper bound, equal at the current positions.
+        """
+        at_vertex = self.weights[:, 0] == 1.0
+        held = self.corners[at_vertex, 0]
+        blocks[held] = weight * np.eye(3)
+        right[held] = weight * places[at_vertex]
+        between = self.at(np.flatnonzero(~at_vertex))
+        moved = places[~at_vertex] - between.of(positions)
+        between.add(blocks, right, positions, np.tile(weight * np.eye(3), (len(moved), 1, 1)), weight * moved)
+
+    def add(
+        self, blocks: FloatArray, right: FloatArray, positions: FloatArray, terms: FloatArray, forces: FloatArray
+    ) -> None:
+        """Add ``(sum_k b_k x_k - y)^T B (sum_k b_k x_k - y)`` of every point to a data term, by its corners.
+
+        ``terms`` are B (p, 3, 3), ``forces`` are B (y - sum_k b_k x_k) (p, 3).
+        """
+        at_corners = np.einsum("pab,pkb->pka", terms, positions[self.corners]) + forces[:, None]
+        np.add.at(blocks, self.corners, self.weights[:, :, None, None] * terms[:, None])
+        np.add.at(right, self.corners, self.weights[:, :, None] * at_corners)
+
+
+@dataclass(frozen=True, eq=False)
+class CurveConstraint:
+    """A curve of a graph and its counterpart: it lies on that and slides along it freely."""
+
+    anchors: Anchors  # (m,) points along it
+    rest: Polyline  # their places in the rest shape
+    source: Polyline
+
+    def terms(self, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Term of the curve on its points: B (m, 3, 3) of ``sum_i (x_i - y_i)^T B_i (x_i - y_i)``, and B (y - x).
+
+        Closest points of the two polylines, both ways, as planes across the curve: x_i should lie on the source's
+        tangent line at its closest point, and the target's on every source point q. The residual of q is given to the
+        two points beside its closest point, an upper bound as in `source_to_target`. What is nearest to an end
+        goes to that end: so open curves end where their counterparts do.
+        """
+        own = Polyline(self.anchors.of(positions), self.source.closed)
+        closest = self.source.nearest(own.positions)
+        blocks = self.rest.shares[:, None, None] * closest.across()
+        moved = np.einsum("mab,mb->ma", blocks, closest.places - own.positions)
+        back = own.nearest(self.source.positions)
+        lengths = self.source.shares * (self.rest.length / self.source.length)
+        weights = lengths[:, None, None] * back.across()
+        residual = np.einsum("mab,mb->ma", weights, self.source.positions - back.places)
+        for side, weight in enumerate((1.0 - back.share, back.share)):
+            np.add.at(blocks, back.ends[:, side], weight[:, None, None] * weights)
+            np.add.at(moved, back.ends[:, side], weight[:, None] * residual)
+        return blocks, moved
+
+    def thinned(self, count: int) -> CurveConstraint:
+        """At most ``count`` of its points, each moved to the vertex next to it."""
+        chosen = self.rest.spread(count)
+        vertices = self.anchors.at(chosen).nearest_vertices
+        rows = np.sort(np.unique(vertices, return_index=True)[1])
+        rest = Polyline(self.rest.positions[chosen][rows], self.rest.closed)
+        return CurveConstraint(Anchors.of_vertices(vertices[rows]), rest, self.source)
+
+
+def curves_on_mesh(
+    mesh: TriangleSurface, pairs: Sequence[CurvePair], config: DataConfig = DataConfig()
+) -> tuple[CurveConstraint, ...]:
+    """Curves of the finest surface on the mesh of a coarser level."""
+    anchors = [Anchors.on_mesh(mesh, pair.target.points, config) for pair in pairs]
+    return tuple(
+        CurveConstraint(at, Polyline(at.of(mesh.positions), pair.target.closed), pair.source.line)
+        for at, pair in zip(anchors, pairs, strict=True)
+    )
+
+
+def add_curves(
+    curves: Sequence[CurveConstraint], blocks: FloatArray, right: FloatArray, positions: FloatArray, weight: float
+) -> None:
+    """Add the term of every curve, times a weight, to a data term (n, 3, 3), (n, 3) at positions (n, 3)."""
+    for curve in curves:
+        terms, forces = curve.terms(positions)
+        curve.anchors.add(blocks, right, positions, weight * terms, weight * forces)
+
+
+def with_clusters(
+    curves: Sequence[CurveConstraint], held: IndexArray, vertices: int, config: DataConfig
+) -> tuple[IndexArray, tuple[CurveConstraint, ...]]:
+    """Vertices (p + c,), all different, that a coarse graph should keep, and the curves on that graph.
+
+    The held ones (p,) come first; the coarse graph numbers them in this order.
+    """
+    each = max(vertices // config.curve_share // max(len(curves), 1), config.min_curve_points)
+    thinned = [curve.thinned(each) for curve in curves]
+    listed = np.concatenate([held, *(curve.anchors.corners[:, 0] for curve in thinned)])
+    values, first = np.unique(listed, return_index=True)
+    place = np.argsort(np.argsort(first))  # of every value among the vertices
+    numbered = (
+        replace(curve, anchors=Anchors.of_vertices(place[np.searchsorted(values, curve.anchors.corners[:, 0])]))
+        for curve in thinned
+    )
+    return listed[np.sort(first)], tuple(numbered)
+
+
+@dataclass(frozen=True, eq=False)
+class Constraints:
+    """Points and curves of a graph with where they belong on the source."""
+
+    anchors: Anchors  # (p,) points that are held
+    places: FloatArray  # (p, 3) where these are held
+    curves: tuple[CurveConstraint, ...] = ()
+
+    def add(self, blocks: FloatArray, right: FloatArray, positions: FloatArray, config: ElasticConfig) -> None:
+        """Put their terms into a data term (n, 3, 3), (n, 3) at positions (n, 3)."""
+        add_curves(self.curves, blocks, right, positions, config.curve_weight)
+        self.anchors.hold(blocks, right, positions, self.places, config.landmark_weight)

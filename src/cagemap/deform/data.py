@@ -1,0 +1,171 @@
+"""Data terms: closest points both ways, as planes that the deformed target should lie on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from cagemap.deform.config import DataConfig
+from cagemap.deform.counterparts import round_trip_weights, trusted
+from cagemap.maps.masks import WHOLE, Masks
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums
+from cagemap.spectral.samples import evenly_spaced
+from cagemap.surface.closest_points import build_tree, closest_points
+from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import normalized
+
+
+@dataclass(frozen=True, eq=False)
+class SourceSamples:
+    """Vertices of the source, some of them, that should lie on the target."""
+
+    points: FloatArray  # (m, 3)
+    planes: FloatArray  # (m, 3): unit normals
+    areas: FloatArray  # (m,): sum 1, times the source's mask
+    outer: FloatArray  # (m, 9): normal times normal
+
+    @classmethod
+    def choose(cls, source: TriangleSurface, count: int, masks: Masks = WHOLE) -> SourceSamples:
+        """Some vertices of a source, spread over its numbering."""
+        chosen = evenly_spaced(len(source.positions), count)
+        planes, areas = source.vertex_normals[chosen], source.vertex_areas[chosen]
+        outer = (planes[:, :, None] * planes[:, None, :]).reshape(-1, 9)
+        shares = areas / areas.sum() * masks.of_source(source.n)[chosen]
+        return cls(source.positions[chosen], planes, shares, outer)
+
+
+@dataclass(frozen=True, eq=False)
+class DataTerm:
+    """Quadratic data term ``sum_i (x_i - y_i)^T B_i (x_i - y_i)`` up to a constant, and where it was found."""
+
+    blocks: FloatArray  # (n, 3, 3): B_i
+    right: FloatArray  # (n, 3): B_i y_i
+    weights: FloatArray  # (n,): area that every vertex stands for in the term
+    triangles: IndexArray  # (m,): triangle of every closest point, a guess for the next search
+    closest: FloatArray  # (m, 3): the closest points
+
+    def distance(self, positions: FloatArray) -> float:
+        """Root mean square distance of the vertices (n, 3) with a term, each from its own plane."""
+        offsets = positions - self.closest
+        squared = float(np.einsum("na,nab,nb->", offsets, self.blocks, offsets))
+        total = float(self.weights.sum())
+        return float(np.sqrt(max(squared, 0.0) / total)) if total > 0 else float("inf")
+
+    def scaled(self, factors: FloatArray) -> DataTerm:
+        """Every vertex's term times a factor (n,)."""
+        return replace(
+            self,
+            blocks=factors[:, None, None] * self.blocks,
+            right=factors[:, None] * self.right,
+            weights=factors * self.weights,
+        )
+
+
+def target_to_source(
+    areas: FloatArray,
+    source: TriangleSurface,
+    positions: FloatArray,
+    normals: FloatArray,
+    guess: IndexArray | None,
+    normal_weight: float,
+    masks: Masks = WHOLE,
+) -> DataTerm:
+    """Point-to-plane term of the deformed vertices: each should lie in the tangent plane at its closest point.
+
+    Positions and normals (n, 3) are of the deformed target; the guess (n,) has triangles of an earlier search.
+    """
+    found = SurfacePoints.nearest(source, positions, normals, normal_weight=normal_weight, guess=guess)
+    corners = found.corners
+    closest = curved_points(source.positions[corners], source.vertex_normals[corners], found.barycentric)
+    plane = normalized(found.interpolate(source.vertex_normals))
+    weights = areas * np.clip(np.einsum("nd,nd->n", plane, normals), 0.0, 1.0)
+    weights *= masks.of_target(len(areas)) * masks.at_source(found)
+    blocks = weights[:, None, None] * plane[:, :, None] * plane[:, None, :]
+    return DataTerm(blocks, np.einsum("nab,nb->na", blocks, closest), weights, found.triangle, closest)
+
+
+def source_to_target(
+    target_triangles: IndexArray,
+    samples: SourceSamples,
+    positions: FloatArray,
+    normals: FloatArray,
+    guess: IndexArray | None,
+    normal_weight: float,
+    closest: FloatArray,
+    alpha: float,
+    masks: Masks = WHOLE,
+    config: DataConfig = DataConfig(),
+) -> DataTerm:
+    """Point-to-plane term of source vertices: each should lie on the deformed target.
+
+    The residual r = n . (q - sum_k b_k x_k) of a source vertex q is given to each corner of the triangle that holds its
+    closest point, n . x_k -> n . x_k + r with weight b_k: an upper bound of the true term (Jensen), equal at the
+    current positions, that keeps the blocks apart.
+    """
+    points, planes = samples.points, samples.planes
+    tree = build_tree(positions, target_triangles)
+    held_by, barycentric, _ = closest_points(tree, points, planes, normal_weight=normal_weight, guess=guess)
+    corners = target_triangles[held_by]
+    own_closest = curved_points(positions[corners], normals[corners], barycentric)
+    residual = np.einsum("nd,nd->n", planes, points - own_closest)
+    facing = tree.normals_of(held_by)
+    shares = samples.areas * np.clip(np.einsum("nd,nd->n", facing, planes), 0.0, 1.0)
+    trips = np.einsum("mk,mkd->md", barycentric, closest[corners]) - points
+    shares *= round_trip_weights(trips, residual, alpha, config)
+    if masks.target is not None:
+        shares *= np.einsum("mk,mk->m", barycentric, masks.target[corners])
+    # Column j gives the term of source vertex j to the three corners around its closest point.
+    gather = sparse.csc_array(
+        ((shares[:, None] * barycentric).ravel(), corners.ravel(), 3 * np.arange(len(points) + 1)),
+        shape=(len(positions), len(points)),
+    )
+    gathered = gather @ np.hstack([samples.outer, residual[:, None] * planes, np.ones((len(points), 1))])
+    blocks = gathered[:, :9].reshape(-1, 3, 3)
+    right = np.einsum("nab,nb->na", blocks, positions) + gathered[:, 9:12]
+    return DataTerm(blocks, right, gathered[:, 12], held_by, own_closest)
+
+
+def source_to_clusters(
+    samples: SourceSamples,
+    positions: FloatArray,
+    normals: FloatArray,
+    normal_weight: float,
+    closest: FloatArray,
+    masks: Masks = WHOLE,
+    config: DataConfig = DataConfig(),
+) -> DataTerm:
+    """Term of source samples, each on the coarse vertex that is nearest to it in position and normal.
+
+    Target-to-source distances cannot see a short leg inside a long one; the uncovered end is seen only from the source.
+    The plane in which the vertex should lie has the mean of both normals (symmetric ICP, Rusinkiewicz 2019): that of
+    the point alone lies outside of a round part. A share of the term is towards the point itself: few points at a leg's
+    end face along it.
+    """
+    points, planes = samples.points, samples.planes
+    tree = cKDTree(np.hstack([positions, normal_weight * normals]))
+    nearest = np.asarray(tree.query(np.hstack([points, normal_weight * planes]))[1], dtype=np.int64)
+    between, facing = normalized(planes + normals[nearest]), np.einsum("md,md->m", planes, normals[nearest])
+    shares = samples.areas * np.clip(facing, 0.0, 1.0) * trusted(closest[nearest] - points, config.cluster_trip)
+    shares *= masks.of_target(len(positions))[nearest]
+    share = config.towards_point
+    towards = (1.0 - share) * between[:, :, None] * between[:, None, :] + share * np.eye(3)
+    right = np.einsum("mab,mb->ma", towards, points)
+    terms = np.hstack([towards.reshape(-1, 9), right, np.ones((len(points), 1))])
+    summed = grouped_sums(nearest, shares[:, None] * terms, len(positions))
+    return DataTerm(summed[:, :9].reshape(-1, 3, 3), summed[:, 9:12], summed[:, 12], nearest, positions[nearest])
+
+
+def curved_points(corners: FloatArray, normals: FloatArray, barycentric: FloatArray) -> FloatArray:
+    """(m, 3) points of the curved surface above those of its triangles, exact for quadratic surfaces.
+
+    A triangle lies h^2 / 8 R inside a surface of radius R. Vertices that are fitted to triangles, and triangles that
+    are fitted to vertices, would shrink and swell by that; the energy then slides the map sideways. Half the mean of
+    the projections onto the corners' tangent planes (Boubekeur and Alexa 2008) takes it away.
+    """
+    flat = np.einsum("mk,mkd->md", barycentric, corners)
+    heights = np.einsum("mkd,mkd->mk", corners - flat[:, None], normals)
+    return np.asarray(flat + 0.5 * np.einsum("mk,mkd->md", barycentric * heights, normals))

@@ -1,0 +1,202 @@
+"""Fit the target to the source: a coarse stage that moves whole limbs, then the mesh of a level.
+
+The target's mesh is deformed as affinely as possible (`cagemap.deform.graph`) until it lies on the source. Data terms
+are point-to-plane, so that tangential motion is left to the energy; landmarks are held.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cagemap.deform.config import ElasticConfig
+from cagemap.deform.constraints import Constraints
+from cagemap.deform.counterparts import received_weights
+from cagemap.deform.data import SourceSamples, source_to_clusters, source_to_target, target_to_source
+from cagemap.deform.energy import deformed_normals
+from cagemap.deform.minimise import Iterate, minimise
+from cagemap.deform.placement import Placement
+from cagemap.deform.prepared import CoarseShape, PreparedPair, RestShape
+from cagemap.deform.problem import Problem
+from cagemap.deform.system import VertexTerms
+from cagemap.errors import ParameterError
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.surface.closest_points import build_tree, closest_points
+from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import vertex_normals
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceTerms:
+    """Data terms and constraints of a rest shape on the source.
+
+    A mesh has data terms both ways: every deformed vertex lies on the source, and every source sample on the deformed
+    target, which fills fingers, ears and lips; parts of either without a counterpart have none
+    (`cagemap.deform.counterparts`). Clusters have source samples only where they are given.
+    """
+
+    rest: RestShape
+    source: TriangleSurface
+    constraints: Constraints
+    config: ElasticConfig
+    samples: SourceSamples | None
+
+    def at(self, iterate: Iterate) -> VertexTerms:
+        """Terms at the closest points of an iterate."""
+        terms = self._on_clusters(iterate) if self.rest.mesh is None else self._on_mesh(iterate)
+        self.constraints.add(terms.blocks, terms.right, iterate.positions, self.config)
+        return terms
+
+    def _on_clusters(self, iterate: Iterate) -> VertexTerms:
+        rest, config, positions = self.rest, self.config, iterate.positions
+        normals = deformed_normals(rest.graph.normals, iterate.maps)
+        guess, _ = _guesses(iterate)
+        term = target_to_source(
+            rest.graph.areas, self.source, positions, normals, guess, config.normal_weight, rest.masks
+        )
+        blocks, right = term.blocks, term.right
+        if self.samples is not None:
+            back = source_to_clusters(
+                self.samples, positions, normals, config.normal_weight, term.closest, rest.masks, config.data
+            )
+            blocks, right = blocks + back.blocks, right + back.right
+        return rest.energy.terms(blocks, right, guesses=(term.triangles, None))
+
+    def _on_mesh(self, iterate: Iterate) -> VertexTerms:
+        rest, config, positions = self.rest, self.config, iterate.positions
+        assert rest.mesh is not None
+        assert rest.received is not None
+        assert self.samples is not None
+        triangles, (guess, guess_back) = rest.mesh.triangles, _guesses(iterate)
+        normals = vertex_normals(positions, triangles)
+        there = target_to_source(
+            rest.graph.areas, self.source, positions, normals, guess, config.fine_normal_weight, rest.masks
+        )
+        back = source_to_target(
+            triangles,
+            self.samples,
+            positions,
+            normals,
+            guess_back,
+            config.normal_weight,
+            there.closest,
+            iterate.stiffness,
+            rest.masks,
+            config.data,
+        )
+        distance = there.distance(positions)
+        there = there.scaled(received_weights(rest.received, back.weights, config.data))
+        blocks, right = there.blocks + back.blocks, there.right + back.right
+        return rest.energy.terms(blocks, right, distance, (there.triangles, back.triangles))
+
+
+def coarse_fit(
+    problem: Problem,
+    start: FloatArray | None,
+    shape: CoarseShape | None = None,
+    samples: SourceSamples | None = None,
+) -> Placement:
+    """Placement of the clusters by the coarse stage, from rough positions or from the landmarks alone.
+
+    Parameters
+    ----------
+    problem : Problem
+    start : (k, 3) float64 or None
+        Rough positions on the source; None to start from the landmarks.
+    shape : CoarseShape, optional
+        Clusters with other constraints or smoothing than the problem's own.
+    samples : SourceSamples, optional
+        Points of the source that should lie on the shape too, where limbs are to reach the ends of the source's.
+
+    Raises
+    ------
+    ParameterError
+        If the start has not one position for every vertex of the coarse graph.
+    """
+    shape = problem.shape if shape is None else shape
+    rest, source, config = shape.rest, problem.prepared.source_surface, problem.prepared.elastic
+    expected = rest.graph.positions.shape
+    if start is not None and start.shape != expected:
+        raise ParameterError(f"start: expected {expected} positions, one for each coarse vertex, got {start.shape}")
+    first = landmark_start(shape, config) if start is None else start
+    terms = SurfaceTerms(rest, source, shape.constraints, config, samples)
+    positions = minimise(rest.energy, terms, first, config.coarse)
+    maps, _ = rest.energy.differentials(positions)
+    costs = vertex_costs(rest, source, positions, maps, config)
+    return Placement(positions, float(costs.sum()), costs, maps=maps, graph=rest.graph)
+
+
+def fine_fit(problem: Problem, coarse: Placement) -> FloatArray:
+    """(n, 3) positions near the source of the target's mesh, deformed from a coarse placement."""
+    prepared = problem.prepared
+    return fine_stage(problem, coarse.on(prepared.rest.graph, prepared.elastic.graph))
+
+
+def fine_stage(problem: Problem, start: FloatArray) -> FloatArray:
+    """(n, 3) where the target's mesh ends that starts at some positions (n, 3)."""
+    prepared, elastic = problem.prepared, problem.prepared.elastic
+    terms = SurfaceTerms(prepared.rest, prepared.source_surface, problem.constraints, elastic, prepared.source_samples)
+    return minimise(prepared.rest.energy, terms, start, elastic.fine)
+
+
+def landmark_start(shape: CoarseShape, config: ElasticConfig) -> FloatArray:
+    """(k, 3) the clusters carried by their landmarks alone: a similarity, then the elastic energy without data.
+
+    It knows the twist of limbs, which coordinates on the surface do not: a hand with one landmark keeps its turn.
+    """
+    graph, places = shape.rest.graph, shape.constraints.places
+    held = np.arange(len(places))
+    rotation, scale, shift = similarity(graph.positions[held], places)
+    blocks, right = np.zeros((graph.n, 3, 3)), np.zeros((graph.n, 3))
+    blocks[held] = config.landmark_weight * np.eye(3)
+    right[held] = config.landmark_weight * places
+    start = scale * graph.positions @ rotation.T + shift
+    energy = shape.rest.energy
+    return minimise(energy, energy.constant_terms(blocks, right), start, config.landmark_start)
+
+
+def similarity(points: FloatArray, images: FloatArray) -> tuple[FloatArray, float, FloatArray]:
+    """Rotation R, scale s and shift t with s R p + t nearest to the images (Umeyama 1991); no reflection."""
+    centre, image_centre = points.mean(axis=0), images.mean(axis=0)
+    u, singular, vt = np.linalg.svd((images - image_centre).T @ (points - centre))
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0])
+    rotation = (u * signs) @ vt
+    spread = float(((points - centre) ** 2).sum())
+    scale = float((singular * signs).sum()) / spread if spread > 0 else 1.0
+    return rotation, scale, image_centre - scale * rotation @ centre
+
+
+def with_cost(prepared: PreparedPair, positions: FloatArray) -> Placement:
+    """A placement of the mesh with its cost: `vertex_costs`, and the mean squared distance of source samples from it.
+
+    The last tells a limb that lies beside its counterpart, or a body squeezed into a part of the other.
+    """
+    rest, config, triangles = prepared.rest, prepared.elastic, prepared.mesh.triangles
+    samples = prepared.source_samples
+    costs = vertex_costs(rest, prepared.source_surface, positions, rest.energy.maps(positions), config)
+    tree = build_tree(positions, triangles)
+    at, barycentric, distance = closest_points(tree, samples.points, samples.planes, normal_weight=config.normal_weight)
+    missed = barycentric * (samples.areas * distance**2)[:, None]
+    costs = costs + np.bincount(triangles[at].ravel(), missed.ravel(), rest.graph.n)
+    return Placement(positions, float(costs.sum()), costs)
+
+
+def vertex_costs(
+    rest: RestShape, source: TriangleSurface, positions: FloatArray, maps: FloatArray, config: ElasticConfig
+) -> FloatArray:
+    """(n,) cost by vertex: squared distance in position and normal, and the energy at one stiffness."""
+    graph = rest.graph
+    normals = deformed_normals(graph.normals, maps)
+    found = SurfacePoints.nearest(source, positions, normals, normal_weight=config.normal_weight)
+    areas = graph.areas * rest.masks.of_target(graph.n) * rest.masks.at_source(found)
+    squared = ((found.positions - positions) ** 2).sum(axis=1)
+    turned = 2.0 - 2.0 * np.einsum("nd,nd->n", found.normals, normals)
+    data = areas * (squared + config.normal_weight**2 * turned)
+    return np.asarray(data + config.cost_stiffness * graph.energies(positions, maps, config.coarse.smoothing))
+
+
+def _guesses(iterate: Iterate) -> tuple[IndexArray | None, IndexArray | None]:
+    """Triangles of the closest points of the iteration before, both ways."""
+    return iterate.before.guesses if isinstance(iterate.before, VertexTerms) else (None, None)

@@ -1,0 +1,265 @@
+"""The as-affine-as-possible energy of a surface that is carried onto another one, on a weighted graph.
+
+Every vertex i has a position x_i and a linear map A_i (3 x 3). The energy
+
+    E(x, A) = sum_ij w_ij |x_i - x_j - A_ij (p_i - p_j)|^2 + epsilon sum_ij w_ij |A_i - A_j|^2,  2 A_ij = A_i + A_j,
+
+vanishes for every affine deformation of the rest positions p, and measures how far the deformation is from one that is
+locally affine with a smoothly varying differential. Scale and anisotropy may thus change from limb to limb at little
+cost, which a rigid or conformal energy does not allow. The graph is a mesh (cotangent weights) or a coarse clustering
+of one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
+
+from cagemap.deform.config import GraphConfig
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, read_only
+from cagemap.numerics.factorization import Factorization, factor
+from cagemap.numerics.graphs import components
+from cagemap.numerics.threads import kept
+from cagemap.operators.laplacian import stiffness, vertex_areas
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import normalized
+
+# Vertices, far from each other, that distances along a surface are measured from.
+STATIONS = 60
+# Pieces of a mesh with less than this share of its area, eyes and teeth, have none of them.
+MIN_PIECE_AREA = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class ElasticGraph:
+    """Rest shape of the energy.
+
+    Attributes
+    ----------
+    positions, normals : (n, 3) float64
+        Rest positions at unit surface area, unit normals.
+    areas : (n,) float64
+        Shares of the surface's area, sum 1.
+    heads, tails : (2 m,) int64
+        Every edge in both directions.
+    weights : (2 m,) float64, positive
+    """
+
+    positions: FloatArray
+    normals: FloatArray
+    areas: FloatArray
+    heads: IndexArray
+    tails: IndexArray
+    weights: FloatArray
+
+    @property
+    def n(self) -> int:
+        """Number of vertices."""
+        return len(self.positions)
+
+    @property
+    def edges(self) -> FloatArray:
+        """(2 m, 3) rest differences p_head - p_tail."""
+        return np.asarray(self.positions[self.heads] - self.positions[self.tails])
+
+    @kept
+    def laplacian(self) -> sparse.csr_array:
+        """(n, n) weighted graph Laplacian, positive semi-definite."""
+        weights = sparse.csr_array((self.weights, (self.heads, self.tails)), shape=(self.n, self.n))
+        return sparse.csr_array(sparse.diags_array(np.asarray(weights.sum(axis=1)).ravel()) - weights)
+
+    @kept
+    def station_distances(self) -> FloatArray:
+        """(s, n) distances along the edges from `STATIONS` vertices, each far from the others; infinite if unreached.
+
+        Pieces with less than `MIN_PIECE_AREA` of the area have none.
+        """
+        piece = components(self.heads, self.tails, self.n)
+        sizes = np.bincount(piece, self.areas)
+        lengths = np.linalg.norm(self.edges, axis=1)
+        edges = sparse.csr_array((lengths, (self.heads, self.tails)), shape=(self.n, self.n))
+        rows, nearest = [], np.where(sizes >= min(MIN_PIECE_AREA, sizes.max()), np.inf, -1.0)[piece]
+        for _ in range(min(STATIONS, self.n)):
+            rows.append(dijkstra(edges, indices=[int(nearest.argmax())])[0])
+            nearest = np.minimum(nearest, rows[-1])
+        return read_only(np.array(rows))
+
+    def energies(self, positions: FloatArray, maps: FloatArray, epsilon: float) -> FloatArray:
+        """(n,) shares of E(x, A): of every edge a half at each end."""
+        means = 0.5 * (maps[self.heads] + maps[self.tails])
+        residual = positions[self.heads] - positions[self.tails] - np.einsum("eab,eb->ea", means, self.edges)
+        change = ((maps[self.heads] - maps[self.tails]) ** 2).sum(axis=(1, 2))
+        of_edges = 0.5 * self.weights * ((residual**2).sum(axis=1) + epsilon * change)
+        return np.asarray(np.bincount(self.heads, of_edges, self.n), dtype=np.float64)
+
+    @kept
+    def moments(self) -> sparse.csr_array:
+        """(3 n, n) matrix B: row 3 i + b of B x holds ``sum_j w_ij e_ij,b (x_i - x_j)``."""
+        weighted = (self.weights[:, None] * self.edges).ravel()
+        rows = (3 * self.heads[:, None] + np.arange(3)).ravel()
+        at_heads, at_tails = np.repeat(self.heads, 3), np.repeat(self.tails, 3)
+        return sparse.csr_array(
+            (np.concatenate([weighted, -weighted]), (np.tile(rows, 2), np.concatenate([at_heads, at_tails]))),
+            shape=(3 * self.n, self.n),
+        )
+
+    def divergence(self, maps: FloatArray) -> FloatArray:
+        """(n, 3) ``B^T A / 2`` of the moments B and maps A (n, 3, 3): ``sum_j w_ij A_ij e_ij``."""
+        return np.asarray(0.5 * (self.moments.T @ maps.transpose(0, 2, 1).reshape(-1, 3)))
+
+    def smoother(self, length: float, masses: FloatArray | None = None) -> Factorization:
+        """Screened Poisson smoothing over a length: factors of ``M + length^2 L``, M the areas or other masses (n,)."""
+        masses = self.areas if masses is None else masses
+        return factor(sparse.csc_array(sparse.diags_array(masses) + length**2 * self.laplacian))
+
+    def part(self, vertices: IndexArray, stiffness: FloatArray) -> ElasticGraph:
+        """The graph on some vertices (k,), ascending, its edges stiffened by the mean stiffness (n,) of both ends."""
+        number = np.full(self.n, -1, dtype=np.int64)
+        number[vertices] = np.arange(len(vertices))
+        edges = (number[self.heads] >= 0) & (number[self.tails] >= 0)
+        heads, tails = self.heads[edges], self.tails[edges]
+        weights = self.weights[edges] * np.sqrt(stiffness[heads] * stiffness[tails])
+        return ElasticGraph(
+            self.positions[vertices],
+            self.normals[vertices],
+            self.areas[vertices],
+            number[heads],
+            number[tails],
+            weights,
+        )
+
+    def rings(self, vertices: IndexArray, count: int) -> IndexArray:
+        """(k,) vertices and those up to so many edges away, ascending."""
+        inside = np.zeros(self.n, dtype=np.bool_)
+        inside[vertices] = True
+        for _ in range(count):
+            inside[self.heads[inside[self.tails]]] = True
+        return np.flatnonzero(inside)
+
+
+def mesh_graph(mesh: TriangleSurface, faces: IndexArray, config: GraphConfig = GraphConfig()) -> ElasticGraph:
+    """Graph of a mesh: its edges with cotangent weights."""
+    upper = sparse.triu(stiffness(mesh.positions, faces), 1).tocoo()
+    weights = np.maximum(-upper.data, config.min_weight * np.median(np.abs(upper.data)))
+    heads, tails = np.concatenate([upper.row, upper.col]), np.concatenate([upper.col, upper.row])
+    areas = vertex_areas(mesh.positions, faces)
+    return ElasticGraph(
+        mesh.positions,
+        mesh.vertex_normals,
+        areas / areas.sum(),
+        heads.astype(np.int64),
+        tails.astype(np.int64),
+        np.tile(weights, 2),
+    )
+
+
+def cluster_graph(
+    fine: ElasticGraph, count: int, held: IndexArray, config: GraphConfig = GraphConfig()
+) -> tuple[ElasticGraph, IndexArray]:
+    """Coarser graph on some of a graph's vertices.
+
+    Vertices are gathered in the cells of a grid in position and normal, so that the two sides of a thin part stay
+    apart; a cell's most central vertex stands for it. An edge between two cells takes the sum of the fine edges'
+    weights, scaled by squared lengths so that a linear function keeps its energy.
+    """
+    cell = _cells(fine, count, config)
+    cell[held] = -1 - np.arange(len(held))[::-1]  # smallest numbers, so that np.unique puts them first, in order
+    _, cell = np.unique(cell, return_inverse=True)
+    k = int(cell.max()) + 1
+    areas = np.bincount(cell, fine.areas, minlength=k)
+    centres = grouped_sums(cell, fine.areas[:, None] * fine.positions, k) / areas[:, None]
+    normals = normalized(grouped_sums(cell, fine.areas[:, None] * fine.normals, k))
+    distance = np.linalg.norm(fine.positions - centres[cell], axis=1)
+    order = np.lexsort((distance, cell))
+    vertices = order[np.searchsorted(cell[order], np.arange(k))]
+    across = cell[fine.heads] != cell[fine.tails]
+    lengths = np.linalg.norm(fine.edges, axis=1)[across]
+    heads, tails = cell[fine.heads[across]], cell[fine.tails[across]]
+    summed = sparse.coo_array((fine.weights[across] * lengths**2, (heads, tails)), shape=(k, k)).tocsr().tocoo()
+    coarse_lengths = np.linalg.norm(fine.positions[vertices[summed.row]] - fine.positions[vertices[summed.col]], axis=1)
+    weights = summed.data / np.maximum(coarse_lengths, 1e-9) ** 2
+    # A cell's fine edges cover a strip as wide as a fine edge, not the cell: give the coordinates their energy back.
+    scale = 2.0 * fine.areas.sum() / max(float((weights * coarse_lengths**2).sum() / 2), 1e-30)
+    graph = ElasticGraph(
+        fine.positions[vertices],
+        normals,
+        areas.astype(np.float64),
+        np.asarray(summed.row, dtype=np.int64),
+        np.asarray(summed.col, dtype=np.int64),
+        scale * weights,
+    )
+    return graph, vertices.astype(np.int64)
+
+
+def extrapolate(
+    coarse: ElasticGraph,
+    positions: FloatArray,
+    maps: FloatArray,
+    fine: ElasticGraph,
+    config: GraphConfig = GraphConfig(),
+) -> FloatArray:
+    """(n, 3) positions of a finer graph's vertices: blended affine extrapolations of the nearest coarse vertices.
+
+    ``y_v = sum_k b_k (x_k + A_k (p_v - p_k))`` with weights falling to zero at the last neighbour's distance, distances
+    counting position and normal. Exact for affine deformations.
+    """
+    size = np.sqrt(1.0 / coarse.n)
+    tree = cKDTree(np.hstack([coarse.positions, config.normal_length * size * coarse.normals]))
+    count = min(config.neighbours, coarse.n)
+    queried = tree.query(np.hstack([fine.positions, config.normal_length * size * fine.normals]), k=count)
+    distance, nearest = (np.asarray(part).reshape(fine.n, count) for part in queried)
+    blend = np.maximum(1.0 - (distance / (1.0001 * distance[:, -1:] + 1e-12)) ** 2, 1e-9) ** 2
+    blend /= blend.sum(axis=1, keepdims=True)
+    offsets = fine.positions[:, None] - coarse.positions[nearest]
+    moved = positions[nearest] + np.einsum("vkab,vkb->vka", maps[nearest], offsets)
+    return np.einsum("vk,vka->va", blend, moved)
+
+
+def _cells(graph: ElasticGraph, count: int, config: GraphConfig) -> IndexArray:
+    """(n,) connected cell of a grid over position and normal, of a width that gives about ``count`` cells."""
+    width = np.sqrt(1.0 / count)
+    cell = np.zeros(graph.n, dtype=np.int64)
+    for _ in range(8):
+        features = np.hstack([graph.positions, 0.5 * config.normal_length * width * graph.normals]) / width
+        keys = np.floor(features - features.min(axis=0)).astype(np.int64)
+        counts = keys.max(axis=0) + 1
+        _, cell = np.unique(np.ravel_multi_index(tuple(keys.T), tuple(counts)), return_inverse=True)
+        cell = connected_cells(graph, cell.ravel(), config)
+        found = int(cell.max()) + 1
+        if 0.85 * count <= found <= 1.2 * count or (found == graph.n and count >= graph.n):
+            break
+        width *= np.sqrt(found / count)
+    return cell
+
+
+def connected_cells(graph: ElasticGraph, cell: IndexArray, config: GraphConfig = GraphConfig()) -> IndexArray:
+    """(n,) cells split into their connected pieces, tiny pieces joined to a neighbour.
+
+    Parts of a body that touch, a hand on a thigh, share cells of a grid though nothing joins them: such a cell would
+    hold them together, and shorten the ways between them. A tiny piece goes to the neighbour that it shares most edge
+    weight with: what a cell's border cuts off would else be a stiff dot.
+    """
+    inside = cell[graph.heads] == cell[graph.tails]
+    piece = components(graph.heads[inside], graph.tails[inside], graph.n)
+    for _ in range(config.joining_rounds):
+        k = int(piece.max()) + 1
+        areas = np.bincount(piece, graph.areas, minlength=k)
+        across = (piece[graph.heads] != piece[graph.tails]) & (areas < config.min_cell * areas.mean())[
+            piece[graph.heads]
+        ]
+        if not across.any():
+            break
+        heads, tails = graph.heads[across], graph.tails[across]
+        # Edge weights times squared lengths count the area along the common border, normals the sides of a thin part.
+        agree = 1.0 + np.einsum("ed,ed->e", graph.normals[heads], graph.normals[tails])
+        border = graph.weights[across] * ((graph.positions[heads] - graph.positions[tails]) ** 2).sum(axis=1) * agree
+        shared = sparse.coo_array((border, (piece[heads], piece[tails])), shape=(k, k)).tocsr().tocoo()
+        order = np.lexsort((shared.data, shared.row))
+        last = np.flatnonzero(np.diff(shared.row[order], append=k))
+        small, joined = (shared.coords[side][order][last].astype(np.int64) for side in (0, 1))
+        piece = components(small, joined, k)[piece]
+    return piece

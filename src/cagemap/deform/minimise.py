@@ -1,0 +1,130 @@
+"""Minimise an elastic energy with other terms: positions and differentials alternate.
+
+Everything that deforms is one call of `minimise` with another energy and other terms: the coarse and the fine stage,
+positions from landmarks alone, the pose of a placement, the response of a map to its landmarks, and the wrap of a net.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from cagemap.deform.config import Stage
+from cagemap.deform.graph import ElasticGraph
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import ThreadPool
+
+
+class Energy(Protocol):
+    """What gives differentials to positions; `cagemap.deform.energy.ElasticEnergy`."""
+
+    @property
+    def graph(self) -> ElasticGraph:
+        """Whose energy it is."""
+
+    def differentials(self, positions: FloatArray) -> tuple[FloatArray, IndexArray]:
+        """(n, 3, 3) maps for positions (n, 3), and which of them were bounded."""
+
+
+class System(Protocol):
+    """Linear system of the positions."""
+
+    def solve(self, right: FloatArray, positions: FloatArray) -> FloatArray:
+        """(n, 3) new positions, from a right side (n, 3) and the positions before (n, 3)."""
+
+
+class Quadratic(Protocol):
+    """Terms of one iteration, ``x^T B x - 2 b^T x`` up to a constant."""
+
+    @property
+    def right(self) -> FloatArray:
+        """(n, 3) b."""
+
+    @property
+    def distance(self) -> float:
+        """Root mean square distance of the target from the source, of sqrt(area); infinite where nobody asks."""
+
+    def system(self, alpha: float, stage: Stage, before: Any) -> System:
+        """``alpha L + B``; with the factors of a system before, where there is one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Iterate:
+    """Where an iteration starts.
+
+    Attributes
+    ----------
+    positions : (n, 3) float64
+    found : future of ((n, 3, 3) float64, (b,) int64)
+        Differentials of the positions, which are made meanwhile.
+    stiffness : float
+    before : Quadratic or None
+        Terms of the iteration before.
+    """
+
+    positions: FloatArray
+    found: Future[tuple[FloatArray, IndexArray]]
+    stiffness: float
+    before: Quadratic | None
+
+    @property
+    def maps(self) -> FloatArray:
+        """(n, 3, 3) differentials; waits for them."""
+        return self.found.result()[0]
+
+
+class Terms(Protocol):
+    """What an energy is minimised with: data terms and constraints."""
+
+    def at(self, iterate: Iterate) -> Quadratic:
+        """Terms near an iterate."""
+
+
+def minimise(
+    energy: Energy,
+    terms: Terms,
+    start: FloatArray,
+    stage: Stage,
+    adjust: Callable[[FloatArray], FloatArray] = lambda positions: positions,
+) -> FloatArray:
+    """Positions x (n, 3) that minimise ``alpha E(x, A)`` plus terms; alternates positions and differentials.
+
+    The alternation creeps along the surface, where only the energy acts; momentum makes it three times faster. Where
+    the mesh lies on the source, softening would only let it slide: the stiffness is then the largest that keeps it
+    there (Morozov's discrepancy principle). That is so between cages of one shape.
+
+    Parameters
+    ----------
+    energy : Energy
+    terms : Terms
+    start : (n, 3) float64
+    stage : Stage
+    adjust : callable
+        Applied to the positions (n, 3) of every iteration, to keep a symmetry.
+    """
+    positions, before = start, start
+    quadratic: Quadratic | None = None
+    system: System | None = None
+    alpha = 0.0
+    with ThreadPool(1) as aside:
+        for iteration, ramped in enumerate(stage.ramped(), start=1):
+            softer, alpha = alpha, float(ramped)
+            if quadratic is not None and quadratic.distance <= stage.on_surface:
+                alpha = float(max(ramped, min(stage.stiffening * softer, stage.max_stiffness)))
+            found = aside.submit(energy.differentials, positions)
+            last, quadratic = quadratic, terms.at(Iterate(positions, found, alpha, quadratic))
+            if system is None or quadratic is not last or alpha != softer:
+                anew = (iteration - 1) % stage.factored == 0
+                system = quadratic.system(alpha, stage, None if anew else system)
+            maps, bounded = found.result()
+            right = quadratic.right + alpha * energy.graph.divergence(maps)
+            after = adjust(system.solve(right, positions))
+            if iteration >= stage.iterations and len(bounded) <= stage.max_bounded * energy.graph.n:
+                return after
+            positions = after + stage.momentum * (after - before) if iteration > 1 else after
+            before = after
+    return np.asarray(before)

@@ -1,0 +1,88 @@
+"""Refit with the rest shape moved into the source's pose, so that bent joints cost no energy.
+
+The elastic energy counts the rotation of a bent joint as a change of differentials, and less of it where the skin is
+squeezed: its minimum has shins slid towards bent knees. So a placement that found the pose is used to bring the target
+there, as rigidly as possible, and the target in that pose is fitted again. Then two bodies stand alike, for which the
+stiff coarse stage is the right one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cagemap.deform.config import PoseConfig
+from cagemap.deform.energy import ElasticEnergy, rotations
+from cagemap.deform.fit import coarse_fit, fine_fit
+from cagemap.deform.graph import ElasticGraph
+from cagemap.deform.minimise import minimise
+from cagemap.deform.prepared import RestShape
+from cagemap.deform.problem import Problem
+from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.rotations import nearest_rotations
+
+
+def fit_in_pose(problem: Problem, positions: FloatArray, times: int | None = None) -> FloatArray:
+    """Positions (n, 3) by the coarse and the fine stage of the target in the pose of a placement.
+
+    Repeated as the configuration says: the better the fit, the better the pose.
+    """
+    stiff, rest, config = problem.stiff, problem.prepared.rest, problem.prepared.elastic
+    for _ in range(config.pose.rounds if times is None else times):
+        there = rest.at(rigid_pose(rest, positions, config.pose), config.fine.smoothing)
+        alike = replace(stiff, prepared=replace(stiff.prepared, rest=there))
+        positions = fine_fit(alike, coarse_fit(alike, there.graph.positions[alike.shape.vertices]))
+    return positions
+
+
+def pose_difference(rest: RestShape, positions: FloatArray) -> float:
+    """How far poses differ, in radians: mean of `rotation_angles`."""
+    return float(rest.graph.areas @ rotation_angles(rest, positions)) / float(rest.graph.areas.sum())
+
+
+def largest_limb_rotation(rest: RestShape, positions: FloatArray, share: float) -> float:
+    """Least of `rotation_angles`, in radians, on the most rotated share of the area that is not masked."""
+    angles = rotation_angles(rest, positions)
+    order = np.argsort(-angles)
+    covered = np.cumsum((rest.graph.areas * rest.masks.of_target(rest.graph.n))[order])
+    return float(angles[order[np.searchsorted(covered, share * covered[-1])]])
+
+
+def rotation_angles(rest: RestShape, positions: FloatArray) -> FloatArray:
+    """(n,) angles, in radians, between the rotation of every vertex of a placement (n, 3) and that of all."""
+    areas, own = rest.graph.areas, nearest_rotations(rest.energy.maps(positions))
+    common = nearest_rotations(np.einsum("n,nab->ab", areas, own)[None])[0]
+    cosines = 0.5 * (np.einsum("nab,ab->n", own, common) - 1.0)
+    return np.asarray(np.arccos(np.clip(cosines, -1.0, 1.0)))
+
+
+def rigid_pose(rest: RestShape, positions: FloatArray, config: PoseConfig = PoseConfig()) -> FloatArray:
+    """(n, 3) the rest shape near some positions (n, 3), as rigid as possible (Sorkine and Alexa 2007) but at joints.
+
+    Minimises ``sum_i a_i |x_i - y_i|^2 + alpha sum_ij c_ij w_ij |x_i - x_j - R_ij (p_i - p_j)|^2``, R the rotations of
+    smoothed differentials: limbs keep their lengths and girths, and turn where c is small. It is, where they turn
+    already: bodies bend at joints, and a thigh does not twist from end to end.
+    """
+    graph, stage, found = rest.graph, config.stage, positions
+    blocks, right = graph.areas[:, None, None] * np.eye(3), graph.areas[:, None] * positions
+    energy = ElasticEnergy.build(graph, stage.smoothing, rotations)
+    for _ in range(config.joint_rounds):
+        stiffness = edge_stiffness(graph, energy.differentials(found)[0], config)
+        energy = ElasticEnergy.build(replace(graph, weights=graph.weights * stiffness), stage.smoothing, rotations)
+        found = minimise(energy, energy.constant_terms(blocks, right), found, stage)
+    return found
+
+
+def edge_stiffness(graph: ElasticGraph, turns: FloatArray, config: PoseConfig = PoseConfig()) -> FloatArray:
+    """(2 m,) weights ``1 / (1 + k^2 / mean k^2)`` of the edges: 1 where nothing turns, least at joints.
+
+    k is the length of the gradient of the vertices' rotations (n, 3, 3), smoothed.
+    """
+    changes = ((turns[graph.heads] - turns[graph.tails]) ** 2).sum(axis=(1, 2))
+    covered = np.bincount(graph.heads, graph.weights * (graph.edges**2).sum(axis=1), graph.n)
+    covered = np.maximum(covered, 1e-12 * covered.mean())  # where faces are points nothing is seen to turn
+    squared = np.bincount(graph.heads, graph.weights * changes, graph.n) / covered
+    squared = np.maximum(graph.smoother(config.joint_smoothing).solve(graph.areas * squared), 0.0)
+    stiff = 1.0 / (1.0 + squared / max(float(graph.areas @ squared), 1e-12))
+    return np.asarray(np.maximum(np.sqrt(stiff[graph.heads] * stiff[graph.tails]), config.min_stiffness))

@@ -1,0 +1,129 @@
+"""Starts of the coarse stage of the elastic fit: ZoomOut from landmark coordinates, and from a fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from cagemap.deform.constants import (
+    CURVE_POINTS,
+    FURTHER_GROWTH,
+    LAST_FUNCTIONS,
+    NORMAL_LENGTH,
+    PLACES,
+    START_SAMPLES,
+    TRUSTED_FUNCTIONS,
+)
+from cagemap.deform.energy import deformed_normals
+from cagemap.deform.placement import Placement
+from cagemap.deform.problem import Problem
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import in_threads
+from cagemap.spectral.landmark_coordinates import landmark_coordinates
+from cagemap.spectral.samples import Samples, evenly_spaced
+from cagemap.spectral.surface import Surface
+from cagemap.spectral.zoomout import ZoomOutSchedule, nearest_coordinates, zoomout
+
+
+def start_map(problem: Problem) -> FloatArray:
+    """(k, 3) places on the source of the coarse shape's vertices: nearest landmark coordinates, refined by ZoomOut."""
+    prepared, vertices, held = problem.prepared, problem.shape.vertices, problem.landmark_vertices
+    levels, areas = prepared.levels, problem.shape.rest.graph.areas
+    areas = areas * prepared.rest.masks.for_vertices(vertices).of_target(len(vertices))
+    candidates = evenly_spaced(prepared.source.refinement.levels[levels[1]].n_vertices, START_SAMPLES)
+    candidates = np.union1d(candidates, held[1])
+    of_curves = curve_vertices(problem)
+    sides = [
+        (prepared.target, levels[0], held[0], of_curves[0], vertices, areas),
+        (prepared.source, levels[1], held[1], of_curves[1], candidates, np.ones(len(candidates))),
+    ]
+    target, source = in_threads(lambda side: _with_coordinates(*side), sides)
+    match = zoomout(target, source, nearest_coordinates(target, source), prepared.start.zoomout)
+    return prepared.finest_source.positions[candidates[match]]
+
+
+def curve_vertices(problem: Problem) -> tuple[list[IndexArray], list[IndexArray]]:
+    """Vertices of both levels along every curve, all different; curves that landmarks or others cover are left out."""
+    prepared, taken = problem.prepared, list(problem.landmark_vertices)
+    found: tuple[list[IndexArray], list[IndexArray]] = ([], [])
+    for pair in problem.pair.landmarks.curves:
+        own = []
+        sides = (prepared.target, prepared.levels[0], pair.target), (prepared.source, prepared.levels[1], pair.source)
+        for side, (surface, level, curve) in enumerate(sides):
+            places = curve.points.positions[curve.line.spread(CURVE_POINTS)]
+            near = cKDTree(surface.triangles(level).positions).query(places)[1]
+            own.append(np.setdiff1d(np.asarray(near, dtype=np.int64), taken[side]))
+            taken[side] = np.union1d(taken[side], own[side])
+        if all(len(vertices) for vertices in own):
+            for listed, vertices in zip(found, own, strict=True):
+                listed.append(vertices)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class SpectralSides:
+    """Basis rows of the coarse graph's vertices and of some places of the source, for `spectral_starts`.
+
+    Attributes
+    ----------
+    target, source : Samples
+    places : (m, 3) float64
+        Of the source's samples.
+    tree : cKDTree
+        Over the places and their normals times `NORMAL_LENGTH`.
+    """
+
+    target: Samples
+    source: Samples
+    places: FloatArray
+    tree: cKDTree
+
+    @classmethod
+    def build(cls, problem: Problem) -> SpectralSides:
+        """Evaluate the bases."""
+        prepared, shape = problem.prepared, problem.shape
+        level = prepared.source.refinement.coarsest_level(prepared.elastic.source_vertices)
+        vertices = evenly_spaced(prepared.source_surface.n, PLACES)
+        places, normals = prepared.source_surface.positions[vertices], prepared.source_surface.vertex_normals[vertices]
+        sides = (
+            (prepared.target, prepared.levels[0], shape.vertices, shape.rest.graph.areas),
+            (prepared.source, level, vertices, np.ones(len(vertices))),
+        )
+        target, source = (
+            Samples(basis_rows(surface, level, chosen), areas, np.zeros((len(chosen), 0)))
+            for surface, level, chosen, areas in sides
+        )
+        return cls(target, source, places, cKDTree(np.hstack([places, NORMAL_LENGTH * normals])))
+
+
+def spectral_starts(fitted: Placement, sides: SpectralSides) -> list[FloatArray]:
+    """(k, 3) places on the source by ZoomOut from a fit's closest points: they find limbs in other poses.
+
+    The first number of functions says how much of the fit is trusted.
+    """
+    assert fitted.graph is not None
+    normals = deformed_normals(fitted.graph.normals, fitted.maps)
+    match = np.asarray(sides.tree.query(np.hstack([fitted.positions, NORMAL_LENGTH * normals]))[1], dtype=np.int64)
+    schedules = [ZoomOutSchedule(first, LAST_FUNCTIONS, FURTHER_GROWTH) for first in TRUSTED_FUNCTIONS]
+    return [sides.places[zoomout(sides.target, sides.source, match, schedule)] for schedule in schedules]
+
+
+def basis_rows(surface: Surface, level: int, vertices: IndexArray) -> FloatArray:
+    """(q, k) values of all basis functions at vertices of a level, which are vertices of all finer ones."""
+    return surface.basis.rows(max(level, surface.basis.last_level), vertices)
+
+
+def _with_coordinates(
+    surface: Surface,
+    level: int,
+    landmarks: IndexArray,
+    curves: list[IndexArray],
+    vertices: IndexArray,
+    areas: FloatArray,
+) -> Samples:
+    """Some vertices of a level, with the coordinates of landmarks and curves."""
+    operators = surface.operators
+    coordinates = landmark_coordinates(operators.stiffness[level], operators.mass[level], landmarks, curves)
+    return Samples(basis_rows(surface, level, vertices), areas, coordinates[vertices])

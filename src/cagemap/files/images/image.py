@@ -1,0 +1,394 @@
+"""Images through OpenImageIO: pixels come and go in the number type of the file, rows from the top.
+
+Traps that this module keeps away from its callers: OpenImageIO multiplies colours by alpha when it reads a PNG (asked
+not to, so that texels come through unchanged), takes a 2-dimensional uint16 array for something else (arrays are
+always (h, w, c) here), and writes what a format cannot hold as something it can (refused here).
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenImageIO as oiio
+from numpy.typing import NDArray
+
+from cagemap.errors import FormatError
+from cagemap.files.atomic import atomic_path
+from cagemap.files.images.parts import on_display, require_one_picture, upright
+from cagemap.files.ownership import mark
+from cagemap.files.text import require_file, text_name
+from cagemap.mesh.udim import FIRST_TILE
+from cagemap.numerics.arrays import array_of
+from cagemap.numerics.kinds import kinds_checked
+
+Pixels = NDArray[Any]
+
+UDIM_MARK = "<UDIM>"
+# What each format holds exactly. Wider types are refused rather than rounded behind the user's back.
+_FORMATS: dict[str, tuple[str, ...]] = {
+    ".png": ("uint8", "uint16"),
+    ".jpg": ("uint8",),
+    ".jpeg": ("uint8",),
+    ".tif": ("uint8", "uint16", "float32"),  # OpenImageIO widens half to float here
+    ".tiff": ("uint8", "uint16", "float32"),
+    ".exr": ("float16", "float32"),
+}
+_OIIO = {"uint8": oiio.UINT8, "uint16": oiio.UINT16, "float16": oiio.HALF, "float32": oiio.FLOAT}
+_CHANNELS = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
+_LARGEST_CHANNELS = 4
+_READ_AS = {"float16": "half", "float32": "float"}
+_TIFF, _JPEG = (".tif", ".tiff"), (".jpg", ".jpeg")
+# Texels of a written image that are read back at a time.
+_VERIFIED_TEXELS = 1 << 22
+_HEADER = 1 << 16  # bytes of a file beside its texels
+# What file systems answer that cannot reserve room.
+_NO_RESERVING = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP)
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """Pixels, and what the file says about them.
+
+    Attributes
+    ----------
+    pixels : (h, w, c) uint8, uint16, float16 or float32
+        Row 0 at the top. Colours are not multiplied by alpha.
+    channel_names : tuple of str
+        One a channel.
+    color_space : str
+        The file's word for how colours are encoded ("sRGB", "Linear", ...), empty if it says nothing.
+    associated : bool
+        Whether colours are multiplied by alpha, as a TIFF may say; formats that have no word for it hold others.
+    """
+
+    pixels: Pixels
+    channel_names: tuple[str, ...] = ()
+    color_space: str = ""
+    associated: bool = False
+
+    def __repr__(self) -> str:
+        said = f", {self.color_space}" if self.color_space else ""
+        return f"Image({' x '.join(map(str, self.pixels.shape))} {self.pixels.dtype}{said})"
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width."""
+        return self.pixels.shape[0], self.pixels.shape[1]
+
+
+@kinds_checked
+def read_image(path: str | Path) -> Image:
+    """Read an image with 1 to 4 channels.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read as an image, or has more channels, other pixel types or more than two dimensions.
+    """
+    file = Path(path)
+    try:
+        return _read(file)
+    except UnicodeDecodeError as error:  # words in the file that OpenImageIO cannot hand on
+        raise FormatError(f"{file}: the image is damaged: {error}. Export it again.") from error
+
+
+def _read(file: Path) -> Image:
+    opened, kind = _open(file)
+    spec = opened.spec()
+    try:
+        pixels = opened.read_image(0, 0, 0, spec.nchannels, _READ_AS.get(kind, kind))
+        if pixels is None:
+            raise FormatError(
+                f"{file}: the image ends early or is damaged: {_reason(opened.geterror())} Export it again."
+            )
+    finally:
+        opened.close()
+    array = np.asarray(pixels).reshape(spec.height, spec.width, spec.nchannels).astype(kind, copy=False)
+    tiff = file.suffix.lower() in _TIFF
+    associated = tiff and spec.alpha_channel >= 0 and not spec.getattribute("oiio:UnassociatedAlpha")
+    array = on_display(array, spec) if file.suffix.lower() == ".exr" else array
+    array = upright(array, int(spec.getattribute("Orientation") or 1))
+    return Image(array, tuple(spec.channelnames), str(spec.getattribute("oiio:ColorSpace") or ""), associated)
+
+
+def _open(file: Path) -> tuple[Any, str]:
+    """An image's reader, its header checked, and the number type of its pixels."""
+    hints = oiio.ImageSpec()
+    hints.attribute("oiio:UnassociatedAlpha", 1)
+    require_file(file, "an image")
+    opened = oiio.ImageInput.open(text_name(file), hints)
+    if opened is None:
+        raise FormatError(
+            f"{file}: expected an image (PNG, TIFF, EXR, JPEG, ...), could not open it: {_reason(oiio.geterror())} "
+            "Export it again in one of these formats."
+        )
+    spec = opened.spec()
+    kind = str(spec.format)
+    known = {"uint8": "uint8", "uint16": "uint16", "half": "float16", "float": "float32"}
+    if spec.channelformats:
+        kind = "float"  # channels of several types: the widest of them, without loss
+    if kind not in known or not 1 <= spec.nchannels <= _LARGEST_CHANNELS or spec.depth > 1:
+        opened.close()
+        raise FormatError(
+            f"{file}: expected a flat image of 1 to {_LARGEST_CHANNELS} channels of uint8, uint16, half or float, "
+            f"found {spec.nchannels} of {kind}" + (" in depth" if spec.depth > 1 else "") + ". Convert it first."
+        )
+    try:
+        require_one_picture(file, opened)
+    except FormatError:
+        opened.close()
+        raise
+    return opened, known[kind]
+
+
+def read_image_form(path: str | Path) -> tuple[np.dtype[Any], int]:
+    """Number type and number of channels of an image, or of the first tile of a set, from its header alone.
+
+    Raises
+    ------
+    FormatError
+        If it is no image that `read_image` reads.
+    """
+    opened, kind = _open(next(iter(tile_files(path).values())))
+    channels = int(opened.spec().nchannels)
+    opened.close()
+    return np.dtype(kind), channels
+
+
+@kinds_checked
+def write_image(path: str | Path, image: Image | Pixels, *, force: bool = False) -> None:
+    """Write an image, whole or not at all; the suffix chooses the format.
+
+    An image that cagemap did not write is replaced with ``force`` only.
+
+    Raises
+    ------
+    FormatError
+        If the format is unknown, does not hold the pixels' type exactly, or the file cannot be written.
+    """
+    file = Path(path)
+    given = image if isinstance(image, Image) else Image(array_of(image), ())
+    pixels = given.pixels[:, :, None] if given.pixels.ndim == 2 else given.pixels
+    check_writable(file, pixels.dtype, pixels.shape[2] if pixels.ndim == 3 else 0)
+    height, width, channels = pixels.shape
+    spec = oiio.ImageSpec(width, height, channels, _OIIO[str(pixels.dtype)])
+    spec.channelnames = given.channel_names if len(given.channel_names) == channels else _CHANNELS[channels]
+    tiff = file.suffix.lower() in _TIFF
+    pixels = pixels if tiff else straight(replace(given, pixels=pixels)).pixels
+    spec.attribute("oiio:UnassociatedAlpha", 0 if given.associated and tiff else 1)
+    spec.attribute("png:compressionLevel", 4)  # a quarter of the time of 9, a few per cent larger
+    if given.color_space:
+        spec.attribute("oiio:ColorSpace", given.color_space)
+    if file.suffix.lower() != ".png":  # there the mark gets a chunk of its own when the file is whole
+        spec.attribute("Software", mark())
+    if file.suffix.lower() in _JPEG:
+        spec.attribute("CompressionQuality", 95)
+    with atomic_path(file, force=force, verify=partial(_holds, pixels)) as temporary:
+        if file.suffix.lower() in _JPEG:
+            _reserve(temporary, pixels.nbytes + _HEADER)
+        output = oiio.ImageOutput.create(str(temporary))
+        if output is None:
+            raise FormatError(f"{file}: cannot write this format: {_reason(oiio.geterror())}")
+        written = output.open(str(temporary), spec) and output.write_image(np.ascontiguousarray(pixels))
+        error = output.geterror()
+        if not (output.close() and written):
+            raise FormatError(f"{file}: could not write the image: {_reason(error or output.geterror())}")
+
+
+def _holds(pixels: Pixels, path: Path) -> bool:
+    """Whether an image can be read whole and has these pixels; of a JPEG, which changes them, their number."""
+    try:
+        opened, kind = _open(path)
+    except FormatError:
+        return False
+    spec = opened.spec()
+    same = (spec.height, spec.width, spec.nchannels) == pixels.shape and kind == str(pixels.dtype)
+    rows = max(1, _VERIFIED_TEXELS // spec.width)
+    for top in range(0, len(pixels) if same else 0, rows):
+        expected = pixels[top : top + rows]
+        part = opened.read_scanlines(top, top + len(expected), 0, 0, spec.nchannels, _READ_AS.get(kind, kind))
+        same = part is not None and (
+            path.suffix.lower() in _JPEG
+            or np.array_equal(np.reshape(part, expected.shape), expected, equal_nan=kind.startswith("float"))
+        )
+        if not same:
+            break
+    opened.close()
+    return same
+
+
+def _reserve(path: Path, size: int) -> None:
+    """Make sure that a file has room: where the disk is full, the library of JPEG ends the whole process.
+
+    Where the file system cannot tell, it is written as it is.
+
+    Raises
+    ------
+    OSError
+        If there is not so much.
+    """
+    if hasattr(os, "posix_fallocate"):
+        with path.open("rb+") as stream:
+            try:
+                os.posix_fallocate(stream.fileno(), 0, size)
+            except OSError as error:
+                if error.errno not in _NO_RESERVING:
+                    raise
+
+
+def straight(image: Image) -> Image:
+    """An image whose colours are not multiplied by its alpha, where it has one."""
+    if image.associated and image.pixels.ndim == 3 and image.pixels.shape[2] in (2, 4):
+        return replace(image, pixels=_divided(image.pixels), associated=False)
+    return replace(image, associated=False)
+
+
+def _divided(pixels: Pixels) -> Pixels:
+    """Colours that are multiplied by alpha, the last channel, without it."""
+    one = float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind == "u" else 1.0
+    share = pixels[..., -1:].astype(np.float64) / one
+    colors = np.divide(pixels[..., :-1], share, out=pixels[..., :-1].astype(np.float64), where=share > 0)
+    if pixels.dtype.kind == "u":
+        colors = np.rint(np.minimum(colors, one))
+    return np.concatenate([colors.astype(pixels.dtype), pixels[..., -1:]], axis=2)
+
+
+def check_writable(path: str | Path, dtype: np.dtype[Any], channels: int) -> None:
+    """Refuse, before any work is done, an image that its format cannot hold.
+
+    Raises
+    ------
+    FormatError
+    """
+    file = Path(path)
+    text_name(file.absolute())
+    suffix = file.suffix.lower()
+    if suffix not in _FORMATS:
+        raise FormatError(
+            f"{file}: expected an image name ending in {', '.join(_FORMATS)}, got {suffix or 'no suffix'}. "
+            "Give another name."
+        )
+    if channels not in _CHANNELS:
+        raise FormatError(f"{file}: expected 1 to {_LARGEST_CHANNELS} channels, got {channels}")
+    if suffix in _JPEG and channels in (2, 4):
+        raise FormatError(f"{file}: JPEG holds no alpha, got {channels} channels. Write a PNG.")
+    if str(dtype) not in _FORMATS[suffix]:
+        others = [other for other, types in _FORMATS.items() if str(dtype) in types]
+        bits = " or ".join(str(bits) for bits in (8, 16, 32) if str(pixel_type(bits, suffix)) in _FORMATS[suffix])
+        remedy = f"Write {' or '.join(others)}, or choose {bits} bits" if others else f"Choose {bits} bits"
+        raise FormatError(f"{file}: {suffix} holds {' or '.join(_FORMATS[suffix])}, got {dtype} pixels. {remedy}.")
+
+
+def read_texture(path: str | Path) -> Image | dict[int, Image]:
+    """Read a texture: one image, or with ``<UDIM>`` in the file's name the tiles found beside each other.
+
+    Returns
+    -------
+    Image, or dict of int -> Image
+        By UDIM number.
+
+    Raises
+    ------
+    FormatError
+        If there is no tile, or an image cannot be read.
+    """
+    found = tile_files(path)
+    if UDIM_MARK not in with_udim_mark(Path(path)).name:
+        return read_image(found[FIRST_TILE])
+    return {number: read_image(tile) for number, tile in found.items()}
+
+
+def with_udim_mark(path: Path) -> Path:
+    """A name with ``%(UDIM)d`` in place of the tile's number, as some programs write it, in the one spelling."""
+    return path.with_name(path.name.replace("%(UDIM)d", UDIM_MARK)) if path.name else path
+
+
+def tile_files(path: str | Path) -> dict[int, Path]:
+    """Files of a texture by UDIM number; one image is the first tile.
+
+    Raises
+    ------
+    FormatError
+        If there is no tile.
+    """
+    file = with_udim_mark(Path(path))
+    if UDIM_MARK not in file.name:
+        return {FIRST_TILE: file}
+    found = _tiles(file)
+    if not found:
+        first = udim_path(path, FIRST_TILE)
+        raise FormatError(f"{path}: expected tiles such as {first}, found none. Check the name.")
+    return found
+
+
+def texture_files(path: str | Path) -> list[Path]:
+    """Files that `read_texture` reads."""
+    file = with_udim_mark(Path(path))
+    return list(_tiles(file).values()) if UDIM_MARK in file.name else [file]
+
+
+def _tiles(path: Path) -> dict[int, Path]:
+    before, after = path.name.split(UDIM_MARK, 1)
+    pattern = re.compile(re.escape(before) + r"(1\d{3})" + re.escape(after) + r"\Z")
+    names = sorted(entry.name for entry in path.parent.iterdir()) if path.parent.is_dir() else []
+    return {int(match[1]): path.parent / entry for entry in names if (match := pattern.match(entry))}
+
+
+def udim_path(path: str | Path, tile: int) -> Path:
+    """File of one tile: ``<UDIM>`` replaced by its number, or the number put before the suffix; tile 0 changes nothing.
+
+    Examples
+    --------
+    >>> udim_path("skin.<UDIM>.png", 1002).name, udim_path("skin.png", 1002).name, udim_path("skin.png", 0).name
+    ('skin.1002.png', 'skin.1002.png', 'skin.png')
+    """
+    file = with_udim_mark(Path(path))
+    if UDIM_MARK in file.name:
+        return file.with_name(file.name.replace(UDIM_MARK, str(tile or FIRST_TILE)))
+    return file if tile == 0 else file.with_name(f"{file.stem}.{tile}{file.suffix}")
+
+
+def tile_pattern(path: str | Path) -> Path:
+    """The name of all files of `udim_path`: with ``<UDIM>`` where the tile's number stands."""
+    file = with_udim_mark(Path(path))
+    return file if UDIM_MARK in file.name else file.with_name(f"{file.stem}.{UDIM_MARK}{file.suffix}")
+
+
+def first_image(texture: Image | Mapping[int, Image]) -> Image:
+    """The image, or that of the first tile: all tiles have its form."""
+    return texture if isinstance(texture, Image) else next(iter(texture.values()))
+
+
+def texture_pixels(texture: Image | Mapping[int, Image]) -> Pixels | dict[int, Pixels]:
+    """Pixels alone, as the bakes of `cagemap.transfer` take them."""
+    if isinstance(texture, Image):
+        return texture.pixels
+    return {tile: image.pixels for tile, image in texture.items()}
+
+
+def pixel_type(bits: int, suffix: str) -> np.dtype[Any]:
+    """Number type for bits a channel: 8 and 16 are integers (16 is half float in EXR), 32 is float.
+
+    Raises
+    ------
+    FormatError
+        For other numbers.
+    """
+    names = {8: "uint8", 16: "float16" if suffix.lower() == ".exr" else "uint16", 32: "float32"}
+    if bits not in names:
+        raise FormatError(f"bits: expected 8, 16 or 32 a channel, got {bits}. Choose one of them.")
+    return np.dtype(names[bits])
+
+
+def _reason(message: str) -> str:
+    """One line of a library's error message."""
+    text = " ".join(str(message).split())
+    return (text or "no reason given").rstrip(".") + "."

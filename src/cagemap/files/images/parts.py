@@ -1,0 +1,80 @@
+"""What image files hold besides one image: parts and pages, a window on the texels, a rotation, other colours."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import FormatError
+
+Pixels = NDArray[Any]
+
+_LARGEST_WINDOW = 1 << 16
+# Numbers of "photometric interpretation" in TIFF files.
+_LAB = (8, 9, 10)
+
+
+def require_one_picture(file: Path, opened: Any) -> None:
+    """Refuse an EXR of several parts or without a window, a TIFF of several pages, and LAB colours.
+
+    Smaller pages behind the first one are thumbnails or halvings of it.
+
+    Raises
+    ------
+    FormatError
+    """
+    spec, kind = opened.spec(), str(opened.format_name())
+    if kind == "openexr":
+        if opened.seek_subimage(1, 0) or not opened.seek_subimage(0, 0):
+            raise FormatError(
+                f"{file}: expected one picture, found an EXR of several parts. Export the one that is meant."
+            )
+        if not (0 < spec.full_width <= _LARGEST_WINDOW and 0 < spec.full_height <= _LARGEST_WINDOW):
+            raise FormatError(
+                f"{file}: expected a display window of 1 to {_LARGEST_WINDOW} texels a side, found {spec.full_width} x "
+                f"{spec.full_height}. Export it again."
+            )
+    if kind == "tiff":
+        if spec.getattribute("tiff:PhotometricInterpretation") in _LAB:
+            raise FormatError(f"{file}: expected RGB or grey, found a TIFF of LAB colours. Convert it to RGB first.")
+        page, smaller = 1, True
+        while smaller and opened.seek_subimage(page, 0):
+            there = opened.spec()
+            page, smaller = page + 1, there.width < spec.width and there.height < spec.height
+        if not smaller:
+            raise FormatError(
+                f"{file}: expected one picture, found a TIFF of several pages. Export the one that is meant."
+            )
+        opened.seek_subimage(0, 0)
+
+
+def on_display(pixels: Pixels, spec: Any) -> Pixels:
+    """What lies in the display window of an EXR: its data window may be smaller, with nothing beside it, or larger."""
+    rows, columns = (
+        (slice(max(lo, full), min(lo + size, full + count)), lo, full, count)
+        for lo, size, full, count in (
+            (spec.y, spec.height, spec.full_y, spec.full_height),
+            (spec.x, spec.width, spec.full_x, spec.full_width),
+        )
+    )
+    if pixels.shape[:2] == (rows[3], columns[3]) and (rows[1], columns[1]) == (rows[2], columns[2]):
+        return pixels
+    shown = np.zeros((rows[3], columns[3], pixels.shape[2]), dtype=pixels.dtype)
+    there, here = (
+        tuple(slice(part.start - start, max(part.stop, part.start) - start) for part, start in pairs)
+        for pairs in (((rows[0], rows[2]), (columns[0], columns[2])), ((rows[0], rows[1]), (columns[0], columns[1])))
+    )
+    shown[there] = pixels[here]
+    return shown
+
+
+def upright(pixels: Pixels, orientation: int) -> Pixels:
+    """Rows of an image as they are meant to be seen: turned and mirrored as EXIF and TIFF say it (1 to 8)."""
+    if orientation in (5, 6, 7, 8):
+        pixels = pixels.swapaxes(0, 1)
+    rows = -1 if orientation in (3, 4, 7, 8) else 1
+    columns = -1 if orientation in (2, 3, 6, 7) else 1
+    return np.ascontiguousarray(pixels[::rows, ::columns])

@@ -1,0 +1,1 @@
+"""Landmarks, curves and symmetries in files."""

@@ -1,0 +1,221 @@
+"""Landmark files: JSON with two meshes' names, pairs of 0-based control vertices or points between, and of curves."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cagemap.errors import DirectionError, FormatError
+from cagemap.files.atomic import write_whole
+from cagemap.files.landmarks.curves import pair_curves, pair_entries
+from cagemap.files.ownership import mark
+from cagemap.files.text import read_text, whole_characters
+from cagemap.mesh.landmarks import CagePoints, Landmarks
+from cagemap.numerics.arrays import shown
+from cagemap.numerics.kinds import kinds_checked
+
+_FORM = (
+    '{"source": "a.obj", "target": "b.obj", "pairs": [{"name": "nose", "source": 3, "target": 7}, ...]}, or '
+    '{"corners": [3, 4, 9], "weights": [0.2, 0.5, 0.3]} in place of a vertex'
+)
+# By how much written weights may miss a sum of 1, or be negative.
+_ROUNDING = 1e-4
+
+End = tuple[tuple[int, int, int], tuple[float, float, float]]
+
+
+@kinds_checked
+def read_landmarks(path: str | Path, target: str | Path, source: str | Path) -> tuple[Landmarks, tuple[str, ...]]:
+    """Read a landmark file for a map from a target mesh to a source mesh.
+
+    Parameters
+    ----------
+    path : path
+        The JSON file.
+    target, source : str or path
+        Names of the two meshes; folders and extensions are left out of comparisons.
+
+    Returns
+    -------
+    landmarks : Landmarks
+        The pairs as the file says, not yet checked against the meshes (`cagemap.mesh.landmarks.check_landmarks`).
+    notes : tuple of str
+        What the reader of a report should know: the file was made for meshes of other names, since the same landmarks
+        serve every pose or identity of a cage.
+
+    Raises
+    ------
+    FormatError
+        If the file is not of that form; the pair is named by its number.
+    DirectionError
+        If the file names the two meshes the other way round.
+    """
+    file = Path(path)
+    landmarks = entered(file, _parse(file, read_text(file, "a landmark file")))
+    return landmarks, _compare_names(file, landmarks, str(target), str(source))
+
+
+def entered(file: Path, data: dict[str, Any]) -> Landmarks:
+    """Landmarks that the content of a landmark file, or of one like it, says.
+
+    Raises
+    ------
+    FormatError
+        If a pair or a curve is not of that form; it is named by its number.
+    """
+    pairs = [_pair(file, number, item) for number, item in enumerate(data.get("pairs", []))]
+    landmarks = Landmarks.of_points(
+        tuple(name for name, _, _ in pairs),
+        _points([target for _, target, _ in pairs]),
+        _points([source for _, _, source in pairs]),
+        _mesh_name(file, data, "target"),
+        _mesh_name(file, data, "source"),
+    )
+    return replace(landmarks, curves=pair_curves(file, data.get("curves", [])))
+
+
+def entries(landmarks: Landmarks) -> list[str]:
+    """What a landmark file holds of every pair, as JSON."""
+    ends = zip(landmarks.names, _ends(landmarks.source_points), _ends(landmarks.target_points), strict=True)
+    return [
+        json.dumps({"name": name, "source": source, "target": target}, ensure_ascii=False)
+        for name, source, target in ends
+    ]
+
+
+def write_landmarks(path: str | Path, landmarks: Landmarks, *, force: bool = False) -> None:
+    """Write a landmark file.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be written, or cagemap did not write the one that is there and ``force`` is not given.
+    """
+    listed = ",\n  ".join(pair_entries(path, landmarks.curves))
+    curves = f',\n "curves": [\n  {listed}\n ]' if listed else ""
+    names = f'"source": {json.dumps(landmarks.source_name)}, "target": {json.dumps(landmarks.target_name)}'
+    pairs = ",\n  ".join(entries(landmarks))
+    head = f'{{"written_by": "{mark()}",\n {names},\n "pairs": [\n  '
+    write_whole(path, f"{head}{pairs}\n ]{curves}}}\n", force=force)
+
+
+def _parse(path: Path, text: str) -> dict[str, Any]:
+    try:
+        data = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise FormatError(
+            f"{path}, line {error.lineno}: expected JSON, got a mistake there ({error.msg}). The form is {_FORM}."
+        ) from None
+    except (ValueError, RecursionError):
+        raise FormatError(f"{path}: expected a landmark file, got JSON that cannot be. The form is {_FORM}.") from None
+    if isinstance(data, dict) and "pairs" not in data and isinstance(data.get("curves"), list):
+        return data
+    if not isinstance(data, dict) or not isinstance(data.get("pairs"), list):
+        raise FormatError(f"{path}: expected an object with a list 'pairs', found none. The form is {_FORM}.")
+    return data
+
+
+def _mesh_name(path: Path, data: dict[str, Any], side: str) -> str:
+    name = data.get(side, "")
+    if not isinstance(name, str):
+        raise FormatError(f"{path}: expected the file name of the {side} mesh, got {shown(name)}. The form is {_FORM}.")
+    return whole_characters(name)
+
+
+def _pair(path: Path, number: int, item: Any) -> tuple[str, End, End]:
+    """Name, end on the target and end on the source of a pair."""
+    if not isinstance(item, dict):
+        raise FormatError(
+            f"{path}: pair {number} (0-based): expected an object, got {shown(item)}. The form is {_FORM}."
+        )
+    name = item.get("name", f"pair {number}")
+    if not isinstance(name, str):
+        raise FormatError(f"{path}: pair {number} (0-based): expected a name, got {shown(name)}. Put it in quotes.")
+    ends = []
+    for side in ("target", "source"):
+        end = _end(item.get(side))
+        if end is None:
+            raise FormatError(
+                f"{path}: pair {number} (0-based), '{name}': expected a whole vertex number, or the three corners "
+                f"and weights of a point, as '{side}', got {shown(item.get(side))}. Numbers are 0-based control "
+                "vertices; weights are not negative and sum to 1."
+            )
+        ends.append(end)
+    return whole_characters(name), ends[0], ends[1]
+
+
+def _end(value: Any) -> End | None:
+    """Corners and weights of one end of a pair; None if it is neither a vertex nor a point."""
+    if _is_vertex(value):
+        return (value, value, value), (1.0, 0.0, 0.0)
+    corners, weights = (value.get(key) if isinstance(value, dict) else None for key in ("corners", "weights"))
+    if not (isinstance(corners, list) and isinstance(weights, list) and len(corners) == len(weights) == 3):
+        return None
+    if not all(map(_is_vertex, corners)) or not all(isinstance(w, int | float) for w in weights):
+        return None
+    if not all(-_ROUNDING <= w <= 1 + _ROUNDING for w in weights) or abs(sum(weights) - 1) > _ROUNDING:
+        return None
+    a, b, c = (max(0.0, float(w)) for w in weights)
+    total = a + b + c
+    return (corners[0], corners[1], corners[2]), (a / total, b / total, c / total)
+
+
+def _is_vertex(value: Any) -> bool:
+    # JSON's true and false are integers to Python.
+    return isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**63
+
+
+def _points(ends: list[End]) -> CagePoints:
+    corners = np.array([corners for corners, _ in ends], dtype=np.int64).reshape(-1, 3)
+    return CagePoints(corners, np.array([weights for _, weights in ends], dtype=np.float64).reshape(-1, 3))
+
+
+def _ends(points: CagePoints) -> list[int | dict[str, Any]]:
+    """What a file says of points: a vertex where one lies on it."""
+    return [
+        vertex if vertex >= 0 else {"corners": corners, "weights": weights}
+        for vertex, corners, weights in zip(
+            points.vertices.tolist(), points.corners.tolist(), points.weights.tolist(), strict=True
+        )
+    ]
+
+
+def _compare_names(path: Path, landmarks: Landmarks, target: str, source: str) -> tuple[str, ...]:
+    """Refuse exchanged meshes, and note names that do not match.
+
+    Exchanged means that a column is said to be of the mesh that is used on the other side; or that this holds for both
+    columns with only the text before the first '_' compared, which by custom names the cage (``base_neutral.obj``).
+    """
+    file_target, file_source = _stem(landmarks.target_name), _stem(landmarks.source_name)
+    if not file_target or not file_source:
+        return (f"{path.name} does not name its two meshes, so the direction of its pairs could not be checked",)
+    here_target, here_source = _stem(target), _stem(source)
+    if file_target == here_target and file_source == here_source:
+        return ()
+    one_cage = _cage(here_target) == _cage(here_source)
+    crossed = (file_source == here_target) + (file_target == here_source)
+    straight = (file_target == here_target) + (file_source == here_source)
+    crossed_cages = _cage(file_source) == _cage(here_target) and _cage(file_target) == _cage(here_source)
+    if crossed == 2 or (not one_cage and (crossed_cages or crossed > straight)):
+        raise DirectionError(
+            f"{path}: expected landmarks for target {Path(target).name} and source {Path(source).name}, got target "
+            f"{landmarks.target_name} and source {landmarks.source_name}, which is the other way round. Exchange "
+            "target and source, or use the pairs reversed (`Landmarks.reversed()`)."
+        )
+    return (
+        f"{path.name} was made for target {landmarks.target_name} and source {landmarks.source_name} and is used for "
+        f"{Path(target).name} and {Path(source).name}; this is right if the vertices are numbered alike, as in other "
+        "poses or identities of the same cage",
+    )
+
+
+def _stem(name: str) -> str:
+    return Path(name.replace("\\", "/")).stem.casefold()
+
+
+def _cage(stem: str) -> str:
+    return stem.partition("_")[0]

@@ -1,0 +1,215 @@
+"""Points and curves of one mesh, by name, as people keep them: our own JSON, MeshLab, 3D Slicer, Wrap, CSV.
+
+A file per mesh instead of one per pair: N meshes need N files, and any two of them are matched by the names they share.
+`cagemap.files.landmarks.point_formats` writes them.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from cagemap.errors import FormatError
+from cagemap.files.landmarks.curves import MESH_FORM, curve_through, mesh_curves
+from cagemap.files.schema import parse_json
+from cagemap.files.text import read_text, whole_characters
+from cagemap.mesh.cage_points import NamedCurve, NamedPoints
+from cagemap.mesh.control_mesh import ControlMesh
+from cagemap.mesh.measures import cage_triangles
+
+Named = list[tuple[str, int, tuple[float, float, float] | None]]
+
+FORMS = (
+    '{"mesh": "a.obj", "points": [{"name": "nose", "vertex": 3}, {"name": "chin", "position": [x, y, z]}, ...], '
+    f'"curves": [{MESH_FORM}, ...]}}, '
+    "MeshLab .pp, 3D Slicer .mrk.json or .fcsv, Wrap's [[triangle, u, v], ...], or .csv with columns name, x, y, z or "
+    "name, vertex"
+)
+
+
+def read_points(path: str | Path, mesh: ControlMesh | None = None) -> NamedPoints:
+    """Read the named points of one mesh.
+
+    Parameters
+    ----------
+    path : path
+        A .json of ours, .pp (MeshLab), .mrk.json or .fcsv (3D Slicer), .csv, or Wrap's list in a .json or .txt.
+    mesh : ControlMesh, optional
+        Wrap's points are triangles of it, with coordinates; other forms do not ask.
+
+    Raises
+    ------
+    FormatError
+        If the file has none of these forms; the point is named.
+    """
+    file = Path(path)
+    name = file.name.lower()
+    text = read_text(file, "a file of landmark points")
+    if name.endswith(".pp"):
+        found = _meshlab(file, text)
+    elif name.endswith(".fcsv"):
+        found = _fiducials(file, text)
+    elif name.endswith(".csv"):
+        found = _table(file, text)
+    else:
+        return _json(file, text, mesh)
+    return _points(found, "")
+
+
+def _points(found: Named, mesh_name: str, curves: tuple[NamedCurve, ...] = ()) -> NamedPoints:
+    unknown = (math.nan,) * 3
+    return NamedPoints(
+        tuple(whole_characters(name) for name, _, _ in found),
+        np.array([vertex for _, vertex, _ in found], dtype=np.int64),
+        np.array([unknown if at is None else at for _, _, at in found], dtype=np.float64).reshape(-1, 3),
+        whole_characters(mesh_name),
+        curves,
+    )
+
+
+def _json(path: Path, text: str, mesh: ControlMesh | None) -> NamedPoints:
+    data = parse_json(text, path, f"Known are {FORMS}.")
+    if isinstance(data, list):
+        return _points(_wrap(path, data, mesh), mesh.name if mesh is not None else "")
+    if isinstance(data, dict) and isinstance(data.get("markups"), list):
+        return _markups(path, data["markups"])
+    if isinstance(data, dict) and isinstance(data.get("points", data.get("curves")), list):
+        found = [_own(path, number, item) for number, item in enumerate(data.get("points", []))]
+        return _points(found, str(data.get("mesh", "")), mesh_curves(path, data.get("curves", [])))
+    raise FormatError(f"{path}: expected landmark points, got other JSON. Known are {FORMS}.")
+
+
+def _own(path: Path, number: int, item: Any) -> tuple[str, int, tuple[float, float, float] | None]:
+    entry = item if isinstance(item, dict) else {}
+    name, vertex = str(entry.get("name", f"point {number}")), entry.get("vertex")
+    if isinstance(vertex, int) and not isinstance(vertex, bool) and 0 <= vertex < 2**62:
+        return name, vertex, None
+    if "position" in entry:
+        return name, -1, _place(path, name, entry["position"])
+    raise FormatError(
+        f"{path}: point {number} (0-based), '{name}': expected a vertex or a position. Known are {FORMS}."
+    )
+
+
+def _wrap(path: Path, data: list[Any], mesh: ControlMesh | None) -> Named:
+    """Points as triangle of the triangulated mesh and two coordinates, P = (1 - u - v) A + u B + v C."""
+    if mesh is None:
+        raise FormatError(f"{path}: expected the mesh beside Wrap's points, which are triangles of it, got none.")
+    triangles = cage_triangles(mesh)[0]
+    found: Named = []
+    for number, item in enumerate(data):
+        triangle, u, v = _place(path, f"point {number}", item)
+        if triangle != int(triangle) or not 0 <= triangle < len(triangles):
+            raise FormatError(
+                f"{path}: point {number} (0-based): expected a triangle from 0 to {len(triangles) - 1} of {mesh.name}, "
+                f"got {triangle:g}. Do the points belong to another mesh?"
+            )
+        a, b, c = mesh.positions[triangles[int(triangle)]]
+        x, y, z = ((1 - u - v) * a + u * b + v * c).tolist()
+        found.append((f"point {number}", -1, (x, y, z)))
+    return found
+
+
+def _markups(path: Path, markups: list[Any]) -> NamedPoints:
+    """3D Slicer's control points; LPS is the space of the mesh files it reads, RAS has x and y the other way.
+
+    The points of a curve, open or closed, are its control points, not places of their own.
+    """
+    every: Named = []
+    curves: list[NamedCurve] = []
+    for markup in markups:
+        points = markup.get("controlPoints", []) if isinstance(markup, dict) else None
+        if not isinstance(points, list) or not all(isinstance(point, dict) for point in points):
+            raise FormatError(f"{path}: expected markups with a list of controlPoints, got others. Known are {FORMS}.")
+        turned = str(markup.get("coordinateSystem", "LPS")).upper() == "RAS"
+        found: Named = []
+        for number, point in enumerate(points):
+            if point.get("positionStatus", "defined") != "defined":
+                continue
+            name = str(point.get("label") or point.get("id") or f"point {number}")
+            found.append((name, -1, _in_lps(_place(path, name, point.get("position")), turned)))
+        kind = str(markup.get("type", ""))
+        if kind in ("Curve", "ClosedCurve"):
+            title = whole_characters(str(markup.get("name") or path.name.partition(".")[0]))
+            curves.append(curve_through(path, title, [place for _, _, place in found], kind == "ClosedCurve"))
+        else:
+            every += found
+    return _points(every, "", tuple(curves))
+
+
+def _rows(path: Path, text: str) -> list[list[str]]:
+    try:
+        return list(csv.reader(io.StringIO(text)))
+    except csv.Error as error:
+        raise FormatError(f"{path}: expected a table of landmark points, got broken CSV ({error}).") from None
+
+
+def _fiducials(path: Path, text: str) -> Named:
+    """3D Slicer's older table: id, x, y, z, ... with the label in column 12; a comment names the space."""
+    turned = False
+    found: Named = []
+    for row in _rows(path, text):
+        if row and row[0].startswith("#"):
+            if "coordinatesystem" in (line := row[0].replace(" ", "").lower()):
+                turned = line.endswith(("=ras", "=0"))
+            continue
+        if len(row) >= 4:
+            name = row[11] if len(row) > 11 and row[11] else row[0]
+            found.append((name, -1, _in_lps(_place(path, name, row[1:4]), turned)))
+    return found
+
+
+def _table(path: Path, text: str) -> Named:
+    """Columns name and x, y, z, or name and vertex, named by the first line; without such a line name, x, y, z."""
+    rows = [row for row in _rows(path, text) if row and not row[0].startswith("#")]
+    head = [cell.strip().lower() for cell in rows[0]] if rows else []
+    if not {"name", "label"} & set(head):
+        head, rows = ["name", "x", "y", "z"], [[], *rows]
+    title = "name" if "name" in head else "label"
+    found: Named = []
+    for number, row in enumerate(rows[1:]):
+        cells = dict(zip(head, (cell.strip() for cell in row), strict=False))
+        name = cells.get(title) or f"point {number}"
+        if re.fullmatch("[0-9]{1,18}", cells.get("vertex", "")):
+            found.append((name, int(cells["vertex"]), None))
+        else:
+            found.append((name, -1, _place(path, name, [cells.get(axis) for axis in "xyz"])))
+    return found
+
+
+def _meshlab(path: Path, text: str) -> Named:
+    if "<!ENTITY" in text:
+        raise FormatError(f"{path}: expected MeshLab's picked points, got XML with entities, which it never writes.")
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise FormatError(f"{path}: expected MeshLab's picked points, got broken XML ({error}).") from None
+    found: Named = []
+    for number, point in enumerate(root.iter("point")):
+        name = point.get("name") or f"point {number}"
+        if point.get("active", "1") != "0":
+            found.append((name, -1, _place(path, name, [point.get(axis) for axis in "xyz"])))
+    return found
+
+
+def _in_lps(place: tuple[float, float, float], turned: bool) -> tuple[float, float, float]:
+    return (-place[0], -place[1], place[2]) if turned else place
+
+
+def _place(path: Path, name: str, values: Any) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(value) for value in values)
+    except (TypeError, ValueError, OverflowError):
+        raise FormatError(
+            f"{path}: '{name}': expected three numbers, got {str(values)[:60]}. Known are {FORMS}."
+        ) from None
+    if not all(map(math.isfinite, (x, y, z))):
+        raise FormatError(f"{path}: '{name}': expected finite numbers, got {values}.")
+    return x, y, z

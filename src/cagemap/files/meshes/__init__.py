@@ -1,0 +1,1 @@
+"""Control meshes in files: OBJ, PLY, OFF, STL, MakeHuman's .mhclo."""

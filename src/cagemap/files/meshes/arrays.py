@@ -1,0 +1,195 @@
+"""Control meshes and schemes as named arrays and plain entries, the form in which archives store them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import FormatError, InvalidMeshError
+from cagemap.files.array_specs import Form, check_arrays, check_offsets, lie_in_triangles
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.checks import SEVERAL, require_valid
+from cagemap.mesh.curves import CageCurves, Curves
+from cagemap.mesh.landmarks import CagePoints
+from cagemap.mesh.schemes import SCHEMES, Scheme
+
+# Sizes: c vertices, f faces, q face corners, t texture vertices, m materials.
+CONTROL_FORMS = {
+    "positions": Form(("c", 3)),
+    "face_offsets": Form(("f+1",), below="q+1"),
+    "face_indices": Form(("q",), below="c"),
+    "uvs": Form(("t", 2), optional=True),
+    "uv_indices": Form(("q",), below="t", optional=True),
+    "face_materials": Form(("f",), below="m", optional=True),
+    "material_colors": Form(("m", 3), optional=True, nan=True),
+    "vertex_colors": Form(("c", 3), optional=True, nan=True),
+    "face_objects": Form(("f",), below="objects", optional=True),
+    "face_groups": Form(("f",), below="groups", optional=True),
+    "crease_edges": Form(("creases", 2), below="c", optional=True),
+    "crease_sharpness": Form(("creases",), optional=True),
+    "corner_vertices": Form(("corners",), below="c", optional=True),
+    "corner_sharpness": Form(("corners",), optional=True),
+    "hole_faces": Form(("holes",), below="f", optional=True),
+    "file_vertices": Form(("c",), below="file_c", optional=True),
+    "file_faces": Form(("f",), below="file_f", optional=True),
+    "file_copies": Form(("copies", 2), below="file_c", optional=True),
+}
+CONTROL_ARRAYS = tuple(CONTROL_FORMS)
+# Names beside those of materials; each an array of text.
+_NAMES = ("object_names", "group_names")
+_UV_NAME = "uv_name"
+# How many vertices or faces the file had that a mesh is a part of: not known, and nothing is indexed by them here.
+_ANY = 2**40
+
+
+def control_to_arrays(control: ControlMesh, prefix: str) -> dict[str, Any]:
+    """Arrays of a control mesh, those that it has."""
+    arrays = {f"{prefix}{name}": getattr(control, name) for name in CONTROL_ARRAYS}
+    arrays |= {f"{prefix}{name}": np.array(getattr(control, name)) for name in _NAMES if getattr(control, name)}
+    if control.uv_name:
+        arrays[f"{prefix}{_UV_NAME}"] = np.array([control.uv_name])
+    return {name: array for name, array in arrays.items() if array is not None}
+
+
+def control_from_arrays(
+    path: Path,
+    arrays: Mapping[str, Any],
+    prefix: str,
+    material_names: Sequence[str],
+    name: str,
+    remedy: str,
+    scheme: Scheme | None = None,
+) -> ControlMesh:
+    """Undo `control_to_arrays`; the scheme is the one that the mesh was refined with.
+
+    Raises
+    ------
+    FormatError
+        If arrays are missing, of another form, or make no mesh that the method can take; says ``remedy``.
+    """
+    stored = {key: arrays[f"{prefix}{key}"] for key in CONTROL_ARRAYS if f"{prefix}{key}" in arrays}
+    texts: dict[str, Any] = {
+        key: _texts(path, f"{prefix}{key}", arrays.get(f"{prefix}{key}"), remedy) for key in _NAMES
+    }
+    sizes = {"m": len(material_names), "objects": len(texts["object_names"]), "groups": len(texts["group_names"])}
+    sizes |= {"file_c": _ANY, "file_f": _ANY}
+    values: dict[str, Any] = check_arrays(path, stored, CONTROL_FORMS, sizes, remedy)
+    check_offsets(path, f"{prefix}face_offsets", values["face_offsets"], sizes["q"], remedy)
+    for one, other in (
+        ("uvs", "uv_indices"),
+        ("crease_edges", "crease_sharpness"),
+        ("corner_vertices", "corner_sharpness"),
+    ):
+        if (one in values) != (other in values):
+            raise FormatError(f"{path}: {prefix}{one} and {prefix}{other} belong together, one is missing. {remedy}")
+    copies = values.get("file_copies")
+    if copies is not None and (copies[:, 0] >= sizes["c"]).any():
+        raise FormatError(f"{path}: {prefix}file_copies name vertices that are not there. {remedy}")
+    texts[_UV_NAME] = "".join(_texts(path, f"{prefix}{_UV_NAME}", arrays.get(f"{prefix}{_UV_NAME}"), remedy))
+    control = ControlMesh(**values, **texts, material_names=tuple(material_names), name=name, scheme=scheme)
+    try:
+        require_valid(control, allowed=[SEVERAL])
+    except InvalidMeshError as error:
+        raise FormatError(f"{path}: its control mesh is damaged ({error}). {remedy}") from error
+    return control
+
+
+def _texts(path: Path, name: str, array: NDArray[Any] | None, remedy: str) -> tuple[str, ...]:
+    if array is None:
+        return ()
+    if array.ndim != 1 or array.dtype.kind != "U":
+        raise FormatError(f"{path}: {name} holds {array.dtype} of shape {array.shape}, expected names. {remedy}")
+    return tuple(map(str, array.tolist()))
+
+
+def points_from_arrays(path: Path, arrays: Mapping[str, Any], prefix: str, remedy: str) -> CagePoints | None:
+    """Points of a control mesh whose arrays have their forms already, if there are any.
+
+    Raises
+    ------
+    FormatError
+        If one array is missing or points lie outside their triangles; says ``remedy``.
+    """
+    corners, weights = arrays.get(f"{prefix}corners"), arrays.get(f"{prefix}weights")
+    if corners is None and weights is None:
+        return None
+    if corners is None or weights is None or not lie_in_triangles(weights):
+        raise FormatError(f"{path}: {prefix}corners and {prefix}weights are not points of the mesh. {remedy}")
+    return CagePoints(corners, weights)
+
+
+def curves_to_arrays(curves: Curves) -> dict[str, Any]:
+    """Arrays of curves; none where there are none."""
+    arrays: dict[str, Any] = {}
+    for side, lines in (("target", curves.target), ("source", curves.source)) if len(curves) else ():
+        parts = {"corners": lines.points.corners, "weights": lines.points.weights, "starts": lines.starts}
+        parts["closed"] = lines.closed.astype(np.int64)
+        arrays |= {f"{side}_curve_{name}": array for name, array in parts.items()}
+    return arrays
+
+
+def curves_from_arrays(
+    path: Path, arrays: Mapping[str, Any], names: Sequence[str], vertices: tuple[int, int], remedy: str
+) -> Curves:
+    """Undo `curves_to_arrays`.
+
+    Parameters
+    ----------
+    path : path
+    arrays : mapping of str to array
+    names : sequence of str
+        Of the curves.
+    vertices : (int, int)
+        Number of control vertices of target and source.
+    remedy : str
+
+    Raises
+    ------
+    FormatError
+        If arrays are missing, of another form, or are no curves of the meshes; says ``remedy``.
+    """
+    if not names:
+        return Curves.none()
+    sides = []
+    for side, count in zip(("target", "source"), vertices, strict=True):
+        prefix = f"{side}_curve_"
+        forms = {
+            f"{prefix}corners": Form(("p", 3), below="c"),
+            f"{prefix}weights": Form(("p", 3)),
+            f"{prefix}starts": Form(("q+1",), below="p+1"),
+            f"{prefix}closed": Form(("q",), below="two"),
+        }
+        found = check_arrays(path, arrays, forms, {"c": count, "q": len(names), "two": 2}, remedy)
+        points = points_from_arrays(path, found, prefix, remedy)
+        starts = found[f"{prefix}starts"]
+        check_offsets(path, f"{prefix}starts", starts, len(found[f"{prefix}corners"]), remedy)
+        if points is None or np.any(np.diff(starts) < 2):
+            raise FormatError(f"{path}: {prefix}starts leave curves of fewer than two points. {remedy}")
+        sides.append(CageCurves(points, starts, found[f"{prefix}closed"] == 1))
+    return Curves(tuple(names), sides[0], sides[1])
+
+
+def scheme_to_entry(scheme: Scheme) -> dict[str, Any]:
+    """Name and settings of a scheme, for JSON."""
+    name = next(name for name, kind in SCHEMES.items() if type(scheme) is kind)
+    return {"name": name, **asdict(scheme)}
+
+
+def scheme_from_entry(path: Path, entry: Mapping[str, Any], remedy: str) -> Scheme:
+    """Undo `scheme_to_entry`.
+
+    Raises
+    ------
+    FormatError
+        If the entry lacks something, has too much or another value than the scheme knows; says ``remedy``.
+    """
+    settings = dict(entry)
+    try:
+        return SCHEMES[settings.pop("name")](**settings)
+    except (KeyError, TypeError, ValueError) as error:
+        raise FormatError(f"{path}: names no scheme of subdivision that is known ({error}). {remedy}") from error

@@ -1,0 +1,102 @@
+"""Reading and writing control meshes by the extension of the file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+import numpy as np
+
+from cagemap.errors import FormatError
+from cagemap.files.gltf.write import write_glb
+from cagemap.files.meshes.obj import obj_files, read_obj, write_obj
+from cagemap.files.meshes.off import read_off, write_off
+from cagemap.files.meshes.ply import read_ply, write_ply
+from cagemap.files.meshes.stl import read_stl
+from cagemap.files.usd.read import USD_SUFFIXES, read_usd
+from cagemap.files.usd.space import stage_space, to_standard
+from cagemap.files.usd.write import write_usd
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.inputs import MeshLike, arrays_accepted
+from cagemap.numerics.kinds import kinds_checked
+
+_READERS = {".obj": read_obj, ".ply": read_ply, ".off": read_off, ".stl": read_stl}
+_READERS |= dict.fromkeys(USD_SUFFIXES, read_usd)
+MESH_SUFFIXES = tuple(_READERS)
+_WRITERS: dict[str, Callable[..., object]] = {
+    ".obj": write_obj,
+    ".ply": write_ply,
+    ".off": write_off,
+    ".glb": write_glb,
+}
+_WRITERS |= dict.fromkeys((".usd", ".usda", ".usdc"), write_usd)
+
+
+@kinds_checked
+def read_mesh(path: str | Path) -> ControlMesh:
+    """Read a mesh of an ``.obj``, ``.ply``, ``.off``, ``.stl`` or USD file, as numbered there; arrays are read-only.
+
+    Raises
+    ------
+    FormatError
+        If the extension is another one, or the file cannot be read.
+    """
+    mesh = _READERS[_extension(path)](path)
+    for value in vars(mesh).values():
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
+    return mesh
+
+
+def read_whole(path: Path) -> ControlMesh:
+    """Read a mesh as `read_mesh` does, also a USD file whose meshes are subdivided in several ways."""
+    return read_usd(path, mixed=True) if path.suffix.lower() in USD_SUFFIXES else read_mesh(path)
+
+
+@arrays_accepted
+def write_mesh(path: str | Path, mesh: MeshLike, *, like: str | Path | None = None, force: bool = False) -> None:
+    """Write a mesh to an ``.obj``, ``.ply``, ``.off`` or USD file, or export it as ``.glb``.
+
+    Parameters
+    ----------
+    path : path
+    mesh : mesh, see `cagemap.mesh.inputs.control_mesh`
+    like : path, optional
+        The file that it was read from: between USD files units, up axis and the prim's transform are kept, and a
+        ``.glb`` of a USD file is in metres with Y up.
+    force : bool
+
+    Raises
+    ------
+    FormatError
+        If the extension is another one, the file cannot be written, or cagemap did not write the one that is there
+        and ``force`` is not given.
+    """
+    suffix = _extension(path, _WRITERS)
+    original = Path(like) if like is not None and Path(like).suffix.lower() in USD_SUFFIXES else None
+    if suffix in USD_SUFFIXES and original is not None:
+        write_usd(path, mesh, space=stage_space(original), force=force)
+    elif suffix == ".glb" and original is not None:
+        write_glb(path, mesh, to_metres=to_standard(original, mesh), force=force)
+    else:
+        _WRITERS[suffix](path, mesh, force=force)
+
+
+def mesh_files(path: str | Path, mesh: ControlMesh) -> list[Path]:
+    """Files that `write_mesh` writes for a mesh."""
+    file = Path(path)
+    return obj_files(file, mesh) if _extension(file, _WRITERS) == ".obj" else [file]
+
+
+def check_mesh_path(path: str | Path) -> None:
+    """Refuse a file name that `write_mesh` would refuse, before any work is done for it."""
+    _extension(path, _WRITERS)
+
+
+def _extension(path: str | Path, formats: Collection[str] = _READERS) -> str:
+    extension = Path(path).suffix.lower()
+    if extension not in formats:
+        got = "a folder" if Path(path).is_dir() else f"'{extension}'" if extension else "a name without an ending"
+        remedy = "Export the mesh in one of these formats." if formats is _READERS else "Give another name."
+        raise FormatError(f"{path}: expected a mesh file ending in {', '.join(formats)}, got {got}. {remedy}")
+    return extension

@@ -1,0 +1,114 @@
+"""MakeHuman's ``.mhclo``: a mesh that follows a base mesh, by three base vertices, weights and an offset a vertex."""
+
+from __future__ import annotations
+
+import uuid
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cagemap.errors import FormatError
+from cagemap.files.atomic import write_whole
+from cagemap.files.ownership import mark
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.transfer.locate import triangle_frames
+
+_AXES = "xyz"
+
+
+@dataclass(frozen=True, eq=False)
+class Binding:
+    """A mesh bound to a base mesh.
+
+    Attributes
+    ----------
+    vertices : (n, 3) int64
+        Base vertices that each vertex follows.
+    weights : (n, 3) float64
+        Rows sum to 1; may be negative.
+    offsets : (n, 3) float64
+        Added, scaled axis by axis.
+    scales : (3, 2) int64
+        Two base vertices for each axis, whose distance along it scales the offsets.
+    lengths : (3,) float64
+        That distance in the base mesh at rest.
+    """
+
+    vertices: IndexArray
+    weights: FloatArray
+    offsets: FloatArray
+    scales: IndexArray
+    lengths: FloatArray
+
+    def positions(self, base: FloatArray) -> FloatArray:
+        """(n, 3) where the mesh goes for base positions (n2, 3): what MakeHuman and MPFB do with the file."""
+        ends = base[self.scales, np.arange(3)[:, None]]
+        factors = np.abs(ends[:, 0] - ends[:, 1]) / self.lengths
+        return np.einsum("nk,nkd->nd", self.weights, base[self.vertices]) + self.offsets * factors
+
+
+def bind(positions: FloatArray, base: ControlMesh, faces: IndexArray) -> Binding:
+    """Bind a mesh to the control vertices of a base mesh that it lies on.
+
+    Parameters
+    ----------
+    positions : (n, 3) float64
+        Of the mesh, in the base's units.
+    base : ControlMesh
+    faces : (n,) int64
+        Face of the base that each vertex belongs to; of its triangles the nearest one is taken.
+    """
+    corners, sizes = base.face_indices, base.face_sizes[faces]
+    begin = base.face_offsets[faces]
+    best = np.full(len(positions), np.inf)
+    vertices, weights = np.zeros((len(positions), 3), dtype=np.int64), np.zeros((len(positions), 3))
+    # All triples of a face's corners that follow each other, so that no diagonal is preferred.
+    for first in range(int(sizes.max())):
+        rows = np.flatnonzero(sizes > first)
+        triple = np.stack([corners[begin[rows] + (first + k) % sizes[rows]] for k in range(3)], axis=1)
+        inside = _coordinates(base.positions, triple, positions[rows])
+        outside = np.maximum(-inside.min(axis=1), 0.0)
+        closer = outside < best[rows] - 1e-12
+        better = rows[closer]
+        best[better], vertices[better], weights[better] = outside[closer], triple[closer], inside[closer]
+    offsets = positions - np.einsum("nk,nkd->nd", weights, base.positions[vertices])
+    scales = np.stack([(base.positions[:, axis].argmin(), base.positions[:, axis].argmax()) for axis in range(3)])
+    ends = base.positions[scales, np.arange(3)[:, None]]
+    return Binding(vertices, weights, offsets, scales.astype(np.int64), np.abs(ends[:, 0] - ends[:, 1]))
+
+
+def _coordinates(places: FloatArray, triangles: IndexArray, points: FloatArray) -> FloatArray:
+    """(n, 3) barycentric coordinates of the feet of points on the planes of triangles."""
+    frames = triangle_frames(places, triangles)
+    inside = np.einsum("nkd,nd->nk", frames[:, 1:], points - frames[:, 0])
+    return np.column_stack([1 - inside.sum(axis=1), inside])
+
+
+def write_mhclo(path: str | Path, binding: Binding, obj: Path, *, force: bool = False) -> None:
+    """Write a ``.mhclo`` (clothes) or ``.proxy`` (the body itself) for the mesh in ``obj``.
+
+    Raises
+    ------
+    FormatError
+        If the suffix is another one, or the file cannot be written.
+    """
+    file = Path(path)
+    if file.suffix.lower() not in (".mhclo", ".proxy"):
+        raise FormatError(f"{file}: expected a name ending in .mhclo or .proxy, got {file.suffix or 'no suffix'}")
+    name = file.stem
+    lines = [
+        f"# {mark()}",
+        "basemesh hm08",
+        f"name {name}",
+        f"uuid {uuid.uuid5(uuid.NAMESPACE_URL, name)}",
+        *(f"{axis}_scale {a} {b} {length!r}" for axis, (a, b), length in zip(
+            _AXES, binding.scales.tolist(), binding.lengths.tolist(), strict=True
+        )),
+        f"obj_file {obj.name}",
+        "verts 0",
+    ]  # fmt: skip
+    rows = zip(binding.vertices.tolist(), binding.weights.tolist(), binding.offsets.tolist(), strict=True)
+    lines += [f"{a} {b} {c} {u!r} {v!r} {w!r} {x!r} {y!r} {z!r}" for (a, b, c), (u, v, w), (x, y, z) in rows]
+    write_whole(file, "\n".join(lines) + "\n", force=force)

@@ -1,0 +1,371 @@
+"""Wavefront OBJ: polygons of any size, UV seams and material colours, kept in the file's own order."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import FormatError
+from cagemap.files.atomic import require_replaceable, write_whole
+from cagemap.files.meshes.mtl import read_material_colors, write_materials
+from cagemap.files.meshes.obj_polypaint import KEYWORD, polypaint
+from cagemap.files.meshes.obj_tags import parse_tags
+from cagemap.files.meshes.obj_text import obj_statements
+from cagemap.files.ownership import mark
+from cagemap.files.text import at_line, check_writable_name, decoded, is_number, read_text
+from cagemap.files.values.colors import as_shares
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.mesh_report import first_few
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+_KEYWORDS = {"v": 1, "vt": 2, "f": 3, "fo": 3, "usemtl": 4, "mtllib": 5, "o": 6, "g": 7, "t": 8}
+_POSITION, _UV, _FACE, _USE_MATERIAL, _MATERIAL_FILE, _OBJECT, _GROUP, _TAG = range(1, 9)
+
+# Bytes of a face line: what separates corners, what separates the numbers of one corner, and what makes a number.
+_BLANK, _SLASH, _NUMBER = 1, 2, 3
+_BYTE_CLASS = np.zeros(256, dtype=np.int8)
+_BYTE_CLASS[[ord(" "), ord("\n")]] = _BLANK
+_BYTE_CLASS[ord("/")] = _SLASH
+_BYTE_CLASS[[ord(character) for character in "0123456789+-"]] = _NUMBER
+_IS_DIGIT = (np.arange(256) >= ord("0")) & (np.arange(256) <= ord("9"))
+
+
+@dataclass(frozen=True, eq=False)
+class _Statements:
+    """The statements of a file, without comments' whole lines; ``numbers`` are the physical line numbers, from 1."""
+
+    path: Path
+    lines: list[str]
+    numbers: IndexArray
+    kinds: NDArray[np.int8]
+
+    def rows(self, kind: int) -> IndexArray:
+        return np.flatnonzero(self.kinds == kind)
+
+    def fail(self, row: int, expected: str, remedy: str) -> FormatError:
+        return FormatError(at_line(self.path, int(self.numbers[row]), expected, self.lines[row], remedy))
+
+
+def read_obj(path: str | Path) -> ControlMesh:
+    """Read a control mesh from an OBJ file.
+
+    Vertices and faces keep the numbering of the ``v`` and ``f`` lines. Polygons stay polygons, texture coordinates
+    keep their own indices, ``usemtl`` becomes a per-face material with the ``Kd`` colour of its ``.mtl`` (NaN where
+    that is missing), ``o`` and ``g`` a per-face object and group, six or seven numbers on a ``v`` line a position and
+    a colour (else ZBrush's polypaint, `obj_polypaint`), and ``t`` lines creases, corners, holes and
+    options (`obj_tags`). Normals, points, lines and smoothing groups are ignored; several objects become
+    one mesh.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, a line is malformed (named by its number), an index is out of range, a coordinate
+        is not finite, or only some faces have texture coordinates.
+    """
+    file = Path(path)
+    statements = _split_statements(file, read_text(file, "an OBJ file"))
+    positions = _read_table(statements, _POSITION, "v", required=3, kept=3)
+    if len(positions) == 0:
+        raise FormatError(f"{file}: expected an OBJ file with 'v' lines, found none. Export the control mesh again.")
+    face_rows = statements.rows(_FACE)
+    if len(face_rows) == 0:
+        raise FormatError(
+            f"{file}: expected polygons, found {len(positions)} vertices and no 'f' line. "
+            "Export the control mesh with its faces."
+        )
+    corners = _read_corners(statements, face_rows)
+    face_indices = _resolve(statements, corners, corners.vertices, _POSITION, "vertex")
+    uvs, uv_indices = _read_uvs(statements, corners)
+    names, face_materials = _read_names(statements, face_rows, _USE_MATERIAL)
+    objects, face_objects = _read_names(statements, face_rows, _OBJECT)
+    groups, face_groups = _read_names(statements, face_rows, _GROUP)
+    return ControlMesh(
+        positions=positions,
+        face_offsets=np.concatenate([[0], np.cumsum(corners.sizes)]).astype(np.int64),
+        face_indices=face_indices,
+        uvs=uvs,
+        uv_indices=uv_indices,
+        face_materials=face_materials,
+        material_names=names,
+        material_colors=_read_colors(statements, names) if names else None,
+        vertex_colors=_read_vertex_colors(statements, len(positions)),
+        face_objects=face_objects,
+        object_names=objects,
+        face_groups=face_groups,
+        group_names=groups,
+        name=file.name,
+        **_read_tags(statements, len(positions), corners.sizes),
+    )
+
+
+def _split_statements(path: Path, text: str) -> _Statements:
+    """Join continued lines and sort the statements by keyword."""
+    text = text.replace("\t", " ")
+    continuations = None
+    if "\\" in text:
+        # A comment may end in a backslash (a Windows path) without swallowing the line that follows.
+        text = re.sub(rf"(?m)^(?! *{KEYWORD})( *(?:(?:vt?|vn|fo?|l|p) [^#\n]*)?)#.*$", r"\1", text)
+        text = re.sub(r"\\ *(?:\n|\Z)", "\0", text)
+        continuations = np.array([line.count("\0") for line in text.split("\n")], dtype=np.int64)
+        text = text.replace("\0", " ")
+    lines = [line.strip() for line in text.split("\n")]
+    numbers = np.arange(1, len(lines) + 1, dtype=np.int64)
+    if continuations is not None:
+        numbers += np.cumsum(continuations) - continuations
+    kinds = np.fromiter((_KEYWORDS.get(line.partition(" ")[0], 0) for line in lines), np.int8, len(lines))
+    return _Statements(path, lines, numbers, kinds)
+
+
+def _read_table(statements: _Statements, kind: int, keyword: str, *, required: int, kept: int) -> FloatArray:
+    """Read the first ``kept`` numbers of every line of a kind; what follows (weights, colours) is left alone."""
+    rows = statements.rows(kind)
+    lines = [statements.lines[row] for row in rows]
+    try:
+        table = np.loadtxt(lines, usecols=range(1, kept + 1), comments="#", ndmin=2) if lines else np.zeros((0, kept))
+    except ValueError:
+        table = np.array([_read_numbers(statements, row, keyword, required, kept) for row in rows], dtype=np.float64)
+    infinite = np.flatnonzero(~np.isfinite(table).all(axis=1))
+    if len(infinite):
+        what = "finite positions" if kind == _POSITION else "finite texture coordinates"
+        remedy = f"{len(infinite)} such line(s); repair them in the modelling program and export again."
+        raise statements.fail(rows[infinite[0]], what, remedy)
+    return table
+
+
+def _read_numbers(statements: _Statements, row: int, keyword: str, required: int, kept: int) -> list[float]:
+    """Read one line of a table whose lines differ in length, or name the one that is malformed."""
+    fields = statements.lines[row].partition("#")[0].split()[1 : kept + 1]
+    try:
+        # Python's float takes 1_000 and other alphabets' digits, which the fast path refuses.
+        values = [float(field) if field.isascii() and "_" not in field else float("") for field in fields]
+    except ValueError:
+        values = []
+    if len(values) < required:
+        expected = f"'{keyword}' and at least {required} number{'s' if required > 1 else ''}"
+        raise statements.fail(row, expected, "The file may be cut short; export it again.")
+    return values + [0.0] * (kept - len(values))
+
+
+@dataclass(frozen=True, eq=False)
+class _Corners:
+    """Corners of all faces as written: 1-based or negative numbers, 0 where a corner has no texture coordinate."""
+
+    rows: IndexArray
+    sizes: IndexArray
+    vertices: IndexArray
+    uvs: IndexArray
+    has_uv: NDArray[np.bool_]
+
+    @property
+    def faces(self) -> IndexArray:
+        return np.repeat(np.arange(len(self.sizes)), self.sizes)
+
+
+def _read_corners(statements: _Statements, rows: IndexArray) -> _Corners:
+    """Read the corners ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn`` of every face, in any mixture.
+
+    The text of all faces is one array of bytes; where corners and numbers begin follows from comparing neighbours.
+    """
+    bodies = [statements.lines[row].partition("#")[0].partition(" ")[2] for row in rows]
+    text = "\n".join(bodies) + "\n"
+    data = np.frombuffer(text.encode("utf-8"), dtype=np.uint8)
+    kind = _BYTE_CLASS[data]
+    before = np.concatenate([np.array([_BLANK], dtype=np.int8), kind[:-1]])
+    line_of_byte = np.cumsum(data == ord("\n"), dtype=np.int32)
+
+    def fail(byte: int) -> FormatError:
+        # The newline itself belongs to the line before it; the bytes here never are one.
+        row = rows[line_of_byte[byte]]
+        return statements.fail(row, "'f' and corners such as 3, 3/7, 3//2 or 3/7/2", "Export the control mesh again.")
+
+    malformed = np.flatnonzero(_malformed(data, kind, before))
+    if len(malformed):
+        raise fail(malformed[0])
+    begins = (kind != _BLANK) & (before == _BLANK)
+    corner_starts = np.flatnonzero(begins)
+    sizes = np.bincount(line_of_byte[corner_starts], minlength=len(rows)).astype(np.int64)
+    if sizes.min() == 0:
+        row = rows[np.argmin(sizes)]
+        raise statements.fail(row, "'f' and at least three corners", "The file may be cut short; export it again.")
+    number_starts = np.flatnonzero((kind == _NUMBER) & (before != _NUMBER))
+    numbers = np.fromstring(text.replace("/", " "), dtype=np.int64, sep=" ")
+    slashes = np.cumsum(kind == _SLASH, dtype=np.int32) - (kind == _SLASH)
+    corner_of_number = np.cumsum(begins, dtype=np.int32)[number_starts] - 1
+    place = slashes[number_starts] - slashes[corner_starts[corner_of_number]]
+    if len(place) and place.max() > 2:
+        raise fail(number_starts[np.argmax(place > 2)])
+    vertices = np.zeros(len(corner_starts), dtype=np.int64)
+    has_vertex = np.zeros(len(corner_starts), dtype=bool)
+    uvs, has_uv = vertices.copy(), has_vertex.copy()
+    vertices[corner_of_number[place == 0]] = numbers[place == 0]
+    has_vertex[corner_of_number[place == 0]] = True
+    uvs[corner_of_number[place == 1]] = numbers[place == 1]
+    has_uv[corner_of_number[place == 1]] = True
+    if not has_vertex.all():
+        raise fail(corner_starts[np.argmin(has_vertex)])
+    return _Corners(rows, sizes, vertices, uvs, has_uv)
+
+
+def _malformed(data: NDArray[np.uint8], kind: NDArray[np.int8], before: NDArray[np.int8]) -> NDArray[np.bool_]:
+    """Bytes that cannot be part of a corner: other characters, and signs that do not begin a number.
+
+    What passes is read by `numpy.fromstring` to its end; a number too large for int64 comes out as its limit, which no
+    mesh has.
+    """
+    sign = (kind == _NUMBER) & ~_IS_DIGIT[data]
+    return (kind == 0) | (sign & ((before == _NUMBER) | ~_IS_DIGIT[np.roll(data, -1)]))
+
+
+def _resolve(statements: _Statements, corners: _Corners, numbers: IndexArray, kind: int, what: str) -> IndexArray:
+    """Turn 1-based numbers, and negative ones that count back from their own line, into 0-based indices."""
+    before = np.cumsum(statements.kinds == kind)
+    count = int(before[-1])
+    indices = np.where(numbers < 0, before[np.repeat(corners.rows, corners.sizes)] + numbers, numbers - 1)
+    outside = np.flatnonzero((indices < 0) | (indices >= count))
+    if len(outside):
+        face = corners.faces[outside[0]]
+        raise statements.fail(
+            corners.rows[face],
+            f"{what} numbers from 1 to {count} (this face is number {face}, 0-based, and names {numbers[outside[0]]})",
+            f"{len(np.unique(corners.faces[outside]))} face(s) are affected; export the mesh again.",
+        )
+    return indices.astype(np.int64)
+
+
+def _read_uvs(statements: _Statements, corners: _Corners) -> tuple[FloatArray | None, IndexArray | None]:
+    """Read texture coordinates: of all faces, or of none."""
+    if not corners.has_uv.any():
+        return None, None
+    if not corners.has_uv.all():
+        bare = np.unique(corners.faces[~corners.has_uv])
+        raise FormatError(
+            f"{statements.path}: expected texture coordinates on all {len(corners.sizes)} faces or on none, got "
+            f"{len(bare)} face(s) without: {first_few(bare)} (0-based; the first is line "
+            f"{statements.numbers[corners.rows[bare[0]]]}). Unwrap those faces too, or export without UVs."
+        )
+    uvs = _read_table(statements, _UV, "vt", required=1, kept=2)
+    return uvs, _resolve(statements, corners, corners.uvs, _UV, "texture vertex")
+
+
+def _read_names(statements: _Statements, face_rows: IndexArray, kind: int) -> tuple[tuple[str, ...], IndexArray | None]:
+    """Material, object or group of every face: the last name above it; faces above the first one get the name ''."""
+    rows = statements.rows(kind)
+    if len(rows) == 0:
+        return (), None
+    stated = ["", *(statements.lines[row].partition(" ")[2].strip() for row in rows)]
+    used = np.searchsorted(rows, face_rows)
+    order = np.unique(used, return_index=True)
+    names = tuple(dict.fromkeys(stated[i] for i in order[0][np.argsort(order[1])]))
+    number = {name: i for i, name in enumerate(names)}
+    return names, np.array([number.get(name, -1) for name in stated], dtype=np.int64)[used]
+
+
+def _read_vertex_colors(statements: _Statements, n_vertices: int) -> FloatArray | None:
+    """(n, 3) the numbers after a position, where a line has six or seven; else polypaint; None if there is neither.
+
+    A seventh number is the opacity, which is left out, or the weight of the position, which stands before the colour:
+    the weight where all fourth numbers are 1 and the last are not.
+    """
+    texts = [statements.lines[row] for row in statements.rows(_POSITION)]
+    several = max((text.count(" ") for text in texts), default=0) >= 6
+    lines = [text.partition("#")[0].split()[4:] for text in texts] if several else []
+    colored = [fields for fields in lines if len(fields) in (3, 4)]
+    if not colored:
+        painted = [row for row, line in enumerate(statements.lines) if line.startswith(KEYWORD)]
+
+        def fail(number: int, expected: str) -> FormatError:
+            return statements.fail(painted[number], expected, "Export the mesh again, or take these lines out.")
+
+        return polypaint([statements.lines[row] for row in painted], n_vertices, fail)
+    unknown = [np.nan, np.nan, np.nan]
+    try:
+        fours = [[float(field) for field in fields] for fields in colored if len(fields) == 4]
+        weighted = bool(fours) and all(four[0] == 1 for four in fours) and any(four[3] != 1 for four in fours)
+        first = {3: 0, 4: int(weighted)}
+        kept = [fields[first[len(fields)] :][:3] if len(fields) in first else None for fields in lines]
+        table = [unknown if fields is None else [float(field) for field in fields] for fields in kept]
+    except ValueError:
+        rows = statements.rows(_POSITION)
+        bad = next(i for i, fields in enumerate(lines) if len(fields) in (3, 4) and not all(map(is_number, fields)))
+        raise statements.fail(
+            int(rows[bad]), "'v', three coordinates and three colour values", "Export the mesh again."
+        ) from None
+    return as_shares(np.array(table, dtype=np.float64))
+
+
+def _read_tags(statements: _Statements, n_vertices: int, sizes: IndexArray) -> dict[str, Any]:
+    rows = statements.rows(_TAG)
+
+    def fail(row: int, expected: str) -> FormatError:
+        return statements.fail(int(rows[row]), expected, "See the formats page of the documentation.")
+
+    lines, triangles = [statements.lines[row] for row in rows], bool(np.all(sizes == 3))
+    return parse_tags(lines, fail, n_vertices, len(sizes), triangles=triangles)
+
+
+def _read_colors(statements: _Statements, names: Sequence[str]) -> FloatArray:
+    """(q, 3) diffuse colours of the materials from the ``mtllib`` files; the first file that knows a name wins."""
+    known: dict[str, tuple[float, float, float]] = {}
+    for row in statements.rows(_MATERIAL_FILE):
+        for file in _material_files(statements.path.parent, statements.lines[row]):
+            known = read_material_colors(file) | known
+    unknown = (np.nan, np.nan, np.nan)
+    return np.array([known.get(name, unknown) for name in names], dtype=np.float64)
+
+
+def _material_files(folder: Path, line: str) -> list[Path]:
+    """Files that an ``mtllib`` line names and that exist: the whole rest of the line, else each word of it."""
+    whole, *words = _material_names(line)
+    for names in ([whole], words):
+        found = [file for file in (folder / name for name in names if name) if file.is_file()]
+        if found:
+            return found
+    return []
+
+
+def _material_names(line: str) -> list[str]:
+    """Names that an ``mtllib`` line may mean: the whole rest of it, and each word."""
+    stated = line.partition(" ")[2].strip().replace("\\", "/")
+    return [stated, *stated.split()]
+
+
+def named_material_files(name: str, content: bytes) -> list[str]:
+    """Every name of a material file that `read_obj` would look for, if an OBJ file of this content were read."""
+    statements = _split_statements(Path(name), decoded(content, Path(name), "an OBJ file"))
+    return [one for row in statements.rows(_MATERIAL_FILE) for one in _material_names(statements.lines[row])]
+
+
+def write_obj(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> None:
+    """Write a mesh as OBJ, and a ``.mtl`` of the same stem beside it where the mesh has materials.
+
+    Numbers are written with as many digits as it takes to read the same float64 back.
+
+    Raises
+    ------
+    FormatError
+        If a file cannot be written, or cagemap did not write the one that is there and ``force`` is not given; if a
+        material name has a line break.
+    """
+    file = Path(path)
+    for name in (*mesh.material_names, *mesh.object_names, *mesh.group_names):
+        check_writable_name(name)
+    for written in obj_files(file, mesh):
+        require_replaceable(written, force=force)
+    library = file.with_suffix(".mtl")
+    parts = [f"# {mark()}\n"]
+    parts += [f"mtllib {library.name}\n"] if mesh.face_materials is not None else []
+    parts += obj_statements(mesh)
+    if mesh.face_materials is not None:
+        write_materials(library, mesh.material_names, mesh.material_colors, force=force)
+    write_whole(file, "".join(parts), force=force)
+
+
+def obj_files(path: Path, mesh: ControlMesh) -> list[Path]:
+    """Files that `write_obj` writes for a mesh."""
+    return [path] if mesh.face_materials is None else [path.with_suffix(".mtl"), path]

@@ -1,0 +1,127 @@
+"""An OBJ file with another UV layout or other positions: every line stays as it is but those that hold them."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from cagemap.errors import FormatError
+from cagemap.files.atomic import write_whole
+from cagemap.files.meshes.obj import read_obj
+from cagemap.files.ownership import mark
+from cagemap.files.text import read_text
+from cagemap.mesh import ControlMesh
+
+_UV_LINE = re.compile(r"(?m)^[ \t]*vt\b[^\n]*\n?")
+# A position may be continued on the next line; what follows its three numbers is kept.
+_POSITION_LINE = re.compile(r"(?m)^[ \t]*v(?:(?:[ \t]|\\[ \t]*\n)+[^\s\\]+){3}([^\n]*)")
+_NORMAL_LINE = re.compile(r"(?m)^[ \t]*vn\b[^\n]*\n?")
+_WITH_NORMAL = re.compile(r"(-?\d+)/(-?\d*)/-?\d+")
+_FACE = re.compile(r"(?m)^[ \t]*fo?[ \t](?:\\[ \t]*\n|[^\n])*")
+_LIBRARY = re.compile(r"(?m)^([ \t]*mtllib[ \t]+)([^\n]*?)[ \t]*$")
+_OLD_MARK = re.compile(r"(?m)^# written by cagemap [^\n]*\n")
+
+
+def write_obj_layout(path: str | Path, original: str | Path, laid_out: ControlMesh, *, force: bool = False) -> None:
+    """Write a copy of an OBJ file with the texture coordinates of ``laid_out``.
+
+    Groups, objects, normals, names, materials, comments and the number of every vertex and face stay. Material
+    libraries are named relative to the new file.
+
+    Parameters
+    ----------
+    path : path
+        The file to write.
+    original : path
+        The file that ``laid_out`` was read from.
+    laid_out : ControlMesh
+        With texture coordinates.
+    force : bool
+        Replace a file that cagemap did not write.
+
+    Raises
+    ------
+    FormatError
+        If the mesh has no texture coordinates, the file has other faces than the mesh, or cannot be written.
+    """
+    file, kept = Path(path), Path(original)
+    if laid_out.uvs is None or laid_out.uv_indices is None:
+        raise FormatError(f"{laid_out.name}: expected texture coordinates to write to {file}, the mesh has none.")
+    known = read_obj(kept)
+    if known.face_indices.tolist() != laid_out.face_indices.tolist() or len(known.face_offsets) != len(
+        laid_out.face_offsets
+    ):
+        raise FormatError(f"{kept}: expected the faces of {laid_out.name}, found others. Match the meshes again.")
+    text = _UV_LINE.sub("", _text_for(file, kept))
+    first = _FACE.search(text)
+    assert first is not None  # the mesh has faces
+    uvs = ("vt %r %r\n" * len(laid_out.uvs)) % tuple(laid_out.uvs.ravel().tolist())
+    numbers = iter((laid_out.uv_indices + 1).tolist())
+    faces = _FACE.sub(lambda found: _renumbered(found[0], numbers), text[first.start() :])
+    write_whole(file, f"# {mark()}\n{text[: first.start()]}{uvs}{faces}", force=force)
+
+
+def write_obj_positions(path: str | Path, original: str | Path, moved: ControlMesh, *, force: bool = False) -> None:
+    """Write a copy of an OBJ file with the positions of ``moved``.
+
+    Groups, objects, texture coordinates, materials, creases, comments and the number of every vertex and face stay.
+    Normals go: they were those of the old shape. What follows a position on its line (a colour) stays.
+
+    Parameters
+    ----------
+    path : path
+        The file to write.
+    original : path
+        The file that ``moved`` was read from.
+    moved : ControlMesh
+    force : bool
+        Replace a file that cagemap did not write.
+
+    Raises
+    ------
+    FormatError
+        If the file has other faces or vertices than the mesh, or cannot be written.
+    """
+    file, kept = Path(path), Path(original)
+    known = read_obj(kept)
+    if known.face_indices.tolist() != moved.face_indices.tolist() or len(known.positions) != len(moved.positions):
+        raise FormatError(f"{kept}: expected the vertices and faces of {moved.name}, found others. Match again.")
+    text = _text_for(file, kept)
+    positions = iter(moved.positions.tolist())
+    text = _POSITION_LINE.sub(lambda found: f"v {' '.join(map(repr, next(positions)))}{found[1]}", text)
+    text = _FACE.sub(lambda found: _WITH_NORMAL.sub(_without_normal, found[0]), _NORMAL_LINE.sub("", text))
+    write_whole(file, f"# {mark()}\n{text}", force=force)
+
+
+def _text_for(file: Path, original: Path) -> str:
+    """The text of an OBJ file for a copy that may stand in another folder, without our own mark."""
+    text = _OLD_MARK.sub("", read_text(original, "an OBJ file"))
+    return _LIBRARY.sub(lambda found: found[1] + _moved(found[2], original.parent, file.parent), text)
+
+
+def _without_normal(corner: re.Match[str]) -> str:
+    return f"{corner[1]}/{corner[2]}" if corner[2] else corner[1]
+
+
+def _renumbered(line: str, numbers: Iterator[int]) -> str:
+    """A face statement whose corners ``v/vt/vn`` get new texture vertices."""
+    body, hash_mark, comment = re.sub(r"\\[ \t]*\n", " ", line).partition("#")
+    keyword, *corners = body.split()
+    words = []
+    for corner in corners:
+        vertex, *others = corner.split("/")
+        normal = f"/{others[1]}" if len(others) > 1 and others[1] else ""
+        words.append(f"{vertex}/{next(numbers)}{normal}")
+    return " ".join([keyword, *words]) + (f" {hash_mark}{comment}" if hash_mark else "")
+
+
+def _moved(stated: str, before: Path, after: Path) -> str:
+    """The name of a material library as seen from another folder; a name of nothing stays."""
+    if not (before / stated.replace("\\", "/")).is_file():
+        return stated
+    try:
+        return Path(os.path.relpath(before / stated.replace("\\", "/"), after)).as_posix()
+    except ValueError:  # another drive
+        return stated

@@ -1,0 +1,209 @@
+"""PLY: polygons of any size with optional texture coordinates, text or binary.
+
+Written here rather than with a library: the one that keeps quads is under the GPL.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import FormatError
+from cagemap.files.atomic import write_whole
+from cagemap.files.meshes.ply_records import Column, read_columns
+from cagemap.files.ownership import mark
+from cagemap.files.text import read_bytes
+from cagemap.files.values.colors import as_shares
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.mesh_report import first_few
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+_FACE_LISTS = ("vertex_indices", "vertex_index")
+_COLORS = ("red", "green", "blue")
+_VERTEX_COLORS = (_COLORS, ("diffuse_red", "diffuse_green", "diffuse_blue"))
+_VERTEX_UVS = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
+
+
+def read_ply(path: str | Path) -> ControlMesh:
+    """Read a control mesh from a PLY file, text or binary, in the file's own order.
+
+    Texture coordinates are taken from the faces' ``texcoord`` lists, else from the vertices (``s t``, ``u v`` or
+    ``texture_u texture_v``), and vertex colours from ``red green blue``: to the largest number of their type where that
+    has one or two bytes, else from 0 to 1, or bytes where they go beyond as those do. Normals and other elements are
+    ignored.
+
+    Raises
+    ------
+    FormatError
+        If the file is no PLY, is cut short, has no polygons, or holds indices out of range or positions not finite.
+    """
+    file = Path(path)
+    columns = read_columns(file, read_bytes(file, "a PLY file"))
+    faces = columns.get("face", {})
+    # Places and colours are a number a vertex; lists of that name are something else.
+    vertices = {name: column for name, column in columns.get("vertex", {}).items() if np.all(column.lengths == 1)}
+    positions = _table(file, vertices, ("x", "y", "z"), "positions")
+    if positions is None or len(positions) == 0:
+        raise FormatError(f"{file}: expected vertices with x, y and z, found none. Export the control mesh again.")
+    corners = next((faces[name] for name in _FACE_LISTS if name in faces), None)
+    if corners is None or len(corners.lengths) == 0:
+        strips = " Triangle strips are not supported." if "tristrips" in columns else ""
+        raise FormatError(
+            f"{file}: expected faces with a list vertex_indices, found {len(positions)} vertices and no "
+            f"polygon.{strips} Export the control mesh with its faces."
+        )
+    offsets = np.concatenate([[0], np.cumsum(corners.lengths)]).astype(np.int64)
+    indices = _indices(file, corners, len(positions))
+    uvs, uv_indices = _uvs(file, vertices, faces.get("texcoord"), corners.lengths, indices)
+    return ControlMesh(
+        positions, offsets, indices, uvs, uv_indices, name=file.name, vertex_colors=_vertex_colors(vertices)
+    )
+
+
+def _vertex_colors(vertices: dict[str, Column]) -> FloatArray | None:
+    """Colours of the vertices, NaN where one has none; None where none has."""
+    names = next((names for names in _VERTEX_COLORS if all(name in vertices for name in names)), None)
+    if names is None:
+        return None
+    colors = np.column_stack([vertices[name].values.astype(np.float64) for name in names])
+    colors[~np.isfinite(colors).all(axis=1)] = np.nan
+    stated = np.dtype(vertices[names[0]].stated)
+    return as_shares(colors, float(np.iinfo(stated).max) if stated.kind in "iu" and stated.itemsize < 4 else None)
+
+
+def _table(path: Path, columns: dict[str, Column], names: tuple[str, ...], what: str) -> FloatArray | None:
+    """Columns side by side as float64, None if one is missing."""
+    if not all(name in columns for name in names):
+        return None
+    table = np.column_stack([columns[name].values.astype(np.float64) for name in names])
+    bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
+    if len(bad):
+        raise FormatError(
+            f"{path}: expected finite {what}, got NaN or infinity at {len(bad)} vertices (0-based): "
+            f"{first_few(bad)}. Repair them in the modelling program and export again."
+        )
+    return table
+
+
+def _indices(path: Path, corners: Column, count: int) -> IndexArray:
+    faces = np.repeat(np.arange(len(corners.lengths)), corners.lengths)
+    values = corners.values
+    # Text bodies arrive as float64; comparing before the conversion catches NaN, fractions and what int64 cannot hold.
+    with np.errstate(invalid="ignore"):
+        outside = ~((values >= 0) & (values < count) & (values == np.floor(values)))
+    empty = np.flatnonzero(corners.lengths == 0)
+    bad = np.union1d(faces[outside], empty)
+    if len(bad):
+        raise FormatError(
+            f"{path}: expected vertex numbers from 0 to {count - 1} around every face, got others or none "
+            f"in {len(bad)} face(s) (0-based): {first_few(bad)}. Export the mesh again."
+        )
+    return values.astype(np.int64)
+
+
+def _uvs(
+    path: Path, vertices: dict[str, Column], texcoord: Column | None, sizes: IndexArray, indices: IndexArray
+) -> tuple[FloatArray | None, IndexArray | None]:
+    """Texture coordinates of the corners; corners of one vertex with equal coordinates share one texture vertex."""
+    if texcoord is not None and len(texcoord.values):
+        unfit = np.flatnonzero(texcoord.lengths != 2 * sizes)
+        if len(unfit):
+            raise FormatError(
+                f"{path}: expected two texture coordinates per corner on all faces or on none, got another "
+                f"number on {len(unfit)} face(s) (0-based): {first_few(unfit)}. "
+                "Unwrap those faces too, or export without UVs."
+            )
+        values = texcoord.values.astype(np.float64).reshape(-1, 2)
+        if not np.isfinite(values).all():
+            raise FormatError(f"{path}: expected finite texture coordinates, got NaN or infinity. Unwrap again.")
+        keys = np.column_stack([indices, values])
+        order = np.lexsort(keys.T)
+        fresh = np.concatenate([[True], np.any(keys[order][1:] != keys[order][:-1], axis=1)])
+        uv_indices = np.empty(len(indices), dtype=np.int64)
+        uv_indices[order] = np.cumsum(fresh) - 1
+        return values[order][fresh], uv_indices
+    for names in _VERTEX_UVS:
+        table = _table(path, vertices, names, "texture coordinates")
+        if table is not None:
+            return table, indices.copy()
+    return None, None
+
+
+def write_ply(path: str | Path, mesh: ControlMesh, *, force: bool = False) -> None:
+    """Write a mesh as PLY (binary little-endian), with float64 positions and per-corner ``texcoord``.
+
+    Vertex colours are bytes, which every program reads.
+    Materials have no place in this format and are left out.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be written, or cagemap did not write the one that is there and ``force`` is not given.
+    """
+    content = _header(mesh).encode("ascii") + _binary_vertices(mesh) + _binary_faces(mesh)
+    write_whole(path, content, force=force)
+
+
+def _count_type(mesh: ControlMesh) -> tuple[str, str]:
+    """Type of list lengths; a byte, which every reader knows, as long as it can hold two numbers per corner."""
+    return ("uchar", "u1") if mesh.face_sizes.max(initial=0) <= 127 else ("uint", "<u4")
+
+
+def _header(mesh: ControlMesh) -> str:
+    count = _count_type(mesh)[0]
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment {mark()}",
+        f"element vertex {mesh.n_vertices}",
+        *(f"property double {axis}" for axis in "xyz"),
+        *([f"property uchar {color}" for color in _COLORS] if _color_bytes(mesh) is not None else []),
+        f"element face {mesh.n_faces}",
+        f"property list {count} int vertex_indices",
+        *([f"property list {count} double texcoord"] if mesh.uvs is not None else []),
+        "end_header\n",
+    ]
+    return "\n".join(lines)
+
+
+def _color_bytes(mesh: ControlMesh) -> NDArray[np.uint8] | None:
+    """(n, 3) vertex colours, None where some vertices have none."""
+    colors = mesh.vertex_colors
+    known = colors is not None and np.isfinite(colors).all()
+    return np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8) if colors is not None and known else None
+
+
+def _binary_vertices(mesh: ControlMesh) -> bytes:
+    colors = _color_bytes(mesh)
+    if colors is None:
+        return mesh.positions.astype("<f8").tobytes()
+    table = np.zeros(mesh.n_vertices, dtype=[("place", "<f8", (3,)), ("color", "u1", (3,))])
+    table["place"], table["color"] = mesh.positions, colors
+    return table.tobytes()
+
+
+def _binary_faces(mesh: ControlMesh) -> bytes:
+    """Bytes of all faces in order: the records of each face size are filled together."""
+    uvs = None if mesh.uvs is None or mesh.uv_indices is None else mesh.uvs[mesh.uv_indices]
+    count_type = _count_type(mesh)[1]
+    sizes = mesh.face_sizes
+    layouts = {}
+    for size in np.unique(sizes).tolist():
+        fields = [("n", count_type), ("v", "<i4", (size,))]
+        layouts[size] = np.dtype(fields + ([("m", count_type), ("uv", "<f8", (2 * size,))] if uvs is not None else []))
+    widths = np.zeros(mesh.n_faces, dtype=np.int64)
+    for size, layout in layouts.items():
+        widths[sizes == size] = layout.itemsize
+    starts = np.cumsum(widths) - widths
+    data = np.zeros(int(widths.sum()), dtype=np.uint8)
+    for size, layout in layouts.items():
+        faces = np.flatnonzero(sizes == size)
+        corners = mesh.face_offsets[faces][:, None] + np.arange(size)
+        table = np.zeros(len(faces), dtype=layout)
+        table["n"], table["v"] = size, mesh.face_indices[corners]
+        if uvs is not None:
+            table["m"], table["uv"] = 2 * size, uvs[corners].reshape(-1, 2 * size)
+        data[starts[faces][:, None] + np.arange(layout.itemsize)] = table.view(np.uint8).reshape(len(faces), -1)
+    return data.tobytes()

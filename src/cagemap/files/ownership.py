@@ -1,0 +1,121 @@
+"""The mark that says 'written by cagemap, and not changed since': how a file of our own is told from anyone else's.
+
+A writer puts `mark` where its format has a place for words: a comment in OBJ, MTL, PLY and zip archives (NPZ), a key in
+JSON, the ``generator`` of HTML, the ``Software`` of images. `cagemap.files.atomic` then replaces the blank checksum by
+that of the file around it. A file that somebody edited keeps the mark but not the checksum, and is theirs.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import mmap
+import os
+import re
+import struct
+import zlib
+from pathlib import Path
+
+from cagemap import __version__
+
+_DIGITS = 64
+_BLANK = b"0" * _DIGITS
+MARKED = "written by cagemap"
+_MARK = re.compile(MARKED.encode() + rb" [^\s,]{1,40}, checksum ([0-9a-f]{64})")
+# Marks stand near the start or the end of every format; what lies between is not searched.
+_SEARCHED = 2**16
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+_PNG_END = 12  # the empty chunk IEND
+_ZIP = b"PK\x03\x04"
+_ZIP_END = struct.Struct("<4s4H2LH")  # the record at a zip file's end
+
+
+def mark() -> str:
+    """The words for a file that is being written, with a blank in place of the checksum."""
+    return f"{MARKED} {__version__}, checksum {_BLANK.decode()}"
+
+
+def seal(path: Path) -> None:
+    """Fill in the checksum of a file that holds a blank `mark`; a PNG, which has none, gets one in a chunk of its own.
+
+    Files of formats that have no place for a mark stay as they are.
+    """
+    if path.stat().st_size == 0:
+        return
+    with path.open("rb+") as stream:
+        if stream.read(len(_PNG)) == _PNG:
+            stream.seek(-_PNG_END, os.SEEK_END)
+            end = stream.read()
+            stream.seek(-_PNG_END, os.SEEK_END)
+            stream.write(_png_chunk() + end)
+            stream.flush()
+        with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            place = _find(data)
+            if place is None:
+                return
+            filled = _checksum(data, place)
+            if data[: len(_PNG)] == _PNG:  # and the chunk's own checksum after it
+                chunk = data[data.rfind(b"tEXtComment\0", 0, place) : place] + filled
+                filled += struct.pack(">I", zlib.crc32(chunk))
+        # Not through the map: where that finds no room on the disk, the process ends.
+        stream.seek(place)
+        stream.write(filled)
+
+
+def stated_checksum(path: Path) -> str | None:
+    """The checksum that a file's mark states, whether right or not; None without a mark."""
+    if not path.is_file() or path.stat().st_size == 0:
+        return None
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        place = _find(data)
+        return None if place is None else data[place : place + _DIGITS].decode()
+
+
+def is_own(path: Path) -> bool:
+    """Whether cagemap wrote this file and nobody has changed it since."""
+    if not path.is_file() or path.stat().st_size == 0:
+        return False
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        place = _find(data)
+        return place is not None and data[place : place + _DIGITS] == _checksum(data, place)
+
+
+def _find(data: mmap.mmap) -> int | None:
+    """Where the checksum of the mark begins."""
+    tail = max(0, len(data) - _SEARCHED)
+    for start in dict.fromkeys((0, tail)):
+        found = _MARK.search(data[start : start + _SEARCHED])
+        if found:
+            return start + found.start(1)
+    return None
+
+
+def _checksum(data: mmap.mmap, place: int) -> bytes:
+    """SHA-256 of all but the checksum itself, in hexadecimal.
+
+    Of a zip archive only its directory counts, which holds a checksum of every member. In a PNG the four bytes that
+    follow depend on the mark and do not count.
+    """
+    view = memoryview(data)
+    try:
+        following = place + _DIGITS + (4 if view[: len(_PNG)] == _PNG else 0)
+        digest = hashlib.sha256(view[_zip_directory(data) : place])
+        digest.update(view[following:])
+    finally:
+        view.release()
+    return digest.hexdigest().encode()
+
+
+def _zip_directory(data: mmap.mmap) -> int:
+    """Where the directory of a zip archive begins; 0 for other files."""
+    if data[: len(_ZIP)] != _ZIP:
+        return 0
+    end = data.rfind(b"PK\x05\x06")
+    if end < 0 or end + _ZIP_END.size > len(data):
+        return 0
+    return int(max(0, end - _ZIP_END.unpack_from(data, end)[5]))
+
+
+def _png_chunk() -> bytes:
+    body = b"tEXtComment\0" + mark().encode()
+    return struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))

@@ -1,0 +1,1 @@
+"""The RESULT folder of a match, stored surfaces and point maps."""

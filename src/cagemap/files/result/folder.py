@@ -1,0 +1,347 @@
+"""The RESULT folder of a match: ``manifest.json`` for people, ``map.npz`` for programs.
+
+It holds all that transfer and report need, so that neither computes a map again nor looks for the input meshes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import FormatError
+from cagemap.files.array_specs import Form, check_arrays, lie_in_triangles
+from cagemap.files.atomic import atomic_folder, require_own_folder
+from cagemap.files.meshes.arrays import (
+    control_from_arrays,
+    control_to_arrays,
+    curves_from_arrays,
+    curves_to_arrays,
+    points_from_arrays,
+    scheme_from_entry,
+    scheme_to_entry,
+)
+from cagemap.files.npz import read_npz, write_npz
+from cagemap.files.ownership import is_own, seal, stated_checksum
+from cagemap.files.result.level_maps import level_arrays, level_entries, read_level_maps
+from cagemap.files.result.manifest import (
+    MANIFEST,
+    REMEDY,
+    file_hash,
+    input_file,
+    mesh_hash,
+    note_transfer,
+    peak_memory,
+    read_files,
+    read_manifest,
+    stated_path,
+    written_with,
+)
+from cagemap.files.result.manifest_values import (
+    assurance,
+    landmark_messages,
+    stored_basis,
+    stored_check,
+    stored_confidence,
+    stored_landmarks,
+    stored_quality,
+)
+from cagemap.files.schema import ResultRecord, SideRecord, checked_record, to_json
+from cagemap.maps.masks import Masks
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.result import MatchResult, SpectralMap
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.landmarks import CagePoints
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.kinds import kinds_checked
+from cagemap.numerics.threads import in_threads
+from cagemap.spectral import Surface
+from cagemap.subdivision import Scheme, refine
+from cagemap.subdivision.counts import vertex_counts
+
+__all__ = [
+    "ARRAYS",
+    "MANIFEST",
+    "assurance",
+    "check_result_folder",
+    "file_hash",
+    "input_file",
+    "landmark_messages",
+    "mesh_hash",
+    "note_transfer",
+    "peak_memory",
+    "read_files",
+    "read_manifest",
+    "read_result",
+    "stated_path",
+    "write_result",
+]
+
+ARRAYS = "map.npz"
+
+_FORMS = {
+    "source_triangles": Form(("t2", 3), below="n2"),
+    "triangle": Form(("n1",), below="t2"),
+    "barycentric": Form(("n1", 3)),
+    "functional_map": Form(("k1", "k2"), optional=True),
+    "trust": Form(("n1",)),
+    "landmark_errors": Form(("p",)),
+    "runner_up_images": Form(("r", "c1", 3), optional=True),
+}
+# What stored vertices may differ from those that the control mesh gives, of its size: other libraries round otherwise.
+_DRIFT = 1e-6
+_SPECTRAL_ARRAYS = ("functional_map", "target_eigenvalues", "source_eigenvalues")
+# Entries of a manifest that are fields of a match, or say how the folder was written.
+_TYPED = {"quality", "landmark_check", "confidence", "timings", "bases", "target", "source", "landmark_names", "curves"}
+_TYPED |= {"level_maps", "written_by", "format", "format_version", "versions", "files"}
+
+
+@kinds_checked
+def write_result(folder: str | Path, result: MatchResult, *, force: bool = False) -> None:
+    """Write a RESULT folder; an older result there is replaced, and only when the new one is complete.
+
+    Other files in the folder stay as they are. The functional map is stored if both surfaces are prepared.
+
+    Parameters
+    ----------
+    folder : path
+    result : MatchResult
+    force : bool
+        Write into a folder, and over files of the same names, that cagemap did not write.
+
+    Raises
+    ------
+    FormatError
+        If the folder cannot be written, or holds something that is not a result.
+    """
+    arrays: dict[str, Any] = {
+        "source_triangles": _numbers(result.source_triangles),
+        "triangle": _numbers(result.triangle),
+        "barycentric": result.barycentric,
+        "trust": result.trust,
+        "landmark_errors": result.landmark_errors,
+    }
+    if len(result.runner_up_images):
+        arrays["runner_up_images"] = result.runner_up_images
+    arrays |= level_arrays(result)
+    for prefix, side, points, mask in (
+        ("target", result.target, result.landmarks.target_points, result.masks.target),
+        ("source", result.source, result.landmarks.source_points, result.masks.source),
+    ):
+        arrays[f"{prefix}_vertices"], arrays[f"{prefix}_faces"] = side.vertices, _numbers(side.faces)
+        arrays[f"{prefix}_landmarks"] = points.nearest_vertices
+        if np.any(points.vertices < 0):
+            arrays[f"{prefix}_landmark_corners"] = points.corners
+            arrays[f"{prefix}_landmark_weights"] = points.weights
+        if mask is not None:
+            arrays[f"{prefix}_mask"] = mask
+        arrays |= control_to_arrays(side.control, f"{prefix}_control_")
+    arrays |= curves_to_arrays(result.curves)
+    with atomic_folder(folder, (ARRAYS, MANIFEST), force=force, owned=_is_own) as temporary:
+        write_npz(temporary / ARRAYS, arrays, lambda: _spectral_arrays(result))
+        seal(temporary / ARRAYS)
+        manifest = _manifest(result) | {"files": {ARRAYS: stated_checksum(temporary / ARRAYS)}}
+        # The manifest comes last: a folder with one is complete, whoever copies it.
+        (temporary / MANIFEST).write_text(to_json(manifest), encoding="utf-8")
+
+
+def _numbers(indices: IndexArray) -> NDArray[np.int32]:
+    """Numbers of finest vertices and triangles as files hold them: they are below 2^31."""
+    return indices.astype(np.int32)
+
+
+def _spectral_arrays(result: MatchResult) -> dict[str, Any]:
+    """The functional map and its eigenvalues, where both surfaces are prepared."""
+    return {name: getattr(result.spectral, name) for name in _SPECTRAL_ARRAYS} if result.has_spectral else {}
+
+
+def check_result_folder(folder: str | Path, *, force: bool = False) -> None:
+    """Refuse a folder that `write_result` would refuse, before any work is done for it."""
+    require_own_folder(folder, (ARRAYS, MANIFEST), force=force, owned=_is_own)
+
+
+def _is_own(path: Path) -> bool:
+    """Whether cagemap wrote a file of a RESULT folder; versions before 0.2 left no mark but their manifest's format."""
+    if stated_checksum(path) is not None:
+        return is_own(path)
+    try:
+        return read_manifest(path.parent).get("written_by") is None
+    except FormatError:
+        return False
+
+
+@kinds_checked
+def read_result(folder: str | Path) -> MatchResult:
+    """Read a RESULT folder: the match that was written, without what a new match or functional map would need.
+
+    That is made when it is asked for: by `cagemap.update_match`, or as ``result.functional_map`` where it is not
+    stored. Everything in the folder is checked: types, shapes, ranges, and that the parts belong together.
+
+    Raises
+    ------
+    FormatError
+        If it is missing, incomplete, damaged, or written by a newer version in another format.
+    """
+    root = Path(folder)
+    manifest = read_manifest(root)
+    record = checked_record(ResultRecord, manifest, root / MANIFEST, REMEDY)
+    stored = _read_arrays(root / ARRAYS, record.files.get(ARRAYS))
+    sizes: dict[str, int] = {}
+    read = [
+        _read_side(root, prefix, entry, stored, sizes)
+        for prefix, entry in (("target", record.target), ("source", record.source))
+    ]
+    target, source = in_threads(lambda side: side.surface(root / ARRAYS, record), read)
+    finest = target.triangles(target.finest), source.triangles(source.finest)
+    sizes["t2"] = len(finest[1].triangles)
+    arrays = check_arrays(root / ARRAYS, stored, _FORMS, sizes, REMEDY)
+    _check_parts(root, arrays, finest[1].triangles, record)
+    point_map = PointMap.from_arrays(*finest, arrays["triangle"], arrays["barycentric"])
+    counts = target.control.n_vertices, source.control.n_vertices
+    curves = curves_from_arrays(root / ARRAYS, stored, [curve.name for curve in record.curves], counts, REMEDY)
+    landmarks = stored_landmarks(record.landmark_names, (read[0].points, read[1].points), (read[0].name, read[1].name))
+    check = stored_check(record.landmark_check, arrays["landmark_errors"])
+    others = arrays.get("runner_up_images", np.zeros((0, 0, 3)))
+    functional_map = arrays.get("functional_map")
+    return MatchResult(
+        target,
+        source,
+        replace(landmarks, curves=curves),
+        point_map,
+        stored_quality(record.quality, check, arrays["landmark_errors"], arrays["trust"]),
+        {stage: seconds or 0.0 for stage, seconds in record.timings.items()},
+        check,
+        read_level_maps(root / ARRAYS, stored, record.level_maps, (target, source), point_map, functional_map, REMEDY),
+        stored_confidence(record.confidence, point_map, counts[0], others),
+        masks=Masks(read[0].mask, read[1].mask),
+        known_spectral=_spectral(functional_map, *(side.eigenvalues for side in read)),
+        provenance={name: value for name, value in manifest.items() if name not in _TYPED},
+    )
+
+
+def _spectral(
+    functional_map: FloatArray | None, target: FloatArray | None, source: FloatArray | None
+) -> SpectralMap | None:
+    """What is stored of a functional map; None if any of it is missing."""
+    if functional_map is None or target is None or source is None:
+        return None
+    return SpectralMap(functional_map, target, source)
+
+
+@dataclass(frozen=True, eq=False)
+class _Side:
+    """One surface of a RESULT folder, as it is stored."""
+
+    prefix: str
+    control: ControlMesh
+    scheme: Scheme
+    level: int
+    vertices: FloatArray
+    faces: IndexArray
+    eigenvalues: FloatArray | None
+    points: CagePoints
+    mask: FloatArray | None
+
+    @property
+    def name(self) -> str:
+        return self.control.name
+
+    def surface(self, path: Path, record: ResultRecord) -> Surface:
+        """The surface, refined again; refuses vertices and faces that this does not give."""
+        count = None if self.eigenvalues is None else len(self.eigenvalues)
+        refinement = refine(self.control, self.level, self.scheme)
+        surface = Surface(refinement, stored_basis(record.bases.get(self.prefix), count))
+        size = float(np.ptp(self.control.positions, axis=0).max())
+        same = np.array_equal(surface.faces, self.faces)
+        if not same or np.abs(surface.vertices - self.vertices).max() > _DRIFT * size:
+            raise FormatError(f"{path}: {self.prefix}_vertices or faces are not those of the control mesh. {REMEDY}")
+        return surface
+
+
+def _read_side(root: Path, prefix: str, entry: SideRecord, stored: dict[str, Any], sizes: dict[str, int]) -> _Side:
+    """One surface, with sizes of its own prefix added to those known."""
+    path = root / ARRAYS
+    scheme = scheme_from_entry(root / MANIFEST, entry.scheme, REMEDY)
+    names = entry.material_names
+    control = control_from_arrays(path, stored, f"{prefix}_control_", names, entry.name, REMEDY, scheme)
+    number = 1 if prefix == "target" else 2
+    sizes |= {
+        f"c{number}": control.n_vertices,
+        f"n{number}": next(islice(vertex_counts(control, scheme), entry.level, None)),
+    }
+    forms = {f"{prefix}_{name}": form for name, form in _side_forms(number).items()}
+    arrays = check_arrays(path, stored, forms, sizes, REMEDY)
+    points = points_from_arrays(path, arrays, f"{prefix}_landmark_", REMEDY)
+    return _Side(
+        prefix,
+        control,
+        scheme,
+        entry.level,
+        arrays[f"{prefix}_vertices"],
+        arrays[f"{prefix}_faces"],
+        arrays.get(f"{prefix}_eigenvalues"),
+        CagePoints.of_vertices(arrays[f"{prefix}_landmarks"]) if points is None else points,
+        arrays.get(f"{prefix}_mask"),
+    )
+
+
+def _side_forms(number: int) -> dict[str, Form]:
+    return {
+        "vertices": Form((f"n{number}", 3)),
+        "faces": Form((f"m{number}", "3|4"), below=f"n{number}"),
+        "eigenvalues": Form((f"k{number}",), optional=True),
+        "landmarks": Form(("p",), below=f"c{number}"),
+        "landmark_corners": Form(("p", 3), below=f"c{number}", optional=True),
+        "landmark_weights": Form(("p", 3), optional=True),
+        "mask": Form((f"n{number}",), optional=True, share=True),
+    }
+
+
+def _check_parts(root: Path, arrays: dict[str, Any], source_triangles: IndexArray, record: ResultRecord) -> None:
+    """Refuse parts that are sound but do not belong together."""
+    pairs = len(arrays["landmark_errors"])
+    faults = {
+        "source_triangles are not those of source_faces": not np.array_equal(
+            arrays["source_triangles"], source_triangles
+        ),
+        "barycentric coordinates lie outside their triangles": not lie_in_triangles(arrays["barycentric"]),
+        "as many landmark_names as landmarks are expected": len(record.landmark_names) not in (0, pairs),
+        "landmark_check names pairs that are not there": any(
+            suspect.pair >= pairs for suspect in (record.landmark_check.suspects if record.landmark_check else [])
+        ),
+    }
+    for fault, found in faults.items():
+        if found:
+            raise FormatError(f"{root}: {fault}; the files do not belong together. {REMEDY}")
+
+
+def _manifest(result: MatchResult) -> dict[str, Any]:
+    sides = {
+        prefix: {
+            "name": side.control.name,
+            "scheme": scheme_to_entry(side.refinement.scheme),
+            "level": side.finest,
+            "control_vertices": side.control.n_vertices,
+            "control_faces": side.control.n_faces,
+            "vertices": len(side.vertices),
+            "faces": len(side.faces),
+            "material_names": list(side.control.material_names),
+        }
+        for prefix, side in (("target", result.target), ("source", result.source))
+    }
+    fixed = {**written_with(), **sides, "landmark_names": list(result.landmark_names)}
+    fixed["level_maps"] = level_entries(result)
+    return fixed | {name: value for name, value in result.manifest.items() if name not in {*fixed, "files"}}
+
+
+def _read_arrays(path: Path, checksum: str | None) -> dict[str, Any]:
+    if not path.is_file():
+        raise FormatError(f"{path}: is missing, so the result is incomplete. {REMEDY}")
+    arrays = read_npz(path, REMEDY)
+    if checksum is not None and stated_checksum(path) not in (None, checksum):
+        raise FormatError(f"{path}: belongs to another {MANIFEST} than the one beside it. {REMEDY}")
+    return arrays

@@ -1,0 +1,264 @@
+"""Point maps in files: anyone's, read for any use of a map, and ours, written for others.
+
+Vertex numbers count from 0, but in ``.vts`` from 1, as its users have it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import io, sparse
+
+from cagemap.errors import FormatError
+from cagemap.files.atomic import atomic_path
+from cagemap.files.npz import read_npy, read_npz, write_npy, write_npz
+from cagemap.files.ownership import mark
+from cagemap.files.text import read_text, require_file
+from cagemap.maps.point_map import PointMap
+from cagemap.subdivision import Refinement, level_triangles
+from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import TriangleSurface
+
+SUFFIXES = (".npy", ".npz", ".mtx", ".vts")
+# Beside triangles in an archive: the number of vertices of the source that they are of.
+SOURCE_SIZE = "source_size"
+_REMEDY = "Write it again."
+# Of a dense matrix, 0.5 GB: 7000 vertices a side. Nearly all of them are zeros, which the sparse form leaves out.
+DENSE_ENTRIES = 1 << 26
+_PIECE = 1 << 24
+# Comments and blank lines before the size of a matrix.
+_COMMENTS = re.compile(r"(?:[ \t\r]*(?:%[^\n]*)?\n)*")
+
+
+def read_images(path: str | Path, source: TriangleSurface) -> SurfacePoints:
+    """Read where each of some target vertices goes on a source.
+
+    - ``.npy``, ``.vts`` (text): a source vertex for each.
+    - ``.npz``: ``triangle`` and ``barycentric``, or a sparse matrix as SciPy writes it.
+    - ``.mtx`` (Matrix Market): a matrix, each row the weights of the corners of one source triangle; its dense form
+      (``array``) up to `DENSE_ENTRIES`.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, or is no map.
+    ParameterError
+        If its points are not points of this source.
+    """
+    file = Path(path)
+    suffix = file.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise FormatError(f"{file}: expected a map in {', '.join(SUFFIXES)}, got {suffix or 'no suffix'}")
+    require_file(file, "a point map")
+    if suffix == ".npy":
+        return SurfacePoints.from_vertices(source, _vertices(file, read_npy(file.read_bytes(), file, _REMEDY)))
+    if suffix == ".vts":
+        words = read_text(file, "vertex numbers").split()
+        try:
+            numbers = np.array(words, dtype=np.int64)
+        except (ValueError, OverflowError) as error:
+            raise FormatError(f"{file}: expected one vertex number a line, counted from 1, found {error}") from error
+        return SurfacePoints.from_vertices(source, _vertices(file, numbers) - 1)
+    if suffix == ".mtx":
+        return SurfacePoints.from_matrix(source, _matrix_market(file))
+    arrays = read_npz(file, _REMEDY)
+    if {"triangle", "barycentric"} <= set(arrays):
+        n = _last(arrays.get(SOURCE_SIZE))
+        if n not in (None, source.n):
+            raise FormatError(
+                f"{file}: expected triangles of a source with {source.n} vertices, those of the file are of one with "
+                f"{n}. Give the level that has them, or write the map as .npy: vertices are the same on all levels."
+            )
+        return SurfacePoints(source, _vertices(file, arrays["triangle"]), arrays["barycentric"])
+    if {"indices", "indptr", "data", "shape"} <= set(arrays):
+        try:
+            matrix = sparse.csr_array(sparse.load_npz(file))
+        except ValueError as error:
+            raise FormatError(f"{file}: expected a sparse matrix, found {error}") from error
+        return SurfacePoints.from_matrix(source, matrix)
+    raise FormatError(
+        f"{file}: expected 'triangle' and 'barycentric', or a sparse matrix written by SciPy, found {', '.join(arrays)}"
+    )
+
+
+def source_level(path: str | Path, source: Refinement) -> int | None:
+    """The source's level, from 1, that a map is of, where its file says so: vertices are the same in all.
+
+    It is the one with as many vertices as the file says, or as a matrix has columns; else the coarsest with all its
+    triangles.
+    """
+    file = Path(path)
+    suffix = file.suffix.lower()
+    if suffix not in (".npz", ".mtx") or not file.is_file():
+        return None
+    levels = range(1, source.n_levels + 1)
+    arrays = {} if suffix == ".mtx" else read_npz(file, _REMEDY)
+    numbers, n = arrays.get("triangle"), _last(arrays.get(SOURCE_SIZE))
+    if n is None and numbers is not None and numbers.dtype.kind in "iu" and numbers.size:
+        return next((level for level in levels if numbers.max() < len(level_triangles(source, level))), None)
+    if numbers is None:
+        n = _columns(file) if suffix == ".mtx" else _last(arrays.get("shape"))
+    return next((level for level in levels if source.levels[level].n_vertices == n), None)
+
+
+def _last(numbers: NDArray[np.generic] | None) -> int | None:
+    """The last of some whole numbers; None where there are none."""
+    if numbers is None or not numbers.size or numbers.dtype.kind not in "iu":
+        return None
+    return int(np.ravel(numbers)[-1])
+
+
+def _columns(file: Path) -> int | None:
+    """How many columns a Matrix Market file says that it has; its entries are not looked at."""
+    words = _size_line(read_text(file, "a sparse matrix").partition("\n")[2])[0].split()
+    return int(words[1]) if len(words) > 1 and re.fullmatch("[0-9]{1,18}", words[1]) else None
+
+
+def _matrix_market(file: Path) -> sparse.csr_array:
+    """A matrix of Matrix Market's coordinate or array form; SciPy's own reader crashes natively on damaged files."""
+    head, _, rest = read_text(file, "a sparse matrix").partition("\n")
+    if head.lower().split()[1:] in (["matrix", "array", "real", "general"], ["matrix", "array", "integer", "general"]):
+        return _dense(file, rest)
+    lines = [line for line in rest.splitlines() if line.strip() and not line.startswith("%")]
+    words = head.lower().split()
+    form = "expected a sparse matrix (Matrix Market: matrix coordinate real general)"
+    if (
+        words[:3] != ["%%matrixmarket", "matrix", "coordinate"]
+        or words[3:4] not in (["real"], ["integer"], ["pattern"])
+        or words[4:] not in (["general"], ["symmetric"])
+    ):
+        raise FormatError(f"{file}: {form}, found the first line {head[:80]!r}. {_REMEDY}")
+    try:
+        n, m, count = (int(word) for word in (lines or [""])[0].split())
+        table = np.array([line.split() for line in lines[1:]], dtype=np.float64)
+        if words[3] == "pattern":
+            table = np.column_stack([table, np.ones(len(table))])
+        numbers = table[:, :2]
+        inside = (numbers == np.floor(numbers)) & (numbers >= 1) & (numbers <= [n, m])
+        if table.shape != (count, 3) or not inside.all() or not np.isfinite(table).all():
+            raise ValueError(f"not {count} entries in {n} x {m}")
+        i, j = numbers.astype(np.int64).T - 1
+        values = table[:, 2]
+        if words[4] == "symmetric":
+            off = i != j
+            i, j, values = np.append(i, j[off]), np.append(j, i[off]), np.append(values, values[off])
+        return sparse.csr_array((values, (i, j)), shape=(n, m))
+    except (ValueError, IndexError, OverflowError) as error:
+        raise FormatError(f"{file}: {form}, found {error}. {_REMEDY}") from error
+
+
+def _dense(file: Path, text: str) -> sparse.csr_array:
+    """What stands below the first line of Matrix Market's array form: its size, then all numbers, column by column."""
+    form = "expected a dense matrix (Matrix Market: its size, then one number a line, column by column)"
+    size, end = _size_line(text)
+    try:
+        n, m = (int(word) for word in size.split())
+        if min(n, m) < 1:
+            raise ValueError(f"a size of {n} x {m}")
+    except ValueError as error:
+        raise FormatError(f"{file}: {form}, found {error}. {_REMEDY}") from error
+    if n * m > DENSE_ENTRIES:
+        raise FormatError(
+            f"{file}: expected at most {DENSE_ENTRIES} numbers of a dense matrix, found {n} x {m}. Write it in the "
+            "coordinate form (scipy.io.mmwrite of a sparse matrix), which leaves the zeros out."
+        )
+    numbers, known = np.empty(n * m), 0
+    try:
+        for piece in _pieces(text, end):
+            found = np.array(piece.split(), dtype=np.float64)
+            if known + len(found) > n * m:
+                raise ValueError(f"more than {n} x {m} numbers")
+            numbers[known : known + len(found)] = found
+            known += len(found)
+    except ValueError as error:
+        raise FormatError(f"{file}: {form}, found {error}. {_REMEDY}") from error
+    if known != n * m or not np.isfinite(numbers).all():
+        raise FormatError(f"{file}: {form}, found not {n} x {m} finite numbers. {_REMEDY}")
+    return sparse.csr_array(numbers.reshape(m, n).T)
+
+
+def _size_line(text: str) -> tuple[str, int]:
+    """The line below comments and blank ones, and where it ends."""
+    comments = _COMMENTS.match(text)
+    start = 0 if comments is None else comments.end()
+    end = _line_end(text, start)
+    return text[start:end], end
+
+
+def _pieces(text: str, start: int) -> Iterator[str]:
+    """A text from some place on, cut at line ends: all its words at once would take many times the room of numbers."""
+    while start < len(text):
+        end = _line_end(text, start + _PIECE)
+        yield text[start:end]
+        start = end
+
+
+def _line_end(text: str, start: int) -> int:
+    end = text.find("\n", start)
+    return len(text) if end < 0 else end
+
+
+def _vertices(file: Path, numbers: NDArray[np.generic]) -> NDArray[np.int64]:
+    if numbers.ndim != 1 or numbers.dtype.kind not in "iu" or len(numbers) == 0:
+        raise FormatError(
+            f"{file}: expected a list of whole numbers, one for each target vertex, found {numbers.dtype} of shape "
+            f"{numbers.shape}"
+        )
+    return numbers.astype(np.int64)
+
+
+def dense_map(images: SurfacePoints, target: Refinement, surface: TriangleSurface) -> PointMap:
+    """A map of the target's finest vertices from images of these, or of its vertices at any coarser level.
+
+    Images of a coarser level are refined like the surface itself, and put back onto the source.
+
+    Raises
+    ------
+    FormatError
+        If there is not one image for each vertex of some level.
+    """
+    sizes = [level.n_vertices for level in target.levels]
+    if len(images) == sizes[-1]:
+        return PointMap(surface, images)
+    if len(images) not in sizes:
+        raise FormatError(
+            f"map: expected a point for each vertex of the target at some level ({', '.join(map(str, sizes))}), got "
+            f"{len(images)}; is it the map from source to target, or one of other meshes?"
+        )
+    level = sizes.index(len(images))
+    places = target.prolong(images.positions, level, target.n_levels)
+    fine = SurfacePoints.nearest(images.surface, places)
+    known = np.arange(len(images))
+    return PointMap(surface, fine.replaced(known, images))
+
+
+def write_map(path: str | Path, point_map: PointMap, *, force: bool = False) -> None:
+    """Write a map: by suffix as `read_images` reads it; vertices are the nearest corners.
+
+    Raises
+    ------
+    FormatError
+        If the suffix is unknown or the file cannot be written.
+    """
+    file = Path(path)
+    suffix = file.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise FormatError(f"{file}: expected a name ending in {', '.join(SUFFIXES)}, got {suffix or 'no suffix'}")
+    nearest = point_map.images.corners[np.arange(point_map.target.n), point_map.barycentric.argmax(axis=1)]
+    with atomic_path(file, force=force) as temporary:
+        if suffix == ".npy":
+            write_npy(temporary, nearest)
+        elif suffix == ".vts":
+            temporary.write_text("\n".join(map(str, (nearest + 1).tolist())) + "\n", encoding="utf-8")
+        elif suffix == ".mtx":
+            with temporary.open("wb") as stream:  # by name SciPy writes what fits and says nothing
+                io.mmwrite(stream, sparse.coo_array(point_map.to_sparse()), comment=mark())
+        else:
+            source = np.array(point_map.source.n)
+            write_npz(
+                temporary, {"triangle": point_map.triangle, "barycentric": point_map.barycentric, SOURCE_SIZE: source}
+            )

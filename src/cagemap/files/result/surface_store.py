@@ -1,0 +1,292 @@
+"""Prepared surfaces on disk: a surface is refined, measured and given its basis once for all the pairs it is part of.
+
+A stored surface is one uncompressed ``.npz``: the control mesh, the operators and the basis. Refined levels are not
+stored, because making them again takes no longer than reading them would. Every array carries a checksum (of the zip
+format), a file appears whole or not at all, and its name is a hash of all that its content depends on, so that two
+processes may prepare the same surface at once: both write the same thing, and either is right.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from cagemap import __version__
+from cagemap.errors import CagemapError, FormatError
+from cagemap.files.array_specs import Form, check_arrays, check_offsets
+from cagemap.files.atomic import atomic_path
+from cagemap.files.code_version import code_version
+from cagemap.files.meshes.arrays import control_from_arrays, control_to_arrays, scheme_from_entry, scheme_to_entry
+from cagemap.files.npz import read_npz, write_npz
+from cagemap.files.ownership import is_own
+from cagemap.files.result.folder import mesh_hash
+from cagemap.files.schema import SurfaceRecord, checked_record, parse_json
+from cagemap.files.text import require_file
+from cagemap.mesh import ControlMesh, Plain
+from cagemap.operators import Operators
+from cagemap.operators.coarse_levels import refined
+from cagemap.pipeline import MAP_BASIS, prepare_surface
+from cagemap.spectral import BasisConfig, HierarchicalBasis, Surface
+from cagemap.spectral.prepare import Progress, silent
+from cagemap.subdivision import Refinement, Scheme, default_scheme
+from cagemap.subdivision.counts import vertex_counts
+
+FORMAT = "cagemap-surface"
+FORMAT_VERSION = 3
+SUFFIX = ".surface.npz"
+
+_BASIS_ARRAYS = ("eigenvalues", "residuals", "indices", "gram")
+_REMEDY = "Delete the file and prepare the surface again."
+
+logger = logging.getLogger(__name__)
+
+Prepare = Callable[..., Surface]
+
+
+def surface_key(control: ControlMesh, level: int, scheme: Scheme | None = None, config: BasisConfig = MAP_BASIS) -> str:
+    """Hash of everything that a prepared surface depends on; 64 hexadecimal digits.
+
+    Parameters
+    ----------
+    control : ControlMesh
+        All its arrays count, its name does not.
+    level : int
+        The finest level.
+    scheme : CatmullClark or Loop, optional
+        Default: the mesh's default scheme.
+    config : BasisConfig
+        Default: what `cagemap.pipeline.prepare_surface` makes.
+
+    Notes
+    -----
+    The package's code and the version of the format count too: other code may compute something else.
+    """
+    scheme = default_scheme(control) if scheme is None else scheme
+    parts = {
+        "format": [FORMAT, FORMAT_VERSION, code_version()],
+        "control": mesh_hash(control),
+        "materials": list(control.material_names),
+        "level": level,
+        "scheme": scheme_to_entry(scheme),
+        "basis": asdict(config),
+    }
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def save_surface(path: str | Path, surface: Surface, *, force: bool = False) -> None:
+    """Write a prepared surface to one file, whole or not at all.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be written.
+    """
+    control, inner = surface.control, surface.inner
+    operators, basis = inner.operators, inner.basis
+    header = {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "cagemap": __version__,
+        "name": control.name,
+        "material_names": list(control.material_names),
+        "scheme": scheme_to_entry(surface.refinement.scheme),
+        "level": inner.finest,
+        "scale": operators.scale,
+        "bands": len(basis.bands),
+        "operators": len(operators.mass),
+    }
+    arrays: dict[str, Any] = {"header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)}
+    arrays |= control_to_arrays(control, "control_")
+    for level, (mass, stiffness) in enumerate(zip(operators.mass, operators.stiffness, strict=True)):
+        arrays |= _operator_arrays(level, mass, stiffness, diagonal=level == operators.finest)
+    arrays |= {f"band_{level}": band for level, band in enumerate(basis.bands)}
+    arrays |= {name: getattr(basis, name) for name in _BASIS_ARRAYS}
+    with atomic_path(path, force=force) as temporary:
+        write_npz(temporary, arrays)
+
+
+def prepared(
+    folder: str | Path,
+    control: ControlMesh,
+    level: int,
+    config: BasisConfig = MAP_BASIS,
+    *,
+    progress: Progress = silent,
+    prepare: Prepare = prepare_surface,
+) -> Surface:
+    """A prepared surface from a folder of stored ones, or prepared now and stored there.
+
+    A file that is damaged or does not fit is no error: the surface is prepared again and the file replaced.
+
+    Parameters
+    ----------
+    folder : path
+        Created if it does not exist.
+    control : ControlMesh
+    level : int
+        The finest level.
+    config : BasisConfig
+    progress : callable
+        Called with the name of each stage.
+    prepare : callable
+        What makes a surface, with the arguments of `cagemap.pipeline.prepare_surface`.
+
+    Raises
+    ------
+    FormatError
+        If the folder cannot be made or written to.
+    CagemapError
+        Whatever preparing raises; nothing is stored then.
+    """
+    key = surface_key(control, level, default_scheme(control), config)
+    place = _usable_folder(Path(folder)) / (key + SUFFIX)
+    if place.is_file():
+        progress(f"read prepared {control.name}")
+        try:
+            if is_own(place):
+                return load_surface(place, control, config)
+            problem = "it was changed since it was written"
+        except FormatError as error:
+            problem = str(error)
+        logger.warning("%s is prepared again, its stored surface cannot be used: %s", control.name, problem)
+        progress(f"prepare {control.name} again, its stored file is damaged")
+    surface = prepare(control, level, config, progress=progress)
+    progress(f"store prepared {control.name}")
+    save_surface(place, surface, force=True)  # its name says what it is, whatever state it is in
+    return surface
+
+
+def load_surface(path: str | Path, control: ControlMesh | None = None, config: BasisConfig | None = None) -> Surface:
+    """Read a prepared surface; what is not stored, its refined levels, is made again.
+
+    A control mesh known to be equal to the stored one takes its place, name and all.
+
+    Raises
+    ------
+    FormatError
+        If the file is missing, damaged, no stored surface, or of another format version.
+    """
+    path = Path(path)
+    require_file(path, "a prepared surface")
+    arrays = read_npz(path, _REMEDY)
+    header = _header(path, arrays)
+    scheme = scheme_from_entry(path, header.scheme, _REMEDY)
+    if control is None:
+        names = header.material_names
+        control = control_from_arrays(path, arrays, "control_", names, header.name, _REMEDY, scheme)
+    if not header.bands <= header.operators <= header.level + 1:
+        raise FormatError(f"{path}: has bands or operators of more levels than there are. {_REMEDY}")
+    # Levels of a subdivision have sizes that are known before it is refined, those below a plain mesh have not.
+    below = refined(control, 0, scheme) if isinstance(scheme, Plain) else None
+    if below is not None and below.n_levels != header.level:
+        raise FormatError(f"{path}: its plain mesh has {below.n_levels} coarse levels, not {header.level}. {_REMEDY}")
+    counts = vertex_counts(control, scheme) if below is None else (mesh.n_vertices for mesh in below.levels)
+    sizes = dict(zip(_level_sizes(header.level), counts, strict=False))
+    sizes["n_finest"] = sizes[f"n{header.operators - 1}"]
+    checked = check_arrays(path, arrays, _forms(header), sizes, _REMEDY)
+    for level in range(header.operators):
+        check_offsets(path, f"indptr_{level}", checked[f"indptr_{level}"], sizes[f"z{level}"], _REMEDY)
+    try:
+        refinement = refined(control, header.level, scheme) if below is None else below
+        operators = _operators(checked, refinement.up_to(header.operators - 1), header.scale)
+        bands = tuple(checked[f"band_{level}"] for level in range(header.bands))
+        basis = HierarchicalBasis(refinement, operators, bands, *(checked[name] for name in _BASIS_ARRAYS))
+    except (CagemapError, ValueError) as error:
+        raise FormatError(f"{path}: its arrays do not belong to one surface ({error}). {_REMEDY}") from error
+    if sum(basis.schedule) != basis.count:
+        raise FormatError(f"{path}: its arrays do not belong to one surface. {_REMEDY}")
+    return Surface.of(refinement, operators, basis, config)
+
+
+def _header(path: Path, arrays: dict[str, Any]) -> SurfaceRecord:
+    stored = arrays.get("header")
+    if stored is None or stored.dtype != np.uint8:
+        raise FormatError(f"{path}: expected a surface stored by cagemap, got something else. Give another file.")
+    entries = parse_json(stored.tobytes().decode("utf-8", "replace"), path, _REMEDY)
+    if not isinstance(entries, dict) or entries.get("format") != FORMAT:
+        raise FormatError(f"{path}: expected a surface stored by cagemap, got something else. Give another file.")
+    if entries.get("format_version") != FORMAT_VERSION:
+        raise FormatError(
+            f"{path}: format version {entries.get('format_version')}, written by cagemap {entries.get('cagemap')}; "
+            f"this cagemap {__version__} reads version {FORMAT_VERSION}. {_REMEDY}"
+        )
+    return checked_record(SurfaceRecord, entries, path, _REMEDY)
+
+
+def _level_sizes(finest: int) -> list[str]:
+    """Names of the numbers of vertices of all levels."""
+    return [f"n{level}" for level in range(finest + 1)]
+
+
+def _forms(header: SurfaceRecord) -> dict[str, Form]:
+    """What the arrays beside the control mesh must be: z nonzeros a level, k functions in all."""
+    forms = {}
+    for level, n in enumerate(_level_sizes(header.operators - 1)):
+        z = f"z{level}"
+        forms[f"indices_{level}"] = Form((z,), below=n)
+        forms[f"indptr_{level}"] = Form((f"{n}+1",), below=f"{z}+1")
+        forms[f"stiffness_{level}"] = Form((z,))
+        forms[f"mass_{level}"] = Form((n,) if level == header.operators - 1 else (z,))
+    for level in range(header.bands):
+        forms[f"band_{level}"] = Form((f"n{level}", f"k{level}"))
+    return forms | {
+        "eigenvalues": Form(("k",)),
+        "residuals": Form(("k",), nan=True),
+        "indices": Form(("k",), below="n_finest"),
+        "gram": Form(("k", "k")),
+    }
+
+
+def _operator_arrays(
+    level: int, mass: sparse.csr_array, stiffness: sparse.csr_array, *, diagonal: bool
+) -> dict[str, Any]:
+    """Mass and stiffness of one level; below the finest they share their pattern, at the finest M is diagonal."""
+    arrays = {
+        f"indptr_{level}": stiffness.indptr,
+        f"indices_{level}": stiffness.indices,
+        f"stiffness_{level}": stiffness.data,
+    }
+    if diagonal:
+        return arrays | {f"mass_{level}": mass.diagonal()}
+    if not (np.array_equal(mass.indptr, stiffness.indptr) and np.array_equal(mass.indices, stiffness.indices)):
+        raise FormatError(
+            f"level {level}: expected mass and stiffness with the same pattern of nonzeros, as build_operators makes "
+            "them, got others. Build the operators with cagemap.operators.build_operators."
+        )
+    return arrays | {f"mass_{level}": mass.data}
+
+
+def _operators(arrays: dict[str, Any], refinement: Refinement, scale: float) -> Operators:
+    masses, stiffnesses = [], []
+    for level, mesh in enumerate(refinement.levels):
+        n = mesh.n_vertices
+        pattern = arrays[f"indices_{level}"], arrays[f"indptr_{level}"]
+        stiffnesses.append(sparse.csr_array((arrays[f"stiffness_{level}"], *pattern), shape=(n, n)))
+        mass = arrays[f"mass_{level}"]
+        if level == refinement.n_levels:
+            masses.append(sparse.csr_array(sparse.diags_array(mass)))
+        else:
+            masses.append(sparse.csr_array((mass, *pattern), shape=(n, n)))
+    return Operators(tuple(masses), tuple(stiffnesses), float(scale))
+
+
+def _usable_folder(folder: Path) -> Path:
+    """Make the folder, before any work is done whose result could not be stored."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FormatError(
+            f"{folder}: cannot be used as a folder for prepared surfaces ({error.strerror}). Give another folder."
+        ) from error
+    if not os.access(folder, os.W_OK):
+        raise FormatError(f"{folder}: prepared surfaces cannot be written there. Give a folder that you may write to.")
+    return folder

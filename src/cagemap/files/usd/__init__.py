@@ -1,0 +1,1 @@
+"""USD: meshes, subsets, primvars, skeletons, layers."""

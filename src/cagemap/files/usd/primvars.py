@@ -1,0 +1,216 @@
+"""Primvars of USD meshes: UV sets, and everything else as named arrays."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import FormatError
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+logger = logging.getLogger(__name__)
+
+# Attributes that become skinning and blend shapes.
+JOINT_WEIGHTS = "skel:jointWeights"
+BLEND_SHAPE = "blendShape:"
+
+
+def stated(attribute: Any) -> Any:
+    """Value of an attribute or primvar: what it says for all times, or at the first of those it has samples for."""
+    from pxr import Usd
+
+    value = attribute.Get()
+    return attribute.Get(Usd.TimeCode.EarliestTime()) if value is None else value
+
+
+def integers(values: Any) -> IndexArray:
+    """An array of USD as indices; none where it is not there."""
+    return np.array([] if values is None else values, dtype=np.int64)
+
+
+def uv_primvars(prim: Any) -> list[Any]:
+    """Primvars that hold texture coordinates: pairs of floats in that role, or named as the first set is by custom."""
+    from pxr import UsdGeom
+
+    found = []
+    for primvar in UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance():
+        kind = str(primvar.GetTypeName()).removesuffix("[]")
+        plain = kind in ("float2", "double2", "half2") and primvar.GetPrimvarName() in ("st", "uv", "UVMap")
+        if (kind.startswith("texCoord2") or plain) and primvar.HasValue():
+            found.append(primvar)
+    return found
+
+
+def corner_values(where: str, control: ControlMesh, primvar: Any) -> tuple[FloatArray, IndexArray]:
+    """Values of a primvar and the number of each face corner's, whatever its interpolation.
+
+    Where a file gives each corner a value of its own, as Blender does, equal ones at one vertex become one: otherwise
+    every face would be an island.
+
+    Raises
+    ------
+    FormatError
+        If there are too few values or indices, or some are not finite.
+    """
+    values, numbers, interpolation = _values(where, primvar)
+    values = values.astype(np.float64)
+    owners = {
+        "constant": np.zeros(len(control.face_indices), dtype=np.int64),
+        "uniform": control.corner_faces,
+        "varying": control.face_indices,
+        "vertex": control.face_indices,
+        "faceVarying": np.arange(len(control.face_indices)),
+    }.get(interpolation)
+    if owners is None or len(numbers) <= owners.max():
+        _refuse(where, primvar, f"got {len(numbers)} values of interpolation {interpolation!r}")
+    if not np.isfinite(values).all():
+        _refuse(where, primvar, "got values that are not numbers")
+    if interpolation == "faceVarying" and not primvar.IsIndexed():
+        return _joined(values[owners], control.face_indices)
+    return values, numbers[owners]
+
+
+def _joined(values: FloatArray, vertices: IndexArray) -> tuple[FloatArray, IndexArray]:
+    """Pairs (c, 2) without those that are equal at the same vertex (c,), and the number of each."""
+    _, equal = np.unique(values[:, 0] + 1j * values[:, 1], return_inverse=True)
+    _, first, numbers = np.unique(vertices * len(values) + equal, return_index=True, return_inverse=True)
+    return values[first], numbers
+
+
+def primvar_arrays(where: str, control: ControlMesh, prim: Any) -> dict[str, NDArray[Any]]:
+    """All other numeric primvars, by name: one row a control vertex, control face or face corner.
+
+    Constant ones are no function on the mesh and are left out. Skinning weights become one column a joint, blend shapes
+    offsets at every vertex.
+    """
+    from pxr import UsdGeom
+
+    api = UsdGeom.PrimvarsAPI(prim)
+    taken = {primvar.GetPrimvarName() for primvar in uv_primvars(prim)}
+    rows = {
+        "uniform": control.n_faces,
+        "varying": control.n_vertices,
+        "vertex": control.n_vertices,
+        "faceVarying": len(control.face_indices),
+    }
+    arrays: dict[str, NDArray[Any]] = {}
+    for primvar in api.FindPrimvarsWithInheritance():
+        name = primvar.GetPrimvarName()
+        if name in taken or name.startswith("skel:") or not primvar.HasValue():
+            continue
+        values = np.asarray(stated(primvar))
+        expected = rows.get(str(primvar.GetInterpolation()))
+        if expected is None or values.dtype.kind not in "iuf" or values.size == 0 or values.ndim > 2:
+            continue
+        values, numbers, _ = _values(where, primvar)
+        if len(numbers) != expected:
+            _refuse(where, primvar, f"got {len(numbers)} values where {expected} belong")
+        arrays[name] = values[numbers]
+    return arrays | _weights(where, control, api, prim) | _blend_shapes(where, control, prim)
+
+
+def corner_primvars(prim: Any) -> frozenset[str]:
+    """Names of primvars with a value a face corner."""
+    from pxr import UsdGeom
+
+    every = UsdGeom.PrimvarsAPI(prim).FindPrimvarsWithInheritance()
+    return frozenset(primvar.GetPrimvarName() for primvar in every if primvar.GetInterpolation() == "faceVarying")
+
+
+def _values(where: str, primvar: Any) -> tuple[NDArray[Any], IndexArray, str]:
+    """Values, the index of each element, and the interpolation; elements of several values become rows."""
+    values = np.asarray(stated(primvar))
+    size = primvar.GetElementSize()
+    if size > 1 and len(values) % size == 0:
+        values = values.reshape(len(values) // size, -1)
+    if values.dtype == np.float16:
+        values = values.astype(np.float32)
+    numbers = np.arange(len(values))
+    if primvar.IsIndexed():
+        numbers = integers(_indices(primvar))
+        if len(numbers) and (numbers.min() < 0 or numbers.max() >= len(values)):
+            _refuse(where, primvar, f"got indices from {numbers.min()} to {numbers.max()} into {len(values)} values")
+    return values, numbers, str(primvar.GetInterpolation())
+
+
+def _indices(primvar: Any) -> Any:
+    from pxr import Usd
+
+    return primvar.GetIndices() or primvar.GetIndices(Usd.TimeCode.EarliestTime())
+
+
+def _refuse(where: str, primvar: Any, found: str) -> None:
+    raise FormatError(
+        f"{where}: primvar {primvar.GetPrimvarName()}: expected a finite value for each element of its interpolation, "
+        f"{found}. Export it again."
+    )
+
+
+def _weights(where: str, control: ControlMesh, api: Any, prim: Any) -> dict[str, NDArray[Any]]:
+    """``skel:jointWeights`` as a dense table, (n, joints), in the order of the skeleton's joints where there is one."""
+    indices, weights = api.GetPrimvar("skel:jointIndices"), api.GetPrimvar("skel:jointWeights")
+    if not (indices and weights and indices.HasValue() and weights.HasValue()):
+        return {}
+    joints, _, _ = _values(where, indices)
+    values, _, interpolation = _values(where, weights)
+    joints, values = joints.reshape(len(joints), -1), values.reshape(len(values), -1)
+    if interpolation == "constant":
+        joints, values = (np.repeat(table[:1], control.n_vertices, axis=0) for table in (joints, values))
+    if joints.shape != values.shape or len(joints) != control.n_vertices or (joints.size and joints.min() < 0):
+        _refuse(where, weights, f"got tables of {joints.shape} joints and {values.shape} weights")
+    joints, count = _in_skeleton_order(where, weights, joints, prim)
+    table = np.zeros((control.n_vertices, count))
+    np.add.at(table, (np.arange(len(joints))[:, None], joints), values)
+    return {JOINT_WEIGHTS: table}
+
+
+def _in_skeleton_order(where: str, weights: Any, joints: NDArray[Any], prim: Any) -> tuple[NDArray[Any], int]:
+    """Numbers of joints among those of the skeleton that the mesh is bound to, and how many it has."""
+    from pxr import UsdSkel
+
+    binding = UsdSkel.BindingAPI(prim)
+    skeleton = binding.GetInheritedSkeleton()
+    every = list(skeleton.GetJointsAttr().Get() or []) if skeleton else []
+    own = list(binding.GetJointsAttr().Get() or []) or every
+    highest = int(joints.max(initial=0))
+    if not every:
+        return joints, highest + 1
+    if highest >= len(own) or any(joint not in every for joint in own):
+        _refuse(where, weights, f"got joint {highest} of {len(own)}, or joints that the skeleton has not")
+    return np.array([every.index(joint) for joint in own], dtype=np.int64)[joints], len(every)
+
+
+def _blend_shapes(where: str, control: ControlMesh, prim: Any) -> dict[str, NDArray[Any]]:
+    from pxr import UsdSkel
+
+    binding = UsdSkel.BindingAPI(prim)
+    names = binding.GetBlendShapesAttr().Get() or []
+    targets = binding.GetBlendShapeTargetsRel().GetTargets() if len(names) else []
+    if len(names) != len(targets):
+        raise FormatError(
+            f"{where}: expected a target for each blend shape, got {len(names)} names and {len(targets)} targets. "
+            "Export it again."
+        )
+    arrays = {}
+    for name, target in zip(names, targets, strict=True):
+        shape = UsdSkel.BlendShape(prim.GetStage().GetPrimAtPath(target))
+        if shape.GetInbetweens():
+            logger.warning("%s: blend shape %s: its in-betweens are left out", where, name)
+        offsets = np.asarray(shape.GetOffsetsAttr().Get() or np.zeros((0, 3)), dtype=np.float64).reshape(-1, 3)
+        points = shape.GetPointIndicesAttr().Get()
+        numbers = np.arange(len(offsets)) if points is None or not len(points) else np.asarray(points, dtype=np.int64)
+        if len(numbers) != len(offsets) or (
+            len(numbers) and not 0 <= numbers.min() <= numbers.max() < control.n_vertices
+        ):
+            raise FormatError(
+                f"{where}: blend shape {name}: expected one offset a point, got {len(offsets)} for {len(numbers)} "
+                f"points of {control.n_vertices}. Export it again."
+            )
+        table = np.zeros((control.n_vertices, 3))
+        table[numbers] = offsets
+        arrays[f"{BLEND_SHAPE}{name}"] = table
+    return arrays

@@ -1,0 +1,379 @@
+"""USD meshes: topology, subdivision, creases, UV sets, materials and attributes as `UsdGeom` has them.
+
+References, variants and layers are resolved by USD itself. It is an extra, ``cagemap[usd]``, imported when a USD file
+comes along.
+"""
+
+from __future__ import annotations
+
+import itertools
+import logging
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cagemap.errors import FormatError
+from cagemap.files.text import require_file, text_name
+from cagemap.files.usd.face_sets import face_sets
+from cagemap.files.usd.primvars import (
+    BLEND_SHAPE,
+    corner_primvars,
+    corner_values,
+    integers,
+    primvar_arrays,
+    stated,
+    uv_primvars,
+)
+from cagemap.files.usd.transforms import is_mirrored, local_to_world, moved, unflattened
+from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Plain, Scheme
+from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.join import join_meshes
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.subdivision import default_scheme
+
+logger = logging.getLogger(__name__)
+
+USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+_SCHEMES: dict[str, type[CatmullClark] | type[Loop] | type[Bilinear]] = {
+    "catmullClark": CatmullClark,
+    "loop": Loop,
+    "bilinear": Bilinear,
+    "none": Plain,
+}
+_BOUNDARIES = {"none": "none", "edgeOnly": "edge_only", "edgeAndCorner": "edge_and_corner"}
+_UVS = {
+    "none": "none",
+    "cornersOnly": "corners_only",
+    "cornersPlus1": "corners_plus1",
+    "cornersPlus2": "corners_plus2",
+    "boundaries": "boundaries",
+    "all": "all",
+}
+# Purposes of meshes that stand for others.
+_STAND_INS = ("guide", "proxy")
+_TRIANGLES = {"catmullClark": "catmull_clark", "smooth": "smooth"}
+
+
+@dataclass(frozen=True, eq=False)
+class UsdMesh:
+    """One mesh prim.
+
+    Attributes
+    ----------
+    path : str
+        Of the prim.
+    control : ControlMesh
+        In the prim's own space.
+    attributes : dict of str to array
+        Other primvars, one row a control vertex, face or face corner; skinning as ``skel:jointWeights`` with a column
+        for each joint, blend shapes as ``blendShape:NAME``.
+    to_world : (4, 4) float64
+        Positions as rows, 1 appended, times this are in world space.
+    of_corners : frozenset of str
+        Names of attributes with a row a face corner; numbers of rows do not tell where no two faces share a vertex.
+    """
+
+    path: str
+    control: ControlMesh
+    attributes: dict[str, Any]
+    to_world: FloatArray
+    of_corners: frozenset[str] = frozenset()
+
+
+def usd_modules() -> Any:
+    """The ``pxr`` package.
+
+    Raises
+    ------
+    FormatError
+        If it is not installed.
+    """
+    try:
+        import pxr
+        import pxr.Usd
+        import pxr.UsdGeom
+        import pxr.UsdShade
+        import pxr.UsdSkel
+        import pxr.UsdUtils
+    except ImportError:
+        raise FormatError(
+            "USD files: expected the package usd-core, which is not installed. Install cagemap[usd] or usd-core."
+        ) from None
+    return pxr
+
+
+def identifiers(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
+    """Names of prims and primvars for any words: what USD has no sign for becomes ``_``, and equal ones get numbers."""
+    used, made = set(taken), list[str]()
+    for name in names:
+        word = usd_modules().Tf.MakeValidIdentifier(name)
+        free = itertools.chain([word], (f"{word}_{number}" for number in itertools.count(2)))
+        made.append(next(one for one in free if one not in used))
+        used.add(made[-1])
+    return made
+
+
+def open_stage(path: str | Path) -> Any:
+    """Open a USD file; what it refers to and cannot be found is warned of.
+
+    Raises
+    ------
+    FormatError
+        If USD is not installed, there is no such file, or it is damaged.
+    """
+    pxr = usd_modules()
+    file = Path(path)
+    require_file(file, "a USD file")
+    said = pxr.UsdUtils.CoalescingDiagnosticDelegate()  # instead of USD's own lines, which name its sources
+    try:
+        stage = pxr.Usd.Stage.Open(text_name(file))
+        reasons = (one.commentary.partition(" (instantiating stage ")[0] for one in said.TakeUncoalescedDiagnostics())
+        for reason in dict.fromkeys(reasons):
+            logger.warning("%s: %s", file, reason)
+        return stage
+    except (pxr.Tf.ErrorException, UnicodeDecodeError) as error:
+        raise FormatError(f"{file}: cannot be read as USD ({_reason(error)}). Export it again.") from None
+
+
+def _reason(error: Exception) -> str:
+    """The last line of what USD says; its own messages may hold bytes that are no text."""
+    try:
+        last = (str(error).strip().splitlines() or [type(error).__name__])[-1]
+        place, _, words = last.rpartition(" : '")
+        return words.removesuffix("'") if place else last
+    except UnicodeDecodeError:
+        return type(error).__name__
+
+
+@contextmanager
+def named_damage(file: str | Path) -> Iterator[None]:
+    """Values are unpacked when they are asked for, and may be damaged or of other types than the schema says."""
+    pxr = usd_modules()
+    try:
+        yield
+    except FormatError:
+        raise
+    except (pxr.Tf.ErrorException, UnicodeDecodeError, TypeError, ValueError) as error:
+        raise FormatError(f"{file}: holds values that are damaged ({_reason(error)}). Export it again.") from None
+
+
+def read_usd_meshes(path: str | Path) -> tuple[UsdMesh, ...]:
+    """Every active mesh prim of a stage, in its order, instances among them; at the first time, where it moves.
+
+    Stand-ins (purpose guide or proxy) are left out beside meshes that are none, and so are meshes that their transform
+    flattens (as animators hide them) beside others; that is warned of.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, has no mesh with points and faces, or a mesh's arrays do not fit together.
+    """
+    file = Path(path)
+    stage, pxr = open_stage(file), usd_modules()
+    with named_damage(file):
+        every = pxr.Usd.PrimRange.Stage(stage, pxr.Usd.TraverseInstanceProxies())
+        prims = [prim for prim in every if prim.IsA(pxr.UsdGeom.Mesh)]
+        final = [prim for prim in prims if str(pxr.UsdGeom.Imageable(prim).ComputePurpose()) not in _STAND_INS]
+        with_points = [prim for prim in final or prims if stated(pxr.UsdGeom.Mesh(prim).GetPointsAttr())]
+        meshes = tuple(_read_prim(file, prim) for prim in unflattened(file, with_points))
+    if not meshes:
+        what = f"got {len(prims)} without points" if prims else "got none"
+        open_sets = _variants_without_choice(stage)
+        remedy = (
+            f"Choose one of the variants of {', '.join(open_sets)}."
+            if open_sets and not prims
+            else "Export the control mesh with its points."
+        )
+        raise FormatError(f"{file}: expected at least one mesh prim, {what}. {remedy}")
+    return meshes
+
+
+def _variants_without_choice(stage: Any) -> list[str]:
+    """Variant sets of a stage that say nothing since none of their variants is chosen."""
+    return [
+        f"{prim.GetPath()} ({name})"
+        for prim in stage.Traverse()
+        for name in prim.GetVariantSets().GetNames()
+        if not prim.GetVariantSets().GetVariantSelection(name)
+    ]
+
+
+def read_usd(path: str | Path, *, mixed: bool = False) -> ControlMesh:
+    """Read a control mesh from a USD file; several mesh prims become objects of one mesh, in world space.
+
+    With ``mixed``, meshes that are subdivided in different ways come with their ``object_schemes``, to take parts of.
+
+    Raises
+    ------
+    FormatError
+        As `read_usd_meshes`, or if meshes are to be subdivided in different ways.
+    """
+    file = Path(path)
+    meshes = read_usd_meshes(file)
+    if len(meshes) == 1:
+        return replace(meshes[0].control, name=file.name)
+    schemes = {str(mesh.control.scheme): mesh.path for mesh in meshes}
+    joined = replace(join_meshes([in_world(mesh).control for mesh in meshes]), name=file.name)
+    if len(schemes) > 1 and mixed:
+        return replace(joined, object_schemes=tuple(default_scheme(mesh.control) for mesh in meshes))
+    if len(schemes) > 1:
+        raise FormatError(
+            f"{file}: expected meshes that are all subdivided alike, got {' and '.join(schemes)} (of "
+            f"{', '.join(schemes.values())}). Match the one that is meant (`find_part` NAME)."
+        )
+    return joined
+
+
+def one_mesh(path: str | Path, meshes: tuple[UsdMesh, ...], control: ControlMesh | None) -> UsdMesh:
+    """The mesh of a file that a control mesh was read from: its only one, or the one that all its faces belong to.
+
+    Raises
+    ------
+    FormatError
+        If there are several and it is of none or of several of them.
+    """
+    if len(meshes) == 1:
+        return meshes[0]
+    objects = None if control is None else control.face_objects
+    numbers = [] if control is None or objects is None else np.unique(objects).tolist()
+    words = {control.object_names[number] for number in numbers} if control is not None else set()
+    chosen = [mesh for mesh in meshes if mesh.path in words]
+    if len(chosen) != 1:
+        raise FormatError(
+            f"{path}: expected one mesh, got {', '.join(mesh.path for mesh in meshes)}. Match one of them "
+            "(`find_part` NAME), or make what is meant a file of its own."
+        )
+    return chosen[0]
+
+
+def in_world(mesh: UsdMesh) -> UsdMesh:
+    """The mesh and its blend shapes in world space, with its prim's path as object; a mirrored one is turned round."""
+    control, attributes = mesh.control, dict(mesh.attributes)
+    if is_mirrored(mesh.to_world):
+        control, attributes = _turned_round(control, attributes, mesh.of_corners)
+    turn = mesh.to_world[:3, :3]
+    control = replace(
+        control,
+        positions=moved(control.positions, mesh.to_world),
+        face_objects=np.zeros(control.n_faces, dtype=np.int64),
+        object_names=(mesh.path,),
+    )
+    shapes = {name: array @ turn for name, array in attributes.items() if name.startswith(BLEND_SHAPE)}
+    return replace(mesh, control=control, attributes=attributes | shapes)
+
+
+def _read_prim(file: Path, prim: Any) -> UsdMesh:
+    pxr = usd_modules()
+    mesh = pxr.UsdGeom.Mesh(prim)
+    where = f"{file}: {prim.GetPath()}"
+    positions = np.array(stated(mesh.GetPointsAttr()), dtype=np.float64).reshape(-1, 3)
+    sizes = integers(stated(mesh.GetFaceVertexCountsAttr()))
+    indices = integers(stated(mesh.GetFaceVertexIndicesAttr()))
+    if not len(sizes) or sizes.min() < 1 or sizes.sum() != len(indices):
+        raise FormatError(
+            f"{where}: expected face counts that sum to the {len(indices)} face vertex indices, got "
+            f"{len(sizes)} faces of {int(sizes.sum())} corners. Export the mesh again."
+        )
+    if indices.min() < 0 or indices.max() >= len(positions):
+        raise FormatError(
+            f"{where}: expected vertex numbers from 0 to {len(positions) - 1}, got {indices.min()} to {indices.max()}. "
+            "Export the mesh again."
+        )
+    offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    control = ControlMesh(positions, offsets, indices, name=str(prim.GetPath()), scheme=_scheme(where, mesh))
+    control = replace(control, **_sharpness(where, mesh))
+    sets = [UvSet(primvar.GetPrimvarName(), *corner_values(where, control, primvar)) for primvar in uv_primvars(prim)]
+    if sets:
+        first = next((uv_set for uv_set in sets if uv_set.name == "st"), sets[0])
+        others = tuple(uv_set for uv_set in sets if uv_set is not first)
+        control = replace(control.with_uvs(first.uvs, first.uv_indices), uv_name=first.name, uv_sets=others)
+    control = replace(control, **face_sets(prim, control.n_faces))
+    attributes = primvar_arrays(where, control, prim)
+    colors = attributes.get("displayColor")
+    if colors is not None and colors.shape == (control.n_vertices, 3):
+        control = replace(control, vertex_colors=np.asarray(colors, dtype=np.float64))
+    of_corners = corner_primvars(prim)
+    if mesh.GetOrientationAttr().Get() == "leftHanded":
+        control, attributes = _turned_round(control, attributes, of_corners)
+    return UsdMesh(str(prim.GetPath()), control, attributes, local_to_world(prim), of_corners)
+
+
+def _scheme(where: str, mesh: Any) -> Scheme:
+    words = {
+        "subdivisionScheme": (mesh.GetSubdivisionSchemeAttr().Get(), {name: name for name in _SCHEMES}),
+        "interpolateBoundary": (mesh.GetInterpolateBoundaryAttr().Get(), _BOUNDARIES),
+        "faceVaryingLinearInterpolation": (mesh.GetFaceVaryingLinearInterpolationAttr().Get(), _UVS),
+        "triangleSubdivisionRule": (mesh.GetTriangleSubdivisionRuleAttr().Get(), _TRIANGLES),
+    }
+    for name, (word, known) in words.items():
+        if str(word) not in known:
+            raise FormatError(
+                f"{where}: expected {name} to be one of {', '.join(known)}, got {word!r}. Repair the file."
+            )
+    kind, boundary, uvs, triangles = (known[str(word)] for word, known in words.values())
+    return _SCHEMES[kind](boundary, uvs, triangles=triangles)  # type: ignore[arg-type]
+
+
+def _sharpness(where: str, mesh: Any) -> dict[str, Any]:
+    """Creases, corners and holes, as fields of a control mesh."""
+    result: dict[str, Any] = {}
+    chain, lengths = integers(stated(mesh.GetCreaseIndicesAttr())), integers(stated(mesh.GetCreaseLengthsAttr()))
+    values = _floats(stated(mesh.GetCreaseSharpnessesAttr()))
+    if len(chain):
+        n_edges = lengths - 1
+        if (
+            lengths.sum() != len(chain)
+            or (len(lengths) and lengths.min() < 2)
+            or len(values) not in (len(lengths), int(n_edges.sum()))
+        ):
+            raise FormatError(
+                f"{where}: expected creases of two vertices or more with one sharpness each or one an edge, got "
+                f"{len(chain)} indices, lengths that sum to {int(lengths.sum())}, {len(values)} sharpnesses. "
+                "Export the creases again."
+            )
+        last = np.cumsum(lengths) - 1
+        starts = np.delete(np.arange(len(chain)), last)
+        result["crease_edges"] = np.column_stack([chain[starts], chain[starts + 1]])
+        per_edge = values if len(values) == n_edges.sum() else np.repeat(values, n_edges)
+        result["crease_sharpness"] = np.clip(per_edge, 0.0, None)
+    corners = integers(stated(mesh.GetCornerIndicesAttr()))
+    sharpness = _floats(stated(mesh.GetCornerSharpnessesAttr()))
+    if len(corners) != len(sharpness):
+        raise FormatError(
+            f"{where}: expected one sharpness a corner, got {len(corners)} corners and {len(sharpness)} sharpnesses. "
+            "Export them again."
+        )
+    if len(corners):
+        result |= {"corner_vertices": corners, "corner_sharpness": np.clip(sharpness, 0.0, None)}
+    holes = integers(stated(mesh.GetHoleIndicesAttr()))
+    return result | ({"hole_faces": np.unique(holes)} if len(holes) else {})
+
+
+def _turned_round(
+    control: ControlMesh, attributes: dict[str, Any], of_corners: frozenset[str]
+) -> tuple[ControlMesh, dict[str, Any]]:
+    """Faces of a left-handed mesh, run through the other way."""
+    mirrored = reversed_corners(control.face_offsets)
+    turned = replace(
+        control,
+        face_indices=control.face_indices[mirrored],
+        uv_indices=None if control.uv_indices is None else control.uv_indices[mirrored],
+        uv_sets=tuple(replace(uv_set, uv_indices=uv_set.uv_indices[mirrored]) for uv_set in control.uv_sets),
+    )
+    return turned, attributes | {name: attributes[name][mirrored] for name in of_corners & set(attributes)}
+
+
+def reversed_corners(face_offsets: IndexArray) -> IndexArray:
+    """(c,) corner of each face's other end: the first stays, the others are run through the other way."""
+    first, sizes = face_offsets[:-1], np.diff(face_offsets)
+    starts, size = np.repeat(first, sizes), np.repeat(sizes, sizes)
+    within = np.arange(len(starts)) - starts
+    return np.asarray(starts + (size - within) % size)
+
+
+def _floats(values: Any) -> FloatArray:
+    return np.array([] if values is None else values, dtype=np.float64)

@@ -1,0 +1,154 @@
+"""Skeletons in USD: `UsdSkel` joints with their bind transforms, beside the mesh that they move."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cagemap.errors import FormatError
+from cagemap.files.usd.primvars import integers
+from cagemap.files.usd.read import identifiers, named_damage, one_mesh, open_stage, read_usd_meshes, usd_modules
+from cagemap.files.usd.transforms import moved
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.skeleton import Skeleton
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+
+def read_usd_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skeleton | None:
+    """The skeleton that a mesh of a USD file is bound to, as it was bound, in the space of what `read_usd` gives.
+
+    Parameters
+    ----------
+    path : path
+    control : ControlMesh, optional
+        Says which mesh, where the file has several.
+
+    Returns
+    -------
+    Skeleton or None
+        None where the mesh is bound to none.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, or joints and transforms do not fit together.
+    """
+    meshes = read_usd_meshes(path)
+    chosen = one_mesh(path, meshes, control)
+    pxr, stage = usd_modules(), open_stage(path)
+    binding = pxr.UsdSkel.BindingAPI(stage.GetPrimAtPath(chosen.path))
+    skeleton = binding.GetInheritedSkeleton()
+    if not skeleton:
+        return None
+    where = f"{path}: {skeleton.GetPath()}"
+    with named_damage(path):
+        joints = [str(joint) for joint in skeleton.GetJointsAttr().Get() or []]
+        binds = np.array(skeleton.GetBindTransformsAttr().Get() or [], dtype=np.float64).reshape(-1, 4, 4)
+        bound_at = np.array(binding.GetGeomBindTransformAttr().Get() or np.eye(4), dtype=np.float64)
+    if not joints or len(binds) != len(joints) or len(set(joints)) != len(joints) or not np.isfinite(binds).all():
+        raise FormatError(
+            f"{where}: expected joints of different names with a finite bind transform each, got {len(joints)} "
+            f"joints and {len(binds)} transforms. Export the skeleton again."
+        )
+    if not np.isfinite(bound_at).all() or abs(np.linalg.det(bound_at)) < 1e-12:
+        raise FormatError(f"{where}: the mesh's bind transform has no inverse. Export the skeleton again.")
+    placed = binds @ np.linalg.inv(bound_at) @ (chosen.to_world if len(meshes) > 1 else np.eye(4))
+    return _named(joints, placed)
+
+
+def _named(joints: list[str], placed: FloatArray) -> Skeleton:
+    """Joints by the last word of their paths, where that is enough; tails lie where the children are."""
+    leaves = [path.rpartition("/")[2] for path in joints]
+    names = leaves if len(set(leaves)) == len(leaves) else joints
+    parents = _parents(joints)
+    heads = placed[:, 3, :3]
+    tails = heads.copy()
+    for number, parent in enumerate(parents):
+        children = np.flatnonzero(parents == number)
+        if len(children):
+            tails[number] = heads[children].mean(axis=0)
+        elif parent >= 0:
+            tails[number] = heads[number] + 0.5 * (heads[number] - heads[parent])
+    above = tuple(names[parent] if parent >= 0 else "" for parent in parents)
+    return Skeleton(tuple(names), above, heads, tails, placed[:, :3, :3])
+
+
+def _parents(joints: list[str]) -> IndexArray:
+    """(j,) number of each joint's parent, its nearest listed ancestor as UsdSkel has it; -1 for a root."""
+    return integers(usd_modules().UsdSkel.Topology(joints).GetParentIndices())
+
+
+def write_usd_skeleton(stage: Any, prim: Any, skeleton: Skeleton, to_root: FloatArray) -> None:
+    """Define a skeleton beside a mesh, in its `SkelRoot`, and bind the mesh to it; joints are in the order of weights.
+
+    Parameters
+    ----------
+    stage : Usd.Stage
+    prim : Usd.Prim
+        The mesh.
+    skeleton : Skeleton
+        In the mesh's own space.
+    to_root : (4, 4) float64
+        From there to the space of the topmost prim.
+    """
+    pxr = usd_modules()
+    top = prim.GetPath().GetPrefixes()[0]
+    paths = _joint_paths(skeleton)
+    order = sorted(range(len(paths)), key=lambda joint: (paths[joint].count("/"), joint))
+    binds = _binds(skeleton, to_root)[order]
+    parents = _parents([paths[joint] for joint in order])
+    inner = parents >= 0
+    rests = binds.copy()
+    rests[inner] = binds[inner] @ np.linalg.inv(binds[parents[inner]])
+    path = top.AppendChild("skeleton")
+    if stage.GetPrimAtPath(path):  # the asset's own: it is not touched
+        path = top.AppendChild("cagemap_skeleton")
+    made = pxr.UsdSkel.Skeleton.Define(stage, path)
+    made.CreateJointsAttr([paths[joint] for joint in order])
+    made.CreateBindTransformsAttr(_matrices(binds))
+    made.CreateRestTransformsAttr(_matrices(rests))
+    binding = pxr.UsdSkel.BindingAPI.Apply(prim)
+    binding.CreateSkeletonRel().SetTargets([path])
+    binding.CreateJointsAttr(paths)
+    binding.CreateGeomBindTransformAttr(pxr.Gf.Matrix4d(*to_root.ravel().tolist()))
+
+
+def _joint_paths(skeleton: Skeleton) -> list[str]:
+    number = {name: joint for joint, name in enumerate(skeleton.names)}
+    words: dict[int, str] = {}
+    for parent in dict.fromkeys(skeleton.parents):
+        own = [joint for joint, above in enumerate(skeleton.parents) if above == parent]
+        words |= zip(own, identifiers(skeleton.names[joint].rpartition("/")[2] for joint in own), strict=True)
+
+    def path(joint: int) -> str:
+        way = [words[joint]]
+        seen = {joint}
+        while skeleton.parents[joint]:
+            joint = number[skeleton.parents[joint]]
+            if joint in seen:
+                raise FormatError(f"skeleton: joint {skeleton.names[joint]} is its own parent. Repair the hierarchy.")
+            seen.add(joint)
+            way.append(words[joint])
+        return "/".join(reversed(way))
+
+    return [path(joint) for joint in range(len(skeleton.names))]
+
+
+def _binds(skeleton: Skeleton, to_root: FloatArray) -> FloatArray:
+    """(j, 4, 4) bind transforms: heads, and axes as a rotation."""
+    count = len(skeleton.names)
+    axes = np.tile(np.eye(3), (count, 1, 1)) if skeleton.axes is None else skeleton.axes
+    u, _, vt = np.linalg.svd(axes @ to_root[:3, :3])
+    turned = u @ vt
+    turned[np.linalg.det(turned) < 0] *= -1.0
+    binds = np.tile(np.eye(4), (count, 1, 1))
+    binds[:, :3, :3] = turned
+    binds[:, 3, :3] = moved(skeleton.heads, to_root)
+    return binds
+
+
+def _matrices(values: FloatArray) -> Any:
+    pxr = usd_modules()
+    return pxr.Vt.Matrix4dArray([pxr.Gf.Matrix4d(*value.ravel().tolist()) for value in values])

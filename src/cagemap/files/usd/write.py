@@ -1,0 +1,396 @@
+"""Writing USD: a mesh as a file of its own, or results as a new layer over the target's file."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import FormatError, ParameterError
+from cagemap.files.atomic import atomic_path
+from cagemap.files.ownership import mark
+from cagemap.files.text import text_name
+from cagemap.files.usd.earlier import add_earlier
+from cagemap.files.usd.face_sets import named_faces
+from cagemap.files.usd.material import bind_textures
+from cagemap.files.usd.primvars import BLEND_SHAPE, JOINT_WEIGHTS
+from cagemap.files.usd.read import identifiers, open_stage, reversed_corners, usd_modules
+from cagemap.files.usd.skeleton import write_usd_skeleton
+from cagemap.files.usd.space import StageSpace, StageUnits
+from cagemap.files.usd.transforms import is_mirrored, local_to_world, moved
+from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Plain
+from cagemap.mesh.skeleton import Skeleton
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+_SCHEMES = {CatmullClark: "catmullClark", Loop: "loop", Bilinear: "bilinear", Plain: "none"}
+_BOUNDARIES = {"none": "none", "edge_only": "edgeOnly", "edge_and_corner": "edgeAndCorner"}
+_TRIANGLES = {"catmull_clark": "catmullClark", "smooth": "smooth"}
+_JOINTS_KEPT = 8
+_CORNERS = "faceVarying"
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class UsdResults:
+    """What came over from the source, to be said about a mesh prim.
+
+    Attributes
+    ----------
+    textures : dict of str to str
+        Image of each map by what it is for, ``albedo`` or ``roughness``, say, with ``<UDIM>`` for a set; relative to
+        the layer.
+    attributes : dict of str to array
+        Values by name, one row a vertex, face or face corner; ``skel:jointWeights`` and ``blendShape:NAME`` become
+        skinning and blend shapes.
+    points : (n, 3) float64 or None
+        New places of the vertices.
+    uvs : (name, values, indices) or None
+        A new UV set.
+    skeleton : Skeleton or None
+        That the weights are of; in the order of their columns.
+    """
+
+    textures: Mapping[str, str] = field(default_factory=dict)
+    attributes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    points: FloatArray | None = None
+    uvs: tuple[str, FloatArray, IndexArray] | None = None
+    skeleton: Skeleton | None = None
+
+    def turned_round(self, mesh: ControlMesh) -> UsdResults:
+        """The same for a mesh whose faces were run through the other way when it was read."""
+        order = reversed_corners(mesh.face_offsets)
+        attributes = {n: v[order] if _rows(mesh).get(len(v)) == _CORNERS else v for n, v in self.attributes.items()}
+        uvs = None if self.uvs is None else (*self.uvs[:2], self.uvs[2][order])
+        return replace(self, attributes=attributes, uvs=uvs)
+
+    def through(self, matrix: FloatArray) -> UsdResults:
+        """The same in another space: all that has places or directions taken through a (4, 4) matrix of USD."""
+        turn = matrix[:3, :3]
+        attributes = {n: v @ turn if n.startswith(BLEND_SHAPE) else v for n, v in self.attributes.items()}
+        skeleton = self.skeleton
+        if skeleton is not None:
+            axes = None if skeleton.axes is None else skeleton.axes @ turn
+            heads, tails = (moved(ends, matrix) for ends in (skeleton.heads, skeleton.tails))
+            skeleton = replace(skeleton, heads=heads, tails=tails, axes=axes)
+        points = None if self.points is None else moved(self.points, matrix)
+        return replace(self, attributes=attributes, points=points, skeleton=skeleton)
+
+
+def write_usd(
+    path: str | Path,
+    mesh: ControlMesh,
+    results: UsdResults = UsdResults(),
+    *,
+    space: StageSpace | None = None,
+    force: bool = False,
+    add: bool = False,
+) -> bool:
+    """Write a control mesh, or a refined one, as a USD file of its own: ``/Asset/mesh``.
+
+    A mesh without a scheme is written as polygons (``none``), with one it is a subdivision surface. Without a
+    ``space`` it is in metres with Y up. With ``add``, results that cagemap wrote to the file before stay in it; returns
+    whether there were some.
+
+    Raises
+    ------
+    FormatError
+        If USD is not installed, or the file cannot be written; with ``add``, if it holds another mesh.
+    """
+    file = Path(path)
+    check_usd_path(file)
+    pxr = usd_modules()
+    stage = pxr.Usd.Stage.CreateInMemory()
+    units = StageUnits("Y", 1.0) if space is None else space.units
+    pxr.UsdGeom.SetStageUpAxis(stage, units.up_axis)
+    pxr.UsdGeom.SetStageMetersPerUnit(stage, units.meters_per_unit)
+    kind = "SkelRoot" if _needs_skeleton(results) else "Xform"
+    root = stage.DefinePrim("/Asset", kind)
+    stage.SetDefaultPrim(root)
+    if space is not None and not np.array_equal(space.to_world, np.eye(4)):
+        pxr.UsdGeom.Xformable(root).AddTransformOp().Set(pxr.Gf.Matrix4d(*space.to_world.ravel().tolist()))
+    prim = pxr.UsdGeom.Mesh.Define(stage, "/Asset/mesh")
+    if mesh.scheme is not None and mesh.scheme.creasing != "uniform":
+        text = "%s: creasing %s has no place in USD and is left out: creases of uneven sharpness come out otherwise"
+        _log.warning(text, file, mesh.scheme.creasing)
+    _write_topology(prim, mesh)
+    if mesh.uvs is not None and mesh.uv_indices is not None:
+        _write_uvs(prim, mesh.uv_name or "st", mesh.uvs, mesh.uv_indices)
+        for uv_set in mesh.uv_sets:
+            _write_uvs(prim, uv_set.name, uv_set.uvs, uv_set.uv_indices)
+    _write_subsets(stage, prim, mesh)
+    _write_results(stage, prim.GetPrim(), mesh, results)
+    return _save(stage.GetRootLayer(), file, ("/Asset/mesh",) if add else (), force=force)
+
+
+def write_usd_over(
+    path: str | Path,
+    target: str | Path,
+    prim_paths: Sequence[str],
+    mesh: ControlMesh,
+    results: UsdResults,
+    *,
+    world: bool = False,
+    force: bool = False,
+) -> bool:
+    """Write results as a layer over the target's file, which stays as it is; pipelines compose the two.
+
+    Results about this target that cagemap wrote to the layer before stay in it; returns whether there were some.
+
+    Parameters
+    ----------
+    path : path
+        The layer to write; it names the target relative to itself.
+    target : path
+        USD file that has the mesh.
+    prim_paths : sequence of str
+        The mesh's prim there; of several, each gets the textures.
+    mesh : ControlMesh
+        The mesh as it was read.
+    results : UsdResults
+    world : bool
+        Whether the mesh was read in world space, and not in the prim's own.
+
+    Raises
+    ------
+    FormatError
+        If USD is not installed, there is no such prim, or the file cannot be written; if the layer holds results about
+        another target, without ``force``.
+    """
+    file = Path(path)
+    check_usd_path(file)
+    pxr = usd_modules()
+    below = open_stage(target)
+    prims = [below.GetPrimAtPath(prim_path) for prim_path in prim_paths]
+    for prim, prim_path in zip(prims, prim_paths, strict=True):
+        if not prim or not prim.IsA(pxr.UsdGeom.Mesh):
+            raise FormatError(f"{target}: expected a mesh prim {prim_path}, there is none. Match again with this file.")
+    # Relative paths of an unsaved layer have no folder: what lies below is composed from its full name meanwhile.
+    layer = pxr.Sdf.Layer.CreateAnonymous(".usda")
+    layer.subLayerPaths.append(str(Path(target).resolve()))
+    stage = pxr.Usd.Stage.Open(layer)
+    pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.GetStageUpAxis(below))
+    pxr.UsdGeom.SetStageMetersPerUnit(stage, pxr.UsdGeom.GetStageMetersPerUnit(below))
+    top = prims[0].GetPath().GetPrefixes()[0]
+    layer.defaultPrim = (below.GetDefaultPrim() or below.GetPrimAtPath(top)).GetName()
+    if _needs_skeleton(results) and not any(p.IsA(pxr.UsdSkel.Root) for p in _ancestors(prims[0])):
+        stage.OverridePrim(top).SetTypeName("SkelRoot")
+    for prim, prim_path in zip(prims, prim_paths, strict=True):
+        for above in _ancestors(prim):
+            if above.IsInstance():  # nothing below an instance can be overridden
+                stage.OverridePrim(above.GetPath()).SetInstanceable(False)
+        to_world = local_to_world(prim)
+        inside = (
+            results.through(np.asarray(np.linalg.inv(to_world), dtype=np.float64))
+            if world and len(prim_paths) == 1
+            else results
+        )
+        left_handed = pxr.UsdGeom.Mesh(prim).GetOrientationAttr().Get() == "leftHanded"
+        if len(prim_paths) == 1 and left_handed != (world and is_mirrored(to_world)):
+            inside = inside.turned_round(mesh)
+        to_root = to_world @ np.linalg.inv(local_to_world(below.GetPrimAtPath(top)))
+        _write_results(stage, stage.OverridePrim(prim_path), mesh, inside, to_root)
+    del stage  # or it looks for what lies below where an unsaved layer is, and complains
+    layer.subLayerPaths = [Path(os.path.relpath(Path(target).resolve(), file.resolve().parent)).as_posix()]
+    return _save(layer, file, prim_paths, force=force)
+
+
+def _ancestors(prim: Any) -> list[Any]:
+    found = []
+    while prim and not prim.IsPseudoRoot():
+        found.append(prim)
+        prim = prim.GetParent()
+    return found
+
+
+def check_usd_path(file: Path) -> None:
+    """Refuse a name that does not end as one of USD's layers, or is no text.
+
+    Raises
+    ------
+    FormatError
+    """
+    text_name(file.absolute())
+    if file.suffix.lower() not in (".usd", ".usda", ".usdc"):
+        raise FormatError(
+            f"{file}: expected a name ending in .usda, .usdc or .usd. Packages (.usdz) are made from those."
+        )
+
+
+def _save(layer: Any, file: Path, added_to: Sequence[str], *, force: bool) -> bool:
+    """Write a layer, with earlier results about the meshes ``added_to``; returns whether there were some."""
+    kept = bool(added_to) and add_earlier(layer, file, added_to, force=force)
+    layer.comment = mark()
+    with atomic_path(file, force=force) as temporary:
+        arguments = {"format": "usda"} if file.suffix.lower() == ".usd" else {}
+        try:
+            written = layer.Export(str(temporary), args=arguments)
+        except usd_modules().Tf.ErrorException:
+            written = False
+        if not written:
+            raise FormatError(f"{file}: cannot be written. Check the folder and the space left on the disk.")
+    return kept
+
+
+def _write_topology(prim: Any, mesh: ControlMesh) -> None:
+    pxr = usd_modules()
+    points = pxr.Vt.Vec3fArray.FromNumpy(mesh.positions.astype(np.float32))
+    prim.CreatePointsAttr(points)
+    prim.CreateExtentAttr(pxr.UsdGeom.PointBased.ComputeExtent(points))
+    prim.CreateFaceVertexCountsAttr(_ints(mesh.face_sizes))
+    prim.CreateFaceVertexIndicesAttr(_ints(mesh.face_indices))
+    scheme = mesh.scheme
+    prim.CreateSubdivisionSchemeAttr("none" if scheme is None else _SCHEMES[type(scheme)])
+    if scheme is not None:
+        prim.CreateInterpolateBoundaryAttr(_BOUNDARIES[scheme.boundary])
+        words = scheme.uv_interpolation.split("_")
+        prim.CreateFaceVaryingLinearInterpolationAttr(words[0] + "".join(word.capitalize() for word in words[1:]))
+        prim.CreateTriangleSubdivisionRuleAttr(_TRIANGLES[scheme.triangles])
+    if mesh.crease_edges is not None and mesh.crease_sharpness is not None and len(mesh.crease_edges):
+        prim.CreateCreaseIndicesAttr(_ints(mesh.crease_edges.ravel()))
+        prim.CreateCreaseLengthsAttr(_ints(np.full(len(mesh.crease_edges), 2)))
+        prim.CreateCreaseSharpnessesAttr(_floats(mesh.crease_sharpness))
+    if mesh.corner_vertices is not None and mesh.corner_sharpness is not None and len(mesh.corner_vertices):
+        prim.CreateCornerIndicesAttr(_ints(mesh.corner_vertices))
+        prim.CreateCornerSharpnessesAttr(_floats(mesh.corner_sharpness))
+    if mesh.hole_faces is not None and len(mesh.hole_faces):
+        prim.CreateHoleIndicesAttr(_ints(mesh.hole_faces))
+    if mesh.vertex_colors is not None and np.isfinite(mesh.vertex_colors).all():
+        color = prim.CreateDisplayColorPrimvar("vertex")
+        color.Set(pxr.Vt.Vec3fArray.FromNumpy(mesh.vertex_colors.astype(np.float32)))
+
+
+def _write_uvs(prim: Any, name: str, uvs: FloatArray, indices: IndexArray) -> None:
+    pxr = usd_modules()
+    api = pxr.UsdGeom.PrimvarsAPI(prim)
+    primvar = api.CreatePrimvar(name, pxr.Sdf.ValueTypeNames.TexCoord2fArray, "faceVarying")
+    primvar.Set(pxr.Vt.Vec2fArray.FromNumpy(uvs.astype(np.float32)))
+    primvar.SetIndices(_ints(indices))
+
+
+def _write_subsets(stage: Any, prim: Any, mesh: ControlMesh) -> None:
+    """Materials as bound subsets, groups as plain ones."""
+    pxr = usd_modules()
+    named = named_faces(mesh)
+    labels = identifiers(name for name, _, _ in named)
+    for label, (_, faces, material) in zip(labels, named, strict=True):
+        family = "materialBind" if material is not None else "groups"
+        subset = pxr.UsdGeom.Subset.CreateUniqueGeomSubset(prim, label, "face", _ints(faces), family)
+        if material is None:
+            continue
+        made = pxr.UsdShade.Material.Define(stage, f"/Asset/materials/{label}")
+        shader = pxr.UsdShade.Shader.Define(stage, made.GetPath().AppendChild("surface"))
+        shader.CreateIdAttr("UsdPreviewSurface")
+        made.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+        if np.isfinite(material).all():
+            color = pxr.Gf.Vec3f(*map(float, material))
+            shader.CreateInput("diffuseColor", pxr.Sdf.ValueTypeNames.Color3f).Set(color)
+        pxr.UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(made)
+    if mesh.face_materials is not None:
+        pxr.UsdGeom.Subset.SetFamilyType(prim, "materialBind", "nonOverlapping")
+        pxr.UsdGeom.Scope.Define(stage, "/Asset/materials")
+
+
+def _write_results(
+    stage: Any, prim: Any, mesh: ControlMesh, results: UsdResults, to_root: FloatArray | None = None
+) -> None:
+    pxr = usd_modules()
+    geometry = pxr.UsdGeom.Mesh(prim)
+    if results.points is not None:
+        if results.points.shape != (mesh.n_vertices, 3):
+            raise ParameterError(f"points: expected ({mesh.n_vertices}, 3), got {results.points.shape}")
+        points = pxr.Vt.Vec3fArray.FromNumpy(results.points.astype(np.float32))
+        geometry.CreatePointsAttr().Set(points)
+        geometry.CreateExtentAttr().Set(pxr.UsdGeom.PointBased.ComputeExtent(points))
+    uv_name = mesh.uv_name or "st"
+    if results.uvs is not None:
+        uv_name = results.uvs[0]
+        _write_uvs(prim, *results.uvs)
+    # A name that USD writes otherwise, or of texture coordinates, takes no other primvar's place.
+    others = {one.GetPrimvarName() for one in pxr.UsdGeom.PrimvarsAPI(prim).GetPrimvars()} - set(results.attributes)
+    labels = identifiers(results.attributes, {*others, uv_name, *(uv_set.name for uv_set in mesh.uv_sets)})
+    shapes = {}
+    for label, (name, values) in zip(labels, results.attributes.items(), strict=True):
+        if name == JOINT_WEIGHTS:
+            _write_weights(prim, np.asarray(values, dtype=np.float64))
+        elif name.startswith(BLEND_SHAPE):
+            shapes[name.removeprefix(BLEND_SHAPE)] = np.asarray(values, dtype=np.float64)
+        else:
+            _write_primvar(prim, mesh, label, np.asarray(values))
+    if results.skeleton is not None:
+        write_usd_skeleton(stage, prim, results.skeleton, np.eye(4) if to_root is None else to_root)
+    if shapes:
+        _write_blend_shapes(stage, prim, shapes)
+    if results.textures:
+        bind_textures(stage, prim, results.textures, uv_name)
+
+
+def _rows(mesh: ControlMesh) -> dict[int, str]:
+    """Interpolation of values, by the number of their rows; where numbers are equal they are of the vertices."""
+    return {len(mesh.face_indices): _CORNERS, mesh.n_faces: "uniform", mesh.n_vertices: "vertex"}
+
+
+def _write_primvar(prim: Any, mesh: ControlMesh, name: str, values: NDArray[Any]) -> None:
+    pxr = usd_modules()
+    rows = _rows(mesh)
+    if len(values) not in rows:
+        raise ParameterError(f"{name}: expected a row for each vertex, face or face corner, got {len(values)}")
+    table: NDArray[Any] = values.reshape(len(values), -1)
+    names = pxr.Sdf.ValueTypeNames
+    whole = table.dtype.kind in "iu"
+    kinds = {2: (names.Float2Array, pxr.Vt.Vec2fArray), 3: (names.Float3Array, pxr.Vt.Vec3fArray)}
+    kind, array = (names.IntArray, pxr.Vt.IntArray) if whole else (names.FloatArray, pxr.Vt.FloatArray)
+    size = table.shape[1]
+    flat: NDArray[Any] = table.astype(np.int32 if whole else np.float32)
+    if size in kinds and not whole:
+        kind, array = kinds[size]
+        kind = names.Color3fArray if name == "displayColor" and size == 3 else kind
+        size = 1
+    else:
+        flat = flat.ravel()
+    made = pxr.UsdGeom.PrimvarsAPI(prim).CreatePrimvar(name, kind, rows[len(values)], size)
+    made.Set(array.FromNumpy(np.ascontiguousarray(flat)))
+
+
+def _write_weights(prim: Any, table: FloatArray) -> None:
+    """The largest few weights of every vertex, which sum to 1."""
+    pxr = usd_modules()
+    kept = max(1, min(_JOINTS_KEPT, int((table > 0).sum(axis=1).max(initial=0))))
+    joints = np.argsort(-table, axis=1, kind="stable")[:, :kept]
+    weights = np.take_along_axis(table, joints, axis=1)
+    sums = weights.sum(axis=1, keepdims=True)
+    weights = np.divide(weights, sums, out=weights, where=sums > 0)
+    binding = pxr.UsdSkel.BindingAPI.Apply(prim)
+    binding.CreateJointIndicesPrimvar(False, kept).Set(_ints(joints.ravel()))
+    binding.CreateJointWeightsPrimvar(False, kept).Set(_floats(weights.ravel()))
+
+
+def _write_blend_shapes(stage: Any, prim: Any, shapes: Mapping[str, FloatArray]) -> None:
+    pxr = usd_modules()
+    binding = pxr.UsdSkel.BindingAPI.Apply(prim)
+    others = [child.GetName() for child in prim.GetChildren() if not child.IsA(pxr.UsdSkel.BlendShape)]
+    paths = [prim.GetPath().AppendChild(label) for label in identifiers(shapes, others)]
+    for path, offsets in zip(paths, shapes.values(), strict=True):
+        shape = pxr.UsdSkel.BlendShape.Define(stage, path)
+        moved = np.flatnonzero(np.any(offsets != 0, axis=1))
+        shape.CreateOffsetsAttr(pxr.Vt.Vec3fArray.FromNumpy(offsets[moved].astype(np.float32)))
+        shape.CreatePointIndicesAttr(_ints(moved))
+    binding.CreateBlendShapesAttr(list(shapes))
+    binding.CreateBlendShapeTargetsRel().SetTargets(paths)
+
+
+def _needs_skeleton(results: UsdResults) -> bool:
+    return any(name == JOINT_WEIGHTS or name.startswith(BLEND_SHAPE) for name in results.attributes)
+
+
+def _ints(values: Any) -> Any:
+    return usd_modules().Vt.IntArray.FromNumpy(np.ascontiguousarray(values, dtype=np.int32))
+
+
+def _floats(values: Any) -> Any:
+    return usd_modules().Vt.FloatArray.FromNumpy(np.ascontiguousarray(values, dtype=np.float32))

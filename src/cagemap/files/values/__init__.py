@@ -1,0 +1,1 @@
+"""Values at vertices, faces and corners in files: attributes, weights, shapes, joints."""

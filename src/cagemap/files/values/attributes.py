@@ -1,0 +1,179 @@
+"""Per-vertex and per-face values in files: .npy, .npz, .csv, and vertex groups in .json."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import FormatError
+from cagemap.files.atomic import atomic_path
+from cagemap.files.npz import read_npy, read_npz, write_npy, write_npz
+from cagemap.files.suffixes import VALUE_SUFFIXES
+from cagemap.files.text import is_number, require_file
+from cagemap.files.usd.read import USD_SUFFIXES, in_world, one_mesh, read_usd_meshes
+from cagemap.files.values.part_numbering import FileRows, prim_rows, taken
+from cagemap.files.values.vertex_groups import groups_text, read_groups
+from cagemap.mesh import ControlMesh
+
+Attributes = dict[str, NDArray[Any]]
+
+
+def read_attributes(path: str | Path, control: ControlMesh | None = None, rows: FileRows | None = None) -> Attributes:
+    """Read named arrays, one row a vertex or face.
+
+    An ``.npy`` holds one array, named like the file; an ``.npz`` any number; a ``.csv`` one column each, with names in
+    its first line, or one array of all columns, named like the file, without. A ``.json`` holds vertex groups
+    (`vertex_groups`), each a weight for every vertex of the mesh. A USD file holds the primvars of its
+    mesh, skinning and blend shapes (`cagemap.files.usd.primvars`).
+
+    Parameters
+    ----------
+    path : path
+    control : ControlMesh, optional
+        The mesh whose values are meant, which says which one where a USD file has several.
+    rows : FileRows, optional
+        Of a mesh that is a part of a file: values numbered as the file are taken at the part.
+
+    Returns
+    -------
+    dict of str -> (n,) or (n, q) array
+        Integers stay integers; all others are float64.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, or an array is empty, not numeric, not finite or of more than two dimensions.
+    """
+    file = Path(path)
+    require_file(file, "a file of attributes")
+    if file.suffix.lower() in USD_SUFFIXES:
+        return _read_usd(file, control)
+    check_attribute_path(file)
+    if file.suffix.lower() == ".json":
+        if control is None:
+            raise FormatError(f"{file}: vertex groups are not taken here. Write a .csv or .npz with a row a vertex.")
+        groups = read_groups(file, control.n_vertices if rows is None else rows.whole.n_vertices)
+        return taken({name: _check(file, name, array) for name, array in groups.items()}, rows)
+    try:
+        if file.suffix.lower() == ".csv":
+            arrays = _read_csv(file)
+        elif file.suffix.lower() == ".npz":
+            arrays = read_npz(file, "Write it again.")
+        else:
+            arrays = {file.stem: read_npy(file.read_bytes(), file, "Write it again.")}
+    except FormatError:
+        raise
+    except (OSError, ValueError, csv.Error) as error:
+        raise FormatError(f"{file}: could not read it as {file.suffix}: {error}. Write it again.") from error
+    if not arrays:
+        raise FormatError(f"{file}: expected at least one array, found none. Write it again with its values.")
+    return taken({name: _check(file, name, array) for name, array in arrays.items()}, rows)
+
+
+def _read_usd(file: Path, control: ControlMesh | None) -> Attributes:
+    meshes = read_usd_meshes(file)
+    # Of several meshes each is in world space, and so are its offsets.
+    meshes = meshes if len(meshes) == 1 else tuple(in_world(mesh) for mesh in meshes)
+    chosen = one_mesh(file, meshes, control)
+    arrays = {name: _check(file, name, array) for name, array in chosen.attributes.items()}
+    return taken(arrays, None if control is None else prim_rows(meshes, chosen.path, control))
+
+
+def write_attributes(path: str | Path, attributes: Mapping[str, NDArray[Any]], *, force: bool = False) -> None:
+    """Write named arrays; ``.npy`` takes one array only, ``.csv`` names columns ``name`` or ``name_0``, ``name_1``, ...
+
+    A ``.json`` holds vertex groups. An ``.npy`` or ``.csv`` has no place for cagemap's mark: an existing one is
+    replaced with ``force`` alone.
+
+    Raises
+    ------
+    FormatError
+        If the suffix is unknown, several arrays are to go into an ``.npy``, or rows differ in a ``.csv``; if the file
+        cannot be written (see `cagemap.files.atomic.require_replaceable`).
+    """
+    file = Path(path)
+    check_attribute_path(file)
+    suffix = file.suffix.lower()
+    if suffix == ".npy" and len(attributes) != 1:
+        raise FormatError(f"{file}: an .npy holds one array, got {sorted(attributes)}. Write an .npz.")
+    if suffix == ".csv" and len({len(array) for array in attributes.values()}) != 1:
+        rows = {name: len(array) for name, array in attributes.items()}
+        raise FormatError(f"{file}: columns of a .csv have equally many rows, got {rows}. Write an .npz.")
+    with atomic_path(file, force=force) as temporary:
+        if suffix == ".npy":
+            write_npy(temporary, next(iter(attributes.values())))
+        elif suffix == ".npz":
+            write_npz(temporary, attributes, compressed=True)
+        elif suffix == ".json":
+            temporary.write_text(groups_text(attributes, file), encoding="utf-8")
+        else:
+            _write_csv(temporary, attributes)
+
+
+def check_attribute_path(file: Path) -> None:
+    """Refuse a file name that `write_attributes` would refuse, before any work is done for it."""
+    if file.suffix.lower() not in VALUE_SUFFIXES:
+        raise FormatError(
+            f"{file}: expected a name ending in {', '.join(VALUE_SUFFIXES)}, got {file.suffix or 'no suffix'}"
+        )
+
+
+def _read_csv(file: Path) -> Attributes:
+    with file.open(newline="", encoding="utf-8-sig") as stream:
+        rows = [row for row in csv.reader(stream) if any(cell.strip() for cell in row)]
+    if not rows:
+        return {}
+    names = None if is_number(rows[0][0]) else [cell.strip() for cell in rows[0]]
+    if names is not None and len(set(names)) != len(names):
+        raise FormatError(f"{file}: expected columns of different names, got {', '.join(names)[:80]}. Rename them.")
+    body = rows if names is None else rows[1:]
+    for number, row in enumerate(body, 1 if names is None else 2):
+        if len(row) != len(rows[0]) or not all(is_number(cell) for cell in row):
+            raise FormatError(f"{file}: expected {len(rows[0])} numbers in row {number}, found {', '.join(row)[:80]}")
+    columns = [_column(cells) for cells in zip(*body, strict=True)]
+    if names is None:
+        return {file.stem: columns[0] if len(columns) == 1 else np.column_stack(columns)}
+    return dict(zip(names, columns, strict=False))
+
+
+def _column(cells: tuple[str, ...]) -> NDArray[Any]:
+    """Integers if all cells are written as such."""
+    try:
+        return np.array([int(cell) for cell in cells], dtype=np.int64)
+    except (ValueError, OverflowError):  # more digits than int64 holds: the nearest float
+        return np.array([float(cell) for cell in cells])
+
+
+def _write_csv(file: Path, attributes: Mapping[str, NDArray[Any]]) -> None:
+    names, columns = [], []
+    for name, array in attributes.items():
+        table = array.reshape(len(array), -1)
+        names += [name] if array.ndim == 1 else [f"{name}_{k}" for k in range(table.shape[1])]
+        columns += list(table.T)
+    with file.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(names)
+        writer.writerows(zip(*(column.tolist() for column in columns), strict=True))
+
+
+def _check(file: Path, name: str, array: NDArray[Any]) -> NDArray[Any]:
+    if array.dtype.kind not in "biuf" or array.ndim not in (1, 2) or array.size == 0:
+        raise FormatError(
+            f"{file}: expected numbers of shape (n,) or (n, q) in '{name}', found {array.dtype} of shape {array.shape}"
+        )
+    if array.dtype.kind in "iu":
+        if array.dtype == np.uint64 and array.max() > np.iinfo(np.int64).max:
+            raise FormatError(f"{file}: expected whole numbers below 2^63 in '{name}', found {array.max()}.")
+        return array.astype(np.int64)
+    values = array.astype(np.float64)
+    bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
+    if len(bad):
+        raise FormatError(
+            f"{file}: expected finite numbers in '{name}', found others in rows {bad[:5].tolist()} (0-based)"
+        )
+    return values

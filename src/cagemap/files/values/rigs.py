@@ -1,0 +1,200 @@
+"""What rides on a cage, in files: skeletons (JSON) and blend shapes (OBJ with the cage's faces, or .npz of offsets)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cagemap.errors import FormatError
+from cagemap.files.atomic import atomic_path, check_outputs, write_whole
+from cagemap.files.meshes.formats import mesh_files, read_mesh, write_mesh
+from cagemap.files.npz import read_npz, write_npz
+from cagemap.files.ownership import mark
+from cagemap.files.text import read_text
+from cagemap.files.usd.primvars import BLEND_SHAPE
+from cagemap.files.usd.read import USD_SUFFIXES
+from cagemap.files.usd.skeleton import read_usd_skeleton
+from cagemap.files.values.attributes import read_attributes
+from cagemap.files.values.part_numbering import FileRows, taken
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.skeleton import Skeleton
+from cagemap.numerics.arrays import FloatArray
+
+
+def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skeleton:
+    """Read a list of joints: ``[{"name": ..., "parent": ... or null, "head": [x, y, z], "tail": [x, y, z]}, ...]``.
+
+    A joint may have its own ``"axes"``, three directions. A USD file has the skeleton that its mesh is bound to.
+
+    Parameters
+    ----------
+    path : path
+    control : ControlMesh, optional
+        The mesh that it moves, which says which one where a USD file has several.
+
+    Raises
+    ------
+    FormatError
+        If the file is no such list, a name comes twice, or a parent is missing.
+    """
+    file = Path(path)
+    if file.suffix.lower() in USD_SUFFIXES:
+        found = read_usd_skeleton(file, control)
+        if found is None:
+            raise FormatError(
+                f"{file}: expected a mesh bound to a skeleton, it is bound to none. Export it with its rig."
+            )
+        return found
+    text = read_text(file, "a skeleton")
+    try:
+        stated = json.loads(text)
+        joints = stated["joints"] if isinstance(stated, dict) else stated
+        names = tuple(str(joint["name"]) for joint in joints)
+        parents = tuple(str(joint.get("parent") or "") for joint in joints)
+        heads, tails = (
+            np.array([joint[end] for joint in joints], dtype=np.float64).reshape(-1, 3) for end in ("head", "tail")
+        )
+        turned = [joint["axes"] for joint in joints if "axes" in joint]
+        axes = np.array(turned, dtype=np.float64).reshape(-1, 3, 3) if turned else None
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise FormatError(
+            f'{file}: expected a list of joints such as {{"name": "spine", "parent": null, "head": [0, 1, 0], '
+            f'"tail": [0, 2, 0]}}, found something else ({error}).'
+        ) from error
+    if len(set(names)) != len(names):
+        raise FormatError(f"{file}: expected joints of different names, got some twice. Rename them.")
+    missing = sorted(set(parents) - set(names) - {""})
+    if missing:
+        raise FormatError(f"{file}: parents {', '.join(missing)} are no joints of the file. Export the whole skeleton.")
+    if not (np.isfinite(heads).all() and np.isfinite(tails).all()):
+        raise FormatError(f"{file}: expected finite positions of heads and tails.")
+    if axes is not None and (len(axes) != len(names) or not np.isfinite(axes).all()):
+        raise FormatError(f"{file}: expected finite axes of all joints or of none, got {len(axes)} of {len(names)}.")
+    return Skeleton(names, parents, heads, tails, axes)
+
+
+def write_skeleton(path: str | Path, skeleton: Skeleton, *, force: bool = False) -> None:
+    """Write joints as `read_skeleton` reads them, with cagemap's mark beside."""
+    joints = [
+        {"name": name, "parent": parent or None, "head": head, "tail": tail}
+        for name, parent, head, tail in zip(
+            skeleton.names, skeleton.parents, skeleton.heads.tolist(), skeleton.tails.tolist(), strict=True
+        )
+    ]
+    if skeleton.axes is not None:
+        joints = [{**joint, "axes": axes} for joint, axes in zip(joints, skeleton.axes.tolist(), strict=True)]
+    write_whole(path, json.dumps({"written_by": mark(), "joints": joints}, indent=1) + "\n", force=force)
+
+
+def read_shapes(paths: Sequence[Path], rest: ControlMesh, rows: FileRows | None = None) -> dict[str, FloatArray]:
+    """Read shapes of a cage as displacements (n, 3) by name.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        OBJ or PLY files with the cage's faces, ``.npz`` files of named displacements, or folders of these; USD files.
+    rest : ControlMesh
+    rows : FileRows, optional
+        Of a cage that is a part of a file: shapes of the whole file are taken at the part.
+
+    Raises
+    ------
+    FormatError
+        If a file has other vertices or faces than the cage, a name comes twice, or there is no shape.
+    """
+    files: list[Path] = []
+    for path in paths:
+        known = (".obj", ".ply", ".npz")
+        files += sorted(file for file in path.iterdir() if file.suffix.lower() in known) if path.is_dir() else [path]
+    shapes: dict[str, FloatArray] = {}
+    for file in files:
+        found = _shapes_of(file, rest, rows)
+        twice = sorted(set(found) & set(shapes))
+        if twice:
+            raise FormatError(f"{file}: a shape named {twice[0]} was read before. Rename one of them.")
+        shapes |= found
+    if not shapes:
+        raise FormatError(f"expected shapes in {', '.join(map(str, paths))}, found none (.obj, .ply or .npz)")
+    return shapes
+
+
+def _shapes_of(file: Path, rest: ControlMesh, rows: FileRows | None) -> dict[str, FloatArray]:
+    if file.suffix.lower() == ".npz":
+        return _read_offsets(file, rest, rows)
+    if file.suffix.lower() not in USD_SUFFIXES:
+        return {file.stem: _read_shape(file, rest, rows)}
+    own = {n: values for n, values in read_attributes(file, rest).items() if n.startswith(BLEND_SHAPE)}
+    if any(values.shape != (rest.n_vertices, 3) for values in own.values()):
+        raise FormatError(f"{file}: expected blend shapes of {rest.n_vertices} vertices, as {rest.name} has.")
+    return {name.removeprefix(BLEND_SHAPE): np.asarray(values, dtype=np.float64) for name, values in own.items()}
+
+
+def _read_shape(file: Path, rest: ControlMesh, rows: FileRows | None) -> FloatArray:
+    mesh = read_mesh(file)
+    if rows is not None and mesh.n_vertices == rows.whole.n_vertices:
+        return np.asarray(_read_offset(file, mesh, rows.whole)[rows.vertices])
+    return _read_offset(file, mesh, rest)
+
+
+def _read_offset(file: Path, mesh: ControlMesh, rest: ControlMesh) -> FloatArray:
+    if mesh.n_vertices != rest.n_vertices or not np.array_equal(mesh.face_indices, rest.face_indices):
+        raise FormatError(
+            f"{file}: expected a shape with the {rest.n_vertices} vertices and the faces of {rest.name}, found "
+            f"{mesh.n_vertices} vertices{'' if mesh.n_vertices != rest.n_vertices else ' and other faces'}. "
+            "Export it from the same cage, with vertices in their order."
+        )
+    return mesh.positions - rest.positions
+
+
+def _read_offsets(file: Path, rest: ControlMesh, rows: FileRows | None) -> dict[str, FloatArray]:
+    arrays = taken(read_npz(file, "Write it again, with one array (vertices, 3) for each shape."), rows)
+    for name, array in arrays.items():
+        if array.shape != (rest.n_vertices, 3) or array.dtype.kind not in "iuf":
+            raise FormatError(
+                f"{file}: expected displacements of shape ({rest.n_vertices}, 3) in '{name}', one a vertex of "
+                f"{rest.name}, found {array.dtype} of shape {array.shape}"
+            )
+        unknown = np.flatnonzero(~np.isfinite(array).all(axis=1))
+        if len(unknown):
+            raise FormatError(
+                f"{file}: expected finite displacements in '{name}', found others at {len(unknown)} vertices of "
+                f"{rest.name}, such as {unknown[:5].tolist()} (0-based). Write it again, with 0 where nothing moves."
+            )
+    return {name: array.astype(np.float64) for name, array in arrays.items()}
+
+
+def write_shapes(
+    output: Path, shapes: Mapping[str, FloatArray], rest: ControlMesh, inputs: Sequence[Path], *, force: bool = False
+) -> list[Path]:
+    """Write displacements as an ``.npz``, or as a folder of OBJ files, the cage at rest among them."""
+    if output.suffix.lower() == ".npz":
+        check_outputs([output], inputs, force=force)
+        with atomic_path(output, force=force) as temporary:
+            write_npz(temporary, dict(shapes), compressed=True)
+        return [output]
+    base = Path(rest.name).stem
+    meshes: dict[str, Any] = {name: rest.with_positions(rest.positions + offset) for name, offset in shapes.items()}
+    if base in meshes:
+        raise FormatError(f"{output}: a shape is named {base}, like the cage itself. Rename it.")
+    meshes = {base: rest} | meshes
+    if output.exists() and not output.is_dir():
+        raise FormatError(f"{output}: expected a folder or an .npz to write shapes to, got a file.")
+    bare = {
+        name: replace(mesh, face_materials=None, material_names=(), material_colors=None)
+        for name, mesh in meshes.items()
+    }
+    files = {name: output / f"{name}.obj" for name in bare}
+    if any(file.parent != output for file in files.values()):
+        raise FormatError(f"{output}: names of shapes must not hold slashes, got {', '.join(shapes)}")
+    if output.is_dir():
+        written = [path for name, file in files.items() for path in mesh_files(file, bare[name])]
+        check_outputs(written, inputs, force=force)
+    output.mkdir(exist_ok=True)
+    for name, mesh in bare.items():
+        write_mesh(files[name], mesh, force=force)
+    return list(files.values())

@@ -1,0 +1,180 @@
+"""The tasks of a plan by number, and scripts with which render farms and clusters run them without Dask."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from cagemap.errors import ParameterError
+from cagemap.jobs.plan import Plan, Task
+
+PAGE = "page"
+# Kinds of tasks, in the order of the steps; outputs of a pair are all kinds that are not named here.
+_STEPS = {"prepare": "prepare", "match": "match", "carry": "carry"}
+_ORDER = ("prepare", "match", "outputs", "carry")
+# Indices of one Slurm array: `MaxArraySize` is 1001 where nobody changed it.
+_SLURM_ARRAY = 1000
+# Characters of a name in Open Job Description 2023-09.
+_NAME_LENGTH = 64
+
+
+@dataclass(frozen=True)
+class Step:
+    """Numbered tasks that may run side by side, after all steps before them.
+
+    Attributes
+    ----------
+    name : str
+        "prepare", "match", "outputs" (of one pair each), "carry" or "page".
+    first : int
+        Number of its first task; they count from 1 through all steps.
+    tasks : tuple of tuple of Task
+        What each number does, in this order; nothing for the page.
+    """
+
+    name: str
+    first: int
+    tasks: tuple[tuple[Task, ...], ...]
+
+    @property
+    def last(self) -> int:
+        """Number of its last task."""
+        return self.first + len(self.tasks) - 1
+
+
+def farm_steps(plan: Plan) -> tuple[Step, ...]:
+    """Number the tasks of a plan: the same job file gives the same numbers, whatever is done already.
+
+    Parameters
+    ----------
+    plan : Plan
+        Without ways round doubtful maps, which are known only when all maps are.
+    """
+    steps: list[Step] = []
+    first = 1
+    for name in _ORDER:
+        tasks = [task for task in plan.tasks if _STEPS.get(task.kind, "outputs") == name]
+        groups = [tuple(group) for _, group in groupby(tasks, lambda task: task.pair or task.name)]
+        if groups:
+            steps.append(Step(name, first, tuple(groups)))
+            first += len(groups)
+    return (*steps, Step(PAGE, first, ((),)))
+
+
+def numbered(steps: tuple[Step, ...]) -> Iterator[tuple[int, Task]]:
+    """Every task with its number."""
+    for step in steps:
+        for number, group in enumerate(step.tasks, step.first):
+            for task in group:
+                yield number, task
+
+
+def chosen_numbers(words: str, last: int) -> range:
+    """Numbers that ``N`` or ``A-B`` stands for.
+
+    Raises
+    ------
+    ParameterError
+        If it is neither, or not between 1 and ``last``.
+    """
+    found = re.fullmatch(r"(\d{1,9})(?:-(\d{1,9}))?", words.strip())
+    first, end = (int(found[1]), int(found[2] or found[1])) if found else (0, 0)
+    if not 1 <= first <= end <= last:
+        raise ParameterError(
+            f"--task: expected a number or a range such as 2-5, of tasks 1 to {last}, got '{words}'. "
+            "`--dry-run` lists the numbers."
+        )
+    return range(first, end + 1)
+
+
+def openjd_template(job: Path, steps: tuple[Step, ...]) -> dict[str, Any]:
+    """Return a job template of Open Job Description, version 2023-09, whose tasks are ``cagemap run JOB --task N``.
+
+    Parameters
+    ----------
+    job : Path
+        Job file; by default the farm takes that of this name beside the template (defaults are never absolute).
+    steps : tuple of Step
+    """
+    name = re.sub(r"[^A-Za-z0-9 ._-]", "-", job.stem)[:_NAME_LENGTH]
+    return {
+        "specificationVersion": "jobtemplate-2023-09",
+        "name": name,
+        "parameterDefinitions": [
+            {
+                "name": "JobFile",
+                "type": "PATH",
+                "objectType": "FILE",
+                "dataFlow": "NONE",
+                "default": job.name,
+                "description": "Job file of cagemap, on a disk that all machines reach by the same path.",
+            }
+        ],
+        "steps": [
+            {
+                "name": step.name,
+                **({"dependencies": [{"dependsOn": steps[i - 1].name}]} if i else {}),
+                "parameterSpace": {
+                    "taskParameterDefinitions": [
+                        {"name": "Number", "type": "INT", "range": f"{step.first}-{step.last}"}
+                    ]
+                },
+                "script": {
+                    "actions": {
+                        "onRun": {
+                            "command": "cagemap",
+                            "args": ["run", "{{Param.JobFile}}", "--task", "{{Task.Param.Number}}"],
+                        }
+                    }
+                },
+            }
+            for i, step in enumerate(steps)
+        ],
+    }
+
+
+def slurm_script(job: Path, steps: tuple[Step, ...]) -> str:
+    """Return a bash script that submits one Slurm array for each step, to start when the step before has ended.
+
+    Parameters
+    ----------
+    job : Path
+        Absolute path of the job file.
+    steps : tuple of Step
+    """
+    lines = [
+        "#!/bin/bash",
+        "# Submit all tasks of a job of cagemap: bash SCRIPT [options of sbatch, such as --cpus-per-task=4 --mem=8G]",
+        "set -euo pipefail",
+        f"job={shlex.quote(str(job))}",
+        'if [ "${1:-}" = task ]; then',
+        '    export CAGEMAP_THREADS="${SLURM_CPUS_PER_TASK:-1}"',
+        '    exec cagemap run "$job" --task "$(($2 + SLURM_ARRAY_TASK_ID))"',
+        "fi",
+        "# submit NAME FIRST COUNT AFTER [options]: prints the number of the array's job",
+        "submit() {",
+        "    local name=$1 first=$2 count=$3 after=${4:+--dependency=afterany:$4} id; shift 4",
+        '    id=$(sbatch --parsable "$@" --job-name="cagemap-$name" \\',
+        '        --array="0-$((count - 1))" $after "$0" task "$first")',
+        '    echo "${id%%;*}"',
+        "}",
+        "before=",
+    ]
+    for step in steps:
+        lines.append("now=")
+        lines += [
+            f'now=${{now:+$now:}}$(submit {step.name} {first} {count} "$before" "$@")' for first, count in _arrays(step)
+        ]
+        lines.append("before=$now")
+    return "\n".join([*lines, 'echo "submitted; the last job is $before"', ""])
+
+
+def _arrays(step: Step) -> Iterator[tuple[int, int]]:
+    """First number and count of every array of a step."""
+    for first in range(step.first, step.last + 1, _SLURM_ARRAY):
+        yield first, min(_SLURM_ARRAY, step.last + 1 - first)

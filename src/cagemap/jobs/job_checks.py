@@ -1,0 +1,232 @@
+"""What is wrong in a job file: everything at once, each with the line where it stands and what to do."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from copy import deepcopy
+from pathlib import Path
+from typing import Any, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+
+from cagemap.files.images.image import texture_files
+from cagemap.jobs.job_schema import ALL, PLACEHOLDER, Asset, CarryRule, JobFile, PairRule, listed
+
+Place = tuple[str | int, ...]
+
+
+def line_of(text: str, place: Place) -> int:
+    """Line (from 1) of the TOML text where a value stands, or the nearest thing around it that has a line."""
+    lines: dict[Place, int] = {}
+    counts: dict[str, int] = {}
+    table: Place = ()
+    for number, line in enumerate(text.splitlines(), start=1):
+        if header := re.match(r"\s*\[\[\s*([\w.-]+)\s*\]\]", line):
+            counts[header[1]] = counts.get(header[1], -1) + 1
+            table = (header[1], counts[header[1]])
+        elif header := re.match(r"\s*\[\s*([\w.-]+)\s*\]", line):
+            parts = header[1].split(".")
+            table = (parts[0], counts[parts[0]], *parts[1:]) if parts[0] in counts else tuple(parts)
+        elif key := re.match(r"\s*([\w-]+)(?:\.[\w-]+)*\s*=", line):
+            lines.setdefault((*table, key[1]), number)
+            continue
+        else:
+            continue
+        lines.setdefault(table, number)
+    for length in range(len(place), 0, -1):
+        if place[:length] in lines:
+            return lines[place[:length]]
+    return 1
+
+
+Problem = tuple[Place, str]
+
+
+def parsed_file(data: Any) -> tuple[JobFile | None, list[Problem]]:
+    """The file, and what does not have its form; without those entries if the rest is a job, so that it is checked."""
+    try:
+        return JobFile.model_validate(data), []
+    except ValidationError as error:
+        problems = list(_validation_problems(error, ()))
+        places = [item["loc"] for item in error.errors()]
+    # An output without its command is no output: then all else is checked without them.
+    for left_out in (places, [place[:1] if place[:1] == ("outputs",) else place for place in places]):
+        with suppress(ValidationError):
+            return JobFile.model_validate(_without(data, left_out)), problems
+    return None, problems
+
+
+def _without(data: Any, places: Iterable[Place]) -> Any:
+    """A copy without the entries at some places, as far as these are entries of tables."""
+    copy: Any = deepcopy(data)
+    for place in places:
+        above: Any
+        key: Any
+        above, key, here = None, None, copy
+        for step in place:
+            inside = step in here if isinstance(here, dict) else isinstance(here, list) and step in range(len(here))
+            if not inside:
+                break
+            above, key, here = here, step, here[step]
+        if isinstance(above, dict):
+            above.pop(key, None)
+    return copy
+
+
+def _validation_problems(error: ValidationError, place: Place) -> Iterator[Problem]:
+    for item in error.errors(include_url=False, include_context=False):
+        where = (*place, *item["loc"])
+        name = ".".join(map(str, where)) or "the file"
+        given = repr(item["input"])
+        shown = given if len(given) <= 60 else given[:57] + "..."
+        said = item["msg"][:1].lower() + item["msg"][1:]
+        if item["type"] == "extra_forbidden":
+            yield where, f"{name}: there is no such entry. Check its spelling, or remove it."
+        elif item["type"] == "missing":
+            yield where, f"{name}: is missing. Add it."
+        else:
+            yield where, f"{name}: {said}, got {shown}. {_remedy(item['type'])}"
+
+
+def _remedy(kind: str) -> str:
+    """What to do about a value that is not as pydantic wants it."""
+    if kind in ("enum", "literal_error"):
+        return "Choose one of these."
+    if kind.startswith(("greater_than", "less_than", "too_", "string_too")):
+        return "Give a value within this bound."
+    if kind == "string_pattern_mismatch":
+        return "Use letters, digits, '.', '_' and '-', a letter or digit first."
+    return "Give a value of this kind."
+
+
+def problems_of(
+    job: JobFile,
+    folder: Path,
+    schemas: Mapping[str, type[BaseModel]],
+    kinds: Mapping[str, dict[str, Any]],
+    written: Mapping[str, tuple[str, ...]],
+) -> Iterator[Problem]:
+    """What is wrong in a file of the right form."""
+    names = [asset.name for asset in job.assets]
+    if (folder / job.output).is_file():
+        yield ("output",), f"output: expected a folder for all results, got the file {job.output}. Give another name."
+    for i, asset in enumerate(job.assets):
+        if asset.name in names[:i]:
+            yield ("assets", i, "name"), f"assets.{i}.name: {asset.name!r} is taken. Give another name."
+        if not (folder / asset.file).is_file():
+            yield ("assets", i, "file"), f"assets.{i}.file: {asset.file} does not exist. Check the path."
+        if asset.landmarks is not None and not (folder / asset.landmarks).is_file():
+            yield ("assets", i, "landmarks"), f"assets.{i}.landmarks: {asset.landmarks} does not exist. Check the path."
+        for key, path in asset.files.items():
+            if not _is_there(folder / path):
+                yield ("assets", i, "files"), f"assets.{i}.files.{key}: {path} does not exist. Check the path."
+    yield from _option_problems(job.options, schemas["match"], ("options",))
+    yield from _file_problems(job.options, kinds["match"], folder, ("options",))
+    for i, pair in enumerate(job.pairs):
+        yield from _pair_problems(pair, i, names, folder)
+        yield from _map_problems(pair, i, job.assets, folder)
+        yield from _option_problems(pair.options, schemas["match"], ("pairs", i, "options"))
+        yield from _file_problems(pair.options, kinds["match"], folder, ("pairs", i, "options"))
+    if job.carry is not None:
+        yield from _carry_problems(job.carry, job.assets)
+    for i, output in enumerate(job.outputs):
+        options = {"output": output.output or "", **(output.model_extra or {})}
+        known = {key for asset in job.assets for key in asset.files}
+        for key, value in options.items():
+            for side, name in (found for text in _texts(value) for found in PLACEHOLDER.findall(text)):
+                if name and name not in known:
+                    message = f"outputs.{i}.{key}: no asset has a file {name!r} for {{{side}.{name}}}. "
+                    yield ("outputs", i, key), message + "Add it to the files of an asset."
+        yield from _option_problems(output.model_extra or {}, schemas[output.command], ("outputs", i))
+        beside = written.get(output.command, ())
+        for name in ("output", *beside):
+            value = options.get(name)
+            if isinstance(value, str) and (Path(value).is_absolute() or ".." in Path(value).parts):
+                message = f"outputs.{i}.{name}: expected a name inside the pair's folder, got {value!r}."
+                yield ("outputs", i, name), f"{message} Give a name without '..'."
+        read = {name: value for name, value in (output.model_extra or {}).items() if name not in beside}
+        yield from _file_problems(read, kinds[output.command], folder, ("outputs", i))
+
+
+def _pair_problems(pair: PairRule, i: int, names: list[str], folder: Path) -> Iterator[Problem]:
+    if (pair.tree is None) == (pair.source is None and pair.target is None):
+        yield ("pairs", i), f"pairs.{i}: expected source and target, or tree. Give one of them."
+    elif pair.tree is None and (pair.source is None or pair.target is None):
+        yield ("pairs", i), f"pairs.{i}: expected both source and target. Add the other one, or 'all'."
+    for side in ("source", "target", "tree"):
+        for name in listed(getattr(pair, side), names):
+            if name not in names:
+                yield ("pairs", i, side), f"pairs.{i}.{side}: no asset is called {name!r}. Check the name, or add it."
+    if pair.landmarks is not None and not (folder / pair.landmarks).is_file():
+        yield ("pairs", i, "landmarks"), f"pairs.{i}.landmarks: {pair.landmarks} does not exist. Check the path."
+
+
+def _map_problems(pair: PairRule, i: int, assets: list[Asset], folder: Path) -> Iterator[Problem]:
+    """A map that is given is of one pair of whole meshes as their files say, at a level."""
+    if pair.map is None:
+        return
+    where = ("pairs", i, "map")
+    if not (folder / pair.map).is_file():
+        yield where, f"pairs.{i}.map: {pair.map} does not exist. Check the path."
+    if any(not isinstance(side, str) or side == ALL for side in (pair.source, pair.target)):
+        yield where, f"pairs.{i}.map: expected one source and one target. Name them, one map for each pair."
+    if pair.landmarks is not None or set(pair.options) - {"level"}:
+        yield where, f"pairs.{i}.map: a map that is given takes a level only. Remove the landmarks and other options."
+    for asset in assets:
+        if asset.name in (pair.source, pair.target) and (asset.part or asset.scheme or asset.weld):
+            yield (
+                where,
+                f"pairs.{i}.map: {asset.name!r} has a part, a scheme or a weld. Name a file that is the whole mesh.",
+            )
+
+
+def _carry_problems(carry: CarryRule, assets: list[Asset]) -> Iterator[Problem]:
+    named = [asset for asset in assets if asset.name == carry.source]
+    if not named:
+        yield ("carry", "source"), f"carry.source: no asset is called {carry.source!r}. Check the name, or add it."
+    elif named[0].landmarks is None:
+        message = f"carry.source: {carry.source!r} has no landmarks. Give it a file: landmarks = ..."
+        yield ("carry", "source"), message
+
+
+def _file_problems(options: dict[str, Any], kinds: dict[str, Any], folder: Path, place: Place) -> Iterator[Problem]:
+    """Files that options name and that are not there; those with names to be filled in are seen when they are."""
+    for name, value in options.items():
+        for one, found in zip(_texts(value), _texts(absolute(value, kinds.get(name), folder)), strict=True):
+            is_file = found != one or (kinds.get(name) is Path and Path(one).is_absolute())
+            if is_file and "{" not in one and not _is_there(Path(found)):
+                where = (*place, name)
+                yield where, f"{'.'.join(map(str, where))}: {one} does not exist. Check the path."
+
+
+def _is_there(path: Path) -> bool:
+    """Whether a file or folder exists; of a set of tiles, one of them."""
+    return path.exists() or any(file.is_file() for file in texture_files(path))
+
+
+def _texts(value: Any) -> list[str]:
+    """The texts in an option's value."""
+    if isinstance(value, list):
+        return [text for item in value for text in _texts(item)]
+    return [value] if isinstance(value, str) else []
+
+
+def _option_problems(options: dict[str, Any], schema: type[BaseModel], place: Place) -> Iterator[Problem]:
+    try:
+        schema.model_validate(options)
+    except ValidationError as error:
+        yield from _validation_problems(error, place)
+
+
+def absolute(value: Any, kind: Any, folder: Path) -> Any:
+    """An option's value with relative files taken from a folder; files are found by the option's type."""
+    if isinstance(value, str):
+        return (
+            str(folder / value) if kind is Path or (get_origin(kind) is not tuple and Path in get_args(kind)) else value
+        )
+    if isinstance(value, list):
+        kinds = [part for part in get_args(kind) if part is not Ellipsis] or [None]
+        return [absolute(item, kinds[min(i, len(kinds) - 1)], folder) for i, item in enumerate(value)]
+    return value

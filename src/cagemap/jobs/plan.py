@@ -1,0 +1,308 @@
+"""The tasks of a job: what each needs, where it writes, and a key of all that its result depends on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cagemap.errors import FormatError
+from cagemap.files.images.image import texture_files
+from cagemap.files.result.folder import ARRAYS, file_hash
+from cagemap.jobs.job import Job
+from cagemap.jobs.job_checks import absolute
+from cagemap.jobs.job_schema import Asset, OutputRule, fill, listed
+
+# Folder inside the output folder for what a rerun needs: prepared surfaces, notes of finished tasks, locks.
+STATE = ".cagemap"
+RESULT = "RESULT"
+# The way round a pair whose own map is doubtful.
+AROUND = "RESULT-around"
+PICTURE = "picture.jpg"
+# Options of a match that a prepared surface depends on, for both sides or with the side's name before them.
+_SURFACE = frozenset(
+    [
+        "level",
+        "vertices",
+        "k",
+        "schedule",
+        "method",
+        "scheme",
+        "boundary",
+        "uv_interpolation",
+        "creasing",
+        "weld",
+        "uv_set",
+    ]
+)
+_DEFAULT_OUTPUT = {"report": "report.html", "wrap": "{target}.obj"}
+Pair = tuple[str, str]
+Tree = Callable[[list[Asset]], list[Pair]]
+
+
+@dataclass(frozen=True)
+class Task:
+    """One piece of work that is done as a whole or not at all.
+
+    Attributes
+    ----------
+    kind : str
+        "prepare", "match", or the command of an output.
+    name : str
+        Unique in its plan, and stable from run to run.
+    key : str
+        Hash of the content of all inputs, the options and the version of the code.
+    needs : tuple of str
+        Names of the tasks that must be done before.
+    request : dict
+        Arguments of the command, paths as text.
+    outputs : tuple of str
+        Files, patterns or folders that it writes, relative to the job's output folder; which files these are is noted
+        when it is done.
+    pair : (str, str) or None
+        Source and target.
+    after : tuple of str
+        Names of the tasks that must have ended before, well or not.
+    reads : dict of str to str
+        `content_hash` of the files that it is given, as the key has them.
+    """
+
+    kind: str
+    name: str
+    key: str
+    needs: tuple[str, ...]
+    request: dict[str, Any] = field(repr=False)
+    outputs: tuple[str, ...] = ()
+    pair: Pair | None = None
+    after: tuple[str, ...] = ()
+    reads: dict[str, str] = field(default_factory=dict, repr=False)
+
+    @property
+    def slug(self) -> str:
+        """A name for the task's own files."""
+        plain = "".join(c if c.isalnum() or c in "-_." else "-" for c in self.name)
+        return f"{plain[:80]}-{hashlib.sha256(self.name.encode()).hexdigest()[:8]}"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All tasks of a job, each after those that it needs.
+
+    Attributes
+    ----------
+    root : Path
+        The job's output folder.
+    tasks : tuple of Task
+    pairs : tuple of (str, str)
+        Source and target of every pair.
+    left_out : tuple of str
+        Outputs that some pairs do not get, and why.
+    """
+
+    root: Path
+    tasks: tuple[Task, ...]
+    pairs: tuple[Pair, ...]
+    left_out: tuple[str, ...] = ()
+
+
+def plan_job(job: Job, version: str, tree: Tree) -> Plan:
+    """Write down the tasks of a job.
+
+    Parameters
+    ----------
+    job : Job
+    version : str
+        Of the code: results of another one are not reused.
+    tree : callable
+        Source and target of the pairs along the spanning tree of some assets.
+
+    Raises
+    ------
+    FormatError
+        If two rules ask for the same pair with other options, or two outputs of a pair for the same file.
+    """
+    planner = _Planner(job, version)
+    tasks: dict[str, Task] = {}
+    left_out: list[str] = []
+    pairs: dict[Pair, dict[str, Any]] = {}
+    for rule in job.pairs:
+        for pair in _pairs(rule.source, rule.target, rule.tree, job, tree):
+            files = {"landmarks": rule.landmarks, "map": rule.map}
+            options = {**rule.options, **{name: str(file) for name, file in files.items() if file is not None}}
+            if pairs.setdefault(pair, options) != options:
+                raise FormatError(
+                    f"{job.path}: {pair[0]} -> {pair[1]} is asked for twice with different options. Keep one of them."
+                )
+    for pair, options in pairs.items():
+        source, target = (job.assets[name] for name in pair)
+        sides = [("target", target), ("source", source)]
+        if "map" in options:
+            sides, options = [], {name: options[name] for name in ("map", "level") if name in options}
+        if any(asset.part for _, asset in sides) or any(name.endswith("part") for name in options):
+            sides = []  # which parts there are is known when both meshes have been read
+        prepared = [planner.prepare(asset, side, options) for side, asset in sides]
+        tasks |= {task.name: task for task in prepared}
+        match = planner.match(source, target, options, prepared)
+        tasks[match.name] = match
+        picture = planner.picture(match)
+        tasks[picture.name] = picture
+        before: list[Task] = []
+        for wanted in sorted(job.outputs, key=lambda rule: rule.command == "report"):
+            made = planner.output(wanted, source, target, match, before)
+            if isinstance(made, str):
+                left_out.append(made)
+                continue
+            taken = {path for task in before for path in task.outputs} & set(made.outputs)
+            if taken or made.name in tasks:
+                raise FormatError(
+                    f"{job.path}: two outputs of {pair[0]} -> {pair[1]} write {(taken or {made.outputs[0]}).pop()}. "
+                    "Rename one."
+                )
+            if set(picture.outputs) & set(made.outputs):
+                raise FormatError(
+                    f"{job.path}: an output of {pair[0]} -> {pair[1]} is called {PICTURE}, as the job's own picture of "
+                    "each pair is. Rename it."
+                )
+            before.append(made)
+            tasks[made.name] = made
+    return Plan(job.output, tuple(tasks.values()), tuple(pairs), tuple(left_out))
+
+
+def _pairs(
+    source: str | list[str] | None, target: str | list[str] | None, among: str | list[str] | None, job: Job, tree: Tree
+) -> Iterator[Pair]:
+    """Source and target of every pair of a rule; nothing is matched with itself."""
+    names = list(job.assets)
+    if among is not None:
+        yield from tree([job.assets[name] for name in listed(among, names)])
+        return
+    for one in listed(source, names):
+        for other in listed(target, names):
+            if one != other:
+                yield one, other
+
+
+def content_hash(path: str) -> str:
+    """Hash of a file, or of all tiles of a set; a file that is not there counts as its path."""
+    return "".join(file_hash(file) for file in texture_files(path) if file.is_file()) or path
+
+
+class _Hashes:
+    """Hashes of files, each read once."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, str] = {}
+
+    def of(self, path: str | Path) -> str:
+        text = str(path)
+        if text not in self._known:
+            self._known[text] = content_hash(text)
+        return self._known[text]
+
+    def of_value(self, value: Any) -> Any:
+        """A value, such as a request, with every file in it replaced by the hash of its content."""
+        if isinstance(value, dict):
+            return {name: self.of_value(item) for name, item in value.items()}
+        if isinstance(value, list):
+            return [self.of_value(item) for item in value]
+        return self.of(value) if isinstance(value, str) and Path(value).is_absolute() else value
+
+    def read_by(self, value: Any) -> dict[str, str]:
+        """The files in a value, such as a request, and their hashes."""
+        if isinstance(value, dict | list):
+            items = value.values() if isinstance(value, dict) else value
+            return {path: found for item in items for path, found in self.read_by(item).items()}
+        found = self.of_value(value)
+        return {} if found == value else {value: found}
+
+
+def task_key(version: str, kind: str, *parts: Any) -> str:
+    """Hash of the version of the code and of all that a task depends on."""
+    return hashlib.sha256(json.dumps([version, kind, *parts], sort_keys=True, default=str).encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class _Planner:
+    """Writes down the tasks of one job."""
+
+    job: Job
+    version: str
+    hashes: _Hashes = field(default_factory=_Hashes)
+
+    @property
+    def cache(self) -> str:
+        """Folder of prepared surfaces."""
+        return str(self.job.output / STATE / "surfaces")
+
+    def prepare(self, asset: Asset, side: str, options: dict[str, Any]) -> Task:
+        """The task of one surface; a surface that is prepared alike for both sides is one task."""
+        choices = {name: value for name, value in options.items() if name.removeprefix(f"{side}_") in _SURFACE}
+        for name, value in (("scheme", asset.scheme), ("weld", asset.weld)):
+            if value is not None and f"{side}_{name}" not in options:
+                choices[name] = value
+        side = side if any(name.startswith(f"{side}_") for name in choices) else "target"
+        request = {"asset": asset.name, "file": str(asset.file), "side": side, "options": choices}
+        key = task_key(self.version, "prepare", self.hashes.of(asset.file), side, choices)
+        reads, request = self.hashes.read_by(request), {**request, "cache": self.cache}
+        return Task("prepare", f"prepare {asset.name} {key[:8]}", key, (), request, reads=reads)
+
+    def match(self, source: Asset, target: Asset, options: dict[str, Any], needs: list[Task]) -> Task:
+        """The task of a pair's map."""
+        folder = f"{source.name}__{target.name}/{RESULT}"
+        sides = ("target", target), ("source", source)
+        inputs: dict[str, Any] = {"target": str(target.file), "source": str(source.file)}
+        inputs |= {f"{side}_scheme": asset.scheme for side, asset in sides if asset.scheme is not None}
+        inputs |= {f"{side}_weld": asset.weld for side, asset in sides if asset.weld is not None}
+        inputs |= options
+        inputs |= {f"{side}_part": asset.part for side, asset in sides if asset.part}
+        if not {"landmarks", "map"} & set(options) and source.landmarks is not None and target.landmarks is not None:
+            inputs |= {"target_points": str(target.landmarks), "source_points": str(source.landmarks)}
+        key = task_key(self.version, "match", self.hashes.of_value(inputs), [task.key for task in needs])
+        request = {**inputs, "output": str(self.job.output / folder)}
+        request |= {} if "map" in options else {"cache": self.cache}
+        pair, before = (source.name, target.name), tuple(task.name for task in needs)
+        title, reads = f"match {pair[0]} -> {pair[1]}", self.hashes.read_by(inputs)
+        return Task("match", title, key, before, request, (f"{folder}/{ARRAYS}",), pair, reads=reads)
+
+    def picture(self, match: Task) -> Task:
+        """The small picture of a pair on the page of all."""
+        assert match.pair is not None
+        source, target = match.pair
+        request = {"result": match.request["output"], "output": str(Path(match.request["output"]).parent / PICTURE)}
+        key = task_key(self.version, "picture", match.key)
+        written = f"{source}__{target}/{PICTURE}"
+        return Task("picture", f"picture {source} -> {target}", key, (match.name,), request, (written,), match.pair)
+
+    def output(self, rule: OutputRule, source: Asset, target: Asset, match: Task, before: list[Task]) -> Task | str:
+        """The task of an output; or why the pair does not get it.
+
+        Outputs of a pair are made one after the other, since each is noted in the pair's RESULT. A report shows those
+        before it, and is drawn anew when one of them changes.
+        """
+        pair = f"{source.name} -> {target.name}"
+        options: dict[str, Any] = {}
+        kinds = self.job.kinds[rule.command]
+        name = rule.output or _DEFAULT_OUTPUT.get(rule.command) or f"{{target}}_{rule.command}.png"
+        for option, value in {**(rule.model_extra or {}), "output": name}.items():
+            filled = fill(value, source, target)
+            if filled is None:
+                return f"{pair}: no {rule.command}, {value} is not among the asset's files"
+            in_pair = option == "output" or option in self.job.written.get(rule.command, ())
+            options[option] = filled if in_pair else absolute(filled, kinds[option], self.job.path.parent)
+        files = {
+            option: Path(f"{source.name}__{target.name}", options.pop(option)).as_posix()
+            for option in ("output", *self.job.written.get(rule.command, ()))
+            if option in options
+        }
+        shown = [task.key for task in before] if rule.command == "report" else []
+        key = task_key(
+            self.version, rule.command, self.hashes.of_value(options), match.key, *sorted(files.items()), *shown
+        )
+        reads, request = self.hashes.read_by(options), {**options, "result": match.request["output"]}
+        request |= {option: str(self.job.output / written) for option, written in files.items()}
+        title = f"{rule.command} {pair}: {Path(files['output']).name}"
+        after = tuple(task.name for task in before[-1:])
+        return Task(rule.command, title, key, (match.name,), request, tuple(files.values()), match.pair, after, reads)

@@ -1,0 +1,329 @@
+"""Run the tasks of a plan side by side on Dask: what is done is not done again, what fails costs only what needs it."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import logging
+import os
+import shutil
+import time
+import uuid
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cagemap.errors import CagemapError, FormatError, ParameterError
+from cagemap.files.atomic import files_written, leftovers, write_whole
+from cagemap.files.ownership import mark
+from cagemap.files.schema import own_note
+from cagemap.jobs.plan import AROUND, RESULT, STATE, Plan, Task, content_hash
+from cagemap.numerics.threads import core_count
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+# How often a task is tried again on another worker after its worker died.
+DEATHS = 2
+_REMEDY = "Run the same command again: what is done is kept."
+
+Runner = Callable[[Task], dict[str, Any]]
+Report = Callable[["Outcome", int, int], None]
+Crew = Callable[[], "Client"]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a task ended.
+
+    Attributes
+    ----------
+    name : str
+    state : str
+        "done" now, "kept" from an earlier run, "failed", or "skipped" since a task that it needs failed.
+    message : str
+        Why it failed or was skipped.
+    seconds : float
+    figures : dict
+        What the task has to say about its result.
+    files : tuple of str
+        What it wrote, relative to the job's output folder.
+    """
+
+    name: str
+    state: str
+    message: str = ""
+    seconds: float = 0.0
+    figures: dict[str, Any] = field(default_factory=dict)
+    files: tuple[str, ...] = ()
+
+    @property
+    def usable(self) -> bool:
+        """Whether its outputs are there."""
+        return self.state in ("done", "kept")
+
+
+def run_plan(
+    plan: Plan, runner: Runner, crew: Crew, report: Report = lambda outcome, finished, total: None
+) -> dict[str, Outcome]:
+    """Do what is missing of a plan.
+
+    Parameters
+    ----------
+    plan : Plan
+    runner : callable
+        Does one task and returns its figures; importable by name, since workers import it.
+    crew : callable
+        Gives the Dask client, see `open_crew`; not asked where nothing is missing.
+    report : callable
+        Called with every outcome, and how many tasks of how many are finished.
+
+    Returns
+    -------
+    dict of str to Outcome
+        Of all tasks of the plan, by name, but those that only serve what is done.
+    """
+    outcomes = {task.name: kept for task in plan.tasks if (kept := kept_outcome(plan.root, task)) is not None}
+    missing = _to_do(plan, set(outcomes))
+    if missing:
+        outcomes |= _run(crew(), plan, missing, runner, outcomes, report)
+    return outcomes
+
+
+def missing_tasks(plan: Plan) -> list[Task]:
+    """Tasks that a run would do: not done yet, and more than a preparation of what is done."""
+    return _to_do(plan, {task.name for task in plan.tasks if kept_outcome(plan.root, task) is not None})
+
+
+def _to_do(plan: Plan, kept: set[str]) -> list[Task]:
+    missing = [task for task in plan.tasks if task.name not in kept]
+    wanted = needed(plan, {task.name for task in missing if task.kind != "prepare"})
+    return [task for task in missing if task.name in wanted]
+
+
+def needed(plan: Plan, names: set[str]) -> set[str]:
+    """Names of some tasks and of all that they need."""
+    found = set(names)
+    for task in reversed(plan.tasks):
+        if task.name in found:
+            found |= set(task.needs)
+    return found
+
+
+def kept_outcome(root: Path, task: Task) -> Outcome | None:
+    """The outcome of an earlier run, if it is of the same task and all that it wrote is still there."""
+    note = own_note(_note(root, task))
+    if note is None or note["key"] != task.key:
+        return None
+    files = ((root / path, size) for path, size in note["outputs"].items())
+    whole = all(file.is_file() and file.stat().st_size == size for file, size in files)
+    return Outcome(task.name, "kept", "", note["seconds"], note["figures"], tuple(note["outputs"])) if whole else None
+
+
+def execute(task: Task, root: Path, runner: Runner, *before: Outcome) -> Outcome:
+    """Do one task, unless another run has done it in the meantime; problems become an outcome, not an exception."""
+    failed = [outcome for outcome in before if outcome.name in task.needs and not outcome.usable]
+    if failed:
+        return Outcome(task.name, "skipped", _waited_for(failed[0]))
+    from filelock import FileLock  # here: plans and dry runs do without
+
+    start = time.perf_counter()
+    try:
+        state = root / STATE
+        pairs = (root / Path(path).parts[0] for path in task.outputs)
+        for folder in (state / "done", state / "locks", *pairs):
+            folder.mkdir(parents=True, exist_ok=True)
+        with FileLock(state / "locks" / f"{task.slug}.lock"):
+            kept = kept_outcome(root, task)
+            if kept is not None:
+                return kept
+            _remove_leftovers(root, task)
+            if own_note(_note(root, task)) is not None:
+                _note(root, task).unlink()  # of files that are about to be replaced
+            with files_written() as written:
+                figures = runner(task)
+            for path, planned in task.reads.items():
+                if content_hash(path) != planned:
+                    raise FormatError(
+                        f"{path}: has changed since this run began, so what came of it is not kept. {_REMEDY}"
+                    )
+            seconds = time.perf_counter() - start
+            outputs = _sizes(root, task, written)
+            note = {
+                "written_by": mark(),
+                "name": task.name,
+                "key": task.key,
+                "seconds": seconds,
+                "outputs": outputs,
+                "figures": figures,
+            }
+            write_whole(_note(root, task), json.dumps(note, indent=1))
+            return Outcome(task.name, "done", "", seconds, figures, tuple(outputs))
+    except CagemapError as error:
+        message = str(error)
+    except MemoryError:
+        message = "not enough memory. Use fewer vertices, or fewer workers."
+    except OSError as error:
+        message = f"{error.filename or 'file'}: {error.strerror or error}. Check the path and the room on the disk."
+    except Exception as error:
+        message = f"internal error, {type(error).__name__}: {error}. This is a fault of cagemap, please report it."
+    return Outcome(task.name, "failed", message, time.perf_counter() - start)
+
+
+def _run(
+    client: Client, plan: Plan, missing: list[Task], runner: Runner, known: dict[str, Outcome], report: Report
+) -> dict[str, Outcome]:
+    from distributed import as_completed, wait
+
+    run = uuid.uuid4().hex[:8]
+
+    def submit(task: Task, before: Iterable[Any], trial: int) -> Any:
+        key = f"{task.kind}-{task.slug}-{run}-{trial}"
+        return client.submit(execute, task, plan.root, runner, *before, key=key, pure=False)
+
+    futures: dict[str, Any] = {}
+    for task in missing:
+        futures[task.name] = submit(task, [futures.get(name, known.get(name)) for name in _awaited(task)], 1)
+    names = {future.key: name for name, future in futures.items()}
+    outcomes: dict[str, Outcome] = {}
+    blamed = set()
+    for future in as_completed(futures.values()):
+        name = names[future.key]
+        # Failed; or finished, and its worker died with the news before it was asked: a second try then finds it done.
+        if future.status != "finished":
+            blamed.add(name)
+            continue
+        outcomes[name] = _done_now(future.result())
+        report(outcomes[name], len(outcomes), len(missing))
+    # A dead worker is held against every task that waited on it: alone, one after another, the guilty are told apart.
+    for task in missing:
+        if task.name in blamed:
+            future = submit(task, [outcomes.get(name, known.get(name)) for name in _awaited(task)], 2)
+            wait(future)
+            finished = future.status == "finished"
+            outcomes[task.name] = _done_now(future.result()) if finished else _lost(task, outcomes)
+            report(outcomes[task.name], len(outcomes), len(missing))
+    return outcomes
+
+
+def _awaited(task: Task) -> tuple[str, ...]:
+    return (*task.needs, *task.after)
+
+
+def _done_now(outcome: Outcome) -> Outcome:
+    """Kept by a worker that had died with the news, or by another run meanwhile: done since this run began."""
+    return replace(outcome, state="done") if outcome.state == "kept" else outcome
+
+
+def _waited_for(outcome: Outcome) -> str:
+    return f"needs '{outcome.name}', which {'was ' * (outcome.state == 'skipped')}{outcome.state}"
+
+
+def _lost(task: Task, outcomes: dict[str, Outcome]) -> Outcome:
+    """The outcome of a task whose workers died, or that needs one."""
+    for name in task.needs:
+        if name in outcomes and not outcomes[name].usable:
+            return Outcome(task.name, "skipped", _waited_for(outcomes[name]))
+    cause = f"its worker died {DEATHS + 1} times: killed, or out of memory. Use fewer workers"
+    return Outcome(task.name, "failed", f"{cause}. {_REMEDY}")
+
+
+@contextmanager
+def open_crew(
+    scheduler: str | None = None, workers: int | None = None, tell: Callable[[str], None] = lambda words: None
+) -> Iterator[Crew]:
+    """Who does the work: hired when the first task asks for it, sent home at the end of the block.
+
+    Parameters
+    ----------
+    scheduler : str, optional
+        Address of a running Dask scheduler whose workers reach the same files; default: worker processes here.
+    workers : int, optional
+        Number of processes here, of one thread each, so that cores do not fight; default: one for each core. Each
+        may take its share of the machine's memory.
+    tell : callable
+        Called with the address of Dask's dashboard, where bokeh is installed.
+
+    Raises
+    ------
+    ParameterError
+        When it is asked for: if Dask is not installed or the scheduler cannot be reached.
+    """
+    with ExitStack() as stack:
+        hired: list[Client] = []
+
+        def crew() -> Client:
+            if not hired:
+                hired.append(_remote(stack, scheduler) if scheduler else _local(stack, workers or core_count()))
+                if importlib.util.find_spec("bokeh") is not None and hired[0].dashboard_link:
+                    tell(f"Dask's dashboard: {hired[0].dashboard_link}")
+            return hired[0]
+
+        yield crew
+
+
+def _remote(stack: ExitStack, scheduler: str) -> Client:
+    _require_dask()
+    from distributed import Client
+
+    try:
+        return stack.enter_context(Client(scheduler, timeout="10s"))
+    except (OSError, TimeoutError, ValueError) as error:
+        raise ParameterError(
+            f"--scheduler: expected the address of a Dask scheduler, {scheduler} does not answer ({error}). "
+            "Start one with `dask scheduler`, and workers with `dask worker ADDRESS --nthreads 1`."
+        ) from error
+
+
+def _local(stack: ExitStack, workers: int) -> Client:
+    _require_dask()
+    import dask
+    from distributed import Client, LocalCluster
+    from distributed.system import MEMORY_LIMIT
+
+    environment = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "CAGEMAP_THREADS")}
+    settings = {"distributed.scheduler.allowed-failures": DEATHS, "distributed.nanny.pre-spawn-environ": environment}
+    stack.enter_context(dask.config.set(settings))
+    logging.getLogger("distributed").setLevel(logging.ERROR)  # deaths of workers are told as outcomes
+    # Any free port: another cluster on this machine is nothing to warn of. Without bokeh there is no dashboard on it.
+    cluster = LocalCluster(
+        n_workers=workers,
+        threads_per_worker=1,
+        processes=True,
+        memory_limit=MEMORY_LIMIT // workers,
+        dashboard_address="127.0.0.1:0",
+    )
+    return stack.enter_context(Client(stack.enter_context(cluster)))
+
+
+def _require_dask() -> None:
+    if importlib.util.find_spec("distributed") is None:
+        raise ParameterError('expected Dask to run jobs on, found none. Install it: pip install "cagemap[dask]".')
+
+
+def _note(root: Path, task: Task) -> Path:
+    return root / STATE / "done" / f"{task.slug}.json"
+
+
+def _sizes(root: Path, task: Task, written: list[Path]) -> dict[str, int]:
+    """Files that a task made, and their sizes; what it noted in a RESULT or in the job's own state is none of them."""
+    stated = [path for path in task.outputs if (root / path).is_file()]
+    found = [Path(os.path.relpath(path, root)) for path in written]
+    beside = [path.as_posix() for path in found if not {RESULT, AROUND, STATE} & set(path.parts)]
+    sizes = {path: (root / path).stat().st_size for path in dict.fromkeys([*stated, *beside])}
+    if task.outputs and not sizes:
+        raise FormatError(f"{task.outputs[0]}: expected a file, none was written. {_REMEDY}")
+    return sizes
+
+
+def _remove_leftovers(root: Path, task: Task) -> None:
+    """Remove temporary files that a killed run of this very task left behind; the task's lock is held."""
+    for output in task.outputs:
+        for place in (root / output, (root / output).parent):
+            for left in leftovers(place):
+                if left.is_dir():
+                    shutil.rmtree(left)
+                else:
+                    left.unlink(missing_ok=True)

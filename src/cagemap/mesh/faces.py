@@ -1,0 +1,84 @@
+"""Faces of a control mesh: keep some of them, rearrange their corners, and find those that are no proper faces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cagemap.mesh.control_mesh import ControlMesh, UvSet
+from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
+
+
+def keep_faces(mesh: ControlMesh, faces: IndexArray) -> ControlMesh:
+    """Return the mesh with only some of its faces; vertices and texture coordinates stay as they are."""
+    sizes = mesh.face_sizes[faces]
+    offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    corners = np.repeat(mesh.face_offsets[faces] - offsets[:-1], sizes) + np.arange(offsets[-1])
+    return with_corners_of(mesh, faces, offsets, corners)
+
+
+def with_corners_of(mesh: ControlMesh, faces: IndexArray, offsets: IndexArray, corners: IndexArray) -> ControlMesh:
+    """Return the mesh with other faces, made of its own face corners.
+
+    Parameters
+    ----------
+    mesh : ControlMesh
+    faces : (k,) int64
+        Face that every new one comes from; ascending where there are hole faces.
+    offsets : (k + 1,) int64
+        Where each new face starts in ``corners``.
+    corners : (c,) int64
+        Corner of the mesh that every new one is.
+    """
+    indices = mesh.face_indices[corners]
+    creases, sharpness = _creases_on_edges(mesh, indices, offsets)
+
+    def of_faces(values: IndexArray | None) -> IndexArray | None:
+        return None if values is None else values[faces]
+
+    return replace(
+        mesh,
+        face_offsets=offsets,
+        face_indices=indices,
+        uv_indices=None if mesh.uv_indices is None else mesh.uv_indices[corners],
+        uv_sets=tuple(UvSet(one.name, one.uvs, one.uv_indices[corners]) for one in mesh.uv_sets),
+        face_materials=of_faces(mesh.face_materials),
+        face_objects=of_faces(mesh.face_objects),
+        face_groups=of_faces(mesh.face_groups),
+        file_faces=of_faces(mesh.file_faces),
+        hole_faces=None if mesh.hole_faces is None else np.flatnonzero(np.isin(faces, mesh.hole_faces)),
+        crease_edges=creases,
+        crease_sharpness=sharpness,
+    )
+
+
+def _creases_on_edges(
+    mesh: ControlMesh, indices: IndexArray, offsets: IndexArray
+) -> tuple[IndexArray | None, FloatArray | None]:
+    if mesh.crease_edges is None or mesh.crease_sharpness is None:
+        return None, None
+    following = ControlMesh(mesh.positions, offsets, indices).next_corners
+    edges = pair_keys(np.column_stack([indices, indices[following]]), mesh.n_vertices)
+    kept = np.isin(pair_keys(mesh.crease_edges, mesh.n_vertices), edges)
+    return mesh.crease_edges[kept], mesh.crease_sharpness[kept]
+
+
+def degenerate_faces(mesh: ControlMesh) -> IndexArray:
+    """Faces of fewer than three corners, or that visit a vertex twice."""
+    faces = mesh.corner_faces
+    order = np.lexsort([mesh.face_indices, faces])
+    same = (np.diff(mesh.face_indices[order]) == 0) & (np.diff(faces[order]) == 0)
+    return np.union1d(np.flatnonzero(mesh.face_sizes < 3), faces[order][1:][same])
+
+
+def duplicate_faces(mesh: ControlMesh) -> IndexArray:
+    """Faces that have the same vertices, in whatever order, as a face of a lower number."""
+    copies = []
+    for size in np.unique(mesh.face_sizes):
+        faces = np.flatnonzero(mesh.face_sizes == size)
+        corners = np.sort(mesh.face_indices[mesh.face_offsets[faces][:, None] + np.arange(size)], axis=1)
+        order = np.lexsort(corners.T)  # stable: of equal faces the lowest number comes first
+        same = np.all(corners[order][1:] == corners[order][:-1], axis=1)
+        copies.append(faces[order][1:][same])
+    return np.sort(np.concatenate(copies))

@@ -1,0 +1,137 @@
+"""Meshes and landmarks as users have them: arrays, meshes of trimesh or Open3D, pairs of vertices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache, wraps
+from inspect import signature
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, get_args, get_type_hints
+
+import numpy as np
+
+from cagemap.errors import InvalidLandmarksError, ParameterError
+from cagemap.mesh.control_mesh import ControlMesh
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.numerics.arrays import array_of, real_numbers, whole_numbers
+from cagemap.numerics.kinds import kinds_checked
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+# Annotations of parameters that `arrays_accepted` converts; the functions themselves get the class.
+if TYPE_CHECKING:
+    MeshLike = ControlMesh | Any
+    LandmarksLike = Landmarks | Any
+else:
+    MeshLike, LandmarksLike = ControlMesh, Landmarks
+
+
+def arrays_accepted(function: Callable[P, R]) -> Callable[P, R]:
+    """Check arguments as `kinds_checked` does, after conversion of meshes and landmarks to cagemap's classes.
+
+    Parameters annotated `MeshLike` take what `control_mesh` takes, those annotated `LandmarksLike` what
+    `landmark_pairs` takes. Meshes are named after their parameters.
+    """
+    checked, parameters = kinds_checked(function), signature(function)
+
+    @wraps(function)
+    def converting(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            given = parameters.bind(*args, **kwargs)
+        except TypeError:  # the function itself says what is wrong with its arguments
+            return checked(*args, **kwargs)
+        for name, convert in _conversions(function).items():
+            if name in given.arguments:
+                given.arguments[name] = convert(given.arguments[name], name)
+        return checked(*given.args, **given.kwargs)
+
+    return converting
+
+
+@cache
+def _conversions(function: Callable[..., Any]) -> dict[str, Callable[[Any, str], object]]:
+    """The conversion of every parameter that has one."""
+    found: dict[str, Callable[[Any, str], object]] = {}
+    for name, hint in get_type_hints(function).items():
+        kinds = [hint, *get_args(hint)]
+        if name != "return" and ControlMesh in kinds:
+            found[name] = lambda value, name: control_mesh(value, name) if is_mesh(value) else value
+        elif name != "return" and Landmarks in kinds:
+            found[name] = lambda value, name: landmark_pairs(value) if is_pairs(value) else value
+    return found
+
+
+def is_mesh(value: object) -> bool:
+    """Whether `control_mesh` takes a value; cagemap's own values with vertices and faces are no control meshes."""
+    if isinstance(value, ControlMesh):
+        return True
+    if type(value).__module__.startswith("cagemap."):
+        return False
+    pair = isinstance(value, tuple | list) and len(value) == 2
+    return pair or (hasattr(value, "vertices") and (hasattr(value, "faces") or hasattr(value, "triangles")))
+
+
+def control_mesh(mesh: Any, name: str = "mesh") -> ControlMesh:
+    """A control mesh from arrays or from a mesh of another library; vertices and faces keep their numbers.
+
+    Parameters
+    ----------
+    mesh : ControlMesh, pair (vertices, faces), or object with ``vertices`` and ``faces`` or ``triangles``
+        Vertices (n, 3); faces (m, 3), (m, 4) or a list of polygons. Meshes of trimesh and Open3D come with their
+        texture coordinates. Tensors are copied.
+    name : str
+        What messages call a mesh that is no `ControlMesh`.
+
+    Raises
+    ------
+    ParameterError
+        If it is none of these, or its arrays are no vertices and faces.
+    """
+    if isinstance(mesh, ControlMesh):
+        return mesh
+    if not is_mesh(mesh):
+        raise ParameterError(
+            f"{name}: expected a ControlMesh, a pair (vertices, faces), or an object with vertices and faces or "
+            f"triangles, got {type(mesh).__name__}"
+        )
+    if isinstance(mesh, tuple | list):
+        return ControlMesh.from_faces(*mesh, name=name)
+    if hasattr(mesh, "faces"):  # trimesh: texture coordinates of vertices
+        made = ControlMesh.from_faces(mesh.vertices, mesh.faces, name=name)
+        uvs = getattr(getattr(mesh, "visual", None), "uv", None)
+        return made if uvs is None or not len(uvs) else made.with_uvs(uvs, made.face_indices)
+    # Open3D: texture coordinates of corners; its vectors are arrays only after conversion.
+    made = ControlMesh.from_faces(array_of(mesh.vertices), array_of(mesh.triangles), name=name)
+    corner_uvs = array_of(getattr(mesh, "triangle_uvs", ()))
+    if not len(corner_uvs):
+        return made
+    uvs, uv_indices = np.unique(real_numbers(corner_uvs, f"{name}: uvs"), axis=0, return_inverse=True)
+    return made.with_uvs(uvs, uv_indices.ravel())
+
+
+def is_pairs(value: object) -> bool:
+    """Whether a value is meant for `landmark_pairs`."""
+    return isinstance(value, tuple | list) or hasattr(value, "__array__")
+
+
+def landmark_pairs(landmarks: Any) -> Landmarks:
+    """Landmarks from an array (p, 2) of pairs (target vertex, source vertex), 0-based, named ``point 0`` and so on.
+
+    Raises
+    ------
+    InvalidLandmarksError
+        If it has another shape.
+    ParameterError
+        If the vertices are no whole numbers.
+    """
+    if isinstance(landmarks, Landmarks):
+        return landmarks
+    pairs = whole_numbers(landmarks, "landmarks")
+    if not pairs.size:
+        return Landmarks.none()
+    if pairs.ndim != 2 or pairs.shape[1] != 2:
+        raise InvalidLandmarksError(
+            f"landmarks: expected Landmarks or an array (p, 2) of pairs (target vertex, source vertex), got an array "
+            f"{pairs.shape}{'. Transpose it.' if pairs.ndim == 2 and len(pairs) == 2 else '.'}"
+        )
+    return Landmarks(tuple(f"point {i}" for i in range(len(pairs))), pairs[:, 0], pairs[:, 1])

@@ -1,0 +1,268 @@
+"""Join vertices that a file repeats at one place, as glTF and FBX exporters do along seams of UVs and normals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from cagemap.errors import InvalidMeshError, ParameterError
+from cagemap.mesh.control_mesh import ControlMesh
+from cagemap.mesh.faces import with_corners_of
+from cagemap.mesh.inputs import MeshLike, arrays_accepted
+from cagemap.mesh.parts import extract, renumbered_copies
+from cagemap.mesh.structure_checks import structure_problems
+from cagemap.mesh.topology import edge_table, face_components, used_vertices
+from cagemap.numerics.arrays import FloatArray, IndexArray, grouped_sums, pair_keys
+from cagemap.numerics.graphs import components
+
+# Tolerances that `weld_tolerance` tries, in units of the bounding-box diagonal: equal, rounded to float32, and rounded
+# to five digits. Borders of separate pieces, such as eyelashes, can be 1e-4 apart.
+TOLERANCES = (0.0, 1e-6, 1e-5)
+# Difference of colours that 8 bits show.
+COLOR_STEP = 0.5 / 255
+
+
+@dataclass(frozen=True, eq=False)
+class Welded:
+    """A mesh whose coincident border vertices are one.
+
+    Attributes
+    ----------
+    mesh : ControlMesh
+        ``file_vertices`` and ``file_copies`` say which vertices of the file each of its vertices is; corners keep
+        their UVs.
+    vertex_of : (n_given,) int64
+        Vertex of ``mesh`` that every vertex of the mesh given became, -1 for one without a face.
+    tolerance : float
+        In units of the bounding-box diagonal.
+    notes : tuple of str
+        What was done.
+    """
+
+    mesh: ControlMesh
+    vertex_of: IndexArray = field(repr=False)
+    tolerance: float
+    notes: tuple[str, ...]
+
+
+def unwelded(mesh: ControlMesh) -> Welded:
+    """The mesh as it is."""
+    return Welded(mesh, np.arange(mesh.n_vertices), 0.0, ())
+
+
+@arrays_accepted
+def weld_mesh(mesh: MeshLike, tolerance: float | None = None) -> Welded:
+    """Join border vertices at the same place; the first of them stays.
+
+    Vertices with faces all around them stay apart, so that surfaces which only touch are not joined. Corners of a face
+    that become one corner are merged, and faces left with fewer than three corners are dropped. Colours of joined
+    vertices are averaged.
+
+    Parameters
+    ----------
+    mesh : mesh, see `cagemap.mesh.inputs.control_mesh`
+    tolerance : float, optional
+        Largest distance between vertices that are joined, in units of the bounding-box diagonal; 0 joins equal ones
+        only. Default: `weld_tolerance`, or 0 where that finds none.
+
+    Raises
+    ------
+    InvalidMeshError
+        If the arrays are no mesh, or no face would be left.
+    ParameterError
+        If the tolerance is not a number from 0 to 0.1.
+
+    Examples
+    --------
+    >>> from cagemap import ControlMesh
+    >>> two = ControlMesh.from_faces([(0, 0, 0), (1, 0, 0), (0, 1, 0)] * 2, [(0, 1, 2), (3, 5, 4)])
+    >>> weld_mesh(two).mesh.face_indices
+    array([0, 1, 2, 0, 2, 1])
+    """
+    if structure_problems(mesh):
+        raise InvalidMeshError(f"{mesh.name}: expected a mesh, got {structure_problems(mesh)[0]}")
+    if tolerance is not None and not 0.0 <= tolerance <= 0.1:
+        raise ParameterError(
+            f"{mesh.name}: expected a weld tolerance from 0 to 0.1 of the bounding-box diagonal, got {tolerance}"
+        )
+    used = (weld_tolerance(mesh) or 0.0) if tolerance is None else tolerance
+    first = coincident_vertices(mesh, used)
+    joined = np.flatnonzero(first != np.arange(mesh.n_vertices))
+    if not len(joined):
+        note = f"{mesh.name}: no border vertices {_within(used)} to weld"
+        return replace(unwelded(mesh), tolerance=used, notes=(note,))
+    colors, color_notes = _mean_colors(mesh, first)
+    work = _relabelled(replace(mesh, vertex_colors=colors), first)
+    work, collapsed = _without_repeats(work)
+    if not work.n_faces:
+        raise InvalidMeshError(
+            f"{mesh.name}: expected faces after welding vertices {_within(used)}, got none. Give a smaller tolerance."
+        )
+    ready = extract(work, np.arange(work.n_faces))
+    kept = np.unique(work.face_indices)
+    number = np.full(mesh.n_vertices, -1, dtype=np.int64)
+    number[kept] = np.arange(len(kept))
+    vertex_of = number[first]
+    ready = replace(ready, file_copies=file_copies(mesh, joined, vertex_of))
+    notes = [
+        f"{mesh.name}: {len(joined)} of {mesh.n_vertices} vertices are welded to others {_within(used)}; "
+        f"{_pieces(mesh)} became {_pieces(ready)}",
+        *([f"{mesh.name}: {collapsed} faces collapsed and are left out"] if collapsed else []),
+        *color_notes,
+    ]
+    loose = mesh.n_vertices - int(used_vertices(mesh).sum())
+    if loose:
+        notes.append(f"{mesh.name}: {loose} vertices of no face are left out")
+    return Welded(ready, vertex_of, used, tuple(notes))
+
+
+def file_copies(mesh: ControlMesh, joined: IndexArray, vertex_of: IndexArray) -> IndexArray | None:
+    """``file_copies`` after vertices were joined with others; None where there are none.
+
+    Parameters
+    ----------
+    mesh : ControlMesh
+        The one before.
+    joined : (k,) int64
+        Its vertices that became one with another.
+    vertex_of : (n,) int64
+        New number of each of its vertices, -1 for those that are gone.
+    """
+    own = joined if mesh.file_vertices is None else mesh.file_vertices[joined]
+    pairs = np.column_stack([vertex_of[joined], own])
+    earlier = renumbered_copies(mesh.file_copies, vertex_of)
+    pairs = pairs[pairs[:, 0] >= 0] if earlier is None else np.concatenate([pairs[pairs[:, 0] >= 0], earlier])
+    return pairs if len(pairs) else None
+
+
+def _relabelled(mesh: ControlMesh, first: IndexArray) -> ControlMesh:
+    """The mesh on the first of its coincident vertices; of two sharpnesses the larger one."""
+    work = replace(mesh, face_indices=first[mesh.face_indices])
+    if mesh.crease_edges is not None and mesh.crease_sharpness is not None:
+        edges = np.sort(first[mesh.crease_edges], axis=1)
+        _, once, number = np.unique(pair_keys(edges, mesh.n_vertices), return_index=True, return_inverse=True)
+        work = work.with_creases(edges[once], _largest(mesh.crease_sharpness, number))
+    if mesh.corner_vertices is not None and mesh.corner_sharpness is not None:
+        corners, number = np.unique(first[mesh.corner_vertices], return_inverse=True)
+        work = work.with_corners(corners, _largest(mesh.corner_sharpness, number))
+    return work
+
+
+def _largest(values: FloatArray, groups: IndexArray) -> FloatArray:
+    found = np.full(groups.max(initial=-1) + 1, -np.inf)
+    np.maximum.at(found, groups, values)
+    return found
+
+
+def _without_repeats(mesh: ControlMesh) -> tuple[ControlMesh, int]:
+    """Drop repeated corners and then faces of fewer than three; also the number of those faces."""
+    kept = mesh.face_indices != mesh.face_indices[mesh.next_corners]
+    if kept.all():
+        return mesh, 0
+    sizes = np.add.reduceat(kept, mesh.face_offsets[:-1])
+    faces = np.flatnonzero(sizes >= 3)
+    corners = np.flatnonzero(kept & (sizes >= 3)[mesh.corner_faces])
+    offsets = np.concatenate([[0], np.cumsum(sizes[faces])]).astype(np.int64)
+    return with_corners_of(mesh, faces, offsets, corners), mesh.n_faces - len(faces)
+
+
+def _mean_colors(mesh: ControlMesh, first: IndexArray) -> tuple[FloatArray | None, tuple[str, ...]]:
+    """Vertex colours, averaged over joined vertices; a note where they differ."""
+    colors = mesh.vertex_colors
+    if colors is None:
+        return None, ()
+    known = np.isfinite(colors).all(axis=1)
+    sums = grouped_sums(first[known], colors[known], mesh.n_vertices)
+    counts = np.bincount(first[known], minlength=mesh.n_vertices)
+    with np.errstate(invalid="ignore"):
+        mean = (sums / counts[:, None])[first]
+    differ = int(np.sum(known & (np.abs(colors - mean) > COLOR_STEP).any(axis=1)))
+    note = f"{mesh.name}: colours of {differ} welded vertices differ and are averaged"
+    return mean, (note,) if differ else ()
+
+
+def _within(tolerance: float) -> str:
+    return f"within {tolerance:g} of the bounding-box diagonal" if tolerance else "at the same place"
+
+
+def _pieces(mesh: ControlMesh) -> str:
+    count = int(face_components(mesh).max()) + 1
+    return f"{count} piece{'s' * (count != 1)}"
+
+
+def coincident_vertices(mesh: ControlMesh, tolerance: float = 0.0, *, collapse: bool = False) -> IndexArray:
+    """(n,) lowest of the vertices that every vertex coincides with: on borders, and within a tolerance.
+
+    Vertices that have faces all around stay apart: surfaces that touch, such as closed lips, are not joined.
+
+    Parameters
+    ----------
+    mesh : ControlMesh
+        Of sound arrays.
+    tolerance : float
+        Largest distance, in units of the bounding-box diagonal.
+    collapse : bool
+        Join the ends of edges of length zero too, wherever they are.
+    """
+    edges = edge_table(mesh)
+    border = np.unique(edges.vertices[edges.face_counts == 1])
+    links = [border[_close_pairs(mesh.positions[border], tolerance * _diagonal(mesh))]]
+    if collapse:
+        ends = edges.vertices
+        links.append(ends[np.all(mesh.positions[ends[:, 0]] == mesh.positions[ends[:, 1]], axis=1)])
+    pairs = np.concatenate(links)
+    if not len(pairs):
+        return np.arange(mesh.n_vertices)
+    labels = components(pairs[:, 0], pairs[:, 1], mesh.n_vertices)
+    return np.unique(labels, return_index=True)[1][labels].astype(np.int64)
+
+
+def weld_tolerance(mesh: ControlMesh) -> float | None:
+    """Smallest of `TOLERANCES` that leaves the fewest connected pieces; None where none leaves fewer than there are.
+
+    A tolerance that joins vertices of one face that lie apart is not considered.
+    """
+    following = mesh.face_indices[mesh.next_corners]
+    best, fewest = None, _count_pieces(mesh, np.arange(mesh.n_vertices))
+    for tolerance in TOLERANCES:
+        labels = coincident_vertices(mesh, tolerance)
+        joined = labels[mesh.face_indices] == labels[following]
+        if np.any(mesh.positions[mesh.face_indices[joined]] != mesh.positions[following[joined]]):
+            break
+        count = _count_pieces(mesh, labels)
+        if count < fewest:
+            best, fewest = tolerance, count
+        if fewest == 1:
+            break
+    return best
+
+
+def welded_pieces(mesh: ControlMesh, tolerance: float) -> int:
+    """Number of connected pieces that welding leaves."""
+    return _count_pieces(mesh, coincident_vertices(mesh, tolerance))
+
+
+def _count_pieces(mesh: ControlMesh, labels: IndexArray) -> int:
+    corners = labels[mesh.face_indices]
+    found = components(corners, corners[mesh.next_corners], mesh.n_vertices)
+    return len(np.unique(found[corners]))
+
+
+def _close_pairs(points: FloatArray, distance: float) -> IndexArray:
+    """(k, 2) pairs of points to join: equal ones in chains, and first ones of chains within a distance."""
+    places = points + 0.0  # -0.0 becomes 0.0
+    order = np.lexsort(places.T)
+    same = np.all(places[order[1:]] == places[order[:-1]], axis=1)
+    equal = np.column_stack([order[:-1][same], order[1:][same]])
+    if not 0.0 < distance < np.inf or len(order) < 2:
+        return equal
+    first = order[np.concatenate([[True], ~same])]
+    return np.concatenate([equal, first[cKDTree(places[first]).query_pairs(distance, output_type="ndarray")]])
+
+
+def _diagonal(mesh: ControlMesh) -> float:
+    points = mesh.positions[used_vertices(mesh)]
+    with np.errstate(over="ignore"):
+        return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))

@@ -1,0 +1,39 @@
+"""Settings of a process that computes: garbage collection, threads and memory."""
+
+from __future__ import annotations
+
+import atexit
+import ctypes
+import gc
+import os
+import sys
+from typing import Any
+
+# New objects after which Python looks for cycles of garbage among all there are: loading makes many that stay.
+COLLECTED_AFTER = 100_000
+# Seconds for which a thread that works in Python may keep those waiting that come back from a kernel; 0.005 by default.
+TURN = 0.0005
+# Of glibc's malloc (see mallopt(3)): M_ARENA_MAX, M_TRIM_THRESHOLD and M_MMAP_THRESHOLD, the last at most 32 MB.
+MALLOC = {-8: 2, -1: 1 << 30, -3: 32 << 20}
+
+
+def set_up_process() -> None:
+    """Make this process one that computes; before libraries are loaded."""
+    gc.set_threshold(COLLECTED_AFTER, *gc.get_threshold()[1:])
+    atexit.register(_leave)
+    keep_memory()
+    sys.setswitchinterval(TURN)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before it is loaded, or its threads spin
+
+
+def keep_memory() -> None:
+    """Have freed memory used again, by any thread: to take a new page costs more than the arithmetic on it."""
+    mallopt: Any = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
+    for parameter, value in MALLOC.items() if mallopt else ():  # musl has none
+        mallopt(parameter, value)
+
+
+def _leave() -> None:
+    """Spare the last look for garbage; OpenImageIO takes what is left then for leaks, and says so."""
+    if "OpenImageIO" not in sys.modules:
+        gc.freeze()

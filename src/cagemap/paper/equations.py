@@ -1,0 +1,182 @@
+"""Functional maps from constraints: eq. 13 at level 0, eqs. 14-16 for the bands of each further level (5.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy import linalg
+from scipy.sparse.linalg import LinearOperator, cg
+
+from cagemap.errors import ParameterError
+from cagemap.numerics.arrays import FloatArray
+from cagemap.paper.constraints import SPACING, Constraints, MapWeights, SpectralData
+
+# Residual of the iteration that couples rows, relative to the right side.
+CONVERGED = 1e-11
+MOST_ITERATIONS = 5000
+
+
+def solve_functional_map(
+    constraints: Constraints, weights: MapWeights, *, known: FloatArray | None = None
+) -> FloatArray:
+    """Minimise ||C F2 - F1||^2 + sum_O alpha(O) ||C O2 - O1 C||^2 + decay ||C||^2 (eq. 13).
+
+    Parameters
+    ----------
+    constraints : Constraints
+    weights : MapWeights
+    known : (a, b) array, optional
+        Leading block C_l that stays as it is (eq. 14); the three blocks beside it are found together. Operators without
+        entries between low and high functions let them fall apart into eq. 16 and its companion.
+
+    Returns
+    -------
+    (k1, k2) array
+        C12, takes source coefficients to target coefficients.
+
+    Raises
+    ------
+    ParameterError
+        If the known block is larger than C.
+    """
+    target, source = constraints.target, constraints.source
+    k1, k2 = constraints.shape
+    low1, low2 = (0, 0) if known is None else known.shape
+    if low1 > k1 or low2 > k2:
+        raise ParameterError(f"expected a known block within {(k1, k2)} functions, got {(low1, low2)}")
+    gram = source.descriptors @ source.descriptors.T
+    right = target.descriptors @ source.descriptors.T
+    diagonal = laplacian_penalties(target.eigenvalues, source.eigenvalues, weights.laplacian)
+    # Systems stay definite where neither a descriptor nor an operator says anything.
+    diagonal += 1e-10 * np.trace(gram) / max(k2, 1) + np.finfo(float).tiny + weights.decay
+    pairs = [] if weights.operators == 0.0 else list(zip(target.operators, source.operators, strict=True))
+
+    def normal_equations(c: FloatArray) -> FloatArray:
+        result = c @ gram + diagonal * c
+        for o1, o2 in pairs:
+            commutator = c @ o2 - o1 @ c
+            result += weights.operators * (commutator @ o2.T - o1.T @ commutator)
+        return np.asarray(result)
+
+    start = np.zeros((k1, k2))
+    if known is not None:
+        start[:low1, :low2] = known
+        right = right - normal_equations(start)
+    # Rows low1.. are wholly unknown; of those above, the columns from low2 on.
+    blocks = [(slice(low1), slice(low2, k2)), (slice(low1, k1), slice(k2))]
+    if not pairs:
+        for rows, columns in blocks:
+            start[rows, columns] = _solve_rows(gram[columns, columns], diagonal[rows, columns], right[rows, columns])
+        return start
+    return start + _solve_coupled(normal_equations, gram, diagonal, right, blocks)
+
+
+def extend_functional_map(coarse: FloatArray, constraints: Constraints, weights: MapWeights) -> FloatArray:
+    """Extend a functional map by the bands of the next level, eq. 14: C_h = [[C_l, C_lh], [C_hl, C_h]].
+
+    C_l stays as it is. Tridiagonal operators are cut to their diagonal blocks (eq. 15), so the low rows give C_lh alone
+    (eq. 16) and the high rows C_hl and C_h; denser ones keep their entries and couple all three (end of 5.3.2).
+
+    Parameters
+    ----------
+    coarse : (k1_l, k2_l) array
+        C_l, on the leading basis functions of both surfaces.
+    constraints : Constraints
+        Of level l + 1: k1 >= k1_l and k2 >= k2_l basis functions.
+    weights : MapWeights
+
+    Returns
+    -------
+    (k1, k2) array
+    """
+    low1, low2 = coarse.shape
+    split = Constraints(split_operators(constraints.target, low1), split_operators(constraints.source, low2))
+    return solve_functional_map(split, weights, known=coarse)
+
+
+def split_operators(data: SpectralData, low: int) -> SpectralData:
+    """Cut tridiagonal operators between low and high functions (eq. 15); denser ones stay whole."""
+    operators = tuple(_block_diagonal(o, low) if _is_tridiagonal(o) else o for o in data.operators)
+    return SpectralData(data.eigenvalues, data.descriptors, operators)
+
+
+def _is_tridiagonal(operator: FloatArray) -> bool:
+    return not (np.any(np.triu(operator, 2)) or np.any(np.tril(operator, -2)))
+
+
+def _block_diagonal(operator: FloatArray, low: int) -> FloatArray:
+    blocks = np.zeros_like(operator)
+    blocks[:low, :low], blocks[low:, low:] = operator[:low, :low], operator[low:, low:]
+    return blocks
+
+
+def laplacian_penalties(target_eigenvalues: FloatArray, source_eigenvalues: FloatArray, weight: float) -> FloatArray:
+    """Weights of C_ij^2 that stand for alpha ||C Lambda2 - Lambda1 C||^2; (k1, k2)."""
+    differences = (source_eigenvalues[None, :] - target_eigenvalues[:, None]) / SPACING
+    return np.asarray(weight * differences**2)
+
+
+def _solve_rows(gram: FloatArray, diagonal: FloatArray, right: FloatArray) -> FloatArray:
+    """Diagonal operators only: each row of C is a positive definite system of its own."""
+    solution = np.empty_like(right)
+    for i in range(len(right) if right.shape[1] else 0):
+        system = gram + np.diag(diagonal[i])
+        solution[i] = linalg.solve(system, right[i], assume_a="pos", overwrite_a=True, check_finite=False)
+    return solution
+
+
+def _solve_coupled(
+    normal_equations: Callable[[FloatArray], FloatArray],
+    gram: FloatArray,
+    diagonal: FloatArray,
+    right: FloatArray,
+    blocks: list[tuple[slice, slice]],
+) -> FloatArray:
+    """Operators with entries beside the diagonal couple rows: conjugate gradients over the unknown blocks.
+
+    Preconditioned by (G + d_i)^{-1} for row i, d_i the mean of its penalties: one eigendecomposition serves all rows.
+    """
+    shapes = [right[block].shape for block in blocks]
+    splits = np.cumsum([rows * columns for rows, columns in shapes])
+    spectra = [linalg.eigh(gram[columns, columns]) for _, columns in blocks]
+    shifts = [diagonal[block].mean(axis=1, keepdims=True) if diagonal[block].size else 0.0 for block in blocks]
+
+    def apart(x: FloatArray) -> list[FloatArray]:
+        return [part.reshape(shape) for part, shape in zip(np.split(x, splits[:-1]), shapes, strict=True)]
+
+    def together(parts: list[FloatArray]) -> FloatArray:
+        return np.concatenate([part.ravel() for part in parts])
+
+    def whole(x: FloatArray) -> FloatArray:
+        c = np.zeros_like(right)
+        for block, part in zip(blocks, apart(x), strict=True):
+            c[block] = part
+        return c
+
+    def apply(x: FloatArray) -> FloatArray:
+        image = normal_equations(whole(x))
+        return together([image[block] for block in blocks])
+
+    def precondition(x: FloatArray) -> FloatArray:
+        return together(
+            [
+                ((part @ vectors) / (np.maximum(values, 0.0) + shift)) @ vectors.T
+                for part, (values, vectors), shift in zip(apart(x), spectra, shifts, strict=True)
+            ]
+        )
+
+    size = int(splits[-1])
+    solution, failed = cg(
+        LinearOperator((size, size), matvec=apply, dtype=np.float64),
+        together([right[block] for block in blocks]),
+        rtol=CONVERGED,
+        maxiter=MOST_ITERATIONS,
+        M=LinearOperator((size, size), matvec=precondition, dtype=np.float64),
+    )
+    if failed:
+        raise ParameterError(
+            "the functional map of these operators was not found: are they scaled to norms of about 1, and their "
+            "weight comparable to that of the descriptors?"
+        )
+    return whole(solution)

@@ -1,0 +1,120 @@
+"""The paper's own method, level by level (section 5): nothing from later papers is in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cagemap.errors import ParameterError
+from cagemap.maps.level_map import LevelMap
+from cagemap.maps.pair import LevelPair, Pair, Progress, silent
+from cagemap.maps.point_map import PointMap
+from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.brief import Brief
+from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints
+from cagemap.paper.equations import extend_functional_map, solve_functional_map
+from cagemap.paper.levels import basis_sizes, down_the_levels, refit, search_full, search_level, start_map
+
+FEWEST_FUNCTIONS = 3
+
+
+@dataclass(frozen=True, repr=False)
+class PaperConfig(Brief):
+    """Parameters of the paper's method; the text names them and leaves their values to its missing section 6.
+
+    Attributes
+    ----------
+    descriptors : DescriptorConfig
+    weights : MapWeights
+        alpha(O), the same on all levels.
+    rounds : int
+        Alternations of P and orthonormal C on every level (2.1.4); 0 takes C as eqs. 13-16 give it.
+    """
+
+    descriptors: DescriptorConfig = DescriptorConfig()
+    weights: MapWeights = MapWeights()
+    rounds: int = 1
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        if self.rounds < 0:
+            raise ParameterError(f"rounds: expected 0 or more alternations, got {self.rounds}")
+
+
+def paper_map(
+    pair: Pair,
+    config: PaperConfig = PaperConfig(),
+    progress: Progress = silent,
+    *,
+    constraints: Constraints | None = None,
+    start: ArrayLike | None = None,
+) -> tuple[tuple[LevelMap, ...], PointMap]:
+    """Maps of all levels, and the point map of the finest ones.
+
+    Parameters
+    ----------
+    pair : Pair
+    config : PaperConfig
+    progress : callable
+    constraints : Constraints, optional
+        One's own, instead of `gather_constraints`.
+    start : (k1, k2) or (n,) array, optional
+        A functional map from elsewhere, instead of the solution of eq. 13, or a source vertex for every target vertex
+        of a level. Of another size than level 0, its leading block is used and extended by eqs. 14-16.
+
+    Raises
+    ------
+    ParameterError
+        If level 0 has too few basis functions, or the start is no map.
+    """
+    progress("functional map, level 0")
+    constraints = gather_constraints(pair, config.descriptors) if constraints is None else constraints
+
+    def below(coarse: LevelMap, levels: LevelPair) -> LevelMap:
+        return next_level(pair, constraints, coarse, levels, config)
+
+    return down_the_levels(pair, first_level(pair, constraints, config, start), below, progress)
+
+
+def first_level(pair: Pair, constraints: Constraints, config: PaperConfig, start: ArrayLike | None = None) -> LevelMap:
+    """Level 0: eq. 13, and the full search (5.3.1, 5.4)."""
+    sizes = basis_sizes(pair, (0, 0))
+    if min(sizes) < FEWEST_FUNCTIONS:
+        raise ParameterError(
+            f"expected at least {FEWEST_FUNCTIONS} basis functions on level 0 of both surfaces, got {sizes}: give a "
+            "schedule such as 100,50,50"
+        )
+    wanted = constraints.leading(*sizes)
+    if start is None:
+        functional_map = solve_functional_map(wanted, config.weights)
+    else:
+        functional_map = start_map(pair, start, sizes)[: sizes[0], : sizes[1]]
+        if functional_map.shape != sizes:
+            functional_map = extend_functional_map(functional_map, wanted, config.weights)
+    match = search_full(pair, functional_map, (0, 0))
+    for _ in range(config.rounds):
+        functional_map = orthonormal(refit(pair, (0, 0), match))
+        match = search_full(pair, functional_map, (0, 0))
+    return LevelMap((0, 0), functional_map, match)
+
+
+def next_level(
+    pair: Pair, constraints: Constraints, coarse: LevelMap, levels: LevelPair, config: PaperConfig
+) -> LevelMap:
+    """Level l + 1: eqs. 14-16, and the search among the children of the parents' matches (5.3.2, Fig. 9)."""
+    functional_map, sizes = coarse.functional_map, basis_sizes(pair, levels)
+    if sizes != functional_map.shape:
+        functional_map = extend_functional_map(functional_map, constraints.leading(*sizes), config.weights)
+    match = search_level(pair, functional_map, levels, coarse)
+    for _ in range(config.rounds):
+        functional_map = orthonormal(refit(pair, levels, match))
+        match = search_level(pair, functional_map, levels, coarse)
+    return LevelMap(levels, functional_map, match)
+
+
+def orthonormal(functional_map: FloatArray) -> FloatArray:
+    """The matrix with orthonormal rows or columns that is nearest to C (2.1.4), from its singular vectors."""
+    left, _, right = np.linalg.svd(functional_map, full_matrices=False)
+    return np.asarray(left @ right)

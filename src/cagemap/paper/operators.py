@@ -1,0 +1,148 @@
+"""Operators that a functional map commutes with: self-symmetries and products with descriptors (paper, 5.2).
+
+A map that carries f2 to f1 carries g f2 to the image of g times f1, so it commutes with both products, which says more
+than C f2 = f1 does [NO17: Nogneng, Ovsjanikov 2017].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from cagemap.errors import ParameterError
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.spectral.basis import HierarchicalBasis
+from cagemap.subdivision import Refinement
+
+# Rows of S^l that generic functions tell apart by less than this are the same row.
+SAME_ROW = 1e-9
+UNKNOWN = -1
+# Basis functions that an operator is applied to at once: at a million vertices 256 MB.
+COLUMNS = 32
+
+
+def check_symmetry(symmetry: IndexArray, control: ControlMesh) -> None:
+    """Refuse what is no self-map of the control vertices.
+
+    Parameters
+    ----------
+    symmetry : (n,) array
+        Vertex i's image; -1 where it is not known. A permutation that sends faces to faces is propagated exactly,
+        anything else by nearest neighbours.
+
+    Raises
+    ------
+    ParameterError
+    """
+    n = control.n_vertices
+    array = np.asarray(symmetry)
+    if array.shape != (n,) or not np.issubdtype(array.dtype, np.integer):
+        raise ParameterError(
+            f"symmetry: expected the image of each of the {n} control vertices of {control.name}, whole numbers, "
+            f"got {array.dtype} of shape {array.shape}"
+        )
+    if array.min() < UNKNOWN or array.max() >= n or array.max() == UNKNOWN:
+        raise ParameterError(
+            f"symmetry: expected vertices 0 to {n - 1} of {control.name}, or -1 where the image is not known, "
+            f"got {array.min()} to {array.max()}"
+        )
+
+
+def symmetry_at(refinement: Refinement, symmetry: IndexArray, level: int) -> IndexArray:
+    """Self-map of a level from that of the control mesh, level by level; (n_level,), -1 where it is not known."""
+    for i in range(level):
+        coarse, fine = refinement.levels[i].positions, refinement.levels[i + 1].positions
+        symmetry = propagate_symmetry(refinement.matrices[i], symmetry, coarse, fine)
+    return symmetry
+
+
+def propagate_symmetry(
+    subdivision: sparse.csr_array, symmetry: IndexArray, coarse_positions: FloatArray, fine_positions: FloatArray
+) -> IndexArray:
+    """Self-map of the next level: nearest neighbours between X^{l+1} and S^l S_sym X^l (paper, 5.2).
+
+    Where a row of S^l with permuted columns is again a row of S^l, that row is the answer: the same search without
+    geometry, which cannot take one of two coinciding vertices for the other. Elsewhere the positions decide.
+
+    Parameters
+    ----------
+    subdivision : (n_{l+1}, n_l) CSR array
+        S^l.
+    symmetry : (n_l,) array
+        -1 where not known.
+    coarse_positions, fine_positions : (n_l, 3), (n_{l+1}, 3) arrays
+        X^l and X^{l+1}.
+
+    Returns
+    -------
+    (n_{l+1},) array
+        -1 for vertices that depend on one whose image is not known.
+    """
+    rng = np.random.default_rng(20190707)
+    probes = rng.standard_normal((subdivision.shape[1], 3))  # generic functions tell all rows of S^l apart
+    distances, nearest = cKDTree(subdivision @ probes).query(subdivision @ probes[symmetry])
+    image = np.array(nearest, dtype=np.int64)
+    rest = np.flatnonzero(np.asarray(distances) > SAME_ROW)
+    if len(rest):
+        mirrored = subdivision[rest] @ coarse_positions[symmetry]
+        image[rest] = cKDTree(fine_positions).query(mirrored)[1]
+    if symmetry.min() == UNKNOWN:
+        unknown = abs(subdivision) @ (symmetry == UNKNOWN).astype(np.float64)
+        image[unknown > 0.0] = UNKNOWN
+    return image
+
+
+def symmetry_operator(basis: HierarchicalBasis, symmetry: IndexArray) -> FloatArray:
+    """Projected self-symmetry O~ = Phi~^+ S Phi~, cut to its three main diagonals (paper, section 5.2).
+
+    The pseudo-inverse is that of the inner product M: only so has an exact symmetry +-1 on its diagonal.
+
+    Parameters
+    ----------
+    basis : HierarchicalBasis
+    symmetry : (n,) array
+        S at the basis' last level. S g is 0 where the image is not known, so both surfaces should know it on the same
+        parts.
+
+    Returns
+    -------
+    (k, k) array, tridiagonal
+        Its leading blocks are the operators of the coarser levels.
+    """
+    whole = projected_operator(basis, lambda values: np.where(symmetry[:, None] == UNKNOWN, 0.0, values[symmetry]))
+    return np.triu(np.tril(whole, 1), -1)
+
+
+def projected_operator(basis: HierarchicalBasis, apply: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """(k, k) Phi~^+ O Phi~ of a linear operator O on functions (n, q) of the last level that has a band."""
+    level, columns = basis.last_level, []
+    for i, band in enumerate(basis.bands):
+        for start in range(0, band.shape[1], COLUMNS):
+            values = basis.refinement.prolong(band[:, start : start + COLUMNS], i, level)
+            columns.append(basis.project(apply(values), level))
+    return np.hstack(columns)
+
+
+def multiplication_operator(basis: HierarchicalBasis, coefficients: FloatArray) -> FloatArray:
+    """O~ = Phi~^+ diag(f) Phi~ with |f| at most 1 (paper, 5.2; [NO17], eq. 6).
+
+    Parameters
+    ----------
+    basis : HierarchicalBasis
+    coefficients : (k,) array
+        f, in the basis. Scaled to a largest absolute value of 1, for the scale of a descriptor says nothing.
+
+    Returns
+    -------
+    (k, k) array, dense
+        Its leading blocks are near the operators of the coarser levels.
+    """
+    values = np.empty(basis.refinement.levels[basis.last_level].n_vertices)
+    for part, rows in basis.row_blocks(basis.last_level):
+        values[part] = rows @ coefficients
+    values /= max(float(np.abs(values).max()), np.finfo(float).tiny)
+    return projected_operator(basis, lambda functions: values[:, None] * functions)

@@ -1,0 +1,127 @@
+"""Quality figures in plain words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+_PERCENT = "{:.2f} %"
+
+
+@dataclass(frozen=True)
+class Merit:
+    """One figure for people.
+
+    Attributes
+    ----------
+    label, value, meaning : str
+        What it is called, its number with its unit, and a sentence on how to read it.
+    verdict : str
+        "good", "fair" or "poor".
+    """
+
+    label: str
+    value: str
+    meaning: str
+    verdict: str
+
+
+def explain(quality: dict[str, Any]) -> list[Merit]:
+    """Figures of a manifest's ``quality``, each with a verdict; unknown or missing ones are left out."""
+    merits = []
+    for read, label, show, meaning, good, fair in _FIGURES:
+        value = read(quality)
+        if value is None:
+            continue
+        badness = abs(value)
+        verdict = "good" if badness <= good else "fair" if badness <= fair else "poor"
+        merits.append(Merit(label, show(value), meaning, verdict))
+    return merits
+
+
+def overall(merits: list[Merit], warnings: list[str]) -> str:
+    """One word for all: the worst verdict, at best "fair" where there are warnings."""
+    verdicts = {merit.verdict for merit in merits} | ({"fair"} if warnings else set())
+    return next((verdict for verdict in ("poor", "fair") if verdict in verdicts), "good")
+
+
+def _get(quality: dict[str, Any], *names: str) -> float | None:
+    value: Any = quality
+    for name in names:
+        value = value.get(name) if isinstance(value, dict) else None
+    return float(value) if isinstance(value, int | float) else None
+
+
+def _missing(name: str) -> Callable[[dict[str, Any]], float | None]:
+    def read(quality: dict[str, Any]) -> float | None:
+        share = _get(quality, name)
+        return None if share is None else 1.0 - share
+
+    return read
+
+
+# reader, label, format, meaning, good up to, fair up to (of the value as read)
+_FIGURES: list[tuple[Callable[[dict[str, Any]], float | None], str, Callable[[float], str], str, float, float]] = [
+    (
+        lambda q: _get(q, "landmark_error_mean"),
+        "Landmarks, mean miss",
+        lambda x: _PERCENT.format(100 * x),
+        "How far from their partners the landmarks land, as a share of the model's size (the square root of its area). "
+        "0 is exact; 1 % of a person is about a finger's width.",
+        0.005,
+        0.04,
+    ),
+    (
+        lambda q: _get(q, "landmark_error_worst"),
+        "Landmarks, worst miss",
+        lambda x: _PERCENT.format(100 * x),
+        "The same for the landmark that is met worst. Pairs that were left out do not count.",
+        0.01,
+        0.15,
+    ),
+    (
+        lambda q: _get(q, "flipped_area"),
+        "Folded area",
+        lambda x: _PERCENT.format(100 * x),
+        "Part of the target where the map runs backwards over itself. A texture is mirrored or smeared there.",
+        0.005,
+        0.08,
+    ),
+    (
+        _missing("coverage"),
+        "Source left out",
+        lambda x: _PERCENT.format(100 * x),
+        "Part of the source's area that nothing of the target maps to. What is painted there does not arrive.",
+        0.02,
+        # A part that the target lacks (an udder, a mouth) leaves the rest of the map as good as it is.
+        0.5,
+    ),
+    (
+        lambda q: _get(q, "dirichlet"),
+        "Stretch energy",
+        "{:.2f}".format,
+        "1 for a map that keeps all lengths; pairs of different proportions lie higher. Beside equal pairs, lower is "
+        "smoother.",
+        2.0,
+        10.0,
+    ),
+    (
+        lambda q: _get(q, "aspect_ratio_percentiles", "50"),
+        "Typical anisotropy",
+        lambda x: f"{x:.2f} : 1",
+        "How much longer than wide a small circle becomes, in the middle half of the surface.",
+        2.0,
+        4.0,
+    ),
+    (
+        _missing("trusted_area"),
+        "Not to be trusted",
+        lambda x: _PERCENT.format(100 * x),
+        "How far the map is from unfolded and little stretched, averaged over the target; the red places in the "
+        "pictures above.",
+        0.10,
+        # Folds have a verdict of their own above; a toy and its living model differ by this much stretch alone.
+        0.60,
+    ),
+]

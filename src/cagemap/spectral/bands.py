@@ -1,0 +1,204 @@
+"""Compute a basis: all functions at one level, or the paper's bands of several levels (sections 4.3 and 4.4)."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg, sparse
+
+from cagemap.errors import ParameterError
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.products import multiply
+from cagemap.operators import Operators, lumped_areas
+from cagemap.spectral.basis import HierarchicalBasis, products_with_bands
+from cagemap.spectral.config import SOLVER, BasisConfig
+from cagemap.spectral.eigenpairs import EigenPairs, band_pairs, count_below, residual_norms
+from cagemap.subdivision import Refinement
+
+_log = logging.getLogger(__name__)
+
+
+def hierarchical_basis(
+    refinement: Refinement, operators: Operators, config: BasisConfig = BasisConfig()
+) -> HierarchicalBasis:
+    """Basis of a surface: ``config.count`` functions of one level, or ``config.schedule[l]`` of each level.
+
+    Warns where functions of different levels nearly repeat each other (``condition``).
+
+    Parameters
+    ----------
+    refinement : Refinement
+    operators : Operators
+        Of the same refinement.
+    config : BasisConfig
+
+    Raises
+    ------
+    ParameterError
+        If more functions are asked for than a level has vertices.
+    """
+    counts = config.bands(refinement, operators.finest)
+    if config.schedule is None:
+        counts = (*counts[:-1], _count_on(operators.mass[len(counts) - 1].shape[0], config))
+    else:
+        _check_schedule(operators, counts)
+    while not counts[-1]:
+        counts = counts[:-1]
+    basis = _empty_basis(refinement, operators)
+    for level, count in enumerate(counts):
+        basis = _with_band(basis, level, _new_band(basis, level, count, config))
+    if basis.condition > SOLVER.ill_conditioned:
+        _log.warning(
+            "%s: the Gram matrix has condition %.0f: functions of different levels nearly repeat each other, since "
+            "coarse levels were asked for more than they resolve; take fewer there, or count instead of schedule",
+            basis,
+            basis.condition,
+        )
+    return basis
+
+
+@dataclass(frozen=True, eq=False)
+class _Band:
+    """(n_l, k_l) new eigenvectors of a level and (k_l,) their places in its spectrum."""
+
+    vectors: FloatArray
+    indices: IndexArray
+
+
+def _empty_basis(refinement: Refinement, operators: Operators) -> HierarchicalBasis:
+    none = np.zeros(0)
+    return HierarchicalBasis(refinement, operators, (), none, none, none.astype(np.int64), np.zeros((0, 0)))
+
+
+def _new_band(basis: HierarchicalBasis, level: int, count: int, config: BasisConfig) -> _Band:
+    """The band of a level: the eigenvectors that follow those of the basis so far (Definition 2)."""
+    stiffness, mass = basis.operators.stiffness[level], basis.operators.mass[level]
+    if not count:
+        return _Band(np.zeros((mass.shape[0], 0)), np.zeros(0, dtype=np.int64))
+    if config.literal and basis.count:
+        first = count_below(stiffness, mass, float(basis.eigenvalues.max()))
+        if first + count > mass.shape[0]:
+            raise ParameterError(
+                f"schedule: expected at most {mass.shape[0] - first} functions at level {level}, which has so many "
+                f"above the largest eigenvalue so far, got {count}; move counts to finer levels"
+            )
+        pairs = band_pairs(stiffness, mass, first, first + count, accuracy=config.accuracy)
+        return _Band(_orthonormal(pairs.vectors, mass), first + np.arange(count))
+    first = max(0, basis.count - SOLVER.overlap)
+    pairs = band_pairs(stiffness, mass, first, basis.count + count, accuracy=config.accuracy)
+    return _missing(basis, level, pairs)
+
+
+def _missing(basis: HierarchicalBasis, level: int, pairs: EigenPairs) -> _Band:
+    """The eigenvectors of a window that the refined basis does not span yet."""
+    mass, present = basis.operators.mass[level], basis.count - pairs.first_index
+    vectors = _orthonormal(pairs.vectors, mass)
+    if present == 0:
+        return _Band(vectors, pairs.first_index + np.arange(len(pairs.values)))
+    overlap = products_with_bands(basis.bands, basis.refinement, multiply(mass, vectors), level)
+    rotation, positions = new_directions(pairs.values, overlap, basis.gram, present)
+    return _Band(np.ascontiguousarray(vectors @ rotation), pairs.first_index + positions)
+
+
+def _with_band(basis: HierarchicalBasis, level: int, band: _Band) -> HierarchicalBasis:
+    """The basis with the band of one more level; its Gram matrix is [[G, E], [E^T, I]] (eqs. 8, 9)."""
+    mass, stiffness = basis.operators.mass[level], basis.operators.stiffness[level]
+    dual, energy = multiply(mass, band.vectors), multiply(stiffness, band.vectors)
+    values = np.einsum("ij,ij->j", band.vectors, energy)
+    residuals = residual_norms(values, energy, dual, lumped_areas(mass))
+    cross = products_with_bands(basis.bands, basis.refinement, dual, level)
+    return HierarchicalBasis(
+        basis.refinement,
+        basis.operators,
+        (*basis.bands, band.vectors),
+        np.concatenate([basis.eigenvalues, values]),
+        np.concatenate([basis.residuals, residuals]),
+        np.concatenate([basis.indices, band.indices]),
+        np.block([[basis.gram, cross], [cross.T, np.eye(len(values))]]),
+    )
+
+
+def clusters(values: FloatArray) -> IndexArray:
+    """(m,) number of the cluster of nearly equal eigenvalues that each of an ascending list belongs to."""
+    steps = np.diff(values) > SOLVER.cluster * np.maximum(np.abs(values[1:]), 1e-3 * abs(values[-1]))
+    return np.concatenate([[0], np.cumsum(steps)])
+
+
+def new_directions(
+    values: FloatArray, overlap: FloatArray, gram: FloatArray, present: int
+) -> tuple[FloatArray, IndexArray]:
+    """Rotate eigenvectors inside repeated eigenvalues; leave out those that the refined basis spans.
+
+    A repeated eigenvalue may be cut by the end of a band: its eigenvectors are rotated so that each is in the refined
+    span as far as possible or out of it. ``present`` directions are there already: those with the largest overlap.
+
+    Parameters
+    ----------
+    values : (m,) array
+        Ascending eigenvalues of a window.
+    overlap : (k, m) array
+        <refined basis, window> in the mass inner product; the window is orthonormal.
+    gram : (k, k) array
+        <refined basis, refined basis>.
+    present : int
+        How many of the window's directions the refined basis spans.
+
+    Returns
+    -------
+    rotation : (m, m - present) array
+        Window vectors times this are the new directions, in ascending order.
+    positions : (m - present,) array
+        Place of each in the window.
+    """
+    m = len(values)
+    if present == 0:
+        return np.eye(m), np.arange(m)
+    # In an orthonormal basis of the refined span a squared column norm is the share of a vector inside that span.
+    inside = linalg.solve_triangular(linalg.cholesky(gram, lower=True), overlap, lower=True)
+    rotation = np.eye(m)
+    share = np.sum(inside**2, axis=0)
+    labels = clusters(values)
+    for label in np.flatnonzero(np.bincount(labels) > 1):
+        members = np.flatnonzero(labels == label)
+        squares, axes = linalg.eigh(inside[:, members].T @ inside[:, members])
+        if squares[0] > 0.5 or squares[-1] < 0.5:  # not cut: its vectors stay as they are
+            continue
+        # Descending shares: the missing directions come last, next to the following pairs.
+        share[members] = squares[::-1]
+        rotation[np.ix_(members, members)] = axes[:, ::-1]
+    positions = np.sort(np.argsort(-share, kind="stable")[present:])
+    return rotation[:, positions], positions
+
+
+def _orthonormal(vectors: FloatArray, mass: sparse.csr_array) -> FloatArray:
+    """Eigenvectors that may come in single precision, M-orthonormal in double."""
+    band = np.array(vectors, dtype=np.float64)
+    factor = linalg.cholesky(band.T @ multiply(mass, band))
+    return np.ascontiguousarray(linalg.solve_triangular(factor, band.T, trans="T").T)
+
+
+def _count_on(size: int, config: BasisConfig) -> int:
+    """The functions asked for; of a surface with fewer vertices than the default count, as many as it has."""
+    if config.count > size and config.count != BasisConfig.count:
+        raise ParameterError(
+            f"count: expected at most {size} basis functions, the vertices of the finest level, got {config.count}; "
+            "refine further or ask for fewer"
+        )
+    return min(config.count, size)
+
+
+def _check_schedule(operators: Operators, counts: tuple[int, ...]) -> None:
+    sizes = [mass.shape[0] for mass in operators.mass]
+    if len(counts) > len(sizes):
+        raise ParameterError(
+            f"schedule: expected at most {len(sizes)} counts, one for each level, got {len(counts)}: {counts}; refine "
+            "further or shorten it"
+        )
+    for level, total in enumerate(np.cumsum(counts)):
+        if total > sizes[level]:
+            raise ParameterError(
+                f"schedule: expected at most {sizes[level]} functions up to level {level}, which has so many vertices, "
+                f"got {total} from {counts}; move counts to finer levels, or give count instead"
+            )

@@ -1,0 +1,150 @@
+"""Parameters of the spectral basis and of the eigensolver."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cagemap.errors import ParameterError
+from cagemap.operators.polygons import named_laplacian
+from cagemap.subdivision import Refinement
+
+
+@dataclass(frozen=True)
+class BasisConfig:
+    """Parameters of a basis: ``count`` functions of one level, or the paper's bands of several levels.
+
+    Attributes
+    ----------
+    count : int
+        Number of basis functions k; the default is cut to the vertices of a smaller surface. They are computed at the
+        coarsest level with at least ``MIN_VERTICES`` vertices and ``VERTICES_PER_FUNCTION`` times ``count``;
+        eigenvalues there are 0.1 to 4 % above the finest level's.
+    schedule : tuple of int, optional
+        Instead of ``count``: number of functions k_l that each level adds, level 0 first (paper, Definition 2).
+        ``(0, 0, 150)`` computes 150 at level 2.
+    accuracy : float
+        Convergence of the eigensolver, relative to the eigenvalues of the inverted problem.
+    literal : bool
+        With a schedule: Definition 2 to the letter. The band of a level is the k_l eigenvectors above the largest
+        eigenvalue so far. Refined eigenvalues are lower, so the band then starts a few indices too high. Default: the
+        band continues by index, and directions that the refined bands span already are left out.
+    vertices : int, optional
+        Operators are those of the coarsest level with at least so many vertices, as if it were the finest. Default: the
+        finest level's, as in the paper.
+    laplacian : str
+        Of the finest level's quads: "mean" of both triangulations, "alexa-wardetzky" (the paper's) or
+        "de-goes-butts-desbrun"; see `cagemap.operators.polygons`.
+    stabilisation : float
+        lambda of the last two.
+    """
+
+    count: int = 150
+    schedule: tuple[int, ...] | None = None
+    accuracy: float = 1e-5
+    literal: bool = False
+    vertices: int | None = None
+    laplacian: str = "mean"
+    stabilisation: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        counts = (self.count, *(() if self.schedule is None else self.schedule))
+        if not all(isinstance(count, int | np.integer) for count in counts):
+            raise ParameterError(
+                f"count and schedule: expected whole numbers, such as 150 or (100, 50, 50), got {self.count!r} and "
+                f"{self.schedule!r}"
+            )
+        if self.schedule is not None:
+            object.__setattr__(self, "schedule", tuple(self.schedule))
+        if self.count < 1:
+            raise ParameterError(f"count: expected at least 1 basis function, got {self.count}")
+        if self.vertices is not None and self.vertices < 1:
+            raise ParameterError(f"vertices: expected at least 1, got {self.vertices}")
+        if not 0.0 < self.accuracy <= 1e-3:
+            raise ParameterError(f"accuracy: expected a residual between 0 and 1e-3, got {self.accuracy}")
+        if self.schedule is not None and (not self.schedule or min(self.schedule) < 0 or max(self.schedule) < 1):
+            raise ParameterError(
+                f"schedule: expected counts per level such as (100, 50, 50), level 0 first, got {self.schedule}"
+            )
+        named_laplacian(self.laplacian, self.stabilisation)
+        if self.literal and self.schedule is None:
+            raise ParameterError(
+                "literal: expected a fixed schedule with it, as in Definition 2, got none; give schedule"
+            )
+
+    @property
+    def total(self) -> int:
+        """Number of basis functions asked for."""
+        return self.count if self.schedule is None else sum(self.schedule)
+
+    def bands(self, refinement: Refinement, finest: int) -> tuple[int, ...]:
+        """Number of functions that each level up to ``finest`` adds: the schedule, or all of them at one level."""
+        if self.schedule is not None:
+            return self.schedule
+        level = min(refinement.coarsest_level(max(MIN_VERTICES, VERTICES_PER_FUNCTION * self.count)), finest)
+        return (*(0 for _ in range(level)), self.count)
+
+
+# Smallest level that a basis of one level is computed at, in vertices, and in vertices for each function. With them the
+# maps of six human pairs are those of a basis within 5 % of the finest eigenvalues (docs/accuracy.md).
+MIN_VERTICES = 3000
+VERTICES_PER_FUNCTION = 20
+
+# The basis of the default method. Operators of 20 000 vertices: eigenvalues of finer ones differ by well below 1 %.
+MAP_BASIS = BasisConfig(vertices=20_000)
+# Functions per level of the paper's Table 1.
+PAPER_SCHEDULE = (100, 50, 50, 50)
+
+
+@dataclass(frozen=True)
+class SolverConfig:
+    """Numbers of the eigensolver.
+
+    Attributes
+    ----------
+    dense_rows : int
+        Up to this many rows a dense solve is faster than Lanczos.
+    largest_dense_rows : int
+        The same where more than a fifth of the spectrum is wanted.
+    rank : float
+        Relative eigenvalue of a coarse mass matrix below which subdivision maps the direction to zero.
+    single_accuracy : float
+        From this accuracy on the Krylov space is kept in single precision, which changes eigenvalues by under 1e-5.
+    shifts : int
+        Shifts tried where a factorisation reports no inertia.
+    extra_pairs : int
+        Pairs computed on both sides of a band, among which a gap is sought to count the eigenvalues below it.
+    loose : float
+        Residual that is enough for the extra pairs.
+    well_conditioned : float
+        Inverse squared condition of a block that one Cholesky QR leaves orthonormal enough.
+    dependent : float
+        Inverse squared condition of a block that has lost a direction.
+    overlap : int
+        Pairs computed below the start of a band, to see which the refined bands span.
+    cluster : float
+        Relative gap below which eigenvalues count as one repeated eigenvalue.
+    ill_conditioned : float
+        Condition of the Gram matrix above which functions of different levels nearly repeat each other: a warning.
+    seed : int
+        Of the first block.
+    """
+
+    dense_rows: int = 800
+    largest_dense_rows: int = 5_000
+    rank: float = 1e-13
+    single_accuracy: float = 1e-5
+    shifts: int = 3
+    extra_pairs: int = 8
+    loose: float = 1e-2
+    well_conditioned: float = 1e-6
+    dependent: float = 1e-14
+    overlap: int = 12
+    cluster: float = 1e-4
+    ill_conditioned: float = 100.0
+    seed: int = 20190708
+
+
+SOLVER = SolverConfig()

@@ -1,0 +1,261 @@
+"""Eigenpairs W x = lambda M x of one level: the lowest ones, or a band of them."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, sparse
+
+from cagemap.errors import ParameterError, SolverError
+from cagemap.numerics.arrays import FloatArray, read_only
+from cagemap.numerics.factorization import Factorization, factor
+from cagemap.numerics.threads import in_threads
+from cagemap.operators import Operators
+from cagemap.spectral.config import SOLVER
+from cagemap.spectral.lanczos import shift_invert_lanczos
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class EigenPairs:
+    """Consecutive eigenpairs of one level, W X = M X Lambda.
+
+    Attributes
+    ----------
+    values : (m,) array
+        Ascending. Unit 1 / length^2 (unit area: none).
+    vectors : (n, m) array
+        M-orthonormal; in single precision where the accuracy that they were computed with left no more.
+    first_index : int
+        True index of the first pair in the level's whole spectrum, counted from 0.
+    """
+
+    values: FloatArray
+    vectors: NDArray[Any]
+    first_index: int
+
+    def __post_init__(self) -> None:
+        """Nobody changes the arrays from here on."""
+        object.__setattr__(self, "values", read_only(self.values))
+        object.__setattr__(self, "vectors", read_only(self.vectors))
+
+    @property
+    def last_index(self) -> int:
+        """Index after the last pair."""
+        return self.first_index + len(self.values)
+
+    def __repr__(self) -> str:
+        return f"EigenPairs({self.first_index} to {self.last_index - 1} of {len(self.vectors)})"
+
+
+def residual_norms(
+    values: FloatArray, stiffness_vectors: FloatArray, mass_vectors: FloatArray, areas: FloatArray
+) -> FloatArray:
+    """Relative residual of every pair, ||W x - lambda M x||_{D^{-1}} / max(lambda, 4 pi / area).
+
+    D = diag(M 1) lumps the mass matrix (at the finest level it is M), so that the norm is that of a function.
+    4 pi / area is the mean distance between eigenvalues (Weyl's law); it stands in for the eigenvalue 0.
+
+    Parameters
+    ----------
+    values : (m,) array
+    stiffness_vectors, mass_vectors : (n, m) arrays
+        W X and M X, with X M-orthonormal.
+    areas : (n,) array
+        M 1.
+
+    Returns
+    -------
+    (m,) array, unitless
+    """
+    squares = (1.0 / areas) @ (stiffness_vectors - mass_vectors * values) ** 2
+    return np.asarray(np.sqrt(squares) / np.maximum(values, 4.0 * np.pi / float(areas.sum())))
+
+
+def band_pairs(
+    stiffness: sparse.csr_array,
+    mass: sparse.csr_array,
+    first: int,
+    last: int,
+    *,
+    accuracy: float = 1e-9,
+) -> EigenPairs:
+    """Eigenpairs first..last-1 of the spectrum, complete whatever their multiplicity.
+
+    Dense for small problems, else block shift-invert Lanczos around a shift inside the band. The inertia of W - sigma M
+    says which pairs are which, and that of W - tau M, tau in gaps at both ends of the band, that none was missed.
+
+    Parameters
+    ----------
+    stiffness, mass : (n, n) CSR arrays
+        W positive semi-definite, M positive definite.
+    first, last : int
+        Range of indices, 0 <= first < last <= n.
+    accuracy : float
+        Convergence of the iteration, relative to each eigenvalue of the inverted operator.
+
+    Raises
+    ------
+    ParameterError
+        If the range is empty or not within the spectrum.
+    SolverError
+        If the iteration does not converge or misses eigenvalues.
+    """
+    n = stiffness.shape[0]
+    if not 0 <= first < last <= n:
+        raise ParameterError(
+            f"expected a range of eigenpairs within 0 to {n}, the size of the level, got {first} to {last}; "
+            "ask for fewer or refine once more"
+        )
+    if n <= SOLVER.dense_rows or (n <= SOLVER.largest_dense_rows and 5 * (last - first) > n):
+        values, vectors = _dense_pairs(stiffness.toarray(), mass.toarray())
+        if last > len(values):
+            raise ParameterError(
+                f"expected a range of eigenpairs within 0 to {len(values)}, as many as the level has independent "
+                f"functions, got {first} to {last}; start at a finer level"
+            )
+        return EigenPairs(values[first:last], np.ascontiguousarray(vectors[:, first:last]), first)
+    # Factors in double precision: on a body with slivers single precision lost every digit (docs/performance.md).
+    low, high = max(0, first - SOLVER.extra_pairs), min(n, last + SOLVER.extra_pairs)
+    shifted, sigma = _shift_inside(stiffness, mass, low, high)
+    below = shifted.negative_eigenvalues
+    if below is None:
+        low, below = 0, 0  # the shift is then below the spectrum
+    loose = first - low, high - last
+    for block_size, dtype in ((16, np.float32 if accuracy >= SOLVER.single_accuracy else np.float64), (64, np.float64)):
+        values, vectors = shift_invert_lanczos(
+            shifted,
+            mass,
+            sigma,
+            below - low,
+            high - below,
+            block_size=block_size,
+            accuracy=accuracy,
+            loose=loose,
+            dtype=dtype,
+        )
+        if not any(in_threads(partial(missed_pairs, stiffness, mass, values, low, shifted), (first, last))):
+            chosen = slice(first - low, last - low)
+            return EigenPairs(values[chosen], np.ascontiguousarray(vectors[:, chosen]), first)
+    raise SolverError(
+        f"expected eigenpairs {first} to {last - 1}, but the inertia of the shifted matrix counts others between them; "
+        "an eigenvalue of multiplicity above 64 is likely: ask for a number of pairs that does not split it"
+    )
+
+
+def exact_basis(operators: Operators, level: int, count: int) -> EigenPairs:
+    """Lowest eigenpairs of one level, computed there (paper, eq. 1): what the hierarchical basis approximates.
+
+    Raises
+    ------
+    ParameterError
+        If level or count is out of range.
+    """
+    if not 0 <= level <= operators.finest:
+        raise ParameterError(f"expected a level from 0 to {operators.finest}, got {level}")
+    return band_pairs(operators.stiffness[level], operators.mass[level], 0, count, accuracy=1e-10)
+
+
+def _dense_pairs(stiffness: FloatArray, mass: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """All eigenpairs of a small problem, but for functions that subdivision maps to zero.
+
+    There is such a function on the cube: +1 and -1 in turn. W and M both vanish on it, and it is no function at all.
+    """
+    squares, axes = linalg.eigh(mass, driver="evd")
+    seen = squares > SOLVER.rank * squares[-1]
+    scaled = axes[:, seen] / np.sqrt(squares[seen])
+    values, vectors = linalg.eigh(scaled.T @ stiffness @ scaled, driver="evd")
+    return values, scaled @ vectors
+
+
+def _shift_inside(
+    stiffness: sparse.csr_array, mass: sparse.csr_array, low: int, high: int
+) -> tuple[Factorization, float]:
+    """A shift inside the band low..high, factored; below the whole spectrum where no inertia can place it."""
+    # Weyl's law for a surface: lambda_j is about 4 pi j / area.
+    spacing = 4.0 * np.pi / float(mass.sum())
+    middle = 0.6 * high if low == 0 else 0.5 * (low + high)
+    shift = middle * spacing
+    untold = 0
+    for _ in range(8):
+        try:
+            shifted = factor(shifted_matrix(stiffness, mass, shift))
+        except SolverError:  # exactly on an eigenvalue
+            shift *= 1.0 + 1e-4
+            continue
+        below = shifted.negative_eigenvalues
+        if below is None:
+            untold += 1
+            if untold == SOLVER.shifts:
+                return factor(shifted_matrix(stiffness, mass, -spacing)), -spacing
+            shift *= 1.0 + 1e-3
+            continue
+        if abs(below - middle) <= 0.2 * (high - low):
+            return shifted, shift
+        shift *= middle / max(below, 1)
+    raise SolverError(
+        f"expected a shift among eigenvalues {low} to {high} of the level, found none; the last try {shift:g}"
+    )
+
+
+def missed_pairs(
+    stiffness: sparse.csr_array,
+    mass: sparse.csr_array,
+    values: FloatArray,
+    first_index: int,
+    like: Factorization | None,
+    end: int,
+) -> int:
+    """How many eigenvalues below a gap near index ``end`` a list lacks (Sylvester's law of inertia).
+
+    0 where the factorisation tells at no place in the gap, and a warning.
+    """
+    if end == 0:
+        return 0
+    position = end - first_index
+    low, high = max(0, position - SOLVER.extra_pairs), min(len(values), position + SOLVER.extra_pairs)
+    gap = low + int(np.argmax(np.diff(values[low:high])))
+    for share in (0.5, 0.3, 0.7)[: SOLVER.shifts]:
+        threshold = values[gap] + share * (values[gap + 1] - values[gap])
+        counted = factor(shifted_matrix(stiffness, mass, threshold), like=like).negative_eigenvalues
+        if counted is not None:
+            return counted - (first_index + gap + 1)
+    _log.warning(
+        "eigenpairs up to %d of a level with %d vertices could not be proven complete: the factorisation tells no "
+        "inertia near %g",
+        end,
+        stiffness.shape[0],
+        threshold,
+    )
+    return 0
+
+
+def count_below(stiffness: sparse.csr_array, mass: sparse.csr_array, value: float) -> int:
+    """Number of eigenvalues below a value, by Sylvester's law of inertia.
+
+    Raises
+    ------
+    SolverError
+        If the factorisation tells no inertia there.
+    """
+    for nudge in (0.0, 1e-9, -1e-9, 1e-7):  # the value may be an eigenvalue itself
+        try:
+            counted = factor(shifted_matrix(stiffness, mass, value * (1.0 + nudge))).negative_eigenvalues
+        except SolverError:
+            continue
+        if counted is not None:
+            return counted
+    raise SolverError(
+        f"expected to count the eigenvalues below {value:g}, but the factorisation tells no inertia there"
+    )
+
+
+def shifted_matrix(stiffness: sparse.csr_array, mass: sparse.csr_array, shift: float) -> sparse.csr_array:
+    """W - shift M."""
+    return sparse.csr_array(stiffness - shift * mass)

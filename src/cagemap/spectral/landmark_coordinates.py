@@ -1,0 +1,95 @@
+"""Coordinates that landmarks and curves give to every point of a surface: harmonic and biharmonic interpolants.
+
+Both surfaces have the same coordinates at corresponding landmarks, so that a nearest neighbour in them is exact there.
+Both kinds come from Green's functions of the Laplacian, one factorisation for all landmarks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import linalg, sparse
+
+from cagemap.errors import InvalidLandmarksError
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.factorization import factor
+from cagemap.operators import lumped_areas
+
+# Weights of the coordinates beside the spectral ones, per sqrt(k) basis functions (measured, docs/accuracy.md).
+HARMONIC_WEIGHT = 3.0
+BIHARMONIC_WEIGHT = 1.0
+
+
+def landmark_coordinates(
+    stiffness: sparse.csr_array, mass: sparse.csr_array, landmarks: IndexArray, curves: Sequence[IndexArray] = ()
+) -> FloatArray:
+    """Weighted harmonic and biharmonic coordinates of every vertex, ready to stand beside spectral ones.
+
+    Parameters
+    ----------
+    stiffness, mass : (n, n) sparse arrays of one level
+    landmarks : (p,) int64, vertices of that level, at least 2
+    curves : c arrays of int64
+        Vertices along each curve; all different, and none a landmark.
+
+    Returns
+    -------
+    (n, 2 (p + c)) float64
+        3 h_i of every landmark and curve, then b_i: both are 1 on it and 0 on the others.
+
+    Raises
+    ------
+    InvalidLandmarksError
+        If there are fewer than two landmarks or one repeats.
+    """
+    unique = np.unique(landmarks)
+    if len(landmarks) < 2 or len(unique) != len(landmarks):
+        raise InvalidLandmarksError(
+            f"expected at least two different landmarks on a surface, got {len(landmarks)} of which {len(unique)} "
+            "differ: add landmark pairs or remove the repeated ones"
+        )
+    sets = [*landmarks[:, None], *curves]
+    units = np.repeat(np.eye(len(sets)), [len(vertices) for vertices in sets], axis=0)
+    harmonic, biharmonic = interpolants(stiffness, mass, np.concatenate(sets), units)
+    return np.hstack([HARMONIC_WEIGHT * harmonic, BIHARMONIC_WEIGHT * biharmonic])
+
+
+def interpolants(
+    stiffness: sparse.csr_array, mass: sparse.csr_array, vertices: IndexArray, values: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Harmonic and biharmonic interpolants of values (q, c) at some vertices (q,).
+
+    ``W h = 0`` and ``W D^{-1} W b = 0`` at all other vertices, D being the row sums of M. With G = W^+ (W^+ D W^+ for
+    the second kind), the solution is ``G[:, vertices] c + const`` where c sums to zero and the values fit.
+
+    Returns
+    -------
+    harmonic, biharmonic : (n, c) float64
+    """
+    n, q = stiffness.shape[0], len(vertices)
+    areas = lumped_areas(mass)
+    grounded = np.arange(n) != vertices[0]  # W is singular by constants only: ground one vertex
+    factors = factor(sparse.csc_array(stiffness[grounded][:, grounded]))
+
+    def green(charges: FloatArray) -> FloatArray:
+        """W^+ applied to charges that sum to zero, up to a constant."""
+        potential = np.zeros((n, charges.shape[1]))
+        potential[grounded] = factors.solve(np.ascontiguousarray(charges[grounded]))
+        return potential - areas @ potential / areas.sum()
+
+    charges = np.zeros((n, q))
+    charges[vertices, np.arange(q)] = 1.0
+    charges -= areas[:, None] / areas.sum()
+    first = green(charges)
+    second = green(areas[:, None] * first)
+    return _interpolate(first, vertices, values), _interpolate(second, vertices, values)
+
+
+def _interpolate(kernels: FloatArray, vertices: IndexArray, values: FloatArray) -> FloatArray:
+    """Combine kernel columns and a constant to values at some vertices, the coefficients summing to zero."""
+    q = len(vertices)
+    system = np.ones((q + 1, q + 1))
+    system[:q, :q], system[q, q] = kernels[vertices], 0.0
+    coefficients = linalg.solve(system, np.vstack([values, np.zeros((1, values.shape[1]))]))
+    return kernels @ coefficients[:q] + coefficients[q]

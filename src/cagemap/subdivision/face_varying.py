@@ -1,0 +1,171 @@
+"""Face-varying values (UVs), refined by the surface's rules on the mesh cut along its seams (the UV layout).
+
+A vertex of the layout is a mesh vertex with one of its UVs. Seams are boundaries there; the six modes differ in the
+boundary values that are fixed (``corner``). Sharpness is that of the mesh's own state (`layout_sharpness`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TypeAlias
+
+import numpy as np
+
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.schemes import INFINITE_SHARPNESS, Bilinear, Loop, Scheme
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.subdivision.matrices import subdivision_matrix
+from cagemap.subdivision.sharpness import Sharpness
+from cagemap.subdivision.state import MeshState, control_state, next_state
+from cagemap.subdivision.topology import (
+    BoolArray,
+    Topology,
+    children,
+    control_table,
+    split_topology,
+    topology_of_table,
+)
+
+# UVs (p, 2) of a level, and the UV of every corner of its faces.
+Layout: TypeAlias = tuple[FloatArray, IndexArray]
+
+_DEPENDENT = ("corners_plus1", "corners_plus2")
+
+
+def is_linear(scheme: Scheme) -> bool:
+    """Whether UVs are refined linearly everywhere; positions under `Bilinear` are too."""
+    return scheme.uv_interpolation == "all" or isinstance(scheme, Bilinear)
+
+
+def control_layout(control: ControlMesh, state: MeshState, scheme: Scheme) -> tuple[MeshState, FloatArray]:
+    """UV layout of a control mesh, and its values (p, 2), once per mesh vertex that has the value."""
+    assert control.uvs is not None
+    assert control.uv_indices is not None
+    pairs = control.uv_indices * control.n_vertices + control.face_indices
+    unique, numbers = np.unique(pairs, return_inverse=True)
+    values, owners = np.divmod(unique, control.n_vertices)
+    cut = topology_of_table(control_table(control, numbers.astype(np.int64), len(unique)))
+    layout = MeshState(cut, np.zeros(len(unique), dtype=bool))
+    if not is_linear(scheme):
+        around = layout_sharpness(layout, state)
+        fixed, follows = _fixed_values(cut, state.topology, owners, around, scheme.uv_interpolation)
+        fixed = cut.boundary & (fixed | (around.vertices >= INFINITE_SHARPNESS))
+        layout = MeshState(cut, fixed, follows=follows)
+    return layout, control.uvs[values]
+
+
+def _fixed_values(
+    cut: Topology, topology: Topology, owners: IndexArray, around: Sharpness, mode: str
+) -> tuple[BoolArray, IndexArray | None]:
+    """Fixed UVs of a mode, and the UV whose edges count for each; UVs belong to mesh vertices ``owners`` (p,)."""
+    if mode == "boundaries":
+        return cut.boundary, None
+    single = cut.boundary & (cut.valences == 1)
+    inside = cut.edge_corners[:, 1] >= 0
+    fixed = _at_edges(cut, inside & (around.edges >= INFINITE_SHARPNESS))
+    fixed[cut.table.vertices[cut.ranks < 0]] = True  # separate fans
+    if mode == "none":
+        return fixed, None
+    follows = None
+    if mode in _DEPENDENT:
+        n_values = np.bincount(owners, minlength=topology.table.n_vertices)[owners]
+        other = _other_of_two(owners, n_values)
+        causes = fixed | single if mode == "corners_plus2" else fixed
+        fixed = fixed | (n_values > 2) | ((n_values == 2) & (causes | causes[other]))
+        semi = _at_edges(cut, inside & (around.edges > 0) & (around.edges < INFINITE_SHARPNESS))
+        smooth_one = (n_values == 2) & ~semi & semi[other] & ~(around.vertices > 0) & ~(fixed | single)
+        if smooth_one.any():
+            follows = np.where(smooth_one, other, np.arange(len(owners)))
+        if mode == "corners_plus2":
+            seam_end = cut.boundary & (n_values == 1) & ~topology.boundary[owners]
+            fixed = fixed | seam_end
+    return fixed | single, follows
+
+
+def _at_edges(cut: Topology, edges: BoolArray) -> BoolArray:
+    """(p,) vertices of some of the edges."""
+    table = cut.table
+    corners = edges[table.edges]
+    result = np.zeros(table.n_vertices, dtype=bool)
+    result[table.vertices[corners]] = True
+    result[table.vertices[table.following[corners]]] = True
+    return result
+
+
+def _other_of_two(owners: IndexArray, n_values: IndexArray) -> IndexArray:
+    """The other UV of the same vertex, where a vertex has two; else the UV itself."""
+    other = np.arange(len(owners))
+    twins = np.flatnonzero(n_values == 2)
+    pairs = twins[np.argsort(owners[twins], kind="stable")].reshape(-1, 2)
+    other[pairs] = pairs[:, ::-1]
+    return other
+
+
+def layout_sharpness(layout: MeshState, state: MeshState) -> Sharpness:
+    """The mesh's sharpness in the layout, where seams and fixed values are infinitely sharp."""
+    cut, table, sharpness = layout.topology, state.topology.table, state.sharpness
+    forward = cut.edge_corners[:, 0]
+    outer = cut.edge_corners[:, 1] < 0
+    owners = np.empty(cut.table.n_vertices, dtype=np.int64)
+    owners[cut.table.vertices] = table.vertices
+    edges, halves = np.zeros(len(outer)), np.zeros((len(outer), 2))
+    vertices = np.where(state.corner, INFINITE_SHARPNESS, 0.0)
+    after = vertices
+    if sharpness is not None:
+        edges, halves = sharpness.of_corners(table, forward)
+        vertices, after = sharpness.vertices, sharpness.after
+    edges[outer], halves[outer] = INFINITE_SHARPNESS, INFINITE_SHARPNESS
+    vertices = np.where(layout.corner, INFINITE_SHARPNESS, vertices[owners])
+    after = np.where(layout.corner, INFINITE_SHARPNESS, after[owners])
+    return Sharpness(edges, halves, vertices, after)
+
+
+def next_layout(layout: MeshState, child: Topology, scheme: Scheme) -> MeshState:
+    """Layout of the next level; new values on seams are fixed in mode ``boundaries`` only."""
+    new = child.table.n_vertices - len(layout.corner)
+    fixed = np.concatenate([layout.corner, np.zeros(new, dtype=bool)])
+    if scheme.uv_interpolation == "boundaries":
+        fixed = child.boundary
+    follows = layout.follows
+    if follows is not None:
+        follows = np.concatenate([follows, np.arange(len(follows), child.table.n_vertices)])
+    return replace(layout, topology=child, corner=fixed, follows=follows)
+
+
+def refined_layout(control: ControlMesh, levels: int, scheme: Scheme) -> Layout:
+    """UVs (p, 2) of a level from 1 on, and the UV of every corner of its faces (m, 4) or (m, 3)."""
+    state = control_state(control, scheme)
+    layout, uvs = control_layout(control, state, scheme)
+    for step in range(levels):
+        if step:
+            state = state if is_linear(scheme) else next_state(state, scheme)
+            layout = next_layout(layout, split_topology(layout.topology, scheme), scheme)
+        uvs = refine_uvs(layout, uvs, state, scheme)
+    return uvs, children(layout.topology.table, scheme).astype(np.int64)
+
+
+def refine_uvs(layout: MeshState, uvs: FloatArray, state: MeshState, scheme: Scheme) -> FloatArray:
+    """UVs (p, 2) of the next level: a linear step, or in any mode but ``all`` the surface's step on the layout."""
+    if is_linear(scheme):
+        return _refine_linearly(layout.topology, uvs, with_face_points=not isinstance(scheme, Loop))
+    if state.sharpness is not None:
+        around = layout_sharpness(layout, state)
+        fixed = layout.topology.boundary & (around.vertices >= INFINITE_SHARPNESS)
+        layout = replace(layout, corner=fixed, sharpness=around)
+    refined: FloatArray = subdivision_matrix(layout, scheme) @ uvs
+    return refined
+
+
+def _refine_linearly(topology: Topology, uvs: FloatArray, *, with_face_points: bool) -> FloatArray:
+    """Values, midpoints of edges and, but for Loop, means of faces (OpenSubdiv's ``FVAR_LINEAR_ALL``)."""
+    table, forward = topology.table, topology.edge_corners[:, 0]
+    midpoints = 0.5 * (uvs[table.vertices[forward]] + uvs[table.vertices[table.following[forward]]])
+    if not with_face_points:
+        return np.concatenate([uvs, midpoints])
+    if table.has_only(4):
+        a, b, c, d = (uvs[table.vertices[k::4]] for k in range(4))
+        return np.concatenate([uvs, midpoints, 0.25 * ((a + c) + (b + d))])
+    starts = np.flatnonzero(np.diff(table.faces, prepend=-1))
+    sizes = np.diff(starts, append=table.n_corners)
+    centroids = np.add.reduceat(uvs[table.vertices], starts, axis=0) / sizes[:, None]
+    return np.concatenate([uvs, midpoints, centroids])

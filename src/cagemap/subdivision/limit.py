@@ -1,0 +1,314 @@
+"""Limit positions and normals, exact at every vertex of every level.
+
+The left eigenvectors of the matrix that takes a vertex and its ring to the next level give the limit: position from
+eigenvalue 1, tangents from the next two [HKD93]_. They are closed formulas (`limit_rings`), or eigenvectors of a small
+matrix where one infinite crease ends (dart). Semi-sharp vertices are refined locally until nothing is semi-sharp.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array, diags_array, eye_array
+
+from cagemap.errors import ParameterError
+from cagemap.mesh.schemes import CREASE_LIMIT, INFINITE_SHARPNESS, Bilinear, Loop
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.graphs import components
+from cagemap.subdivision.limit_rings import Entries, SmoothScheme, matrix_of, ring_limits, ring_tangents
+from cagemap.subdivision.matrices import rings_of, subdivision_matrix
+from cagemap.subdivision.refinement import Refinement, state_of
+from cagemap.subdivision.sharpness import Sharpness, edge_ends
+from cagemap.subdivision.state import MeshState, next_state
+from cagemap.subdivision.topology import BoolArray, Topology, corner_neighbours, table_of, topology_of_table
+
+
+def limit_matrix(refinement: Refinement, level: int) -> csr_array:
+    """Weights of a level's limit positions in its positions, (n_level, n_level); rows sum to 1.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such level, or level 0 has faces that are not quads under Catmull-Clark.
+    """
+    state = _checked_state(refinement, level)
+    scheme = refinement.scheme
+    if isinstance(scheme, Bilinear):
+        return csr_array(eye_array(state.topology.table.n_vertices, format="csr"))
+    return _limits(state, scheme, np.ones(state.topology.table.n_vertices, dtype=bool))
+
+
+def limit_positions(refinement: Refinement, level: int) -> FloatArray:
+    """Limit positions of a level's vertices, (n_level, 3): the same point at every level that has the vertex.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such level.
+    """
+    if level == 0 and not _has_limit_rings(refinement, 0):
+        if refinement.n_levels == 0:
+            raise ParameterError("level: limits of a control mesh with n-gons need one refinement step; refine once")
+        # Vertex i is vertex i of level 1, where all faces are quads.
+        return limit_positions(refinement, 1)[: refinement.levels[0].n_vertices]
+    limits: FloatArray = limit_matrix(refinement, level) @ refinement.levels[level].positions
+    return limits
+
+
+def limit_normals(refinement: Refinement, level: int) -> FloatArray:
+    """Unit normals of the limit surface at a level's vertices, (n_level, 3), outwards.
+
+    On creases and corners the mean over all sides; zero where the surface is degenerate. Approximate where the surface
+    has no normal: at interior vertices of valence 2, at boundary vertices of more than 3 faces (Catmull-Clark) or 5
+    (Loop), at sharp boundary vertices of several faces, and on bilinear surfaces.
+
+    Raises
+    ------
+    ParameterError
+        As for `limit_positions`.
+    """
+    if level == 0 and not _has_limit_rings(refinement, 0) and refinement.n_levels:
+        return limit_normals(refinement, 1)[: refinement.levels[0].n_vertices]
+    return _unit(np.cross(*limit_tangents(refinement, level)))
+
+
+def limit_tangents(refinement: Refinement, level: int) -> tuple[FloatArray, FloatArray]:
+    """Two directions that span the limit surface's tangent plane at every vertex, each (n_level, 3).
+
+    Their cross product is outward; their lengths mean nothing. On the boundary the first follows the curve.
+
+    Raises
+    ------
+    ParameterError
+        As for `limit_matrix`.
+    """
+    state = _checked_state(refinement, level)
+    positions, scheme = refinement.levels[level].positions, refinement.scheme
+    if isinstance(scheme, Bilinear):
+        # Its ring of edges, as if Loop's: the surface itself has an edge there.
+        return ring_tangents(state.topology, Loop(), state.topology.boundary, positions)
+    return _tangents(state, scheme, positions, np.ones(len(positions), dtype=bool))
+
+
+def _has_limit_rings(refinement: Refinement, level: int) -> bool:
+    if level > 0 or isinstance(refinement.scheme, Loop | Bilinear):
+        return True
+    return bool(np.all(refinement.control.face_sizes == 4))
+
+
+def _checked_state(refinement: Refinement, level: int) -> MeshState:
+    if not 0 <= level <= refinement.n_levels:
+        raise ParameterError(f"level: expected 0 to {refinement.n_levels}, got {level}; refine further to have more")
+    if not _has_limit_rings(refinement, level):
+        raise ParameterError("level: expected quads only, got level 0 of a mesh with other faces; use level 1")
+    return state_of(refinement, level)
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Features:
+    """Vertices (n,) that are sharp beyond the boundary's rules, by kind."""
+
+    semi: BoolArray
+    dart: BoolArray
+    crease: BoolArray
+    corner: BoolArray
+
+
+def _features(topology: Topology, sharpness: Sharpness) -> _Features:
+    ends, n = edge_ends(topology), topology.table.n_vertices
+    inside = topology.edge_corners[:, 1] >= 0
+    infinite = sharpness.edges >= INFINITE_SHARPNESS
+    semi = (sharpness.vertices > 0) & (sharpness.vertices < INFINITE_SHARPNESS)
+    semi[ends[(sharpness.edges > 0) & ~infinite]] = True
+    count = np.bincount(ends[infinite].ravel(), minlength=n)
+    inner = np.bincount(ends[infinite & inside].ravel(), minlength=n) > 0
+    corner = (sharpness.vertices >= INFINITE_SHARPNESS) | (inner & (count > 2))
+    infinite_only = ~semi & ~corner & inner
+    return _Features(semi, infinite_only & (count == 1), infinite_only & (count == 2), corner & ~semi)
+
+
+def _limits(state: MeshState, scheme: SmoothScheme, wanted: BoolArray) -> csr_array:
+    """Weights of limit positions, (n, n); rows that are not wanted mean nothing."""
+    topology, sharpness = state.topology, state.sharpness
+    rows = ring_limits(topology, scheme, state.corner)
+    if sharpness is None:
+        return rows
+    features, ends, n = _features(topology, sharpness), edge_ends(topology), topology.table.n_vertices
+    smooth = ~(features.semi | features.dart | features.crease | features.corner)
+    own, other = CREASE_LIMIT
+    along = (sharpness.edges[:, None] >= INFINITE_SHARPNESS) & features.crease[ends]
+    fixed, crease = np.flatnonzero(features.corner), np.flatnonzero(features.crease)
+    entries: list[Entries] = [
+        (fixed, fixed, np.ones(len(fixed))),
+        (crease, crease, np.full(len(crease), own)),
+        (ends[along[:, 0], 0], ends[along[:, 0], 1], np.full(along[:, 0].sum(), other)),
+        (ends[along[:, 1], 1], ends[along[:, 1], 0], np.full(along[:, 1].sum(), other)),
+    ]
+    result = diags_array(smooth.astype(np.float64)) @ rows + matrix_of(entries, n)
+    result = result + _dart_rows(topology, sharpness, scheme, features.dart & wanted)[0]
+    if np.any(features.semi & wanted):
+        part, vertices, child, followed = _refined_around(state, scheme, features.semi & wanted)
+        chosen = followed[: len(vertices)]
+        finer = _limits(child, scheme, followed)[np.flatnonzero(chosen)] @ subdivision_matrix(part, scheme)
+        finer = finer.tocoo()
+        entry = vertices[chosen][finer.coords[0]], vertices[finer.coords[1]], finer.data
+        result = result + matrix_of([entry], n)
+    result = csr_array(result)
+    result.eliminate_zeros()
+    result.sort_indices()
+    return result
+
+
+def _refined_around(
+    state: MeshState, scheme: SmoothScheme, chosen: BoolArray
+) -> tuple[MeshState, IndexArray, MeshState, BoolArray]:
+    """Neighbourhood of some vertices, its vertex numbers, its next level, and those vertices there."""
+    part, vertices = _neighbourhood(state, chosen)
+    child = next_state(part, scheme)
+    followed = np.zeros(child.topology.table.n_vertices, dtype=bool)
+    followed[: len(vertices)] = chosen[vertices]
+    return part, vertices, child, followed
+
+
+def _tangents(
+    state: MeshState, scheme: SmoothScheme, positions: FloatArray, wanted: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """Two tangents of every vertex; rows that are not wanted mean nothing."""
+    if state.sharpness is None:
+        return ring_tangents(state.topology, scheme, state.corner, positions)
+    features = _features(state.topology, state.sharpness)
+    tangents = _tangents_of_sides(state, scheme, positions, features.corner)
+    dart_rows = _dart_rows(state.topology, state.sharpness, scheme, features.dart)
+    for tangent, rows in zip(tangents, dart_rows[1:], strict=True):
+        tangent[features.dart] = (rows @ positions)[features.dart]
+    if np.any(features.semi & wanted):
+        part, vertices, child, followed = _refined_around(state, scheme, features.semi & wanted)
+        chosen = followed[: len(vertices)]
+        finer = _tangents(child, scheme, subdivision_matrix(part, scheme) @ positions[vertices], followed)
+        for tangent, values in zip(tangents, finer, strict=True):
+            tangent[vertices[chosen]] = values[: len(vertices)][chosen]
+    return tangents
+
+
+def _tangents_of_sides(
+    state: MeshState, scheme: SmoothScheme, positions: FloatArray, corner: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """Tangents of the mean normal of all sides of infinite creases, along which the surface is cut."""
+    assert state.sharpness is not None
+    topology, table = state.topology, state.topology.table
+    cut = state.sharpness.edges >= INFINITE_SHARPNESS
+    forward, backward = topology.edge_corners[~cut].T
+    pairs = (np.concatenate([forward, table.following[forward]]), np.concatenate([table.following[backward], backward]))
+    labels, vertices = np.unique(components(*pairs, table.n_corners), return_inverse=True)
+    cut_apart = table_of(vertices, len(labels), table.faces, table.following, table.previous)
+    owners = np.empty(len(labels), dtype=np.int64)
+    owners[cut_apart.vertices] = table.vertices
+    sides = ring_tangents(topology_of_table(cut_apart), scheme, (corner | state.corner)[owners], positions[owners])
+    n = table.n_vertices
+    normals = np.zeros((n, 3))
+    np.add.at(normals, owners, _unit(np.cross(*sides)))
+    normals = _unit(normals)
+    tangents = np.empty((2, n, 3))
+    tangents[:, owners] = sides
+    several = np.bincount(owners, minlength=n) > 1
+    along = tangents[0] - np.einsum("nx,nx->n", tangents[0], normals)[:, None] * normals
+    tangents[0, several] = along[several]
+    tangents[1, several] = np.cross(normals, along)[several]
+    return tangents[0], tangents[1]
+
+
+def _neighbourhood(state: MeshState, vertices: BoolArray) -> tuple[MeshState, IndexArray]:
+    """Two rings of faces around some vertices as a mesh, and its vertex numbers."""
+    assert state.sharpness is not None
+    table = state.topology.table
+    near = vertices
+    for _ in range(2):
+        faces = np.zeros(table.n_faces, dtype=bool)
+        faces[table.faces[near[table.vertices]]] = True
+        near = np.zeros(table.n_vertices, dtype=bool)
+        near[table.vertices[faces[table.faces]]] = True
+    corners = np.flatnonzero(faces[table.faces])
+    new = np.zeros(table.n_corners, dtype=np.int32)
+    new[corners] = np.arange(len(corners))
+    numbers, indices = np.unique(table.vertices[corners], return_inverse=True)
+    face_numbers = (np.cumsum(faces) - 1).astype(np.int32)[table.faces[corners]]
+    part = topology_of_table(
+        table_of(indices, len(numbers), face_numbers, new[table.following[corners]], new[table.previous[corners]])
+    )
+    start = corners[part.edge_corners[:, 0]]
+    edges, halves = state.sharpness.of_corners(table, start)
+    sharpness = Sharpness(edges, halves, state.sharpness.vertices[numbers], state.sharpness.after[numbers])
+    return MeshState(part, state.corner[numbers], sharpness), numbers.astype(np.int64)
+
+
+def _dart_rows(
+    topology: Topology, sharpness: Sharpness, scheme: SmoothScheme, dart: BoolArray
+) -> tuple[csr_array, csr_array, csr_array]:
+    """Weights of limit position and tangents, (n, n) each, at vertices where one infinite crease ends."""
+    table = topology.table
+    infinite = (sharpness.edges >= INFINITE_SHARPNESS)[table.edges]
+    first = np.zeros(table.n_vertices, dtype=np.int32)
+    leading = infinite & dart[table.vertices]
+    first[table.vertices[leading]] = topology.ranks[leading]
+    around = np.flatnonzero(dart[table.vertices])
+    centres = table.vertices[around]
+    valences = topology.valences[centres]
+    ranks = (topology.ranks[around] - first[centres]) % valences
+    rings = rings_of(topology, scheme)
+    none = np.zeros(0, dtype=np.int64)
+    entries: list[list[Entries]] = [[(none, none, np.zeros(0))] for _ in range(3)]
+    for valence in np.unique(valences).tolist():
+        alike = valences == valence
+        alone = np.unique(centres[alike])
+        for kind, weights in zip(entries, _dart_weights(scheme, valence), strict=True):
+            kind.append((alone, alone, np.full(len(alone), weights[0])))
+            for number, ring in enumerate(rings):
+                places = 1 + number * valence + ranks[alike]
+                kind.append((centres[alike], ring[around[alike]], weights[places]))
+    position, first_tangent, second = (matrix_of(kind, table.n_vertices) for kind in entries)
+    return position, first_tangent, second
+
+
+def _dart_weights(scheme: SmoothScheme, valence: int) -> FloatArray:
+    """Weights of limit position and tangents (3, ring) at a dart, from the eigenvectors of its ring's matrix.
+
+    The ring is the vertex, its neighbours from the crease's other end on, and among quads the opposite vertices.
+    """
+    here = np.arange(valence)
+    following = (here + 1) % valence
+    quads = not isinstance(scheme, Loop)
+    columns = [np.zeros_like(here), 1 + here, *([1 + valence + here] if quads else []), 1 + following]
+    faces = np.column_stack(columns)
+    n = 1 + (2 if quads else 1) * valence
+    table = table_of(faces.ravel(), n, *corner_neighbours(*faces.shape))
+    topology = topology_of_table(table)
+    edges = np.where(topology.edge_corners[:, 1] < 0, INFINITE_SHARPNESS, 0.0)
+    spokes = table.edges[:: faces.shape[1]]
+    edges[spokes[0]] = INFINITE_SHARPNESS
+    smooth = np.zeros(n)
+    sharpness = Sharpness(edges, np.column_stack([edges, edges]), smooth, smooth)
+    matrix = subdivision_matrix(MeshState(topology, smooth.astype(bool), sharpness), scheme)
+    ring = np.concatenate([[0], n + spokes, *([n + table.n_edges + here] if quads else [])])
+    local = matrix[ring].toarray()
+    # The ring is symmetric about the crease: one tangent is even, one odd, and neither eigenvalue is repeated.
+    mirror = np.concatenate([[0], 1 + (-here) % valence, *([1 + valence + (-1 - here) % valence] if quads else [])])
+    even, odd = (_left_eigenvectors(0.5 * (local + sign * local[:, mirror])) for sign in (1, -1))
+    weights = np.stack([even[0] / even[0].sum(), even[1], odd[0]])
+    # Counter-clockwise on a flat ring, the second tangent is on the left of the first.
+    angles = 2 * np.pi * np.concatenate([here, here + 0.5]) / valence
+    flat = np.column_stack([np.cos(angles), np.sin(angles)])[: n - 1]
+    if np.linalg.det(weights[1:, 1:] @ flat) < 0:
+        weights[2] *= -1
+    return weights
+
+
+def _left_eigenvectors(matrix: FloatArray) -> FloatArray:
+    """Left eigenvectors in rows, that of the largest eigenvalue first."""
+    values, vectors = np.linalg.eig(matrix.T)
+    return np.asarray(vectors[:, np.argsort(-values.real)].real.T)

@@ -1,0 +1,182 @@
+"""Subdivision matrices S: a mask per vertex of the finer level, rows in the order vertices, edges, faces."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, diags_array, eye_array, vstack
+
+from cagemap.mesh.schemes import CREASE_VERTEX, Bilinear, CatmullClark, Loop, Scheme
+from cagemap.numerics.arrays import FloatArray
+from cagemap.subdivision.sharpness import sharpened
+from cagemap.subdivision.state import MeshState
+from cagemap.subdivision.topology import BoolArray, IntArray, Topology
+
+
+class RowFiller:
+    """Fills rows of known lengths of a CSR matrix; the first entry of a row is its own vertex's weight."""
+
+    def __init__(self, lengths: NDArray[np.integer]) -> None:
+        self.indptr = np.zeros(len(lengths) + 1, dtype=np.int32)
+        np.cumsum(lengths, out=self.indptr[1:])
+        self.indices = np.empty(self.indptr[-1], dtype=np.int32)
+        self.data = np.empty(self.indptr[-1], dtype=np.float64)
+
+    def put(
+        self, rows: NDArray[np.integer] | slice, offset: IntArray | int, columns: IntArray, weights: object
+    ) -> None:
+        """Set entry number ``offset`` of each of ``rows``."""
+        at = self.indptr[:-1][rows] + offset
+        self.indices[at] = columns
+        self.data[at] = weights
+
+    def matrix(self, n_columns: int) -> csr_array:
+        """The matrix; a vertex that a stencil meets twice (valence 2 inside, n-gons) gets one entry."""
+        matrix = csr_array((self.data, self.indices, self.indptr), shape=(len(self.indptr) - 1, n_columns))
+        matrix.sum_duplicates()
+        return matrix
+
+
+def put_boundary_rows(rows: RowFiller, topology: Topology, corner: BoolArray, weights: tuple[float, float]) -> None:
+    """Fill the rows of boundary vertices with ``weights`` (own, each neighbour along the curve), of corners with 1."""
+    table, crease = topology.table, topology.boundary & ~corner
+    curve = topology.boundary_corners
+    starts, ends = table.vertices[curve], table.vertices[table.following[curve]]
+    numbers = np.arange(table.n_vertices, dtype=np.int32)
+    rows.put(numbers[crease], 0, numbers[crease], weights[0])
+    rows.put(numbers[corner], 0, numbers[corner], 1.0)
+    rows.put(starts[crease[starts]], 1, ends[crease[starts]], weights[1])
+    rows.put(ends[crease[ends]], 2, starts[crease[ends]], weights[1])
+
+
+def put_inner_rows(rows: RowFiller, topology: Topology, own: FloatArray, *rings: tuple[IntArray, FloatArray]) -> None:
+    """Fill the rows of inner vertices: own weight (n,), then per corner one vertex (c,) of weight (n,) per ring."""
+    table, smooth = topology.table, ~topology.boundary
+    numbers = np.flatnonzero(smooth).astype(np.int32)
+    rows.put(numbers, 0, numbers, own[numbers])
+    around = np.flatnonzero(smooth[table.vertices]) if not smooth.all() else slice(None)
+    centres = table.vertices[around]
+    first = 1 + len(rings) * topology.ranks[around]
+    for place, (columns, weights) in enumerate(rings):
+        rows.put(centres, first + place, columns[around], weights[centres])
+
+
+def _put_edge_rows(rows: RowFiller, topology: Topology, end_weight: float, other_weight: float, n_others: int) -> None:
+    """Fill the rows of edge points: the two ends, then on each side the ``n_others`` other vertices of the face."""
+    table = topology.table
+    forward, backward = topology.edge_corners.T
+    interior = backward >= 0
+    numbers = np.arange(table.n_vertices, table.n_vertices + table.n_edges, dtype=np.int32)
+    weight = np.where(interior, end_weight, 0.5)
+    rows.put(numbers, 0, table.vertices[forward], weight)
+    rows.put(numbers, 1, table.vertices[table.following[forward]], weight)
+    place = 2
+    for corner in (forward[interior], backward[interior]):
+        for _ in range(n_others):
+            corner = table.previous[corner]
+            rows.put(numbers[interior], place, table.vertices[corner], other_weight)
+            place += 1
+
+
+def vertex_row_lengths(topology: Topology, corner: BoolArray, n_rings: int) -> IntArray:
+    """(n,) entries of every vertex' row: itself and its rings, or on the boundary its neighbours along the curve."""
+    lengths = np.where(topology.boundary, 3, 1 + n_rings * topology.valences)
+    lengths[corner] = 1
+    return lengths
+
+
+def rings_of(topology: Topology, scheme: CatmullClark | Loop) -> list[IntArray]:
+    """Per corner: the next vertex of its face, and under Catmull-Clark also the opposite one."""
+    table = topology.table
+    neighbours = table.vertices[table.following]
+    return [neighbours] if isinstance(scheme, Loop) else [neighbours, neighbours[table.following]]
+
+
+def regular_matrix(topology: Topology, scheme: CatmullClark | Loop, corner: BoolArray) -> csr_array:
+    """One step of Catmull-Clark on quads or of Loop on triangles, from their masks."""
+    table, rings = topology.table, rings_of(topology, scheme)
+    if isinstance(scheme, Loop):
+        own, *each = scheme.vertex_weights(topology.valences)
+        edge_weights, n_face_points = scheme.edge_weights(), 0
+    else:
+        own, *each = scheme.quad_vertex_weights(topology.valences)
+        edge_weights, n_face_points = scheme.quad_edge_weights(), table.n_faces
+    edge_lengths = np.where(topology.edge_corners[:, 1] >= 0, 2 + 2 * len(rings), 2)
+    lengths = vertex_row_lengths(topology, corner, len(rings)), edge_lengths, np.full(n_face_points, 4)
+    rows = RowFiller(np.concatenate(lengths))
+    put_inner_rows(rows, topology, own, *zip(rings, each, strict=True))
+    put_boundary_rows(rows, topology, corner, CREASE_VERTEX)
+    _put_edge_rows(rows, topology, *edge_weights, n_others=len(rings))
+    if n_face_points:
+        start = rows.indptr[table.n_vertices + table.n_edges]
+        rows.indices[start:], rows.data[start:] = table.vertices, 0.25
+    return rows.matrix(table.n_vertices)
+
+
+def polygon_matrix(topology: Topology, scheme: CatmullClark, corner: BoolArray) -> csr_array:
+    """One step of Catmull-Clark on faces of any size, through the face points as in [CC78]; for control meshes."""
+    table, smooth = topology.table, ~topology.boundary
+    shape = (table.n_corners, table.n_vertices)
+    here = _selection(table.vertices, shape)
+    ends = _selection(table.vertices[table.following], shape)
+    of_face = _selection(table.faces, (table.n_corners, table.n_faces))
+    of_edge = _selection(table.edges, (table.n_corners, table.n_edges))
+    sizes = np.bincount(table.faces, minlength=table.n_faces)
+    face_points = diags_array(1 / sizes) @ (of_face.T @ here)
+
+    own, neighbour, face = scheme.vertex_weights(topology.valences)
+    vertex_points = (
+        diags_array(np.where(smooth, own, 0.0))
+        + diags_array(np.where(smooth, neighbour, 0.0)) @ (here.T @ ends)
+        + diags_array(np.where(smooth, face, 0.0)) @ (here.T @ of_face) @ face_points
+        + _boundary_points(topology, corner)
+    )
+    interior = topology.edge_corners[:, 1] >= 0
+    forward = topology.edge_corners[:, 0]
+    face_weight = 0.5 * np.bincount(table.edges, scheme.face_edge_weights(sizes)[table.faces])
+    edge_points = (
+        diags_array(np.where(interior, 0.5 - face_weight, 0.5)) @ (here[forward] + ends[forward])
+        + diags_array(np.where(interior, face_weight, 0.0)) @ (of_edge.T @ of_face) @ face_points
+    )
+    stacked = csr_array(vstack([vertex_points, edge_points, face_points], format="csr"))
+    stacked.eliminate_zeros()
+    stacked.sort_indices()
+    return stacked
+
+
+def _selection(columns: IntArray, shape: tuple[int, int]) -> csr_array:
+    """Matrix with a single 1 in every row."""
+    return csr_array((np.ones(shape[0]), columns, np.arange(shape[0] + 1, dtype=np.int32)), shape=shape)
+
+
+def _boundary_points(topology: Topology, corner: BoolArray) -> csr_array:
+    """(n, n) rows of boundary vertices and corners; the others are empty."""
+    rows = RowFiller(np.where(topology.boundary | corner, vertex_row_lengths(topology, corner, 0), 0))
+    put_boundary_rows(rows, topology, corner, CREASE_VERTEX)
+    return rows.matrix(topology.table.n_vertices)
+
+
+def bilinear_matrix(topology: Topology) -> csr_array:
+    """One step without smoothing: vertices stay, edge points are midpoints, face points means of the corners."""
+    table = topology.table
+    shape = (table.n_corners, table.n_vertices)
+    here, ends = (_selection(corners, shape) for corners in (table.vertices, table.vertices[table.following]))
+    forward = topology.edge_corners[:, 0]
+    of_face = _selection(table.faces, (table.n_corners, table.n_faces))
+    face_points = diags_array(1 / np.bincount(table.faces)) @ (of_face.T @ here)
+    vertex_points = eye_array(table.n_vertices, format="csr")
+    stacked = csr_array(vstack([vertex_points, 0.5 * (here[forward] + ends[forward]), face_points], format="csr"))
+    stacked.sort_indices()
+    return stacked
+
+
+def subdivision_matrix(state: MeshState, scheme: Scheme) -> csr_array:
+    """S of the step from a level to the next, (n_fine, n_coarse): rows sum to 1, indices ascend in every row."""
+    topology = state.topology
+    if isinstance(scheme, Bilinear):
+        return bilinear_matrix(topology)
+    if isinstance(scheme, Loop) or topology.table.has_only(4):
+        matrix = regular_matrix(topology, scheme, state.corner)
+    else:
+        matrix = polygon_matrix(topology, scheme, state.corner)
+    return matrix if state.sharpness is None else sharpened(matrix, topology, state.sharpness, state.follows)

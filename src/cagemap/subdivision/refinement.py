@@ -1,0 +1,370 @@
+"""Refine a control mesh: every level's mesh, and the matrices between levels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.sparse import csr_array, eye_array
+
+from cagemap.errors import InvalidMeshError, ParameterError
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.inputs import MeshLike, arrays_accepted
+from cagemap.mesh.measures import cage_triangles
+from cagemap.mesh.mesh_report import first_few
+from cagemap.mesh.schemes import SCHEMES, Bilinear, CatmullClark, Loop, Plain, Scheme
+from cagemap.numerics.arrays import Array, FloatArray, IndexArray
+from cagemap.numerics.threads import kept
+from cagemap.subdivision.face_varying import Layout, refined_layout
+from cagemap.subdivision.matrices import subdivision_matrix
+from cagemap.subdivision.state import MeshState, control_state, next_state
+from cagemap.subdivision.topology import BoolArray, CornerTable, children, control_topology
+from cagemap.surface.triangles import triangles as triangles
+
+# Nonzeros of the second S per control corner, about; each further S has four times as many.
+ENTRIES_PER_CORNER = 25
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Level:
+    """One level's mesh.
+
+    Attributes
+    ----------
+    positions : (n, 3) float64
+        Vertices, in the control mesh's length unit; refined positions, not limit positions.
+    faces : (m, 4) or (m, 3) int64, or None
+        None only at level 0, where faces are not all quads or all triangles: see ``Refinement.control``.
+    face_parents : (m,) int64
+        Control face that every face comes from.
+    lay : callable or None
+        Returns UVs (p, 2) and the UV of every face corner, like faces; see `with_uvs`.
+    """
+
+    positions: FloatArray
+    faces: IndexArray | None
+    face_parents: IndexArray
+    lay: Callable[[], Layout] | None = None
+
+    @kept
+    def layout(self) -> Layout | None:
+        """UVs and the UV of every face corner; computed when first read, as maps need none."""
+        return None if self.lay is None else self.lay()
+
+    @property
+    def uvs(self) -> FloatArray | None:
+        """(p, 2) UVs of the level, None where the control mesh has none."""
+        return None if self.layout is None else self.layout[0]
+
+    @property
+    def uv_indices(self) -> IndexArray | None:
+        """UV of every face corner, like faces, or None."""
+        return None if self.layout is None else self.layout[1]
+
+    def with_uvs(self, uvs: FloatArray, uv_indices: IndexArray) -> Level:
+        """The same level with other UVs (p, 2), and a UV for every corner, like faces."""
+        return replace(self, lay=lambda: (uvs, uv_indices))
+
+    @property
+    def n_vertices(self) -> int:
+        """Number of vertices."""
+        return len(self.positions)
+
+    @property
+    def n_faces(self) -> int:
+        """Number of faces."""
+        return len(self.face_parents)
+
+    def __repr__(self) -> str:
+        return f"Level({self.n_vertices} vertices, {self.n_faces} faces)"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Refinement:
+    """A control mesh and its refined levels, ``X^{l+1} = S^l X^l`` (paper, section 2.2.1).
+
+    Attributes
+    ----------
+    control : ControlMesh
+    scheme : CatmullClark, Loop, Bilinear or Plain
+    matrices : tuple of (n_{l+1}, n_l) csr_array
+        ``matrices[l]`` is S^l. Rows sum to 1 and have the order vertices, edges, faces (Loop: vertices, edges), so that
+        vertex i of a level is vertex i of every finer one.
+    levels : tuple of Level
+        ``levels[0]`` is the control mesh, ``levels[-1]`` the finest.
+    places : (n,) int64 or None
+        Finest vertex of every control vertex of a plain mesh with coarse levels (`cagemap.operators.coarse_levels`);
+        None where control vertices keep their numbers.
+    """
+
+    control: ControlMesh
+    scheme: Scheme
+    matrices: tuple[csr_array, ...]
+    levels: tuple[Level, ...]
+    places: IndexArray | None = None
+
+    @property
+    def finest(self) -> Level:
+        """The finest level."""
+        return self.levels[-1]
+
+    @property
+    def n_levels(self) -> int:
+        """Number of refinement steps L; levels are numbered 0 to L."""
+        return len(self.matrices)
+
+    def coarsest_level(self, vertices: int) -> int:
+        """The coarsest level of at least so many vertices; the finest one if none has."""
+        enough = (number for number, level in enumerate(self.levels) if level.n_vertices >= vertices)
+        return next(enough, self.n_levels)
+
+    def up_to(self, level: int) -> Refinement:
+        """The levels from 0 to this one."""
+        return replace(self, matrices=self.matrices[:level], levels=self.levels[: level + 1])
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the finest level is the control mesh itself."""
+        return isinstance(self.scheme, Plain)
+
+    def inner(self, vertices: IndexArray) -> IndexArray:
+        """Finest vertices that control vertices are."""
+        return vertices if self.places is None else self.places[vertices]
+
+    def outer(self, vertices: IndexArray) -> IndexArray:
+        """Control vertices that finest vertices are: undoes `inner`. Of a subdivision, the first ones are."""
+        return vertices if self.places is None else np.argsort(self.places)[vertices]
+
+    def inner_rows(self, values: Array) -> Array:
+        """Rows of the finest vertices from rows as they are stored, which of a plain mesh follow the control mesh."""
+        return values if self.places is None else values[np.argsort(self.places)]  # type: ignore[return-value]
+
+    def outer_rows(self, values: Array) -> Array:
+        """Undo `inner_rows`."""
+        return values if self.places is None else values[self.places]  # type: ignore[return-value]
+
+    def holes(self, level: int) -> BoolArray:
+        """(m_level,) faces that shape the surface but are no part of it; see `control_holes`."""
+        return control_holes(self.control, self.scheme)[self.levels[level].face_parents]
+
+    def product(self, fine: int, coarse: int) -> csr_array:
+        """``S^{fine,coarse} = S^{fine-1} ... S^{coarse}``, (n_fine, n_coarse); the identity if the levels are equal."""
+        self._check_order(fine, coarse)
+        if fine == coarse:
+            return csr_array(eye_array(self.levels[fine].n_vertices, format="csr"))
+        # From the coarse side: the left factor then always has short rows.
+        product = self.matrices[coarse]
+        for level in range(coarse + 1, fine):
+            product = self.matrices[level] @ product
+        product.sort_indices()
+        return product
+
+    def rows(self, vertices: IndexArray | slice, fine: int, coarse: int) -> csr_array:
+        """Rows of ``S^{fine,coarse}`` for vertices (m,) of the fine level, (m, n_coarse), without computing the others.
+
+        Raises
+        ------
+        ParameterError
+            If there is no such level or vertex.
+        """
+        self._check_order(fine, coarse)
+        n = self.levels[fine].n_vertices
+        chosen = np.arange(n)[vertices] if isinstance(vertices, slice) else vertices
+        if len(chosen) and not 0 <= chosen.min() <= chosen.max() < n:
+            raise ParameterError(
+                f"vertices: expected 0 to {n - 1} of level {fine}, got {chosen.min()} to {chosen.max()}"
+            )
+        arrays = np.ones(len(chosen)), chosen.astype(np.int32), np.arange(len(chosen) + 1, dtype=np.int32)
+        rows = csr_array(arrays, shape=(len(chosen), n))
+        for matrix in reversed(self.matrices[coarse:fine]):
+            rows = rows @ matrix
+        rows.sort_indices()
+        return rows
+
+    def prolong(self, values: FloatArray, coarse: int, fine: int) -> FloatArray:
+        """Refine functions (n_coarse,) or (n_coarse, q): ``S^{fine,coarse} values``, one factor after the other."""
+        self._check_order(fine, coarse)
+        if np.shape(values)[:1] != (self.levels[coarse].n_vertices,):
+            raise ParameterError(
+                f"values: expected {self.levels[coarse].n_vertices} rows, one per vertex of level {coarse}, "
+                f"got shape {np.shape(values)}"
+            )
+        for level in range(coarse, fine):
+            values = self.matrices[level] @ values
+        return values
+
+    def _check_order(self, fine: int, coarse: int) -> None:
+        if not 0 <= coarse <= fine <= self.n_levels:
+            raise ParameterError(
+                f"levels: expected 0 <= coarse <= fine <= {self.n_levels}, got coarse {coarse} and fine {fine}; "
+                "level 0 is the control mesh, and the finest level is the number of refinement steps"
+            )
+
+    def __str__(self) -> str:
+        head = f"{self.control.name}: {self.scheme}"
+        lines = [head, f"{'level':>5} {'vertices':>10} {'faces':>10} {'nonzeros of S':>14}"]
+        for number, level in enumerate(self.levels):
+            nonzeros = str(self.matrices[number].nnz) if number < self.n_levels else "-"
+            lines.append(f"{number:>5} {level.n_vertices:>10} {level.n_faces:>10} {nonzeros:>14}")
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        sizes = ", ".join(str(level.n_vertices) for level in self.levels)
+        return f"Refinement({self.control.name!r}, {self.scheme}, vertices per level: {sizes})"
+
+
+def default_scheme(control: ControlMesh) -> Scheme:
+    """The scheme in the mesh's file; else Loop for triangle meshes and Catmull-Clark for all others."""
+    if control.scheme is not None:
+        return control.scheme
+    return Loop() if control.is_triangle_mesh else CatmullClark()
+
+
+def with_options(
+    control: ControlMesh,
+    scheme: str | None = None,
+    boundary: str | None = None,
+    uv_interpolation: str | None = None,
+    creasing: str | None = None,
+) -> ControlMesh:
+    """The same mesh with other subdivision options; None leaves those of its file.
+
+    Parameters
+    ----------
+    scheme : {"catmull-clark", "loop", "bilinear", "none"}, optional
+        "none" is the mesh as it is.
+    boundary, uv_interpolation, creasing : str, optional
+        See `SubdivisionOptions`.
+
+    Raises
+    ------
+    ParameterError
+        If a value is not allowed.
+    """
+    before = default_scheme(control)
+    kind = type(before)
+    if scheme is not None:
+        if scheme not in SCHEMES:
+            raise ParameterError(f"scheme: expected one of {', '.join(SCHEMES)}, got {scheme!r}")
+        kind = SCHEMES[scheme]
+    asked = {"boundary": boundary, "uv_interpolation": uv_interpolation, "creasing": creasing}
+    options = asdict(before) | {name: value for name, value in asked.items() if value is not None}
+    return replace(control, scheme=kind(**options))
+
+
+@arrays_accepted
+def refine(control: MeshLike, levels: int, scheme: Scheme | None = None) -> Refinement:
+    """Subdivide a control mesh ``levels`` times; time and memory are linear in the finest level's size.
+
+    From level 1 on UVs are numbered by pairs of a vertex and a UV.
+
+    Parameters
+    ----------
+    control : mesh, see `cagemap.mesh.inputs.control_mesh`
+        Oriented manifold mesh; triangles only under Loop.
+    levels : int
+        Number of steps, 0 or more. Each multiplies the number of faces by about 4.
+    scheme : CatmullClark, Loop or Bilinear, optional
+        Default: `default_scheme`.
+
+    Raises
+    ------
+    InvalidMeshError
+        If the mesh is not an oriented manifold, or has faces other than triangles under Loop.
+    ParameterError
+        If ``levels`` is negative or leads past 2^31 matrix entries.
+
+    Examples
+    --------
+    >>> from cagemap import ControlMesh
+    >>> corners = [(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)]
+    >>> tetrahedron = ControlMesh.from_faces(corners, [(0, 1, 2), (0, 2, 3), (0, 3, 1), (1, 3, 2)])
+    >>> [level.n_vertices for level in refine(tetrahedron, 2).levels]
+    [4, 10, 34]
+    """
+    scheme = default_scheme(control) if scheme is None else scheme
+    _check_input(control, levels, scheme)
+    state = control_state(control, scheme)
+    _check_size(state.topology.table, levels)
+    has_uvs = control.uvs is not None and control.uv_indices is not None
+    matrices, result = list[csr_array](), [control_level(control)]
+    for step in range(levels):
+        state = next_state(state, scheme) if step else state
+        matrices.append(subdivision_matrix(state, scheme))
+        positions, table, parents = matrices[-1] @ result[-1].positions, state.topology.table, result[-1].face_parents
+        parents = np.repeat(parents, 4) if isinstance(scheme, Loop) else parents[table.faces]
+        lay = partial(refined_layout, control, step + 1, scheme) if has_uvs else None
+        result.append(Level(positions, children(table, scheme).astype(np.int64), parents, lay))
+    return Refinement(control, scheme, tuple(matrices), tuple(result))
+
+
+def state_of(refinement: Refinement, level: int) -> MeshState:
+    """State of any level, computed from the control mesh (cheap)."""
+    state = control_state(refinement.control, refinement.scheme)
+    for _ in range(level):
+        state = next_state(state, refinement.scheme)
+    return state
+
+
+def control_holes(control: ControlMesh, scheme: Scheme) -> BoolArray:
+    """(m,) control faces that are holes: those of the file, and under boundary ``none`` all at the boundary.
+
+    Bilinear faces need no neighbours, so that those at the boundary stay.
+    """
+    holes = np.zeros(control.n_faces, dtype=bool)
+    if control.hole_faces is not None:
+        holes[control.hole_faces] = True
+    if scheme.boundary == "none" and not isinstance(scheme, Bilinear):
+        boundary = control_topology(control).boundary
+        holes[control.corner_faces[boundary[control.face_indices]]] = True
+    return holes
+
+
+def control_level(control: ControlMesh) -> Level:
+    """Level 0 of any refinement of ``control``."""
+    size = int(control.face_sizes[0]) if control.n_faces else 0
+    uniform = size in (3, 4) and bool(np.all(control.face_sizes == size))
+    faces = control.face_indices.reshape(-1, size) if uniform else None
+    level = Level(control.positions, faces, np.arange(control.n_faces))
+    if control.uvs is None or control.uv_indices is None or not uniform:
+        return level
+    return level.with_uvs(control.uvs, control.uv_indices.reshape(-1, size))
+
+
+def _check_input(control: ControlMesh, levels: int, scheme: Scheme) -> None:
+    if levels < 0:
+        raise ParameterError(f"levels: expected 0 or more refinement steps, got {levels}")
+    if isinstance(scheme, Plain) and levels:
+        raise ParameterError(
+            f"levels: {control.name} is a plain mesh (scheme none) and is never refined, expected 0, got {levels}; "
+            "ask for bilinear to split its faces"
+        )
+    if isinstance(scheme, Loop) and not control.is_triangle_mesh:
+        others = np.flatnonzero(control.face_sizes != 3)
+        raise InvalidMeshError(
+            f"{control.name}: Loop expects triangles only, got {len(others)} other faces: {first_few(others)}; "
+            "use Catmull-Clark, which takes faces of any size"
+        )
+    if control.uv_indices is not None and control.uvs is not None and len(control.uv_indices):
+        low, high = int(control.uv_indices.min()), int(control.uv_indices.max())
+        if low < 0 or high >= len(control.uvs):
+            raise InvalidMeshError(
+                f"{control.name}: expected UV numbers in 0..{len(control.uvs) - 1}, got {low} to {high}"
+            )
+
+
+def _check_size(table: CornerTable, levels: int) -> None:
+    entries = ENTRIES_PER_CORNER * table.n_corners * 4 ** max(levels - 2, 0)
+    if entries >= 2**31:
+        raise ParameterError(
+            f"levels: expected fewer than 2^31 matrix entries, got about {entries} with {levels} levels of "
+            f"{table.n_faces} control faces; ask for fewer levels"
+        )
+
+
+def level_triangles(refinement: Refinement, level: int) -> IndexArray:
+    """(t, 3) triangles of a level: quads split by `triangles`, n-gons of the control mesh into fans."""
+    faces = refinement.levels[level].faces
+    return cage_triangles(refinement.control)[0] if faces is None else triangles(faces)

@@ -1,0 +1,197 @@
+"""Semi-sharp creases and corners (OpenSubdiv's rules).
+
+A step takes 1 from every sharpness between 0 and infinity (10). Where it changes the rule, say from crease to smooth,
+both masks are blended by the sharpness that disappears [DKT98]_.
+
+.. [DKT98] T. DeRose, M. Kass, T. Truong. Subdivision surfaces in character animation. 1998.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csr_array, diags_array
+
+from cagemap.errors import InvalidMeshError
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.mesh_report import first_few
+from cagemap.mesh.schemes import CREASE_VERTEX, INFINITE_SHARPNESS, Creasing
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.subdivision.topology import BoolArray, CornerTable, Topology
+
+# Vertex rules; smooth includes darts, where a single crease ends.
+SMOOTH, CREASE, CORNER = 0, 2, 3
+
+
+@dataclass(frozen=True, eq=False)
+class Sharpness:
+    """Sharpness before and after one step.
+
+    ``edges`` (e,), 0 where smooth and infinite on the boundary, become ``halves`` (e, 2) at the edge's start and end;
+    ``vertices`` (n,) become ``after`` (n,).
+    """
+
+    edges: FloatArray
+    halves: FloatArray
+    vertices: FloatArray
+    after: FloatArray
+
+    def of_corners(self, table: CornerTable, corners: NDArray[np.integer]) -> tuple[FloatArray, FloatArray]:
+        """Sharpness of some corners' edges (k,) and of their halves (k, 2), in the corners' direction."""
+        edges = table.edges[corners]
+        halves = self.halves[edges]
+        return self.edges[edges], np.where(table.forward[corners][:, None], halves, halves[:, ::-1])
+
+
+def edge_ends(topology: Topology) -> IndexArray:
+    """(e, 2) vertices at the start and the end of every edge."""
+    table = topology.table
+    forward = topology.edge_corners[:, 0]
+    return np.column_stack([table.vertices[forward], table.vertices[table.following[forward]]]).astype(np.int64)
+
+
+def control_sharpness(
+    control: ControlMesh, topology: Topology, corner: BoolArray, creasing: Creasing
+) -> Sharpness | None:
+    """Sharpness in a control mesh's file, with fixed boundary vertices (n,); None if nothing else is sharp.
+
+    Raises
+    ------
+    InvalidMeshError
+        If a crease is not an edge of the mesh.
+    """
+    edges = np.zeros(topology.table.n_edges)
+    vertices = np.zeros(control.n_vertices)
+    if control.crease_edges is not None and control.crease_sharpness is not None:
+        edges[_edge_numbers(control, topology)] = control.crease_sharpness
+    if control.corner_vertices is not None and control.corner_sharpness is not None:
+        vertices[control.corner_vertices] = control.corner_sharpness
+    if not (edges > 0).any() and not (vertices > 0).any():
+        return None
+    edges[topology.edge_corners[:, 1] < 0] = INFINITE_SHARPNESS
+    vertices[corner] = INFINITE_SHARPNESS
+    limits = 0.0, INFINITE_SHARPNESS
+    return with_halves(topology, np.clip(edges, *limits), np.clip(vertices, *limits), creasing)
+
+
+def _edge_numbers(control: ControlMesh, topology: Topology) -> IndexArray:
+    """Edges of the creases; InvalidMeshError where there is none."""
+    assert control.crease_edges is not None
+    n = control.n_vertices
+    ends = edge_ends(topology)
+    keys = ends.min(axis=1) * n + ends.max(axis=1)
+    asked = control.crease_edges.min(axis=1) * n + control.crease_edges.max(axis=1)
+    order = np.argsort(keys)
+    numbers = order[np.minimum(np.searchsorted(keys[order], asked), len(keys) - 1)]
+    missing = keys[numbers] != asked
+    if missing.any():
+        shown = first_few([tuple(pair) for pair in control.crease_edges[missing].tolist()])
+        raise InvalidMeshError(
+            f"{control.name}: expected creases on edges of the mesh, got {missing.sum()} between vertices that no edge "
+            f"joins: {shown}; export the mesh again, or take these creases out"
+        )
+    return numbers
+
+
+def with_halves(topology: Topology, edges: FloatArray, vertices: FloatArray, creasing: Creasing) -> Sharpness:
+    """Sharpness with the values after the next step."""
+    halves = _reduced(np.column_stack([edges, edges]))
+    if creasing == "chaikin":
+        halves = _chaikin_halves(topology, edges, halves)
+    return Sharpness(edges, halves, vertices, _reduced(vertices))
+
+
+def _reduced(sharpness: FloatArray) -> FloatArray:
+    return np.where(sharpness >= INFINITE_SHARPNESS, INFINITE_SHARPNESS, np.maximum(sharpness - 1.0, 0.0))
+
+
+def _chaikin_halves(topology: Topology, edges: FloatArray, halves: FloatArray) -> FloatArray:
+    """Chaikin's rule: 3/4 of an edge's own sharpness and 1/4 of the mean of the other semi-sharp edges at that end."""
+    ends, n = edge_ends(topology), topology.table.n_vertices
+    semi = (edges > 0) & (edges < INFINITE_SHARPNESS)
+    count = np.bincount(ends[semi].ravel(), minlength=n)
+    total = np.bincount(ends[semi].ravel(), np.repeat(edges[semi], 2), minlength=n)
+    shared = semi[:, None] & (count[ends] > 1)
+    others = (total[ends] - edges[:, None]) / np.maximum(count[ends] - 1, 1)
+    return np.where(shared, np.maximum(0.75 * edges[:, None] + 0.25 * others - 1.0, 0.0), halves)
+
+
+def next_sharpness(sharpness: Sharpness, child: Topology, creasing: Creasing) -> Sharpness:
+    """Sharpness of the next level: edge e became 2e and 2e + 1, and all other edges and vertices are new and smooth."""
+    edges = np.zeros(child.table.n_edges)
+    edges[: sharpness.halves.size] = sharpness.halves.ravel()
+    edges[child.edge_corners[:, 1] < 0] = INFINITE_SHARPNESS
+    vertices = np.zeros(child.table.n_vertices)
+    vertices[: len(sharpness.after)] = sharpness.after
+    return with_halves(child, edges, vertices, creasing)
+
+
+def vertex_rules(
+    topology: Topology, sharpness: Sharpness, follows: IndexArray | None = None
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Shares (n,) of four masks, which sum to 1: smooth, crease before the step, crease after it, corner [DKT98]_.
+
+    UVs in ``follows`` (n,) have the edge sharpness around another UV.
+    """
+    ends, n = edge_ends(topology), topology.table.n_vertices
+
+    def per_vertex(of_ends: FloatArray | BoolArray) -> FloatArray:
+        sums = np.bincount(ends.ravel(), of_ends.ravel().astype(np.float64), minlength=n)
+        return np.asarray(sums, dtype=np.float64)
+
+    sharp = np.repeat(sharpness.edges[:, None] > 0, 2, axis=1)
+    fading = sharp & (sharpness.halves <= 0)
+    vertex_fades = (sharpness.vertices > 0) & (sharpness.after <= 0)
+    count, count_after = per_vertex(sharp), per_vertex(sharpness.halves > 0)
+    lost = per_vertex(fading * sharpness.edges[:, None]) + vertex_fades * sharpness.vertices
+    n_lost = per_vertex(fading) + vertex_fades
+    if follows is not None:
+        count, count_after, lost, n_lost = count[follows], count_after[follows], lost[follows], n_lost[follows]
+    before, after = _rule(count, sharpness.vertices), _rule(count_after, sharpness.after)
+    share = np.minimum(lost / np.maximum(n_lost, 1), 1.0)
+    share[(before == after) | (before == SMOOTH)] = 1.0
+    smooth, corner = (share * (before == rule) + (1 - share) * (after == rule) for rule in (SMOOTH, CORNER))
+    return smooth, share * (before == CREASE), (1 - share) * (after == CREASE), corner
+
+
+def _rule(count: FloatArray, sharpness: FloatArray) -> IndexArray:
+    """Rule of every vertex by the number of sharp edges there, and its own sharpness."""
+    rule = np.where(count > 2, CORNER, np.where(count == 2, CREASE, SMOOTH))
+    return np.asarray(np.where(sharpness > 0, CORNER, rule), dtype=np.int64)
+
+
+def sharpened(
+    matrix: csr_array, topology: Topology, sharpness: Sharpness, follows: IndexArray | None = None
+) -> csr_array:
+    """S (n_fine, n) of one step with creases and corners, from the S that has them on the boundary only."""
+    n = topology.table.n_vertices
+    ends, vertices = edge_ends(topology), np.arange(n)
+    smooth, crease, crease_after, corner = vertex_rules(topology, sharpness, follows)
+    # An edge of sharpness between 0 and 1 is half way to smooth, unless both its halves are still creases.
+    hard = np.where(np.all(sharpness.halves > 0, axis=1), 1.0, sharpness.edges)
+    hard[topology.edge_corners[:, 1] < 0] = 0.0  # boundary edges have their midpoint already
+    # A boundary row of the matrix is used as it is where the boundary is the vertex's crease.
+    unchanged = topology.boundary & (crease == 1)
+    smooth_part = np.ones(matrix.shape[0])
+    smooth_part[:n] = np.where(unchanged, 1.0, smooth)
+    smooth_part[n : n + len(ends)] = 1.0 - hard
+    own, other = CREASE_VERTEX
+    crease = np.where(unchanged, 0.0, crease)
+    along = (sharpness.edges[:, None] > 0) * crease[ends] + (sharpness.halves > 0) * crease_after[ends]
+    sharp_edges = np.flatnonzero(hard)
+    parts = [
+        (vertices, vertices, corner + own * (crease + crease_after)),
+        (ends[:, 0], ends[:, 1], other * along[:, 0]),
+        (ends[:, 1], ends[:, 0], other * along[:, 1]),
+        (n + sharp_edges, ends[sharp_edges, 0], hard[sharp_edges] / 2),
+        (n + sharp_edges, ends[sharp_edges, 1], hard[sharp_edges] / 2),
+    ]
+    rows, columns, weights = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    some = weights != 0
+    added = coo_array((weights[some], (rows[some].astype(np.int32), columns[some].astype(np.int32))), matrix.shape)
+    result = csr_array(diags_array(smooth_part) @ matrix + added)
+    result.eliminate_zeros()
+    result.sort_indices()
+    return result

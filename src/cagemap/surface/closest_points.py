@@ -1,0 +1,376 @@
+"""Closest points on a triangle mesh, with a preference for agreeing normals.
+
+An implicit bounding-volume tree (node ``i`` has the children ``2 i + 1`` and ``2 i + 2``) whose boxes bound positions
+and normals. Its leaves are runs of consecutive triangles where these are compact, as after subdivision; otherwise all
+triangles are sorted along a space-filling curve.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import ParameterError
+from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
+from cagemap.numerics.threads import in_threads, parts
+from cagemap.surface.triangles import CACHED, normalized, triangle_areas, triangle_centres, triangle_normals
+
+_LEAF_SIZE = 8  # triangles
+_STACK_SIZE = 64  # nodes
+_CHUNK = 512  # queries that a thread answers in a row, each starting from the last answer
+# Largest mean extent of runs of triangles that serve as leaves, in mean triangle sizes.
+_MAX_RUN_EXTENT = 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class TriangleTree:
+    """Triangles of a surface, ordered for closest-point search.
+
+    Attributes
+    ----------
+    boxes : (nodes, 12) float64
+        Lower and upper bounds of positions, then of normals. Padding nodes are empty (lower > upper position).
+    order : (t,) int64
+        Triangle of the mesh at every position of the tree; ``places`` is the inverse.
+    corners : (t, 3, 3) float64
+        Corner positions in tree order.
+    normals : (t, 3) float64
+        Unit normals in tree order, zero for degenerate triangles.
+    """
+
+    boxes: FloatArray
+    order: IndexArray
+    places: IndexArray
+    corners: FloatArray
+    normals: FloatArray
+
+    def normals_of(self, triangles: IndexArray) -> FloatArray:
+        """(m, 3) unit normals of some triangles (m,) of the mesh."""
+        return self.normals.take(self.places.take(triangles), axis=0)
+
+
+def build_tree(positions: FloatArray, triangles: IndexArray) -> TriangleTree:
+    """Search tree of triangles (t, 3) with vertices (n, 3), for `closest_points`.
+
+    Raises
+    ------
+    ParameterError
+        If there is no triangle or a position is not finite.
+    """
+    if len(triangles) == 0:
+        raise ParameterError("expected at least one triangle to search, got none: pass a non-empty surface")
+    positions = np.ascontiguousarray(positions, dtype=np.float64)
+    if not np.isfinite(positions).all():
+        bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
+        raise ParameterError(f"expected finite positions, got {len(bad)} that are not, first at vertices {bad[:5]}")
+    order = _leaf_order(positions, triangles)
+    ordered, normals = triangles.take(order, axis=0), np.empty((len(order), 3))
+
+    def fill(part: slice) -> None:
+        normals[part] = normalized(triangle_normals(positions, ordered[part]))
+
+    in_threads(fill, parts(len(order), CACHED))
+    n_leaves = 1 << int(np.ceil(np.log2(max(1, -(-len(order) // _LEAF_SIZE)))))
+    boxes, corners = np.empty((2 * n_leaves - 1, 12)), np.empty((len(order), 3, 3))
+    _fill_boxes(read_only(positions), ordered, normals, corners, boxes)
+    places = np.empty_like(order)
+    places[order] = np.arange(len(order))
+    return TriangleTree(boxes, order, places, corners, normals)
+
+
+def closest_points(
+    tree: TriangleTree,
+    points: FloatArray,
+    normals: FloatArray | None = None,
+    *,
+    normal_weight: float = 0.0,
+    minimum_cosine: float = -2.0,
+    guess: IndexArray | None = None,
+    within: FloatArray | float = np.inf,
+) -> tuple[IndexArray, FloatArray, FloatArray]:
+    """Closest point of a surface for every query, in position and normal.
+
+    Minimises ``|q - p|^2 + w^2 |n_q - n_p|^2`` over the surface's points ``p``, with ``n_p`` the normal of the triangle
+    of ``p``, over triangles whose normal makes a cosine of at least ``minimum_cosine`` with ``n_q``.
+
+    Parameters
+    ----------
+    tree : TriangleTree
+    points : (m, 3) float64
+    normals : (m, 3) float64, optional
+        Unit normals of the queries; needed by the two options below.
+    normal_weight : float
+        ``w``, a length: opposite normals cost as much as a distance of ``2 w``.
+    minimum_cosine : float
+        Below -1 every triangle is allowed.
+    guess : (m,) int64, optional
+        A triangle near every query, -1 for none; makes the search faster, never changes the minimum.
+    within : (m,) float64 or float
+        A length: only points of a cost below its square are sought. It keeps the search local where no near triangle
+        has an allowed normal.
+
+    Returns
+    -------
+    triangle : (m,) int64
+        -1 where no triangle is allowed or near enough.
+    barycentric : (m, 3) float64
+    distance : (m,) float64
+        Euclidean ``|q - p|``, infinite where no triangle is found.
+    """
+    queries = read_only(np.ascontiguousarray(points, dtype=np.float64))
+    directions = read_only(
+        np.zeros(queries.shape) if normals is None else np.ascontiguousarray(normals, dtype=np.float64)
+    )
+    if normals is None and (normal_weight > 0 or minimum_cosine > -1):
+        raise ParameterError("expected normals of the queries, got none: normal_weight and minimum_cosine need them")
+    start = np.full(len(queries), -1, dtype=np.int64)
+    if guess is not None:
+        start = np.where(guess >= 0, tree.places[guess], -1)
+    sequence = np.argsort(_morton_codes(queries), kind="stable")
+    found = np.full(len(queries), -1, dtype=np.int64)
+    barycentric, squared = np.zeros((len(queries), 3)), np.full(len(queries), np.inf)
+    limits = np.full(len(queries), np.square(within), dtype=np.float64)  # writable, or the kernel is compiled twice
+
+    def search(part: IndexArray) -> None:
+        _search(
+            (tree.boxes, tree.corners, tree.normals),
+            (queries, directions, limits, start),
+            (float(normal_weight) ** 2, float(minimum_cosine)),
+            part,
+            (found, barycentric, squared),
+        )
+
+    # Chunks do not depend on the number of threads: which of equally close points is found depends on the start.
+    in_threads(search, [sequence[part] for part in parts(len(sequence), _CHUNK)])
+    triangle = np.where(found >= 0, tree.order[found], -1)
+    return triangle, barycentric, np.sqrt(squared)
+
+
+def _leaf_order(positions: FloatArray, triangles: IndexArray) -> IndexArray:
+    """(t,) triangles leaf by leaf along a space-filling curve."""
+    leaves = len(triangles) // _LEAF_SIZE
+    extents, means = np.full(max(leaves, 1), np.inf), np.empty((leaves, 3))
+
+    def fill(part: slice) -> None:
+        # Coordinate by coordinate: array operations are slow on short rows.
+        centres = triangle_centres(positions, triangles[part.start * _LEAF_SIZE : part.stop * _LEAF_SIZE])
+        runs = [np.ascontiguousarray(centres[:, d].reshape(-1, _LEAF_SIZE).T) for d in range(3)]
+        extents[part] = np.sqrt(sum(np.square(run.max(axis=0) - run.min(axis=0)) for run in runs))
+        means[part] = np.column_stack([run.mean(axis=0) for run in runs])
+
+    in_threads(fill, parts(leaves, CACHED // _LEAF_SIZE))
+    sizes = triangle_areas(positions, triangles)
+    if extents.mean() > _MAX_RUN_EXTENT * np.sqrt(2.0 * sizes).mean():
+        return np.argsort(_morton_codes(triangle_centres(positions, triangles)), kind="stable")
+    first = _LEAF_SIZE * np.argsort(_morton_codes(means), kind="stable")
+    return np.concatenate(
+        [(first[:, None] + np.arange(_LEAF_SIZE)).ravel(), np.arange(leaves * _LEAF_SIZE, len(triangles))]
+    )
+
+
+def closest_among(
+    corners: FloatArray, starts: IndexArray, candidates: IndexArray, points: FloatArray
+) -> tuple[IndexArray, FloatArray]:
+    """Triangle (m,) and barycentric coordinates (m, 3) of the closest point among each query's own candidates.
+
+    Parameters
+    ----------
+    corners : (t, 3, 3) float64
+        Positions of the triangles' corners.
+    starts : (m, 2) int64
+        Begin and end of every query's triangles in ``candidates`` (c,); at least one. The first of equally near wins.
+    candidates : (c,) int64
+    points : (m, 3) float64
+    """
+    triangle, barycentric = np.empty(len(points), dtype=np.int64), np.empty((len(points), 3))
+    c, s, among, p = (read_only(np.ascontiguousarray(array)) for array in (corners, starts, candidates, points))
+    _search_among(c, s, among, p, triangle, barycentric)
+    return triangle, barycentric
+
+
+def _morton_codes(points: FloatArray) -> IndexArray:
+    """(t,) positions of points along a space-filling curve, 21 bits an axis."""
+    if not len(points):
+        return np.zeros(0, dtype=np.int64)
+    low, high = (np.array([extreme(column) for column in points.T]) for extreme in (np.min, np.max))
+    scale = 2**21 / max(float((high - low).max()), 1e-300)  # not 0, and its inverse is finite
+    codes = np.zeros(len(points), dtype=np.uint64)
+    for part in parts(len(points), CACHED):
+        for axis in range(3):
+            cells = np.minimum((points[part, axis] - low[axis]) * scale, 2**21 - 1).astype(np.uint64)
+            codes[part] |= _interleaved(cells) << np.uint64(axis)
+    return codes.astype(np.int64)
+
+
+def _interleaved(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Insert two zero bits before each of the lowest 21 bits."""
+    masks = 0x1F00000000FFFF, 0x1F0000FF0000FF, 0x100F00F00F00F00F, 0x10C30C30C30C30C3, 0x1249249249249249
+    for shift, mask in zip((32, 16, 8, 4, 2), masks, strict=True):
+        values = (values | (values << np.uint64(shift))) & np.uint64(mask)
+    return values
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _fill_boxes(positions, triangles, normals, corners, boxes):  # type: ignore[no-untyped-def]
+    """Corner positions of every triangle; boxes of the leaves, then of their parents up to the root."""
+    first_leaf = len(boxes) // 2
+    for leaf in range(first_leaf + 1):
+        box = boxes[first_leaf + leaf]
+        for i in range(3):
+            box[i], box[3 + i] = np.inf, -np.inf
+            box[6 + i], box[9 + i] = 1.0, -1.0
+        for t in range(leaf * _LEAF_SIZE, min((leaf + 1) * _LEAF_SIZE, len(triangles))):
+            for i in range(3):
+                for k in range(3):
+                    x = positions[triangles[t, k], i]
+                    corners[t, k, i] = x
+                    box[i] = min(box[i], x)
+                    box[3 + i] = max(box[3 + i], x)
+                box[6 + i] = min(box[6 + i], normals[t, i])
+                box[9 + i] = max(box[9 + i], normals[t, i])
+    for node in range(first_leaf - 1, -1, -1):
+        for first in (0, 6):
+            for i in range(first, first + 3):
+                boxes[node, i] = min(boxes[2 * node + 1, i], boxes[2 * node + 2, i])
+                boxes[node, 3 + i] = max(boxes[2 * node + 1, 3 + i], boxes[2 * node + 2, 3 + i])
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _box_cost(boxes, node, x, y, z, nx, ny, nz, weight2):  # type: ignore[no-untyped-def]
+    """Least squared distance to a box of positions, and to one of normals (2 - 2 cos = |n_q - n_p|^2)."""
+    dx = max(boxes[node, 0] - x, 0.0, x - boxes[node, 3])
+    dy = max(boxes[node, 1] - y, 0.0, y - boxes[node, 4])
+    dz = max(boxes[node, 2] - z, 0.0, z - boxes[node, 5])
+    ex = max(boxes[node, 6] - nx, 0.0, nx - boxes[node, 9])
+    ey = max(boxes[node, 7] - ny, 0.0, ny - boxes[node, 10])
+    ez = max(boxes[node, 8] - nz, 0.0, nz - boxes[node, 11])
+    return dx * dx + dy * dy + dz * dz + weight2 * (ex * ex + ey * ey + ez * ez)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _closest_in_triangle(corners, t, x, y, z):  # type: ignore[no-untyped-def]
+    """Barycentric coordinates of corners 1 and 2, squared distance (Ericson, Real-Time Collision Detection 5.1.5)."""
+    ax, ay, az = corners[t, 0, 0], corners[t, 0, 1], corners[t, 0, 2]
+    abx, aby, abz = corners[t, 1, 0] - ax, corners[t, 1, 1] - ay, corners[t, 1, 2] - az
+    acx, acy, acz = corners[t, 2, 0] - ax, corners[t, 2, 1] - ay, corners[t, 2, 2] - az
+    px, py, pz = x - ax, y - ay, z - az
+    d1 = abx * px + aby * py + abz * pz
+    d2 = acx * px + acy * py + acz * pz
+    bx, by, bz = px - abx, py - aby, pz - abz
+    d3 = abx * bx + aby * by + abz * bz
+    d4 = acx * bx + acy * by + acz * bz
+    cx, cy, cz = px - acx, py - acy, pz - acz
+    d5 = abx * cx + aby * cy + abz * cz
+    d6 = acx * cx + acy * cy + acz * cz
+    va = d3 * d6 - d5 * d4
+    vb = d5 * d2 - d1 * d6
+    vc = d1 * d4 - d3 * d2
+    v, w = 0.0, 0.0
+    if d1 <= 0.0 and d2 <= 0.0:
+        v, w = 0.0, 0.0
+    elif d3 >= 0.0 and d4 <= d3:
+        v, w = 1.0, 0.0
+    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        v, w = d1 / (d1 - d3), 0.0
+    elif d6 >= 0.0 and d5 <= d6:
+        v, w = 0.0, 1.0
+    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        v, w = 0.0, d2 / (d2 - d6)
+    elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
+        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        v = 1.0 - w
+    else:
+        total = va + vb + vc
+        v, w = vb / total, vc / total
+    ex = px - v * abx - w * acx
+    ey = py - v * aby - w * acy
+    ez = pz - v * abz - w * acz
+    return v, w, ex * ex + ey * ey + ez * ez
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _search(tree, asked, options, sequence, answers):  # type: ignore[no-untyped-def]
+    """Branch and bound, the nearer child first: a box of positions and normals bounds the cost of all in it."""
+    boxes, corners, normals = tree
+    queries, directions, limits, start = asked
+    weight2, minimum_cosine = options
+    found, barycentric, squared = answers
+    n_triangles, first_leaf = len(corners), (len(boxes) - 1) // 2
+    nodes, bounds = np.empty(_STACK_SIZE, dtype=np.int64), np.empty(_STACK_SIZE)
+    last = np.int64(-1)
+    for i in sequence:
+        x, y, z = queries[i, 0], queries[i, 1], queries[i, 2]
+        nx, ny, nz = directions[i, 0], directions[i, 1], directions[i, 2]
+        best = limits[i]
+        best_v, best_w, best_squared = 0.0, 0.0, np.inf
+        best_t = np.int64(-1)
+        t = start[i] if start[i] >= 0 else last
+        if t >= 0:
+            cosine = nx * normals[t, 0] + ny * normals[t, 1] + nz * normals[t, 2]
+            if cosine >= minimum_cosine:
+                v, w, d2 = _closest_in_triangle(corners, t, x, y, z)
+                cost = d2 + weight2 * 2.0 * (1.0 - cosine)
+                if cost < best:
+                    best = cost
+                    best_t, best_v, best_w, best_squared = t, v, w, d2
+        # From the leaf of that triangle upwards: sibling boxes on the way to the root rule out most of the tree.
+        climb = first_leaf + max(t, 0) // _LEAF_SIZE
+        nodes[0], bounds[0] = climb, 0.0
+        size = 1
+        while size > 0 or climb > 0:
+            if size == 0:
+                node = climb + 1 if climb % 2 == 1 else climb - 1
+                climb = (climb - 1) // 2
+                bound = _box_cost(boxes, node, x, y, z, nx, ny, nz, weight2)
+            else:
+                size -= 1
+                node, bound = nodes[size], bounds[size]
+            if bound >= best:
+                continue
+            while node < first_leaf:
+                node, other = 2 * node + 1, 2 * node + 2
+                bound = _box_cost(boxes, node, x, y, z, nx, ny, nz, weight2)
+                farther = _box_cost(boxes, other, x, y, z, nx, ny, nz, weight2)
+                if farther <= bound:
+                    node, other, bound, farther = other, node, farther, bound
+                if farther < best:
+                    nodes[size], bounds[size] = other, farther
+                    size += 1
+                if bound >= best:
+                    break
+            if bound >= best:
+                continue
+            begin = (node - first_leaf) * _LEAF_SIZE
+            for j in range(begin, min(begin + _LEAF_SIZE, n_triangles)):
+                t = np.int64(j)
+                cosine = nx * normals[t, 0] + ny * normals[t, 1] + nz * normals[t, 2]
+                penalty = weight2 * 2.0 * (1.0 - cosine)
+                if cosine < minimum_cosine or penalty >= best:
+                    continue
+                v, w, d2 = _closest_in_triangle(corners, t, x, y, z)
+                if d2 + penalty < best:
+                    best = d2 + penalty
+                    best_t, best_v, best_w, best_squared = t, v, w, d2
+        last = best_t if best_t >= 0 else last
+        found[i], squared[i] = best_t, best_squared
+        if best_t >= 0:
+            barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = 1.0 - best_v - best_w, best_v, best_w
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _search_among(corners, starts, candidates, points, triangle, barycentric):  # type: ignore[no-untyped-def]
+    """The nearest of each query's own triangles."""
+    for i in range(len(points)):
+        best, best_v, best_w, best_t = np.inf, 0.0, 0.0, candidates[starts[i, 0]]
+        for j in range(starts[i, 0], starts[i, 1]):
+            t = candidates[j]
+            v, w, d2 = _closest_in_triangle(corners, t, points[i, 0], points[i, 1], points[i, 2])
+            if d2 < best:
+                best, best_t = d2, t
+                best_v = min(max(v, 0.0), 1.0)  # rounding, and triangles without area
+                best_w = min(max(w, 0.0), 1.0 - best_v)
+        triangle[i] = best_t
+        barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = 1.0 - best_v - best_w, best_v, best_w

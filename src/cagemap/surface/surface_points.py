@@ -1,0 +1,249 @@
+"""Points on a triangulated surface, by triangle and barycentric coordinates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from cagemap.errors import ParameterError
+from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, read_only, real_numbers, whole_numbers
+from cagemap.numerics.threads import in_threads, kept, parts
+from cagemap.surface.closest_points import closest_points
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.surface.triangles import CACHED
+
+# Largest error of barycentric coordinates: of their sum, and below 0. Files may be in single precision.
+TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SurfacePoints:
+    """Points of one surface.
+
+    Attributes
+    ----------
+    surface : TriangleSurface
+    triangle : (m,) int64
+        Triangle of the surface that holds each point.
+    barycentric : (m, 3) float64
+        Weights of its corners, not negative, rows sum to 1.
+
+    Raises
+    ------
+    ParameterError
+        If the arrays are not points of this surface.
+    """
+
+    surface: TriangleSurface
+    triangle: IndexArray
+    barycentric: FloatArray
+
+    def __post_init__(self) -> None:
+        triangle = np.ascontiguousarray(whole_numbers(self.triangle, "triangle"))
+        barycentric = np.ascontiguousarray(real_numbers(self.barycentric, "barycentric"))
+        if triangle.ndim != 1 or barycentric.shape != (len(triangle), 3):
+            raise ParameterError(
+                f"expected points as triangle (m,) and barycentric (m, 3), got {triangle.shape} and {barycentric.shape}"
+            )
+        count = len(self.surface.triangles)
+        if len(triangle) and not 0 <= triangle.min() <= triangle.max() < count:
+            outside = np.flatnonzero((triangle < 0) | (triangle >= count))[:5]
+            raise ParameterError(
+                f"expected triangles 0 to {count - 1} of the surface, got {triangle[outside]} at points {outside}: "
+                "target and source may be exchanged, or the points belong to another level"
+            )
+        # Comparisons with NaN are false, so that NaN is refused too.
+        if len(triangle) and not (
+            barycentric.min() >= -TOLERANCE and np.abs(barycentric.sum(axis=1) - 1.0).max() <= TOLERANCE
+        ):
+            raise ParameterError(
+                "expected barycentric coordinates that are finite, not negative and sum to 1 in every row, got rows "
+                f"from {barycentric.min()} to {barycentric.max()}"
+            )
+        object.__setattr__(self, "triangle", read_only(triangle))
+        object.__setattr__(self, "barycentric", read_only(barycentric))
+
+    @classmethod
+    def from_vertices(cls, surface: TriangleSurface, vertices: IndexArray) -> SurfacePoints:
+        """Vertices (m,) of a surface; ParameterError if there is no such vertex or no triangle has it."""
+        vertices = whole_numbers(vertices, "vertices")
+        bad = vertices[(vertices < 0) | (vertices >= surface.n)]
+        if not len(bad):
+            triangle = surface.vertex_triangles[vertices]
+            bad = vertices[triangle < 0]
+        if len(bad):
+            raise ParameterError(f"expected vertices 0 to {surface.n - 1} that have a triangle, got {bad[:5]}")
+        return cls(surface, triangle, (surface.triangles[triangle] == vertices[:, None]).astype(np.float64))
+
+    @classmethod
+    def evenly_spread(cls, surface: TriangleSurface, count: int) -> SurfacePoints:
+        """Points that stand for equal shares of the area, whatever the triangles and the order of the vertices.
+
+        Systematic sampling along the order of the search tree, in which triangles that are near follow each other.
+        """
+        order = surface.tree.order
+        ends = np.cumsum(surface.areas[order])
+        at = (np.arange(count) + 0.5) * (ends[-1] / count)
+        place = np.minimum(np.searchsorted(ends, at), len(order) - 1)
+        triangle = order[place]
+        # Where in its triangle: the rest of the area, and the golden ratio's sequence, which no period follows.
+        along = np.sqrt(np.clip((ends[place] - at) / np.maximum(surface.areas[triangle], 1e-300), 0.0, 1.0))
+        across = np.arange(count) * 0.6180339887498949 % 1.0
+        return cls(surface, triangle, np.column_stack([1.0 - along, along * (1.0 - across), along * across]))
+
+    @classmethod
+    def from_matrix(cls, surface: TriangleSurface, matrix: sparse.csr_array) -> SurfacePoints:
+        """Points from rows (m, n) of weights of one, two or three vertices of a triangle; else ParameterError."""
+        if not sparse.issparse(matrix) and np.ndim(matrix) != 2:
+            raise ParameterError(
+                f"matrix: expected a sparse or dense one (m, {surface.n}), got {type(matrix).__name__}"
+            )
+        rows = sparse.csr_array(matrix, copy=True)
+        rows.sum_duplicates()
+        counts = np.diff(rows.indptr)
+        if rows.shape[1] != surface.n or not np.all((counts >= 1) & (counts <= 3)):
+            raise ParameterError(
+                f"expected rows of 1 to 3 weights of {surface.n} vertices, got a matrix {rows.shape} with rows of "
+                f"{counts.min(initial=0)} to {counts.max(initial=0)}"
+            )
+        # A triangle holds a point if it has all vertices of the point's row.
+        around = sparse.csr_array(
+            (np.ones(surface.triangles.size), (surface.triangles.ravel(), np.arange(surface.triangles.size) // 3)),
+            shape=(surface.n, len(surface.triangles)),
+        )
+        ones = sparse.csr_array((np.ones(rows.nnz), rows.indices, rows.indptr), shape=rows.shape)
+        shared = sparse.csr_array(ones @ around)
+        full = shared.data == np.repeat(counts, np.diff(shared.indptr))
+        triangle = np.full(rows.shape[0], -1, dtype=np.int64)
+        triangle[np.repeat(np.arange(rows.shape[0]), np.diff(shared.indptr))[full]] = shared.indices[full]
+        if np.any(triangle < 0):
+            bad = np.flatnonzero(triangle < 0)[:5]
+            raise ParameterError(f"expected every row to have vertices of one triangle, not so in rows {bad}")
+        weights = rows[np.arange(len(triangle))[:, None], surface.triangles[triangle]]
+        return cls(surface, triangle, sparse.csr_array(weights).toarray())
+
+    @classmethod
+    def nearest(
+        cls,
+        surface: TriangleSurface,
+        points: FloatArray,
+        normals: FloatArray | None = None,
+        *,
+        normal_weight: float = 0.0,
+        guess: IndexArray | None = None,
+    ) -> SurfacePoints:
+        """The surface's closest points to points (m, 3), at its unit area; options as `closest_points`.
+
+        Raises
+        ------
+        ParameterError
+            If the points are not finite or not (m, 3).
+        """
+        points = real_numbers(points, "points")
+        if points.ndim != 2 or points.shape[1] != 3 or not np.all(np.isfinite(points)):
+            raise ParameterError(f"points: expected finite places (m, 3), got {points.shape}: {points.ravel()[:3]} ...")
+        triangle, barycentric, _ = closest_points(
+            surface.tree, points, normals, normal_weight=normal_weight, guess=guess
+        )
+        return cls(surface, triangle, barycentric)
+
+    def __len__(self) -> int:
+        return len(self.triangle)
+
+    @property
+    def corners(self) -> IndexArray:
+        """(m, 3) vertices of the triangles that hold the points."""
+        return self.surface.triangles.take(self.triangle, axis=0)
+
+    @kept
+    def positions(self) -> FloatArray:
+        """(m, 3) places in space, at unit area."""
+        return read_only(self.interpolate(self.surface.positions))
+
+    @kept
+    def normals(self) -> FloatArray:
+        """(m, 3) unit normals of the triangles that hold the points."""
+        return read_only(self.surface.normals.take(self.triangle, axis=0))
+
+    def interpolate(self, values: FloatArray) -> FloatArray:
+        """Interpolate values (n,) or (n, q) at the vertices linearly: (m,) or (m, q) values at the points.
+
+        Raises
+        ------
+        ParameterError
+            If there is not one row for each vertex, or the values are no real numbers.
+        """
+        values = array_of(values)
+        values = values if values.dtype.kind in "biuf" else real_numbers(values, "values")
+        if values.ndim == 0 or len(values) != self.surface.n:
+            raise ParameterError(
+                f"expected a value for each of the {self.surface.n} vertices of the surface that the points lie on, "
+                f"got an array {values.shape}: do they belong to the other surface, or to another level?"
+            )
+        found = np.empty((len(self), *values.shape[1:]))
+
+        def fill(part: slice) -> None:
+            corners = self.surface.triangles.take(self.triangle[part], axis=0)
+            weights = self.barycentric[part].reshape(-1, 3, *(1,) * (values.ndim - 1))
+            found[part] = weights[:, 0] * values.take(corners[:, 0], axis=0)
+            for k in (1, 2):
+                found[part] += weights[:, k] * values.take(corners[:, k], axis=0)
+
+        in_threads(fill, parts(len(self), CACHED))
+        return found
+
+    def matrix(self) -> sparse.csr_array:
+        """(m, n) matrix of `interpolate`; rows sum to 1."""
+        starts = np.arange(0, 3 * len(self) + 1, 3)
+        weights = self.barycentric.flatten()
+        return sparse.csr_array((weights, self.corners.ravel(), starts), shape=(len(self), self.surface.n))
+
+    def at(self, rows: IndexArray | slice) -> SurfacePoints:
+        """Some of the points."""
+        return SurfacePoints(self.surface, self.triangle[rows], self.barycentric[rows])
+
+    def replaced(self, rows: IndexArray, others: SurfacePoints) -> SurfacePoints:
+        """The same points with others in some rows; ParameterError if they lie on another surface."""
+        if others.surface is not self.surface:
+            raise ParameterError(f"expected points of {self.surface}, got points of another surface, {others.surface}")
+        triangle, barycentric = self.triangle.copy(), self.barycentric.copy()
+        triangle[rows], barycentric[rows] = others.triangle, others.barycentric
+        made = SurfacePoints(self.surface, triangle, barycentric)
+        for name in vars(self).keys() & {"positions", "normals"}:  # cached already
+            values = getattr(self, name).copy()
+            values[rows] = getattr(others, name)
+            vars(made)[name] = read_only(values)
+        return made
+
+    def __repr__(self) -> str:
+        return f"SurfacePoints({len(self)} of {self.surface})"
+
+
+def nearest_facing(
+    surface: TriangleSurface, points: FloatArray, normals: FloatArray, within: float, guess: IndexArray | None = None
+) -> tuple[SurfacePoints, FloatArray]:
+    """Nearest points whose triangle faces the way of the normals, or any where none does in reach; and how far.
+
+    Parameters
+    ----------
+    surface : TriangleSurface
+    points, normals : (m, 3) float64
+    within : float
+        The reach, in the surface's unit.
+    guess : (m,) int64, optional
+        Triangles that are probably near.
+
+    Returns
+    -------
+    points : SurfacePoints
+    distance : (m,) float64
+    """
+    triangle, barycentric, distance = closest_points(
+        surface.tree, points, normals, minimum_cosine=0.0, guess=guess, within=within
+    )
+    rest = np.flatnonzero(triangle < 0)
+    if len(rest):
+        triangle[rest], barycentric[rest], distance[rest] = closest_points(surface.tree, points[rest])
+    return SurfacePoints(surface, triangle, barycentric), distance

@@ -1,0 +1,122 @@
+"""A triangulated surface at unit area, with its normals, areas, neighbours and search tree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import ParameterError
+from cagemap.numerics.arrays import FloatArray, IndexArray, read_only, real_numbers, whole_numbers
+from cagemap.numerics.threads import kept
+from cagemap.surface.closest_points import TriangleTree, build_tree
+from cagemap.surface.triangles import (
+    corner_sums,
+    normalized,
+    surface_area,
+    triangle_areas,
+    triangle_neighbors,
+    triangle_normals,
+    triangles,
+    vertex_normals,
+)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TriangleSurface:
+    """Triangles between points in space, at unit area.
+
+    Arrays are read-only. Derived ones (`areas`, `normals`, `tree`, ...) are computed when first read, and cached.
+
+    Attributes
+    ----------
+    positions : (n, 3) float64
+        In units of sqrt(area) of the whole surface. A coarse level keeps the unit of the finest one.
+    triangles : (t, 3) int64
+        Vertices of every triangle, counter-clockwise seen from outside.
+    scale : float
+        Factor from the file's own lengths to those of ``positions``.
+    """
+
+    positions: FloatArray
+    triangles: IndexArray
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        positions = np.ascontiguousarray(real_numbers(self.positions, "positions"))
+        triangles = np.ascontiguousarray(whole_numbers(self.triangles, "triangles"))
+        if positions.ndim != 2 or positions.shape[1] != 3 or triangles.ndim != 2 or triangles.shape[1] != 3:
+            raise ParameterError(
+                f"expected positions (n, 3) and triangles (t, 3), got {positions.shape} and {triangles.shape}"
+            )
+        if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(positions):
+            raise ParameterError(
+                f"expected triangles of vertices 0 to {len(positions) - 1}, got {triangles.min()} to {triangles.max()}"
+            )
+        object.__setattr__(self, "positions", read_only(positions))
+        object.__setattr__(self, "triangles", read_only(triangles))
+
+    @classmethod
+    def from_faces(cls, positions: FloatArray, faces: IndexArray) -> TriangleSurface:
+        """Faces (m, 4) or (m, 3) in any unit, scaled to unit area (`surface_area`) and split by `triangles`.
+
+        Raises
+        ------
+        ParameterError
+            If the surface has no area or a position is not finite.
+        """
+        area = surface_area(positions, faces)
+        if not 0.0 < area < np.inf:
+            raise ParameterError(f"expected a surface of finite, positive area, got {area}: check its positions")
+        scale = 1.0 / float(np.sqrt(area))
+        return cls(scale * positions, triangles(faces), scale)
+
+    @property
+    def n(self) -> int:
+        """Number of vertices."""
+        return len(self.positions)
+
+    @kept
+    def areas(self) -> FloatArray:
+        """(t,) areas of the triangles."""
+        return read_only(triangle_areas(self.positions, self.triangles))
+
+    @kept
+    def normals(self) -> FloatArray:
+        """(t, 3) unit normals of the triangles, zero where degenerate."""
+        return read_only(normalized(triangle_normals(self.positions, self.triangles)))
+
+    @kept
+    def vertex_normals(self) -> FloatArray:
+        """(n, 3) unit normals of the vertices, area-weighted means of their triangles'."""
+        return read_only(vertex_normals(self.positions, self.triangles))
+
+    @kept
+    def vertex_areas(self) -> FloatArray:
+        """(n,) a third of the areas of the triangles around every vertex; sum 1."""
+        # Summed in the order of `cagemap.operators.vertex_areas`: the same numbers to the last bit.
+        x, y, z = triangle_normals(self.positions, self.triangles).T
+        areas = corner_sums(self.triangles, (np.sqrt(x * x + y * y + z * z) / 6.0)[:, None], self.n)[:, 0]
+        return read_only(areas / areas.sum())
+
+    @kept
+    def neighbors(self) -> NDArray[np.int32]:
+        """(t, 3) triangle across the edge opposite to every corner, -1 on the boundary."""
+        return read_only(triangle_neighbors(self.triangles))
+
+    @kept
+    def vertex_triangles(self) -> IndexArray:
+        """(n,) the last triangle around every vertex; -1 where there is none."""
+        last, numbers = np.full((3, self.n), -1, dtype=np.int64), np.arange(len(self.triangles))
+        for corner in range(3):
+            last[corner, self.triangles[:, corner]] = numbers
+        return read_only(last.max(axis=0))
+
+    @kept
+    def tree(self) -> TriangleTree:
+        """Search tree for closest points."""
+        return build_tree(self.positions, self.triangles)
+
+    def __repr__(self) -> str:
+        return f"TriangleSurface({self.n} vertices, {len(self.triangles)} triangles)"

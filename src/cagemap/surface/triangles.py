@@ -1,0 +1,159 @@
+"""Functions of triangle arrays: areas, normals, centres, sums around vertices, neighbours."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
+from cagemap.numerics.threads import parts
+
+CACHED = 16_384  # triangles or points whose arrays fit into a core's cache
+
+
+def triangle_areas(positions: FloatArray, triangles: IndexArray) -> FloatArray:
+    """(t,) areas of triangles with the given (t, 3) vertices; positions may be (n, 2) or (n, 3)."""
+    if positions.shape[1] == 2:
+        a, b, c = (positions[triangles[:, k]] for k in range(3))
+        return 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+    areas = np.empty(len(triangles))
+    for part in parts(len(triangles), CACHED):
+        areas[part] = 0.5 * row_lengths(triangle_normals(positions, triangles[part]))
+    return areas
+
+
+def triangles(faces: IndexArray) -> IndexArray:
+    """Triangles (2 m, 3) of quads (m, 4): (0, 1, 2), then (0, 2, 3) of each; triangles (m, 3) stay."""
+    if faces.shape[1] == 3:
+        return faces
+    return faces[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+
+
+def fan_triangles(offsets: IndexArray, indices: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """Split polygons into fans (v0, v1, v2), (v0, v2, v3), ...; agrees with `triangles` on quads.
+
+    Polygon i has the vertices ``indices[offsets[i]:offsets[i + 1]]``. Returns triangles (t, 3) and the polygon (t,) of
+    each; polygons of fewer than three corners have none.
+    """
+    counts = np.maximum(np.diff(offsets) - 2, 0)
+    faces = np.repeat(np.arange(len(counts)), counts)
+    step = np.arange(len(faces)) - np.repeat(np.cumsum(counts) - counts, counts) + 1
+    first = offsets[faces]
+    return indices[np.column_stack([first, first + step, first + step + 1])], faces
+
+
+def surface_area(positions: FloatArray, faces: IndexArray) -> float:
+    """Area of faces (m, 4) or (m, 3); a quad's is the mean over its two splits, as it need not be flat."""
+    if faces.shape[1] == 3:
+        return float(triangle_areas(positions, faces).sum())
+    areas, total = np.empty(len(faces)), 0.0
+    for split in (0, 1, 2), (0, 2, 3), (0, 1, 3), (1, 2, 3):
+        for part in parts(len(faces), CACHED):
+            areas[part] = triangle_areas(positions, faces[part][:, split])
+        total += float(areas.sum())
+    return 0.5 * total
+
+
+def triangle_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
+    """(t, 3) normals of length twice the area, by the right-hand rule."""
+    normals = np.empty((len(triangles), 3))
+    _fill_normals(read_only(np.ascontiguousarray(positions, dtype=np.float64)), read_only(triangles), normals)
+    return normals
+
+
+def triangle_centres(positions: FloatArray, triangles: IndexArray) -> FloatArray:
+    """(t, 3) means of the triangles' corners."""
+    centres = positions.take(triangles[:, 0], axis=0)
+    for k in (1, 2):
+        centres += positions.take(triangles[:, k], axis=0)
+    return np.asarray(centres / 3.0)
+
+
+def vertex_normals(positions: FloatArray, triangles: IndexArray) -> FloatArray:
+    """(n, 3) unit vertex normals, area-weighted means of the adjacent triangles' normals."""
+    return normalized(corner_sums(triangles, triangle_normals(positions, triangles), len(positions)))
+
+
+def corner_sums(triangles: IndexArray, values: FloatArray, count: int) -> FloatArray:
+    """(count, d) sums of rows (t, d) over the triangles around each of the first vertices."""
+    sums = np.zeros((count, values.shape[1]))
+    _add_to_corners(read_only(triangles), values, sums)
+    return sums
+
+
+def row_lengths(vectors: FloatArray) -> FloatArray:
+    """Lengths along the last axis; unlike ``np.linalg.norm`` fast for short rows."""
+    return np.asarray(np.sqrt(np.einsum("...d,...d->...", vectors, vectors)))
+
+
+def normalized(vectors: FloatArray) -> FloatArray:
+    """Rows scaled to unit length; zero rows stay zero."""
+    lengths = row_lengths(vectors)[..., None]
+    return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
+
+
+def triangle_neighbors(corners: IndexArray) -> NDArray[np.int32]:
+    """(t, 3) triangle across the edge *opposite* to every corner, -1 on the boundary.
+
+    Where more than two triangles share an edge they are paired in order, as in UV layouts with overlapping faces.
+    """
+    neighbors = np.full(corners.shape, -1, dtype=np.int32)
+    head = np.full(int(corners.max(initial=-1)) + 1, -1, dtype=np.int32)
+    rest = np.full(corners.size, -1, dtype=np.int32)
+    _pair_edges(read_only(np.ascontiguousarray(corners)), neighbors, head, rest)
+    return neighbors
+
+
+def load_kernels() -> None:
+    """Load Numba, which takes longer than any kernel, before it is needed."""
+    triangle_areas(np.eye(3), np.arange(3)[None])
+
+
+# Kernels fill arrays that they are given: to allocate inside would double the time they take to compile.
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _fill_normals(positions, triangles, normals):  # type: ignore[no-untyped-def]
+    """Cross products of the edges leaving every triangle's first corner."""
+    for t in range(len(triangles)):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        ax, ay, az = positions[a, 0], positions[a, 1], positions[a, 2]
+        ux, uy, uz = positions[b, 0] - ax, positions[b, 1] - ay, positions[b, 2] - az
+        vx, vy, vz = positions[c, 0] - ax, positions[c, 1] - ay, positions[c, 2] - az
+        normals[t, 0] = uy * vz - uz * vy
+        normals[t, 1] = uz * vx - ux * vz
+        normals[t, 2] = ux * vy - uy * vx
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _add_to_corners(triangles, values, sums):  # type: ignore[no-untyped-def]
+    """Add every triangle's row to the rows of its corners, where there is one."""
+    for t in range(len(triangles)):
+        for k in range(3):
+            corner = triangles[t, k]
+            if corner < len(sums):
+                for i in range(values.shape[1]):
+                    sums[corner, i] += values[t, i]
+
+
+@numba.njit(cache=True, nogil=True)
+def _pair_edges(corners, neighbors, head, rest):  # type: ignore[no-untyped-def]
+    """Match edges through a linked list of still unmatched ones at each edge's lower vertex."""
+    for t in range(len(corners)):
+        for k in range(3):
+            a, b = corners[t, (k + 1) % 3], corners[t, (k + 2) % 3]
+            low, high = (a, b) if a < b else (b, a)
+            previous, edge = np.int32(-1), head[low]
+            while edge >= 0:
+                other, j = edge // 3, edge % 3
+                if corners[other, (j + 1) % 3] == high or corners[other, (j + 2) % 3] == high:
+                    break
+                previous, edge = edge, rest[edge]
+            if edge < 0:
+                rest[3 * t + k] = head[low]
+                head[low] = 3 * t + k
+                continue
+            neighbors[t, k], neighbors[edge // 3, edge % 3] = edge // 3, t
+            if previous < 0:
+                head[low] = rest[edge]
+            else:
+                rest[previous] = rest[edge]

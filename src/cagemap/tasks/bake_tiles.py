@@ -1,0 +1,339 @@
+"""Baking on the command line: the target laid out once, and one loop over its tiles for whatever is baked."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numpy as np
+
+from cagemap.errors import ParameterError
+from cagemap.files.atomic import check_outputs
+from cagemap.files.images.image import (
+    UDIM_MARK,
+    Image,
+    check_writable,
+    first_image,
+    pixel_type,
+    read_image,
+    read_texture,
+    straight,
+    texture_files,
+    texture_pixels,
+    udim_path,
+    write_image,
+)
+from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.meshes.obj_layout import write_obj_layout
+from cagemap.files.result.folder import ARRAYS, MANIFEST, input_file, note_transfer, read_files, stated_path
+from cagemap.maps.result import MatchResult
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.threads import ThreadPool
+from cagemap.tasks.masks import mask_inputs
+from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.requests.transfer import TransferRequest, base_of
+from cagemap.transfer import BakeOptions, Transfer, target_tiles, tile_cells, transfer_of, unwrap
+from cagemap.transfer.baking import to_dtype, unit
+from cagemap.transfer.displacement import Displacement
+from cagemap.transfer.masks import bake_mask, blend, with_alpha
+from cagemap.transfer.overlapping_uvs import doubled_materials, doubled_share
+from cagemap.transfer.texture import Filter, Pixels
+
+# Width and height of an image that no other one gives a size.
+DEFAULT_SIZE = 2048
+# Share of a layout that lies over other parts of it, from which on that is said: faces of artists' layouts touch.
+LEAST_DOUBLED = 0.02
+_log = logging.getLogger(__name__)
+Baked = TypeVar("Baked", bound=Pixels | Image | Displacement)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A prepared bake: tiles of the target's layout, and what is to be said about it."""
+
+    transfer: Transfer
+    control: ControlMesh
+    tiles: list[int]
+    mesh: Path | None
+    warnings: list[str]
+
+
+@dataclass(frozen=True)
+class SourceImage:
+    """An image of the source, or its tiles.
+
+    Attributes
+    ----------
+    texture : array, or arrays by UDIM number
+    first : Image
+        Whose form (colour space, alpha) the result takes.
+    dtype : numpy.dtype
+        Number type to write.
+    size : int
+        Width and height to bake.
+    """
+
+    texture: Pixels | dict[int, Pixels]
+    first: Image
+    dtype: np.dtype[Any]
+    size: int
+
+
+def inputs_of(request: TransferRequest) -> list[Path]:
+    """Files that are read, as far as the command line names them."""
+    single = (request.texture, request.displacement, request.normal_map, request.vector_displacement)
+    others = (
+        request.attribute,
+        request.weights,
+        request.joints,
+        request.detail,
+        request.detail_texture,
+        *request.blend_shapes,
+        *(path for _, path in (*request.maps, *request.bases)),
+    )
+    given = [path for path in (*single, *others) if path is not None]
+    return [
+        request.result / MANIFEST,
+        request.result / ARRAYS,
+        *(file for path in given for file in texture_files(path)),
+        *mask_inputs(request.target_mask, request.source_mask).values(),
+    ]
+
+
+def read_source_image(
+    request: TransferRequest, result: MatchResult, path: Path, channels: int | None = None, name: str = ""
+) -> SourceImage:
+    """Read an image of the source; with ``channels``, refuse an output that cannot hold so many."""
+    texture = read_texture(path)
+    first = first_image(texture)
+    dtype = first.pixels.dtype if request.bits is None else pixel_type(request.bits, request.output.suffix)
+    if channels is not None:
+        check_writable(request.output, dtype, written_channels(request, result, channels))
+    return SourceImage(
+        texture_pixels(texture), first, dtype, request.size or base_size(request, name) or max(first.size)
+    )
+
+
+def prepare_bake(
+    request: TransferRequest, result: MatchResult, stages: Stages, outputs: Sequence[Path] | None = None
+) -> Prepared:
+    """Lay the target out, with a new layout if asked for, and find its tiles."""
+    mesh: Path | None = None
+    warnings: list[str] = []
+    of_source = (request.texture, request.displacement, request.normal_map, request.vector_displacement, *request.maps)
+    if any(of_source) and result.source.control.uvs is None:
+        raise ParameterError(
+            f"{result.source.control.name}: expected texture coordinates of the source, over which its image lies, the "
+            "mesh has none. Match the file that the image was painted for, or carry --material-colors."
+        )
+    if request.unwrap:
+        stages("unwrap")
+        control = unwrap(result.target.control)
+        mesh = unwrapped_name(request.output)
+        result = replace(result, target=result.target.with_control(control))
+    elif result.target.control.uvs is None:
+        raise ParameterError(
+            f"{result.target.control.name}: expected texture coordinates to bake into, the mesh has none. Add --unwrap "
+            "to lay it out and write the mesh beside the image, or unwrap it in your modelling program and match again."
+        )
+    stages("prepare")
+    transfer = transfer_of(result)
+    tiles, outside = layout_tiles(transfer)
+    warnings += [*outside, *doubled_target(result.target.control)]
+    if any(of_source) and result.masks.source is None:
+        warnings += _doubled_source(result.source.control)
+    images = [udim_path(output, tile) for output in outputs or [request.output] for tile in tiles]
+    others = [path for path in (mesh, request.usd) if path is not None]
+    inputs = [*inputs_of(request), *read_files(request.result, result.manifest)]
+    check_outputs([*images, *others], inputs, force=request.force)
+    if mesh is not None:
+        warnings += _write_unwrapped(request, result.target.control, result.manifest)
+    return Prepared(transfer, result.target.control, tiles, mesh, warnings)
+
+
+def layout_tiles(transfer: Transfer) -> tuple[list[int], list[str]]:
+    """UDIM numbers of the tiles that the target's layout uses, [0] for the unit square; and warnings."""
+    cells = tile_cells(transfer.target.corner_uvs())
+    if cells.min() >= 0:
+        return target_tiles(transfer.target), []
+    outside = float(np.mean((cells != 0).any(axis=1)))
+    return [0], [f"{100 * outside:.1f} % of the target's layout lies outside the unit square and is not baked: move it"]
+
+
+def doubled_target(control: ControlMesh) -> list[str]:
+    """A warning of a target whose layout lies over itself."""
+    share = doubled_share(control)
+    if share < LEAST_DOUBLED:
+        return []
+    return [
+        f"{100 * share:.0f} % of the target's layout lies over other parts of it (mirrored halves, or materials with "
+        "an image each), where a texel takes what one of them gets: match its materials one by one with --part, or "
+        "carry with `cagemap transfer --unwrap`, which makes another layout"
+    ]
+
+
+def _doubled_source(control: ControlMesh) -> list[str]:
+    """A warning of a source whose materials lie over each other."""
+    names = doubled_materials(control, LEAST_DOUBLED)
+    if not names:
+        return []
+    return [
+        f"materials of the source lie over each other in its layout ({', '.join(names)}), and all take this image: if "
+        "each has one of its own, carry them one by one with --source-mask NAME"
+    ]
+
+
+def bake_tiles(
+    request: TransferRequest, prepared: Prepared, bake: Callable[..., Baked], stages: Stages, name: str = ""
+) -> Baked:
+    """Bake all tiles of a layout and write them, each while the next one is baked; returns the last.
+
+    What is masked is the base image, or gets alpha.
+
+    Parameters
+    ----------
+    request : TransferRequest
+        Its output is the image to write, or a pattern for several tiles.
+    prepared : Prepared
+    bake : callable
+        ``options``, which say the tile -> what was baked.
+    stages : Stages
+    name : str
+        Of the map, to be shown.
+    """
+    return write_tiles(
+        request.output,
+        prepared.tiles,
+        lambda options: bake(options=replace(options, filter=cast(Filter, request.filter))),
+        stages,
+        masking(request, prepared, name),
+        force=request.force,
+        name=name,
+    )
+
+
+def write_tiles(
+    output: Path,
+    tiles: list[int],
+    bake: Callable[..., Baked],
+    stages: Stages,
+    finished: Callable[[Image, BakeOptions], Image] = lambda image, _: image,
+    *,
+    force: bool,
+    name: str = "",
+) -> Baked:
+    """The loop of `bake_tiles`, for any layout.
+
+    Parameters
+    ----------
+    output : Path
+        Image to write, or a pattern for several tiles.
+    tiles : list of int
+        UDIM numbers; [0] for a layout in the unit square.
+    bake, stages, name
+        As in `bake_tiles`.
+    finished : callable
+        What is written of an image that was baked.
+    force : bool
+        Whether foreign files may be replaced.
+    """
+    with ThreadPool(1) as aside:
+        written: list[Future[None]] = []
+        for number, tile in enumerate(tiles):
+            place = f"tile {tile}, {number + 1} of {len(tiles)}" if tile else ""
+            stages(" ".join(filter(None, ["bake", name, place])))
+            options = BakeOptions(tile=tile)
+            baked = bake(options=options)
+            for waiting in written:
+                waiting.result()  # at most one image is on its way to the disk
+            pixels = baked.pixels if isinstance(baked, Displacement) else baked
+            image = finished(pixels if isinstance(pixels, Image) else Image(pixels), options)
+            written = [aside.submit(write_image, udim_path(output, tile), image, force=force)]
+        for waiting in written:
+            waiting.result()
+    return baked
+
+
+def masking(request: TransferRequest, prepared: Prepared, name: str = "") -> Callable[[Image, BakeOptions], Image]:
+    """What masks leave of an image: it lies over the base image of its tile, or gets alpha."""
+    base, transfer = base_of(request, name), prepared.transfer
+    if not transfer.masks.any:
+        return lambda image, _: image
+    kind = cast(Filter, request.filter)
+    return lambda image, options: _masked(image, transfer, base, replace(options, filter=kind))
+
+
+def _masked(image: Image, transfer: Transfer, base: Path | None, options: BakeOptions) -> Image:
+    """What was baked over the base image of its tile, or with how much of it counts as alpha; labels are not mixed."""
+    weight = bake_mask(transfer, size=image.size, options=options)
+    if base is None:
+        image = straight(image)
+        return Image(with_alpha(image.pixels, weight), (), image.color_space)
+    under = read_image(udim_path(base, options.tile))
+    if under.associated != image.associated:
+        image, under = straight(image), straight(under)
+    # Floats are linear where their file says nothing, as those of EXR are.
+    spaces = [one.color_space or "linear" * (one.pixels.dtype.kind == "f") for one in (under, image)]
+    if all(spaces) and spaces[0] != spaces[1]:
+        text = "--base %s is %s, what is baked over it %s: their numbers are mixed as they are. Convert one of them."
+        _log.warning(text, base, *spaces)
+    below, own = under.pixels, unit(image.pixels.dtype)
+    if below.dtype != image.pixels.dtype:
+        below = to_dtype(below * (own / unit(below.dtype)), image.pixels.dtype)
+    if options.filter == "nearest":
+        weight = (weight >= 0.5).astype(weight.dtype)
+    return replace(image, pixels=blend(image.pixels, below, weight))
+
+
+def written_channels(request: TransferRequest, result: MatchResult, channels: int, name: str = "") -> int:
+    """Channels of the image to write: one more where masks become alpha."""
+    opaque = channels % 2 == 1
+    return channels + 1 if result.masks.any and opaque and base_of(request, name) is None else channels
+
+
+def base_size(request: TransferRequest, name: str = "") -> int | None:
+    """Width and height of the base image, which what is baked over it takes."""
+    base = base_of(request, name)
+    if base is None:
+        return None
+    files = texture_files(base)
+    return max(read_image(files[0]).size) if files else None
+
+
+def finish(request: TransferRequest, prepared: Prepared, entry: dict[str, Any]) -> Outcome:
+    """Note a bake in the manifest, and say what was written."""
+    outputs = [udim_path(request.output, tile) for tile in prepared.tiles]
+    mesh = None if prepared.mesh is None else stated_path(prepared.mesh, request.result)
+    stated = stated_path(outputs[0], request.result)
+    level = {} if request.level is None else {"level": request.level}
+    note_transfer(request.result, {**entry, **level, "output": stated, "tiles": prepared.tiles, "mesh": mesh})
+    written = [*outputs, *([prepared.mesh] if prepared.mesh else [])]
+    summary = f"wrote {', '.join(map(str, written))}; {entry['size']} x {entry['size']} texels"
+    if prepared.transfer.masks.any:
+        base = base_of(request, str(entry.get("map", "")))
+        outside = "alpha says how much counts" if base is None else f"outside the masks it is {base}"
+        summary += f"\n  {outside}"
+    return summary, prepared.warnings
+
+
+def unwrapped_name(image: Path) -> Path:
+    """The name of a mesh that gets a layout for an image: its own, since the image's may be that of the user's mesh."""
+    return image.with_name(f"{image.stem.replace(UDIM_MARK, '').rstrip('._')}_unwrapped.obj")
+
+
+def _write_unwrapped(request: TransferRequest, control: ControlMesh, manifest: dict[str, Any]) -> list[str]:
+    """Write the target with its new layout: its file with other UVs where that is there; returns warnings."""
+    mesh = unwrapped_name(request.output)
+    original = input_file(request.result, manifest, "target")
+    whole = control.file_vertices is None
+    if whole and original is not None and original.suffix.lower() == ".obj":
+        write_obj_layout(mesh, original, control, force=request.force)
+        return []
+    write_mesh(mesh, control, force=request.force)
+    why = "was not found, or has changed since the match" if original is None else "is no OBJ"
+    why = why if whole else "was matched in part, mended or welded"
+    return [f"{control.name} {why}: {mesh} holds faces, UVs and materials, but no groups, names or normals of it"]

@@ -1,0 +1,171 @@
+"""Values, skinning weights and blend shapes of the source as arrays, carried to the target's control mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cagemap.deform.graph import mesh_graph
+from cagemap.errors import ParameterError
+from cagemap.maps.result import MatchResult
+from cagemap.mesh.measures import cage_triangles
+from cagemap.numerics.arrays import FloatArray, array_of, real_numbers
+from cagemap.numerics.kinds import kinds_checked
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.transfer import (
+    combine,
+    control_weights,
+    corner_nodes,
+    corner_weights,
+    prepare_transfer,
+    pull_back_faces,
+    transfer_of,
+)
+from cagemap.transfer.blend_shapes import carry_shape, prepare_shapes
+from cagemap.transfer.skin import carry_skin
+from cagemap.wrap.counterpart import counterpart
+
+# A control vertex below this trust takes its weights from those around it.
+_TRUSTED = 0.1
+# Where values may be, in the order in which a number of rows is looked up.
+PLACES = ("vertices", "faces", "corners", "refined")
+
+
+@kinds_checked
+def carry_values(
+    result: MatchResult, values: ArrayLike | Mapping[str, ArrayLike], at: str | None = None
+) -> NDArray[Any] | dict[str, NDArray[Any]]:
+    """Carry values of the source to the same kind of place of the target.
+
+    Every value of the target is a convex combination of the source's. Integers and truth values are labels, of which
+    the one with the largest share wins. Masks do not count.
+
+    Parameters
+    ----------
+    result : MatchResult
+    values : (m,) or (m, q) array, or dict of name to such arrays
+        One row for each place of the source.
+    at : str, optional
+        "vertices" (control vertices), "faces" (control faces), "corners" (of the control faces, face by face) or
+        "refined" (vertices of the finest level). Default: the first of these that has as many rows.
+
+    Returns
+    -------
+    array, or dict of name to array
+        As given; one row for each such place of the target.
+
+    Raises
+    ------
+    ParameterError
+        If no place has as many rows, or the values are no numbers.
+    """
+    sides = result.target.refinement, result.source.refinement
+    source = sides[1].control
+    counts = source.n_vertices, source.n_faces, len(source.face_indices), len(result.source.vertices)
+    if at is not None and at not in PLACES:
+        raise ParameterError(f"carry_values: at: expected one of {', '.join(PLACES)}, got {at!r}")
+    transfer = transfer_of(result)
+    at_vertices = control_weights(transfer, *sides)
+
+    def carried(name: str, given: ArrayLike) -> NDArray[Any]:
+        array = array_of(given)
+        array = array if array.dtype.kind in "biuf" else real_numbers(given, name)
+        rows = array.shape[0] if array.ndim else 0
+        place = next((place for place, n in zip(PLACES, counts, strict=True) if n == rows and at in (None, place)), "")
+        if not place:
+            raise ParameterError(
+                f"{name} has {rows} rows; expected one for each of the source's {counts[0]} control vertices, "
+                f"{counts[1]} control faces, {counts[2]} face corners, or {counts[3]} vertices of level "
+                f"{result.source.finest}{f', and at={at!r} was asked for' if at else ''}"
+            )
+        if place == "vertices":
+            return combine(at_vertices, array)
+        if place == "faces":
+            return pull_back_faces(transfer, array, n_target_faces=sides[0].control.n_faces)
+        if place == "corners":
+            nodes, node_values = corner_nodes(source, array)
+            return combine(corner_weights(transfer, *sides, nodes, len(node_values)).weights, node_values)
+        return combine(transfer.point_map.to_sparse(), array)
+
+    if isinstance(values, Mapping):
+        return {name: carried(name, array) for name, array in values.items()}
+    return carried("values", values)
+
+
+@kinds_checked
+def carry_weights(result: MatchResult, weights: ArrayLike, *, influences: int | None = 4) -> FloatArray:
+    """Carry skinning weights of the source's control vertices to the target's.
+
+    Vertices where the map is not to be trusted take weights from those around them.
+
+    Parameters
+    ----------
+    result : MatchResult
+    weights : (n2, j) array
+        Weight of each joint, not negative; rows with any weight sum to 1.
+    influences : int, optional
+        How many joints may move a vertex; None for all.
+
+    Returns
+    -------
+    (n1, j) float64
+        Rows sum to 1, unless the source's rows around have none.
+
+    Raises
+    ------
+    ParameterError
+        If weights are negative, rows do not sum to 1, there is not one row a control vertex, or no vertex of the map
+        can be trusted.
+    """
+    given = real_numbers(weights, "skinning weights")
+    if given.ndim != 2:
+        raise ParameterError(f"skinning weights: expected an array (n, joints), got {given.shape}")
+    target, source = result.target.refinement, result.source.refinement
+    at_vertices = control_weights(prepare_transfer(target.finest, source.finest, result.point_map), target, source)
+    split = cage_triangles(target.control)[0]
+    scale = result.point_map.target.scale
+    net = mesh_graph(TriangleSurface(scale * target.control.positions, split, scale), split)
+    return carry_skin(at_vertices, given, net, trusted_vertices(result), influences=influences)
+
+
+def trusted_vertices(result: MatchResult) -> NDArray[np.bool_]:
+    """(n1,) whether a target control vertex takes its skinning weights from its image."""
+    count = result.target.control.n_vertices
+    found = counterpart(result.point_map)[:count] >= 0.5
+    return np.asarray((result.trust[:count] >= _TRUSTED) & found)
+
+
+@kinds_checked
+def carry_shapes(
+    result: MatchResult, offsets: ArrayLike | Mapping[str, ArrayLike]
+) -> FloatArray | dict[str, FloatArray]:
+    """Carry blend shapes of the source's control mesh to the target's; outside masks they are zero.
+
+    Parameters
+    ----------
+    result : MatchResult
+    offsets : (n2, 3) array, or dict of name to such arrays
+        Displacements of the source's control vertices, in its file's lengths. Several shapes in one call share their
+        preparation.
+
+    Returns
+    -------
+    (n1, 3) float64, or dict of name to such arrays
+        Of the target's control vertices, in its file's lengths.
+
+    Raises
+    ------
+    ParameterError
+        If there is not one finite row a control vertex.
+    """
+    carrier = prepare_shapes(result.target.refinement, result.source.refinement, result.point_map)
+    follows = result.masks.joint(result.point_map)[: result.target.control.n_vertices, None]
+    if isinstance(offsets, Mapping):
+        return {
+            name: follows * carry_shape(carrier, real_numbers(shape, f"shape {name}"))
+            for name, shape in offsets.items()
+        }
+    return follows * carry_shape(carrier, real_numbers(offsets, "shape"))

@@ -1,0 +1,59 @@
+"""`cagemap demo`: the built-in pair, end to end, into one folder."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+from cagemap.errors import FormatError
+from cagemap.example import example_pair
+from cagemap.files.atomic import check_outputs
+from cagemap.files.images.image import write_image
+from cagemap.files.landmarks.pairs import write_landmarks
+from cagemap.files.meshes.formats import mesh_files, write_mesh
+from cagemap.files.result.folder import check_result_folder
+from cagemap.tasks.match import MatchRequest, run_match
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.report import run_report
+from cagemap.tasks.requests.report import ReportRequest
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.transfer import run_transfer
+
+TEXTURE_SIZE = 2048
+VERTICES = 100_000
+
+
+def run_demo(folder: Path, stages: Stages, *, force: bool = False) -> tuple[Path, str]:
+    """Write the pair's files, match them, bake, report; returns the report's path and the commands that do the same."""
+    if folder.exists() and not folder.is_dir():
+        raise FormatError(f"{folder}: expected a folder to write to, got a file. Give another name.")
+    stages("model and paint the pair")
+    pair = example_pair(TEXTURE_SIZE)
+    target, source = (folder / f"{Path(mesh.name).stem}.obj" for mesh in (pair.target, pair.source))
+    landmarks, texture = folder / "landmarks.json", folder / f"{source.stem}.png"
+    result, baked, report = folder / "RESULT", folder / f"{target.stem}.png", folder / "report.html"
+    folder.mkdir(parents=True, exist_ok=True)
+    models = [*mesh_files(target, pair.target), *mesh_files(source, pair.source)]
+    check_outputs([*models, landmarks, texture, baked, report], [], force=force)
+    check_result_folder(result, force=force)
+    write_mesh(target, pair.target, force=force)
+    write_mesh(source, pair.source, force=force)
+    write_landmarks(landmarks, pair.landmarks, force=force)
+    write_image(texture, pair.texture, force=force)
+    run_match(MatchRequest(target, source, landmarks, result, vertices=VERTICES, force=force), stages)
+    run_transfer(TransferRequest(result, baked, texture=texture, force=force), stages)
+    run_report(ReportRequest(result, report, force=force), stages)
+    files = (target, source, landmarks, result, texture, baked, report)
+    return report, _by_hand(*(shlex.quote(str(file)) for file in files))
+
+
+def _by_hand(target: str, source: str, landmarks: str, result: str, texture: str, baked: str, report: str) -> str:
+    """The commands that do the same."""
+    return "\n".join(
+        [
+            f"  cagemap match --target {target} --source {source} --landmarks {landmarks} "
+            f"--vertices {VERTICES} -o {result}",
+            f"  cagemap transfer {result} --texture {texture} --size {TEXTURE_SIZE} -o {baked}",
+            f"  cagemap report {result} -o {report}",
+        ]
+    )

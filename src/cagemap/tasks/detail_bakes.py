@@ -1,0 +1,248 @@
+"""Images baked from a detailed mesh, for `cagemap transfer --bake` and `cagemap wrap`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from cagemap.errors import ParameterError
+from cagemap.files.images.image import Image, check_writable, first_image, pixel_type, read_texture, texture_pixels
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.measures import cage_triangles
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.surface.triangles import fan_triangles
+from cagemap.tasks.bake_tiles import write_tiles
+from cagemap.tasks.progress import Stages
+from cagemap.transfer import BakeOptions, Transfer
+from cagemap.transfer.detail import (
+    Detail,
+    bake_detail_heights,
+    bake_detail_normals,
+    bake_detail_texture,
+    bake_detail_values,
+    bake_detail_vectors,
+    detail_over,
+    detailed_share,
+)
+from cagemap.transfer.displacement import Displacement
+from cagemap.transfer.occlusion import ambient_occlusion
+from cagemap.transfer.texture import Filter, Pixels
+from cagemap.transfer.vectors import Green, Space
+
+Kind = Literal["normal", "displacement", "vector-displacement", "ao", "colors", "texture"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+# Kinds that say where the detail is, or which way it faces: nothing, for a surface over itself.
+OFFSETS: tuple[Kind, ...] = ("normal", "displacement", "vector-displacement")
+_CHANNELS: dict[Kind, int] = {
+    "normal": 3,
+    "displacement": 1,
+    "vector-displacement": 3,
+    "ao": 1,
+    "colors": 3,
+    "texture": 1,  # of the image itself, once it is read
+}
+# Formats with 16 bits, and what needs them.
+_DEEP = (".png", ".tif", ".tiff")
+# Less of the source than this has detail near it: worth a warning.
+_COVERED = 0.99
+
+
+@dataclass(frozen=True, eq=False)
+class DetailTexture:
+    """A detailed mesh's own image, and where its triangles lie in it.
+
+    Attributes
+    ----------
+    texture : array, or arrays by UDIM number
+    first : Image
+        Whose form (number type, colour space) the result takes.
+    uvs : (p, 2) float64
+    uv_triangles : (t, 3) int64
+    filter : str
+        As `BakeOptions` has it.
+    """
+
+    texture: Pixels | dict[int, Pixels]
+    first: Image
+    uvs: FloatArray
+    uv_triangles: IndexArray
+    filter: Filter = "smooth"
+
+
+@dataclass(frozen=True)
+class DetailBakes:
+    """What to bake from a detailed mesh, and where to.
+
+    Attributes
+    ----------
+    images : dict of kind -> Path
+    size : int
+    bits : int, optional
+        By default floats in EXR; elsewhere 16 for directions and offsets, 8 for colours and occlusion.
+    space, green
+        Of normals and vectors.
+    rays : int
+        Of ambient occlusion, a vertex of the detailed mesh.
+    force : bool
+    texture : DetailTexture, optional
+        Of the detailed mesh, for the kind "texture".
+    """
+
+    images: dict[Kind, Path]
+    size: int
+    bits: int | None
+    space: Space
+    green: Green
+    rays: int
+    force: bool
+    texture: DetailTexture | None = None
+
+    def channels(self, kind: Kind) -> int:
+        """Channels of an image."""
+        if kind == "texture" and self.texture is not None:
+            return int(np.atleast_3d(self.texture.first.pixels).shape[2])
+        return _CHANNELS[kind]
+
+    def dtype(self, kind: Kind) -> np.dtype[Any]:
+        """Number type of an image."""
+        if kind == "texture" and self.texture is not None and self.bits is None:
+            return self.texture.first.pixels.dtype
+        suffix = self.images[kind].suffix.lower()
+        default = 32 if suffix == ".exr" else 16 if suffix in _DEEP and kind in OFFSETS else 8
+        return pixel_type(self.bits or default, suffix)
+
+    def check(self, more: Mapping[Kind, int] = MappingProxyType({})) -> None:
+        """Refuse images whose formats cannot hold what they are to; some have more channels (alpha)."""
+        for kind, path in self.images.items():
+            check_writable(path, self.dtype(kind), self.channels(kind) + more.get(kind, 0))
+
+
+def mesh_detail(mesh: ControlMesh, transfer: Transfer) -> tuple[Detail, list[str]]:
+    """A detailed mesh over the source of a bake; and warnings."""
+    source = transfer.point_map.source
+    detail = detail_over(source, mesh.positions, cage_triangles(mesh)[0])
+    share = detailed_share(detail, source)
+    if share >= _COVERED:
+        return detail, []
+    return detail, [f"{100 * (1 - share):.1f} % of the source has nothing of {mesh.name} near it, and stays flat there"]
+
+
+def detail_texture(mesh: ControlMesh, path: Path, kind: Filter = "smooth") -> DetailTexture:
+    """An image on a detailed mesh, refused where that has no texture coordinates."""
+    if mesh.uvs is None or mesh.uv_indices is None:
+        raise ParameterError(f"{mesh.name}: expected texture coordinates for --detail-texture, the mesh has none")
+    texture = read_texture(path)
+    triangles = fan_triangles(mesh.face_offsets, mesh.uv_indices)[0]
+    return DetailTexture(texture_pixels(texture), first_image(texture), mesh.uvs, triangles, kind)
+
+
+def vertex_colors(mesh: ControlMesh) -> FloatArray:
+    """(n, 3) colours of a detailed mesh, refused where it has none."""
+    if mesh.vertex_colors is None:
+        raise ParameterError(
+            f"{mesh.name}: expected colours at its vertices to bake, got none (OBJ: six numbers a `v` line; PLY: red, "
+            "green, blue)"
+        )
+    return mesh.vertex_colors
+
+
+def bake_detail(
+    bakes: DetailBakes,
+    transfer: Transfer,
+    detail: Detail,
+    colors: FloatArray | None,
+    tiles: list[int],
+    stages: Stages,
+    units: str,
+    finished: Callable[[Kind], Callable[[Image, BakeOptions], Image]] = lambda _: lambda image, _: image,
+) -> list[str]:
+    """Bake and write all images; returns a line about each.
+
+    Parameters
+    ----------
+    bakes : DetailBakes
+    transfer : Transfer
+    detail : Detail
+    colors : (n, 3) float64 or None
+        At the detail's vertices, where colours are asked for.
+    tiles : list of int
+    stages : Stages
+    units : str
+        Whose units lengths are in, as the reader is told.
+    finished : callable
+        Of every kind, what is written of an image that was baked.
+    """
+    lines = []
+    for kind, path in bakes.images.items():
+        dtype, scale = bakes.dtype(kind), 1.0
+        values = None
+        if kind == "ao":
+            stages("ambient occlusion")
+            values = ambient_occlusion(detail.surface, bakes.rays)
+        elif kind == "colors":
+            values = colors
+        elif kind in ("displacement", "vector-displacement") and dtype.kind == "u":
+            stages(f"range of {kind}")
+            scale = _range(_baker(bakes, kind, transfer, detail, None, np.dtype(np.float32), 1.0), tiles)
+        bake = _baker(bakes, kind, transfer, detail, values, dtype, scale)
+        write_tiles(path, tiles, bake, stages, finished(kind), force=bakes.force, name=kind)
+        middle = 0.5 if dtype.kind == "u" else 0.0
+        meaning = f"(value - {middle:g}) * {scale:.6g} in {units} units"
+        says: dict[Kind, str] = {
+            "normal": f"normals in {bakes.space} space, green {bakes.green}",
+            "displacement": f"height along the normal = {meaning}",
+            "vector-displacement": f"offset in {bakes.space} space = {meaning}",
+            "ao": "ambient occlusion",
+            "colors": "colours",
+            "texture": "the detailed mesh's texture",
+        }
+        lines.append(f"wrote {path}: {says[kind]}")
+    return lines
+
+
+def _baker(
+    bakes: DetailBakes,
+    kind: Kind,
+    transfer: Transfer,
+    detail: Detail,
+    values: FloatArray | None,
+    dtype: np.dtype[Any],
+    scale: float,
+) -> Callable[..., Pixels | Image | Displacement]:
+    """The bake of one kind of image, for the ``options`` of any tile."""
+    size, space = bakes.size, bakes.space
+    if kind == "texture" and bakes.texture is not None:
+        own = bakes.texture
+
+        def bake(*, options: BakeOptions) -> Image:
+            read = replace(options, filter=own.filter)
+            pixels = bake_detail_texture(
+                transfer, detail, own.texture, own.uvs, own.uv_triangles, size=size, dtype=dtype, options=read
+            )
+            return replace(own.first, pixels=pixels)
+
+        return bake
+    if values is not None:
+        return partial(bake_detail_values, transfer, detail, values, size=size, dtype=dtype)
+    if kind == "normal":
+        return partial(bake_detail_normals, transfer, detail, size=size, space=space, green=bakes.green, dtype=dtype)
+    if kind == "displacement":
+        return partial(bake_detail_heights, transfer, detail, size=size, scale=scale, dtype=dtype)
+    return partial(bake_detail_vectors, transfer, detail, size=size, space=space, scale=scale, dtype=dtype)
+
+
+def _range(bake: Callable[..., Pixels | Image | Displacement], tiles: list[int]) -> float:
+    """What the values 0 and 1 of integers are apart, so that they hold all that a bake of floats has."""
+    largest = 0.0
+    for tile in tiles:
+        baked = bake(options=BakeOptions(tile=tile))
+        pixels = baked.pixels if isinstance(baked, Displacement | Image) else baked
+        largest = max(largest, float(np.abs(pixels).max()))
+    # A trace of room, since the largest is rounded to single precision.
+    return 2.0 * (1.0 + 1e-6) * largest or 1.0

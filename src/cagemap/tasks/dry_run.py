@@ -1,0 +1,149 @@
+"""`cagemap run --dry-run`: the tasks of a job, how large they are, and about what they will take."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import islice
+
+from cagemap.errors import CagemapError
+from cagemap.files.meshes.formats import read_whole
+from cagemap.jobs import Job, Plan, Task, missing_tasks
+from cagemap.jobs.costs import (
+    FACTOR,
+    PREPARED,
+    STARTUP,
+    Size,
+    stored_result,
+    stored_surface,
+    task_seconds,
+    worker_memory,
+)
+from cagemap.jobs.farm import farm_steps, numbered
+from cagemap.pipeline import choose_level
+from cagemap.spectral.prepare import DEFAULT_VERTICES
+from cagemap.subdivision.counts import vertex_counts
+from cagemap.subdivision.refinement import default_scheme
+from cagemap.tasks.subdivision import SubdivisionRequest
+
+# Side of an image that is baked, unless the job says otherwise.
+IMAGE = 2048
+
+# What an output of `transfer` bakes: images over the source's texture coordinates, and what needs the target's alone.
+_OVER_SOURCE = ("texture", "maps", "displacement", "normal_map", "vector_displacement")
+_BAKED = ("material_colors", "bake")
+
+
+@dataclass(frozen=True)
+class AssetSize:
+    """How large a model is; zeros where its mesh cannot be read.
+
+    Attributes
+    ----------
+    control, finest, prepared : int
+        Vertices of the control mesh, of the finest level, and of the level that its basis ends on.
+    laid_out : bool
+        Whether it has texture coordinates.
+    problem : str
+        Why it cannot be read.
+    """
+
+    control: int = 0
+    finest: int = 0
+    prepared: int = 0
+    laid_out: bool = True
+    problem: str = ""
+
+    @property
+    def both(self) -> Size:
+        """Control and finest vertices."""
+        return self.control, self.finest
+
+
+def dry_run(job: Job, plan: Plan, workers: int) -> str:
+    """The tasks of a job, which are done, how large they are, and about what the others will take."""
+    sizes = {name: _size(job, name, plan) for name in job.assets}
+    lines, total, memory, disk = [], 0.0, 0.0, 0.0
+    missing = missing_tasks(plan)
+    waiting = {task.name for task in missing}
+    for number, task in numbered(farm_steps(plan)):
+        if task.name not in waiting:
+            lines.append(f"  {number} {task.name}: done")
+            continue
+        own = [sizes[name] for name in task.pair or (task.request["asset"],)]
+        both = [size.both for size in own]
+        seconds = _seconds(task, both)
+        total, memory, disk = total + seconds, max(memory, worker_memory(both)), disk + _bytes(task, own)
+        shown = " + ".join(f"{size.finest:,}" for size in own)
+        lines.append(f"  {number} {task.name}: {shown} vertices, about {seconds:.0f} s{_foreseen(task, own)}")
+    hired = max(min(workers, len(missing)), 1)
+    minutes = (total / hired + STARTUP * bool(missing)) / 60
+    return "\n".join(
+        [
+            f"{len(plan.tasks)} tasks for {len(plan.pairs)} pair{'s' * (len(plan.pairs) != 1)}, {len(missing)} to do",
+            *lines,
+            f"  {farm_steps(plan)[-1].last} page",
+            *(f"  {text}" for text in plan.left_out),
+            *(f"  {name} cannot be used: {size.problem}" for name, size in sizes.items() if size.problem),
+            f"about {total / 60:.1f} core minutes, {minutes:.1f} minutes with {workers} workers (within a factor of "
+            f"{FACTOR:g} on the machine that was measured)",
+            f"about {memory / 1e9:.1f} GB of memory for each worker, {disk / 1e9:.2f} GB on the disk",
+        ]
+    )
+
+
+def _foreseen(task: Task, sizes: list[AssetSize]) -> str:
+    """What an image will be refused for: a mesh without texture coordinates."""
+    if task.kind != "transfer" or task.pair is None:
+        return ""
+    source, target = (size.laid_out for size in sizes)
+    painted = [name for name in _OVER_SOURCE if task.request.get(name)]
+    baked = bool(painted) or any(task.request.get(name) for name in _BAKED)
+    if painted and not source:
+        return f"; will be refused, for {task.pair[0]} has no texture coordinates, which {painted[0]} lies over"
+    if baked and not target and not task.request.get("unwrap"):
+        return f"; will be refused, for {task.pair[1]} has no texture coordinates: add `unwrap = true`"
+    return ""
+
+
+def _seconds(task: Task, sizes: list[Size]) -> float:
+    """Processor seconds of a task."""
+    named = {"landmarks", "target_points", "curves", "map"} & {name for name, given in task.request.items() if given}
+    side = int(task.request.get("size") or IMAGE)
+    texels = side * side if task.kind == "transfer" else 0
+    return task_seconds(task.kind, sizes, landmarks=bool(named), texels=texels)
+
+
+def _bytes(task: Task, sizes: list[AssetSize]) -> float:
+    """Bytes that a task leaves on the disk, images of outputs aside."""
+    if task.kind == "prepare":
+        return stored_surface(sizes[0].both, sizes[0].prepared)
+    return stored_result([size.both for size in sizes]) if task.kind in ("match", "compose") else 0.0
+
+
+def _size(job: Job, name: str, plan: Plan) -> AssetSize:
+    """How large an asset will be with the options of its first pair."""
+    options = next((_options(task.request) for task in plan.tasks if _reads(task, name)), {})
+    try:
+        own = SubdivisionRequest(job.assets[name].scheme or options.get("scheme"))
+        control = own.applied(read_whole(job.assets[name].file))
+        wanted = int(options.get("vertices") or DEFAULT_VERTICES)
+        level = int(options.get("level") or choose_level(control, wanted))
+        counts = list(islice(vertex_counts(control, default_scheme(control)), level + 1))
+    except CagemapError as error:
+        return AssetSize(problem=str(error))
+    prepared = next((n for n in counts if n >= PREPARED), counts[-1])
+    return AssetSize(control.n_vertices, counts[-1], prepared, control.uvs is not None)
+
+
+def _reads(task: Task, name: str) -> bool:
+    return (task.kind == "prepare" and task.request["asset"] == name) or (
+        task.kind == "match" and task.pair is not None and name in task.pair
+    )
+
+
+def _options(request: Mapping[str, object]) -> dict[str, str]:
+    """Options of a task's request, wherever they stand."""
+    inner = request.get("options")
+    found = inner if isinstance(inner, dict) else request
+    return {key: str(value) for key, value in found.items() if key in ("vertices", "level", "scheme") and value}

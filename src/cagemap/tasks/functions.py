@@ -1,0 +1,177 @@
+"""`cagemap functions`: one mesh in, its eigenfunctions and descriptors at vertices out (paper, 4 and 5.1)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cagemap import research
+from cagemap.errors import ParameterError
+from cagemap.files.atomic import check_outputs
+from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.files.values.attributes import write_attributes
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.checks import require_valid
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.pictures.colors import AMOUNT, BALANCE, scalar_colors
+from cagemap.pipeline import choose_level, prepare_surface
+from cagemap.spectral import BasisConfig, Surface
+from cagemap.tasks.basis_options import parse_schedule, with_laplacian
+from cagemap.tasks.mesh_commands import require_size
+from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.requests.functions import FunctionsRequest
+from cagemap.tasks.subdivision import SubdivisionRequest
+from cagemap.tasks.welding import weld_asked
+
+DEFAULT_VERTICES = 50_000
+EIGENFUNCTIONS = "eigenfunctions"
+KINDS = (EIGENFUNCTIONS, "heat-signatures", "wave-signatures", "heat-kernels", "wave-kernels")
+ARRAYS = (".npz", ".npy", ".csv")
+
+
+def run_functions(request: FunctionsRequest, stages: Stages) -> Outcome:
+    """Write functions of a mesh, as arrays or as its colours; returns a summary and notes.
+
+    Raises
+    ------
+    ParameterError
+        If a kind is not known, kernels lack their points, or the output cannot hold what is asked for.
+    """
+    kinds = _kinds(request)
+    check_outputs([request.output], [request.mesh], force=request.force)
+    basis = _basis(request)
+    stages("read")
+    read = read_mesh(request.mesh)
+    welded = weld_asked(read, request.weld)
+    control = SubdivisionRequest(request.scheme, request.boundary, None, request.creasing).applied(welded.mesh)
+    require_valid(control)
+    points = welded.vertex_of[_points(request, kinds, read)]
+    level = choose_level(control, DEFAULT_VERTICES) if request.level is None else request.level
+    require_size(control, level)
+    surface = prepare_surface(control, level, basis, progress=stages)
+    at = surface.finest if request.at is None else request.at
+    if at > surface.finest:
+        raise ParameterError(f"--at: expected a level from 0 to {surface.finest}, got {at}")
+    if at < surface.inner.basis.last_level and basis.schedule is None and surface.given is None:
+        # Functions of a coarser level than the usual one are computed there.
+        surface = prepare_surface(control, level, replace(basis, schedule=(*(0 for _ in range(at)), request.k)))
+    stages("functions")
+    found = functions_at(surface, at, kinds, (request.heat, request.wave), points)
+    stages("write")
+    count, n = sum(found[name].shape[1] for name in _names(kinds)), len(found[_names(kinds)[0]])
+    if request.output.suffix.lower() == ".ply":
+        column = _write_colors(request, surface, at, found[_names(kinds)[0]])
+        text = f"wrote {request.output}: {kinds[0]} {column} in colours, at {n} vertices of level {at}"
+        return text, list(welded.notes)
+    if request.output.suffix.lower() != ".npz":
+        found = {name: found[name] for name in _names(kinds)}
+    write_attributes(request.output, found, force=request.force)
+    text = f"wrote {request.output}: {count} functions ({', '.join(kinds)}) at {n} vertices of level {at}"
+    return text, list(welded.notes)
+
+
+def functions_at(
+    surface: Surface, level: int, kinds: tuple[str, ...], filters: tuple[int, int], points: IndexArray
+) -> dict[str, FloatArray]:
+    """Functions of some `KINDS` at the vertices of a level, and what they are made of.
+
+    Parameters
+    ----------
+    surface : Surface
+    level : int
+    kinds : tuple of str
+    filters : (int, int)
+        Heat and wave filters.
+    points : (p,) array
+        Control vertices that kernels start from.
+
+    Returns
+    -------
+    dict of str to array
+        Of each kind (n, q), by its name with ``_`` for ``-``; ``eigenvalues`` (k,), ``vertex_areas`` (n,); with
+        signatures and kernels ``heat_times``, ``wave_energies``; with kernels ``points``. Kernel j of point i is column
+        ``i q + j``.
+    """
+    inner = surface.inner
+    on = inner.finest if surface.refinement.is_plain else level
+    rows, eigenvalues = research.eigenfunctions(inner, on)
+    found = {"eigenvalues": eigenvalues, "vertex_areas": surface.triangles(level).vertex_areas}
+    heat, wave = filters
+    values: dict[str, FloatArray] = {EIGENFUNCTIONS: rows}
+    if set(kinds) - {EIGENFUNCTIONS}:
+        made = research.heat_and_wave_filters(inner, inner, heat, wave)
+        found |= {"heat_times": made.times, "wave_energies": made.energies}
+        both = research.signature_functions(inner, made, on)
+        values |= {"heat-signatures": both[:, :heat], "wave-signatures": both[:, heat:]}
+        if any(kind.endswith("kernels") for kind in kinds):
+            found["points"] = points.astype(np.float64)
+            kernels = research.landmark_functions(inner, made, inner.refinement.inner(points), on)
+            table = kernels.reshape(len(rows), len(points), heat + wave)
+            values["heat-kernels"] = table[:, :, :heat].reshape(len(rows), -1)
+            values["wave-kernels"] = table[:, :, heat:].reshape(len(rows), -1)
+    for kind, name in zip(kinds, _names(kinds), strict=True):
+        found[name] = inner.refinement.outer_rows(values[kind])
+    return found
+
+
+def _kinds(request: FunctionsRequest) -> tuple[str, ...]:
+    kinds = tuple(kind.strip() for kind in request.kinds.split(","))
+    unknown = [kind for kind in kinds if kind not in KINDS]
+    if unknown or len(set(kinds)) < len(kinds):
+        raise ParameterError(f"--kinds: expected some of {', '.join(KINDS)}, each once, got {request.kinds!r}.")
+    suffix = request.output.suffix.lower()
+    if suffix not in (*ARRAYS, ".ply"):
+        raise ParameterError(
+            f"--output: expected a name ending in {', '.join(ARRAYS)} or .ply, got {request.output.name!r}. Arrays go "
+            "beside any mesh: rows are the vertices that `cagemap refine` writes."
+        )
+    if len(kinds) > 1 and suffix in (".npy", ".ply"):
+        raise ParameterError(f"--kinds: expected one kind for {suffix}, got {len(kinds)}. Write an .npz.")
+    if request.column is not None and suffix != ".ply":
+        raise ParameterError("--column: expected a .ply with it, which shows one function in colours.")
+    return kinds
+
+
+def _basis(request: FunctionsRequest) -> BasisConfig:
+    schedule = None if request.schedule is None else parse_schedule(request.schedule)
+    if request.literal and schedule is None:
+        raise ParameterError("--literal: expected a --schedule with it, as in Definition 2, got none.")
+    basis = BasisConfig(request.k, schedule, request.accuracy, request.literal)
+    return with_laplacian(basis, request.laplacian, "--laplacian")
+
+
+def _points(request: FunctionsRequest, kinds: tuple[str, ...], control: ControlMesh) -> IndexArray:
+    """Control vertices that kernels start from; none where there are none."""
+    if not any(kind.endswith("kernels") for kind in kinds):
+        return np.zeros(0, dtype=np.int64)
+    try:
+        numbers = [int(word) for word in (request.points or "").split(",")]
+    except ValueError:
+        numbers = []
+    if not numbers or min(numbers) < 0 or max(numbers) >= control.n_vertices:
+        raise ParameterError(
+            f"--points: expected control vertices from 0 to {control.n_vertices - 1}, such as 0,12,40, for kernels to "
+            f"start from, got {request.points!r}."
+        )
+    return np.array(numbers, dtype=np.int64)
+
+
+def _names(kinds: tuple[str, ...]) -> list[str]:
+    return [kind.replace("-", "_") for kind in kinds]
+
+
+def _write_colors(request: FunctionsRequest, surface: Surface, level: int, values: FloatArray) -> int:
+    """The mesh of a level with one function as vertex colours: blue and red around 0, or dark to light."""
+    signed = values.min() < 0.0
+    spread = np.ptp(values, axis=0) > 1e-6 * max(float(np.abs(values).max()), np.finfo(float).tiny)
+    column = int(np.argmax(spread)) if request.column is None else request.column
+    if column >= values.shape[1]:
+        raise ParameterError(f"--column: expected a function from 0 to {values.shape[1] - 1}, got {column}")
+    shown = values[:, column]
+    most = float(np.abs(shown).max())
+    ends = (-most, most, BALANCE) if signed else (float(shown.min()), float(shown.max()), AMOUNT)
+    net = surface.refinement.levels[level]
+    mesh = surface.control if net.faces is None else ControlMesh.from_faces(net.positions, net.faces)
+    write_mesh(request.output, replace(mesh, vertex_colors=scalar_colors(shown, *ends)), force=request.force)
+    return column

@@ -1,0 +1,76 @@
+"""`cagemap map`: a RESULT from anyone's point map, for transfer, wrap and report."""
+
+from __future__ import annotations
+
+from cagemap.errors import ParameterError
+from cagemap.files.atomic import require_no_input
+from cagemap.files.meshes.formats import read_mesh
+from cagemap.files.result.folder import ARRAYS, MANIFEST, check_result_folder, write_result
+from cagemap.files.result.manifest import stated_inputs
+from cagemap.files.result.maps import dense_map, read_images, source_level
+from cagemap.maps.quality import measure_quality
+from cagemap.maps.result import MatchResult
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.checks import require_valid
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.pipeline import choose_level
+from cagemap.spectral import Surface
+from cagemap.subdivision import refine
+from cagemap.tasks.job_file import note_match
+from cagemap.tasks.masks import MaskOptions, mask_inputs, masks_on, read_masks
+from cagemap.tasks.mesh_commands import require_size
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.import_map import MapRequest
+from cagemap.tasks.welding import weld_asked
+
+DEFAULT_VERTICES = 50_000
+
+
+def run_map(request: MapRequest, stages: Stages) -> tuple[str, list[str]]:
+    """Judge a map and write it as a RESULT folder; returns a summary and warnings."""
+    files = {"target": request.target, "source": request.source, "map": request.map}
+    files.update(mask_inputs(request.target_mask, request.source_mask))
+    check_result_folder(request.output, force=request.force)
+    require_no_input([request.output / name for name in (ARRAYS, MANIFEST)], files.values())
+    stages("read")
+    stated = stated_inputs(files, request.output)
+    filed = read_mesh(request.target), read_mesh(request.source)
+    words = (request.weld if own is None else own for own in (request.target_weld, request.source_weld))
+    welded = [weld_asked(mesh, word) for mesh, word in zip(filed, words, strict=True)]
+    target, source = (_surface(one.mesh, request.level) for one in welded)
+    level = None if request.level is not None else source_level(request.map, source.refinement)
+    if level is not None and level != source.refinement.n_levels:
+        source = Surface(source.refinement.up_to(level))
+    places = target.triangles(target.finest), source.triangles(source.finest)
+    # A map may count the vertices of any level: those of a coarser one are the first of every finer one.
+    point_map = dense_map(read_images(request.map, places[1]), target.refinement, places[0])
+    options = MaskOptions(request.target_mask, request.source_mask, request.mask_edge)
+    given = read_masks(options, filed, (request.target, request.source))
+    masks = masks_on(given, (target, source))
+    masks.require_fit(places[0].n, places[1].n)
+    stages("quality")
+    quality = measure_quality(point_map, masks=masks)
+    welds = {"weld": request.weld, "target_weld": request.target_weld, "source_weld": request.source_weld}
+    asked = {"target_mask": request.target_mask, "source_mask": request.source_mask, "mask_edge": request.mask_edge}
+    parameters = {"method": "map of the user's", "level": request.level, **welds, **asked}
+    provenance = {"parameters": parameters, "inputs": stated}
+    result = MatchResult(target, source, Landmarks.none(), point_map, quality, masks=masks, provenance=provenance)
+    stages("write")
+    write_result(request.output, result, force=request.force)
+    note_match(request)
+    text = (
+        f"wrote {request.output}: {len(target.vertices)} target vertices, {100 * quality.flipped_area:.2f} % of the "
+        f"area folded, {100 * quality.coverage:.1f} % of the source reached"
+    )
+    if level is not None:
+        text += f"\n  its points are taken for those of level {level} of {request.source.name}; --level says another"
+    return text, [*(note for one in welded for note in one.notes), *quality.warnings]
+
+
+def _surface(control: ControlMesh, level: int | None) -> Surface:
+    require_valid(control)
+    if level is not None and level < 1:
+        raise ParameterError(f"--level: expected 1 or more, got {level}")
+    finest = level or choose_level(control, DEFAULT_VERTICES)
+    require_size(control, finest)
+    return Surface(refine(control, finest, control.scheme))

@@ -1,0 +1,104 @@
+"""The job file that repeats what was done, written into the RESULT folder: ``cagemap run RESULT/job.toml``."""
+
+from __future__ import annotations
+
+import logging
+import re
+import tomllib
+from dataclasses import MISSING, Field, fields
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from cagemap.errors import FormatError
+from cagemap.files.atomic import one_at_a_time, write_whole
+from cagemap.files.ownership import is_own, mark
+from cagemap.files.result.folder import stated_path
+from cagemap.tasks.masks import mask_file
+from cagemap.tasks.requests.catalogue import WRITTEN
+
+JOB = "job.toml"
+# Fields of requests that are no options of a job: where things are, and what may be overwritten.
+_PLACES = ("target", "source", "result", "results", "output", "cache", "force")
+_log = logging.getLogger(__name__)
+
+
+def note_match(request: Any) -> None:
+    """Write the job file of a match, or of a given map, into its RESULT folder; one that somebody edited stays."""
+    folder: Path = request.output
+    if (folder / JOB).exists() and not is_own(folder / JOB):
+        _log.info("%s: was edited, so this match is not noted in it", folder / JOB)
+        return
+    paths = {"source": request.source, "target": request.target}
+    names = {side: _asset_name(path) for side, path in paths.items()}
+    if names["source"] == names["target"]:
+        names = {side: f"{name}-{side}" for side, name in names.items()}
+    assets = [{"name": names[side], "file": stated_path(path, folder)} for side, path in paths.items()]
+    options, pair = stated_options(request, folder), dict[str, Any](names)
+    for name in ("landmarks", "map"):
+        if name in options:
+            pair[name] = options.pop(name)
+    _write(folder / JOB, {"output": "again", "options": options, "assets": assets, "pairs": [pair]})
+
+
+def note_output(command: str, folder: Path, request: Any) -> None:
+    """Add an output to the job file of its RESULT folder; the same file replaces. A file that was edited stays."""
+    place = folder / JOB
+    if not place.is_file() or not is_own(place):
+        _log.info("%s: is not there or was edited, so this %s is not noted in it", place, command)
+        return
+    options = stated_options(request, folder)
+    options |= {name: getattr(request, name).name for name in WRITTEN.get(command, ()) if name in options}
+    entry = {"command": command, "output": request.output.name, **options}
+    files = {entry[name] for name in ("output", *WRITTEN.get(command, ())) if name in entry}
+    with one_at_a_time(folder):
+        data = tomllib.loads(place.read_text(encoding="utf-8"))
+        kept = [_without(other, files) for other in data.get("outputs", []) if other.get("output") not in files]
+        _write(place, {**data, "outputs": [*kept, entry]})
+
+
+def _without(entry: dict[str, Any], files: set[str]) -> dict[str, Any]:
+    """An output that writes none of some files beside its own."""
+    beside = WRITTEN.get(entry.get("command", ""), ())
+    return {name: value for name, value in entry.items() if name not in beside or value not in files}
+
+
+def stated_options(request: Any, folder: Path) -> dict[str, Any]:
+    """Options of a request that are not the defaults, as TOML has them; paths relative to the RESULT folder."""
+    options = {}
+    for field in fields(request):
+        value = getattr(request, field.name)
+        if field.name in _PLACES or value is None or value == _default(field):
+            continue
+        # A name or a file: which one it is, its words say, not its type.
+        file = mask_file(value) if field.name in ("target_mask", "source_mask") else None
+        options[field.name] = _stated(value, folder) if file is None else value.replace(str(file), str(file.resolve()))
+    return options
+
+
+def _stated(value: Any, folder: Path) -> Any:
+    if isinstance(value, tuple):
+        return [_stated(item, folder) for item in value]
+    return stated_path(value, folder) if isinstance(value, Path) else value
+
+
+def _asset_name(path: Path) -> str:
+    """A mesh file's name as an asset may be called."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", path.stem).strip("-._")[:60] or "model"
+
+
+def _default(field: Field[Any]) -> Any:
+    return field.default_factory() if field.default_factory is not MISSING else field.default
+
+
+def _write(path: Path, data: dict[str, Any]) -> None:
+    try:
+        content = f"# {mark()}\n# Repeat: cagemap run {path.name}\n{tomli_w.dumps(data)}".encode()
+    except UnicodeEncodeError:
+        _log.warning("%s: is not written, for a file's name is no text, and a job file holds text alone", path)
+        return
+    try:
+        write_whole(path, content)
+    except FormatError as error:  # what it would repeat is there; a RESULT may be somebody else's
+        _log.warning("%s What was done is not noted there.", error)

@@ -1,0 +1,254 @@
+"""`--target-mask`, `--source-mask`: what of a model is matched and transferred, as files and names say it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cagemap.errors import ParameterError
+from cagemap.files.meshes.formats import read_whole
+from cagemap.files.result.manifest import input_file
+from cagemap.files.suffixes import IMAGE_SUFFIXES
+from cagemap.files.usd.read import USD_SUFFIXES, read_usd_meshes
+from cagemap.files.values.attributes import read_attributes
+from cagemap.maps.mask_values import face_mask, soft_edge, vertex_mask
+from cagemap.maps.masks import Masks
+from cagemap.maps.result import MatchResult
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.parts import find_part
+from cagemap.numerics.arrays import FloatArray
+from cagemap.spectral import Surface
+from cagemap.subdivision import Refinement
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.tasks.requests.options import MASK_FILES
+
+if TYPE_CHECKING:  # a match without masks starts without images and their library
+    from cagemap.files.images.image import Pixels
+
+# Width of the soft edge of a set of faces, in units of sqrt(area), where nothing else is said.
+DEFAULT_EDGE = 0.02
+# Before a name: everything but that.
+NOT = "not:"
+
+
+@dataclass(frozen=True, eq=False)
+class GivenMask:
+    """A mask as it was given, for a file's whole mesh.
+
+    Attributes
+    ----------
+    vertices : (n_0,) float64 or None
+        Values at the file's control vertices.
+    faces : (m_0,) float64 or None
+        Values at the file's control faces.
+    image : array, or arrays by UDIM number, or None
+        Painted over the UVs.
+    inverted : bool
+        Everything but that.
+    edge : float
+        Width of its soft edge, see `cagemap.maps.mask_values.soft_edge`.
+    """
+
+    vertices: FloatArray | None = None
+    faces: FloatArray | None = None
+    image: Pixels | dict[int, Pixels] | None = None
+    inverted: bool = False
+    edge: float = 0.0
+
+    def on(self, refinement: Refinement, surface: TriangleSurface) -> FloatArray:
+        """(n,) mask of the finest vertices of the file's mesh or of a part of it."""
+        control = refinement.control
+        if self.vertices is not None:
+            rows = slice(None) if control.file_vertices is None else control.file_vertices
+            mask = vertex_mask(refinement, self._turned(self.vertices)[rows])
+        elif self.faces is not None:
+            rows = slice(None) if control.file_faces is None else control.file_faces
+            mask = face_mask(refinement, self._turned(self.faces)[rows])
+        else:
+            from cagemap.transfer.masks import painted_mask
+
+            assert self.image is not None
+            mask = self._turned(painted_mask(refinement.finest, self.image))
+        return soft_edge(surface, mask, self.edge)
+
+    def _turned(self, values: FloatArray) -> FloatArray:
+        return 1.0 - values if self.inverted else values
+
+
+GivenMasks = tuple[GivenMask | None, GivenMask | None]
+
+
+@dataclass(frozen=True)
+class MaskOptions:
+    """What the command line says about masks."""
+
+    target: str | None = None
+    source: str | None = None
+    edge: float | None = None
+
+
+def mask_file(text: str | None) -> Path | None:
+    """The file that a mask is read from, where it is not a part's name."""
+    if text is None:
+        return None
+    path = Path(text.removeprefix(NOT))
+    suffix = path.suffix.lower()
+    return path if suffix in MASK_FILES else None
+
+
+def mask_files(text: str | None) -> list[Path]:
+    """All files of a mask: an image's tiles, or one."""
+    path = mask_file(text)
+    if path is None:
+        return []
+    from cagemap.files.images.image import texture_files
+
+    return texture_files(path)
+
+
+def mask_inputs(target: str | None, source: str | None) -> dict[str, Path]:
+    """Files of both masks, by the names that a manifest has for them."""
+    sides = (("target", target), ("source", source))
+    return {f"{side}_mask_{i}": path for side, text in sides for i, path in enumerate(mask_files(text))}
+
+
+def read_masks(options: MaskOptions, controls: tuple[ControlMesh, ControlMesh], files: tuple[Path, Path]) -> GivenMasks:
+    """Masks of the target's and the source's whole files.
+
+    Raises
+    ------
+    ParameterError
+        See `read_mask`; if there is an edge and no mask.
+    """
+    texts = {"--target-mask": options.target, "--source-mask": options.source}
+    target, source = (
+        None if text is None else read_mask(text, options.edge, control, file, option)
+        for (option, text), control, file in zip(texts.items(), controls, files, strict=True)
+    )
+    if options.edge is not None and target is None and source is None:
+        raise ParameterError("--mask-edge: expected --target-mask or --source-mask beside it, got neither")
+    return target, source
+
+
+def masks_on(given: GivenMasks, surfaces: tuple[Surface, Surface]) -> Masks:
+    """Masks of two prepared surfaces, which may be parts of their files."""
+    target, source = (
+        None if mask is None else mask.on(surface.refinement, surface.triangles(surface.finest))
+        for mask, surface in zip(given, surfaces, strict=True)
+    )
+    return Masks(target, source)
+
+
+def with_masks(result: MatchResult, options: MaskOptions, folder: Path) -> MatchResult:
+    """The same result with more left out of it: what counts is the product of its own masks and the given ones.
+
+    Parameters
+    ----------
+    result : MatchResult
+    options : MaskOptions
+        In the words and numbers of the files that were matched.
+    folder : Path
+        Of the RESULT, where the files are looked up.
+
+    Raises
+    ------
+    ParameterError
+        See `read_masks`; if nothing would be left; if only a part of a file was matched and that file is not where it
+        was.
+    """
+    if options == MaskOptions():
+        return result
+    asked = {"target": options.target, "source": options.source}
+    whole = [_matched_file(result, side, folder, given=text is not None) for side, text in asked.items()]
+    given = read_masks(options, (whole[0][0], whole[1][0]), (whole[0][1], whole[1][1]))
+    more = masks_on(given, (result.target, result.source))
+    both = zip((result.masks.target, result.masks.source), (more.target, more.source), strict=True)
+    masks = Masks(*(one if two is None else two if one is None else one * two for one, two in both))
+    masks.require_fit(len(result.target.vertices), len(result.source.vertices))
+    return replace(result, masks=masks)
+
+
+def _matched_file(result: MatchResult, side: str, folder: Path, *, given: bool) -> tuple[ControlMesh, Path]:
+    """The whole mesh of a side's file and its name, as far as a mask for it is given."""
+    control = (result.target if side == "target" else result.source).control
+    file = input_file(folder, result.manifest, side) if given else None
+    if control.file_vertices is None or not given:
+        return control, file or Path(control.name)
+    if file is None:
+        raise ParameterError(
+            f"--{side}-mask: {control.name} was matched in part, and its file is not where the match read it, or has "
+            "changed. Put it back."
+        )
+    return read_whole(file), file
+
+
+def read_mask(text: str, edge: float | None, control: ControlMesh, mesh_file: Path, option: str) -> GivenMask:
+    """Read what a mask option says about a file's mesh.
+
+    Parameters
+    ----------
+    text : str
+        A file of values at control vertices or faces (.npy, .npz, .csv), an image over the UVs, a USD file's primvar,
+        or names of objects, groups, materials or components; after ``not:`` all but that.
+    edge : float or None
+        Width of the soft edge; by default that of `DEFAULT_EDGE` for sets of faces, and none for values.
+    control : ControlMesh
+        The file's whole mesh.
+    mesh_file : Path
+    option : str
+        For messages.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such part or primvar, or values are not one a control vertex or face, from 0 to 1.
+    """
+    inverted = text.startswith(NOT)
+    name = text.removeprefix(NOT)
+    path = mask_file(text)
+    if path is not None and path.suffix.lower() in IMAGE_SUFFIXES:
+        if control.uvs is None:
+            raise ParameterError(f"{option}: {control.name} has no texture coordinates that {path} could be painted on")
+        from cagemap.files.images.image import read_texture, texture_pixels
+
+        return GivenMask(image=texture_pixels(read_texture(path)), inverted=inverted, edge=edge or 0.0)
+    if path is not None:
+        values = read_attributes(path)
+        if len(values) != 1:
+            raise ParameterError(f"{option}: {path}: expected one array of values, got {', '.join(values)}")
+        return _of_values(next(iter(values.values())), f"{option}: {path}", control, inverted, edge)
+    primvar = _primvar(mesh_file, name)
+    if primvar is not None:
+        return _of_values(primvar, f"{option}: primvar {name}", control, inverted, edge)
+    faces = np.zeros(control.n_faces)
+    for one in name.split(","):
+        faces[find_part(control, one).faces] = 1.0
+    return GivenMask(faces=faces, inverted=inverted, edge=DEFAULT_EDGE if edge is None else edge)
+
+
+def _of_values(array: FloatArray, where: str, control: ControlMesh, inverted: bool, edge: float | None) -> GivenMask:
+    values = np.asarray(array, dtype=np.float64)
+    rows = {control.n_vertices: "vertices", control.n_faces: "faces"}
+    kind = rows.get(len(values)) if values.ndim == 1 else None
+    if kind is None or not np.all((values >= 0) & (values <= 1)):
+        raise ParameterError(
+            f"{where}: expected {control.n_vertices} numbers from 0 to 1, one a control vertex, or {control.n_faces}, "
+            f"one a control face, got shape {values.shape} from {values.min():g} to {values.max():g}"
+        )
+    if control.n_vertices == control.n_faces:
+        kind = "vertices"
+    if kind == "vertices":
+        return GivenMask(vertices=values, inverted=inverted, edge=edge or 0.0)
+    return GivenMask(faces=values, inverted=inverted, edge=DEFAULT_EDGE if edge is None else edge)
+
+
+def _primvar(mesh_file: Path, name: str) -> FloatArray | None:
+    """Values of a USD file's only mesh under a name; None where there is none."""
+    if mesh_file.suffix.lower() not in USD_SUFFIXES:
+        return None
+    meshes = read_usd_meshes(mesh_file)
+    values = meshes[0].attributes.get(name) if len(meshes) == 1 else None
+    return None if values is None else np.asarray(values, dtype=np.float64)

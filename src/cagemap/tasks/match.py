@@ -1,0 +1,339 @@
+"""`cagemap match`: files in, RESULT folder out."""
+
+from __future__ import annotations
+
+import logging
+import shlex
+import time
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cagemap.errors import ParameterError
+from cagemap.files.atomic import require_no_input
+from cagemap.files.landmarks.pairs import read_landmarks
+from cagemap.files.landmarks.points import read_points
+from cagemap.files.landmarks.symmetry import symmetry_on
+from cagemap.files.meshes.formats import read_mesh, read_whole
+from cagemap.files.result.folder import (
+    ARRAYS,
+    MANIFEST,
+    assurance,
+    check_result_folder,
+    landmark_messages,
+    peak_memory,
+    write_result,
+)
+from cagemap.files.result.manifest import stated_inputs
+from cagemap.files.result.merged_parts import merge_results
+from cagemap.files.result.surface_store import prepared
+from cagemap.files.usd.space import unit_notes
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.landmarks import Landmarks, check_landmarks, paired
+from cagemap.mesh.weld import Welded
+from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_surfaces
+from cagemap.spectral import BasisConfig
+from cagemap.spectral.prepare import DEFAULT_VERTICES, prepare_checked
+from cagemap.tasks.basis_options import (
+    SIDES,
+    basis_parameters,
+    require_level_or_vertices,
+    side_bases,
+    side_levels,
+)
+from cagemap.tasks.job_file import note_match
+from cagemap.tasks.masks import GivenMasks, MaskOptions, mask_inputs, masks_on, read_masks
+from cagemap.tasks.match_parts import PartInputs, asked_parts, chosen_parts
+from cagemap.tasks.match_plain import ready_inputs
+from cagemap.tasks.mesh_commands import require_size
+from cagemap.tasks.method import read_symmetries, used_parameters, with_parameters
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.match import MatchRequest as MatchRequest
+from cagemap.tasks.subdivision import SubdivisionRequest
+from cagemap.tasks.welding import weld_asked
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What a match works on, read and checked.
+
+    Attributes
+    ----------
+    target, source : ControlMesh
+        As in their files; plain meshes made ready where all of both is matched.
+    landmarks : Landmarks
+    notes : tuple of str
+        What the user is to know.
+    parts : tuple of PartInputs
+        What is matched of them; nothing where it is the whole of both.
+    masks : (GivenMask or None, GivenMask or None)
+        What counts of target and source.
+    repairs : tuple of dict
+        What was done to plain meshes, of every part, or of the whole.
+    """
+
+    target: ControlMesh
+    source: ControlMesh
+    landmarks: Landmarks
+    notes: tuple[str, ...] = ()
+    parts: tuple[PartInputs, ...] = ()
+    masks: GivenMasks = (None, None)
+    repairs: tuple[dict[str, dict[str, float]], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class MatchSettings:
+    """How meshes are matched.
+
+    Attributes
+    ----------
+    bases : (BasisConfig, BasisConfig)
+        Of target and source, like ``levels``.
+    levels : (int, int)
+        The finest ones.
+    config : MatchConfig
+        But for masks, which depend on the surfaces.
+    cache : Path or None
+        Folder of prepared surfaces.
+    entries : dict
+        For the manifest: parameters, inputs.
+    """
+
+    bases: tuple[BasisConfig, BasisConfig]
+    levels: tuple[int, int]
+    config: MatchConfig
+    cache: Path | None = None
+    entries: dict[str, Any] = field(default_factory=dict)
+
+
+def run_match(request: MatchRequest, stages: Stages) -> tuple[str, list[str]]:
+    """Match two mesh files and write the RESULT folder; returns a summary and warnings."""
+    require_level_or_vertices(request)
+    config = match_config(request)
+    side_bases(request)  # what is wrong with them is said before meshes are read
+    started = time.perf_counter()
+    stages("read")
+    files = {"target": request.target, "source": request.source}
+    given = {
+        "landmarks": request.landmarks,
+        "target_points": request.target_points,
+        "source_points": request.source_points,
+        "curves": request.curves,
+    }
+    files.update({name: path for name, path in given.items() if path is not None})
+    for side, symmetries in (("target", request.target_symmetry), ("source", request.source_symmetry)):
+        files.update({f"{side}_symmetry_{i}": path for i, path in enumerate(symmetries)})
+    files.update(mask_inputs(request.target_mask, request.source_mask))
+    check_result_folder(request.output, force=request.force)
+    require_no_input([request.output / name for name in (ARRAYS, MANIFEST)], files.values())
+    stated = stated_inputs(files, request.output)
+    inputs = read_inputs(request)
+    levels = matched_levels(request, inputs)
+    bases = side_bases(request, levels)
+    sides = {
+        side: basis_parameters(basis) | {"level": level}
+        for side, basis, level in zip(SIDES, bases, levels, strict=True)
+    }
+    parts = asked_parts(request.part, request.target_part, request.source_part)
+    said = partial(_said, request)
+    parameters = {
+        "level": request.level,
+        "vertices": request.vertices or (None if request.level else DEFAULT_VERTICES),
+        **said("target_vertices", "source_vertices"),
+        **{f"{side}_{name}": value for side, used in sides.items() for name, value in used.items()},
+        "method": request.method,
+        "spectral": used_parameters(config),
+        **said("symmetry", "exchange_landmarks", "trust_landmarks", "answer"),
+        **said("scheme", "target_scheme", "source_scheme", "boundary", "uv_interpolation", "creasing"),
+        **said("weld", "target_weld", "source_weld"),
+        **dict(zip(("target_part", "source_part"), parts, strict=True)),
+        **said("target_uv_set", "source_uv_set", "target_mask", "source_mask", "mask_edge"),
+    }
+    entries = {"parameters": parameters, "inputs": stated}
+    result = match_inputs(inputs, MatchSettings(bases, levels, config, request.cache, entries), stages)
+    stages("write")
+    write_result(request.output, result, force=request.force)
+    note_match(request)
+    return summary(result, request.output, time.perf_counter() - started), warnings(result)
+
+
+def _said(request: MatchRequest, *names: str) -> dict[str, Any]:
+    """Some options as they were said."""
+    return {name: getattr(request, name) for name in names}
+
+
+def match_config(request: MatchRequest) -> MatchConfig:
+    """Parameters of the match that was asked for on the command line."""
+    config = MatchConfig(
+        method=request.method,
+        use_symmetry=request.symmetry,
+        symmetries=read_symmetries(request.target_symmetry, request.source_symmetry),
+        check_landmarks=not request.trust_landmarks,
+        answer=request.answer,
+    )
+    return with_parameters(config, request.parameter)
+
+
+def read_inputs(request: MatchRequest) -> Inputs:
+    """Read both meshes and the landmarks, and check all of them before anything expensive begins."""
+    files = request.target, request.source
+    target, source = (read_control(path, request, side) for side, path in zip(SIDES, files, strict=True))
+    landmarks, notes = read_given_landmarks(request, target, source)
+    notes += unit_notes(request.target, request.source)
+    options = MaskOptions(request.target_mask, request.source_mask, request.mask_edge)
+    masks = read_masks(options, (target, source), files)
+    welded = [weld_control(control, request, side) for control, side in zip((target, source), SIDES, strict=True)]
+    check_landmarks(landmarks, target, source)
+    landmarks = landmarks.renumbered(*(one.vertex_of.__getitem__ for one in welded))
+    target, source = (one.mesh for one in welded)
+    notes = (*notes, *(note for one in welded for note in one.notes))
+    names = asked_parts(request.part, request.target_part, request.source_part)
+    if names == (None, None):
+        whole = ready_inputs(PartInputs(target, source, landmarks))
+        notes = (*notes, *whole.notes)
+        return Inputs(whole.target, whole.source, whole.landmarks, notes, masks=masks, repairs=(whole.repairs,))
+    chosen, left_alone = chosen_parts(target, source, landmarks, *names)
+    parts = tuple(ready_inputs(part) for part in chosen)
+    notes = (*notes, *left_alone, *(note for part in parts for note in part.notes))
+    return Inputs(target, source, landmarks, notes, parts, masks, tuple(part.repairs for part in parts))
+
+
+def matched_levels(request: MatchRequest, inputs: Inputs) -> tuple[int, int]:
+    """Finest levels of one part of each file by its own size; of several, which become pieces of one, by all of it."""
+    matched = inputs.parts[0] if len(inputs.parts) == 1 else inputs
+    return side_levels(request, (matched.target, matched.source))
+
+
+def read_given_landmarks(
+    request: MatchRequest, target: ControlMesh, source: ControlMesh
+) -> tuple[Landmarks, tuple[str, ...]]:
+    """Landmarks of the files given, with the curves of ``--curves`` beside theirs; and notes."""
+    landmarks, notes = _read_points_or_pairs(request, target, source)
+    if request.curves is None:
+        return landmarks, notes
+    more, more_notes = _read_pairs(request.curves, request)
+    if len(more):
+        raise ParameterError(f"--curves: expected curves alone, got landmarks in {request.curves}. Give --landmarks.")
+    return replace(landmarks, curves=landmarks.curves.joined_with(more.curves)), (*notes, *more_notes)
+
+
+def _read_pairs(path: Path, request: MatchRequest) -> tuple[Landmarks, tuple[str, ...]]:
+    """A file of pairs, made for this direction or the other."""
+    if request.exchange_landmarks:
+        exchanged, notes = read_landmarks(path, request.source, request.target)
+        return exchanged.reversed(), notes
+    return read_landmarks(path, request.target, request.source)
+
+
+def _read_points_or_pairs(
+    request: MatchRequest, target: ControlMesh, source: ControlMesh
+) -> tuple[Landmarks, tuple[str, ...]]:
+    """Landmarks of a pair file, or of a file for each mesh, or none; and notes."""
+    points = request.target_points, request.source_points
+    if points[0] is not None and points[1] is not None and request.landmarks is None:
+        return paired(read_points(points[0], target), read_points(points[1], source), target, source)
+    if points != (None, None):
+        raise ParameterError(
+            "--target-points and --source-points: expected both, and no --landmarks beside them; landmarks are pairs "
+            "of points of the same name, or come from one file of pairs."
+        )
+    if request.landmarks is None:
+        return Landmarks.none(), ()
+    return _read_pairs(request.landmarks, request)
+
+
+def read_control(path: Path, request: MatchRequest, side: str) -> ControlMesh:
+    """Read the control mesh of one side, and what was asked for about its subdivision and its UVs."""
+    scheme = getattr(request, f"{side}_scheme") or request.scheme
+    subdivision = SubdivisionRequest(scheme, request.boundary, request.uv_interpolation, request.creasing)
+    parts = asked_parts(request.part, request.target_part, request.source_part)[SIDES.index(side)]
+    read = read_mesh if parts is None else read_whole
+    control = subdivision.applied(replace(read(path), name=path.name))
+    uv_set = getattr(request, f"{side}_uv_set")
+    return control if uv_set is None else control.with_uv_set(uv_set)
+
+
+def weld_control(control: ControlMesh, request: MatchRequest, side: str) -> Welded:
+    """The mesh of one side, welded as asked for."""
+    asked = getattr(request, f"{side}_weld")
+    return weld_asked(control, request.weld if asked is None else asked)
+
+
+def match_inputs(inputs: Inputs, settings: MatchSettings, stages: Stages) -> MatchResult:
+    """Match the whole of both meshes, or every pair of parts, all at the same levels, as one result."""
+    if not inputs.parts:
+        return match_meshes(inputs, settings, stages)
+    results = []
+    for part in inputs.parts:
+        own = replace(inputs, target=part.target, source=part.source, landmarks=part.landmarks, parts=())
+        results.append(match_meshes(own, settings, stages))
+    stages("merge parts")
+    faces = [[len(side.control.face_sizes) for side in (one.target, one.source)] for one in results]
+    return merge_results(results, {"parts": [{"target_faces": t, "source_faces": s} for t, s in faces]})
+
+
+def match_meshes(inputs: Inputs, settings: MatchSettings, stages: Stages) -> MatchResult:
+    """Prepare both surfaces, match them, and say how."""
+    controls, config = (inputs.target, inputs.source), settings.config
+    for control, level in zip(controls, settings.levels, strict=True):
+        require_size(control, level)
+        _log.info("%s: level %d", control.name, level)
+    prepare = prepare_checked if settings.cache is None else partial(prepared, settings.cache)
+    target, source = prepare_surfaces(*controls, settings.levels, settings.bases, prepare=prepare, progress=stages)
+    symmetries = tuple((symmetry_on(t, target.control), symmetry_on(s, source.control)) for t, s in config.symmetries)
+    config = replace(config, symmetries=symmetries, masks=masks_on(inputs.masks, (target, source)))
+    found = match(target, source, inputs.landmarks, config, progress=stages)
+    provenance = {
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        **settings.entries,
+        "notes": list(inputs.notes),
+        "repairs": inputs.repairs[0] if len(inputs.repairs) == 1 else list(inputs.repairs),
+        "peak_memory_bytes": peak_memory(),
+    }
+    return replace(found, timings=dict(stages.timings), provenance=provenance)
+
+
+def summary(result: MatchResult, folder: Path, seconds: float) -> str:
+    """A few lines for the terminal."""
+    manifest = result.manifest
+    quality, typed = manifest["quality"], shlex.quote(str(folder))
+    lines = [
+        f"{result.source.control.name} -> {result.target.control.name}: {len(result.target.vertices):,} target and "
+        f"{len(result.source.vertices):,} source vertices in {seconds:.1f} s",
+        "  " + "; ".join(filter(None, (landmark_summary(result), assurance(manifest)))),
+        f"  {100 * quality['flipped_area']:.2f} % folded, {100 * quality['coverage']:.1f} % of the source covered",
+        f"wrote {folder}; next: cagemap transfer {typed} --texture IMG -o OUT.png, or cagemap report {typed}",
+    ]
+    return "\n".join(lines)
+
+
+def landmark_summary(result: MatchResult) -> str:
+    """How well landmarks are met; how many were left out, and by how much they are missed."""
+    left_out = sorted({suspect.pair for suspect in result.suspects})
+    errors = 100 * np.delete(result.landmark_errors, left_out)
+    parts = []
+    if len(errors):
+        used = f"{len(errors)} landmarks" if len(errors) > 1 else "1 landmark"
+        worst = f" (worst {errors.max():.2f} %)" if len(errors) > 1 else ""
+        parts.append(f"{used} missed by {errors.mean():.2f} % of the model's size{worst}")
+    if left_out:
+        missed = ", ".join(f"{100 * result.landmark_errors[pair]:.0f} %" for pair in left_out)
+        parts.append(f"{len(left_out)} left out, which the map misses by {missed}")
+    curves = result.curve_misses
+    if curves:
+        miss, most = 100 * np.array([[curve.mean, curve.worst] for curve in curves]).T
+        counted = f"{len(curves)} curves" if len(curves) > 1 else "1 curve"
+        parts.append(f"{counted} missed by {miss.mean():.2f} % (at most {most.max():.2f} %)")
+    return "; ".join(parts) or "no landmarks"
+
+
+def warnings(result: MatchResult) -> list[str]:
+    """Notes and warnings of a result."""
+    manifest = result.manifest
+    return [*manifest["notes"], *landmark_messages(manifest), *manifest["quality"]["warnings"]]

@@ -1,0 +1,154 @@
+"""`--part`: which parts of two files are matched, and the landmarks of each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from cagemap.errors import ParameterError
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.landmarks import Landmarks, Renumbering
+from cagemap.mesh.mesh_report import first_few
+from cagemap.mesh.parts import (
+    Part,
+    connected_parts,
+    connected_pieces,
+    extract,
+    find_part,
+    material_pieces,
+    numbers_on_part,
+    pair_parts,
+)
+from cagemap.subdivision import default_scheme
+
+EACH = "each"
+MATERIAL = "material"
+
+
+@dataclass(frozen=True)
+class PartInputs:
+    """Two meshes to be matched, whole or parts of their files.
+
+    Attributes
+    ----------
+    target, source : ControlMesh
+    landmarks : Landmarks
+        Those that lie on both, in the meshes' own numbers.
+    notes : tuple of str
+        What was done to plain meshes.
+    repairs : dict
+        The same in numbers, for a manifest, by side.
+    """
+
+    target: ControlMesh
+    source: ControlMesh
+    landmarks: Landmarks
+    notes: tuple[str, ...] = ()
+    repairs: dict[str, dict[str, float]] = field(default_factory=dict)
+
+
+def asked_parts(part: str | None, target_part: str | None, source_part: str | None) -> tuple[str | None, str | None]:
+    """What is asked for on each side by `--part`, `--target-part` and `--source-part`.
+
+    Where one side asks for its pieces (`EACH`) or materials and the other for nothing, they are looked for among the
+    other's pieces or materials.
+    """
+    words = target_part or part, source_part or part
+    every = next((word for word in words if word in (EACH, MATERIAL)), None)
+    return words[0] or every, words[1] or every
+
+
+def chosen_parts(
+    target: ControlMesh, source: ControlMesh, landmarks: Landmarks, target_part: str | None, source_part: str | None
+) -> tuple[tuple[PartInputs, ...], tuple[str, ...]]:
+    """What is matched of two files, and sentences about what is left alone.
+
+    Parameters
+    ----------
+    target, source : ControlMesh
+        As in their files.
+    landmarks : Landmarks
+        In the files' numbers.
+    target_part, source_part : str or None
+        A part's name, ``largest``, ``each`` (connected pieces) or ``material``; None for the whole. See `asked_parts`.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such part, or no parts go together.
+    """
+    # A part is subdivided as the whole file is, also where all its faces happen to be triangles.
+    target, source = (replace(mesh, scheme=default_scheme(mesh)) for mesh in (target, source))
+    if target_part is not None and source_part is not None and {target_part, source_part} & {EACH, MATERIAL}:
+        return _each(target, source, landmarks, (target_part, source_part))
+    sides = [(target, target_part), (source, source_part)]
+    parts = [None if name is None else find_part(mesh, name) for mesh, name in sides]
+    inputs = _inputs(target, source, landmarks, *parts)
+    notes = []
+    left = len(landmarks) - len(inputs.landmarks)
+    if left:
+        notes.append(f"{left} of {len(landmarks)} landmarks lie on other parts and are left out")
+    left = len(landmarks.curves) - len(inputs.landmarks.curves)
+    if left:
+        notes.append(f"{left} of {len(landmarks.curves)} curves lie on other parts and are left out")
+    return (inputs,), tuple(notes)
+
+
+def _each(
+    target: ControlMesh, source: ControlMesh, landmarks: Landmarks, words: tuple[str, str]
+) -> tuple[tuple[PartInputs, ...], tuple[str, ...]]:
+    mine, theirs = _pieces(target, words[0]), _pieces(source, words[1])
+    pairs, *alone = pair_parts(
+        target,
+        source,
+        np.column_stack([landmarks.target_points.nearest_vertices, landmarks.source_points.nearest_vertices]),
+        (mine, theirs),
+    )
+    left = {side: _titled(parts) for side, parts in zip(("target", "source"), alone, strict=True) if parts}
+    if not pairs:
+        word = next(word for word in words if word in (EACH, MATERIAL))
+        listed = ", ".join(f"in the {side} {names}" for side, names in left.items())
+        raise ParameterError(
+            f"--part {word}: expected parts that go together by name or by landmarks, found none: {listed}. Give "
+            "objects or groups the same names in both files, or landmarks on each part."
+        )
+    notes = [
+        f"left alone, since nothing goes with it by name or by landmarks: {names} of the {side}"
+        for side, names in left.items()
+    ]
+    return tuple(_inputs(target, source, landmarks, pair.target, pair.source) for pair in pairs), tuple(notes)
+
+
+def _pieces(mesh: ControlMesh, word: str) -> tuple[Part, ...]:
+    """What of a side is to be paired: all its pieces, its materials' faces, or those of the part of that name."""
+    if word == EACH:
+        return connected_parts(mesh)
+    return material_pieces(mesh) if word == MATERIAL else connected_pieces(mesh, find_part(mesh, word))
+
+
+def _titled(parts: Sequence[Part]) -> str:
+    return first_few(f"{part.kind} {part.name} ({len(part.faces)} faces)" for part in parts)
+
+
+def _inputs(
+    target: ControlMesh, source: ControlMesh, landmarks: Landmarks, target_part: Part | None, source_part: Part | None
+) -> PartInputs:
+    sides = [_taken(mesh, part) for mesh, part in ((target, target_part), (source, source_part))]
+    for mesh, _ in sides:
+        if mesh.object_schemes:
+            words = ", ".join(f"{name} {own}" for name, own in zip(mesh.object_names, mesh.object_schemes, strict=True))
+            raise ParameterError(
+                f"{mesh.name}: expected a part that is subdivided in one way, got {words}. Name one of these objects."
+            )
+    kept = landmarks.renumbered(*(renumbering for _, renumbering in sides))
+    return PartInputs(sides[0][0], sides[1][0], kept)
+
+
+def _taken(mesh: ControlMesh, part: Part | None) -> tuple[ControlMesh, Renumbering]:
+    """A part as a mesh, and what numbers the whole's vertices have on it."""
+    if part is None or len(part.faces) == mesh.n_faces:
+        return mesh, lambda vertices: vertices
+    taken = extract(mesh, part.faces)
+    return taken, numbers_on_part(taken, mesh).__getitem__

@@ -1,0 +1,143 @@
+"""`cagemap check` and `cagemap refine`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from itertools import takewhile
+from pathlib import Path
+from typing import Any
+
+from cagemap.errors import CagemapError, InvalidMeshError, ParameterError
+from cagemap.files.atomic import check_outputs
+from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, read_whole, write_mesh
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.checks import UNREFINED, check_mesh, require_valid
+from cagemap.mesh.mesh_report import MeshReport, Problem
+from cagemap.mesh.parts import Part, list_parts
+from cagemap.mesh.plain import plain_mesh
+from cagemap.mesh.schemes import Plain
+from cagemap.mesh.structure_checks import structure_problems
+from cagemap.mesh.weld import weld_tolerance
+from cagemap.subdivision import finest_mesh
+from cagemap.subdivision import refine as refine_mesh
+from cagemap.subdivision.counts import vertex_counts
+from cagemap.tasks.subdivision import SubdivisionRequest
+from cagemap.tasks.welding import weld_asked
+
+MOST_VERTICES = 20_000_000
+MOST_PARTS = 40
+
+
+def check_files(
+    paths: Sequence[Path], subdivision: SubdivisionRequest = SubdivisionRequest(), weld: str | None = None
+) -> tuple[str, bool]:
+    """Text of a report per file, and whether all are sound; a file that cannot be read is a problem like others."""
+    parts, sound = [], True
+    for path in paths:
+        try:
+            mesh, report = _checked(path, subdivision, weld)
+        except CagemapError as error:
+            parts.append(f"{path}\n  cannot be read: {error}")
+            sound = False
+            continue
+        parts.append(str(report) + _part_lines(mesh))
+        sound &= not report.problems
+    return "\n\n".join(parts), sound
+
+
+def check_values(
+    paths: Sequence[Path], subdivision: SubdivisionRequest = SubdivisionRequest(), weld: str | None = None
+) -> tuple[str, bool]:
+    """The same as JSON: a list with the fields of a `MeshReport` and the parts of each file, or why it is not read."""
+    found: list[dict[str, Any]] = []
+    for path in paths:
+        try:
+            mesh, report = _checked(path, subdivision, weld)
+        except CagemapError as error:
+            found.append({"file": str(path), "usable": False, "error": str(error)})
+            continue
+        parts = [{"name": part.title, "faces": len(part.faces)} for part in _parts(mesh)]
+        found.append({"file": str(path), "usable": report.is_valid, **asdict(report), "parts": parts})
+    return json.dumps(found, indent=1, default=int), all(one["usable"] for one in found)
+
+
+def _checked(path: Path, subdivision: SubdivisionRequest, weld: str | None) -> tuple[ControlMesh, MeshReport]:
+    """A file's mesh and what `cagemap match` finds of it: a plain mesh is made ready first, and said how."""
+    read = read_whole(path)
+    if structure_problems(read):
+        return read, check_mesh(read)
+    welded = weld_asked(read, weld)
+    mesh = subdivision.applied(welded.mesh)
+    repairs: tuple[str, ...] = ()
+    try:
+        ready = plain_mesh(mesh) if isinstance(mesh.scheme, Plain) else None
+        report = check_mesh(mesh if ready is None else ready.mesh)
+        repairs = () if ready is None else ready.repairs.sentences()
+    except InvalidMeshError as error:
+        report = check_mesh(mesh)
+        own = Problem("scheme none", str(error).removeprefix(f"{mesh.name}: "), (), "")
+        report = replace(report, problems=(*report.problems, own))
+    said = [note.removeprefix(f"{mesh.name}: ") for note in welded.notes]
+    said += [f"taken as it is (scheme none): {sentence}" for sentence in repairs]
+    return mesh, replace(report, notes=(*report.notes, *said))
+
+
+def _parts(mesh: ControlMesh) -> tuple[Part, ...]:
+    try:
+        return list_parts(mesh)
+    except (IndexError, ValueError):
+        return ()  # what keeps the mesh from having parts is among its problems
+
+
+def _part_lines(mesh: ControlMesh) -> str:
+    """Objects, groups, materials and components with their sizes, where there is anything to choose from."""
+    found = _parts(mesh)
+    if len(found) < 2:
+        return ""
+    width = max(len(part.title) for part in found[:MOST_PARTS])
+    lines = [f"    {part.title:<{width}}  {len(part.faces)} faces" for part in found[:MOST_PARTS]]
+    if len(found) > MOST_PARTS:
+        lines.append(f"    and {len(found) - MOST_PARTS} more")
+    return "\n".join(["\n  parts, for --part:", *lines])
+
+
+def refine_file(
+    path: Path,
+    level: int,
+    output: Path,
+    *,
+    subdivision: SubdivisionRequest = SubdivisionRequest(),
+    weld: str | None = None,
+    force: bool = False,
+) -> str:
+    """Refine a mesh file into another; returns the table of levels, and what was welded."""
+    check_mesh_path(output)
+    check_outputs([output], [path], force=force)
+    welded = weld_asked(read_mesh(path), weld)
+    control = subdivision.applied(welded.mesh)
+    check_outputs(mesh_files(output, control), [path], force=force)
+    require_valid(control, allowed=UNREFINED)
+    require_size(control, level)
+    refinement = refine_mesh(control, level)
+    write_mesh(output, finest_mesh(refinement), like=path, force=force)
+    tolerance = weld_tolerance(control)
+    seams = "" if tolerance is None else f"note: {control.name} is split at seams, --weld {tolerance:g} joins them"
+    return "\n".join(filter(None, [*welded.notes, str(refinement), seams, f"wrote {output}"]))
+
+
+def require_size(control: ControlMesh, level: int) -> None:
+    """Refuse levels that no machine holds, before memory runs out.
+
+    Raises
+    ------
+    ParameterError
+        If the finest level would have more than 20 million vertices.
+    """
+    fits = sum(1 for _ in takewhile(lambda count: count <= MOST_VERTICES, vertex_counts(control))) - 1
+    if level > fits:
+        raise ParameterError(
+            f"--level {level}: {control.name} would have too many vertices, expected at most {MOST_VERTICES:,}. "
+            f"Use --level {fits} or less."
+        )

@@ -1,0 +1,61 @@
+"""What a task tells while it runs, and what it says when it is done."""
+
+from __future__ import annotations
+
+import logging
+import time
+from types import TracebackType
+from typing import Self
+
+_log = logging.getLogger("cagemap.cli")
+
+# Summary and warnings.
+Outcome = tuple[str, list[str]]
+
+
+class Stages:
+    """Callable that is told the name of each stage as it begins, as a context manager also when the last one ends.
+
+    It times them and shows nothing.
+
+    Attributes
+    ----------
+    timings : dict of str to float
+        Seconds of every finished stage, in order; a stage that comes again adds to its time.
+    """
+
+    def __init__(self) -> None:
+        self.timings: dict[str, float] = {}
+        self._name: str | None = None
+        self._start = 0.0
+
+    def __call__(self, stage: str) -> None:
+        """End the running stage, begin the next."""
+        self._finish()
+        self._name, self._start = stage, time.perf_counter()
+        _log.info("stage: %s", stage)
+
+    def show(self, text: str) -> None:
+        """Say how far the running stage is."""
+
+    def note(self, text: str) -> None:
+        """Say something that stays; in the log in any case."""
+        _log.info("%s", text)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        if kind is None:
+            self._finish()
+
+    def _finish(self) -> None:
+        if self._name is None:
+            return
+        seconds = time.perf_counter() - self._start
+        self.timings[self._name] = self.timings.get(self._name, 0.0) + seconds
+        self._finished(self._name, seconds)
+        self._name = None
+
+    def _finished(self, stage: str, seconds: float) -> None:
+        """Show a finished stage."""

@@ -1,0 +1,143 @@
+"""`cagemap report`: RESULT folder in, one HTML page out."""
+
+from __future__ import annotations
+
+import logging
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cagemap.errors import CagemapError, FormatError
+from cagemap.files.atomic import check_outputs, require_no_input
+from cagemap.files.images.image import Image, Pixels, read_image, read_texture
+from cagemap.files.meshes.formats import read_mesh
+from cagemap.files.result.folder import ARRAYS, MANIFEST, read_result
+from cagemap.files.result.manifest import input_file
+from cagemap.files.usd.primvars import JOINT_WEIGHTS
+from cagemap.files.usd.space import upright_turn
+from cagemap.files.values.attributes import read_attributes
+from cagemap.files.values.part_numbering import file_rows
+from cagemap.files.values.rigs import read_shapes
+from cagemap.maps.result import MatchResult
+from cagemap.pictures import UP_AXES
+from cagemap.report import CarriedShape, Rides, Weights, check_page_path, write_report
+from cagemap.tasks.job_file import note_output
+from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.requests.report import ReportRequest
+from cagemap.wrap import level_mesh
+
+_log = logging.getLogger(__name__)
+
+
+def run_report(request: ReportRequest, stages: Stages) -> Outcome:
+    """Write the report of a RESULT folder; returns a summary and no warnings."""
+    folder, output, texture, force = request.result, request.output, request.texture, request.force
+    stages("read result")
+    require_no_input([output], [folder / MANIFEST, folder / ARRAYS, *([] if texture is None else [texture])])
+    check_page_path(output)
+    check_outputs([output], [folder / MANIFEST, folder / ARRAYS], force=force)
+    whole = read_result(folder)
+    result = whole if request.level is None else whole.at_level(request.level)
+    known = [entry for entry in result.manifest.get("transfers", []) if entry.get("kind") == "texture"]
+    if texture is None:
+        known = [entry for entry in known if (folder / entry["image"]).is_file()]
+        texture = folder / known[-1]["image"] if known else None
+    if texture is not None:
+        check_outputs([output], [texture], force=force)
+    shown_texture = None if texture is None else read_texture(texture)
+    pixels = shown_texture.pixels if isinstance(shown_texture, Image) else None  # tiles are not shown
+    baked = None
+    for entry in known:
+        shown = entry.get("level", whole.target.finest) == result.target.finest
+        if shown and texture is not None and _same(folder / entry["image"], texture):
+            try:
+                result, baked = _baked(folder, result, entry)
+            except FormatError as error:
+                _log.info("the texture is shown vertex by vertex, what was baked is not there any more: %s", error)
+                continue
+    rides = rides_of(folder, result)
+    stages("draw")
+    file = input_file(folder, result.manifest, "target")
+    upright, reason = None if file is None else upright_turn(file, result.target.control), "as its file says"
+    if request.up is not None:
+        upright, reason = UP_AXES[request.up], "as asked"
+    write_report(output, result, texture=pixels, baked=baked, rides=rides, upright=upright, reason=reason, force=force)
+    note_output("report", folder, request)
+    return f"Open {output} in a browser.", []
+
+
+def rides_of(folder: Path, result: MatchResult) -> Rides:
+    """The last wrapped cage, weights and shapes that the result knows of, as far as their files are still there."""
+    last = {entry["kind"]: entry for entry in result.manifest.get("transfers", [])}
+    rides = Rides()
+    for kind, add in (("wrap", _wrapped), ("weights", _weights), ("blend-shapes", _shapes)):
+        if kind not in last:
+            continue
+        try:
+            rides = add(rides, folder, last[kind], result)
+        except CagemapError as error:
+            _log.info("%s of %s are not shown: %s", kind, folder, error)
+    return rides
+
+
+def _wrapped(rides: Rides, folder: Path, entry: dict[str, Any], result: MatchResult) -> Rides:
+    cage = read_mesh(folder / entry["output"])
+    level = int(entry.get("fit_level", 0))
+    if level > result.target.finest:
+        raise FormatError(f"{entry['output']}: is a wrapped net of level {level}, finer than the map that is shown")
+    rows = file_rows(folder, result.manifest, "target", result.target.control)
+    if rows is not None and level == 0 and cage.n_vertices == rows.whole.n_vertices:
+        cage = result.target.control.with_positions(cage.positions[rows.vertices])
+    if entry.get("amount", 1.0) != 1.0 or cage.n_vertices != result.target.refinement.levels[level].n_vertices:
+        raise FormatError(f"{entry['output']}: is not the wrapped cage (any more)")
+    return replace(rides, wrapped=level_mesh(result.target.refinement, level).with_positions(cage.positions))
+
+
+def _weights(rides: Rides, folder: Path, entry: dict[str, Any], result: MatchResult) -> Rides:
+    sides = []
+    for name, file, side in (("source", entry.get("file"), result.source), ("target", entry["output"], result.target)):
+        if file is None:
+            raise FormatError("the file that they were carried from is not known")
+        given = read_attributes(folder / file, side.control, file_rows(folder, result.manifest, name, side.control))
+        given = {JOINT_WEIGHTS: given[JOINT_WEIGHTS]} if JOINT_WEIGHTS in given else given
+        table = np.column_stack(
+            [np.asarray(column, dtype=np.float64).reshape(len(column), -1) for column in given.values()]
+        )
+        if len(table) != side.control.n_vertices:
+            raise FormatError(f"{file}: expected {side.control.n_vertices} rows, got {len(table)}")
+        sides.append(table)
+    if sides[0].shape[1] != sides[1].shape[1]:
+        raise FormatError(f"{entry['output']}: has other joints than {entry['file']}")
+    return replace(rides, weights=Weights(*sides))
+
+
+def _shapes(rides: Rides, folder: Path, entry: dict[str, Any], result: MatchResult) -> Rides:
+    files = [folder / file for file in entry.get("files", [])]
+    given, carried = (
+        read_shapes(paths, side.control, file_rows(folder, result.manifest, name, side.control))
+        for name, paths, side in (
+            ("source", files, result.source),
+            ("target", [folder / entry["output"]], result.target),
+        )
+    )
+    both = [name for name in given if name in carried]
+    return replace(rides, shapes=tuple(CarriedShape(name, given[name], carried[name]) for name in both))
+
+
+def _same(a: Path, b: Path) -> bool:
+    return os.path.realpath(a) == os.path.realpath(b)
+
+
+def _baked(folder: Path, result: MatchResult, entry: dict[str, Any]) -> tuple[MatchResult, Pixels | None]:
+    """What was baked, and the result with the layout that it was baked into."""
+    if len(entry.get("tiles", [0])) != 1:
+        return result, None
+    pixels = read_image(folder / entry["output"]).pixels
+    if entry.get("mesh") is None:
+        return result, pixels
+    laid_out = read_mesh(folder / entry["mesh"])
+    control = result.target.control.with_uvs(laid_out.uvs, laid_out.uv_indices)
+    return replace(result, target=result.target.with_control(control)), pixels

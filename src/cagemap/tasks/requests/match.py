@@ -1,0 +1,219 @@
+"""What is asked of `cagemap match`: one dataclass, with the words of its options."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from cagemap.tasks.requests.options import (
+    INPUT,
+    LANDMARKS,
+    OUTPUT,
+    RESEARCH,
+    BoundaryOption,
+    CreasingOption,
+    Force,
+    MaskEdgeOption,
+    Method,
+    Option,
+    SchemeOption,
+    SourceMaskOption,
+    SourcePartOption,
+    SourceSchemeOption,
+    SourceWeldOption,
+    TargetMaskOption,
+    TargetPartOption,
+    TargetSchemeOption,
+    TargetWeldOption,
+    UvOption,
+    WeldOption,
+)
+
+
+@dataclass(frozen=True)
+class MatchRequest:
+    """What the user asked for, as said on the command line."""
+
+    target: Annotated[
+        Path, Option("--target", "-t", group=INPUT, help="Mesh that receives, .obj, .ply, .off, .stl or USD.")
+    ]
+    source: Annotated[
+        Path, Option("--source", "-s", group=INPUT, help="Mesh that gives, .obj, .ply, .off, .stl or USD.")
+    ]
+    landmarks: Annotated[Path | None, Option(group=LANDMARKS, help="JSON file of pairs of corresponding points.")]
+    output: Annotated[Path, Option("-o", "--output", group=OUTPUT, help="RESULT folder to write.")]
+    level: Annotated[
+        int | None,
+        Option(group=INPUT, min=1, help="Subdivision level of both surfaces.  [default: chosen by --vertices]"),
+    ] = None
+    vertices: Annotated[
+        int | None,
+        Option(
+            group=INPUT, min=1, help="Instead of --level: at least about this many vertices each.  [default: 200000]"
+        ),
+    ] = None
+    k: Annotated[
+        int | None,
+        Option(
+            "-k",
+            group=RESEARCH,
+            min=3,
+            help="Basis functions of each surface.  [default: 150]",
+        ),
+    ] = None
+    schedule: Annotated[
+        str | None,
+        Option(
+            group=RESEARCH,
+            setting=True,
+            help="Basis functions per level, such as 100,50,50,50 (the paper's); replaces -k.",
+        ),
+    ] = None
+    target_level: Annotated[int | None, Option(group=RESEARCH, setting=True, help="--level of the target alone.")] = (
+        None
+    )
+    target_vertices: Annotated[
+        int | None, Option(group=RESEARCH, setting=True, min=1, help="--vertices of the target alone.")
+    ] = None
+    target_k: Annotated[int | None, Option(group=RESEARCH, setting=True, help="-k of the target alone.")] = None
+    target_schedule: Annotated[
+        str | None, Option(group=RESEARCH, setting=True, help="--schedule of the target alone.")
+    ] = None
+    source_level: Annotated[int | None, Option(group=RESEARCH, setting=True, help="--level of the source alone.")] = (
+        None
+    )
+    source_vertices: Annotated[
+        int | None, Option(group=RESEARCH, setting=True, min=1, help="--vertices of the source alone.")
+    ] = None
+    source_k: Annotated[int | None, Option(group=RESEARCH, setting=True, help="-k of the source alone.")] = None
+    source_schedule: Annotated[
+        str | None, Option(group=RESEARCH, setting=True, help="--schedule of the source alone.")
+    ] = None
+    laplacian: Annotated[
+        str | None,
+        Option(
+            group=RESEARCH,
+            setting=True,
+            help="Of quads: mean, alexa-wardetzky or de-goes-butts-desbrun, with :LAMBDA.  [default: mean]",
+        ),
+    ] = None
+    accuracy: Annotated[
+        float | None,
+        Option(group=RESEARCH, setting=True, help="Convergence of the eigensolver.  [default: 1e-5]"),
+    ] = None
+    literal: Annotated[
+        bool,
+        Option(
+            "--literal", group=RESEARCH, setting=True, help="With --schedule: the paper's Definition 2 to the letter."
+        ),
+    ] = False
+    target_laplacian: Annotated[
+        str | None, Option(group=RESEARCH, setting=True, help="--laplacian of the target alone.")
+    ] = None
+    target_accuracy: Annotated[
+        float | None, Option(group=RESEARCH, setting=True, help="--accuracy of the target alone.")
+    ] = None
+    target_literal: Annotated[
+        bool, Option("--target-literal", group=RESEARCH, setting=True, help="--literal of the target alone.")
+    ] = False
+    source_laplacian: Annotated[
+        str | None, Option(group=RESEARCH, setting=True, help="--laplacian of the source alone.")
+    ] = None
+    source_accuracy: Annotated[
+        float | None, Option(group=RESEARCH, setting=True, help="--accuracy of the source alone.")
+    ] = None
+    source_literal: Annotated[
+        bool, Option("--source-literal", group=RESEARCH, setting=True, help="--literal of the source alone.")
+    ] = False
+    method: Annotated[
+        Method,
+        Option(group=RESEARCH, help="elastic meets landmarks exactly; hfm and paper are functional maps."),
+    ] = Method.ELASTIC
+    parameter: Annotated[
+        tuple[str, ...],
+        Option(
+            group=RESEARCH,
+            setting=True,
+            metavar="NAME=VALUE",
+            help="A parameter of the method, such as search_vertices=6000; repeat it for more.",
+        ),
+    ] = ()
+    symmetry: Annotated[
+        bool,
+        Option(
+            "--symmetry/--no-symmetry",
+            group=RESEARCH,
+            help="--method paper: use mirror symmetry where both meshes have it.",
+        ),
+    ] = True
+    target_symmetry: Annotated[
+        tuple[Path, ...],
+        Option(
+            group=RESEARCH, setting=True, help="--method paper or hfm: image of every control vertex of the target."
+        ),
+    ] = ()
+    source_symmetry: Annotated[
+        tuple[Path, ...],
+        Option(group=RESEARCH, setting=True, help="The same symmetry of the source; repeat both for more."),
+    ] = ()
+    exchange_landmarks: Annotated[
+        bool,
+        Option("--exchange-landmarks", group=LANDMARKS, help="The landmark file was made for the other direction."),
+    ] = False
+    trust_landmarks: Annotated[
+        bool,
+        Option(
+            "--trust-landmarks",
+            group=LANDMARKS,
+            help="Meet every landmark; otherwise pairs that look wrong are left out.",
+        ),
+    ] = False
+    answer: Annotated[
+        int,
+        Option(
+            group=OUTPUT,
+            min=0,
+            help="Take another of the answers that a match named: 1, 2, ...",
+        ),
+    ] = 0
+    target_points: Annotated[
+        Path | None,
+        Option(group=LANDMARKS, help="Named points of the target; equal names on both are landmarks."),
+    ] = None
+    source_points: Annotated[Path | None, Option(group=LANDMARKS, help="Named points of the source.")] = None
+    curves: Annotated[
+        Path | None,
+        Option(group=LANDMARKS, help="JSON file of corresponding curves: eyelids, lips, hems."),
+    ] = None
+    scheme: SchemeOption = None
+    target_scheme: TargetSchemeOption = None
+    source_scheme: SourceSchemeOption = None
+    boundary: BoundaryOption = None
+    uv_interpolation: UvOption = None
+    creasing: CreasingOption = None
+    weld: WeldOption = None
+    target_weld: TargetWeldOption = None
+    source_weld: SourceWeldOption = None
+    part: Annotated[
+        str | None,
+        Option(
+            group=INPUT,
+            help="Match only this object, group, material or component; or largest, each.  [default: whole file]",
+        ),
+    ] = None
+    target_part: TargetPartOption = None
+    source_part: SourcePartOption = None
+    target_uv_set: Annotated[
+        str | None, Option(group=INPUT, help="UV set of the target to bake into, by name.  [default: first]")
+    ] = None
+    source_uv_set: Annotated[
+        str | None, Option(group=INPUT, help="UV set of the source that its images belong to.  [default: first]")
+    ] = None
+    target_mask: TargetMaskOption = None
+    source_mask: SourceMaskOption = None
+    mask_edge: MaskEdgeOption = None
+    cache: Annotated[
+        Path | None, Option(group=INPUT, help="Folder that keeps prepared surfaces, so that each is prepared once.")
+    ] = None
+    force: Force = False

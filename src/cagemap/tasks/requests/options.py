@@ -1,0 +1,170 @@
+"""How fields of requests are said as options, and the options that several requests share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+from cagemap.files.suffixes import IMAGE_SUFFIXES, VALUE_SUFFIXES
+from cagemap.tasks.subdivision import BoundaryName, CreasingName, SchemeName, UvName
+
+
+@dataclass(frozen=True, init=False)
+class Option:
+    """How a field of a request is said.
+
+    Attributes
+    ----------
+    names : tuple of str
+        As typed; a switch may have ``--on/--off``. None: ``--`` and the field's name.
+    help : str
+    min, max : float or None
+        Least and largest value.
+    metavar : str or None
+        What help calls the value.
+    group : str or None
+        Heading of `--help` that it stands under.
+    setting : bool
+        Said as ``--set NAME=VALUE``, see `cagemap.tasks.requests.settings`; ``names`` are what it was called before.
+    """
+
+    names: tuple[str, ...]
+    help: str
+    min: float | None
+    max: float | None
+    metavar: str | None
+    group: str | None
+    setting: bool
+
+    def __init__(
+        self,
+        *names: str,
+        help: str = "",
+        min: float | None = None,
+        max: float | None = None,
+        metavar: str | None = None,
+        group: str | None = None,
+        setting: bool = False,
+    ) -> None:
+        vars(self).update(names=names, help=help, min=min, max=max, metavar=metavar, group=group, setting=setting)
+
+
+class Argument(Option):
+    """A field of a request that is said without a name."""
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """What an option may be, for job files, which are checked before anything starts."""
+
+    choices: tuple[object, ...]
+
+
+@dataclass(frozen=True)
+class SomeOf:
+    """Words that an option may list, with commas between them."""
+
+    parts: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class NameOrFile:
+    """An option is a file where it ends in one of these, else a name."""
+
+    suffixes: tuple[str, ...]
+
+
+# What a mask's name ends in where it is a file.
+MASK_FILES = (*VALUE_SUFFIXES, *IMAGE_SUFFIXES)
+
+# Headings of `--help`.
+INPUT, LANDMARKS, OUTPUT, RESEARCH = "Input", "Landmarks", "Output", "Research"
+
+Space = Annotated[
+    str, Option(help="Of normals and vectors: tangent (MikkTSpace) or object."), OneOf(("tangent", "object"))
+]
+Green = Annotated[str, Option(help="Normal map: green up (OpenGL) or down (DirectX)."), OneOf(("up", "down"))]
+MeshFile = Annotated[Path, Argument(metavar="MESH", help="Control mesh, .obj, .ply, .off, .stl or USD.")]
+Force = Annotated[
+    bool,
+    Option("--force", group=OUTPUT, help="Overwrite files that cagemap did not write, or that were changed since."),
+]
+ResultFolder = Annotated[Path, Argument(metavar="RESULT", help="Folder that `cagemap match` wrote.")]
+
+SchemeOption = Annotated[
+    SchemeName | None,
+    Option(
+        group=INPUT,
+        help="Subdivision scheme; none takes the mesh as it is.  [default: as the file says, else loop for triangles]",
+    ),
+]
+TargetSchemeOption = Annotated[
+    SchemeName | None, Option(group=INPUT, help="The target's own scheme, where it differs.  [default: --scheme]")
+]
+SourceSchemeOption = Annotated[
+    SchemeName | None,
+    Option(group=INPUT, help="The source's own scheme, such as none for a scan.  [default: --scheme]"),
+]
+WeldOption = Annotated[
+    str | None,
+    Option(
+        group=INPUT,
+        metavar="auto|TOLERANCE",
+        help="Join vertices that the file repeats along seams, within TOLERANCE.  [default: off]",
+    ),
+]
+TargetWeldOption = Annotated[
+    str | None, Option(group=INPUT, metavar="auto|TOLERANCE", help="--weld of the target alone.  [default: --weld]")
+]
+SourceWeldOption = Annotated[
+    str | None, Option(group=INPUT, metavar="auto|TOLERANCE", help="--weld of the source alone.  [default: --weld]")
+]
+TargetPartOption = Annotated[str | None, Option(group=INPUT, help="--part of the target alone.  [default: --part]")]
+SourcePartOption = Annotated[str | None, Option(group=INPUT, help="--part of the source alone.  [default: --part]")]
+BoundaryOption = Annotated[
+    BoundaryName | None,
+    Option(
+        group=INPUT,
+        help="Whether boundary vertices with a single face stay.  [default: as the file says, else edge-and-corner]",
+    ),
+]
+UvOption = Annotated[
+    UvName | None, Option(group=INPUT, help="Where UVs stay linear.  [default: as the file says, else all]")
+]
+CreasingOption = Annotated[
+    CreasingName | None, Option(group=INPUT, help="How creases soften.  [default: as the file says, else uniform]")
+]
+
+
+TargetMaskOption = Annotated[
+    str | None,
+    Option(
+        group=INPUT,
+        help="Only this part of the target: name, values or image; not:... inverts.  [default: all]",
+    ),
+    NameOrFile(MASK_FILES),
+]
+SourceMaskOption = Annotated[
+    str | None,
+    Option(group=INPUT, help="Only this part of the source, likewise.  [default: all]"),
+    NameOrFile(MASK_FILES),
+]
+MaskEdgeOption = Annotated[
+    float | None,
+    Option(
+        group=INPUT,
+        min=0.0,
+        help="Width of the masks' soft edge, share of the model's size.  [default: 0.02 of sets of faces, 0 "
+        "of values and images]",
+    ),
+]
+
+
+class Method(StrEnum):
+    """Matching methods."""
+
+    ELASTIC = "elastic"
+    HFM = "hfm"
+    PAPER = "paper"

@@ -1,0 +1,136 @@
+"""Research options of a request, said as ``--set NAME=VALUE`` or in a TOML file."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+from pydantic import Field, TypeAdapter, ValidationError
+
+from cagemap.errors import FormatError, ParameterError
+from cagemap.files.text import require_file
+from cagemap.tasks.requests.options import Option
+
+_SIDES = ("target", "source")
+# The field that holds parameters of the method, and what stands before their names.
+_PARAMETERS, _METHOD = "parameter", "method"
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One research option.
+
+    Attributes
+    ----------
+    name : str
+        As said after ``--set``, such as "target.schedule".
+    field : str
+        Of the request.
+    kind : type
+        With its bounds, as pydantic knows them.
+    option : Option
+        Its words; its names are those that it had as an option of its own.
+    """
+
+    name: str
+    field: str
+    kind: Any
+    option: Option
+
+
+def settings_of(request: type) -> dict[str, Setting]:
+    """Research options of a request, by name; parameters of the method are not listed."""
+    hints = get_type_hints(request, include_extras=True)
+    found = {}
+    for field in fields(request):
+        kind, *said = get_args(hints[field.name]) if get_origin(hints[field.name]) is Annotated else (None,)
+        option = next((one for one in said if isinstance(one, Option) and one.setting), None)
+        if option is not None and field.name != _PARAMETERS:
+            bounded = kind if option.min is None else Annotated[kind, Field(ge=option.min)]
+            name = setting_name(field.name)
+            found[name] = Setting(name, field.name, bounded, option)
+    return found
+
+
+def setting_name(field: str) -> str:
+    """How a field is called after ``--set``: the side, a dot, the rest."""
+    side, _, rest = field.partition("_")
+    return f"{side}.{rest}" if side in _SIDES else field
+
+
+def moved_options(request: type) -> dict[str, str]:
+    """Options that became settings, by their old spelling, and what to type now."""
+    moved: dict[str, str] = {}
+    for name, setting in settings_of(request).items():
+        new = f"--set {name}={'yes' if setting.kind is bool else 'VALUE'}"
+        moved |= dict.fromkeys(setting.option.names or (f"--{setting.field.replace('_', '-')}",), new)
+    return moved | ({f"--{_PARAMETERS}": f"--set {_METHOD}.NAME=VALUE"} if moved else {})
+
+
+def read_settings(request: type, words: Sequence[str]) -> dict[str, Any]:
+    """Fields of a request from what was said after ``--set``; of one name the last counts.
+
+    Parameters
+    ----------
+    request : dataclass
+    words : sequence of str
+        ``NAME=VALUE``, or the name of a ``.toml`` file of such names, with tables for sides and method.
+
+    Raises
+    ------
+    ParameterError
+        If a name is not known or a value does not fit.
+    FormatError
+        If a file cannot be read.
+    """
+    known = settings_of(request)
+    found: dict[str, Any] = {}
+    parameters: dict[str, str] = {}
+    for name, value in _pairs(words):
+        if name.startswith(f"{_METHOD}."):
+            parameters[name.removeprefix(f"{_METHOD}.")] = str(value)
+            continue
+        if name not in known:
+            raise ParameterError(
+                f"--set {name}: expected one of {', '.join(sorted(known))}, or {_METHOD}.NAME for a parameter of the "
+                "method. Other options are typed without --set."
+            )
+        setting = known[name]
+        several = get_origin(setting.kind) is tuple
+        try:
+            made = TypeAdapter(setting.kind).validate_python((value,) if several and isinstance(value, str) else value)
+        except ValidationError as error:
+            raise ParameterError(f"--set {name}: {error.errors()[0]['msg']}, got '{value}'.") from None
+        found[setting.field] = (*found.get(setting.field, ()), *made) if several else made
+    stated = tuple(f"{name}={value}" for name, value in parameters.items())
+    return found | ({_PARAMETERS: stated} if stated else {})
+
+
+def _pairs(words: Sequence[str]) -> Iterator[tuple[str, Any]]:
+    for word in words:
+        name, equals, value = word.partition("=")
+        if equals and name and value:
+            yield name.strip(), value
+        elif not equals and word.endswith(".toml"):
+            yield from _flat(_table(Path(word)))
+        else:
+            raise ParameterError(f"--set: expected NAME=VALUE or a .toml file, got '{word}'.")
+
+
+def _table(path: Path) -> dict[str, Any]:
+    try:
+        require_file(path, "a file of settings")
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise FormatError(f"{path}: expected a TOML file, got a mistake in it: {error}.") from None
+
+
+def _flat(table: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in table.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{before}{name}.")
+        else:
+            yield f"{before}{name}", value

@@ -1,0 +1,206 @@
+"""`cagemap transfer`: what rides on a cage (skinning weights, joints, blend shapes), and the map itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cagemap.errors import ParameterError
+from cagemap.files.atomic import all_or_nothing, check_outputs
+from cagemap.files.meshes.mhclo import bind, write_mhclo
+from cagemap.files.result.folder import note_transfer, read_files, stated_path
+from cagemap.files.result.maps import write_map
+from cagemap.files.usd.primvars import BLEND_SHAPE, JOINT_WEIGHTS
+from cagemap.files.usd.read import USD_SUFFIXES
+from cagemap.files.usd.skeleton import read_usd_skeleton
+from cagemap.files.usd.write import UsdResults
+from cagemap.files.values.attributes import Attributes, read_attributes, write_attributes
+from cagemap.files.values.part_numbering import FileRows, file_rows, given_back, other_rows
+from cagemap.files.values.rigs import read_shapes, read_skeleton, write_shapes, write_skeleton
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.result import MatchResult
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.skeleton import Skeleton
+from cagemap.tasks.carry_arrays import carry_shapes, carry_weights, trusted_vertices
+from cagemap.tasks.masked_base import in_file, keep_base
+from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.usd_output import write_usd_results
+from cagemap.transfer.skeleton import carry_joints
+from cagemap.transfer.skin import normalised_skin
+
+# A mesh further from its base than this, in units of sqrt(area), is hardly meant to follow it as it stands.
+_APART = 0.05
+
+
+def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
+    """Skinning weights: a column or array for each joint, or one array of all joints."""
+    assert request.weights is not None
+    check_outputs([request.output], [request.weights], force=request.force)
+    rows = file_rows(request.result, result.manifest, "source", result.source.control)
+    given = read_attributes(request.weights, result.source.control, rows)
+    if JOINT_WEIGHTS in given:  # a USD file: its other primvars are no weights
+        given = {JOINT_WEIGHTS: given[JOINT_WEIGHTS]}
+    _require_rows(given, result.source.control, rows, request)
+    table = np.column_stack([np.asarray(array, dtype=np.float64).reshape(len(array), -1) for array in given.values()])
+    try:
+        skin, scaled = normalised_skin(table)
+    except ParameterError as error:
+        raise ParameterError(f"{request.weights}: {error}") from None
+    skeleton = None
+    if request.joints is not None:
+        skeleton = read_skeleton(request.joints, result.source.control)
+        _require_joints(given, skeleton, request)
+    elif request.weights.suffix.lower() in USD_SUFFIXES:
+        skeleton = read_usd_skeleton(request.weights, result.source.control)
+    stages("weights")
+    try:
+        carried = carry_weights(result, skin, influences=request.influences or None)
+    except ParameterError as error:
+        raise ParameterError(f"{request.weights}: {error}") from None
+    ends = np.cumsum([1 if array.ndim == 1 else array.shape[1] for array in given.values()])[:-1]
+    parts = np.split(carried, ends, axis=1)
+    columns = {
+        name: part[:, 0] if array.ndim == 1 else part for (name, array), part in zip(given.items(), parts, strict=True)
+    }
+    own = file_rows(request.result, result.manifest, "target", result.target.control)
+    columns, notes = keep_base(request, result, columns, own)
+    if skeleton is not None and request.output.suffix.lower() != ".npy":
+        columns = _by_joint(columns, skeleton)
+    most = int((carried > 0).sum(axis=1).max())
+    filled = int(np.count_nonzero(~trusted_vertices(result)))
+    text = f"wrote {request.output}: {len(carried)} vertices, {carried.shape[1]} joints, at most {most} a vertex"
+    with all_or_nothing():
+        write_attributes(request.output, in_file(request, columns, own), force=request.force)
+        if request.usd is not None:
+            kept = np.column_stack(list(columns.values()))
+            skinning = UsdResults(
+                attributes={JOINT_WEIGHTS: kept}, skeleton=_carried(skeleton, columns, result.point_map)
+            )
+            text += "\n" + write_usd_results(request.usd, request.result, result, skinning, force=request.force)
+    files = {"file": request.weights, "output": request.output}
+    entry = {"kind": "weights"} | {name: stated_path(path, request.result) for name, path in files.items()}
+    note_transfer(request.result, entry)
+    if filled:
+        text += f"\n  {filled} vertices where the map is not to be trusted take theirs from around them"
+    return text, [f"{request.weights}: {scaled}", *notes] if scaled else notes
+
+
+def _require_rows(given: Attributes, control: ControlMesh, rows: FileRows | None, request: TransferRequest) -> None:
+    wrong = {name: len(array) for name, array in given.items() if len(array) != control.n_vertices}
+    if wrong:
+        raise ParameterError(
+            f"{request.weights}: expected weights, one a vertex of {control.name} ({control.n_vertices}), got "
+            f"{wrong}{other_rows(control, rows)}. Export them from the mesh that was matched."
+        )
+
+
+def _require_joints(given: Attributes, skeleton: Skeleton, request: TransferRequest) -> None:
+    if all(array.ndim == 1 for array in given.values()):
+        missing = [name for name in given if name not in skeleton.names]
+        if missing:
+            raise ParameterError(
+                f"{request.weights}: weights of {', '.join(missing)}, which {request.joints} has no joint for"
+            )
+        return
+    count = sum(1 if array.ndim == 1 else array.shape[1] for array in given.values())
+    if count != len(skeleton.names):
+        raise ParameterError(
+            f"{request.weights}: expected weights of {len(skeleton.names)} joints, as {request.joints} has, got {count}"
+        )
+
+
+def _by_joint(columns: Attributes, skeleton: Skeleton) -> Attributes:
+    """A table of all joints as a column for each, under its name; columns that have names keep them."""
+    named = all(array.ndim == 1 for array in columns.values()) or len(set(skeleton.names)) < len(skeleton.names)
+    table = np.column_stack(list(columns.values()))
+    return columns if named else dict(zip(skeleton.names, table.T, strict=True))
+
+
+def _carried(skeleton: Skeleton | None, columns: Attributes, point_map: PointMap) -> Skeleton | None:
+    """A skeleton in the target, its joints in the order of the columns of weights."""
+    if skeleton is None:
+        return None
+    moved = _moved(skeleton, point_map)
+    if any(array.ndim > 1 for array in columns.values()):  # a table of all joints, in their order
+        return moved
+    order = [moved.names.index(name) for name in columns]
+    order += [joint for joint in range(len(moved.names)) if joint not in order]
+    axes = None if moved.axes is None else moved.axes[order]
+    names, parents = (tuple(of[joint] for joint in order) for of in (moved.names, moved.parents))
+    return Skeleton(names, parents, moved.heads[order], moved.tails[order], axes)
+
+
+def _moved(skeleton: Skeleton, point_map: PointMap) -> Skeleton:
+    """A skeleton of the source where it belongs in the target."""
+    count = len(skeleton.names)
+    ends, turns = carry_joints(point_map, np.concatenate([skeleton.heads, skeleton.tails]))
+    axes = None if skeleton.axes is None else skeleton.axes @ turns[:count]
+    return replace(skeleton, heads=ends[:count], tails=ends[count:], axes=axes)
+
+
+def transfer_skeleton(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
+    """Heads and tails of joints."""
+    assert request.joints is not None
+    check_outputs([request.output], [request.joints], force=request.force)
+    skeleton = read_skeleton(request.joints, result.source.control)
+    stages("joints")
+    count = len(skeleton.names)
+    write_skeleton(request.output, _moved(skeleton, result.point_map), force=request.force)
+    note_transfer(request.result, {"kind": "joints", "output": stated_path(request.output, request.result)})
+    return f"wrote {request.output}: {count} joints", []
+
+
+def transfer_shapes(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
+    """Blend shapes of the source's cage for the target's."""
+    rows, own = (
+        file_rows(request.result, result.manifest, name, side.control)
+        for name, side in (("source", result.source), ("target", result.target))
+    )
+    shapes = read_shapes(request.blend_shapes, result.source.control, rows)
+    stages("shapes")
+    carried = carry_shapes(result, shapes)
+    assert isinstance(carried, dict)
+    rest = result.target.control if own is None else own.whole
+    inputs = [*request.blend_shapes, *read_files(request.result, result.manifest)]
+    with all_or_nothing():
+        files = write_shapes(request.output, given_back(carried, own), rest, inputs, force=request.force)
+        text = f"wrote {len(carried)} shapes to {request.output} ({len(files)} files)"
+        if request.usd is not None:
+            shaped = UsdResults(attributes={f"{BLEND_SHAPE}{name}": offsets for name, offsets in carried.items()})
+            text += "\n" + write_usd_results(request.usd, request.result, result, shaped, force=request.force)
+    note_transfer(
+        request.result,
+        {
+            "kind": "blend-shapes",
+            "files": [stated_path(path, request.result) for path in request.blend_shapes],
+            "output": stated_path(request.output, request.result),
+        },
+    )
+    return text, []
+
+
+def write_point_map(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
+    """The map itself, for other programs."""
+    check_outputs([request.output], [], force=request.force)
+    stages("write map")
+    point_map = result.point_map
+    if request.output.suffix.lower() not in (".mhclo", ".proxy"):
+        write_map(request.output, point_map, force=request.force)
+        return f"wrote {request.output}: the place of {len(result.triangle)} target vertices on the source", []
+    control, source = result.target.control, result.source
+    face_of_triangle = np.repeat(
+        source.refinement.finest.face_parents, len(result.source_triangles) // len(source.faces)
+    )
+    fitting = bind(control.positions, source.control, face_of_triangle[result.triangle[: control.n_vertices]])
+    write_mhclo(request.output, fitting, Path(control.name).with_suffix(".obj"), force=request.force)
+    apart = float(np.linalg.norm(fitting.offsets, axis=1).mean()) * point_map.source.scale
+    warnings = []
+    if apart > _APART:
+        warnings.append(
+            f"{control.name} lies {100 * apart:.1f} % of sqrt(area) from {source.control.name} on average, and follows "
+            "it at that distance; `cagemap wrap --mhclo` puts it onto it first"
+        )
+    return f"wrote {request.output}: {control.name} follows {source.control.name}", warnings

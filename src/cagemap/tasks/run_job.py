@@ -1,0 +1,309 @@
+"""`cagemap run`: a job file in, all its results, a page and a table out."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from cagemap.errors import CagemapError, ParameterError, in_options
+from cagemap.files.code_version import code_version
+from cagemap.files.images.image import write_image
+from cagemap.files.result.folder import landmark_messages, read_manifest, read_result, write_result
+from cagemap.files.result.surface_store import prepared
+from cagemap.jobs import (
+    Consistency,
+    Outcome,
+    Plan,
+    Task,
+    measure_consistency,
+    missing_tasks,
+    open_crew,
+    pair_rows,
+    plan_job,
+    read_job,
+    run_plan,
+    spanning_tree,
+    write_library,
+)
+from cagemap.jobs.carry import carried_notes, carry_landmarks, with_carried
+from cagemap.jobs.consistency import read_consistency, write_consistency
+from cagemap.jobs.detours import composed_result, has_ways_round, matches_only, with_ways
+from cagemap.jobs.farm import PAGE, Step, chosen_numbers, farm_steps, openjd_template, slurm_script
+from cagemap.jobs.page import PairRow
+from cagemap.jobs.plan import STATE
+from cagemap.jobs.run import execute, kept_outcome
+from cagemap.mesh.checks import require_valid
+from cagemap.mesh.plain import plain_mesh
+from cagemap.mesh.schemes import Plain
+from cagemap.numerics.threads import core_count
+from cagemap.report import draw_thumbnail
+from cagemap.tasks.basis_options import SIDES, side_bases, side_levels
+from cagemap.tasks.dry_run import dry_run
+from cagemap.tasks.import_map import run_map
+from cagemap.tasks.match import MatchRequest, read_control, run_match, weld_control
+from cagemap.tasks.mesh_commands import require_size
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
+from cagemap.tasks.requests.import_map import MapRequest
+from cagemap.tasks.requests.run import RunRequest
+from cagemap.tasks.run_request import run_request
+
+
+class Ticker:
+    """Tells the progress of the whole, and which kind of task is slowest so far."""
+
+    def __init__(self, stages: Stages) -> None:
+        self._stages = stages
+        self._slowest: Outcome | None = None
+
+    def __call__(self, outcome: Outcome, finished: int, total: int) -> None:
+        """Note an outcome and show where things stand."""
+        if outcome.state == "done" and (self._slowest is None or outcome.seconds > self._slowest.seconds):
+            self._slowest = outcome
+        slowest = "" if self._slowest is None else f"; slowest: {self._slowest.name}, {self._slowest.seconds:.1f} s"
+        self._stages.show(f"{finished} of {total} tasks{slowest}")
+
+
+def run_job(request: RunRequest, stages: Stages) -> tuple[str, bool]:
+    """Do what a job file says; returns a summary, and whether everything is there."""
+    stages("read job")
+    job = read_job(request.job, COMMANDS, WRITTEN)
+    version = code_version()
+    plan = with_carried(plan_job(job, version, spanning_tree), job, version)
+    _require_one_way(request)
+    if request.dry_run:
+        return dry_run(job, plan, request.workers or core_count()), True
+    if request.export is not None:
+        return exported(request.export, job.path, plan), True
+    if request.task is not None:
+        return run_numbered(request.task, job.path.stem, plan, version, stages)
+    started = time.perf_counter()
+    stages("run tasks")
+    with open_crew(request.scheduler, request.workers, stages.note) as crew:
+        verdict, matched = Consistency({}, 0, (), {}), dict[str, Outcome]()
+        if has_ways_round(plan):
+            matched = run_plan(matches_only(plan), run_task, crew, Ticker(stages))
+            stages("compare maps with each other")
+            verdict = collection_verdict(plan, matched)
+            plan = with_ways(plan, verdict.ways, version)
+            stages("run tasks")
+        outcomes = run_plan(plan, run_task, crew, Ticker(stages))
+    # What the first half did is no leftover of an earlier run.
+    outcomes |= {name: matched[name] for name, now in outcomes.items() if now.state == "kept" and name in matched}
+    stages("page")
+    return _concluded(job.path.stem, plan, outcomes, verdict, started)
+
+
+def exported(kind: str, job: Path, plan: Plan) -> str:
+    """A template or script for a render farm or cluster: "openjd" or "slurm"."""
+    if kind not in _EXPORTS:
+        raise ParameterError(f"--export: expected {' or '.join(_EXPORTS)}, got '{kind}'.")
+    return _EXPORTS[kind](job, farm_steps(plan))
+
+
+def run_numbered(words: str, title: str, plan: Plan, version: str, stages: Stages) -> tuple[str, bool]:
+    """Do the tasks of some numbers, one after the other in this process; what is done is kept.
+
+    A task whose needs are not done fails. Maps on the ways round doubtful ones, which have no number, are made first.
+    """
+    steps = farm_steps(plan)
+    numbers = chosen_numbers(words, steps[-1].last)
+    lines, whole = [], True
+    for step, number in ((step, number) for step in steps for number in numbers if step.first <= number <= step.last):
+        verdict = Consistency({}, 0, (), {})
+        current = plan
+        if step.name not in ("prepare", "match"):
+            verdict, current = _with_verdict(plan, version)
+        if step.name == PAGE:
+            text, there = _concluded(title, current, _kept_so_far(current), verdict, time.perf_counter())
+            lines.append(f"{number} page:\n{text}")
+            whole &= there
+        for task in step.tasks[number - step.first]:
+            stages(task.name)
+            outcome = _done_alone(task.name, current)
+            lines.append(f"{number} {task.name}: {outcome.state}{': ' * bool(outcome.message)}{outcome.message}")
+            whole &= outcome.usable
+    return in_options("\n".join(lines)), whole
+
+
+def _require_one_way(request: RunRequest) -> None:
+    """Refuse options of which one would be ignored."""
+    ways = {
+        "--task": request.task is not None,
+        "--export": request.export is not None,
+        "--dry-run": request.dry_run,
+        "--scheduler": request.scheduler is not None,
+    }
+    given = [name for name, said in ways.items() if said]
+    if request.workers is not None and not request.dry_run:
+        given.append("--workers")
+    if len(given) > 1 and given != ["--scheduler", "--workers"]:
+        raise ParameterError(f"{given[0]}: expected none of {', '.join(given[1:])} beside it. Give one of them.")
+
+
+def _done_alone(name: str, plan: Plan) -> Outcome:
+    """Do one task of a plan, after the composed maps that it needs."""
+    tasks = {task.name: task for task in plan.tasks}
+    task, before = tasks[name], []
+    for need in task.needs:
+        kept = kept_outcome(plan.root, tasks[need])
+        if kept is None and tasks[need].kind == "compose":
+            kept = _done_alone(need, plan)
+        before.append(kept or Outcome(need, "failed", "not done"))
+    unusable = [outcome for outcome in before if not outcome.usable]
+    if unusable and kept_outcome(plan.root, task) is None and unusable[0].message == "not done":
+        return Outcome(name, "skipped", f"needs '{unusable[0].name}', which is not done. Run its number first.")
+    return execute(task, plan.root, run_task, *before)
+
+
+def _kept_so_far(plan: Plan) -> dict[str, Outcome]:
+    """Outcomes of what is done, and of what is not."""
+    kept = {task.name: kept_outcome(plan.root, task) for task in plan.tasks}
+    missing = {task.name: Outcome(task.name, "failed", "not done") for task in missing_tasks(plan)}
+    return {name: outcome for name, outcome in kept.items() if outcome is not None} | missing
+
+
+def _with_verdict(plan: Plan, version: str) -> tuple[Consistency, Plan]:
+    """How the maps that are done agree, and the plan with ways round the doubtful ones; measured once at a time."""
+    if not has_ways_round(plan):
+        return Consistency({}, 0, (), {}), plan
+    from filelock import FileLock
+
+    (plan.root / STATE).mkdir(parents=True, exist_ok=True)
+    with FileLock(plan.root / STATE / "consistency.lock"):
+        verdict = collection_verdict(plan, _kept_so_far(plan))
+    return verdict, with_ways(plan, verdict.ways, version)
+
+
+def _concluded(
+    title: str, plan: Plan, outcomes: dict[str, Outcome], verdict: Consistency, started: float
+) -> tuple[str, bool]:
+    """Write the page of a job; its summary, and whether everything is there."""
+    carried = [outcomes[task.name] for task in plan.tasks if task.kind == "carry" and outcomes[task.name].usable]
+    notes = [*plan.left_out, *cycle_notes(verdict), *carried_notes([outcome.figures for outcome in carried])]
+    page = None
+    try:  # where the disk is full the outcomes are still told
+        page = write_library(plan.root, title, in_words(pair_rows(plan, outcomes, verdict.errors)), notes)[0]
+    except (CagemapError, OSError) as error:
+        notes.append(f"the page could not be written: {error}")
+    whole = page is not None and all(outcome.usable for outcome in outcomes.values())
+    return summary(plan, outcomes, notes, page, time.perf_counter() - started), whole
+
+
+_EXPORTS: dict[str, Callable[[Path, tuple[Step, ...]], str]] = {
+    "openjd": lambda job, steps: json.dumps(openjd_template(job, steps), indent=2),
+    "slurm": slurm_script,
+}
+
+
+def in_words(rows: Iterable[PairRow]) -> list[PairRow]:
+    """Rows of the page with messages in the words of the command line and of job files."""
+    return [replace(row, messages=tuple(map(in_options, row.messages))) for row in rows]
+
+
+def collection_verdict(plan: Plan, outcomes: dict[str, Outcome]) -> Consistency:
+    """How the maps of a job agree with each other; kept beside them, and measured again when one of them changes."""
+    matches = [task for task in plan.tasks if task.kind == "match" and outcomes[task.name].usable]
+    keys = {task.name: task.key for task in matches}
+    place = plan.root / STATE / "consistency.json"
+    known = read_consistency(place, keys)
+    if known is not None:
+        return known
+    maps = {}
+    for task in matches:
+        assert task.pair is not None
+        maps[task.pair[1], task.pair[0]] = read_result((plan.root / task.outputs[0]).parent).point_map
+    verdict = measure_consistency(maps)
+    write_consistency(place, keys, verdict)
+    return verdict
+
+
+def cycle_notes(verdict: Consistency) -> list[str]:
+    """Sentences about pairs that break cycles."""
+    notes = []
+    for pair in verdict.doubtful:
+        target, source = pair
+        text = (
+            f"{source} -> {target} disagrees with the ways round it by {100 * verdict.errors[pair]:.1f} % of the size"
+        )
+        way = verdict.ways.get(pair)
+        notes.append(f"{text}; replaced by the way through {', '.join(way[1:-1])}" if way else text)
+    return notes
+
+
+def summary(plan: Plan, outcomes: dict[str, Outcome], notes: list[str], page: Path | None, seconds: float) -> str:
+    """A few lines for the terminal: what was done, what failed and why."""
+    states = {
+        state: sum(o.state == state for o in outcomes.values()) for state in ("done", "kept", "failed", "skipped")
+    }
+    counted = ", ".join(f"{count} {state}" for state, count in states.items() if count)
+    failures = [f"  {o.name}: {o.state}: {o.message}" for o in outcomes.values() if not o.usable]
+    return "\n".join(
+        [
+            f"{len(plan.pairs)} pair{'s' * (len(plan.pairs) != 1)}, tasks: {counted}, in {seconds:.1f} s",
+            *failures,
+            *(f"  {note}" for note in notes),
+            *([] if page is None else [f"Open {page} in a browser."]),
+        ]
+    )
+
+
+def run_task(task: Task) -> dict[str, Any]:
+    """Do one task of a plan, here or on a worker; returns what it has to say about its result."""
+    stages = Stages()
+    if task.kind == "prepare":
+        return _prepare(task)
+    if task.kind == "picture":
+        write_image(task.request["output"], draw_thumbnail(read_result(task.request["result"])))
+        return {}
+    if task.kind == "carry":
+        return carry_landmarks(task.request)
+    if task.kind == "compose":
+        way = [read_result(folder) for folder in task.request["way"]]
+        result = composed_result(way, task.request["names"])
+        write_result(task.request["output"], result)
+        return {"quality": result.manifest["quality"], "notes": result.manifest["notes"]}
+    if task.kind == "match":
+        return _match(task, stages)
+    given = dict(task.request)
+    if task.kind == "wrap":
+        given["results"] = [given.pop("result")]
+    request: Any = TypeAdapter(COMMANDS[task.kind]).validate_python(given)
+    _, warnings = run_request(request, stages)
+    return {"warnings": warnings}
+
+
+def _match(task: Task, stages: Stages) -> dict[str, Any]:
+    """Find the map of a pair, or take the one that is given."""
+    if "map" in task.request:
+        run_map(TypeAdapter(MapRequest).validate_python(task.request), stages)
+    else:
+        run_match(TypeAdapter(MatchRequest).validate_python({"landmarks": None, **task.request}), stages)
+    manifest = read_manifest(Path(task.request["output"]))
+    warnings = [*landmark_messages(manifest), *manifest["quality"]["warnings"]]
+    return {name: manifest[name] for name in ("quality", "timings", "notes") if name in manifest} | {
+        "warnings": warnings
+    }
+
+
+def _prepare(task: Task) -> dict[str, Any]:
+    """Prepare one surface and keep it in the store; the same as a match would do for that side."""
+    file, side = Path(task.request["file"]), SIDES.index(task.request["side"])
+    given = {"target": file, "source": file, "landmarks": None, "output": file, **task.request["options"]}
+    request: MatchRequest = TypeAdapter(MatchRequest).validate_python(given)
+    control = weld_control(read_control(file, request, task.request["side"]), request, task.request["side"]).mesh
+    if isinstance(control.scheme, Plain):
+        control = plain_mesh(control).mesh
+    else:
+        require_valid(control)
+    levels = side_levels(request, (control, control))
+    level = levels[side]
+    require_size(control, level)
+    surface = prepared(task.request["cache"], control, level, side_bases(request, (level, level))[side])
+    return {"vertices": surface.refinement.finest.n_vertices, "level": level}

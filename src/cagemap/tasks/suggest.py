@@ -1,0 +1,71 @@
+"""`cagemap suggest`: RESULT folder in, a landmark file with the next landmarks out, for a person to correct."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cagemap.errors import FormatError
+from cagemap.files.atomic import check_outputs, require_no_input
+from cagemap.files.landmarks.pairs import write_landmarks
+from cagemap.files.result.folder import ARRAYS, MANIFEST, read_files, read_result
+from cagemap.maps.landmarks.suggest import free_partners, suggested_vertices
+from cagemap.maps.result import MatchResult
+from cagemap.mesh.landmarks import CagePoints, Landmarks
+
+
+def run_suggest(folder: Path, output: Path, count: int, *, force: bool = False) -> str:
+    """Write the landmarks of a result and some more; returns a few lines for the terminal."""
+    check_outputs([output], [folder / MANIFEST, folder / ARRAYS], force=force)
+    result = read_result(folder)
+    require_no_input([output], read_files(folder, result.manifest))
+    if output.suffix.lower() != ".json":
+        raise FormatError(f"{output}: expected the name of a landmark file ending in .json. Give such a name.")
+    landmarks = _in_files(suggested_landmarks(result, count), result)
+    write_landmarks(output, landmarks, force=force)
+    new = landmarks.names[-count:]
+    pairs = zip(new, landmarks.target[-count:].tolist(), landmarks.source[-count:].tolist(), strict=True)
+    lines = [f"  {name}: target vertex {target}, now on source vertex {source}" for name, target, source in pairs]
+    return "\n".join(
+        [f"{count} more landmarks would tell most here:", *lines, f"wrote {output}; correct them and match again"]
+    )
+
+
+def _in_files(landmarks: Landmarks, result: MatchResult) -> Landmarks:
+    """Landmarks of parts in the numbers of their files, which is what a match reads."""
+    numbers = [side.control.file_vertices for side in (result.target, result.source)]
+    return landmarks.renumbered(
+        *(lambda vertices, own=own: vertices if own is None else own[vertices] for own in numbers)
+    )
+
+
+def suggested_landmarks(result: MatchResult, count: int) -> Landmarks:
+    """The landmarks of a result, and ``count`` more where they would tell most, on the source where the map puts them.
+
+    Raises
+    ------
+    ParameterError
+        If the target has not so many control vertices left.
+    """
+    target, source = result.point_map.target, result.point_map.source
+    vertices = result.target.control.n_vertices
+    pairs = result.landmarks
+    known, partnered = pairs.target_points.nearest_vertices, pairs.source_points.nearest_vertices
+    images = result.point_map.images.positions[:vertices]
+    others = result.runner_up_images.reshape(-1, vertices, 3) * source.scale
+    trust = result.trust[:vertices]
+    chosen = suggested_vertices(target.positions[:vertices], images, others, trust, np.unique(known), count)
+    places = source.positions[: result.source.control.n_vertices]
+    partners = free_partners(places, images[chosen], partnered)
+    taken = set(result.landmark_names)
+    free = [name for i in range(1, count + len(taken) + 1) if (name := f"suggested {i}") not in taken]
+    more = Landmarks.of_points(
+        (*result.landmark_names, *free[:count]),
+        pairs.target_points.joined_with(CagePoints.of_vertices(chosen)),
+        pairs.source_points.joined_with(CagePoints.of_vertices(partners)),
+        result.target.control.name,
+        result.source.control.name,
+    )
+    return replace(more, curves=pairs.curves)

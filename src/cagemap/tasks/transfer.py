@@ -1,0 +1,194 @@
+"""`cagemap transfer`: something of the source, carried to the target."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+from cagemap.errors import ParameterError
+from cagemap.files.atomic import all_or_nothing, require_no_input, require_replaceable, require_writable_folder
+from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.result.folder import input_file, note_transfer, read_files, read_result, stated_path
+from cagemap.files.usd.read import USD_SUFFIXES
+from cagemap.files.usd.write import UsdResults, check_usd_path
+from cagemap.files.values.attributes import check_attribute_path, read_attributes, write_attributes
+from cagemap.files.values.part_numbering import file_rows, other_rows
+from cagemap.maps.result import MatchResult
+from cagemap.tasks.bake_tiles import inputs_of
+from cagemap.tasks.carry_arrays import carry_values
+from cagemap.tasks.carry_detail import carry_detail
+from cagemap.tasks.carry_images import (
+    carry_displacement,
+    carry_material_colors,
+    carry_normal_map,
+    carry_texture,
+    carry_vector_displacement,
+)
+from cagemap.tasks.job_file import note_output
+from cagemap.tasks.masked_base import in_file, keep_base
+from cagemap.tasks.masks import MaskOptions, with_masks
+from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.rig import transfer_shapes, transfer_skeleton, transfer_weights, write_point_map
+from cagemap.tasks.texture_maps import require_map_names
+from cagemap.tasks.usd_output import NO_UNITS, write_usd_results
+from cagemap.transfer import carry_uvs, transfer_of
+from cagemap.transfer.texture import FILTERS
+
+# What is carried whole, whatever masks say.
+_WHOLE = ("--source-uvs", "--joints", "--write-map")
+
+# Which of the things to carry read an option; the others would take it without a word and do nothing.
+_PICTURES = ("--texture", "--displacement", "--normal-map", "--vector-displacement", "--bake")
+_READ_BY = {
+    "usd": ("--texture", "--attribute", "--weights", "--blend-shapes"),
+    "space": ("--normal-map", "--vector-displacement", "--bake"),
+    "green": ("--texture", "--normal-map", "--bake"),
+    "as_color": ("--texture",),
+    "filter": (*_PICTURES, "--material-colors"),
+    "detail": ("--bake",),
+    "detail_texture": ("--bake",),
+    "rays": ("--bake",),
+    "influences": ("--weights",),
+    "size": (*_PICTURES, "--material-colors"),
+    "bits": (*_PICTURES, "--material-colors"),
+    "scale": ("--displacement", "--vector-displacement"),
+    "midlevel": ("--displacement", "--vector-displacement"),
+    "unwrap": (*_PICTURES, "--material-colors"),
+}
+
+
+def run_transfer(request: TransferRequest, stages: Stages) -> Outcome:
+    """Carry one thing from source to target, write it and note it; returns a summary and warnings."""
+    outcome = carry_one(request, stages)
+    note_output("transfer", request.result, request)
+    return outcome
+
+
+def carry_one(request: TransferRequest, stages: Stages) -> Outcome:
+    """Carry one thing from source to target and write it, as a part of another command."""
+    carry = _carrier(request)
+    require_map_names(request.maps)
+    named = [base for base in request.bases if base[0]]
+    require_map_names(named if len(request.bases) - len(named) < 2 else request.bases, "--base")
+    for option, value in (("--scale", request.scale), ("--midlevel", request.midlevel)):
+        if value is not None and not math.isfinite(value):
+            raise ParameterError(f"{option}: expected a finite number, got {value}.")
+    if request.filter not in FILTERS:
+        raise ParameterError(f"--filter: expected {', '.join(FILTERS)}, got {request.filter}.")
+    outputs = [path for path in (request.output, request.usd) if path is not None]
+    require_no_input(outputs, inputs_of(request))
+    require_writable_folder(request.output)
+    stages("read result")
+    result = read_result(request.result)
+    require_no_input(outputs, read_files(request.result, result.manifest))
+    if request.usd is not None:
+        check_usd_path(request.usd)
+        require_replaceable(request.usd, force=request.force)
+    result = result if request.level is None else result.at_level(request.level)
+    options = MaskOptions(request.target_mask, request.source_mask, request.mask_edge)
+    return carry(request, with_masks(result, options, request.result), stages)
+
+
+def _carrier(request: TransferRequest) -> Callable[[TransferRequest, MatchResult, Stages], Outcome]:
+    """Choose the one thing to carry."""
+    options = {
+        "--texture": (request.texture is not None or bool(request.maps), carry_texture),
+        "--displacement": (request.displacement is not None, carry_displacement),
+        "--normal-map": (request.normal_map is not None, carry_normal_map),
+        "--vector-displacement": (request.vector_displacement is not None, carry_vector_displacement),
+        "--attribute": (request.attribute is not None, _carry_attribute),
+        "--material-colors": (request.material_colors, carry_material_colors),
+        "--bake": (bool(request.bake), carry_detail),
+        "--source-uvs": (request.source_uvs, _carry_uvs),
+        "--weights": (request.weights is not None, transfer_weights),
+        "--joints": (request.joints is not None and request.weights is None, transfer_skeleton),
+        "--blend-shapes": (bool(request.blend_shapes), transfer_shapes),
+        "--write-map": (request.write_map, write_point_map),
+    }
+    chosen = [option for option, (given, _) in options.items() if given]
+    if len(chosen) != 1:
+        raise ParameterError(
+            f"expected one of {', '.join(options)}, got {' and '.join(chosen) or 'none'}. Run once for each."
+        )
+    masks = {"--target-mask": request.target_mask, "--source-mask": request.source_mask}
+    given_masks = [option for option, mask in masks.items() if mask is not None]
+    if given_masks and chosen[0] in _WHOLE:
+        raise ParameterError(
+            f"{' and '.join(given_masks)}: expected images, values, weights or blend shapes, got {chosen[0]}, which is "
+            "carried whole. Leave the mask out."
+        )
+    _require_read(request, chosen[0])
+    return options[chosen[0]][1]
+
+
+def _require_read(request: TransferRequest, carried: str) -> None:
+    """Refuse options that what is carried does not read."""
+    for option, readers in _READ_BY.items():
+        if getattr(request, option) != getattr(TransferRequest, option) and carried not in readers:
+            raise ParameterError(
+                f"--{option.replace('_', '-')}: expected it beside {' or '.join(readers)}, which read it, got "
+                f"{carried}. Leave it out."
+            )
+
+
+def _carry_attribute(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
+    """Values at control vertices, control faces, face corners or refined vertices; each arrives at its own kind."""
+    assert request.attribute is not None
+    check_attribute_path(request.output)
+    require_replaceable(request.output, force=request.force)
+    rows = file_rows(request.result, result.manifest, "source", result.source.control)
+    values = read_attributes(request.attribute, result.source.control, rows)
+    source = result.source.control
+    stages("carry values")
+    try:
+        carried = carry_values(result, values)
+    except ParameterError as error:
+        raise ParameterError(
+            f"{request.attribute}: {error}{other_rows(source, rows)}. Give the source's values: {request.result} "
+            f"carries from {source.name} to {result.target.control.name}."
+        ) from None
+    assert isinstance(carried, dict)
+    warnings = [
+        f"{name}: as many rows as control vertices and as control faces; taken for vertices"
+        for name, array in values.items()
+        if len(array) == source.n_vertices == source.n_faces
+    ]
+    own = file_rows(request.result, result.manifest, "target", result.target.control)
+    carried, notes = keep_base(request, result, carried, own)
+    whole = in_file(request, carried, own)
+    lines = []
+    with all_or_nothing():
+        write_attributes(request.output, whole, force=request.force)
+        if request.usd is not None:
+            results = UsdResults(attributes=carried)
+            lines.append(write_usd_results(request.usd, request.result, result, results, force=request.force))
+    files = {"file": request.attribute, "output": request.output}
+    entry = {"kind": "attribute"} | {name: stated_path(path, request.result) for name, path in files.items()}
+    note_transfer(request.result, entry)
+    shapes = ", ".join(f"{name} {array.shape}" for name, array in whole.items())
+    return "\n".join([f"wrote {request.output}: {shapes}", *lines]), warnings + notes
+
+
+def _carry_uvs(request: TransferRequest, result: MatchResult, stages: Stages) -> Outcome:
+    """The target's mesh with the source's texture coordinates, so that the source's own image fits it."""
+    sides = result.target.refinement, result.source.refinement
+    stages("prepare")
+    transfer = transfer_of(result)
+    stages("texture coordinates")
+    carried = carry_uvs(transfer, *sides)
+    original, control = input_file(request.result, result.manifest, "target"), result.target.control
+    laid_out = control.with_uvs(carried.uvs, carried.uv_indices)
+    write_mesh(request.output, laid_out, like=original, force=request.force)
+    note_transfer(request.result, {"kind": "uvs", "output": stated_path(request.output, request.result)})
+    count = len(carried.crossed)
+    warnings = []
+    if original is None and {path.suffix.lower() for path in (request.output, Path(control.name))} <= set(USD_SUFFIXES):
+        warnings.append(f"{control.name}: {NO_UNITS}")
+    if count:
+        warnings.append(
+            f"seams of the source cross {count} of {control.n_faces} faces (numbers from 0), where no "
+            f"texture coordinates fit: {', '.join(map(str, carried.crossed))}"
+        )
+    return f"wrote {request.output}: {len(carried.uvs)} texture coordinates of the source", warnings

@@ -1,0 +1,85 @@
+"""What `--usd` writes: a layer over the target's USD file, or a USD file of its own where the target is none."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cagemap.errors import ParameterError
+from cagemap.files.images.image import UDIM_MARK
+from cagemap.files.result.folder import input_file
+from cagemap.files.usd.read import USD_SUFFIXES, read_usd_meshes
+from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
+from cagemap.files.values.part_numbering import FileRows, file_rows, given_back
+from cagemap.maps.result import MatchResult
+
+# What is said where a target's file cannot be asked.
+NO_UNITS = (
+    "the file is no longer where the match read it, or has changed: units, up axis and transform are not known, "
+    "and metres with Y up are written"
+)
+_KEPT = ", and what earlier commands wrote there"
+
+
+def write_usd_results(layer: Path, folder: Path, result: MatchResult, results: UsdResults, *, force: bool) -> str:
+    """Write results for the target of a RESULT folder; returns a line for the terminal.
+
+    Parameters
+    ----------
+    layer : path
+        USD file to write.
+    folder : path
+        The RESULT folder.
+    result : MatchResult
+        What it holds.
+    results : UsdResults
+
+    Raises
+    ------
+    FormatError
+        See `write_usd_over`.
+    ParameterError
+        If the target's file has several meshes and the result does not say which one it is about.
+    """
+    control = result.target.control
+    original = input_file(folder, result.manifest, "target")
+    if original is None or original.suffix.lower() not in USD_SUFFIXES:
+        kept = write_usd(layer, control, results, force=force, add=True)
+        lost = original is None and Path(control.name).suffix.lower() in USD_SUFFIXES
+        return f"wrote {layer}, with {control.name} itself{_KEPT * kept}" + (f"; {NO_UNITS}" if lost else "")
+    meshes = [mesh.path for mesh in read_usd_meshes(original)]
+    numbers = [] if control.face_objects is None else np.unique(control.face_objects).tolist()
+    paths = [path for path in (control.object_names[number] for number in numbers) if path in meshes]
+    paths = meshes if len(meshes) == 1 else paths
+    if not paths or (len(paths) > 1 and (results.attributes or results.points is not None or results.uvs is not None)):
+        raise ParameterError(
+            f"--usd: expected a result about one mesh of {original.name}, got {len(paths)} of {', '.join(meshes)}. "
+            "Match one of them with --target-part; textures alone may be of several."
+        )
+    rows = file_rows(folder, result.manifest, "target", control) if len(paths) == 1 else None
+    if rows is not None:
+        control, results = replace(rows.whole, uv_name=control.uv_name), _of_prim(results, rows)
+    kept = write_usd_over(layer, original, paths, control, results, world=len(meshes) > 1, force=force)
+    return f"wrote {layer}, a layer over {original.name}{_KEPT * kept}"
+
+
+def _of_prim(results: UsdResults, rows: FileRows) -> UsdResults:
+    """Results about a part of a mesh prim as those of the prim: 0 elsewhere, and places and UVs that stay put."""
+    points = None if results.points is None else rows.placed(results.points)
+    uvs = results.uvs
+    if uvs is not None:  # faces outside the part lie in one point of a layout that is not theirs
+        name, values, indices = uvs
+        every = np.full(len(rows.whole.face_indices), len(values), dtype=np.int64)
+        every[rows.corners] = indices
+        uvs = name, np.vstack([values, np.zeros((1, 2))]), every
+    return replace(results, attributes=given_back(results.attributes, rows), points=points, uvs=uvs)
+
+
+def texture_reference(image: Path, layer: Path) -> str:
+    """How a layer names an image: relative to itself, ``<UDIM>`` for the tile of a set."""
+    relative = Path(os.path.relpath(image.resolve(), layer.resolve().parent)).as_posix()
+    relative = relative.replace("%(UDIM)d", UDIM_MARK)
+    return relative if relative.startswith(".") else f"./{relative}"

@@ -1,0 +1,373 @@
+"""`cagemap wrap`: the target's cage in the source's shape."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cagemap.errors import ParameterError
+from cagemap.files.atomic import check_outputs, require_no_input
+from cagemap.files.meshes.formats import check_mesh_path, mesh_files, write_mesh
+from cagemap.files.meshes.mhclo import bind, write_mhclo
+from cagemap.files.meshes.obj_layout import write_obj_positions
+from cagemap.files.result.folder import (
+    ARRAYS,
+    MANIFEST,
+    input_file,
+    mesh_hash,
+    note_transfer,
+    read_files,
+    read_result,
+    stated_path,
+)
+from cagemap.files.usd.read import USD_SUFFIXES
+from cagemap.files.usd.space import between_spaces
+from cagemap.files.usd.transforms import moved
+from cagemap.files.usd.write import UsdResults
+from cagemap.files.values.attributes import read_attributes
+from cagemap.files.values.part_numbering import file_rows, rows_of
+from cagemap.maps.result import MatchResult
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.mirrors import mirror_symmetries
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.threads import one_blas_thread
+from cagemap.tasks.import_map import run_map
+from cagemap.tasks.job_file import note_output
+from cagemap.tasks.masks import MaskOptions, mask_inputs, with_masks
+from cagemap.tasks.match import MatchRequest, run_match
+from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.requests.import_map import MapRequest
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.wrap import WrapRequest
+from cagemap.tasks.transfer import carry_one
+from cagemap.tasks.usd_output import NO_UNITS, write_usd_results
+from cagemap.tasks.wrap_bakes import bake_wrapped, outputs_beside, require_bakeable, textures_read, wrap_bakes
+from cagemap.wrap import Residual, WrapConfig, Wrapped, level_mesh, wrap
+from cagemap.wrap.wrapping import NO_CAGE
+
+# Less of the target's area than this without a counterpart is not told: single triangles.
+_TOLD = 5e-4
+
+
+def run_wrap(request: WrapRequest, stages: Stages) -> Outcome:
+    """Wrap the target of one or several results, and write the cages; returns a summary and warnings."""
+    _check_request(request)
+    given = (request.target, request.source, request.landmarks, request.map)
+    if not any(given):
+        return _with_texture(request, *_run(request, stages), stages)
+    if request.results or request.target is None or request.source is None:
+        raise ParameterError("expected RESULT folders, or --target and --source together to match first")
+    with tempfile.TemporaryDirectory() as folder:
+        result = Path(folder) / "result"
+        _, warnings = _found(request, request.target, request.source, result, stages)
+        request = replace(request, results=(result,))
+        summary, more = _with_texture(request, *_run(request, stages), stages)
+        return summary, warnings + more
+
+
+def _found(request: WrapRequest, target: Path, source: Path, result: Path, stages: Stages) -> Outcome:
+    """Write the RESULT to wrap with: of a match, or of a point map of the user's."""
+    if request.map is not None:
+        given = MapRequest(
+            request.map,
+            target,
+            source,
+            result,
+            weld=request.weld,
+            target_weld=request.target_weld,
+            source_weld=request.source_weld,
+        )
+        return run_map(given, stages)
+    asked = MatchRequest(
+        target,
+        source,
+        request.landmarks,
+        result,
+        scheme=request.scheme,
+        target_scheme=request.target_scheme,
+        source_scheme=request.source_scheme,
+        weld=request.weld,
+        target_weld=request.target_weld,
+        source_weld=request.source_weld,
+    )
+    return run_match(asked, stages)
+
+
+def _with_texture(request: WrapRequest, summary: str, warnings: list[str], stages: Stages) -> Outcome:
+    """Carry the source's texture into the target's layout as well, if that was asked for."""
+    if request.texture is None or request.baked is None:
+        return summary, warnings
+    carry = TransferRequest(
+        request.results[0],
+        request.baked,
+        texture=request.texture,
+        size=request.size,
+        target_mask=request.target_mask,
+        source_mask=request.source_mask,
+        mask_edge=request.mask_edge,
+        force=request.force,
+    )
+    more, others = carry_one(carry, stages)
+    return f"{summary}\n{more}", warnings + others
+
+
+def _check_request(request: WrapRequest) -> None:
+    if not 0.0 <= request.amount <= 1.0:
+        raise ParameterError(f"--amount: expected 0 (the target) to 1 (the source's shape), got {request.amount}")
+    if request.detail_texture is not None and (request.detail is None or request.texture is not None):
+        raise ParameterError("--detail-texture: expected --detail, and no --texture: --baked is one of them")
+    if (request.texture is None and request.detail_texture is None) != (request.baked is None):
+        raise ParameterError(
+            "--texture (or --detail-texture) and --baked: expected an image and the one to write, got one of them"
+        )
+    schemes = (request.scheme, request.target_scheme, request.source_scheme)
+    welds = (request.weld, request.target_weld, request.source_weld)
+    if not request.target and any((*schemes, *welds)):
+        raise ParameterError(
+            "--scheme, --weld: expected with --target and --source; a RESULT has its schemes and welded meshes already"
+        )
+    if (request.target_scheme or request.scheme) == "none":
+        raise ParameterError(f"{request.target}: {NO_CAGE}")
+    if request.map is not None and (request.landmarks is not None or any(schemes)):
+        raise ParameterError("--map: expected no --landmarks and no --scheme, since nothing is matched")
+    bakes = wrap_bakes(request)
+    bakes.check()
+    images = outputs_beside(request)
+    many = len(request.results) > 1
+    if many and not request.blend_shapes:
+        raise ParameterError(
+            f"expected one RESULT, got {len(request.results)}. Several need --blend-shapes and a folder as --output; "
+            "meshes are given by --target and --source."
+        )
+    if images and (many or request.blend_shapes or request.amount != 1.0):
+        raise ParameterError(
+            "images that are baked and --mhclo: expected one RESULT, the whole --amount and no --blend-shapes"
+        )
+    if request.detail is not None and not bakes.images:
+        raise ParameterError("--detail: expected an image to bake from it, such as --normal-map")
+    inputs = [folder / name for folder in request.results for name in (MANIFEST, ARRAYS)]
+    named = (request.target, request.source, request.landmarks, request.map, request.weights, request.detail)
+    inputs += [path for path in named if path is not None]
+    inputs += [*textures_read(request), *mask_inputs(request.target_mask, request.source_mask).values()]
+    if request.blend_shapes:
+        if request.output.exists() and not request.output.is_dir():
+            raise ParameterError(f"{request.output}: --blend-shapes writes a folder of OBJ files, got a file")
+        check_outputs(images, inputs, force=request.force)
+        return
+    check_mesh_path(request.output)
+    check_outputs([request.output, *images], inputs, force=request.force)
+
+
+def _run(request: WrapRequest, stages: Stages) -> Outcome:
+    config = WrapConfig(level=request.fit_level, fairness=request.fairness)
+    stages("read result")
+    options = MaskOptions(request.target_mask, request.source_mask, request.mask_edge)
+    results = [with_masks(read_result(folder), options, folder) for folder in request.results]
+    if not results:
+        raise ParameterError("expected a RESULT folder of `cagemap match`, or --target and --source")
+    if len({mesh_hash(result.target.control) for result in results}) > 1:
+        raise ParameterError("--blend-shapes: expected results of one target, got several; the cages would differ")
+    require_no_input([request.output, *outputs_beside(request)], _meshes_read(request, results))
+    if request.blend_shapes:
+        return _write_shapes(request, results, config, stages)
+    result, folder = results[0], request.results[0]
+    detail = require_bakeable(request, result)
+    wrapped = _wrap(request, result, config, stages)
+    original = input_file(folder, result.manifest, "target")
+    stages("write")
+    space = _to_target(folder, result)
+    warnings = _write(request, _through(wrapped, space), result, original, request.output)
+    note_transfer(folder, _entry(request, wrapped, folder))
+    note_output("wrap", folder, request)
+    lines = [f"wrote {request.output}: {wrapped.mesh.n_vertices} vertices of level {wrapped.level}", _figures(wrapped)]
+    if request.mhclo is not None:
+        faces = result.source.refinement.finest.face_parents
+        per_face = len(result.source_triangles) // len(faces)
+        own = wrapped.closest.triangle[: wrapped.mesh.n_vertices] // per_face
+        write_mhclo(
+            request.mhclo,
+            bind(wrapped.mesh.positions, result.source.control, faces[own]),
+            request.output,
+            force=request.force,
+        )
+        lines.append(f"wrote {request.mhclo}: the mesh follows {result.source.control.name}")
+    more, outside = bake_wrapped(request, result, wrapped, detail, stages)
+    if more and not np.allclose(space, np.eye(4)):
+        length = np.cbrt(abs(np.linalg.det(space[:3, :3])))
+        outside.append(
+            f"images are in the source's units and axes; one of its units is {length:.6g} of {request.output.name}"
+        )
+    return "\n".join(lines + more), warnings + outside + _warnings(wrapped)
+
+
+def _meshes_read(request: WrapRequest, results: list[MatchResult]) -> list[Path]:
+    """What the results were made from."""
+    both = zip(request.results, results, strict=True)
+    return [file for folder, result in both for file in read_files(folder, result.manifest)]
+
+
+def _wrap(request: WrapRequest, result: MatchResult, config: WrapConfig, stages: Stages) -> Wrapped:
+    follow = None if request.weights is None else _follow(request.weights, result, request.results[0])
+    if result.masks.any:
+        follow = _masked_follow(result, follow)
+    stages(f"wrap {result.source.control.name}")
+    target = result.target.refinement
+    symmetry = _symmetry(result.target.control, request.fit_level) if request.symmetric else None
+    with one_blas_thread():
+        return wrap(target, result.point_map, config, follow=follow, symmetry=symmetry)
+
+
+def _masked_follow(result: MatchResult, follow: FloatArray | None) -> FloatArray:
+    """(n_f,) how far finest vertices may follow, where masks leave some of the surfaces out."""
+    counts, refinement = result.masks.joint(result.point_map), result.target.refinement
+    if follow is None or len(follow) == len(counts):
+        return counts if follow is None else counts * follow
+    return np.asarray(counts * np.clip(refinement.prolong(follow, 0, refinement.n_levels), 0.0, 1.0))
+
+
+def _follow(path: Path, result: MatchResult, folder: Path) -> FloatArray:
+    control = result.target.control
+    values = read_attributes(path, control, file_rows(folder, result.manifest, "target", control))
+    if len(values) != 1:
+        raise ParameterError(f"{path}: expected one column of weights from 0 to 1, got {', '.join(values)}")
+    follow = np.asarray(next(iter(values.values())), dtype=np.float64)
+    if len(follow) not in (control.n_vertices, len(result.target.vertices)):
+        raise ParameterError(
+            f"{path}: expected a weight for each of the {control.n_vertices} control vertices of {control.name}, the "
+            f"target, got {len(follow)}. Give the target's."
+        )
+    return follow
+
+
+def _symmetry(control: ControlMesh, level: int) -> IndexArray:
+    if level:
+        raise ParameterError("--symmetric: expected --fit-level 0, since symmetry is that of the control mesh")
+    found = next((mirror.image for mirror in mirror_symmetries(control) if mirror.exact), None)
+    if found is None:
+        raise ParameterError(f"{control.name}: expected a mirror symmetric mesh for --symmetric, found no symmetry")
+    return found
+
+
+def _write(
+    request: WrapRequest, wrapped: Wrapped, result: MatchResult, original: Path | None, output: Path
+) -> list[str]:
+    """Write the cage; all that the target's own file says but positions stays, where that file is still there."""
+    rest = level_mesh(result.target.refinement, wrapped.level)
+    mesh = wrapped.mesh
+    if request.amount < 1.0:
+        mesh = mesh.with_positions((1 - request.amount) * rest.positions + request.amount * mesh.positions)
+    both_obj = output.suffix.lower() == ".obj" and original is not None and original.suffix.lower() == ".obj"
+    if wrapped.level == 0 and both_obj and original is not None:
+        rows = rows_of(original, result.target.control)
+        whole = mesh if rows is None else rows.whole.with_positions(rows.placed(mesh.positions))
+        write_obj_positions(output, original, whole, force=request.force)
+        placed = np.arange(whole.n_vertices) if rows is None else [*rows.vertices, *rows.copies[:, 1]]
+        left = whole.n_vertices - len(np.unique(placed))
+        return [f"{original.name}: {left} vertices that were not matched stay where they are"] if left else []
+    check_outputs(mesh_files(output, mesh), [], force=request.force)
+    both_usd = all(path is not None and path.suffix.lower() in USD_SUFFIXES for path in (output, original))
+    if wrapped.level == 0 and both_usd:
+        points = UsdResults(points=mesh.positions)
+        write_usd_results(output, request.results[0], result, points, force=request.force)
+        return []
+    write_mesh(output, mesh, like=original, force=request.force)
+    name = result.target.control.name
+    if original is None and {output.suffix.lower(), Path(name).suffix.lower()} <= set(USD_SUFFIXES):
+        return [f"{name}: {NO_UNITS}"]
+    if wrapped.level or output.suffix.lower() != ".obj":
+        return []
+    return [
+        f"{name}: the file is no longer where the match read it, or has changed; what cagemap "
+        "does not keep of it (such as group names, and parts that were not matched) is not in the new mesh"
+    ]
+
+
+def _to_target(folder: Path, result: MatchResult) -> FloatArray:
+    """(4, 4) from the source's space to the target's, where two USD files say that they differ."""
+    files = [input_file(folder, result.manifest, side) for side in ("target", "source")]
+    return between_spaces(files[0], result.target.control, files[1], result.source.control)
+
+
+def _through(wrapped: Wrapped, space: FloatArray) -> Wrapped:
+    """A wrapped cage in the target's own units and axes."""
+    return replace(wrapped, mesh=wrapped.mesh.with_positions(moved(wrapped.mesh.positions, space)))
+
+
+def _write_shapes(request: WrapRequest, results: list[MatchResult], config: WrapConfig, stages: Stages) -> Outcome:
+    """A folder of OBJ files: the target at rest, and its cage in every source's shape."""
+    names = [Path(result.source.control.name).stem for result in results]
+    rest_name = Path(results[0].target.control.name).stem
+    if len({*names, rest_name}) <= len(names):
+        raise ParameterError(f"--blend-shapes: expected different names, got {', '.join([rest_name, *names])}")
+    request.output.mkdir(exist_ok=True)
+    files = [request.output / f"{name}.obj" for name in [rest_name, *names]]
+    check_outputs(files, _meshes_read(request, results), force=request.force)
+    lines, warnings = [f"wrote {files[0]}: the target"], []
+    for file, name, result, folder in zip(files[1:], names, results, request.results, strict=True):
+        wrapped = _wrap(request, result, config, stages)
+        original = input_file(folder, result.manifest, "target")
+        if file == files[1]:
+            rest = replace(wrapped, mesh=level_mesh(result.target.refinement, wrapped.level))
+            _write(replace(request, amount=1.0), rest, result, original, files[0])
+        warnings += _write(request, _through(wrapped, _to_target(folder, result)), result, original, file)
+        lines.append(f"wrote {file}\n{_figures(wrapped)}")
+        warnings += [f"{name}: {message}" for message in _warnings(wrapped)]
+    for folder in request.results:
+        note_output("wrap", folder, request)
+    return "\n".join(lines), list(dict.fromkeys(warnings))
+
+
+def _entry(request: WrapRequest, wrapped: Wrapped, folder: Path) -> dict[str, Any]:
+    return {
+        "kind": "wrap",
+        "output": stated_path(request.output, folder),
+        "fit_level": wrapped.level,
+        "amount": request.amount,
+        "residual": _noted(wrapped.residual) | {"without_counterpart": wrapped.left_out},
+        "residual_with_counterpart": _noted(wrapped.followed),
+        "residual_from_source": _noted(wrapped.from_source),
+        "folded_faces": wrapped.folded,
+    }
+
+
+def _noted(residual: Residual) -> dict[str, Any]:
+    return {"mean": residual.mean, "p99": residual.p99, "max": residual.largest, "where": residual.where}
+
+
+def _figures(wrapped: Wrapped) -> str:
+    to_source, from_source = wrapped.residual, wrapped.from_source
+    source = wrapped.closest.source
+    lines = [
+        "  distances in % of sqrt(area), over all vertices:",
+        f"  of the wrap to the source: {_words(to_source, wrapped.surface[to_source.where])}",
+        "  of the source to the wrap: " + _words(from_source, source.positions[from_source.where] / source.scale),
+    ]
+    if wrapped.left_out > _TOLD:
+        followed = wrapped.followed
+        lines += [
+            f"  {100 * wrapped.left_out:.1f} % of the target has no counterpart and follows its surroundings",
+            f"  of the rest to the source: {_words(followed, wrapped.surface[followed.where])}",
+        ]
+    return "\n".join(lines)
+
+
+def _words(residual: Residual, place: FloatArray) -> str:
+    shown = ", ".join(f"{x:.3g}" for x in place)
+    return (
+        f"mean {100 * residual.mean:.4f}, 99 % within {100 * residual.p99:.3f}, largest "
+        f"{100 * residual.largest:.2f} at ({shown})"
+    )
+
+
+def _warnings(wrapped: Wrapped) -> list[str]:
+    if not len(wrapped.folded):
+        return []
+    shown = ", ".join(map(str, wrapped.folded[:10]))
+    return [
+        f"{len(wrapped.folded)} faces turn against the surface: {shown}{' ...' if len(wrapped.folded) > 10 else ''} "
+        "(numbers from 0). A larger --fairness keeps the net smoother."
+    ]

@@ -1,0 +1,168 @@
+"""Terms of a wrap: samples of the refined surface lie on the source, for `cagemap.deform.minimise`.
+
+With S the refinement from the net's level to the finest and P the images of the finest vertices by the map:
+
+    sum_i w_i ( (n_i . (S X - q)_i)^2 + anchor |(S X - P)_i|^2 )
+
+with closest points q and normals n of the source. The system couples the three coordinates, through the tangent
+planes. It is solved by conjugate gradients from where the net is; the system without planes, ``S^T w S + fairness L``,
+is the preconditioner, the same for all coordinates and all rounds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import linalg
+
+from cagemap.deform.config import Stage
+from cagemap.deform.energy import ElasticEnergy
+from cagemap.deform.graph import ElasticGraph
+from cagemap.deform.minimise import Iterate
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.numerics.factorization import Factorization, factor
+from cagemap.operators.laplacian import vertex_areas
+from cagemap.subdivision import level_triangles
+from cagemap.surface.surface_points import SurfacePoints
+from cagemap.wrap.config import NetConfig, WrapConfig
+from cagemap.wrap.net import ControlNet
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Vertices of the refined surface, and where the map takes them; at unit area of the source."""
+
+    rows: sparse.csr_array  # (s, n_l) of S: the samples from the net's points
+    images: SurfacePoints  # where the map takes them
+    reach: FloatArray  # (s,): how far from its image a sample may slide
+    weights: FloatArray  # (s,): their areas times how far they may follow
+    held: NDArray[np.bool_]  # (s,): samples that stay at their image (boundaries), instead of sliding along the surface
+
+    @classmethod
+    def choose(
+        cls, net: ControlNet, images: SurfacePoints, follow: FloatArray, held: NDArray[np.bool_], config: NetConfig
+    ) -> Samples:
+        """Vertices of a level below the net; images, weights (n_f,) and held (n_f,) are of all finest vertices."""
+        refinement, graph = net.refinement, net.graph
+        level = min(net.level + 1, refinement.n_levels)
+        while level < min(net.level + config.levels_below, refinement.n_levels):
+            if refinement.levels[level + 1].n_vertices > config.max_samples:
+                break
+            level += 1
+        sampled = refinement.levels[level]
+        count = sampled.n_vertices
+        rows = sparse.csr_array(refinement.product(refinement.n_levels, net.level)[:count])
+        faces = level_triangles(refinement, level) if sampled.faces is None else sampled.faces
+        areas = vertex_areas(sampled.positions, faces)
+        lengths = np.linalg.norm(graph.edges, axis=1)
+        around = np.bincount(graph.heads, lengths, graph.n) / np.maximum(np.bincount(graph.heads, minlength=graph.n), 1)
+        weights = follow[:count] * areas / areas.sum()
+        return cls(rows, images.at(slice(count)), config.reach * (rows @ around), weights, held[:count])
+
+    def of_part(self, seen: IndexArray, part: IndexArray) -> Samples:
+        """Some samples, from some points of the net alone."""
+        rows = self.rows[seen][:, part]
+        return Samples(rows, self.images.at(seen), self.reach[seen], self.weights[seen], self.held[seen])
+
+
+@dataclass(frozen=True, eq=False)
+class NetTerms:
+    """Terms of a net, or of a part of it, of which some points (m,) move."""
+
+    samples: Samples
+    config: WrapConfig
+    moving: IndexArray
+    transposed: sparse.csr_array
+    laplacian: sparse.csr_array
+    factors: Factorization
+
+    @classmethod
+    def build(
+        cls, graph: ElasticGraph, samples: Samples, config: WrapConfig, moving: IndexArray | None = None
+    ) -> NetTerms:
+        """Factor the preconditioner of all rounds; by default all points move."""
+        transposed = sparse.csr_array(samples.rows.T)
+        weighted = transposed @ sparse.diags_array(samples.weights) @ samples.rows
+        matrix = sparse.csr_array(weighted + config.fairness * graph.laplacian)
+        if moving is None:
+            moving = np.arange(graph.n)
+        else:
+            matrix = matrix[moving][:, moving]
+        return cls(samples, config, moving, transposed, graph.laplacian, factor(sparse.csc_array(matrix)))
+
+    def start(self, energy: ElasticEnergy) -> FloatArray:
+        """(n, 3) the net that minimises ``||S X - P||^2`` with a trace of its energy; what does not move is at rest.
+
+        What moves is whole pieces of the net: nothing else acts on them.
+        """
+        samples, moving, positions = self.samples, self.moving, energy.graph.positions.copy()
+        right = self.transposed @ (samples.weights[:, None] * samples.images.positions)
+        positions[moving] = self.factors.solve(right[moving])
+        elastic = self.config.fairness * energy.graph.divergence(energy.differentials(positions)[0])
+        positions[moving] = self.factors.solve((right + elastic)[moving])
+        return positions
+
+    def at(self, iterate: Iterate) -> SampleTerms:
+        """Terms at the closest points of the source."""
+        samples, images = self.samples, self.samples.images
+        guess = iterate.before.closest.triangle if isinstance(iterate.before, SampleTerms) else images.triangle
+        weight = self.config.net.normal_weight
+        places = samples.rows @ iterate.positions
+        closest = SurfacePoints.nearest(images.surface, places, images.normals, normal_weight=weight, guess=guess)
+        held = samples.held | (np.linalg.norm(closest.positions - images.positions, axis=1) > samples.reach)
+        across = np.where(held, 0.0, samples.weights)
+        along = np.where(held, 1.0, self.config.anchor) * samples.weights
+        heights = np.einsum("sd,sd->s", closest.normals, closest.positions)
+        wanted = (across * heights)[:, None] * closest.normals + along[:, None] * images.positions
+        return SampleTerms(self, closest, across, along, self.transposed @ wanted)
+
+
+@dataclass(frozen=True, eq=False)
+class SampleTerms:
+    """Terms of one round: weights (s,) of the distance to the planes at closest points, and of that to the images."""
+
+    terms: NetTerms
+    closest: SurfacePoints
+    across: FloatArray
+    along: FloatArray
+    right: FloatArray
+    distance: float = np.inf
+
+    def system(self, alpha: float, stage: Stage, before: object) -> SampleTerms:
+        """Their own system: the stiffness is always the fairness."""
+        return self
+
+    def times(self, positions: FloatArray) -> FloatArray:
+        """(n, 3) the system's matrix times positions (n, 3)."""
+        terms, normals = self.terms, self.closest.normals
+        places = terms.samples.rows @ positions
+        heights = np.einsum("sd,sd->s", normals, places)
+        wanted = (self.across * heights)[:, None] * normals + self.along[:, None] * places
+        return np.asarray(terms.transposed @ wanted + terms.config.fairness * (terms.laplacian @ positions))
+
+    def solve(self, right: FloatArray, positions: FloatArray) -> FloatArray:
+        """(n, 3) the solution for a right side (n, 3), over the points that move, from positions (n, 3)."""
+        terms, moving, shape = self.terms, self.terms.moving, positions.shape
+
+        def times(flat: FloatArray) -> FloatArray:
+            spread = np.zeros(shape)
+            spread[moving] = flat.reshape(-1, 3)
+            return self.times(spread)[moving].ravel()
+
+        def precondition(flat: FloatArray) -> FloatArray:
+            return terms.factors.solve(flat.reshape(-1, 3)).ravel()
+
+        size = (3 * len(moving), 3 * len(moving))
+        step, _ = linalg.cg(
+            linalg.LinearOperator(size, matvec=times, dtype=np.float64),
+            (right - self.times(positions))[moving].ravel(),
+            rtol=terms.config.net.accuracy,
+            maxiter=terms.config.net.max_steps,
+            M=linalg.LinearOperator(size, matvec=precondition, dtype=np.float64),
+        )
+        moved = positions.copy()
+        moved[moving] += step.reshape(-1, 3)
+        return moved

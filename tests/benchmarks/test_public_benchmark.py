@@ -1,0 +1,216 @@
+"""`benchmarks.public` on miniatures of our own in the layout of the public sets."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from examples.shapes import creature, grid, triangulated
+from scipy.io import savemat
+
+from cagemap.files.meshes.formats import write_mesh
+from cagemap.mesh import ControlMesh
+
+from locations import ROOT
+
+sys.path.insert(0, str(ROOT))
+from benchmarks.public import sets
+from benchmarks.public.__main__ import main
+from benchmarks.public.sets import SETS, more_landmarks
+
+IDS = (0, 11, 17, 40, 60, 77)
+
+
+def bodies() -> dict[str, ControlMesh]:
+    """A creature, the same one bent, and the same one with its vertices in another order."""
+    mesh = triangulated(creature())
+    x, y, z = mesh.positions.T
+    bent = replace(mesh, positions=np.column_stack([x + 0.05 * z**2, y, 1.2 * z]))
+    order = np.random.default_rng(5).permutation(mesh.n_vertices)  # new vertex i is old vertex order[i]
+    place = np.argsort(order)
+    shuffled = replace(bent, positions=bent.positions[order], face_indices=place[bent.face_indices])
+    return {"one": mesh, "two": shuffled}
+
+
+def numbers(name: str, mesh: ControlMesh) -> np.ndarray:
+    """Vertex of every template point of a shape."""
+    if name == "one":
+        return np.arange(mesh.n_vertices)
+    return np.argsort(np.random.default_rng(5).permutation(mesh.n_vertices))
+
+
+@pytest.fixture
+def faust_r(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    root = tmp_path / "FAUST_r"
+    for folder in ("corres", "vtx_5k"):
+        (root / folder).mkdir(parents=True)
+    for name, mesh in zip(("tr_reg_080", "tr_reg_091"), bodies().items(), strict=True):
+        write_mesh(root / "vtx_5k" / f"{name}.off", mesh[1])
+        np.savetxt(root / "corres" / f"{name}.vts", numbers(*mesh) + 1, fmt="%d")
+    write_mesh(root / "vtx_5k" / "tr_reg_000.off", bodies()["one"])  # a training shape: not tested
+    monkeypatch.setitem(sets.SETS, "faust_r", replace(SETS["faust_r"], landmarks={6: IDS}))
+    return root
+
+
+@pytest.fixture
+def shrec(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    root = tmp_path / "SHREC20"
+    for folder in ("models", "test-sets", "FULL_gts"):
+        (root / folder).mkdir(parents=True)
+    for name, mesh in bodies().items():
+        write_mesh(root / "models" / f"{name}.obj", mesh)
+        vertices = numbers(name, mesh)[: 60 if name == "one" else 80]
+        faces = np.array([np.flatnonzero(mesh.face_indices == vertex)[0] // 3 for vertex in vertices])
+        weights = (mesh.face_indices.reshape(-1, 3)[faces] == vertices[:, None]).astype(float)
+        points = np.arange(len(vertices))[::-1] + 1
+        tables = {"points": points[:, None], "verts": vertices[::-1][:, None] + 1}
+        savemat(root / "FULL_gts" / f"{name}.mat", tables | {"baryc": np.column_stack([faces + 1, weights])[::-1]})
+    (root / "test-sets" / "test-set0.txt").write_text("one.obj, two.obj\n\n")
+    monkeypatch.setitem(sets.SETS, "shrec20", replace(SETS["shrec20"], landmarks={6: (1, 12, 18, 41, 50, 58)}))
+    return root
+
+
+def run(name: str, root: Path, output: Path, *more: str) -> list[dict]:
+    main([name, str(root), "--scheme", "loop", "--vertices", "600", "--points", "60", "--output", str(output), *more])
+    return json.loads((output / "public.json").read_text())
+
+
+def test_only_the_shapes_of_the_test_are_paired(faust_r: Path) -> None:
+    public = sets.SETS["faust_r"]
+    assert public.pairs(faust_r, None) == [("tr_reg_080", "tr_reg_091"), ("tr_reg_091", "tr_reg_080")]
+    assert len(public.pairs(faust_r, 1)) == 1
+    with pytest.raises(sets.SetError, match="found none"):
+        public.pairs(faust_r / "corres", None)
+
+
+def test_points_of_shrec_are_barycentric_and_pairs_go_both_ways(shrec: Path) -> None:
+    public = sets.SETS["shrec20"]
+    assert public.pairs(shrec, None) == [("one", "two"), ("two", "one")]
+    for name, mesh in bodies().items():
+        marks = public.marks(shrec, name, mesh)
+        vertices = numbers(name, mesh)[: len(marks.ids)]
+        assert marks.ids.tolist() == list(range(1, len(vertices) + 1))
+        # Point 1 of the miniature is the last of the table.
+        np.testing.assert_allclose(marks.points.of(mesh.positions), mesh.positions[vertices], atol=1e-12)
+    one, two = (public.marks(shrec, name, mesh) for name, mesh in bodies().items())
+    positions = two.points.of(bodies()["two"].positions)
+    ids = more_landmarks(public, two, one, positions, 20)
+    assert ids[:6] == [1, 12, 18, 41, 50, 58]
+    assert len(set(ids)) == 20
+    assert max(ids) <= 60
+
+
+def test_smal_r_is_three_families_whose_points_share_vertices(tmp_path: Path) -> None:
+    public = sets.SETS["smal_r"]
+    vertices = np.arange(3889) // 30  # many points of the template are one vertex of a remeshed shape
+    for name in ("cougar_01", "hippo_02", "horse_03", "dog_04"):
+        for folder in ("shapes_a", "corres"):
+            (tmp_path / folder).mkdir(exist_ok=True)
+        write_mesh(tmp_path / "shapes_a" / f"{name}.off", bodies()["one"])
+        np.savetxt(tmp_path / "corres" / f"{name}.vts", vertices + 1, fmt="%d")
+    assert sorted({name for pair in public.pairs(tmp_path, None) for name in pair}) == [
+        "cougar_01", "hippo_02", "horse_03",
+    ]  # fmt: skip
+    assert len(public.pairs(tmp_path, None)) == 6
+    marks = public.marks(tmp_path, "hippo_02", bodies()["one"])
+    assert marks.ids.tolist() == list(range(3889))
+    assert marks.of(public.landmarks[6]).corners[:, 0].tolist() == [105, 64, 124, 46, 37, 33]
+
+
+def test_faust_is_known_by_the_order_of_its_vertices(tmp_path: Path) -> None:
+    public = sets.SETS["faust"]
+    write_mesh(tmp_path / "tr_reg_080.off", grid(84, 84))
+    write_mesh(tmp_path / "tr_reg_099.ply", grid(90, 90))
+    write_mesh(tmp_path / "tr_scan_080.ply", grid(2, 2))
+    assert public.pairs(tmp_path, None) == [("tr_reg_080", "tr_reg_099"), ("tr_reg_099", "tr_reg_080")]
+    marks = public.marks(tmp_path, "tr_reg_099", grid(90, 90))
+    assert marks.ids.tolist() == marks.points.corners[:, 0].tolist() == list(range(6890))
+    with pytest.raises(sets.SetError, match="expected 6890 vertices or more, got 9"):
+        public.marks(tmp_path, "tr_reg_099", grid(2, 2))
+
+
+def test_the_landmarks_are_those_that_others_published() -> None:
+    """FAUST_r from 1 (Panine et al. 2022), the others from 0 (Riva et al. 2026)."""
+    given = {name: next(iter(one.landmarks.values())) for name, one in SETS.items()}
+    assert [number + 1 for number in given.pop("faust_r")] == [2026, 3560, 2, 4489, 1971, 3406, 388]
+    assert given == {
+        "faust": (412, 5891, 6593, 3323, 2119),
+        "smal_r": (3162, 1931, 3731, 1399, 1111, 1001),
+        "shrec20": (9, 19, 48, 41, 16, 32),
+    }
+
+
+def test_a_shape_of_two_sizes_is_refused_and_copies_are_not(faust_r: Path) -> None:
+    public = sets.SETS["faust_r"]
+    (faust_r / "vtx_8k").mkdir()
+    copy = faust_r / "vtx_8k" / "tr_reg_080.off"
+    write_mesh(copy, bodies()["one"])
+    assert len(public.pairs(faust_r, None)) == 2
+    write_mesh(copy, grid(3, 3), force=True)
+    with pytest.raises(sets.SetError, match="got several in vtx_5k, vtx_8k"):
+        public.pairs(faust_r, None)
+
+
+def test_of_several_formats_of_a_shape_the_obj_file_counts(shrec: Path) -> None:
+    for ending in ("off", "ply"):
+        write_mesh(shrec / "models" / f"one.{ending}", grid(3, 3))
+    assert {path.suffix for path in sets.SETS["shrec20"].shapes(shrec).values()} == {".obj"}
+
+
+@pytest.mark.slow
+def test_rows_are_measured_once_and_one_table_is_written(
+    faust_r: Path, shrec: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    rows = run("faust_r", faust_r, tmp_path / "out")
+    assert len(rows) == 2
+    assert max(row["mean"] for row in rows) < 4.0  # the body is bent by half its width
+    assert all(0 < row["of_largest"] < row["mean"] for row in rows)
+    capsys.readouterr()
+    assert run("faust_r", faust_r, tmp_path / "out") == rows
+    assert " landmarks: " not in capsys.readouterr().out.split("|")[0]
+    plain = run("faust_r", faust_r, tmp_path / "plain", "--scheme", "none")
+    assert max(row["mean"] for row in plain) < 8.0  # 154 vertices a side
+    both = run("shrec20", shrec, tmp_path / "out", "--landmarks", "6", "10")
+    assert len(both) == 6
+    table = (tmp_path / "out" / "public.md").read_text()
+    assert table.count("\n| ") == 2 + 3
+    assert "SHREC'20" in table
+
+
+@pytest.mark.slow
+def test_a_broken_shape_costs_its_own_pairs_and_is_tried_again(
+    faust_r: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    good = (faust_r / "corres" / "tr_reg_080.vts").read_bytes()
+    for name in ("tr_reg_080", "tr_reg_082", "tr_reg_083"):
+        write_mesh(faust_r / "vtx_5k" / f"{name}.off", bodies()["one"], force=True)
+        (faust_r / "corres" / f"{name}.vts").write_bytes(good)
+    (faust_r / "vtx_5k" / "tr_reg_082.off").write_text("OFF\n3 1 0\n0 0 0\n")
+    (faust_r / "corres" / "tr_reg_083.vts").write_text("12\nnought\n")
+    (faust_r / "corres" / "tr_reg_091.vts").unlink()
+    with pytest.raises(SystemExit) as ended:
+        run("faust_r", faust_r, tmp_path / "out")
+    assert ended.value.code == 1
+    table = (tmp_path / "out" / "public.md").read_text()
+    for said in ("tr_reg_091.vts somewhere in it", "tr_reg_083.vts: expected a vertex number a line", "tr_reg_082.off"):
+        assert said in table
+    (faust_r / "corres" / "tr_reg_091.vts").write_bytes(good)
+    for name in ("tr_reg_082", "tr_reg_083"):
+        (faust_r / "vtx_5k" / f"{name}.off").unlink()
+    rows = run("faust_r", faust_r, tmp_path / "out")
+    assert len(rows) == 2
+    assert "Not measured" not in (tmp_path / "out" / "public.md").read_text()
+
+
+@pytest.mark.slow
+def test_rows_of_other_sizes_are_not_taken_for_measured(faust_r: Path, tmp_path: Path) -> None:
+    sizes = [len(run("faust_r", faust_r, tmp_path / "out", "--points", points)) for points in ("20", "20", "30")]
+    assert sizes == [2, 2, 4]
+    (tmp_path / "out" / "public.json").write_text("[{]")
+    with pytest.raises(SystemExit) as ended:
+        main(["faust_r", str(faust_r), "--output", str(tmp_path / "out")])
+    assert ended.value.code == 2

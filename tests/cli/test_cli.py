@@ -1,0 +1,307 @@
+"""The command line: words, exit codes and files; one message and no traceback when something is wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from examples.shapes import cube, icosahedron
+from typer.main import get_command
+
+from cagemap import __version__
+from cagemap.cli.app import app
+from cagemap.cli.console import set_verbosity
+from cagemap.cli.progress import ShownStages
+from cagemap.files.images.image import read_image
+from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.files.result.folder import read_result
+from cagemap.mesh.join import join_meshes
+
+from command_line import Run
+from example_result import textured_cube
+from locations import ROOT
+
+
+def test_version_and_help_name_every_command(run: Run) -> None:
+    assert run("--version").out.strip() == f"cagemap {__version__}"
+    shown = run("--help")
+    assert shown.code == 0
+    for command in ("demo", "check", "refine", "match", "transfer", "report"):
+        assert command in shown.out
+        assert run(command, "--help").code == 0
+
+
+def test_help_names_options_whole_in_a_narrow_terminal(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    _, _, listed = run("--help").out.partition("Commands:")
+    assert listed.count("\n") >= len(get_command(app).commands)
+    assert "..." not in listed, "a command's sentence is cut off"
+    for name, command in get_command(app).commands.items():
+        shown = run(name, "--help").out.replace(",", " ").split()
+        for option in (word for one in command.params for word in (*one.opts, *one.secondary_opts)):
+            assert option in shown or not option.startswith("-"), f"{name} {option}"
+
+
+def test_help_loads_nothing_heavy() -> None:
+    # How long it takes is measured by benchmarks.speed ("start").
+    shown = "import sys; sys.argv = ['cagemap', '--help']; from cagemap.cli import main; main()"
+    command = [sys.executable, "-X", "importtime", "-c", shown]
+    imported = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert imported.returncode == 0
+    assert " cagemap.cli" in imported.stderr
+    for heavy in ("numpy", "scipy", "numba", "embreex", "OpenImageIO"):
+        assert f" {heavy}\n" not in imported.stderr
+
+
+def test_quiet_and_verbose_are_taken_after_every_command(run: Run, tmp_path: Path) -> None:
+    for name in get_command(app).commands:
+        shown = run(name, "-q", "-v", "--help")
+        assert shown.code == 0, f"{name}: {shown.err}"
+        assert {"--quiet", "--verbose"} <= set(shown.out.replace(",", " ").split())
+    write_mesh(tmp_path / "mesh.obj", cube())
+    for words in (("-q", "check", "mesh.obj"), ("check", "-q", "mesh.obj"), ("check", "mesh.obj", "--quiet")):
+        assert run(*words).out == ""
+    matched = ("match", "-t", "mesh.obj", "-s", "mesh.obj", "--level", "2", "-k", "5", "-o", "R")
+    assert "stage:" in run(*matched, "-v").err
+    assert "mesh.obj" in run("check", "mesh.obj").out  # what was asked of one command is not asked of the next
+
+
+def test_check_reports_and_judges(run: Run, tmp_path: Path) -> None:
+    write_mesh(tmp_path / "good.obj", cube())
+    (tmp_path / "bad.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 2 3\n")
+    good = run("check", "good.obj")
+    assert good.code == 0
+    assert "problems              none" in good.out
+    both = run("check", "bad.obj", "good.obj")
+    assert both.code == 1
+    assert "duplicate faces" in both.out
+    listed = run("check", "--json", "bad.obj", "good.obj", "missing.obj")
+    assert listed.code == 1
+    bad, fine, gone = json.loads(listed.out)
+    assert (bad["usable"], fine["usable"], gone["usable"]) == (False, True, False)
+    assert "duplicate faces" in [problem["kind"] for problem in bad["problems"]]
+    assert fine["n_faces"] == 6
+    assert "missing.obj" in gone["error"]
+    assert run("-q", "check", "good.obj").out == ""
+    assert "duplicate faces" in run("-q", "check", "bad.obj").out
+    missing = run("check", "missing.obj", "good.obj")
+    assert missing.code == 1
+    assert "missing.obj" in missing.out
+
+
+@pytest.mark.parametrize("extension", ["obj", "ply"])
+def test_refine_writes_the_level_asked(run: Run, tmp_path: Path, extension: str) -> None:
+    write_mesh(tmp_path / "ball.obj", icosahedron())
+    outcome = run("refine", "ball.obj", "--level", 2, "-o", f"out.{extension}")
+    assert outcome.code == 0
+    assert "162" in outcome.out
+    fine = read_mesh(tmp_path / f"out.{extension}")
+    assert (fine.n_vertices, fine.n_faces) == (162, 320)
+
+
+def test_pieces_are_refined_each_for_itself(run: Run, tmp_path: Path) -> None:
+    ball = icosahedron()
+    far = ball.with_positions(ball.positions + np.array([5.0, 0, 0]))
+    write_mesh(tmp_path / "balls.obj", join_meshes([ball, far]))
+    outcome = run("refine", "balls.obj", "--level", 2, "-o", "fine.obj")
+    assert outcome.code == 0
+    assert (read_mesh(tmp_path / "fine.obj").n_vertices, "--weld" in outcome.out) == (324, False)
+
+
+def test_refined_uvs_and_materials_come_along(run: Run, tmp_path: Path) -> None:
+    control = textured_cube("box.obj")
+    write_mesh(tmp_path / "box.obj", control)
+    assert run("refine", "box.obj", "--level", 1, "-o", "fine.obj").code == 0
+    fine = read_mesh(tmp_path / "fine.obj")
+    assert fine.uvs is not None
+    assert fine.uvs.min() >= control.uvs.min() - 1e-6  # type: ignore[union-attr]
+    assert fine.face_materials is not None
+    names = np.array(fine.material_names)[fine.face_materials]  # files number materials as they occur
+    np.testing.assert_array_equal(names, np.repeat(np.array(control.material_names)[control.face_materials], 4))
+    assert run("refine", "box.obj", "--level", 0, "-o", "same.obj").code == 0
+    assert read_mesh(tmp_path / "same.obj").n_faces == 6
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["refine", "none.obj", "--level", "1", "-o", "x.obj"], "none.obj"),
+        (["refine", "box.obj", "--level", "20", "-o", "x.obj"], "Use --level 10 or less"),
+        (["refine", "box.obj", "--level", "1000", "-o", "x.obj"], "Use --level 10 or less"),
+        (["refine", "box.obj", "--level", "1", "-o", "x.stl"], r"ending in .obj, .ply"),
+        (["refine", "box.obj", "--level", "1", "-o", "nowhere/x.obj"], "nowhere"),
+        (["refine", "box.obj", "--level", "-1", "-o", "x.obj"], "--level"),
+        (["match", "--target", "box.obj", "-o", "R"], "--source"),
+        (["match", *"--target box.obj --source box.obj --method hfm -o R".split()], "at least 3 pairs"),
+        (
+            ["match", *"--target box.obj --source box.obj --landmarks l.json -o R --level 2 --vertices 5".split()],
+            "got both",
+        ),
+        (
+            ["match", *"--target box.obj --source box.obj --landmarks l.json -o R --set schedule=10,x".split()],
+            "100,50,50,50",
+        ),
+        (["match", *"--target box.obj --source box.obj --landmarks l.json -o R".split()], "l.json"),
+        (["match", *"--target box.obj --source box.obj --landmarks l.json -o R --method magic".split()], "hfm"),
+        (["transfer", "R", "--texture", "t.png", "-o", "o.png"], "cagemap match"),
+        (["transfer", "box.obj", "--texture", "t.png", "-o", "o.png"], "found a file"),
+        (["report", "R"], "cagemap match"),
+        (["report", "R", "-o", "r.pdf"], "ending in .html, got '.pdf'"),
+        (["match", "--target", ".", "--source", "box.obj", "-o", "R"], "got a folder"),
+        (["wrap", "box.obj", "box.obj", "-o", "new.obj"], "meshes are given by --target and --source"),
+        (["run", "."], "got a folder"),
+        (["demo", "-o", "box.obj"], "box.obj"),
+        (["demo", "-o", ""], "-o: expected a value, got an empty one"),
+        (["match", *"--target box.obj --source box.obj --force --output=".split()], "--output: expected a value"),
+        (["demo", "-o", "-"], "nothing is written to standard output"),
+        (["demo", "--output=-"], "--output: expected a name, got '-'"),
+        (["run", "box.obj/inside.toml"], "there is no such file"),
+        (["dance"], "dance"),
+    ],
+    ids=lambda words: " ".join(words)[:50] if isinstance(words, list) else "",
+)
+def test_wrong_requests_are_refused_in_words(run: Run, tmp_path: Path, words: list[str], expected: str) -> None:
+    write_mesh(tmp_path / "box.obj", cube())
+    before = sorted(tmp_path.iterdir())
+    outcome = run(*words)
+    assert outcome.code == 2
+    assert expected in outcome.err
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_refined_mesh_is_exported_as_gltf(run: Run, tmp_path: Path) -> None:
+    write_mesh(tmp_path / "box.obj", textured_cube("box.obj"))
+    assert run("refine", "box.obj", "--level", 1, "-o", "fine.glb").err == ""
+    assert run("refine", "box.obj", "--level", 2, "-o", "fine.glb").code == 0, "our own file is replaced"
+
+
+SYMMETRIES = ("--set", "target.symmetry=pipe", "--set", "source.symmetry=pipe")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["check", "pipe.obj"],
+        ["transfer", "R", "--texture", "pipe", "-o", "o.png"],
+        ["transfer", "R", "--attribute", "pipe", "-o", "o.npz"],
+        ["wrap", "R", "--normal-map", "n.png", "--detail", "pipe.obj", "-o", "o.obj"],
+        ["run", "pipe"],
+        ["map", "pipe.npy", "-t", "t.obj", "-s", "t.obj", "-o", "Q"],
+        ["match", "-t", "t.obj", "-s", "t.obj", *SYMMETRIES, "-o", "Q"],
+    ],
+    ids=" ".join,
+)
+def test_pipes_are_no_files_and_do_not_hang(run: Run, result_folder: Path, words: list[str]) -> None:
+    place = result_folder.parent
+    write_mesh(place / "t.obj", cube())
+    for name in ("pipe", "pipe.npy", "pipe.obj"):
+        os.mkfifo(place / name)
+    before = sorted(place.iterdir())
+    refused = run(*words)
+    assert refused.code in (1, 2)
+    assert "a device or a pipe" in refused.out + refused.err
+    assert sorted(place.iterdir()) == before
+
+
+def test_suggested_landmarks_go_to_a_landmark_file(run: Run, result_folder: Path) -> None:
+    refused = run("suggest", "R", "-o", "t.png")
+    assert refused.code == 2
+    assert "ending in .json" in refused.err
+    assert read_image(result_folder.parent / "t.png").pixels.shape == (64, 96, 3)
+
+
+def test_the_demo_writes_nothing_where_its_result_folder_is_somebody_elses(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "demo" / "RESULT").mkdir(parents=True)
+    (tmp_path / "demo" / "RESULT" / "precious.blend").touch()
+    outcome = run("demo", "-o", "demo")
+    assert (outcome.code, [path.name for path in (tmp_path / "demo").iterdir()]) == (2, ["RESULT"])
+
+
+@pytest.mark.slow
+def test_demo_runs_and_the_readme_block_does(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    outcome = run("demo", "-o", "demo")
+    assert outcome.code == 0, outcome.err
+    assert str(Path("demo") / "report.html") in outcome.out
+    for name in ("deer.obj", "pony.obj", "pony.png", "landmarks.json", "deer.png", "report.html", "RESULT/map.npz"):
+        assert (tmp_path / "demo" / name).is_file()
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
+    assert len([line for line in block.splitlines() if line.strip()]) <= 12
+    (tmp_path / "demo" / "deer.png").unlink()
+    monkeypatch.chdir(tmp_path / "demo")
+    exec(compile(block, "README.md", "exec"), {})  # the block as a reader runs it
+    assert "flipped_area" in capsys.readouterr().out
+    assert read_image("deer.png").pixels.shape == (1024, 1024, 3)
+    assert read_result("RESULT").target.finest == 3
+
+
+def test_progress_is_timed_and_silent_without_a_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = iter(range(100))
+    monkeypatch.setattr("cagemap.tasks.progress.time.perf_counter", lambda: float(next(clock)))
+    with ShownStages() as stages:
+        stages("one")
+        stages("two")
+        stages("one")
+    assert stages.timings == {"one": 2.0, "two": 1.0}
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_long_command_without_a_terminal_says_its_stages(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cagemap.cli.progress.SILENT", 0.05)
+    seen = ""
+
+    def until(text: str) -> None:
+        nonlocal seen
+        end = time.monotonic() + 10
+        while text not in seen and time.monotonic() < end:
+            time.sleep(0.01)
+            seen += capsys.readouterr().err
+
+    with ShownStages() as stages:
+        stages("first")
+        until("first")  # the one that runs is said, however long it is
+        stages("second")
+        stages("third")
+    until("third")
+    assert seen == "cagemap: stage: first\ncagemap: stage: second\ncagemap: stage: third\n"
+    for quiet, said in ((True, ""), (False, "cagemap: stage: fourth\n")):  # -v says stages by itself, once
+        set_verbosity(1, quiet)
+        with ShownStages() as stages:
+            stages("fourth")
+            time.sleep(0.2)
+        assert capsys.readouterr().err == said
+    set_verbosity(0, quiet=False)
+
+
+def test_faults_of_ours_are_said_to_be(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def break_down(paths: object) -> None:
+        raise ZeroDivisionError("by zero")
+
+    monkeypatch.setattr("cagemap.tasks.mesh_commands.check_files", break_down)
+    monkeypatch.delenv("CAGEMAP_DEBUG", raising=False)
+    outcome = run("check", "x.obj")
+    assert outcome.code == 70
+    assert "fault of cagemap" in outcome.err
+
+
+def test_threads_are_one_setting_for_the_process(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for variable in ("CAGEMAP_THREADS", "OPENIMAGEIO_THREADS"):
+        monkeypatch.setenv(variable, "7")
+    mesh = tmp_path / "mesh.obj"
+    write_mesh(mesh, icosahedron())
+    assert run("--threads", "2", "check", mesh).code == 0
+    assert os.environ["CAGEMAP_THREADS"] == os.environ["OPENIMAGEIO_THREADS"] == "2"
+    assert run("--threads", "0", "check", mesh).code == 2

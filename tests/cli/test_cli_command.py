@@ -1,0 +1,81 @@
+"""Commands made of requests: what typer sees, and what the request holds."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.testing import CliRunner
+
+from cagemap.cli.command import asks, in_stages
+from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.requests.wrap import WrapRequest
+from cagemap.wrap import WrapConfig
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A request with a field of every kind."""
+
+    files: Annotated[tuple[Path, ...], typer.Argument()]
+    kinds: Annotated[tuple[str, ...], typer.Option("--kinds")] = ()
+    sizes: Annotated[tuple[int, ...], typer.Option("--size")] = (1, 2)
+    amount: Annotated[float, typer.Option("--amount")] = 0.5
+    inner: str = "not of the command line"
+
+
+def _asked(*words: str, **options: Any) -> Asked:
+    got: list[Asked] = []
+    app = typer.Typer()
+
+    @app.command()
+    @asks(Asked, **options)
+    @in_stages
+    def run(request: Asked, stages: Stages) -> Outcome:
+        got.append(request)
+        return "done", []
+
+    done = CliRunner().invoke(app, words)
+    assert (done.exit_code, done.output) == (0, "done\n"), done.output
+    return got[0]
+
+
+def test_what_is_not_said_is_the_requests_own_default() -> None:
+    assert _asked() == Asked(())
+
+
+def test_words_become_the_fields_values() -> None:
+    got = _asked("a", "b", "--kinds", "x", "--kinds", "y", "--size", "3", "--amount", "1")
+    assert got == Asked((Path("a"), Path("b")), ("x", "y"), (3,), 1.0)
+
+
+def test_a_field_may_be_said_in_words_of_its_own() -> None:
+    def read(kinds: str | None, **others: Any) -> Asked:
+        return Asked(kinds=tuple(kinds.split(",")) if kinds else (), **others)
+
+    said = {"kinds": str | None}
+    assert _asked("--kinds", "x,y", said=said, read=read).kinds == ("x", "y")
+    assert _asked(said=said, read=read) == Asked(())
+
+
+def test_wrap_is_asked_for_what_the_library_does_by_itself() -> None:
+    assert WrapRequest((), Path("out.obj")).fairness == WrapConfig.fairness  # written twice so that --help starts fast
+
+
+def test_what_no_command_uses_is_loaded_when_it_is_asked_for_after_all() -> None:
+    asked = """
+import sys
+from cagemap.cli.command import UNUSED, load_when_used
+load_when_used(UNUSED)
+import numpy, scipy.linalg
+print(any(name.startswith(f"{late}.") for name in sys.modules for late in UNUSED))
+numpy.testing.assert_equal(1, 1)
+from numpy.f2py import crackfortran
+print(crackfortran.__name__)
+"""
+    done = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "numpy.f2py.crackfortran"]

@@ -1,0 +1,239 @@
+"""`cagemap run` on real files: the same maps as single commands, and nothing twice."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cagemap.cli.app import app
+from cagemap.errors import FormatError, ParameterError
+from cagemap.example import example_pair
+from cagemap.files.atomic import write_whole
+from cagemap.files.code_version import code_version
+from cagemap.files.images.image import write_image
+from cagemap.files.landmarks.pairs import write_landmarks
+from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.result.folder import read_result
+from cagemap.jobs import Consistency, Task, plan_job, read_job, spanning_tree
+from cagemap.jobs.farm import farm_steps
+from cagemap.jobs.page import PairRow
+from cagemap.tasks.job_file import COMMANDS, WRITTEN
+from cagemap.tasks.run_job import in_words
+
+JOB = """output = "night"
+
+[options]
+vertices = 1500
+
+[[assets]]
+name = "pony"
+file = "pony.obj"
+files = { color = "pony.png" }
+
+[[assets]]
+name = "deer"
+file = "deer.obj"
+
+[[assets]]
+name = "broken"
+file = "broken.obj"
+files = { color = "pony.png" }
+
+[[pairs]]
+source = "pony"
+target = "deer"
+landmarks = "landmarks.json"
+
+[[pairs]]
+source = "broken"
+target = "deer"
+landmarks = "landmarks.json"
+
+[[outputs]]
+command = "transfer"
+texture = "{source.color}"
+size = 64
+output = "{target}.png"
+"""
+
+
+# Numbers of some tasks: three surfaces, two maps, what is made with each of these, the page.
+NUMBERED = {
+    "match pony -> deer": "4",
+    "match broken -> deer": "5",
+    "picture pony -> deer": "6",
+    "transfer pony -> deer": "6",
+    "transfer broken -> deer": "7",
+    "page": "8",
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    pair = example_pair(64)
+    write_mesh(tmp_path / "deer.obj", pair.target)
+    write_mesh(tmp_path / "pony.obj", pair.source)
+    write_image(tmp_path / "pony.png", pair.texture)
+    write_landmarks(tmp_path / "landmarks.json", pair.landmarks)
+    (tmp_path / "broken.obj").write_text("v 0 0 0\nf 1 2 3\n")
+    (tmp_path / "job.toml").write_text(JOB)
+    return tmp_path
+
+
+def test_a_dry_run_says_what_would_be_done_and_does_nothing(folder: Path) -> None:
+    before = sorted(folder.iterdir())
+    said = CliRunner().invoke(app, ["run", str(folder / "job.toml"), "--dry-run"])
+    assert said.exit_code == 0, said.output
+    assert "2 pairs" in said.output
+    assert "match pony -> deer" in said.output
+    assert "core minutes" in said.output
+    assert sorted(folder.iterdir()) == before
+
+
+def test_a_dry_run_foresees_what_will_be_refused(folder: Path) -> None:
+    def said(command: str) -> str:
+        (folder / "job.toml").write_text(JOB.replace('texture = "{source.color}"\nsize = 64', command))
+        run = CliRunner().invoke(app, ["run", str(folder / "job.toml"), "--dry-run"])
+        assert run.exit_code == 0, run.output
+        return run.output
+
+    texture = 'texture = "{source.color}"'
+    assert "refused" not in said(texture)
+    assert "broken cannot be used: " in said(texture)
+    pair = example_pair(64)
+    write_mesh(folder / "deer.obj", replace(pair.target, uvs=None, uv_indices=None))
+    assert "will be refused, for deer has no texture coordinates: add `unwrap = true`" in said(texture)
+    assert "refused" not in said(texture + "\nunwrap = true")
+    write_mesh(folder / "pony.obj", replace(pair.source, uvs=None, uv_indices=None))
+    assert "will be refused, for pony has no texture coordinates, which texture lies over" in said(texture)
+    assert "refused" not in said("material_colors = true\nunwrap = true")
+
+
+def test_the_page_of_a_job_speaks_of_options() -> None:
+    row = PairRow("a", "b", "failed", ("use the pairs reversed (`Landmarks.reversed()`)",), 0.0)
+    assert in_words([row])[0].messages == ("use the pairs reversed (--exchange-landmarks)",)
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the tasks that ran; each only writes its files, and `broken` cannot be prepared."""
+    ran: list[str] = []
+
+    def write(task: Task) -> dict[str, Any]:
+        ran.append(task.name)
+        if task.request.get("asset") == "broken":
+            raise FormatError("broken.obj: expected a mesh. Mend it.")
+        root = Path(task.request["output"]) if "output" in task.request else None
+        for output in task.outputs:
+            assert root is not None
+            folder = next(place for place in root.parents if place.name == "night")
+            (folder / output).parent.mkdir(parents=True, exist_ok=True)
+            write_whole(folder / output, "made")
+        return {}
+
+    monkeypatch.setattr("cagemap.tasks.run_job.run_task", write)
+    return ran
+
+
+def numbered(folder: Path, words: str) -> tuple[int, str]:
+    said = CliRunner().invoke(app, ["run", str(folder / "job.toml"), "--task", words])
+    return said.exit_code, said.output
+
+
+def test_each_task_by_its_number_is_done_once_and_has_an_exit_code(folder: Path, quick: list[str]) -> None:
+    """Surfaces 1 to 3 (two of them deer's, which are one), maps 4 and 5, their outputs 6 and 7, the page 8."""
+    listed = CliRunner().invoke(app, ["run", str(folder / "job.toml"), "--dry-run"]).output
+    places = {name: next(line.split()[0] for line in listed.splitlines() if name in line) for name in NUMBERED}
+    assert places == NUMBERED
+    good, bad = (NUMBERED["match pony -> deer"], NUMBERED["match broken -> deer"])
+    code, output = numbered(folder, good)
+    assert (code, quick) == (1, [])
+    assert "is not done. Run its number first." in output
+    assert numbered(folder, "1-3")[0] == 1
+    assert len(quick) == 3
+    assert numbered(folder, good)[0] == 0
+    assert numbered(folder, NUMBERED["transfer pony -> deer"])[0] == 0
+    before = list(quick)
+    assert before[3:] == ["match pony -> deer", "picture pony -> deer", "transfer pony -> deer: deer.png"]
+    assert numbered(folder, NUMBERED["transfer pony -> deer"])[0] == 0
+    assert numbered(folder, bad)[0] == 1
+    assert quick == before
+    code, output = numbered(folder, "8")
+    assert code == 1
+    assert "match broken -> deer: failed: not done" in output
+    assert "deer.png" in (folder / "night" / "index.html").read_text()
+    with pytest.raises(ParameterError, match="of tasks 1 to 8, got '9'"):
+        CliRunner().invoke(app, ["run", str(folder / "job.toml"), "--task", "9"], catch_exceptions=False)
+
+
+def test_a_numbered_output_is_made_with_the_way_round_its_doubtful_map(
+    folder: Path, quick: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The composed map has no number: who needs it makes it first, once."""
+    cow = '[[assets]]\nname = "cow"\nfile = "pony.obj"\n\n[[pairs]]'
+    three = JOB.replace("[[pairs]]", cow, 1).replace('"broken"\ntarget = "deer"', '"cow"\ntarget = "deer"')
+    (folder / "job.toml").write_text(three + '\n[[pairs]]\nsource = "pony"\ntarget = "cow"\n')
+    way = Consistency({}, 1, (), {("deer", "pony"): ("deer", "cow", "pony")})
+    monkeypatch.setattr("cagemap.tasks.run_job.collection_verdict", lambda plan, outcomes: way)
+    job = read_job(folder / "job.toml", COMMANDS, WRITTEN)
+    steps = {step.name: step for step in farm_steps(plan_job(job, code_version(), spanning_tree))}
+    maps, outputs = steps["match"], steps["outputs"]
+    assert numbered(folder, f"1-{maps.last}")[0] == 0
+    assert not [name for name in quick if name.startswith("compose")]
+    assert numbered(folder, f"{outputs.first}-{outputs.last}")[0] == 0
+    assert [name for name in quick if name.startswith("compose")] == ["compose pony -> deer by way of cow"]
+    assert quick.index("compose pony -> deer by way of cow") < quick.index("picture pony -> deer")
+    assert numbered(folder, str(outputs.last + 1))[0] == 0
+
+
+def test_a_job_is_exported_for_farms_and_runs_nothing(folder: Path) -> None:
+    before = sorted(folder.iterdir())
+    made = {
+        kind: CliRunner().invoke(app, ["run", str(folder / "job.toml"), "--export", kind])
+        for kind in ("openjd", "slurm", "cobol")
+    }
+    template = json.loads(made["openjd"].output)
+    assert [step["name"] for step in template["steps"]] == ["prepare", "match", "outputs", "page"]
+    assert f"job={folder}/job.toml" in made["slurm"].output
+    assert "expected openjd or slurm, got 'cobol'" in str(made["cobol"].exception)
+    both = CliRunner().invoke(app, ["run", str(folder / "job.toml"), "--export", "slurm", "--task", "1"])
+    assert "--task: expected none of --export beside it" in str(both.exception)
+    assert sorted(folder.iterdir()) == before
+
+
+@pytest.mark.slow
+def test_a_job_gives_what_single_commands_give_and_names_what_failed(folder: Path) -> None:
+    runner = CliRunner()
+    job = ["run", str(folder / "job.toml"), "--workers", "2"]
+    first = runner.invoke(app, job)
+    assert first.exit_code == 1
+    assert "broken" in first.output
+    assert "match broken -> deer: skipped" in first.output
+    night = folder / "night"
+    assert (night / "pony__deer" / "deer.png").is_file()
+    assert not (night / "broken__deer" / "RESULT").exists()
+    assert "skipped" in (night / "index.html").read_text()
+
+    single = ["match", "-t", str(folder / "deer.obj"), "-s", str(folder / "pony.obj"), "--vertices", "1500"]
+    done = runner.invoke(app, [*single, "--landmarks", str(folder / "landmarks.json"), "-o", str(folder / "RESULT")])
+    assert done.exit_code == 0, done.output
+    one, many = read_result(folder / "RESULT"), read_result(night / "pony__deer" / "RESULT")
+    np.testing.assert_allclose(many.image(), one.image(), atol=1e-12 * np.ptp(one.image()))
+
+    written = {path: path.stat().st_mtime_ns for path in night.rglob("*") if ".lock" not in path.name}
+    again = runner.invoke(app, job)
+    assert again.exit_code == 1
+    after = {path: path.stat().st_mtime_ns for path in night.rglob("*") if ".lock" not in path.name}
+    assert {path for path in written if after.get(path) != written[path] and path.is_file()} == set()
+    (folder / "broken.obj").write_bytes((folder / "pony.obj").read_bytes())
+    mended = runner.invoke(app, job)
+    assert mended.exit_code == 0, mended.output
+    assert "failed" not in mended.output
+    assert os.path.isfile(night / "broken__deer" / "deer.png")

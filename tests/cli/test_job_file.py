@@ -1,0 +1,152 @@
+"""What a command did can be done again by the job file that it leaves in the RESULT folder."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomli_w
+from typer.testing import CliRunner
+
+from cagemap.cli.app import app
+from cagemap.errors import FormatError, ParameterError
+from cagemap.example import example_pair
+from cagemap.files.images.image import read_image, write_image
+from cagemap.files.landmarks.pairs import write_landmarks
+from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.result.folder import read_result, write_result
+from cagemap.jobs import plan_job, read_job, spanning_tree
+from cagemap.tasks.import_map import run_map
+from cagemap.tasks.job_file import JOB, note_match, note_output
+from cagemap.tasks.match import MatchRequest
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
+from cagemap.tasks.requests.import_map import MapRequest
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.wrap import WrapRequest
+from cagemap.tasks.run_job import run_task
+from cagemap.tasks.wrap import run_wrap
+
+from example_result import identity_result, textured_cube
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    pair = example_pair(64)
+    write_mesh(tmp_path / "deer.obj", pair.target)
+    write_mesh(tmp_path / "pony.obj", pair.source)
+    write_landmarks(tmp_path / "landmarks.json", pair.landmarks)
+    write_image(tmp_path / "pony.png", pair.texture)
+    (tmp_path / "RESULT").mkdir()
+    return tmp_path
+
+
+def requests(folder: Path) -> tuple[MatchRequest, TransferRequest]:
+    result = folder / "RESULT"
+    match = MatchRequest(
+        folder / "deer.obj", folder / "pony.obj", folder / "landmarks.json", result, vertices=700, k=40
+    )
+    return match, TransferRequest(result, folder / "deer.png", texture=folder / "pony.png", size=32)
+
+
+def test_the_job_file_asks_for_just_what_was_asked_for(folder: Path) -> None:
+    match, transfer = requests(folder)
+    note_match(match)
+    for _ in range(2):  # the same output replaces
+        note_output("transfer", transfer.result, transfer)
+    job = read_job(folder / "RESULT" / JOB, COMMANDS)
+    tasks = plan_job(job, "1", spanning_tree).tasks
+    asked = {task.kind: task.request for task in tasks}
+    assert [task.kind for task in tasks] == ["prepare", "prepare", "match", "picture", "transfer"]
+    assert {name: asked["match"][name] for name in ("vertices", "k")} == {"vertices": 700, "k": 40}
+    for name, path in (("target", match.target), ("source", match.source), ("landmarks", match.landmarks)):
+        assert Path(asked["match"][name]).resolve() == Path(str(path)).resolve()
+    assert Path(asked["transfer"]["texture"]).resolve() == (folder / "pony.png").resolve()
+    assert asked["transfer"]["size"] == 32
+
+
+def test_an_edited_job_file_is_left_alone(folder: Path) -> None:
+    match, transfer = requests(folder)
+    note_match(match)
+    place = folder / "RESULT" / JOB
+    edited = place.read_text() + "# mine\n"
+    place.write_text(edited)
+    note_output("transfer", transfer.result, transfer)
+    assert place.read_text() == edited
+
+
+def test_no_file_is_written_twice_by_it(folder: Path) -> None:
+    result = folder / "RESULT"
+    write_result(result, identity_result())
+    match, transfer = requests(folder)
+    note_match(match)
+    for output in ("deer.png", "other.png"):  # the second run's layer took the place of the first one's
+        note_output("transfer", result, replace(transfer, output=folder / output, usd=folder / "deer.usda"))
+    wrap = WrapRequest((result,), folder / "w.obj", texture=folder / "pony.png", baked=folder / "b.png", size=16)
+    run_wrap(wrap, Stages())
+    tasks = plan_job(read_job(result / JOB, COMMANDS, WRITTEN), "1", spanning_tree).tasks
+    assert [task.outputs for task in tasks[4:]] == [
+        ("pony__deer/deer.png",),
+        ("pony__deer/other.png", "pony__deer/deer.usda"),
+        ("pony__deer/w.obj", "pony__deer/b.png"),
+    ]
+
+
+def test_blend_shapes_of_several_results_are_noted_in_each(folder: Path) -> None:
+    results = (folder / "RESULT", folder / "OTHER")
+    for place, name in zip(results, ("small.obj", "other.obj"), strict=True):
+        place.mkdir(exist_ok=True)
+        result = identity_result()
+        source = result.source
+        control = replace(source.control, name=name)
+        source = replace(source, refinement=replace(source.refinement, control=control))
+        write_result(place, replace(result, source=source))
+        note_match(replace(requests(folder)[0], output=place))
+    run_wrap(WrapRequest(results, folder / "shapes", blend_shapes=True), Stages())
+    for place in results:
+        tasks = plan_job(read_job(place / JOB, COMMANDS, WRITTEN), "1", spanning_tree).tasks
+        assert [(task.outputs, task.request["blend_shapes"]) for task in tasks[4:]] == [(("pony__deer/shapes",), True)]
+
+
+def test_a_map_that_is_given_is_taken_again(folder: Path) -> None:
+    write_mesh(folder / "large.obj", textured_cube("large.obj", 2.0))
+    write_mesh(folder / "small.obj", textured_cube("small.obj"))
+    np.save(folder / "own.npy", np.random.default_rng(1).integers(0, 98, 98))
+    request = MapRequest(folder / "own.npy", folder / "large.obj", folder / "small.obj", folder / "RESULT", level=2)
+    with pytest.raises(ParameterError, match=r"--level 13: small.obj would have too many|--level 13: large.obj would"):
+        run_map(replace(request, level=13), Stages())  # not MemoryError, nor the whole machine's memory
+    run_map(request, Stages())
+    job = folder / "RESULT" / JOB
+    match, picture = plan_job(read_job(job, COMMANDS, WRITTEN), "1", spanning_tree).tasks
+    (folder / "RESULT" / "again" / "small__large").mkdir(parents=True)
+    assert run_task(match)["quality"]["coverage"] <= 1.0
+    images = [read_result(place).point_map.images for place in (request.output, Path(match.request["output"]))]
+    np.testing.assert_array_equal(images[0].positions, images[1].positions)
+    assert picture.needs == (match.name,)
+    np.save(folder / "own.npy", np.arange(98))
+    assert plan_job(read_job(job, COMMANDS, WRITTEN), "1", spanning_tree).tasks[0].key != match.key
+    data = tomllib.loads(job.read_text())
+    data["pairs"][0]["landmarks"] = "../landmarks.json"
+    job.write_text(tomli_w.dumps(data))
+    with pytest.raises(FormatError, match=r"pairs\.0\.map: a map that is given takes a level only"):
+        read_job(job, COMMANDS, WRITTEN)
+
+
+@pytest.mark.slow
+def test_running_it_gives_the_same_map_and_image(folder: Path) -> None:
+    runner = CliRunner()
+    (folder / "RESULT").rmdir()
+    match = ["match", "-t", f"{folder}/deer.obj", "-s", f"{folder}/pony.obj", "--landmarks", f"{folder}/landmarks.json"]
+    transfer = ["transfer", f"{folder}/RESULT", "--texture", f"{folder}/pony.png", "-o", f"{folder}/deer.png"]
+    for command in ([*match, "--vertices", "1500", "-o", f"{folder}/RESULT"], transfer):
+        done = runner.invoke(app, command)
+        assert done.exit_code == 0, done.output
+    done = runner.invoke(app, ["run", f"{folder}/RESULT/{JOB}", "--workers", "1"])
+    assert done.exit_code == 0, done.output
+    again = folder / "RESULT" / "again" / "pony__deer"
+    np.testing.assert_array_equal(read_image(again / "deer.png").pixels, read_image(folder / "deer.png").pixels)
+    one, two = read_result(folder / "RESULT"), read_result(again / "RESULT")
+    np.testing.assert_allclose(two.image(), one.image(), atol=1e-12 * np.ptp(one.image()))

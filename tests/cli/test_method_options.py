@@ -1,0 +1,190 @@
+"""Options of `cagemap match` that concern one side or the method's parameters, and what the manifest says of them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from examples import shapes
+
+from cagemap.errors import FormatError, ParameterError
+from cagemap.files.landmarks.symmetry import read_symmetry
+from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.result.folder import read_result
+from cagemap.mesh.mirrors import mirror_symmetries
+from cagemap.operators import AlexaWardetzky, build_operators
+from cagemap.pipeline import MAP_BASIS, MatchConfig, default_basis
+from cagemap.spectral import BasisConfig, hierarchical_basis
+from cagemap.tasks.basis_options import require_level_or_vertices, side_bases, side_levels
+from cagemap.tasks.match import MatchRequest, match_config, run_match
+from cagemap.tasks.method import used_parameters, with_parameters
+from cagemap.tasks.progress import Stages
+
+
+def files_of(folder):
+    """The creature mapped to itself: meshes, landmarks and its symmetry as files."""
+    mesh = shapes.creature()
+    for side in ("target", "source"):
+        write_mesh(folder / f"{side}.obj", mesh)
+    chosen = [int(vertex) for vertex in np.linspace(0, mesh.n_vertices - 1, 8).astype(int)]
+    pairs = [{"name": f"p{v}", "source": v, "target": v} for v in chosen]
+    (folder / "l.json").write_text(json.dumps({"source": "source.obj", "target": "target.obj", "pairs": pairs}))
+    image = mirror_symmetries(mesh)[0].image
+    (folder / "s.json").write_text(json.dumps(image.tolist()))
+    (folder / "s.txt").write_text("\n".join(map(str, image)))
+    np.save(folder / "s.npy", image)
+    return [folder / name for name in ("target.obj", "source.obj", "l.json")], image
+
+
+def test_other_search_levels_and_exact_bases_get_the_operators_of_the_finest_level(tmp_path):
+    """Those of hfm end where no finer level would change the map, unless other levels are asked for."""
+    words = {"target": tmp_path, "source": tmp_path, "landmarks": tmp_path, "output": tmp_path, "method": "hfm"}
+    assert side_bases(MatchRequest(**words)) == (default_basis("hfm"), default_basis("hfm"))
+    assert default_basis("hfm").vertices == MAP_BASIS.vertices
+    for more in ({"parameter": ("search_vertices=50000",)}, {"schedule": "100,50"}):
+        assert [basis.vertices for basis in side_bases(MatchRequest(**words, **more))] == [None, None]
+
+
+def test_each_side_has_its_own_level_and_schedule(tmp_path):
+    """The paper's Table 1, and the manifest says what was used."""
+    paths, _ = files_of(tmp_path)
+    request = MatchRequest(
+        *paths, tmp_path / "R", method="paper", target_level=2, source_level=1, target_schedule="12,6,4",
+        source_schedule="10,8", parameter=("rounds=0", "laplacian=0.01", "heat=4"),
+        target_symmetry=(tmp_path / "s.json",), source_symmetry=(tmp_path / "s.npy",),
+    )  # fmt: skip
+    with Stages() as stages:
+        run_match(request, stages)
+    result = read_result(tmp_path / "R")
+    assert result.functional_map.shape == (22, 18)
+    used = result.manifest["parameters"]
+    assert (used["target_level"], used["source_level"]) == (2, 1)
+    assert (used["target_schedule"], used["source_schedule"]) == ([12, 6, 4], [10, 8])
+    assert (used["spectral"]["laplacian"], used["spectral"]["heat"], used["spectral"]["rounds"]) == (0.01, 4, 0)
+
+
+def test_the_paper_s_schedule_has_as_many_levels_as_the_surface(tmp_path):
+    """Where none is given; a number of functions replaces it."""
+    words = {"target": tmp_path, "source": tmp_path, "landmarks": tmp_path, "output": tmp_path, "method": "paper"}
+    target, source = side_bases(MatchRequest(**words), (1, 3))
+    assert (target.schedule, source.schedule) == ((100, 50), (100, 50, 50, 50))
+    assert side_bases(MatchRequest(**words, k=40), (1, 3))[0] == BasisConfig(count=40)
+    assert side_bases(MatchRequest(**words, schedule="9,5"), (1, 3))[1].schedule == (9, 5)
+
+
+def test_one_side_alone_leaves_the_other_as_it_is(tmp_path):
+    request = MatchRequest(tmp_path, tmp_path, tmp_path, tmp_path, schedule="9,5", source_k=40)
+    target, source = side_bases(request)
+    assert target.schedule == (9, 5)
+    assert (source.schedule, source.count) == (None, 40)
+
+
+def test_each_side_has_its_own_number_of_vertices(tmp_path):
+    """`--target-vertices` goes before `--level` and `--vertices`, which are the other side's then."""
+    controls = [shapes.creature()] * 2
+    request = MatchRequest(tmp_path, tmp_path, tmp_path, tmp_path, target_vertices=2400, vertices=600)
+    assert side_levels(request, controls) == (2, 1)
+    request = MatchRequest(tmp_path, tmp_path, tmp_path, tmp_path, source_vertices=2400, level=1)
+    assert side_levels(request, controls) == (1, 2)
+    for words in ({"level": 1, "vertices": 5}, {"target_level": 1, "target_vertices": 5}):
+        with pytest.raises(ParameterError, match=r"level and --.*vertices: expected one of them, got both"):
+            require_level_or_vertices(MatchRequest(tmp_path, tmp_path, tmp_path, tmp_path, **words))
+
+
+def test_each_side_has_its_own_laplacian_accuracy_and_definition(tmp_path):
+    """What is computed follows, and the manifest says it: eigenvalues differ from those of the usual Laplacian."""
+    paths, _ = files_of(tmp_path)
+    request = MatchRequest(
+        *paths, tmp_path / "R", method="paper", level=1, schedule="12,6", laplacian="alexa-wardetzky:2",
+        source_laplacian="mean", accuracy=1e-8, target_accuracy=1e-10, source_literal=True, symmetry=False,
+        parameter=("rounds=0",),
+    )  # fmt: skip
+    with Stages() as stages:
+        run_match(request, stages)
+    result = read_result(tmp_path / "R")
+    used = result.manifest["parameters"]
+    assert (used["target_laplacian"], used["target_stabilisation"], used["source_laplacian"]) == (
+        "alexa-wardetzky", 2.0, "mean",
+    )  # fmt: skip
+    assert (used["target_accuracy"], used["source_accuracy"]) == (1e-10, 1e-8)
+    assert (used["target_literal"], used["source_literal"]) == (False, True)
+    asked = BasisConfig(schedule=(12, 6), accuracy=1e-10, laplacian="alexa-wardetzky", stabilisation=2.0)
+    assert result.target.config == asked
+    operators = build_operators(result.target.refinement, AlexaWardetzky(2.0))
+    basis = hierarchical_basis(result.target.refinement, operators, asked)
+    np.testing.assert_allclose(result.spectral.target_eigenvalues, basis.eigenvalues, rtol=1e-9, atol=1e-9)
+    assert abs(result.spectral.target_eigenvalues[5] / result.spectral.source_eigenvalues[5] - 1) > 1e-3
+    # What was read is prepared again with the same Laplacian.
+    np.testing.assert_allclose(result.target.basis.eigenvalues, basis.eigenvalues, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (
+            {"laplacian": "cotan"},
+            "--set laplacian: expected mean, alexa-wardetzky, .* got 'cotan'",
+        ),
+        ({"source_laplacian": "alexa-wardetzky:x"}, "--set source.laplacian: expected mean"),
+        ({"target_laplacian": "alexa-wardetzky:0"}, "stabilisation: expected a finite number above 0"),
+        ({"laplacian": "mean:2"}, "the last two with :LAMBDA"),
+        ({"literal": True}, "--set literal: expected a schedule of the target"),
+        ({"literal": True, "schedule": "9,5", "source_k": 9}, "--set literal: expected a schedule of the source"),
+        ({"accuracy": 0.1}, "accuracy: expected a residual"),
+    ],
+)
+def test_wrong_options_of_bases_are_refused(tmp_path, words, said):
+    with pytest.raises(ParameterError, match=said):
+        side_bases(MatchRequest(tmp_path, tmp_path, tmp_path, tmp_path, **words))
+
+
+def test_parameters_reach_the_method_they_belong_to():
+    assert used_parameters(with_parameters(MatchConfig(method="paper"), ["rounds=3"]))["rounds"] == 3
+    hfm = with_parameters(MatchConfig(method="hfm"), ["last=80", "signature_weight=0", "products=4"]).hfm
+    assert (hfm.zoomout.last, hfm.descriptors.signature_weight, hfm.descriptors.products) == (80, 0.0, 4)
+    used = used_parameters(MatchConfig(method="hfm", hfm=hfm))
+    assert (used["last"], used["products"], used["factor"]) == (80, 4, hfm.zoomout.factor)
+    assert with_parameters(MatchConfig(), ["first=12"]).start.zoomout.first == 12
+    assert with_parameters(MatchConfig(), []) == MatchConfig()
+
+
+@pytest.mark.parametrize(
+    ("method", "setting", "said"),
+    [
+        ("hfm", "rounds=3", "expected NAME=VALUE with one of .*search_vertices.* for hfm, got 'rounds=3'"),
+        ("paper", "laplacian", "expected NAME=VALUE"),
+        ("paper", "rounds=2.5", "rounds: expected a whole number, got '2.5'"),
+        ("paper", "decay=-1", "decay of at least 0"),
+        ("paper", "factor=2", "expected NAME=VALUE with one of .*rounds.* for paper"),
+        ("elastic", "laplacian=0.1", "expected NAME=VALUE with one of .*search_vertices.* for elastic"),
+        ("elastic", "last=2", "no fewer at last"),
+        ("elastic", "factor=x", "factor: expected a number, got 'x'"),
+        ("hfm", "factor=1", "a factor above 1"),
+        ("hfm", "coordinate_weight=-1", "coordinate weight of at least 0"),
+        ("hfm", "product_weight=-1", "product_weight: expected at least 0"),
+        ("hfm", "products=-1", "products: expected 0 or more descriptors"),
+    ],
+)
+def test_wrong_parameters_are_refused(method, setting, said):
+    with pytest.raises(ParameterError, match=said):
+        with_parameters(MatchConfig(method=method), [setting])
+
+
+def test_symmetry_files(tmp_path):
+    _, image = files_of(tmp_path)
+    for name in ("s.json", "s.txt", "s.npy"):
+        np.testing.assert_array_equal(read_symmetry(tmp_path / name), image)
+    for name, content in (("a.json", '{"a": 1}'), ("b.txt", "1 2 x"), ("c.json", "[1.5]"), ("d.json", "[]")):
+        (tmp_path / name).write_text(content)
+        with pytest.raises(FormatError, match="one vertex number for every control vertex"):
+            read_symmetry(tmp_path / name)
+    with pytest.raises(ParameterError, match="as many files for one side as for the other, got 1 and 0"):
+        match_config(MatchRequest(tmp_path, tmp_path, tmp_path, tmp_path, target_symmetry=(tmp_path / "s.npy",)))
+
+
+def test_symmetries_that_the_method_does_not_use_are_refused(tmp_path):
+    files_of(tmp_path)
+    files = {f"{side}_symmetry": (tmp_path / "s.npy",) for side in ("target", "source")}
+    with pytest.raises(ParameterError, match="symmetries: expected the method paper or hfm"):
+        match_config(MatchRequest(tmp_path, tmp_path, tmp_path, tmp_path, **files))

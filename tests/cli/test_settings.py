@@ -1,0 +1,117 @@
+"""The command line stays short: options in groups with a line and a default each, research options after `--set`."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.main import get_command
+from typer.testing import CliRunner
+
+from cagemap.cli.app import app
+from cagemap.errors import FormatError, ParameterError
+from cagemap.tasks.requests.match import MatchRequest
+from cagemap.tasks.requests.settings import moved_options, read_settings, settings_of
+
+MATCH = ("match", "-t", "t.obj", "-s", "s.obj", "-o", "R")
+COMMANDS = {"": get_command(app), **get_command(app).commands}  # type: ignore[attr-defined]
+
+
+def options(command: str) -> list[Any]:
+    return [one for one in COMMANDS[command].params if one.param_type_name == "option"]
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[MatchRequest]:
+    """Requests that reach the task, which does nothing."""
+    requests: list[MatchRequest] = []
+    monkeypatch.setattr("cagemap.tasks.match.run_match", lambda request, stages: requests.append(request) or ("", []))
+    return requests
+
+
+def typed(*words: str) -> None:
+    CliRunner().invoke(app, [*MATCH, *words], catch_exceptions=False)
+
+
+def test_match_has_at_most_35_options_of_its_own() -> None:
+    assert len([one for one in options("match") if one.name not in ("verbose", "quiet")]) <= 35
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_option_has_a_short_line_and_shows_its_default(command: str) -> None:
+    context = COMMANDS[command].make_context(command, [], resilient_parsing=True)
+    for option in options(command):
+        words = option.help.partition("  [default")[0]
+        shown = option.get_help_record(context)[1]
+        assert words.endswith((".", "...")), (option.opts, words)
+        assert 0 < len(words.split()) <= 12, (option.opts, words)
+        assert ("[default: " in shown) or ("required]" in shown), (option.opts, shown)
+
+
+def test_help_of_match_is_in_groups() -> None:
+    text = CliRunner().invoke(app, ["match", "--help"]).output
+    heads = [line for line in text.splitlines() if line.endswith(":") and not line.startswith(" ")]
+    assert heads == ["Input:", "Landmarks:", "Output:", "Research:", "Options:"]
+    places = [text.index(word) for word in ("--target <", "--trust-landmarks", "--output <", "--set NAME=VALUE")]
+    assert places == sorted(places)
+
+
+def test_settings_reach_the_request_and_the_last_of_one_name_counts(tmp_path: Path, asked: list[MatchRequest]) -> None:
+    file = tmp_path / "basis.toml"
+    file.write_text('schedule = "9,5"\nliteral = true\n[source]\nk = 12\n[method]\nrounds = 3\nheat = 4\n')
+    words = [str(file), "schedule=100,50", "target.level=3", "accuracy=1e-8", "method.heat=6"]
+    words += ["source.symmetry=a.npy", "source.symmetry=b.npy"]
+    typed(*(word for one in words for word in ("--set", one)))
+    (request,) = asked
+    assert request.schedule == "100,50"
+    assert request.literal is True
+    assert (request.source_k, request.target_level, request.accuracy) == (12, 3, 1e-8)
+    assert request.parameter == ("rounds=3", "heat=6")
+    assert request.source_symmetry == (Path("a.npy"), Path("b.npy"))
+    typed("--set", "source.k=12")
+    assert asked[1] == MatchRequest(Path("t.obj"), Path("s.obj"), None, Path("R"), source_k=12)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("schedule", "--set: expected NAME=VALUE or a .toml file, got 'schedule'"),
+        ("scheduel=3", "--set scheduel: expected one of accuracy, laplacian, .* method.NAME"),
+        ("target_k=3", "--set target_k: expected one of .*target.k"),
+        ("target.k=many", "--set target.k: .*integer.*got 'many'"),
+        ("target.vertices=0", "--set target.vertices: .*greater than or equal to 1, got '0'"),
+        ("literal=perhaps", "--set literal: .*boolean.*got 'perhaps'"),
+    ],
+)
+def test_wrong_settings_are_refused(words: str, said: str) -> None:
+    with pytest.raises(ParameterError, match=said):
+        read_settings(MatchRequest, [words])
+
+
+def test_a_file_of_settings_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "x.toml"
+    with pytest.raises(FormatError, match=r"x\.toml"):
+        read_settings(MatchRequest, [str(file)])
+    file.write_text("k = = 3")
+    with pytest.raises(FormatError, match=r"x\.toml: expected a TOML file, got a mistake in it"):
+        read_settings(MatchRequest, [str(file)])
+
+
+@pytest.mark.parametrize("old", moved_options(MatchRequest))
+def test_an_option_that_moved_is_refused_with_its_new_spelling(old: str, asked: list[MatchRequest]) -> None:
+    new = moved_options(MatchRequest)[old]
+    for words in ((old, "3"), (f"{old}=3",)):
+        with pytest.raises(ParameterError) as refused:
+            typed(*words)
+        assert str(refused.value) == f"{old}: is typed differently now. Type {new}."
+    assert asked == []
+    name = new.removeprefix("--set ").partition("=")[0]
+    assert name == "method.NAME" or name in settings_of(MatchRequest)
+
+
+def test_job_files_keep_the_names_of_research_options() -> None:
+    names = {field.name for field in fields(MatchRequest)}
+    assert {setting.field for setting in settings_of(MatchRequest).values()} | {"parameter"} <= names
+    assert len(moved_options(MatchRequest)) == 21

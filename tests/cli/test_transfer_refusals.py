@@ -1,0 +1,133 @@
+"""What `cagemap transfer` refuses at its door: outputs that would be half of what was asked for, and idle options."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cagemap.deform.config import StartConfig
+from cagemap.errors import FormatError, ParameterError, explained
+from cagemap.files.images.image import write_image
+from cagemap.files.result.folder import write_result
+from cagemap.paper import HfmConfig
+from cagemap.tasks import transfer as door
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.texture_maps import texture_and_maps
+from cagemap.tasks.transfer import run_transfer
+
+from example_result import identity_result
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    write_result(tmp_path / "R", identity_result())
+    np.save(tmp_path / "v.npy", np.arange(8.0))
+    write_image(tmp_path / "t.png", np.full((8, 8, 3), 90, np.uint8))
+    return tmp_path
+
+
+def refused(place: Path, output: str, **options: Any) -> str:
+    before = {path: path.read_bytes() for path in place.rglob("*") if path.is_file()}
+    with pytest.raises((FormatError, ParameterError)) as refusal:
+        run_transfer(TransferRequest(place / "R", place / output, **options), Stages())
+    assert {path: path.read_bytes() for path in place.rglob("*") if path.is_file()} == before
+    return str(refusal.value)
+
+
+def test_a_layer_that_cannot_be_is_refused_before_its_values_are_written(place: Path) -> None:
+    (place / "mine.usda").write_text("#usda 1.0\n")
+    values = {"attribute": place / "v.npy"}
+    assert ".usda" in refused(place, "o.npz", usd=place / "o.npz", **values)
+    assert "not written by cagemap" in refused(place, "o.npz", usd=place / "mine.usda", **values)
+    assert "not written by cagemap" in refused(place, "w.npz", usd=place / "mine.usda", weights=place / "v.npy")
+    assert "does not exist" in refused(place, "o.npz", usd=place / "none" / "o.usda", **values)
+
+
+@pytest.mark.parametrize("words", [("attribute", "o.csv"), ("weights", "o.csv"), ("blend_shapes", "shapes")])
+def test_values_and_the_layer_beside_them_are_written_both_or_neither(
+    place: Path, words: tuple[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A .csv that is left alone, without a mark, would refuse the next run."""
+    pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    carried, output = words
+    np.save(place / "v.npy", np.ones(8))
+    np.savez(place / "s.npz", smile=np.ones((8, 3)))
+    given = (place / "s.npz",) if carried == "blend_shapes" else place / "v.npy"
+    options = {carried: given, "usd": place / "o.usda"}
+    with monkeypatch.context() as full:
+        full.setattr("cagemap.files.usd.write.mark", fail)
+        assert "cannot write there" in refused(place, output, **options)
+    run_transfer(TransferRequest(place / "R", place / output, **options), Stages())
+    assert (place / "o.usda").is_file()
+    assert (place / output).exists()
+    assert not [path for path in place.rglob("*.part*")]
+
+
+def fail() -> str:
+    raise FormatError("o.usda: cannot write there")
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        ("usd", Path("a.usda")),
+        ("space", "object"),
+        ("green", "down"),
+        ("as_color", True),
+        ("filter", "nearest"),
+        ("detail", Path("d.obj")),
+        ("detail_texture", Path("d.png")),
+        ("rays", 3),
+        ("influences", 3),
+        ("size", 8),
+        ("bits", 16),
+        ("scale", 2.0),
+        ("midlevel", 0.5),
+        ("unwrap", True),
+    ],
+)
+def test_options_that_would_do_nothing_are_refused(place: Path, option: str, value: object) -> None:
+    assert set(door._READ_BY) <= {field.name for field in fields(TransferRequest)}
+    assert option.replace("_", "-") in refused(place, "m.npz", write_map=True, **{option: value})
+
+
+def test_maps_whose_names_some_disks_take_for_one_are_refused() -> None:
+    with pytest.raises(ParameterError, match="a name of its own"):
+        texture_and_maps(["Skin=a.png", "skin=b.png"])
+
+
+@pytest.mark.parametrize("kind", [StartConfig, HfmConfig])
+def test_levels_are_not_sought_by_fewer_than_no_vertices(kind: type[StartConfig | HfmConfig]) -> None:
+    for name in ("search_vertices", "source_search_vertices"):
+        with pytest.raises(ParameterError, match="0 search vertices or more"):
+            kind(**{name: -1})
+
+
+def test_an_error_of_no_file_says_where_room_may_be_missing() -> None:
+    assert explained(OSError(28, "No space left on device", "a.png")).startswith("a.png: No space")
+    assert "NUMBA_CACHE_DIR" in explained(OSError(28, "No space left on device"))
+
+
+def test_a_result_that_may_only_be_read_is_used_with_a_word(
+    place: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Somebody else's, or on a disk that is for reading."""
+    result = place / "R"
+    (result / "job.toml").write_text('output = "again"\n')
+    before = {path: path.read_bytes() for path in result.iterdir()}
+    honest = os.access
+    monkeypatch.setattr("os.access", lambda path, mode: Path(path) != result and honest(path, mode))
+    monkeypatch.setattr("cagemap.tasks.job_file.is_own", lambda path: True)
+    said, _ = run_transfer(TransferRequest(result, place / "o.npz", attribute=place / "v.npy"), Stages())
+    assert "wrote" in said
+    assert (place / "o.npz").is_file()
+    assert {path: path.read_bytes() for path in result.iterdir()} == before
+    for file in ("manifest.json", "job.toml"):
+        assert f"{file}: cannot write to the folder" in caplog.text
+    assert "not noted there" in caplog.text

@@ -1,0 +1,120 @@
+"""Damaged assets: OBJ with every tag, USD as text and as crate, UDIM sets; a named error each, nothing left behind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_damaged_files import mutated_bytes, outcome
+
+from cagemap.errors import CagemapError, FormatError
+from cagemap.files.images.image import read_texture, udim_path, write_image
+from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.checks import check_mesh
+from cagemap.mesh.parts import extract, list_parts
+from cagemap.subdivision import limit_positions, refine
+
+pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+
+from test_usd import full_cube
+
+
+def _everything() -> ControlMesh:
+    mesh = full_cube()
+    return replace(
+        mesh,
+        face_objects=np.array([0, 0, 0, 1, 1, 1]),
+        object_names=("a", "b"),
+        face_groups=np.array([0, 1, 0, 1, 0, 1]),
+        group_names=("g", "h"),
+    )
+
+
+def _write(path: Path) -> None:
+    """A sound file; a package is made of a crate as USD's own tool does."""
+    if path.suffix != ".usdz":
+        write_mesh(path, _everything())
+        return
+    from pxr import UsdUtils
+
+    crate = path.with_name("packed.usdc")
+    write_mesh(crate, _everything())
+    assert UsdUtils.CreateNewUsdzPackage(str(crate), str(path))
+    crate.unlink()
+
+
+def _use(path: Path) -> None:
+    """Read, check and refine; what a check lets through must be refined without trouble."""
+    mesh = read_mesh(path)
+    report = check_mesh(mesh)
+    if report.problems:
+        raise FormatError("; ".join(problem.found for problem in report.problems))
+    for part in list_parts(mesh)[:4]:
+        extract(mesh, part.faces)
+    refinement = refine(mesh, 1)
+    assert np.isfinite(refinement.finest.positions).all()
+    limit_positions(refinement, 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mesh.obj", "mesh.usda", "mesh.usdc", "mesh.usdz"])
+def test_changed_bytes(name: str, tmp_path: Path) -> None:
+    """200 cases of each."""
+    rng = np.random.default_rng([7, *name.encode()])
+    path = tmp_path / name
+    _write(path)
+    content, beside = path.read_bytes(), set(tmp_path.iterdir())
+    assert outcome(lambda: _use(path))
+    refused = 0
+    for _ in range(200):
+        path.write_bytes(mutated_bytes(content, rng))
+        refused += not outcome(lambda: _use(path))
+    assert refused > 20
+    assert set(tmp_path.iterdir()) == beside
+
+
+@pytest.mark.slow
+def test_truncated_at_any_place(tmp_path: Path) -> None:
+    for name in ("mesh.obj", "mesh.usda", "mesh.usdc", "mesh.usdz"):
+        path = tmp_path / name
+        _write(path)
+        content = path.read_bytes()
+        for length in np.linspace(0, len(content) - 1, 40).astype(int):
+            path.write_bytes(content[:length])
+            outcome(lambda path=path: _use(path))
+
+
+def test_a_write_that_fails_leaves_nothing_behind(tmp_path: Path) -> None:
+    broken = replace(_everything(), material_names=("skin", "two\nlines"))
+    with pytest.raises(CagemapError):
+        write_mesh(tmp_path / "mesh.obj", broken)
+    with pytest.raises(CagemapError):
+        write_mesh(tmp_path / "mesh.usdz", _everything())
+    (tmp_path / "mesh.usda").write_text("#usda 1.0\n# somebody's own\n")
+    with pytest.raises(FormatError, match="force=True"):
+        write_mesh(tmp_path / "mesh.usda", _everything())
+    assert [path.name for path in tmp_path.iterdir()] == ["mesh.usda"]
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda path: path.unlink(),
+        lambda path: path.write_bytes(b""),
+        lambda path: path.write_bytes(path.read_bytes()[:40]),
+        lambda path: path.write_bytes(b"P6 0 0 255\n"),
+    ],
+)
+def test_a_set_with_a_spoilt_tile(spoil: Callable[[Path], object], tmp_path: Path) -> None:
+    for tile in (1001, 1002):
+        write_image(udim_path(tmp_path / "t.<UDIM>.png", tile), np.zeros((4, 4, 3), dtype=np.uint8))
+    spoil(tmp_path / "t.1002.png")
+    if (tmp_path / "t.1002.png").exists():
+        with pytest.raises(FormatError, match=r"t\.1002\.png"):
+            read_texture(tmp_path / "t.<UDIM>.png")
+    else:
+        assert list(read_texture(tmp_path / "t.<UDIM>.png")) == [1001]

@@ -1,0 +1,46 @@
+"""What one fit is given: held clusters first, each with its place, both ways and with others besides."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from examples.shapes import creature
+
+from cagemap.deform.config import Stage
+from cagemap.deform.problem import Problem
+from cagemap.maps.pair import Pair
+from cagemap.pipeline import prepare_pair, prepare_surface
+
+TARGET, SOURCE = np.array([40, 3, 17]), np.array([41, 5, 16])
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    body = prepare_surface(creature(), 2)
+    return Problem(prepare_pair(body, body), Pair.of_vertices(body, body, TARGET, SOURCE))
+
+
+def test_held_vertices_come_first_each_with_its_place(problem: Problem) -> None:
+    places = problem.prepared.finest_source.positions
+    shape = problem.holding(np.array([60, 9]), places[[61, 8]])
+    np.testing.assert_array_equal(shape.vertices[:5], [*TARGET, 60, 9])
+    np.testing.assert_array_equal(shape.constraints.anchors.corners[:, 0], np.arange(5))
+    np.testing.assert_array_equal(shape.constraints.places, places[[*SOURCE, 61, 8]])
+    np.testing.assert_array_equal(problem.shape.vertices[:3], TARGET)
+    np.testing.assert_array_equal(problem.constraints.anchors.corners[:, 0], TARGET)
+    np.testing.assert_array_equal(problem.constraints.places, places[SOURCE])
+
+
+def test_problems_made_of_one_keep_what_they_do_not_change(problem: Problem) -> None:
+    few = problem.without([1])
+    assert few.prepared is problem.prepared
+    np.testing.assert_array_equal(few.landmark_vertices, (TARGET[[0, 2]], SOURCE[[0, 2]]))
+    back = problem.reversed
+    assert back.prepared is problem.prepared.reversed
+    np.testing.assert_array_equal(back.landmark_vertices, (SOURCE, TARGET))
+    stage = Stage(3, (1.0, 1e-2), 1e-2)
+    small = problem.staged(stage, 100)
+    assert small.prepared.elastic.coarse is stage
+    assert small.prepared.rest is problem.prepared.rest
+    assert 90 < small.shape.rest.graph.n < 110 < problem.shape.rest.graph.n
+    assert problem.staged(stage).shape.rest.graph.n == problem.shape.rest.graph.n

@@ -1,0 +1,119 @@
+"""A fit and what its inverse becomes: their mean leaves out half of what the energy prefers one way only."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from examples.shapes import creature
+
+from cagemap.deform.config import StartConfig
+from cagemap.deform.inverse_consistency import inverse, inverse_consistent, smoothed
+from cagemap.deform.prepared import PreparedPair
+from cagemap.deform.problem import Problem
+from cagemap.maps.curves import CurvePair, SurfaceCurve
+from cagemap.maps.masks import Masks
+from cagemap.maps.pair import Pair, PointPairs
+from cagemap.mesh.parts import extract
+from cagemap.operators import build_operators
+from cagemap.spectral import BasisConfig, Surface, hierarchical_basis
+from cagemap.subdivision import refine
+from cagemap.surface.closest_points import closest_points
+
+
+@pytest.fixture(scope="module")
+def prepared() -> PreparedPair:
+    """A creature on itself, fitted at 1500 vertices."""
+    refinement = refine(creature(), 2)
+    operators = build_operators(refinement)
+    surface = Surface.of(refinement, operators, hierarchical_basis(refinement, operators, BasisConfig(count=4)))
+    return PreparedPair.build(surface, surface, StartConfig(search_vertices=1000))
+
+
+def slid(prepared: PreparedPair, by: float) -> np.ndarray:
+    """Places on the source that all lie too far in front."""
+    mesh = prepared.mesh
+    moved = mesh.positions + by * np.array([0.0, 0.0, 1.0])
+    return moved - np.einsum("nd,nd->n", moved - mesh.positions, mesh.vertex_normals)[:, None] * mesh.vertex_normals
+
+
+def test_the_inverse_of_a_motion_is_the_motion_back(prepared: PreparedPair) -> None:
+    mesh = prepared.mesh
+    rotation = np.linalg.qr(np.random.default_rng(3).standard_normal((3, 3)))[0]
+    rotation *= np.sign(np.linalg.det(rotation))
+    places, gaps = inverse(mesh, mesh.positions, mesh, 0.02)
+    np.testing.assert_allclose(places, mesh.positions, atol=1e-9)
+    assert gaps.max() < 1e-9
+    turned = type(mesh)(mesh.positions @ rotation.T, mesh.triangles)
+    places, gaps = inverse(mesh, turned.positions, turned, 0.02)
+    np.testing.assert_allclose(places, mesh.positions, atol=1e-7)
+    far, _ = inverse(mesh, turned.positions + 1e-3, turned, 0.02)
+    assert 1e-4 < np.linalg.norm(far - mesh.positions, axis=1).mean() < 2e-3
+
+
+def test_half_of_a_slide_is_taken_back(prepared: PreparedPair) -> None:
+    """The way back from a slid fit of a shape onto itself ends where it should: half of the slide is left."""
+    landmarks = np.arange(0, prepared.target.refinement.levels[0].n_vertices, 4)
+    on = prepared.finest_source
+    pairs = PointPairs.of_vertices(on, on, landmarks, landmarks)
+    problem = Problem(prepared, Pair(prepared.target, prepared.source, pairs))
+    start = slid(prepared, 0.01)
+    start[landmarks] = prepared.mesh.positions[landmarks]
+    before = np.linalg.norm(start - prepared.mesh.positions, axis=1).mean()
+    after = np.linalg.norm(inverse_consistent(problem, start) - prepared.mesh.positions, axis=1).mean()
+    assert 0.4 * before < after < 0.65 * before
+    still = inverse_consistent(problem, prepared.mesh.positions)
+    assert np.linalg.norm(still - prepared.mesh.positions, axis=1).max() < 2e-3
+
+
+def test_what_is_not_trusted_follows_its_surroundings(prepared: PreparedPair) -> None:
+    n, rng = prepared.mesh.n, np.random.default_rng(5)
+    same = np.tile([1.0, -2.0, 3.0], (n, 1))
+    np.testing.assert_allclose(smoothed(prepared.rest.graph, same, rng.uniform(size=n), 0.02), same, atol=1e-6)
+    wild, trust = same.copy(), np.ones(n)
+    wild[7], trust[7] = 100.0, 0.0
+    np.testing.assert_allclose(smoothed(prepared.rest.graph, wild, trust, 0.02)[7], same[7], atol=1e-2)
+    assert np.abs(smoothed(prepared.rest.graph, wild, np.ones(n), 0.02)[7] - same[7]).max() > 1.0
+
+
+def test_a_reversed_pair_has_its_sides_exchanged(prepared: PreparedPair) -> None:
+    other = refine(creature(), 2)
+    operators = build_operators(other)
+    basis = hierarchical_basis(other, operators, BasisConfig(count=4))
+    source = Surface.of(other, operators, basis)
+    masks = Masks(np.linspace(0, 1, other.finest.n_vertices), None)
+    pair = PreparedPair.build(prepared.target, source, StartConfig(search_vertices=1000), masks=masks)
+    back = pair.reversed
+    assert (back.target, back.source) == (pair.source, pair.target)
+    assert back.levels == pair.levels[::-1]
+    assert back.mesh.n == back.rest.graph.n == source.triangles(back.levels[0]).n
+    assert (back.rest.masks.target, back.rest.masks.source) == (None, masks.target)
+    assert back.source_surface.n >= back.mesh.n
+    vertices = np.arange(4)
+    on = pair.finest_source
+    line = SurfaceCurve(PointPairs.of_vertices(on, on, vertices, vertices).target, False)
+    closed = SurfaceCurve(line.points, True)
+    pairs = PointPairs.of_vertices(on, on, vertices, vertices + 9)
+    turned = PointPairs(pairs.target, pairs.source, (CurvePair("rim", line, closed),)).reversed()
+    np.testing.assert_array_equal(turned.target.positions, pairs.source.positions)
+    assert turned.curves[0].target.closed
+    assert not turned.curves[0].source.closed
+
+
+def test_a_whole_body_is_not_fitted_back_from_a_part_of_it(prepared: PreparedPair) -> None:
+    """The way back would drag what the part has onto what it lacks."""
+    whole = creature()
+    middles = np.array([whole.positions[whole.face(face)].mean(axis=0) for face in range(whole.n_faces)])
+    part = extract(whole, np.flatnonzero(middles[:, 2] < np.quantile(middles[:, 2], 0.75)))
+    refinement = refine(part, 2)
+    operators = build_operators(refinement)
+    source = Surface.of(refinement, operators, hierarchical_basis(refinement, operators, BasisConfig(count=4)))
+    pair = PreparedPair.build(prepared.target, source, StartConfig(search_vertices=1000))
+    corners = np.arange(0, part.n_vertices, 4)
+    assert part.file_vertices is not None
+    landmarks = PointPairs.of_vertices(prepared.finest_source, pair.finest_source, part.file_vertices[corners], corners)
+    problem = Problem(pair, Pair(pair.target, pair.source, landmarks))
+    # All of the body in the size of the part, and what the part lacks on its edge.
+    at_home = prepared.mesh.positions * pair.mesh.positions.std() / prepared.mesh.positions.std()
+    at, barycentric, _ = closest_points(pair.source_surface.tree, at_home)
+    ended = np.einsum("mk,mkd->md", barycentric, pair.source_surface.positions[pair.source_surface.triangles[at]])
+    np.testing.assert_array_equal(inverse_consistent(problem, ended), ended)

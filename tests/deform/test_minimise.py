@@ -1,0 +1,105 @@
+"""Positions and differentials alternate: to a minimum, with as few factorisations as may be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from examples.shapes import creature
+
+from cagemap.deform import system
+from cagemap.deform.config import Stage
+from cagemap.deform.energy import ElasticEnergy, any_map
+from cagemap.deform.graph import mesh_graph
+from cagemap.deform.minimise import Iterate, minimise
+from cagemap.deform.system import ConstantTerms, VertexTerms
+from cagemap.subdivision import level_triangles, refine
+from cagemap.surface.triangle_surface import TriangleSurface
+
+
+@pytest.fixture(scope="module")
+def energy() -> ElasticEnergy:
+    refinement = refine(creature(), 1)
+    mesh = TriangleSurface.from_faces(refinement.finest.positions, level_triangles(refinement, 1))
+    return ElasticEnergy.build(mesh_graph(mesh, mesh.triangles), 1e-2, any_map)
+
+
+@pytest.fixture(scope="module")
+def pulled(energy: ElasticEnergy) -> ConstantTerms:
+    """Every vertex is drawn to where a bend takes it, some more than others."""
+    graph = energy.graph
+    wanted = graph.positions + 0.3 * np.sin(3.0 * graph.positions[:, [1, 2, 0]])
+    weights = graph.areas * np.random.default_rng(1).uniform(0.1, 2.0, graph.n)
+    return energy.constant_terms(weights[:, None, None] * np.eye(3), weights[:, None] * wanted)
+
+
+class Anew:
+    """The same terms, made anew in every iteration."""
+
+    def __init__(self, energy: ElasticEnergy, terms: ConstantTerms, distance: float = np.inf) -> None:
+        self.energy, self.terms, self.distance = energy, terms, distance
+        self.stiffness: list[float] = []
+
+    def at(self, iterate: Iterate) -> VertexTerms:
+        self.stiffness.append(iterate.stiffness)
+        return self.energy.terms(self.terms.blocks, self.terms.right, self.distance)
+
+
+def test_a_minimum_is_stationary(energy: ElasticEnergy, pulled: ConstantTerms) -> None:
+    """The positions solve their equations with their own differentials, which the start does not."""
+    graph, alpha = energy.graph, 1e-3
+    stage = Stage(300, (alpha, alpha), 1e-2, momentum=0.6)
+
+    def missed(positions: np.ndarray) -> float:
+        right = pulled.right + alpha * graph.divergence(energy.maps(positions))
+        left = alpha * graph.laplacian @ positions + np.einsum("nab,nb->na", pulled.blocks, positions)
+        return float(np.linalg.norm(left - right))
+
+    found = minimise(energy, pulled, graph.positions, stage)
+    assert missed(found) < 1e-6 * missed(graph.positions)
+    again = minimise(energy, Anew(energy, pulled), graph.positions, stage)
+    np.testing.assert_allclose(again, found, atol=1e-6)  # factors of single precision; the residual is double
+
+
+def test_constant_terms_are_factored_once_and_others_as_the_stage_says(
+    energy: ElasticEnergy, pulled: ConstantTerms, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[object] = []
+    real = system.factor
+
+    def counted(*given: object, **named: object) -> object:
+        made.append(given)
+        return real(*given, **named)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(system, "factor", counted)
+    stage = Stage(9, (1e-3, 1e-3), 1e-2)
+    minimise(energy, pulled, energy.graph.positions, stage)
+    assert len(made) == 1
+    minimise(energy, Anew(energy, pulled), energy.graph.positions, replace(stage, factored=4))
+    assert len(made) == 1 + 3
+    minimise(energy, pulled, energy.graph.positions, replace(stage, stiffness=(1e-2, 1e-3), ramp=1.0))
+    assert len(made) == 4 + 9  # their matrix changes with the stiffness
+
+
+def test_what_lies_on_the_source_is_stiffened_and_what_does_not_is_softened(
+    energy: ElasticEnergy, pulled: ConstantTerms
+) -> None:
+    stage = Stage(5, (1e-2, 1e-4), 1e-2, ramp=1.0)
+    away, near = Anew(energy, pulled, 1e-3), Anew(energy, pulled, 1e-6)
+    for terms in (away, near):
+        minimise(energy, terms, energy.graph.positions, stage)
+    np.testing.assert_allclose(away.stiffness, stage.ramped())
+    np.testing.assert_allclose(near.stiffness, [1e-2, 2e-2, 4e-2, 5e-2, 5e-2])
+
+
+def test_positions_are_adjusted_in_every_iteration(energy: ElasticEnergy, pulled: ConstantTerms) -> None:
+    seen: list[np.ndarray] = []
+
+    def adjust(positions: np.ndarray) -> np.ndarray:
+        seen.append(positions)
+        return positions * np.array([1.0, 1.0, 0.0])
+
+    found = minimise(energy, pulled, energy.graph.positions, Stage(4, (1e-3, 1e-3), 1e-2, momentum=0.5), adjust)
+    assert len(seen) == 4
+    assert abs(found[:, 2]).max() == 0.0

@@ -1,0 +1,211 @@
+"""The target in the source's pose: as rigid as it can be near a fit, and fitted again from there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from examples.shapes import creature
+
+from cagemap.deform import inverse_consistency, search
+from cagemap.deform.config import PoseConfig, SearchConfig, StartConfig
+from cagemap.deform.fit import coarse_fit, fine_stage
+from cagemap.deform.graph import mesh_graph
+from cagemap.deform.placement import Placement
+from cagemap.deform.pose import edge_stiffness, fit_in_pose, largest_limb_rotation, pose_difference, rigid_pose
+from cagemap.deform.prepared import PreparedPair, RestShape
+from cagemap.deform.problem import Problem
+from cagemap.maps.masks import Masks
+from cagemap.maps.pair import Pair
+from cagemap.mesh import ControlMesh
+from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.rotations import nearest_rotations
+from cagemap.operators import build_operators
+from cagemap.spectral import BasisConfig, Surface, hierarchical_basis
+from cagemap.subdivision import level_triangles, refine
+from cagemap.surface.triangle_surface import TriangleSurface
+
+LIMB, LIMB_POSED, POSES_DIFFER = SearchConfig.limb_area, SearchConfig.limb_rotation, PoseConfig.difference
+
+
+@pytest.fixture(scope="module")
+def rest() -> RestShape:
+    """A creature of 380 vertices."""
+    refinement = refine(creature(), 1)
+    mesh = TriangleSurface.from_faces(refinement.finest.positions, level_triangles(refinement, 1))
+    return RestShape.build(mesh_graph(mesh, mesh.triangles), mesh, 1e-4)
+
+
+def lengths(rest: RestShape, positions: np.ndarray) -> np.ndarray:
+    """Of all edges."""
+    return np.linalg.norm(positions[rest.graph.heads] - positions[rest.graph.tails], axis=1)
+
+
+def test_a_motion_is_a_pose(rest: RestShape) -> None:
+    rotation = nearest_rotations(np.random.default_rng(5).standard_normal((1, 3, 3)))[0]
+    moved = rest.graph.positions @ rotation.T + np.array([3.0, -1.0, 2.0])
+    assert pose_difference(rest, moved) < 1e-5  # of the whole body is no pose
+    np.testing.assert_allclose(rigid_pose(rest, moved), moved, atol=1e-6)
+
+
+def test_a_bent_and_stretched_body_is_bent_and_hardly_stretched(rest: RestShape) -> None:
+    at = rest.graph.positions
+    along = at[:, 2] - at[:, 2].mean()
+    stretched = at * np.array([1.0, 1.0, 1.4]) ** np.sign(along)[:, None]  # longer in front, shorter behind
+    angle = 1.5 * np.clip(along, 0.0, None)
+    bent = stretched.copy()
+    bent[:, 0] = np.cos(angle) * stretched[:, 0] + np.sin(angle) * stretched[:, 1]
+    bent[:, 1] = -np.sin(angle) * stretched[:, 0] + np.cos(angle) * stretched[:, 1]
+    rolled = at.copy()
+    rolled[:, 0] = np.cos(3.0 * angle) * at[:, 0] + np.sin(3.0 * angle) * at[:, 1]
+    rolled[:, 1] = -np.sin(3.0 * angle) * at[:, 0] + np.cos(3.0 * angle) * at[:, 1]
+    found = rigid_pose(rest, bent)
+    assert pose_difference(rest, stretched) < 0.1 < pose_difference(rest, bent) < POSES_DIFFER
+    assert pose_difference(rest, rolled) > POSES_DIFFER
+    own = lengths(rest, at)
+    assert np.abs(np.log(lengths(rest, bent) / own)).mean() > 0.1
+    assert np.abs(np.log(lengths(rest, found) / own)).mean() < 0.07
+    assert np.linalg.norm(found - bent, axis=1).mean() < 0.1 < np.linalg.norm(found - at, axis=1).mean()
+
+
+def test_one_limb_is_posed_where_the_body_stands_as_it_did(rest: RestShape) -> None:
+    at, areas = rest.graph.positions, rest.graph.areas
+    behind = np.argsort(at[:, 2])
+    share = np.cumsum(areas[behind]) / areas.sum()
+    bent = at.copy()
+    limb = behind[share < 4 * LIMB]
+    hinge = at[limb][:, 2].max()
+    height, depth = at[limb, 1], at[limb, 2] - hinge
+    bent[limb, 1] = np.cos(1.2) * height - np.sin(1.2) * depth
+    bent[limb, 2] = hinge + np.sin(1.2) * height + np.cos(1.2) * depth
+    assert largest_limb_rotation(rest, at, LIMB) < 1e-5
+    assert pose_difference(rest, bent) < POSES_DIFFER
+    assert largest_limb_rotation(rest, bent, LIMB) > LIMB_POSED
+    # A masked arm that a landmark holds in another pose puts no joint of what is matched in doubt.
+    around = behind[share < 8 * LIMB]
+    masked = replace(rest, masks=Masks(np.where(np.isin(np.arange(rest.graph.n), around), 0.0, 1.0)))
+    assert largest_limb_rotation(masked, bent, LIMB) < LIMB_POSED
+
+
+@pytest.mark.parametrize("angle", [0.9 * LIMB_POSED, 1.1 * LIMB_POSED])
+def test_placements_that_agree_are_doubted_where_a_limb_is_posed(
+    bent: PreparedPair, monkeypatch: pytest.MonkeyPatch, angle: float
+) -> None:
+    graph, better = bent.rest.graph, Placement(bent.finest_source.positions, 0.5)
+    at_rest = Placement(graph.positions, 1.0, graph=graph)
+    monkeypatch.setattr(search, "coarse_fit", lambda *given: at_rest)
+    monkeypatch.setattr(search, "fine_fit", lambda *given: bent.rest.graph.positions)
+    monkeypatch.setattr(search, "start_map", lambda problem: problem.prepared.finest_source.positions)
+    monkeypatch.setattr(search, "mean_distance", lambda *given: 0.0)
+    monkeypatch.setattr(search, "largest_limb_rotation", lambda *given: angle)
+    monkeypatch.setattr(search, "multi_start", lambda *given: (better, better))
+    ends = search.search(problem_of(bent))
+    assert [end.cost for end in ends] == ([0.5, 0.5] if angle > LIMB_POSED else [1.0])
+
+
+def test_edges_are_loose_where_a_body_turns_and_stiff_where_it_does_not(rest: RestShape) -> None:
+    graph = rest.graph
+    along = graph.positions[:, 2] - graph.positions[:, 2].mean()
+    angle = np.clip(along / 0.1, 0.0, 1.0)
+    cosine, sine, none, one = np.cos(angle), np.sin(angle), 0 * angle, 1 + 0 * angle
+    turns = np.array([[cosine, -sine, none], [sine, cosine, none], [none, none, one]]).transpose(2, 0, 1)
+    found = edge_stiffness(graph, turns)
+    joint = (along > 0.03) & (along < 0.07)
+    far = (along < -0.1) | (along > 0.2)
+    assert found[joint[graph.heads]].max() < 0.4
+    assert found[far[graph.heads]].min() > 0.8
+    assert found.min() >= PoseConfig.min_stiffness
+    np.testing.assert_allclose(edge_stiffness(graph, turns[:1] + 0 * turns), 1.0)
+    np.testing.assert_allclose(found, edge_stiffness(graph, turns[3] @ turns), rtol=1e-6)
+    # A vertex whose faces are points is seen to turn nowhere.
+    positions = graph.positions.copy()
+    positions[graph.heads[graph.tails == 0]] = positions[0]
+    assert np.isfinite(edge_stiffness(replace(graph, positions=positions), turns)).all()
+
+
+def bowed() -> ControlMesh:
+    """The creature with its neck bent by 1.2 radians, as rigid as the joint lets it."""
+    body = creature()
+    at, joint = body.positions, np.array([0.0, 3.0, 3.0])
+    angle = 1.2 * np.clip(at[:, 2] - joint[2], 0.0, 1.0)
+    y, z = (at - joint)[:, 1:].T
+    turned = np.column_stack([at[:, 0], np.cos(angle) * y - np.sin(angle) * z, np.sin(angle) * y + np.cos(angle) * z])
+    return body.with_positions(turned + joint * [0.0, 1.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def bent() -> PreparedPair:
+    """A creature onto the bowed one; vertex i belongs on vertex i."""
+
+    def surface(mesh: ControlMesh) -> Surface:
+        refinement = refine(mesh, 1)
+        operators = build_operators(refinement)
+        return Surface.of(refinement, operators, hierarchical_basis(refinement, operators, BasisConfig(count=4)))
+
+    return PreparedPair.build(surface(creature()), surface(bowed()), StartConfig(search_vertices=300))
+
+
+def problem_of(prepared: PreparedPair) -> Problem:
+    """With every twelfth vertex a landmark."""
+    vertices = np.arange(0, prepared.target.control.n_vertices, 12)
+    return Problem(prepared, Pair.of_vertices(prepared.target, prepared.source, vertices, vertices))
+
+
+def test_a_bent_joint_is_no_strain_in_its_own_pose(bent: PreparedPair, monkeypatch: pytest.MonkeyPatch) -> None:
+    truth, problem = bent.finest_source.positions, problem_of(bent)
+    stages = []
+
+    def fitted(problem: Problem, start: FloatArray) -> Placement:
+        stages.append(problem.prepared.elastic.coarse)
+        return coarse_fit(problem, start)
+
+    monkeypatch.setattr("cagemap.deform.pose.coarse_fit", fitted)
+    assert pose_difference(bent.rest, truth) > POSES_DIFFER
+    slid = fine_stage(problem, truth)
+    found = fit_in_pose(problem, slid)
+    before, after = (np.linalg.norm(places - truth, axis=1).mean() for places in (slid, found))
+    assert before > 0.005  # the minimum beside the truth
+    assert after < 0.75 * before
+    assert stages == PoseConfig.rounds * [bent.elastic.stiff_coarse]  # the stage of bodies that stand alike
+
+
+@pytest.mark.parametrize("angle", [0.9 * POSES_DIFFER, 1.1 * POSES_DIFFER])
+def test_only_poses_that_differ_are_fitted_in_the_other_pose(
+    bent: PreparedPair, monkeypatch: pytest.MonkeyPatch, angle: float
+) -> None:
+    problem = problem_of(bent)
+    asked: list[tuple[PreparedPair, list[float], int]] = []
+
+    def fitted(given: Problem, positions: FloatArray, times: int = PoseConfig.rounds) -> FloatArray:
+        asked.append((given.prepared, given.pair.landmarks.target.positions[0].tolist(), times))
+        return positions
+
+    for room in (inverse_consistency, search):
+        monkeypatch.setattr(room, "pose_difference", lambda rest, positions: angle)
+        monkeypatch.setattr(room, "fit_in_pose", fitted)
+    monkeypatch.setattr(inverse_consistency, "fine_stage", lambda problem, start: start)
+    monkeypatch.setattr(search, "start_map", lambda problem: problem.prepared.finest_source.positions)
+    monkeypatch.setattr(search, "spectral_starts", lambda guided, sides: [])
+    monkeypatch.setattr("cagemap.deform.search.SpectralSides.build", lambda problem: None)
+    at_rest = Placement(bent.rest.graph.positions, 1.0, graph=bent.rest.graph)
+    monkeypatch.setattr(search, "coarse_fit", lambda *given: at_rest)
+    monkeypatch.setattr(search, "mean_distance", lambda *given: 1.0)
+    ended = Placement(bent.finest_source.positions, 1e-4)
+    monkeypatch.setattr(search, "refine_best", lambda *given, stiff: (ended,))
+    landmarks = problem.pair.landmarks
+    (first,) = search.search(problem)
+    forth, back = (side.positions[0].tolist() for side in (landmarks.target, landmarks.source))
+    assert asked == ([] if angle < POSES_DIFFER else [(bent, forth, PoseConfig.rounds), (bent.reversed, back, 1)])
+    assert first.positions is ended.positions
+    assert first.answer is first.final
+
+
+def test_nearest_rotations_are_rotations_and_nearest() -> None:
+    rng = np.random.default_rng(7)
+    maps = rng.standard_normal((40, 3, 3))  # half of them turn space over
+    found = nearest_rotations(maps)
+    np.testing.assert_allclose(found @ found.transpose(0, 2, 1), np.tile(np.eye(3), (40, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(found), 1.0)
+    others = nearest_rotations(found + 0.3 * rng.standard_normal((40, 3, 3)))
+    assert (((maps - found) ** 2).sum(axis=(1, 2)) < ((maps - others) ** 2).sum(axis=(1, 2))).all()

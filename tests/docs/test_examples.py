@@ -1,0 +1,45 @@
+"""The scripts of examples/ run as they are, are short, and are all in docs/gallery.md."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from locations import ROOT
+
+SCRIPTS = sorted((ROOT / "examples").glob("[0-9][0-9]_*.py"))
+WRITES = {
+    "01_match_and_bake": ["deer.png"],
+    "02_weights": ["deer_weights.csv"],
+    "03_wrap": ["deer_as_pony.obj"],
+    "04_from_arrays": [],
+    "05_own_descriptor": [],
+    "06_update_landmarks": [],
+    "07_report": ["RESULT/map.npz", "report.html"],
+    "08_many_pairs": ["pony__deer/map.npz", "deer__pony/map.npz"],
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+def test_a_script_of_the_gallery_runs_and_writes_what_it_says(script: Path, tmp_path: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
+    subprocess.run([sys.executable, script], cwd=tmp_path, env=environment, check=True, stdout=subprocess.PIPE)
+    assert [name for name in WRITES[script.stem] if not (tmp_path / name).is_file()] == []
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+def test_a_script_is_short_and_in_the_gallery(script: Path) -> None:
+    text = script.read_text(encoding="utf-8")
+    assert len(text.splitlines()) < 40
+    assert f"](../examples/{script.name})" in (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
+
+
+def test_the_gallery_names_scripts_that_are_there() -> None:
+    named = re.findall(r"\]\(\.\./examples/(\w+)\.py\)", (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8"))
+    assert sorted(named) == [script.stem for script in SCRIPTS] == sorted(WRITES)

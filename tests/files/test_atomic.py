@@ -1,0 +1,260 @@
+"""Files and folders are written whole or not at all, and nothing of a failure stays behind."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import resource
+import shutil
+import signal
+import stat
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from examples.shapes import cube
+
+from cagemap.errors import CagemapError, FormatError
+from cagemap.files.atomic import all_or_nothing, atomic_folder, atomic_path, write_whole
+from cagemap.files.images.image import write_image
+from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.ownership import mark
+from cagemap.files.result.folder import write_result
+from cagemap.files.result.maps import write_map
+from cagemap.files.values.attributes import write_attributes
+from cagemap.subdivision import refine
+from cagemap.subdivision.level_meshes import finest_mesh
+
+from example_result import identity_result
+from locations import FIXTURES
+
+HERE = FIXTURES
+NAMES = ("map.npz", "manifest.json")
+
+
+def fail_after(_written: int, error: BaseException | type[BaseException]) -> None:
+    raise error
+
+
+def appear(folder: Path, written: Path) -> None:
+    """Finish what is being written just after somebody else has put their work there."""
+    for name in NAMES:
+        (written / name).touch()
+    folder.mkdir()
+    (folder / "precious.blend").touch()
+
+
+@contextmanager
+def room_for(size: int) -> Iterator[None]:
+    """No file may grow beyond a size, as on a disk that is full."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, before)
+
+
+FORMATS = [
+    *("m.obj", "m.ply", "m.off", "m.glb", "m.usda", "m.usdc"),
+    *("i.png", "i.tif", "i.exr", "i.jpg"),
+    *("p.npy", "p.npz", "p.mtx", "p.vts"),
+    *("v.npz", "v.npy", "v.csv"),
+]
+
+
+def test_a_disk_that_fills_leaves_the_earlier_file_whatever_its_format(tmp_path: Path) -> None:
+    """Some libraries report nothing: an image was cut, or empty, in place of the earlier one."""
+    unshare = shutil.which("unshare")
+    if unshare is None or subprocess.run([unshare, "-rm", "true"], capture_output=True, check=False).returncode:
+        pytest.skip("a disk of one's own needs unshare -rm, which this machine refuses")
+    names = FORMATS if find_spec("pxr") else [name for name in FORMATS if ".usd" not in name]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE), *sys.path])}
+    command = [unshare, "-rm", sys.executable, str(HERE / "full_disk.py"), str(tmp_path), *names]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=200)
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert set(said) == set(names)
+    assert {name: one["wrong"] for name, one in said.items() if one["wrong"]} == {}
+    assert all(one["refused"] for one in said.values())
+
+
+def test_what_a_killed_process_left_is_removed_and_what_a_living_one_writes_is_not(tmp_path: Path) -> None:
+    killed = (
+        "import os, signal, sys\n"
+        "from cagemap.files.atomic import atomic_folder, atomic_path\n"
+        "with atomic_path(sys.argv[1]), atomic_folder(sys.argv[2], ['a']) as folder:\n"
+        "    (folder / 'a').write_text('half')\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    final, folder = tmp_path / "d.png", tmp_path / "R"
+    subprocess.run([sys.executable, "-c", killed, str(final), str(folder)], env=os.environ, check=False)
+    names = {path.name.split(".")[1]: path for path in tmp_path.iterdir()}
+    assert set(names) == {"d", "R"}  # killed in the middle of both
+    others = {tmp_path / name for name in (".d.part.png", ".d.12345678.part.jpg", ".e.12345678.part.png")}
+    with atomic_path(final) as living:
+        for path in (*names.values(), *others, living):
+            path.touch()
+            os.utime(path, (1e9, 1e9))
+        write_whole(final, f"{mark()}")
+        assert set(tmp_path.iterdir()) == {living, final, names["R"], *others}
+        living.write_text("x")
+        os.utime(final.with_name(living.name), (1e9, 1e9))
+    with atomic_folder(folder, ["a"]) as writing:
+        (writing / "a").write_text("x")
+        os.utime(writing, (1e9, 1e9))
+        assert not names["R"].exists()
+        write_whole(folder.with_name("S"), "x")
+    assert set(tmp_path.iterdir()) == {final, folder, tmp_path / "S", *others}
+
+
+def test_what_cannot_be_read_again_does_not_replace_the_earlier_file(tmp_path: Path) -> None:
+    final = tmp_path / "a.png"
+    final.write_text("old")
+    for text, verify in (("cut", lambda _: False), ("", None)):
+        with pytest.raises(FormatError, match=r"a\.png: could not be written whole; what was there before is kept"):
+            with atomic_path(final, force=True, **({"verify": verify} if verify else {})) as temporary:
+                temporary.write_text(text)
+        assert final.read_text() == "old"
+        assert list(tmp_path.iterdir()) == [final]
+
+
+@pytest.mark.parametrize("name", [*FORMATS, "R"])
+def test_a_full_disk_leaves_no_half_of_a_file(tmp_path: Path, name: str) -> None:
+    """Whatever library writes: an error, and nothing under the file's name or a temporary one."""
+    if name.startswith("m.usd"):
+        pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    result, file = identity_result(), tmp_path / name
+    level = result.target.refinement.finest
+    pixels = np.random.default_rng(0).integers(0, 255, (64, 64, 3)).astype(np.uint8)
+    writers: dict[str, Callable[[], object]] = {
+        "m": lambda: write_mesh(file, finest_mesh(refine(cube(), 3))),
+        "i": lambda: write_image(file, pixels.astype(np.float32) if name == "i.exr" else pixels),
+        "p": lambda: write_map(file, result.point_map),
+        "v": lambda: write_attributes(file, {"v": level.positions}),
+        "R": lambda: write_result(file, result),
+    }
+    with room_for(600), pytest.raises((CagemapError, OSError)):
+        writers[name[0]]()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_file_appears_whole_under_its_name_only(tmp_path: Path) -> None:
+    final = tmp_path / "image.exr"
+    with atomic_path(final) as temporary:
+        assert temporary.parent == tmp_path
+        assert temporary.suffix == ".exr"  # image libraries choose their format by it
+        temporary.write_text("half")
+        assert not final.exists()
+    assert final.read_text() == "half"
+    assert [path.name for path in tmp_path.iterdir()] == ["image.exr"]
+    reference = tmp_path / "plain"
+    reference.touch()
+    assert stat.S_IMODE(final.stat().st_mode) == stat.S_IMODE(reference.stat().st_mode)
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_failure_leaves_the_older_file(tmp_path: Path, error: type[BaseException]) -> None:
+    final = tmp_path / "a.txt"
+    final.write_text("old")
+    with pytest.raises(error), atomic_path(final, force=True) as temporary:
+        fail_after(temporary.write_text("new"), error)
+    assert final.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [final]
+
+
+def test_files_that_go_together_are_all_left_where_one_may_not_be_replaced(tmp_path: Path) -> None:
+    def write_both() -> None:
+        with all_or_nothing():
+            for name in ("first.txt", "second.txt"):
+                write_whole(tmp_path / name, "ours")
+            (tmp_path / "second.txt").write_text("somebody else's")
+
+    with pytest.raises(FormatError, match="not overwritten"):
+        write_both()
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"second.txt": "somebody else's"}
+
+
+def test_file_may_be_replaced_by_the_writer_itself(tmp_path: Path) -> None:
+    with atomic_path(tmp_path / "a") as temporary:
+        temporary.unlink()  # as libraries that write beside and move do
+        temporary.write_text("x")
+    assert (tmp_path / "a").read_text() == "x"
+
+
+def test_places_that_cannot_be_written_are_named(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match=r"folder .*none does not exist"), atomic_path(tmp_path / "none" / "a.txt"):
+        pass
+    with pytest.raises(FormatError, match="got a folder"), atomic_path(tmp_path):
+        pass
+    with pytest.raises(FormatError, match="cannot write"), atomic_path(tmp_path / ("n" * 300)):
+        pass
+    full = OSError(errno.ENOSPC, "No space left on device")
+    with pytest.raises(FormatError, match=r"cannot write there \(No space left"), atomic_path(tmp_path / "a.txt"):
+        fail_after(0, full)
+    with pytest.raises(FileNotFoundError), atomic_path(tmp_path / "a.txt"):  # of another file, the caller's business
+        fail_after(0, FileNotFoundError(errno.ENOENT, "No such file", "input.png"))
+    with pytest.raises(FormatError, match="does not exist"), atomic_folder(tmp_path / "none" / "r", NAMES):
+        pass
+
+
+def test_folder_appears_whole(tmp_path: Path) -> None:
+    final = tmp_path / "result"
+    with atomic_folder(final, NAMES) as temporary:
+        (temporary / "map.npz").write_text("x")
+        (temporary / "manifest.json").write_text("{}")
+        assert not final.exists()
+    assert sorted(path.name for path in final.rglob("*")) == ["manifest.json", "map.npz"]
+    assert list(tmp_path.iterdir()) == [final]
+    assert os.access(final, os.R_OK | os.X_OK)
+
+
+def test_earlier_result_and_empty_folder_are_replaced(tmp_path: Path) -> None:
+    final = tmp_path / "result"
+    final.mkdir()
+    for text in ("first", "second"):
+        with atomic_folder(final, NAMES) as temporary:
+            for name in NAMES:
+                (temporary / name).write_text(f"{text} {mark()}")
+        (final / f"notes of the {text}.txt").write_text("mine")
+    assert (final / "map.npz").read_text().startswith("second")
+    notes = ["notes of the first.txt", "notes of the second.txt"]
+    assert sorted(path.name for path in final.iterdir()) == ["manifest.json", "map.npz", *notes]
+    assert list(tmp_path.iterdir()) == [final]
+
+
+def test_other_folders_and_files_are_never_overwritten(tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    work.mkdir()
+    (work / "precious.blend").touch()
+    with (
+        pytest.raises(FormatError, match=r"no map\.npz and manifest\.json.*nothing is written"),
+        atomic_folder(work, NAMES),
+    ):
+        pass
+    with pytest.raises(FormatError, match="got a file"), atomic_folder(work / "precious.blend", NAMES):
+        pass
+    # What appears while the result is computed is as precious.
+    late = tmp_path / "late"
+    with pytest.raises(FormatError, match="nothing is written"), atomic_folder(late, NAMES) as temporary:
+        appear(late, temporary)
+    assert (work / "precious.blend").exists()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["late", "work"]
+
+
+def test_failure_leaves_the_older_folder(tmp_path: Path) -> None:
+    final = tmp_path / "result"
+    final.mkdir()
+    (final / "manifest.json").write_text("old")
+    with pytest.raises(RuntimeError), atomic_folder(final, NAMES, force=True) as temporary:
+        fail_after((temporary / "manifest.json").write_text("new"), RuntimeError())
+    assert (final / "manifest.json").read_text() == "old"
+    assert list(tmp_path.iterdir()) == [final]

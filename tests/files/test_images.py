@@ -1,0 +1,129 @@
+"""Images: exact round trips in every type, and refusals that say what to do."""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cagemap.errors import FormatError
+from cagemap.files.images.image import Image, pixel_type, read_image, read_texture, udim_path, write_image
+
+
+def noise(dtype: str, channels: int, shape: tuple[int, int] = (5, 7)) -> np.ndarray:
+    rng = np.random.default_rng(2718)
+    if dtype.startswith("uint"):
+        return rng.integers(0, np.iinfo(dtype).max, (*shape, channels), endpoint=True).astype(dtype)
+    return rng.normal(0, 3, (*shape, channels)).astype(dtype)
+
+
+CASES = [
+    (suffix, dtype, channels)
+    for suffix, dtypes in {
+        ".png": ("uint8", "uint16"),
+        ".tif": ("uint8", "uint16", "float32"),
+        ".exr": ("float16", "float32"),
+    }.items()
+    for dtype in dtypes
+    for channels in (1, 2, 3, 4)
+]
+
+
+@pytest.mark.parametrize(("suffix", "dtype", "channels"), CASES)
+def test_pixels_come_back_exactly(tmp_path: Path, suffix: str, dtype: str, channels: int) -> None:
+    pixels = noise(dtype, channels)
+    write_image(tmp_path / f"a{suffix}", pixels)
+    image = read_image(tmp_path / f"a{suffix}")
+    assert image.pixels.dtype == pixels.dtype
+    assert image.pixels.shape == pixels.shape
+    np.testing.assert_array_equal(image.pixels, pixels)
+    assert len(image.channel_names) == channels
+
+
+def test_two_dimensional_16_bit_pixels_are_one_channel(tmp_path: Path) -> None:
+    pixels = noise("uint16", 1)[:, :, 0]
+    write_image(tmp_path / "a.png", pixels)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png").pixels[:, :, 0], pixels)
+
+
+def test_colours_under_zero_alpha_survive(tmp_path: Path) -> None:
+    pixels = np.full((4, 4, 4), 200, dtype=np.uint8)
+    pixels[:, :, 3] = 0
+    write_image(tmp_path / "a.png", pixels)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png").pixels, pixels)
+
+
+def test_jpeg_is_close_and_takes_no_alpha(tmp_path: Path) -> None:
+    ramp = np.repeat(np.linspace(0, 255, 64).astype(np.uint8)[None, :, None], 64, axis=0).repeat(3, axis=2)
+    write_image(tmp_path / "a.jpg", ramp)
+    # Quality 95: quantisation steps of a few grey values.
+    assert np.abs(read_image(tmp_path / "a.jpg").pixels.astype(int) - ramp).max() <= 4
+    with pytest.raises(FormatError, match="JPEG holds no alpha"):
+        write_image(tmp_path / "b.jpg", noise("uint8", 4))
+
+
+def test_a_file_system_that_reserves_no_room_takes_a_jpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EOPNOTSUPP, "not supported")
+
+    monkeypatch.setattr("os.posix_fallocate", refuse, raising=False)
+    write_image(tmp_path / "a.jpg", np.zeros((8, 8, 3), dtype=np.uint8))
+    assert (tmp_path / "a.jpg").stat().st_size
+
+
+def test_channel_names_are_kept(tmp_path: Path) -> None:
+    write_image(tmp_path / "a.exr", Image(noise("float32", 2), ("height", "weight")))
+    assert read_image(tmp_path / "a.exr").channel_names == ("height", "weight")
+
+
+@pytest.mark.parametrize(
+    ("name", "dtype", "remedy"),
+    [("a.png", "float32", r"Write \.tif"), ("a.exr", "uint8", r"Write \.png"), ("a.jpg", "uint16", "choose 8 bits"),
+     ("a.bmp", "uint8", "ending in"), ("a", "uint8", "no suffix"), ("a.png", "int32", "Choose 8 or 16 bits")],
+)  # fmt: skip
+def test_what_a_format_cannot_hold_is_refused(tmp_path: Path, name: str, dtype: str, remedy: str) -> None:
+    with pytest.raises(FormatError, match=remedy):
+        write_image(tmp_path / name, np.zeros((2, 2, 3), dtype=dtype))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_unreadable_files_are_named(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match="no such file"):
+        read_image(tmp_path / "missing.png")
+    (tmp_path / "text.png").write_text("not an image")
+    with pytest.raises(FormatError, match=r"text\.png: expected an image"):
+        read_image(tmp_path / "text.png")
+    whole = noise("uint8", 3, (64, 64))
+    write_image(tmp_path / "whole.png", whole)
+    half = (tmp_path / "whole.png").read_bytes()[:4000]
+    (tmp_path / "half.png").write_bytes(half)
+    with pytest.raises(FormatError, match=r"half\.png"):
+        read_image(tmp_path / "half.png")
+
+
+def test_more_than_four_channels_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match="1 to 4 channels, got 5"):
+        write_image(tmp_path / "a.tif", noise("uint8", 5))
+
+
+def test_udim_tiles_are_found_by_their_numbers(tmp_path: Path) -> None:
+    for tile in (1001, 1012):
+        write_image(udim_path(tmp_path / "skin.<UDIM>.png", tile), np.full((2, 2, 3), tile % 256, dtype=np.uint8))
+    write_image(tmp_path / "skin.other.png", np.zeros((2, 2, 3), dtype=np.uint8))
+    tiles = read_texture(tmp_path / "skin.<UDIM>.png")
+    assert isinstance(tiles, dict)
+    assert sorted(tiles) == [1001, 1012]
+    assert (tiles[1012].pixels == 1012 % 256).all()
+    with pytest.raises(FormatError, match=r"hide\.1001\.png"):
+        read_texture(tmp_path / "hide.<UDIM>.png")
+
+
+def test_bits_choose_the_number_type() -> None:
+    assert pixel_type(8, ".png") == np.uint8
+    assert pixel_type(16, ".png") == np.uint16
+    assert pixel_type(16, ".exr") == np.float16
+    assert pixel_type(32, ".exr") == np.float32
+    with pytest.raises(FormatError, match="8, 16 or 32"):
+        pixel_type(12, ".png")

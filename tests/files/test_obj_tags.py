@@ -1,0 +1,203 @@
+"""Subdivision tags, objects, groups and vertex colours in OBJ files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from examples.shapes import cube, icosahedron
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cagemap.errors import FormatError
+from cagemap.files.meshes.obj import read_obj, write_obj
+from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop, Scheme
+
+# A cube as OpenSubdiv's shape files have it: tags are 0-based, faces 1-based.
+TAGGED = """\
+o box
+g lower
+v -1 -1 -1
+v 1 -1 -1 0.5 0.25 1
+v 1 1 -1
+v -1 1 -1
+g lid upper
+v -1 -1 1
+v 1 -1 1
+v 1 1 1
+v -1 1 1
+f 1 4 3 2
+f 5 6 7 8
+g
+f 1 2 6 5
+f 2 3 7 6
+o other
+f 3 4 8 7
+f 4 1 5 8
+t crease 2/1/0 4 5 2.5 # a comment
+t crease 2/1/0 5 6 10
+t corner 1/1/0 0 1.25
+t interpolateboundary 1/0/0 2
+t facevaryinginterpolateboundary 1/0/0 4
+t creasemethod 0/0/1 chaikin
+t hole 2/0/0 1 3
+t somethingelse 1/1/1 0 0.5 x
+"""
+
+
+def test_tags_names_and_colours_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "tagged.obj"
+    path.write_text(TAGGED)
+    mesh = read_obj(path)
+    np.testing.assert_array_equal(mesh.crease_edges, [[4, 5], [5, 6]])
+    np.testing.assert_array_equal(mesh.crease_sharpness, [2.5, 10])
+    np.testing.assert_array_equal(mesh.corner_vertices, [0])
+    np.testing.assert_array_equal(mesh.corner_sharpness, [1.25])
+    np.testing.assert_array_equal(mesh.hole_faces, [1, 3])
+    assert mesh.scheme == CatmullClark("edge_only", "boundaries", "chaikin")
+    assert mesh.object_names == ("box", "other")
+    np.testing.assert_array_equal(mesh.face_objects, [0, 0, 0, 0, 1, 1])
+    assert mesh.group_names == ("lid upper", "")
+    np.testing.assert_array_equal(mesh.face_groups, [0, 0, 1, 1, 1, 1])
+    np.testing.assert_array_equal(mesh.vertex_colors[1], [0.5, 0.25, 1])
+    assert np.isnan(np.delete(mesh.vertex_colors, 1, axis=0)).all()
+
+
+@st.composite
+def tagged_meshes(draw: st.DrawFn) -> ControlMesh:
+    """A cube or an icosahedron with any of what an OBJ keeps."""
+    mesh = draw(st.sampled_from([cube(), icosahedron()]))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    m, n = mesh.n_faces, mesh.n_vertices
+    if draw(st.booleans()):
+        corners = np.column_stack([mesh.face_indices, mesh.face_indices[mesh.next_corners]])
+        chosen = np.unique(np.sort(corners, axis=1), axis=0)[rng.permutation(10)]
+        mesh = mesh.with_creases(chosen, rng.random(10) * 11)
+    if draw(st.booleans()):
+        mesh = mesh.with_corners(rng.permutation(n)[:3], rng.random(3) * 11)
+    if draw(st.booleans()):
+        mesh = replace(mesh, hole_faces=np.sort(rng.permutation(m)[:2]))
+    if draw(st.booleans()):
+        kinds = [CatmullClark, Bilinear, *([Loop] if mesh.is_triangle_mesh else [])]
+        options = st.tuples(
+            st.sampled_from(["none", "edge_only", "edge_and_corner"]),
+            st.sampled_from(["none", "corners_only", "corners_plus1", "corners_plus2", "boundaries", "all"]),
+            st.sampled_from(["uniform", "chaikin"]),
+            st.sampled_from(["catmull_clark", "smooth"]),
+        )
+        scheme: Scheme = draw(st.sampled_from(kinds))(*draw(options))
+        mesh = replace(mesh, scheme=scheme)
+    if draw(st.booleans()):
+        colors = rng.random((n, 3))
+        colors[rng.random(n) < 0.3] = np.nan
+        colors[0] = 0.5
+        mesh = replace(mesh, vertex_colors=colors)
+    if draw(st.booleans()):
+        numbers = np.concatenate([[0, 1, 2], rng.integers(0, 3, m - 3)])
+        mesh = replace(mesh, face_objects=numbers, object_names=("", "eye left", "body"))
+    if draw(st.booleans()):
+        numbers = np.concatenate([[0, 1], rng.integers(0, 2, m - 2)])
+        mesh = replace(mesh, face_groups=numbers, group_names=("a", "b"))
+    return mesh
+
+
+@settings(deadline=None, max_examples=60, derandomize=True)
+@given(mesh=tagged_meshes())
+def test_what_is_written_is_read_again(mesh: ControlMesh, tmp_path_factory: pytest.TempPathFactory) -> None:
+    path = tmp_path_factory.mktemp("obj") / "mesh.obj"
+    write_obj(path, mesh)
+    again = read_obj(path)
+    for name in (
+        "positions",
+        "face_indices",
+        "crease_edges",
+        "crease_sharpness",
+        "corner_vertices",
+        "corner_sharpness",
+        "hole_faces",
+        "vertex_colors",
+        "face_objects",
+        "face_groups",
+    ):
+        expected, got = getattr(mesh, name), getattr(again, name)
+        assert (expected is None) == (got is None), name
+        if expected is not None:
+            np.testing.assert_array_equal(got, expected, err_msg=name)
+    assert (again.object_names, again.group_names) == (mesh.object_names, mesh.group_names)
+    assert again.scheme == mesh.scheme
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("t crease 2/1/0 0 1", "as many values"),
+        ("t crease 2/1/0 0 1 x", "as many values"),
+        ("t crease 1/1/0 0 1", "0-based vertices and a sharpness"),
+        ("t crease 2/1/0 0 8 1", "vertices from 0 to 7"),
+        ("t crease 2/1/0 -1 0 1", "vertices from 0 to 7"),
+        ("t crease 2/1/0 0 1 nan", "a sharpness"),
+        ("t crease 2/1/0 0 1 -2", "a sharpness"),
+        ("t corner 1/1/0 99999999999999999999999999 1", "vertices from 0 to 7"),
+        ("t hole 1/0/0 6", "faces from 0 to 5"),
+        ("t interpolateboundary 1/0/0 3", "from 0 to 2"),
+        ("t creasemethod 0/0/1 sharp", "normal, chaikin"),
+        ("t crease", "three counts"),
+        ("t crease 2/1 0 1 1", "three counts"),
+    ],
+)
+def test_malformed_tags_are_refused(line: str, expected: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.obj"
+    path.write_text(TAGGED + line + "\n")
+    with pytest.raises(FormatError, match=expected) as refusal:
+        read_obj(path)
+    assert f"line {TAGGED.count(chr(10)) + 1}:" in str(refusal.value)
+
+
+def test_a_malformed_vertex_colour_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "bad.obj"
+    path.write_text(TAGGED.replace("0.5 0.25 1", "0.5 green 1"))
+    with pytest.raises(FormatError, match="three colour values"):
+        read_obj(path)
+
+
+def test_polypaint_becomes_vertex_colours(tmp_path: Path) -> None:
+    text = "v 0 0 0\nv 1 0 0\nv 1 1 0\n#MRGB ff102030ff405060\n#MRGB ff708090\nf 1 2 3\n"
+    (tmp_path / "a.obj").write_text(text)
+    colors = np.array([[0x10, 0x20, 0x30], [0x40, 0x50, 0x60], [0x70, 0x80, 0x90]]) / 255
+    np.testing.assert_array_equal(read_obj(tmp_path / "a.obj").vertex_colors, colors)
+    (tmp_path / "a.obj").write_text(text.replace("f 1 2 3", "f 1 2 \\\n3"))  # a continued line takes comments away
+    np.testing.assert_array_equal(read_obj(tmp_path / "a.obj").vertex_colors, colors)
+    (tmp_path / "a.obj").write_text(text.replace("v 1 1 0", "v 1 1 0 1 0.5 0"))  # what the vertices themselves say wins
+    np.testing.assert_array_equal(read_obj(tmp_path / "a.obj").vertex_colors[2], [1, 0.5, 0])
+    for old, new in (
+        ("ff708090", "ff70809"),
+        ("ff708090", "ff7080zz"),
+        ("#MRGB ff708090\n", ""),
+        ("ff7", "ff1122ffff7"),
+    ):
+        (tmp_path / "a.obj").write_text(text.replace(old, new))
+        with pytest.raises(FormatError, match="#MRGB"):
+            read_obj(tmp_path / "a.obj")
+
+
+@pytest.mark.parametrize(
+    ("lines", "first"),
+    [
+        (["0 0 0 .1 .2 .3 1", "1 0 0 .4 .5 .6 1", "0 1 0 1 1 1 .5"], [0.1, 0.2, 0.3]),  # opacity last
+        (["0 0 0 1 .1 .2 .3", "1 0 0 1 .4 .5 .6", "0 1 0 1 1 1 1"], [0.1, 0.2, 0.3]),  # the position's weight first
+        (["0 0 0 1 1 1 1", "1 0 0 1 0 0 1", "0 1 0 1 0 0 1"], [1, 1, 1]),
+        (["0 0 0 .1 .2 .3 1", "1 0 0", "0 1 0 .5 .5 .5"], [0.1, 0.2, 0.3]),
+    ],
+)
+def test_a_colour_with_opacity_or_a_weighted_position_is_read(
+    tmp_path: Path, lines: list[str], first: list[float]
+) -> None:
+    (tmp_path / "a.obj").write_text("".join(f"v {line}\n" for line in lines) + "f 1 2 3\n")
+    colors = read_obj(tmp_path / "a.obj").vertex_colors
+    assert colors is not None
+    np.testing.assert_allclose(colors[0], first)
+    (tmp_path / "a.obj").write_text("v 0 0 0 1 1 1 x\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    with pytest.raises(FormatError, match="three colour values"):
+        read_obj(tmp_path / "a.obj")

@@ -1,0 +1,149 @@
+"""Odd but legal mesh files, as other programs write them: each of them is the same square."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cagemap.files.meshes.formats import read_mesh
+
+SQUARE = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], dtype=np.float64)
+V = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
+F = "f 1 2 3 4\n"
+
+OBJ = {
+    "a comment behind numbers that ends in a backslash": V.replace("v 1 0 0", "v 1 0 0 # C:\\old\\") + F,
+    "a backslash at the end of the file": V + "f 1 2 3 4\\",
+    "a continued line, carriage returns alone": (V + "f 1 2 \\\n3 4\n").replace("\n", "\r"),
+    "free-form elements": "vp 0.1 0.2\n" + V + "cstype bezier\ndeg 3 3\nsurf 0 1 0 1 1 2 3 4\nparm u 0 1\nend\n" + F,
+    "lines, points and smoothing groups": V + "s 1\nl 1 2 3\np 1\n" + F,
+    "faces before vertices": F + V,
+    "a fourth coordinate": V.replace(" 0\n", " 0 1.0\n") + F,
+    "corners that end in slashes": V + "f 1/ 2// 3/ 4//\n",
+    "indented, with tabs": "\t" + V.replace("\n", "\n\t").replace(" ", "\t") + F,
+    "the end of a DOS file": V + F + "\x1a",
+}
+_PLY = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+_FACE = "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+_ROWS = "0 0 0\n1 0 0\n1 1 0\n0 1 0\n"
+_END = "4 0 1 2 3\n"
+PLY = {
+    "a comment that has the last word of a header": _PLY.replace("ply\n", "ply\ncomment no end_header\n", 1)
+    + (_FACE + _ROWS + _END),
+    "faces first": "ply\nformat ascii 1.0\nelement face 1\nproperty list char float vertex_index\n"
+    + (_PLY[21:] + "end_header\n" + _END + _ROWS),
+    "other elements between": _PLY.replace("element vertex", "element none 3\nelement paint 1\nproperty list uint "
+    "uchar a\nelement vertex") + "element edge 1\nproperty int vertex1\n" + _FACE + "2 65 66\n" + _ROWS + "7\n" + _END,
+    "a list that is called red": _PLY + "property list uchar uchar red\nproperty uchar green\nproperty uchar blue\n"
+    + _FACE + "".join(f"{row} 2 7 7 1 1\n" for row in _ROWS.splitlines()) + _END,
+    "a number that is none, of no account": _PLY.replace("element vertex 4", "element vertex 4\nproperty float quality")
+    + _FACE + "".join(f"nan {row}\n" for row in _ROWS.splitlines()) + _END,
+}  # fmt: skip
+OFF = {
+    "with colours": "COFF\n4 1 0\n" + _ROWS.replace(" 0\n", " 0 255 0 0 255\n") + _END,
+    "with normals and texture coordinates": "STNOFF\n4 1 0\n" + _ROWS.replace(" 0\n", " 0 0 0 1 .5 .5\n") + _END,
+    "counts right behind the first word": "OFF4 1 0\n" + _ROWS + _END,
+    "small letters": "off 4 1\n" + _ROWS + _END,
+}
+
+
+@pytest.mark.parametrize("case", OBJ)
+def test_odd_obj_files_are_read(tmp_path: Path, case: str) -> None:
+    _is_the_square(tmp_path / "mesh.obj", OBJ[case].encode())
+
+
+@pytest.mark.parametrize("case", PLY)
+def test_odd_ply_files_are_read(tmp_path: Path, case: str) -> None:
+    _is_the_square(tmp_path / "mesh.ply", PLY[case].encode())
+
+
+@pytest.mark.parametrize("case", OFF)
+def test_odd_off_files_are_read(tmp_path: Path, case: str) -> None:
+    _is_the_square(tmp_path / "mesh.off", OFF[case].encode())
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("line_end", [b"\n", b"\r\n", b"\r"])
+def test_binary_ply_of_both_byte_orders_and_any_line_ends(tmp_path: Path, order: str, line_end: bytes) -> None:
+    """The body begins with a byte that is a line feed too."""
+    header = (
+        f"ply\nformat binary_{'little' if order == '<' else 'big'}_endian 1.0\nelement head 1\nproperty uchar a\n"
+        "element vertex 4\nproperty double x\nproperty float y\nproperty short z\nelement face 1\n"
+        "property uchar flags\nproperty list ushort uint vertex_indices\nproperty list uint short more\nend_header\n"
+    )
+    body = b"\n" + b"".join(struct.pack(order + "dfh", x, y, int(z)) for x, y, z in SQUARE.tolist())
+    body += struct.pack(order + "BH4II2h", 9, 4, 0, 1, 2, 3, 2, -1, -1)
+    _is_the_square(tmp_path / "mesh.ply", header.encode().replace(b"\n", line_end) + body)
+
+
+@pytest.mark.parametrize(
+    ("kind", "full", "one"),
+    [("uchar", 255, 1 / 255), ("ushort", 65535, 1 / 65535), ("float", 1, 1.0), ("float", 255, 1 / 255)],
+)
+@pytest.mark.parametrize("prefix", ["", "diffuse_"])
+def test_colours_of_ply_are_shares_of_what_their_type_holds(
+    tmp_path: Path, kind: str, full: int, one: float, prefix: str
+) -> None:
+    """Also where all are dark: 1 of 255 is no full colour, though a text file shows no bytes."""
+    channels = "".join(f"property {kind} {prefix}{name}\n" for name in ("red", "green", "blue"))
+    for top in {full, 1} if kind != "float" else {full}:
+        rows = _ROWS.replace(" 0\n", f" 0 {top} 1 0\n")
+        (tmp_path / "mesh.ply").write_text(_PLY + channels + _FACE + rows + _END)
+        colors = read_mesh(tmp_path / "mesh.ply").vertex_colors
+        np.testing.assert_allclose(colors, np.tile([top / full, one, 0], (4, 1)), rtol=1e-12)
+
+
+def test_means_of_bytes_are_bytes_too(tmp_path: Path) -> None:
+    channels = "".join(f"property float {name}\n" for name in ("red", "green", "blue"))
+    rows = _ROWS.replace(" 0\n", " 0 204 127.5 0\n")
+    (tmp_path / "mesh.ply").write_text(_PLY + channels + _FACE + rows + _END)
+    np.testing.assert_allclose(read_mesh(tmp_path / "mesh.ply").vertex_colors, np.tile([0.8, 0.5, 0], (4, 1)))
+
+
+def test_a_colour_that_is_no_number_is_none(tmp_path: Path) -> None:
+    channels = "".join(f"property float {name}\n" for name in ("red", "green", "blue"))
+    rows = _ROWS.replace(" 0\n", " 0 0.5 1 0\n").replace("0.5", "nan", 1)
+    (tmp_path / "mesh.ply").write_text(_PLY + channels + _FACE + rows + _END)
+    colors = read_mesh(tmp_path / "mesh.ply").vertex_colors
+    np.testing.assert_array_equal(colors, [[np.nan] * 3, *([[0.5, 1, 0]] * 3)])
+
+
+def test_colours_of_obj_may_be_bytes(tmp_path: Path) -> None:
+    for values, expected in (
+        ("255 51 0", [1, 0.2, 0]),
+        ("0.5 1 0", [0.5, 1, 0]),
+        ("2.5 1 0", [2.5, 1, 0]),
+        ("204 127.5 0", [0.8, 0.5, 0]),
+    ):
+        (tmp_path / "mesh.obj").write_text(V.replace(" 0\n", f" 0 {values}\n") + F)
+        colors = read_mesh(tmp_path / "mesh.obj").vertex_colors
+        np.testing.assert_allclose(colors, np.tile(expected, (4, 1)), rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["a vertex of mine", "vertex 1 2 3", ""])
+@pytest.mark.parametrize("capitals", [False, True])
+@pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r", " "])
+def test_odd_stl_files_are_read(tmp_path: Path, name: str, capitals: bool, line_end: str) -> None:
+    """Words may share a line, all of them too: where a line ends means nothing but for names."""
+    triangles = "".join(
+        "facet normal 0 0 1\nouter loop\n"
+        + "".join(" vertex {!r} {!r} {!r}\n".format(*SQUARE[i].tolist()) for i in corners)
+        + "endloop\nendfacet\n"
+        for corners in ((0, 1, 2), (0, 2, 3))
+    )
+    text = f"\ufeffsolid {name}\n{triangles}endsolid {name}\n"
+    (tmp_path / "mesh.stl").write_bytes((text.upper() if capitals else text).replace("\n", line_end).encode())
+    mesh = read_mesh(tmp_path / "mesh.stl")
+    np.testing.assert_array_equal(mesh.positions, SQUARE)
+    np.testing.assert_array_equal(mesh.face_indices, [0, 1, 2, 0, 2, 3])
+
+
+def _is_the_square(file: Path, content: bytes) -> None:
+    file.write_bytes(content)
+    mesh = read_mesh(file)
+    np.testing.assert_array_equal(mesh.positions, SQUARE)
+    np.testing.assert_array_equal(mesh.face_offsets, [0, 4])
+    np.testing.assert_array_equal(mesh.face_indices, [0, 1, 2, 3])

@@ -1,0 +1,201 @@
+"""A result about a part: values come and go in the numbers of the whole file, which are the ones a person has."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from examples.shapes import creature, poles
+
+from cagemap.errors import ParameterError
+from cagemap.files.landmarks.pairs import read_landmarks, write_landmarks
+from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.files.values.attributes import read_attributes
+from cagemap.files.values.part_numbering import FileRows
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.join import join_meshes
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.parts import extract, find_part
+from cagemap.tasks.match import MatchRequest, run_match
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.wrap import WrapRequest
+from cagemap.tasks.suggest import run_suggest
+from cagemap.tasks.transfer import run_transfer
+from cagemap.tasks.wrap import run_wrap
+
+
+def _scene() -> ControlMesh:
+    """An eye, then a body, so that the body's numbers begin somewhere."""
+    body = replace(creature(), face_objects=np.zeros(creature().n_faces, dtype=np.int64), object_names=("body",))
+    ball = poles(6)
+    eye = replace(
+        ball.with_positions(ball.positions + np.array([9.0, 0, 0])),
+        face_objects=np.zeros(ball.n_faces, dtype=np.int64),
+        object_names=("eye",),
+    )
+    return replace(join_meshes([eye, body]), name="hero.obj")
+
+
+def _own_landmarks(path: Path, scene: ControlMesh, count: int = 9) -> None:
+    first = scene.n_vertices - creature().n_vertices
+    picked = first + np.linspace(0, creature().n_vertices - 1, count).astype(int)
+    names = tuple(f"point {number}" for number in range(count))
+    write_landmarks(path, Landmarks(names, picked, picked, "hero", "hero"), force=True)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("parts")
+    scene = _scene()
+    write_mesh(place / "hero.obj", scene)
+    _own_landmarks(place / "landmarks.json", scene)
+    hero = place / "hero.obj"
+    run_match(MatchRequest(hero, hero, place / "landmarks.json", place / "R", level=1, k=30, part="body"), Stages())
+    return place
+
+
+def test_rows_of_a_part_in_any_order() -> None:
+    scene = _scene()
+    rows = FileRows(extract(scene, find_part(scene, "body").faces[::-1]), scene)
+    for count, own in ((scene.n_vertices, rows.vertices), (scene.n_faces, rows.faces)):
+        values = np.arange(count)
+        np.testing.assert_array_equal(rows.taken(values), own)
+        below = -np.ones(count, dtype=np.int64)
+        np.testing.assert_array_equal(rows.given_back(own, below)[own], own)
+        assert (np.delete(rows.given_back(own, below), own) == -1).all()
+    corners = np.arange(len(scene.face_indices))
+    np.testing.assert_array_equal(scene.face_indices[rows.taken(corners)], rows.vertices[rows.part.face_indices])
+    np.testing.assert_array_equal(rows.placed(rows.part.positions), scene.positions)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".csv", ".json"])
+def test_values_of_the_whole_file_come_back_in_its_numbers(folder: Path, suffix: str) -> None:
+    scene = _scene()
+    body = np.arange(scene.n_vertices) >= scene.n_vertices - creature().n_vertices
+    height = np.where(body, scene.positions[:, 1] - scene.positions[:, 1].min() + 1, 7.0)
+    given, output = folder / f"height{suffix}", folder / f"carried{suffix}"
+    if suffix == ".json":
+        group = {"name": "height", "vertices": list(range(scene.n_vertices)), "weights": height.tolist()}
+        given.write_text(json.dumps({"groups": [group]}))
+    elif suffix == ".csv":
+        given.write_text("\n".join(["height", *map(str, height)]))
+    else:
+        np.savez(given, height=height)
+    run_transfer(TransferRequest(folder / "R", output, attribute=given, force=True), Stages())
+    found = read_attributes(output, scene)["height"]
+    assert found.shape == (scene.n_vertices,)
+    assert np.abs(found - height)[body].max() < 1e-6 * np.abs(height).max()
+    assert (found[~body] == 0).all()
+    np.save(folder / "under.npy", np.full(scene.n_vertices, 0.5))  # the only values, whatever they are called
+    over = TransferRequest(folder / "R", output, attribute=given, bases=(("", folder / "under.npy"),), force=True)
+    run_transfer(over, Stages())
+    assert (read_attributes(output, scene)["height"][~body] == 0.5).all()
+
+
+def test_values_at_faces_and_corners_too(folder: Path) -> None:
+    scene = _scene()
+    body = scene.face_objects == scene.object_names.index("body")
+    np.savez(folder / "faces.npz", faces=np.arange(scene.n_faces))
+    np.savez(folder / "corners.npz", corners=scene.positions[scene.face_indices])
+    for name, inside in (("faces", body), ("corners", body[scene.corner_faces])):
+        given, output = folder / f"{name}.npz", folder / f"{name}_out.npz"
+        run_transfer(TransferRequest(folder / "R", output, attribute=given, force=True), Stages())
+        found, expected = np.load(output)[name], np.load(given)[name]
+        assert found.shape == expected.shape
+        np.testing.assert_allclose(found[inside], expected[inside], atol=1e-6)
+        assert not found[~inside].any()
+
+
+def test_weights_and_shapes_of_the_whole_file(folder: Path) -> None:
+    scene = _scene()
+    first = scene.n_vertices - creature().n_vertices
+    side = np.linspace(0, 1, scene.n_vertices)
+    np.savez(folder / "skin.npz", hip=side, head=1 - side)
+    run_transfer(TransferRequest(folder / "R", folder / "skin_out.npz", weights=folder / "skin.npz"), Stages())
+    skin = np.load(folder / "skin_out.npz")
+    assert np.abs(skin["hip"][first:] - side[first:]).max() < 1e-6
+    assert not skin["head"][:first].any()
+    offsets = np.zeros((scene.n_vertices, 3))
+    offsets[first + 4] = (0, 0.1, 0)
+    offsets[2] = 5  # of the eye
+    np.savez(folder / "smile.npz", smile=offsets)
+    write_mesh(folder / "frown.obj", scene.with_positions(scene.positions - offsets))
+    given = (folder / "smile.npz", folder / "frown.obj")
+    run_transfer(TransferRequest(folder / "R", folder / "shapes", blend_shapes=given), Stages())
+    rest = read_mesh(folder / "shapes" / "hero.obj")
+    np.testing.assert_array_equal(rest.face_indices, scene.face_indices)
+    for name, sign in (("smile", 1), ("frown", -1)):
+        moved = read_mesh(folder / "shapes" / f"{name}.obj").positions - rest.positions
+        np.testing.assert_allclose(moved[first:], sign * offsets[first:], atol=1e-6)
+        assert not moved[:first].any()
+
+
+def test_values_of_neither_are_refused_with_what_to_do(folder: Path, tmp_path: Path) -> None:
+    np.savez(tmp_path / "short.npz", a=np.zeros(5))
+    count = _scene().n_vertices
+    for option in ("attribute", "weights"):
+        request = TransferRequest(folder / "R", tmp_path / "o.npz", **{option: tmp_path / "short.npz"})
+        with pytest.raises(ParameterError, match=f"matched in part, for each of the file's {count}"):
+            run_transfer(request, Stages())
+    assert not (tmp_path / "o.npz").exists()
+
+
+def test_values_of_a_part_whose_file_has_changed_say_whose_numbers_they_have(
+    folder: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    place = shutil.copytree(folder, tmp_path / "moved")
+    with (place / "hero.obj").open("a") as file:
+        file.write("v 0 0 0\n")
+    np.save(place / "own.npy", np.ones(creature().n_vertices))
+    run_transfer(TransferRequest(place / "R", place / "o.npz", attribute=place / "own.npy"), Stages())
+    assert len(read_attributes(place / "o.npz")["own"]) == creature().n_vertices
+    for side in ("target", "source"):
+        assert (
+            f"hero.obj: was matched in part, and is not where the match read it, or has changed: values of the {side}"
+            in (caplog.text)
+        )
+
+
+def test_a_wrapped_part_stays_in_its_file(folder: Path) -> None:
+    scene = _scene()
+    first = scene.n_vertices - creature().n_vertices
+    _, warnings = run_wrap(WrapRequest((folder / "R",), folder / "wrapped.obj"), Stages())
+    wrapped = read_mesh(folder / "wrapped.obj")
+    np.testing.assert_array_equal(wrapped.face_indices, scene.face_indices)
+    np.testing.assert_allclose(wrapped.positions[:first], scene.positions[:first], rtol=0, atol=0)
+    assert np.abs(wrapped.positions - scene.positions).max() < 0.05 * np.ptp(scene.positions)
+    assert any("stay where they are" in text for text in warnings)
+
+
+def test_suggested_landmarks_can_be_matched_again(folder: Path) -> None:
+    scene = _scene()
+    first = scene.n_vertices - creature().n_vertices
+    run_suggest(folder / "R", folder / "more.json", 3)
+    landmarks, _ = read_landmarks(folder / "more.json", "hero", "hero")
+    assert landmarks.target.min() >= first
+    np.testing.assert_array_equal(landmarks.target[:9], landmarks.source[:9])
+    hero = folder / "hero.obj"
+    request = MatchRequest(hero, hero, folder / "more.json", folder / "R2", level=1, k=30, part="body")
+    _, warnings = run_match(request, Stages())
+    assert not any("left out" in text for text in warnings)
+
+
+def test_parts_matched_one_by_one_keep_the_order_of_the_file(folder: Path) -> None:
+    scene = _scene()
+    first = scene.n_vertices - creature().n_vertices
+    picked = np.concatenate([np.arange(5), first + np.linspace(0, creature().n_vertices - 1, 9).astype(int)])
+    names = tuple(f"point {number}" for number in range(len(picked)))
+    write_landmarks(folder / "both.json", Landmarks(names, picked, picked, "hero", "hero"))
+    hero = folder / "hero.obj"
+    run_match(MatchRequest(hero, hero, folder / "both.json", folder / "E", level=1, k=6, part="each"), Stages())
+    np.savez(folder / "numbers.npz", a=scene.positions)
+    run_transfer(TransferRequest(folder / "E", folder / "numbers_out.npz", attribute=folder / "numbers.npz"), Stages())
+    # The larger part comes first in the result.
+    found = np.load(folder / "numbers_out.npz")["a"]
+    np.testing.assert_allclose(found[first:], scene.positions[first:], atol=0.1)  # six functions make no exact map
+    assert np.abs(found[:first] - scene.positions[:first]).max() < 0.2 * np.ptp(scene.positions[:first])

@@ -1,0 +1,237 @@
+"""PLY files: text and both byte orders read alike, what is written reads back exactly, bad files are named."""
+
+from __future__ import annotations
+
+import struct
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from examples.shapes import cube, grid
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_obj import QUICK, polygon_meshes
+
+from cagemap.errors import CagemapError, FormatError
+from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.files.meshes.ply import read_ply, write_ply
+from cagemap.mesh import ControlMesh
+
+from ply_text import write_text_ply
+
+HEADER = "ply\nformat ascii 1.0\ncomment made by hand\nelement vertex 4\n" + "".join(
+    f"property float {c}\n" for c in "xyz"
+)
+FACES = "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
+BODY = "0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2\n3 0 2 3\n"
+
+
+def read_bytes(folder: Path, content: bytes | str) -> ControlMesh:
+    file = folder / "mesh.ply"
+    file.write_bytes(content if isinstance(content, bytes) else content.encode("latin-1"))
+    return read_ply(file)
+
+
+def assert_same(a: ControlMesh, b: ControlMesh) -> None:
+    np.testing.assert_array_equal(a.positions, b.positions)
+    np.testing.assert_array_equal(a.face_offsets, b.face_offsets)
+    np.testing.assert_array_equal(a.face_indices, b.face_indices)
+    assert (a.uvs is None) == (b.uvs is None)
+    if a.uvs is not None and b.uvs is not None:
+        np.testing.assert_array_equal(a.uvs[a.uv_indices], b.uvs[b.uv_indices])
+
+
+@settings(QUICK)
+@given(mesh=polygon_meshes(materials=False), text=st.booleans())
+def test_what_is_written_reads_back_bit_for_bit(tmp_path: Path, mesh: ControlMesh, text: bool) -> None:
+    path = tmp_path / f"{text}.ply"
+    (write_text_ply if text else write_ply)(path, mesh)
+    assert_same(read_ply(path), mesh)
+
+
+def test_real_meshes_round_trip_with_their_seams(shared_data: Path, tmp_path: Path) -> None:
+    for name in ("animals/spot.obj", "animals/cow.obj", "heads/deer_head.obj"):
+        mesh = read_mesh(shared_data / name)
+        write_mesh(tmp_path / "mesh.ply", mesh)
+        again = read_mesh(tmp_path / "mesh.ply")
+        assert_same(again, mesh)
+        if mesh.uv_indices is not None and again.uv_indices is not None:
+            # Corners share a texture vertex in one where they do in the other.
+            pairs = np.unique(np.column_stack([mesh.uv_indices, again.uv_indices]), axis=0)
+            assert len(pairs) == len(np.unique(mesh.uv_indices)) == len(np.unique(again.uv_indices))
+
+
+def test_vertices_on_one_spot_of_the_texture_stay_apart(tmp_path: Path) -> None:
+    mesh = cube().with_uvs(np.zeros((8, 2)), cube().face_indices)
+    write_ply(tmp_path / "mesh.ply", mesh)
+    again = read_ply(tmp_path / "mesh.ply").uv_indices
+    assert again is not None
+    assert len(np.unique(np.column_stack([again, mesh.face_indices]), axis=0)) == len(np.unique(again)) == 8
+
+
+@pytest.mark.parametrize("size", [127, 128, 200, 300])  # list lengths of one byte end between
+def test_large_polygons_fit(tmp_path: Path, size: int) -> None:
+    angle = np.arange(size) * (2 * np.pi / size)
+    positions = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    mesh = ControlMesh.from_faces(positions, [np.arange(size), [0, 1, 2]])
+    mesh = mesh.with_uvs(positions[:, :2], mesh.face_indices)
+    for write in (write_text_ply, write_ply):
+        path = tmp_path / f"{write.__name__}.ply"
+        write(path, mesh)
+        assert_same(read_ply(path), mesh)
+
+
+@pytest.mark.parametrize("order", ["<", ">", "="])
+@pytest.mark.parametrize("mixed", [False, True])
+def test_another_writer_agrees(tmp_path: Path, order: str, mixed: bool) -> None:
+    plyfile = pytest.importorskip("plyfile", reason="the oracle is under the GPL and not required")
+    mesh = (
+        grid(3, 2) if not mixed else ControlMesh.from_faces(grid(3, 2).positions, [(0, 1, 5, 4), (1, 2, 6), (1, 6, 5)])
+    )
+    vertices = np.zeros(mesh.n_vertices, dtype=[("nx", "f4"), ("x", "f8"), ("y", "f8"), ("z", "f8"), ("red", "u1")])
+    for i, axis in enumerate("xyz"):
+        vertices[axis] = mesh.positions[:, i]
+    faces = np.zeros(mesh.n_faces, dtype=[("flag", "i2"), ("vertex_index", "O"), ("note", "O")])
+    for i in range(mesh.n_faces):
+        faces[i] = (7, mesh.face(i).astype("u4"), np.arange(i, dtype="u1"))
+    edges = np.array([([0.5, 0.5], 3)], dtype=[("extra", "f4", (2,)), ("vertex1", "i4")])
+    elements = [
+        plyfile.PlyElement.describe(edges, "edge"),
+        plyfile.PlyElement.describe(vertices, "vertex"),
+        plyfile.PlyElement.describe(
+            faces, "face", len_types={"note": "u1"}, val_types={"vertex_index": "u4", "note": "u1"}
+        ),
+    ]
+    plyfile.PlyData(elements, text=order == "=", byte_order=order).write(str(tmp_path / "mesh.ply"))
+    assert_same(read_ply(tmp_path / "mesh.ply"), mesh)
+
+
+def test_texture_coordinates_at_vertices(tmp_path: Path) -> None:
+    for names in (("s", "t"), ("u", "v"), ("texture_u", "texture_v")):
+        header = HEADER + "".join(f"property float {name}\n" for name in names) + FACES
+        body = "0 0 0 .5 0\n1 0 0 1 0\n1 1 0 1 1\n0 1 0 0 1\n3 0 1 2\n3 0 2 3\n"
+        mesh = read_bytes(tmp_path, header + body)
+        assert mesh.uvs is not None
+        assert mesh.uvs.tolist() == [[0.5, 0], [1, 0], [1, 1], [0, 1]]
+        np.testing.assert_array_equal(mesh.uv_indices, mesh.face_indices)
+
+
+@pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r"])
+def test_line_ends(tmp_path: Path, line_end: str) -> None:
+    mesh = read_bytes(tmp_path, (HEADER + FACES + BODY).replace("\n", line_end))
+    assert mesh.face_indices.tolist() == [0, 1, 2, 0, 2, 3]
+
+
+def test_binary_body_that_begins_with_a_line_end(tmp_path: Path) -> None:
+    header = (HEADER + FACES).replace("ascii", "binary_little_endian").replace("float x", "uchar x").encode()
+    vertices = b"".join(struct.pack("<Bff", x, y, 0) for x, y in [(10, 0), (11, 0), (11, 1), (10, 1)])  # 10 is \n
+    body = vertices + struct.pack("<Biii", 3, 0, 1, 2) + struct.pack("<Biii", 3, 0, 2, 3)
+    mesh = read_bytes(tmp_path, header + body)
+    assert mesh.positions[:, 0].tolist() == [10, 11, 11, 10]
+
+
+BAD_FILES = {
+    "empty": ("", "empty file"),
+    "another format": ("solid mesh\n", "begins with 'ply'"),
+    "no end of header": (HEADER, "'end_header'"),
+    "no format": ("ply\nelement vertex 1\nproperty float x\nend_header\n0\n", "'format' line"),
+    "unknown format": ("ply\nformat middle_endian 1.0\nend_header\n", "line 2"),
+    "unknown type": (
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty half x\nend_header\n",
+        "line 4: .*'property half x'",
+    ),
+    "fractional count": ("ply\nformat ascii 1.0\nelement vertex 1.5\nend_header\n", "line 3"),
+    "negative count": ("ply\nformat ascii 1.0\nelement vertex -1\nend_header\n", "line 3"),
+    "property before element": ("ply\nformat ascii 1.0\nproperty float x\nend_header\n", "line 3"),
+    "property twice": (HEADER + "property float x\n" + FACES + BODY, "line 8"),
+    "float as length": (HEADER + FACES.replace("uchar", "float") + BODY, "line 9"),
+    "no positions": (HEADER.replace("float z", "float w") + FACES + BODY, "x, y and z"),
+    "vertices without properties": ("ply\nformat ascii 1.0\nelement vertex 3\n" + FACES + BODY, "x, y and z"),
+    "no vertices": (HEADER.replace("vertex 4", "vertex 0") + FACES.replace("2", "0"), "x, y and z"),
+    "points only": (HEADER + "end_header\n" + BODY[:24], "no polygon"),
+    "strips": (
+        HEADER + "element tristrips 1\nproperty list int int vertex_indices\nend_header\n" + BODY[:24] + "4 0 1 2 3",
+        "strips are not",
+    ),
+    "cut within vertices": (HEADER + FACES + BODY[:14], "4 records 'vertex'.*number 2"),
+    "cut within faces": (HEADER + FACES + BODY[:-4], "2 records 'face'.*number 1"),
+    "cut before faces": (HEADER + FACES + BODY[:24], "2 records 'face'.*number 0"),
+    "many vertices promised": (HEADER.replace("4", "400000000000") + FACES + BODY, "cut short"),
+    "word": (HEADER + FACES + BODY.replace("1 1 0", "1 one 0"), "b'one' in line 3"),
+    "NaN": (HEADER + FACES + BODY.replace("1 1 0", "1 nan 0"), r"finite positions.*1 vertices.*: 2"),
+    "out of range": (HEADER + FACES + BODY.replace("3 0 2 3", "3 0 2 4"), "from 0 to 3.*1 face.*: 1"),
+    "negative": (HEADER + FACES + BODY.replace("3 0 2 3", "3 0 2 -1"), "from 0 to 3.*: 1"),
+    "fraction": (HEADER + FACES + BODY.replace("3 0 2 3", "3 0 2 2.5"), "from 0 to 3.*: 1"),
+    "no corners": (HEADER + FACES + BODY.replace("3 0 2 3", "0"), "from 0 to 3.*: 1"),
+    "no corners at first": (HEADER + FACES + BODY.replace("3 0 1 2", "0"), "from 0 to 3.*: 0"),
+    "infinite length": (HEADER + FACES + BODY.replace("3 0 2 3", "inf 0 2 3"), "face 1.*length"),
+    "NaN length": (HEADER + FACES + BODY.replace("3 0 1 2", "nan 0 2 3"), "face 0.*length"),
+    "negative length": (HEADER + FACES + BODY.replace("3 0 2 3", "-3 0 2 3"), "face 1.*length"),
+    "UVs of some corners": (
+        HEADER
+        + FACES.replace("end_", "property list uchar float texcoord\nend_")
+        + BODY[:24]
+        + "3 0 1 2 6 0 0 0 0 0 0\n3 0 2 3 2 0 0\n",
+        "two texture coordinates per corner.*: 1",
+    ),
+    "UVs not finite": (
+        HEADER
+        + FACES.replace("end_", "property list uchar float texcoord\nend_").replace("2", "1")
+        + BODY[:24]
+        + "3 0 1 2 6 0 0 0 inf 0 0\n",
+        "finite texture",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD_FILES)
+def test_bad_files_are_refused_with_the_place(tmp_path: Path, case: str) -> None:
+    content, message = BAD_FILES[case]
+    with pytest.raises(FormatError, match=r"(?s)mesh\.ply.*" + message):
+        read_bytes(tmp_path, content)
+
+
+@settings(QUICK, max_examples=150)
+@given(data=st.data())
+def test_damaged_files_never_end_in_another_error(tmp_path: Path, data: st.DataObject) -> None:
+    mesh = cube().with_uvs(np.zeros((1, 2)), np.zeros(24, dtype=np.int64))
+    path = tmp_path / f"{data.draw(st.booleans())}.ply"
+    (write_text_ply if path.stem == "True" else write_ply)(path, mesh)
+    content = bytearray(path.read_bytes())
+    for _ in range(data.draw(st.integers(0, 3))):
+        place = data.draw(st.integers(0, len(content) - 1))
+        content[place] = data.draw(st.sampled_from(b" \n-.0179e\xff\x7f\x00") | st.integers(0, 255))
+    cut = data.draw(st.integers(0, len(content)))
+    with suppress(CagemapError):
+        read = read_bytes(tmp_path, bytes(content[:cut]))
+        assert read.face_indices.min() >= 0
+        assert read.face_indices.max() < read.n_vertices
+        assert np.isfinite(read.positions).all()
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_vertex_colours_come_back_as_bytes(tmp_path: Path, text: bool) -> None:
+    # The darkest: one of 255 is no full colour.
+    for colors in (np.arange(24).reshape(8, 3) / 255, np.tile([1 / 255, 0, 0], (8, 1))):
+        (write_text_ply if text else write_ply)(tmp_path / "c.ply", replace(cube(), vertex_colors=colors))
+        read = read_ply(tmp_path / "c.ply")
+        np.testing.assert_allclose(read.vertex_colors, colors, rtol=0, atol=1e-12)
+        np.testing.assert_array_equal(read.positions, cube().positions)
+
+
+@pytest.mark.parametrize("kind", ["uchar", "float"])
+def test_vertex_colours_are_read(tmp_path: Path, kind: str) -> None:
+    lines = [
+        "ply", "format ascii 1.0", "element vertex 3", *(f"property float {axis}" for axis in "xyz"),
+        *(f"property {kind} {channel}" for channel in ("red", "green", "blue")), "element face 1",
+        "property list uchar int vertex_indices", "end_header",
+    ]  # fmt: skip
+    colors = np.array([(1.0, 0.0, 0.2), (0.4, 0.6, 0.8), (0.0, 0.0, 0.0)])
+    shown = (255 * colors).round().astype(int) if kind == "uchar" else colors
+    places = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+    rows = [" ".join(map(str, (*place, *color))) for place, color in zip(places, shown.tolist(), strict=True)]
+    file = tmp_path / "c.ply"
+    file.write_text("\n".join([*lines, *rows, "3 0 1 2", ""]))
+    np.testing.assert_allclose(read_ply(file).vertex_colors, colors, rtol=0, atol=1e-12)

@@ -1,0 +1,307 @@
+"""RESULT folders: what is written comes back, and what is broken is refused by name."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from examples.shapes import cube, icosahedron
+
+from cagemap.errors import FormatError
+from cagemap.files.result.folder import (
+    ARRAYS,
+    MANIFEST,
+    assurance,
+    file_hash,
+    landmark_messages,
+    mesh_hash,
+    note_transfer,
+    read_result,
+    write_result,
+)
+from cagemap.maps.hypotheses.confidence import (
+    LOOK,
+    SURE,
+    SURE_COST,
+    SURE_GAP,
+    SURE_SHEARED,
+    TWO,
+    Confidence,
+    MapShape,
+    Reading,
+)
+from cagemap.maps.point_map import PointMap
+from cagemap.maps.quality import QualityFigures
+from cagemap.maps.result import MatchResult, SpectralMap
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.spectral import BasisConfig, Surface
+from cagemap.subdivision import CatmullClark, Loop, refine
+
+
+@pytest.fixture(scope="module")
+def result() -> MatchResult:
+    rng = np.random.default_rng(17)
+    textured = replace(
+        cube(),
+        uvs=rng.random((24, 2)),
+        uv_indices=np.arange(24),
+        face_materials=np.array([0, 0, 0, 1, 1, 1]),
+        material_names=("skin", "höof"),
+        material_colors=np.array([[0.1, 0.2, 0.3], [np.nan] * 3]),
+        name="box.obj",
+    )
+    target = Surface(refine(textured, 2, CatmullClark("edge_only")), BasisConfig(count=4))
+    source = Surface(refine(icosahedron(), 1, Loop()), BasisConfig(count=6))
+    places = target.triangles(2), source.triangles(1)
+    n1 = places[0].n
+    vertices = np.array([0, 3, 5], np.int64)
+    return MatchResult(
+        target,
+        source,
+        Landmarks(("nose", "tail", "toe"), vertices, vertices, textured.name, source.control.name),
+        PointMap.from_arrays(*places, rng.integers(0, len(places[1].triangles), n1), rng.dirichlet([1, 1, 1], n1)),
+        QualityFigures.of_summary({"coverage": 0.5}, rng.random(3), rng.random(n1)),
+        {"map": 1.25},
+        known_spectral=SpectralMap(rng.normal(size=(4, 6)), np.linspace(0, 9, 4), np.linspace(0, 9, 6)),
+    )
+
+
+@pytest.fixture
+def folder(result: MatchResult, tmp_path: Path) -> Path:
+    write_result(tmp_path / "R", result)
+    return tmp_path / "R"
+
+
+def test_everything_comes_back_bit_for_bit(result: MatchResult, folder: Path) -> None:
+    back = read_result(folder)
+    for name in ("source_triangles", "triangle", "barycentric", "functional_map", "trust", "landmark_errors"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(result, name))
+    for ours, theirs in ((back.target, result.target), (back.source, result.source)):
+        assert mesh_hash(ours.control) == mesh_hash(theirs.control)
+        assert ours.control.name == theirs.control.name
+        assert ours.control.material_names == theirs.control.material_names
+        assert (ours.refinement.scheme, ours.finest) == (theirs.refinement.scheme, theirs.finest)
+        assert ours.config == theirs.config
+        for name in ("vertices", "faces"):
+            np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+    assert back.landmark_names == result.landmark_names
+    np.testing.assert_array_equal(back.landmarks.source, result.landmarks.source)
+    for name in ("target_eigenvalues", "source_eigenvalues"):
+        np.testing.assert_array_equal(getattr(back.spectral, name), getattr(result.spectral, name))
+    assert back.manifest == result.manifest
+
+
+def test_numbers_have_32_bits_and_those_of_older_folders_64(result: MatchResult, folder: Path) -> None:
+    names = "source_triangles", "triangle", "target_faces", "source_faces"
+    with np.load(folder / ARRAYS) as stored:
+        arrays = dict(stored)
+    assert {arrays[name].dtype for name in names} == {np.dtype(np.int32)}
+    np.savez(folder / ARRAYS, **(arrays | {name: arrays[name].astype(np.int64) for name in names}))
+    back = read_result(folder)
+    np.testing.assert_array_equal(back.triangle, result.triangle)
+    np.testing.assert_array_equal(back.source.faces, result.source.faces)
+    assert back.triangle.dtype == back.source.faces.dtype == np.int64
+
+
+def test_a_surface_that_refines_otherwise_is_refused(folder: Path) -> None:
+    with np.load(folder / ARRAYS) as stored:
+        arrays = dict(stored)
+    arrays["source_vertices"] = arrays["source_vertices"] + 1e-3
+    np.savez(folder / ARRAYS, **arrays)
+    with pytest.raises(FormatError, match="source_vertices or faces are not those"):
+        read_result(folder)
+
+
+def test_without_a_functional_map_the_folder_is_read(result: MatchResult, tmp_path: Path) -> None:
+    write_result(tmp_path / "R", replace(result, known_spectral=None))
+    back = read_result(tmp_path / "R")
+    assert not back.has_spectral
+    assert back.functional_map.shape == (4, 6)  # made now
+
+
+def test_map_file_has_the_documented_arrays(result: MatchResult, folder: Path) -> None:
+    n1, n2 = len(result.target.vertices), len(result.source.vertices)
+    with np.load(folder / ARRAYS, allow_pickle=False) as stored:
+        shapes = {name: stored[name].shape for name in stored.files}
+    assert shapes["target_vertices"] == (n1, 3)
+    assert shapes["source_vertices"] == (n2, 3)
+    assert shapes["source_triangles"] == result.source_triangles.shape
+    assert shapes["triangle"] == (n1,)
+    assert shapes["barycentric"] == (n1, 3)
+    assert shapes["functional_map"] == (4, 6)
+    assert {"target_faces", "source_faces", "target_eigenvalues", "source_eigenvalues"} <= set(shapes)
+    assert {"target_landmarks", "source_landmarks"} <= set(shapes)
+
+
+def test_manifest_is_plain_json_with_versions_and_figures(folder: Path) -> None:
+    def refuse(constant: str) -> None:
+        raise AssertionError(constant)
+
+    manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"), parse_constant=refuse)
+    assert manifest["quality"]["coverage"] == 0.5
+    assert manifest["quality"]["dirichlet"] is None
+    assert manifest["timings"] == {"map": 1.25}
+    assert {"cagemap", "python", "numpy"} <= set(manifest["versions"])
+    assert manifest["target"]["scheme"] == {
+        "name": "catmull-clark",
+        "boundary": "edge_only",
+        "uv_interpolation": "all",
+        "creasing": "uniform",
+        "triangles": "catmull_clark",
+    }
+    assert manifest["source"]["vertices"] == 42
+
+
+def test_transfers_are_noted_once_per_output(result: MatchResult, folder: Path) -> None:
+    for source in ("old.png", "new.png"):
+        note_transfer(folder, {"kind": "texture", "image": source, "output": "baked.png"})
+    note_transfer(folder, {"kind": "texture", "image": "new.png", "output": "other.png"})
+    back = read_result(folder)
+    assert [(t["image"], t["output"]) for t in back.manifest["transfers"]] == [
+        ("new.png", "baked.png"),
+        ("new.png", "other.png"),
+    ]
+    np.testing.assert_array_equal(back.triangle, result.triangle)
+    write_result(folder, result)
+    assert "transfers" not in read_result(folder).manifest
+
+
+def test_image_is_on_the_source(result: MatchResult) -> None:
+    corners = result.source.vertices[result.source_triangles[result.triangle]]
+    np.testing.assert_allclose(result.image()[7], result.barycentric[7] @ corners[7])
+
+
+def test_an_older_result_is_replaced_and_other_folders_are_not(
+    result: MatchResult, folder: Path, tmp_path: Path
+) -> None:
+    write_result(folder, replace(result, landmarks=replace(result.landmarks, names=("a", "b", "c"))))
+    assert read_result(folder).landmark_names == ("a", "b", "c")
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "cat.txt").write_text("meow")
+    with pytest.raises(FormatError, match="photos"):
+        write_result(tmp_path / "photos", result)
+    assert (tmp_path / "photos" / "cat.txt").read_text() == "meow"
+
+
+def test_nothing_is_left_behind_when_writing_fails(result: MatchResult, tmp_path: Path) -> None:
+    broken = replace(
+        result, quality=replace(result.quality, trust=np.array([object()]))
+    )  # cannot be stored without pickling
+    with pytest.raises(ValueError, match="allow_pickle"):
+        write_result(tmp_path / "R", broken)
+    assert list(tmp_path.iterdir()) == []
+
+
+def edit(folder: Path, **changes: object) -> None:
+    manifest = json.loads((folder / MANIFEST).read_text())
+    (folder / MANIFEST).write_text(json.dumps(manifest | changes))
+
+
+def test_missing_folder_manifest_or_arrays_are_named(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match=r"nowhere.*nothing of that name"):
+        read_result(tmp_path / "nowhere")
+    (folder / ARRAYS).unlink()
+    with pytest.raises(FormatError, match=r"map\.npz: is missing"):
+        read_result(folder)
+    (folder / MANIFEST).unlink()
+    with pytest.raises(FormatError, match=r"no manifest\.json"):
+        read_result(folder)
+
+
+def test_newer_and_foreign_manifests_are_refused(folder: Path) -> None:
+    edit(folder, format_version=99, versions={"cagemap": "9.1"})
+    with pytest.raises(FormatError, match=r"version 99.*cagemap 9\.1"):
+        read_result(folder)
+    edit(folder, format="holiday")
+    with pytest.raises(FormatError, match="cagemap-result"):
+        read_result(folder)
+    (folder / MANIFEST).write_text('{"format": "cagemap-res')
+    with pytest.raises(FormatError, match="cannot be read"):
+        read_result(folder)
+
+
+@pytest.mark.parametrize("keep", [0, 100, 5000])
+def test_half_written_arrays_are_refused(folder: Path, keep: int) -> None:
+    data = (folder / ARRAYS).read_bytes()
+    (folder / ARRAYS).write_bytes(data[:keep])
+    with pytest.raises(FormatError, match="damaged"):
+        read_result(folder)
+
+
+def test_flipped_bits_are_noticed(folder: Path) -> None:
+    data = bytearray((folder / ARRAYS).read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    (folder / ARRAYS).write_bytes(data)
+    with pytest.raises(FormatError, match="damaged"):
+        read_result(folder)
+
+
+def test_arrays_of_another_result_are_refused(result: MatchResult, folder: Path) -> None:
+    arrays = dict(np.load(folder / ARRAYS))
+    for name, value, words in (
+        ("triangle", result.triangle[:-1], "triangle has shape"),
+        ("triangle", np.where(np.arange(len(result.triangle)) == 5, 80, result.triangle), "counts past"),
+        ("barycentric", result.barycentric[:, :2], "barycentric has shape"),
+        ("functional_map", np.zeros((2, 2)), "functional_map has shape"),
+    ):
+        np.savez(folder / ARRAYS, **(arrays | {name: value}))
+        with pytest.raises(FormatError, match=words):
+            read_result(folder)
+    del arrays["trust"]
+    np.savez(folder / ARRAYS, **arrays)
+    with pytest.raises(FormatError, match="lacks 'trust'"):
+        read_result(folder)
+
+
+def test_hashes_depend_on_content_only(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"abc")
+    assert file_hash(tmp_path / "a") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert mesh_hash(cube()) == mesh_hash(cube())
+    assert mesh_hash(cube()) != mesh_hash(cube().with_positions(cube().positions * 2))
+
+
+def test_landmarks_that_seem_exchanged_come_back(result: MatchResult, tmp_path: Path) -> None:
+    places = result.point_map.images.positions
+    readings = (Reading("as given", 1e-4, places), Reading("mirrored", 2e-4, places, exchange=((0, 2), (2, 0))))
+    unsure = Confidence(TWO, 1.0, 2.0, readings, None, MapShape(0.0, 1.0, 0.0))
+    write_result(tmp_path / "R", replace(result, confidence=unsure))
+    back = read_result(tmp_path / "R").confidence
+    assert back is not None
+    assert [reading.exchange for reading in back.readings] == [(), ((0, 2), (2, 0))]
+
+
+def test_a_result_of_before_is_sure_only_if_its_map_may_be_now(result: MatchResult, tmp_path: Path) -> None:
+    """'sure' once did not ask how much a tenth of the map is sheared, and did not write it down."""
+    measured, places = MapShape.of(result.point_map).sheared, result.point_map.images.positions
+    for sheared, verdict in ((SURE_SHEARED + 0.1, LOOK), (1.5, SURE)):
+        sure = Confidence(SURE, 1.0, 2.0, (Reading("", 1e-4, places),), None, MapShape(0.0, 1.0, 0.0, sheared))
+        write_result(tmp_path / verdict, replace(result, confidence=sure))
+        back = read_result(tmp_path / verdict).confidence
+        assert back is not None
+        assert (back.verdict, back.shape.sheared) == (verdict, sheared)
+        assert back.message.startswith("look at it") == (verdict == LOOK)
+        # What the report shows is what was read, not the sentence of then.
+        old = json.loads((tmp_path / verdict / MANIFEST).read_text())
+        old["confidence"] |= {"verdict": SURE, "message": "the sentence of then: sure"}
+        (tmp_path / verdict / MANIFEST).write_text(json.dumps(old))
+        again = read_result(tmp_path / verdict).manifest
+        # Being sure is nothing to warn of.
+        assert (landmark_messages(again)[:1], assurance(again)) == (
+            ([back.message], "") if verdict == LOOK else ([], back.message)
+        )
+    for cost, gap in ((1.01e4 * SURE_COST, 2.0), (1.0, 0.99 * SURE_GAP)):
+        dear = Confidence(SURE, cost, gap, (Reading("", 1e-4, places),), None, MapShape())
+        write_result(tmp_path / f"{cost}", replace(result, confidence=dear))
+        back = read_result(tmp_path / f"{cost}").confidence
+        assert back is not None
+        assert back.verdict == LOOK
+    manifest = json.loads((tmp_path / SURE / "manifest.json").read_text())
+    del manifest["confidence"]["sheared"]
+    (tmp_path / SURE / "manifest.json").write_text(json.dumps(manifest))
+    back = read_result(tmp_path / SURE).confidence
+    assert back is not None
+    assert back.shape.sheared == measured
+    assert back.verdict == (SURE if measured <= SURE_SHEARED else LOOK)

@@ -1,0 +1,448 @@
+"""USD in and out: topology, subdivision, primvars, skinning, layers over a target, and files that are damaged."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from examples.shapes import cube, grid, icosahedron
+
+from cagemap.errors import FormatError
+from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.mesh import Bilinear, CatmullClark, ControlMesh, Loop
+from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.parts import extract, find_part
+from cagemap.mesh.topology import uv_islands
+from cagemap.subdivision import finest_mesh, refine
+from cagemap.tasks.mesh_commands import check_files
+
+pxr = pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt  # noqa: E402
+
+from cagemap.files.usd.read import in_world, named_damage, read_usd, read_usd_meshes  # noqa: E402
+from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over  # noqa: E402
+
+
+def full_cube() -> ControlMesh:
+    """A cube with everything that a USD mesh keeps; values are exact in single precision."""
+    mesh = cube()
+    corners = np.arange(len(mesh.face_indices))
+    rng = np.random.default_rng(5)
+    edges = np.column_stack([mesh.face(1), np.roll(mesh.face(1), -1)])
+    return replace(
+        mesh.with_creases(edges, [0.5, 1.25, 2.5, 10]).with_corners([0, 6], [1.5, 10]),
+        uvs=rng.integers(0, 64, (len(corners), 2)) / 64,
+        uv_indices=corners,
+        uv_name="st",
+        uv_sets=(UvSet("lightmap", rng.integers(0, 64, (8, 2)) / 64, mesh.face_indices.copy()),),
+        hole_faces=np.array([3]),
+        face_materials=np.array([0, 0, 1, 1, 1, 0]),
+        material_names=("skin", "cloth"),
+        material_colors=np.array([[0.5, 0.25, 0.125], [np.nan] * 3]),
+        vertex_colors=rng.integers(0, 8, (8, 3)) / 8,
+        scheme=CatmullClark("edge_only", "corners_plus2", triangles="smooth"),
+    )
+
+
+def assert_same(one: ControlMesh, other: ControlMesh) -> None:
+    for field in fields(ControlMesh):
+        mine, theirs = getattr(one, field.name), getattr(other, field.name)
+        if field.name in ("name", "uv_sets"):
+            continue
+        if isinstance(mine, np.ndarray):
+            np.testing.assert_array_equal(theirs, mine, err_msg=field.name)
+        else:
+            assert mine == theirs, field.name
+    for mine, theirs in zip(one.uv_sets, other.uv_sets, strict=True):
+        assert mine.name == theirs.name
+        np.testing.assert_array_equal(mine.uvs[mine.uv_indices], theirs.uvs[theirs.uv_indices])
+
+
+def complaints(path: Path) -> list[str]:
+    """What usdchecker says: every validator of USD, on the composed stage."""
+    validation = pytest.importorskip("pxr.UsdValidation")
+    validators = validation.ValidationRegistry().GetOrLoadAllValidators()
+    errors = validation.ValidationContext(validators).Validate(Usd.Stage.Open(str(path)))
+    return [f"{error.GetName()}: {error.GetMessage()}" for error in errors]
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usd"])
+def test_what_is_written_is_read_again(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"cube{suffix}"
+    write_mesh(path, full_cube())
+    assert_same(full_cube(), read_mesh(path))
+    assert complaints(path) == []
+
+
+@pytest.mark.parametrize("scheme", [Loop("edge_only", "boundaries"), Bilinear("none", "none")], ids=str)
+def test_schemes_are_kept(scheme: Loop | Bilinear, tmp_path: Path) -> None:
+    path = tmp_path / "mesh.usda"
+    write_usd(path, replace(icosahedron(), scheme=scheme))
+    assert read_usd(path).scheme == scheme
+    refined = finest_mesh(refine(read_usd(path), 1))
+    write_usd(tmp_path / "refined.usda", refined)
+    stage = Usd.Stage.Open(str(tmp_path / "refined.usda"))
+    assert UsdGeom.Mesh(stage.GetPrimAtPath("/Asset/mesh")).GetSubdivisionSchemeAttr().Get() == "none"
+
+
+def test_defaults_are_those_of_usd(tmp_path: Path) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "bare.usda"))
+    _mesh(stage, "/m", grid(2, 2))
+    stage.Save()
+    assert read_usd(tmp_path / "bare.usda").scheme == CatmullClark("edge_and_corner", "corners_plus1")
+
+
+def _mesh(stage: Usd.Stage, path: str, control: ControlMesh) -> UsdGeom.Mesh:
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(control.positions.astype(np.float32)))
+    mesh.CreateFaceVertexCountsAttr(control.face_sizes.tolist())
+    mesh.CreateFaceVertexIndicesAttr(control.face_indices.tolist())
+    return mesh
+
+
+def test_uvs_of_every_interpolation(tmp_path: Path) -> None:
+    control = grid(2, 1)
+    stage = Usd.Stage.CreateNew(str(tmp_path / "uvs.usda"))
+    api = UsdGeom.PrimvarsAPI(_mesh(stage, "/m", control))
+    counts = {"constant": 1, "uniform": 2, "varying": 6, "vertex": 6, "faceVarying": 8}
+    for name, count in counts.items():
+        values = np.arange(2 * count, dtype=np.float32).reshape(count, 2)
+        api.CreatePrimvar(name, Sdf.ValueTypeNames.TexCoord2fArray, name).Set(Vt.Vec2fArray.FromNumpy(values))
+    stage.Save()
+    mesh = read_usd(tmp_path / "uvs.usda")
+    for name in counts:
+        chosen = mesh.with_uv_set(name)
+        owner = {
+            "constant": np.zeros(8, int),
+            "uniform": mesh.corner_faces,
+            "faceVarying": np.arange(8),
+        }.get(name, mesh.face_indices)
+        np.testing.assert_array_equal(chosen.uvs[chosen.uv_indices][:, 0], 2 * owner)
+
+
+def test_texture_coordinates_without_indices_are_one_island_where_they_agree(tmp_path: Path) -> None:
+    """As Blender exports them: a value a face corner, and no indices."""
+    control = grid(4, 3)
+    uvs = control.positions[:, :2][control.face_indices].astype(np.float32)
+    right = np.repeat(np.arange(control.n_faces) >= 6, 4)  # columns 2 and 3
+    uvs[right] += [np.float32(2.0), np.float32(0.0)]  # a seam down the middle
+    stage = Usd.Stage.CreateNew(str(tmp_path / "blender.usda"))
+    api = UsdGeom.PrimvarsAPI(_mesh(stage, "/m", control))
+    kind = Sdf.ValueTypeNames.TexCoord2fArray
+    api.CreatePrimvar("st", kind, "faceVarying").Set(Vt.Vec2fArray.FromNumpy(uvs))
+    stage.Save()
+    mesh = read_usd(tmp_path / "blender.usda")
+    islands = uv_islands(mesh)
+    assert islands is not None
+    assert islands.max() + 1 == 2
+    assert mesh.uvs is not None
+    assert len(mesh.uvs) == 2 * 3 * 4
+    np.testing.assert_array_equal(mesh.uvs[mesh.uv_indices], uvs)
+
+
+def test_creases_along_chains_and_a_left_handed_mesh(tmp_path: Path) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "chain.usda"))
+    mesh = _mesh(stage, "/m", cube())
+    mesh.CreateOrientationAttr("leftHanded")
+    ring = cube().face(0).tolist()
+    mesh.CreateCreaseIndicesAttr([*ring, ring[0], ring[2], int(cube().face(5)[0])])
+    mesh.CreateCreaseLengthsAttr([5, 2])
+    mesh.CreateCreaseSharpnessesAttr([2.5, 1.0])
+    stage.Save()
+    read = read_usd(tmp_path / "chain.usda")
+    np.testing.assert_array_equal(read.crease_sharpness, [2.5] * 4 + [1.0])
+    np.testing.assert_array_equal(read.crease_edges[:4, 0], ring)
+    assert {tuple(np.roll(f, -np.argmin(f))) for f in (read.face(i) for i in range(6))} == {
+        tuple(np.roll(f[::-1], -np.argmin(f[::-1]))) for f in (cube().face(i) for i in range(6))
+    }
+
+
+def _character(path: Path) -> None:
+    """Two meshes under transforms, one skinned and with a blend shape, in centimetres and Z-up."""
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    root = UsdSkel.Root.Define(stage, "/hero")
+    stage.SetDefaultPrim(root.GetPrim())
+    body = _mesh(stage, "/hero/body", cube())
+    eye = _mesh(stage, "/hero/eye", grid(2, 2))
+    UsdGeom.XformCommonAPI(eye).SetTranslate(Gf.Vec3d(0, 5, 0))
+    binding = UsdSkel.BindingAPI.Apply(body.GetPrim())
+    binding.CreateJointIndicesPrimvar(False, 2).Set([0, 2] * 8)
+    binding.CreateJointWeightsPrimvar(False, 2).Set([0.25, 0.75] * 8)
+    shape = UsdSkel.BlendShape.Define(stage, "/hero/body/smile")
+    shape.CreateOffsetsAttr([Gf.Vec3f(1, 0, 0)])
+    shape.CreatePointIndicesAttr([5])
+    binding.CreateBlendShapesAttr(["smile"])
+    binding.CreateBlendShapeTargetsRel().SetTargets([shape.GetPath()])
+    api = UsdGeom.PrimvarsAPI(body)
+    api.CreatePrimvar("fur", Sdf.ValueTypeNames.FloatArray, "vertex").Set(list(map(float, range(8))))
+    stage.Save()
+
+
+def test_a_character_with_parts_weights_and_blend_shapes(tmp_path: Path) -> None:
+    path = tmp_path / "hero.usda"
+    _character(path)
+    body, eye = read_usd_meshes(path)
+    assert (body.path, eye.path) == ("/hero/body", "/hero/eye")
+    np.testing.assert_allclose(in_world(eye).control.positions, eye.control.positions + np.array([0, 5, 0]))
+    np.testing.assert_array_equal(body.attributes["skel:jointWeights"], [[0.25, 0, 0.75]] * 8)
+    np.testing.assert_array_equal(body.attributes["blendShape:smile"][5], [1, 0, 0])
+    np.testing.assert_array_equal(body.attributes["fur"], np.arange(8))
+    joined = read_usd(path)
+    assert joined.object_names == ("/hero/body", "/hero/eye")
+    assert (joined.n_vertices, joined.n_faces) == (17, 10)
+
+
+def test_names_without_an_identifier_of_their_own_stay_apart(tmp_path: Path) -> None:
+    mesh = replace(full_cube(), material_names=("皮肤", "头发"), material_colors=np.array([[0.5, 0, 0], [0, 0, 0.5]]))
+    moves = np.eye(3)[np.arange(8) % 3]
+    attributes = {"blendShape:笑": moves, "blendShape:怒": 2 * moves, "高": np.arange(8.0), "低": -np.arange(8.0)}
+    write_usd(tmp_path / "cube.usda", mesh, UsdResults(attributes=attributes))
+    (read,) = read_usd_meshes(tmp_path / "cube.usda")
+    colors = read.control.material_colors[read.control.face_materials]  # type: ignore[index]
+    np.testing.assert_array_equal(colors, mesh.material_colors[mesh.face_materials])  # type: ignore[index]
+    np.testing.assert_array_equal(read.attributes["blendShape:笑"], moves)
+    np.testing.assert_array_equal(read.attributes["blendShape:怒"], 2 * moves)
+    others = [read.attributes[name] for name in read.attributes if name.startswith("_")]
+    np.testing.assert_array_equal(others, [np.arange(8.0), -np.arange(8.0)])
+
+
+def test_a_blend_shape_does_not_take_the_place_of_a_subset(tmp_path: Path) -> None:
+    mesh, moves = full_cube(), np.eye(3)[np.arange(8) % 3]
+    write_usd(tmp_path / "cube.usda", mesh, UsdResults(attributes={"blendShape:skin": moves}))
+    (read,) = read_usd_meshes(tmp_path / "cube.usda")
+    assert read.control.material_names == mesh.material_names
+    np.testing.assert_array_equal(read.attributes["blendShape:skin"], moves)
+
+
+def test_references_and_variants_are_resolved(tmp_path: Path) -> None:
+    _character(tmp_path / "hero.usda")
+    stage = Usd.Stage.CreateNew(str(tmp_path / "shot.usda"))
+    prim = stage.DefinePrim("/shot/hero")
+    prim.GetReferences().AddReference("./hero.usda")
+    variants = prim.GetVariantSets().AddVariantSet("look")
+    for name in ("with", "without"):
+        variants.AddVariant(name)
+        variants.SetVariantSelection(name)
+        with variants.GetVariantEditContext():
+            stage.OverridePrim("/shot/hero/eye").SetActive(name == "with")
+    stage.Save()
+    (body,) = read_usd_meshes(tmp_path / "shot.usda")
+    assert body.path == "/shot/hero/body"
+
+
+def test_results_are_a_layer_over_the_target(tmp_path: Path) -> None:
+    (tmp_path / "assets").mkdir()
+    (tmp_path / "out").mkdir()
+    target = tmp_path / "assets" / "hero.usda"
+    _character(target)
+    before = target.read_bytes()
+    body = read_usd_meshes(target)[0].control
+    rng = np.random.default_rng(3)
+    weights = rng.random((8, 5))
+    results = UsdResults(
+        textures={
+            "albedo": "./skin.<UDIM>.png",
+            "roughness": "./rough.png",
+            "normal": "./normal.png",
+            "gloss": "x.png",
+        },
+        attributes={
+            "skel:jointWeights": weights / weights.sum(axis=1, keepdims=True),
+            "blendShape:frown": np.eye(8, 3),
+            "fur length": rng.random(8),
+            "region": np.arange(6),
+            "displayColor": rng.random((8, 3)),
+        },
+        points=body.positions * 2,
+        uvs=("st", rng.random((24, 2)), np.arange(24)),
+    )
+    for name in ("skin.1001.png", "rough.png", "normal.png"):
+        (tmp_path / "out" / name).write_bytes(b"")
+    layer = tmp_path / "out" / "hero_textured.usda"
+    write_usd_over(layer, target, ["/hero/body"], body, results)
+    assert target.read_bytes() == before
+    assert complaints(layer) == []
+    stage = Usd.Stage.Open(str(layer))
+    assert (UsdGeom.GetStageUpAxis(stage), UsdGeom.GetStageMetersPerUnit(stage)) == ("Z", 0.01)
+    assert stage.GetDefaultPrim().GetPath() == "/hero"
+    again = read_usd_meshes(layer)[0]
+    np.testing.assert_allclose(again.control.positions, body.positions * 2)
+    np.testing.assert_allclose(
+        again.attributes["skel:jointWeights"], results.attributes["skel:jointWeights"], atol=1e-6
+    )
+    np.testing.assert_allclose(again.attributes["blendShape:frown"], np.eye(8, 3))
+    np.testing.assert_array_equal(again.attributes["region"], np.arange(6))
+    np.testing.assert_allclose(again.control.uvs, results.uvs[1], atol=1e-6)
+    material = UsdShade.MaterialBindingAPI(stage.GetPrimAtPath("/hero/body")).ComputeBoundMaterial()[0]
+    files = [
+        prim.GetAttribute("inputs:file").Get().path
+        for prim in Usd.PrimRange(material.GetPrim())
+        if prim.GetAttribute("inputs:file")
+    ]
+    assert sorted(files) == ["./normal.png", "./rough.png", "./skin.<UDIM>.png"]
+
+
+def test_positions_after_subdivision_are_those_of_the_recorded_options(tmp_path: Path) -> None:
+    # Single precision in the file: the surfaces agree to its rounding.
+    path = tmp_path / "cube.usdc"
+    write_usd(path, full_cube())
+    ours, theirs = refine(full_cube(), 3).finest, refine(read_usd(path), 3).finest
+    np.testing.assert_allclose(theirs.positions, ours.positions, atol=1e-6)
+    np.testing.assert_allclose(theirs.uvs, ours.uvs, atol=1e-6)
+
+
+def test_what_a_file_refers_to_and_is_not_there_is_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for number, arc in enumerate(("payload", "references")):
+        file = tmp_path / f"{arc}.usda"
+        file.write_text(f'#usda 1.0\ndef "a" (\nprepend {arc} = @./gone (2).usda@\n)\n{{\n}}\n')
+        with pytest.raises(FormatError, match="at least one mesh prim, got none"):
+            read_usd(file)
+        assert re.search(r"Could not open asset .*gone \(2\)\.usda@", caplog.messages[-1])
+        assert str(file) in caplog.messages[-1]
+        assert len(caplog.messages) == number + 1
+    chosen = tmp_path / "variants.usda"
+    sets = 'variantSet "shape" = {\n"one" {\n}\n}\n'
+    chosen.write_text(f'#usda 1.0\ndef "a" (\nprepend variantSets = "shape"\n)\n{{\n{sets}}}\n')
+    with pytest.raises(FormatError, match=r"Choose one of the variants of /a \(shape\)"):
+        read_usd(chosen)
+
+
+@pytest.mark.parametrize("scale", ["0, 1, 1", "nan, 1, 1"])
+def test_a_transform_that_flattens_is_refused(tmp_path: Path, scale: str) -> None:
+    file = tmp_path / "flat.usda"
+    write_usd(file, full_cube())
+    stage = Usd.Stage.Open(str(file))
+    prim = next(prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh))
+    UsdGeom.Xformable(prim).AddScaleOp().Set(tuple(map(float, scale.split(", "))))
+    stage.Save()
+    with pytest.raises(FormatError, match=r"flat\.usda: .*expected a transform that can be undone"):
+        read_usd(file)
+
+
+def test_a_flattened_mesh_beside_others_is_left_out_aloud(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Animators hide what is not on stage by a scale of 0: the others are read as without it."""
+    file = tmp_path / "scene.usda"
+    write_usd(file, full_cube())
+    whole = read_usd(file)
+    stage = Usd.Stage.Open(str(file))
+    hidden = UsdGeom.Mesh.Define(stage, "/World/hidden")
+    hidden.CreatePointsAttr([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
+    hidden.CreateFaceVertexCountsAttr([3])
+    hidden.CreateFaceVertexIndicesAttr([0, 1, 2])
+    hidden.AddScaleOp().Set((0.0, 0.0, 0.0))
+    stage.Save()
+    read = read_usd(file)
+    np.testing.assert_array_equal(read.positions, whole.positions)
+    np.testing.assert_array_equal(read.face_indices, whole.face_indices)
+    assert re.search(r"scene\.usda: left out .*: /World/hidden$", caplog.messages[-1])
+
+
+def test_damaged_files_are_named(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match=r"damaged \(no number: 'x'\)"), named_damage("bad.usda"):
+        raise ValueError("no number: 'x'")
+    with pytest.raises(FormatError, match="no such file"):
+        read_usd(tmp_path / "none.usda")
+    bad = tmp_path / "bad.usda"
+    for text in ("", "#usda 1.0\n(", "\0\1\2", "PXR-USDC" + "x" * 50):
+        bad.write_text(text)
+        with pytest.raises(FormatError, match=r"bad\.usda"):
+            read_usd(bad)
+    stage = Usd.Stage.CreateNew(str(tmp_path / "empty.usda"))
+    UsdGeom.Mesh.Define(stage, "/m")
+    stage.Save()
+    with pytest.raises(FormatError, match="1 without points"):
+        read_usd(tmp_path / "empty.usda")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda mesh: mesh.GetFaceVertexCountsAttr().Set([4, 4]), "sum to the"),
+        (lambda mesh: mesh.GetFaceVertexIndicesAttr().Set([99] * 24), "from 0 to 7"),
+        (lambda mesh: mesh.GetFaceVertexIndicesAttr().Set([-1] * 24), "from 0 to 7"),
+        (lambda mesh: mesh.CreateCreaseIndicesAttr([0, 1]), "creases"),
+        (lambda mesh: mesh.CreateCornerIndicesAttr([0, 1]), "one sharpness a corner"),
+        (lambda mesh: mesh.CreateSubdivisionSchemeAttr("doo-sabin"), "subdivisionScheme"),
+        (
+            lambda mesh: (
+                UsdGeom.PrimvarsAPI(mesh)
+                .CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "faceVarying")
+                .Set([Gf.Vec2f(0, 0)])
+            ),
+            "primvar st",
+        ),
+        (
+            lambda mesh: (
+                UsdGeom.PrimvarsAPI(mesh)
+                .CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "constant")
+                .Set([Gf.Vec2f(float("nan"), 0)])
+            ),
+            "not numbers",
+        ),
+    ],
+)
+def test_meshes_that_do_not_fit_together_are_refused(change: object, message: str, tmp_path: Path) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "mesh.usda"))
+    change(_mesh(stage, "/m", cube()))
+    stage.Save()
+    with pytest.raises(FormatError, match=message):
+        read_usd(tmp_path / "mesh.usda")
+
+
+def test_an_export_as_gltf_is_in_metres_with_y_up(tmp_path: Path) -> None:
+    write_usd(tmp_path / "cube.usda", full_cube())
+    stage = Usd.Stage.Open(str(tmp_path / "cube.usda"))
+    UsdGeom.SetStageUpAxis(stage, "Z")
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    stage.Save()
+    write_mesh(tmp_path / "cube.glb", read_mesh(tmp_path / "cube.usda"), like=tmp_path / "cube.usda")
+    data = (tmp_path / "cube.glb").read_bytes()
+    (node,) = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])["nodes"]
+    matrix = np.array(node["matrix"]).reshape(4, 4).T  # by columns, for points as columns
+    np.testing.assert_allclose(matrix @ [100, 200, 300, 1], [1, 3, -2, 1], atol=1e-12)
+
+
+def test_meshes_of_different_schemes_are_read_for_their_parts(tmp_path: Path) -> None:
+    path = tmp_path / "mixed.usda"
+    write_usd(path, replace(cube(), scheme=CatmullClark("edge_only")))
+    stage = Usd.Stage.Open(str(path))
+    eye = UsdGeom.Mesh.Define(stage, "/Asset/eye")
+    ball = icosahedron()
+    eye.CreatePointsAttr([tuple(map(float, point)) for point in ball.positions + np.array([9.0, 0, 0])])
+    eye.CreateFaceVertexCountsAttr(ball.face_sizes.tolist())
+    eye.CreateFaceVertexIndicesAttr(ball.face_indices.tolist())
+    eye.CreateSubdivisionSchemeAttr("loop")
+    stage.Save()
+    with pytest.raises(FormatError, match="`find_part` NAME"):
+        read_usd(path)
+    mixed = read_usd(path, mixed=True)
+    part = extract(mixed, find_part(mixed, "eye").faces)
+    assert isinstance(part.scheme, Loop)
+    assert extract(mixed, find_part(mixed, "mesh").faces).scheme == CatmullClark("edge_only")
+    text, sound = check_files([path])
+    assert not sound
+    assert "object:/Asset/eye" in text, text
+
+
+def test_in_betweens_are_left_out_aloud_and_shapes_without_a_target_refused(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "cube.usda"
+    write_usd(path, full_cube(), UsdResults(attributes={"blendShape:smile": np.eye(3)[np.arange(8) % 3]}))
+    stage = Usd.Stage.Open(str(path))
+    shape = UsdSkel.BlendShape(stage.GetPrimAtPath("/Asset/mesh/smile"))
+    shape.CreateInbetween("half").SetWeight(0.5)
+    stage.Save()
+    read_usd_meshes(path)
+    assert "blend shape smile: its in-betweens are left out" in caplog.text
+    UsdSkel.BindingAPI(stage.GetPrimAtPath("/Asset/mesh")).GetBlendShapesAttr().Set(["smile", "frown"])
+    stage.Save()
+    with pytest.raises(FormatError, match="2 names and 1 targets"):
+        read_usd_meshes(path)

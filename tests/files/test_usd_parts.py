@@ -1,0 +1,319 @@
+"""USD files that hold more than the matched part, other units or a moved prim: layers fit what they lie over."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from examples.shapes import creature, cube, poles
+
+from cagemap.files.images.image import write_image
+from cagemap.files.landmarks.pairs import write_landmarks
+from cagemap.files.values.attributes import read_attributes
+from cagemap.mesh import CatmullClark, ControlMesh
+from cagemap.mesh.join import join_meshes
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.parts import extract, find_part
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.tasks.match import MatchRequest, run_match
+from cagemap.tasks.mesh_commands import refine_file
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.requests.wrap import WrapRequest
+from cagemap.tasks.transfer import run_transfer
+from cagemap.tasks.wrap import run_wrap
+
+pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
+from test_usd import complaints, full_cube
+
+from cagemap.files.usd.read import read_usd, read_usd_meshes
+from cagemap.files.usd.write import UsdResults, write_usd, write_usd_over
+
+PLACE = np.array([[0, 2.0, 0, 0], [-2.0, 0, 0, 0], [0, 0, 2.0, 0], [5, 6, 7, 1]])
+
+
+def _stage(path: Path, mesh: ControlMesh) -> None:
+    """A mesh in a turned and enlarged prim, Z up, in centimetres."""
+    write_usd(path, mesh)
+    stage = Usd.Stage.Open(str(path))
+    UsdGeom.Xformable(stage.GetPrimAtPath("/Asset")).AddTransformOp().Set(Gf.Matrix4d(*PLACE.ravel().tolist()))
+    UsdGeom.SetStageUpAxis(stage, "Z")
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    stage.Save()
+
+
+def _scene() -> ControlMesh:
+    ball = poles(6)
+    eye = ball.with_positions(ball.positions + np.array([9.0, 0, 0]))
+    both = replace(join_meshes([eye, creature()]), name="hero.usda", scheme=CatmullClark(), uv_name="st")
+    flat = both.positions[:, :2]
+    return both.with_uvs((flat - flat.min(axis=0)) / np.ptp(flat, axis=0), both.face_indices)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("usd parts")
+    scene, hero = _scene(), place / "hero.usda"
+    _stage(hero, scene)
+    first = scene.n_vertices - creature().n_vertices
+    picked = first + np.linspace(0, creature().n_vertices - 1, 9).astype(int)
+    names = tuple(f"point {number}" for number in range(9))
+    write_landmarks(place / "landmarks.json", Landmarks(names, picked, picked, "hero", "hero"))
+    request = MatchRequest(hero, hero, place / "landmarks.json", place / "R", level=1, k=30, part="component:1")
+    run_match(request, Stages())
+    return place
+
+
+def test_layers_about_a_part_of_a_prim_fit_the_prim(folder: Path) -> None:
+    scene = _scene()
+    first = scene.n_vertices - creature().n_vertices
+    side = np.linspace(0.1, 0.9, scene.n_vertices)
+    np.savez(folder / "side.npz", side=side)
+    np.savez(folder / "skin.npz", hip=side, head=1 - side)
+    smile = np.zeros((scene.n_vertices, 3))
+    smile[first + 4] = (0, 0.1, 0)
+    np.savez(folder / "smile.npz", smile=smile)
+    result = folder / "R"
+    for name, options in (
+        ("side", {"attribute": folder / "side.npz"}),
+        ("weights", {"weights": folder / "skin.npz"}),
+        ("shapes", {"blend_shapes": (folder / "smile.npz",)}),
+    ):
+        layer = folder / f"{name}.usda"
+        run_transfer(TransferRequest(result, folder / f"{name}_out.npz", usd=layer, **options), Stages())
+        assert complaints(layer) == [], name
+    read = {name: read_usd_meshes(folder / f"{name}.usda")[0] for name in ("side", "weights", "shapes")}
+    np.testing.assert_allclose(read["side"].attributes["side"][first:], side[first:], atol=1e-5)
+    assert not read["side"].attributes["side"][:first].any()
+    weights = read["weights"].attributes["skel:jointWeights"]
+    np.testing.assert_allclose(weights[first:, 0], side[first:], atol=1e-5)
+    np.testing.assert_allclose(read["shapes"].attributes["blendShape:smile"], smile, atol=1e-5)
+    run_wrap(WrapRequest((result,), folder / "wrapped.usda"), Stages())
+    assert complaints(folder / "wrapped.usda") == []
+    wrapped = read_usd(folder / "wrapped.usda")
+    np.testing.assert_allclose(wrapped.positions[:first], scene.positions[:first], atol=1e-6)
+    assert np.abs(wrapped.positions - scene.positions).max() < 0.05 * np.ptp(scene.positions)
+
+
+def test_a_new_layout_of_a_part_fits_the_prim(folder: Path) -> None:
+    write_image(folder / "grey.png", np.full((32, 32, 3), 99, dtype=np.uint8))
+    images = {"texture": folder / "grey.png", "output": folder / "colors.png"}
+    run_transfer(TransferRequest(folder / "R", **images, unwrap=True, usd=folder / "look.usda"), Stages())
+    assert complaints(folder / "look.usda") == []
+    (mesh,) = read_usd_meshes(folder / "look.usda")
+    layout = mesh.control.with_uv_set("cagemap_st")
+    outside = layout.face_indices < _scene().n_vertices - creature().n_vertices
+    assert np.ptp(layout.uvs[layout.uv_indices[~outside]], axis=0).min() > 0.5
+    assert not np.ptp(layout.uvs[layout.uv_indices[outside]], axis=0).any()
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usd"])
+def test_refined_files_keep_units_axis_and_place(suffix: str, tmp_path: Path) -> None:
+    _stage(tmp_path / "box.usda", replace(cube(), scheme=CatmullClark()))
+    refine_file(tmp_path / "box.usda", 1, tmp_path / f"fine{suffix}")
+    stage = Usd.Stage.Open(str(tmp_path / f"fine{suffix}"))
+    assert (UsdGeom.GetStageUpAxis(stage), UsdGeom.GetStageMetersPerUnit(stage)) == ("Z", 0.01)
+    (fine,), (coarse,) = (read_usd_meshes(path) for path in (tmp_path / f"fine{suffix}", tmp_path / "box.usda"))
+    np.testing.assert_allclose(fine.to_world, coarse.to_world, atol=1e-12)
+    assert fine.control.n_vertices == 26
+    assert complaints(tmp_path / f"fine{suffix}") == []
+
+
+def _faces(stage: Usd.Stage, path: str, mesh: ControlMesh) -> UsdGeom.Mesh:
+    made = UsdGeom.Mesh.Define(stage, path)
+    made.CreatePointsAttr(mesh.positions.tolist())
+    made.CreateFaceVertexCountsAttr(mesh.face_sizes.tolist())
+    made.CreateFaceVertexIndicesAttr(mesh.face_indices.tolist())
+    made.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(made.GetPointsAttr().Get()))
+    return made
+
+
+def _volume(mesh: ControlMesh) -> float:
+    surface = TriangleSurface.from_faces(mesh.positions, mesh.face_indices.reshape(-1, 4))
+    a, b, c = (surface.positions[surface.triangles[:, k]] for k in range(3))
+    return float(np.einsum("td,td->", a, np.cross(b, c)))
+
+
+def test_what_only_moves_is_read_at_its_first_time(tmp_path: Path) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "moving.usda"))
+    shift = UsdGeom.Xform.Define(stage, "/A").AddTranslateOp()
+    mesh = _faces(stage, "/A/m", cube())
+    for time in (3, 9):
+        shift.Set((5.0 * time, 0, 0), time)
+    for attribute in (mesh.GetPointsAttr(), mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()):
+        value = attribute.Get()
+        attribute.Clear()
+        attribute.Set(value, 3)
+    mesh.GetPointsAttr().Set((4 * cube().positions).tolist(), 9)
+    primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, "vertex")
+    primvar.Set(cube().positions[:, :2].tolist(), 3)
+    stage.Save()
+    (read,) = read_usd_meshes(tmp_path / "moving.usda")
+    np.testing.assert_array_equal(read.control.positions, cube().positions)
+    np.testing.assert_array_equal(read.to_world[3, :3], [15, 0, 0])
+    assert read.control.uvs is not None
+
+
+def test_mirrored_and_left_handed_prims_face_outwards_and_layers_fit_them(tmp_path: Path) -> None:
+    """Face corners come in the prim's own order in a layer, whichever way they were run through."""
+    stage = Usd.Stage.CreateNew(str(tmp_path / "mirrored.usda"))
+    UsdGeom.SetStageUpAxis(stage, "Y")
+    UsdGeom.SetStageMetersPerUnit(stage, 1)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Root").GetPrim())
+    other = cube().face_indices.reshape(-1, 4)[:, ::-1].ravel()
+    reversed_cube = replace(cube(), face_indices=other)
+    for name, scale, left in (("a", 1, False), ("b", -1, False), ("c", 1, True), ("d", -1, True)):
+        parent = UsdGeom.Xform.Define(stage, f"/Root/{name}")
+        parent.AddTranslateOp().Set((9.0 * ord(name), 0, 0))
+        parent.AddScaleOp().Set((scale, 1, 1))
+        made = _faces(stage, f"/Root/{name}/m", reversed_cube if left else cube())
+        if left:
+            made.CreateOrientationAttr("leftHanded")
+    stage.Save()
+    whole, meshes = read_usd(tmp_path / "mirrored.usda"), read_usd_meshes(tmp_path / "mirrored.usda")
+    for mesh in meshes:
+        part = extract(whole, find_part(whole, mesh.path).faces)
+        centred = part.with_positions(part.positions - part.positions.mean(axis=0))
+        assert _volume(centred) > 0, mesh.path
+        where = part.positions[part.face_indices]
+        layer = tmp_path / f"{mesh.path.split('/')[2]}.usda"
+        results = UsdResults(attributes={"where": where}, uvs=("flat", where[:, :2], np.arange(24)))
+        write_usd_over(layer, tmp_path / "mirrored.usda", [mesh.path], part, results, world=True)
+        assert complaints(layer) == []
+        over = Usd.Stage.Open(str(layer))
+        prim = UsdGeom.Mesh(over.GetPrimAtPath(mesh.path))
+        values = np.array(UsdGeom.PrimvarsAPI(prim).GetPrimvar("where").Get())
+        flat = np.array(UsdGeom.PrimvarsAPI(prim).GetPrimvar("flat").ComputeFlattened())
+        points = np.array(prim.GetPointsAttr().Get())[np.array(prim.GetFaceVertexIndicesAttr().Get())]
+        placed = points @ mesh.to_world[:3, :3] + mesh.to_world[3, :3]
+        np.testing.assert_allclose(values, placed, atol=1e-5)
+        np.testing.assert_allclose(flat, placed[:, :2], atol=1e-5)
+        again = read_attributes(layer, extract(read_usd(layer), find_part(whole, mesh.path).faces))["where"]
+        np.testing.assert_allclose(again, where, atol=1e-5)
+
+
+def test_instances_are_meshes_that_a_layer_can_reach(tmp_path: Path) -> None:
+    prototype = Usd.Stage.CreateNew(str(tmp_path / "box.usda"))
+    prototype.SetDefaultPrim(UsdGeom.Xform.Define(prototype, "/Box").GetPrim())
+    _faces(prototype, "/Box/m", cube())
+    prototype.Save()
+    stage = Usd.Stage.CreateNew(str(tmp_path / "scene.usda"))
+    UsdGeom.SetStageUpAxis(stage, "Y")
+    UsdGeom.SetStageMetersPerUnit(stage, 1)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
+    for number in range(2):
+        placed = UsdGeom.Xform.Define(stage, f"/World/box{number}")
+        placed.GetPrim().GetReferences().AddReference("./box.usda")
+        placed.GetPrim().SetInstanceable(True)
+        placed.AddTranslateOp().Set((9.0 * number, 0, 0))
+    stage.Save()
+    assert [mesh.path for mesh in read_usd_meshes(tmp_path / "scene.usda")] == ["/World/box0/m", "/World/box1/m"]
+    whole = read_usd(tmp_path / "scene.usda")
+    part = extract(whole, find_part(whole, "/World/box1/m").faces)
+    points = UsdResults(points=part.positions + 1)
+    write_usd_over(tmp_path / "over.usda", tmp_path / "scene.usda", ["/World/box1/m"], part, points, world=True)
+    first, second = read_usd_meshes(tmp_path / "over.usda")
+    np.testing.assert_allclose(first.control.positions, cube().positions, atol=1e-6)
+    np.testing.assert_allclose(second.control.positions, cube().positions + 1, atol=1e-6)
+
+
+def test_stand_ins_and_primvars_that_say_nothing_are_left_out(tmp_path: Path) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "asset.usda"))
+    mesh = _faces(stage, "/A/m", cube())
+    for purpose in ("guide", "proxy"):
+        UsdGeom.Imageable(_faces(stage, f"/A/{purpose}", cube())).CreatePurposeAttr(purpose)
+    api, names = UsdGeom.PrimvarsAPI(mesh), Sdf.ValueTypeNames
+    api.CreatePrimvar("empty", names.FloatArray, "vertex").Set([])
+    api.CreatePrimvar("frames", names.Matrix4dArray, "vertex").Set([Gf.Matrix4d(1)] * 8)
+    api.CreatePrimvar("height", names.FloatArray, "vertex").Set([1.0] * 8)
+    stage.Save()
+    (read,) = read_usd_meshes(tmp_path / "asset.usda")
+    assert read.path == "/A/m"
+    assert list(read.attributes) == ["height"]
+
+
+def test_subsets_that_overlap_are_parts_of_their_own(tmp_path: Path) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "asset.usda"))
+    mesh = _faces(stage, "/A/m", cube())
+    for name, faces in (("one", [0, 5]), ("two", [5, 4]), ("three", [1])):
+        UsdGeom.Subset.CreateGeomSubset(mesh, name, "face", faces, "picked")
+    stage.Save()
+    whole = read_usd(tmp_path / "asset.usda")
+    for name, faces in (("one", [0, 5]), ("group:two", [4, 5]), ("three", [1])):
+        np.testing.assert_array_equal(find_part(whole, name).faces, faces)
+
+
+def test_a_target_that_is_gone_has_no_units_and_that_is_said(folder: Path, tmp_path: Path) -> None:
+    result = tmp_path / "R"
+    shutil.copytree(folder / "R", result)
+    np.savez(tmp_path / "side.npz", side=np.ones(creature().n_vertices))
+    layer = tmp_path / "side.usda"
+    request = TransferRequest(result, tmp_path / "out.npz", attribute=tmp_path / "side.npz", usd=layer)
+    assert "units, up axis and transform are not known" in run_transfer(request, Stages())[0]
+    _, warnings = run_wrap(WrapRequest((result,), tmp_path / "wrapped.usda"), Stages())
+    assert any("units, up axis and transform are not known" in text for text in warnings)
+
+
+def test_values_under_a_changed_name_take_no_other_primvars_place(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    mesh = full_cube()
+    assert mesh.uvs is not None
+    write_usd(tmp_path / "cube.usda", mesh, UsdResults(attributes={"fur_length": np.arange(8.0)}))
+    given = {"fur length": -np.arange(8.0), mesh.uv_name or "st": np.zeros((8, 2))}
+    write_usd_over(tmp_path / "over.usda", tmp_path / "cube.usda", ["/Asset/mesh"], mesh, UsdResults(attributes=given))
+    assert capfd.readouterr().err == ""  # nor does USD look for what lies below in a wrong folder
+    (read,) = read_usd_meshes(tmp_path / "over.usda")
+    np.testing.assert_array_equal(read.attributes["fur_length"], np.arange(8))
+    np.testing.assert_array_equal(read.attributes["fur_length_2"], -np.arange(8))
+    np.testing.assert_allclose(read.control.uvs[read.control.uv_indices], mesh.uvs[mesh.uv_indices])  # type: ignore[index]
+
+
+def test_materials_of_one_name_in_two_scopes_stay_apart(tmp_path: Path) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "looks.usda"))
+    mesh = _faces(stage, "/m", cube())
+    for scope, faces, color in (("a", [0, 1, 2], (1, 0, 0)), ("b", [3, 4, 5], (0, 0, 1))):
+        material = UsdShade.Material.Define(stage, f"/{scope}/metal")
+        shader = UsdShade.Shader.Define(stage, f"/{scope}/metal/surface")
+        shader.CreateIdAttr("UsdPreviewSurface")
+        shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(color)
+        material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+        subset = UsdGeom.Subset.CreateUniqueGeomSubset(mesh, f"of_{scope}", "face", faces, "materialBind")
+        UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(material)
+    stage.Save()
+    read = read_usd(tmp_path / "looks.usda")
+    assert read.material_names == ("metal", "/b/metal")
+    colors = read.material_colors[read.face_materials]  # type: ignore[index]
+    np.testing.assert_array_equal(colors, [[1, 0, 0]] * 3 + [[0, 0, 1]] * 3)
+
+
+def test_values_of_vertices_stay_with_them_where_there_are_as_many_corners(tmp_path: Path) -> None:
+    """Faces that share no vertex, in a left-handed mesh: numbers of rows do not say what is a vertex's."""
+    stage = Usd.Stage.CreateNew(str(tmp_path / "soup.usda"))
+    soup = ControlMesh(np.eye(3)[[0, 1, 2, 1, 0, 2]], np.array([0, 3, 6]), np.arange(6))
+    mesh = _faces(stage, "/m", soup)
+    mesh.CreateOrientationAttr("leftHanded")
+    for kind in ("vertex", "faceVarying"):
+        primvar = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(f"of_{kind}", Sdf.ValueTypeNames.FloatArray, kind)
+        primvar.Set(list(map(float, range(6))))
+    stage.Save()
+    (read,) = read_usd_meshes(tmp_path / "soup.usda")
+    np.testing.assert_array_equal(read.attributes["of_vertex"], np.arange(6))
+    np.testing.assert_array_equal(read.attributes["of_faceVarying"], read.control.face_indices)
+    results = UsdResults(attributes={"back": read.attributes["of_vertex"]})
+    write_usd_over(tmp_path / "over.usda", tmp_path / "soup.usda", ["/m"], read.control, results)
+    (again,) = read_usd_meshes(tmp_path / "over.usda")
+    np.testing.assert_array_equal(again.attributes["back"], np.arange(6))
+
+
+def test_creasing_that_usd_has_no_word_for_is_left_out_aloud(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for creasing in ("uniform", "chaikin"):
+        scheme = CatmullClark(creasing=creasing)
+        assert not caplog.text
+        write_usd(tmp_path / f"{creasing}.usda", replace(cube(), scheme=scheme))
+    assert "creasing chaikin has no place in USD" in caplog.text

@@ -1,0 +1,276 @@
+"""UsdSkel skeletons in and out, and USD files of other units and axes."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cagemap.errors import FormatError
+from cagemap.files.result.folder import file_hash, write_result
+from cagemap.files.values.attributes import read_attributes
+from cagemap.files.values.rigs import read_shapes, read_skeleton, write_skeleton
+from cagemap.mesh.skeleton import Skeleton
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.transfer import TransferRequest
+from cagemap.tasks.transfer import run_transfer
+from cagemap.tasks.wrap import WrapRequest, run_wrap
+
+from example_result import identity_result, textured_cube
+
+pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+
+from pxr import Gf, Usd, UsdGeom, UsdSkel
+from test_usd import complaints
+
+from cagemap.files.usd.read import read_usd, read_usd_meshes
+from cagemap.files.usd.skeleton import read_usd_skeleton
+from cagemap.files.usd.space import between_spaces, to_standard, unit_notes
+from cagemap.files.usd.transforms import local_to_world, moved
+from cagemap.files.usd.write import UsdResults, write_usd
+
+TURN = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+
+
+def _skeleton() -> Skeleton:
+    """A child before its parent, and two joints that share a parent."""
+    heads = np.array([[0.0, 0.5, 0], [0, -0.5, 0], [0.3, 0.9, 0], [-0.3, 0.9, 0]])
+    tails = np.array([[0.0, 0.9, 0], [0, 0.5, 0], [0.45, 1.1, 0], [-0.45, 1.1, 0]])
+    axes = np.stack([np.eye(3), TURN, TURN @ TURN, TURN.T])
+    return Skeleton(("chest", "hips", "left", "right"), ("hips", "", "chest", "chest"), heads, tails, axes)
+
+
+def _write(
+    path: Path, name: str, scale: float = 1.0, matrix: np.ndarray | None = None, units: tuple | None = None
+) -> None:
+    """A rigged cube; its root is placed by a matrix."""
+    cube = textured_cube(name, scale)
+    weights = np.random.default_rng(3).random((8, 4))
+    skeleton = _skeleton()
+    skeleton = replace(skeleton, heads=scale * skeleton.heads, tails=scale * skeleton.tails)
+    smile = np.zeros((8, 3))
+    smile[2] = [0, 0, scale]
+    attributes = {"skel:jointWeights": weights / weights.sum(axis=1, keepdims=True), "blendShape:smile": smile}
+    write_usd(path, cube, UsdResults(attributes=attributes, skeleton=skeleton))
+    stage = Usd.Stage.Open(str(path))
+    if matrix is not None:
+        UsdGeom.Xformable(stage.GetPrimAtPath("/Asset")).AddTransformOp().Set(Gf.Matrix4d(*matrix.ravel().tolist()))
+    if units is not None:
+        UsdGeom.SetStageUpAxis(stage, units[0])
+        UsdGeom.SetStageMetersPerUnit(stage, units[1])
+    stage.Save()
+
+
+def _at_rest(path: Path, prim_path: str) -> np.ndarray:
+    """What USD's own skinning makes of the points of a mesh, in world space, with every joint where it was bound."""
+    stage = Usd.Stage.Open(str(path))
+    prim = stage.GetPrimAtPath(prim_path)
+    cache = UsdSkel.Cache()
+    root = UsdSkel.Root.Find(prim)
+    cache.Populate(root, Usd.PrimDefaultPredicate)
+    query = cache.GetSkinningQuery(prim)
+    skeleton = cache.GetSkelQuery(UsdSkel.BindingAPI(prim).GetInheritedSkeleton())
+    transforms = skeleton.ComputeSkinningTransforms(Usd.TimeCode.Default())
+    points = UsdGeom.Mesh(prim).GetPointsAttr().Get()
+    assert query.ComputeSkinnedPoints(transforms, points, Usd.TimeCode.Default())
+    return moved(np.array(points, dtype=np.float64), local_to_world(skeleton.GetPrim()))
+
+
+def test_a_skeleton_comes_back_from_usd_and_skins_to_rest(tmp_path: Path) -> None:
+    path = tmp_path / "rigged.usda"
+    _write(path, "rigged.usda")
+    assert complaints(path) == []
+    found, given = read_usd_skeleton(path), _skeleton()
+    assert found is not None
+    order = [found.names.index(name) for name in given.names]
+    assert [found.parents[k] for k in order] == list(given.parents)
+    np.testing.assert_allclose(found.heads[order], given.heads, atol=1e-6)
+    np.testing.assert_allclose(found.axes[order], given.axes, atol=1e-6)
+    # Columns of weights follow the skeleton's own order.
+    weights = np.random.default_rng(3).random((8, 4))
+    table = read_attributes(path)["skel:jointWeights"]
+    np.testing.assert_allclose(table[:, order], weights / weights.sum(axis=1, keepdims=True), atol=1e-6)
+    mesh = read_usd_meshes(path)[0]
+    np.testing.assert_allclose(_at_rest(path, "/Asset/mesh"), mesh.control.positions, atol=1e-6)
+    np.testing.assert_allclose(read_shapes([path], mesh.control)["smile"][2], [0, 0, 1], atol=1e-6)
+    write_skeleton(tmp_path / "rig.json", found)
+    again = read_skeleton(tmp_path / "rig.json")
+    np.testing.assert_array_equal(again.axes, found.axes)
+    assert again.names == found.names
+
+
+def test_the_parent_of_a_joint_is_its_nearest_listed_ancestor(tmp_path: Path) -> None:
+    """A Blender export of deform bones alone leaves out joints in the middle of paths."""
+    path = tmp_path / "deform.usda"
+    _write(path, "deform.usda")
+    stage = Usd.Stage.Open(str(path))
+    skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath("/Asset/skeleton"))
+    order = list(skeleton.GetJointsAttr().Get())
+    paths = {"hips": "hips", "chest": "hips/control/chest", "left": "hips/control/chest/aim/left"}
+    paths["right"] = "hips/control/chest/aim/right"
+    joints = [paths[joint.rpartition("/")[2]] for joint in order]
+    skeleton.GetJointsAttr().Set(joints)
+    UsdSkel.BindingAPI(stage.GetPrimAtPath("/Asset/mesh")).GetJointsAttr().Clear()
+    stage.Save()
+    found, given = read_usd_skeleton(path), _skeleton()
+    assert found is not None
+    parents = dict(zip(found.names, found.parents, strict=True))
+    assert parents == dict(zip(given.names, given.parents, strict=True))
+    tails = dict(zip(found.names, found.tails.tolist(), strict=True))
+    np.testing.assert_allclose(tails["chest"], [0, 0.9, 0], atol=1e-6)  # between its children
+    np.testing.assert_allclose(tails["hips"], [0, 0.5, 0], atol=1e-6)
+
+
+def test_a_mesh_without_a_skeleton_and_a_damaged_one(tmp_path: Path) -> None:
+    write_usd(tmp_path / "bare.usda", textured_cube("bare.usda"))
+    assert read_usd_skeleton(tmp_path / "bare.usda") is None
+    with pytest.raises(FormatError, match="bound to none"):
+        read_skeleton(tmp_path / "bare.usda")
+    path = tmp_path / "rigged.usda"
+    _write(path, "rigged.usda")
+    stage = Usd.Stage.Open(str(path))
+    UsdSkel.Skeleton(stage.GetPrimAtPath("/Asset/skeleton")).GetBindTransformsAttr().Set([Gf.Matrix4d(1.0)] * 3)
+    stage.Save()
+    with pytest.raises(FormatError, match="got 4 joints and 3 transforms"):
+        read_usd_skeleton(path)
+    UsdSkel.Skeleton(stage.GetPrimAtPath("/Asset/skeleton")).GetJointsAttr().Set(["hips"])
+    UsdSkel.BindingAPI(stage.GetPrimAtPath("/Asset/mesh")).GetJointsAttr().Clear()
+    stage.Save()
+    with pytest.raises(FormatError, match="of 1, or joints that the skeleton has not"):
+        read_usd_meshes(path)
+
+
+def test_mutated_rigs_are_refused_by_name(tmp_path: Path) -> None:
+    """Numbers and words replaced, pieces cut out: read as something else, or refused, and nothing foreign raised."""
+    path, rng = tmp_path / "rig.usda", np.random.default_rng(0)
+    _write(path, "rig.usda")
+    text = path.read_text(encoding="utf-8")
+    places = [found.span() for found in re.finditer(r'-?\d+\.?\d*(e-?\d+)?|"[^"\n]*"', text)]
+    words = ["-1", "nan", "inf", "1e300", '""', "[]", "None", "()", '"x"', "999999999"]
+    refused = 0
+    for number in range(90):
+        first, last = places[rng.integers(len(places))] if number % 3 else sorted(rng.integers(len(text), size=2))
+        broken = tmp_path / f"broken_{number}.usda"  # USD keeps what it has read by name
+        broken.write_text(text[:first] + words[rng.integers(len(words))] + text[last:], encoding="utf-8")
+        for read in (read_skeleton, read_attributes, lambda file: to_standard(file, read_usd(file))):
+            try:
+                read(broken)
+            except FormatError:
+                refused += 1
+    assert refused > 60
+
+
+def test_joints_without_an_identifier_of_their_own_stay_apart(tmp_path: Path) -> None:
+    skeleton = replace(_skeleton(), names=("胸", "腰", "左手", "右手"), parents=("腰", "", "胸", "胸"))
+    weights = np.eye(4)[np.arange(8) % 4]
+    write_usd(
+        tmp_path / "rig.usda",
+        textured_cube("rig.usda", 1.0),
+        UsdResults(attributes={"skel:jointWeights": weights}, skeleton=skeleton),
+    )
+    found = read_usd_skeleton(tmp_path / "rig.usda")
+    assert found is not None
+    assert len(set(found.names)) == 4
+    table = read_attributes(tmp_path / "rig.usda")["skel:jointWeights"]
+    heads = table @ found.heads
+    np.testing.assert_allclose(heads, weights @ skeleton.heads, atol=1e-6)
+
+
+def test_axes_of_some_joints_alone_are_refused(tmp_path: Path) -> None:
+    joints = [{"name": name, "head": [0, 0, 0], "tail": [0, 1, 0]} for name in "ab"]
+    joints[0]["axes"] = np.eye(3).tolist()
+    (tmp_path / "rig.json").write_text(json.dumps(joints))
+    with pytest.raises(FormatError, match="got 1 of 2"):
+        read_skeleton(tmp_path / "rig.json")
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An identity between two USD cubes: the target in centimetres, Z up, shifted; the source in metres, Y up."""
+    monkeypatch.chdir(tmp_path)
+    shift = np.eye(4)
+    shift[3, :3] = [7, 0, 0]
+    _write(tmp_path / "large.usda", "large.usda", 2.0, shift, ("Z", 0.01))
+    _write(tmp_path / "small.usda", "small.usda", 1.0, None, ("Y", 1.0))
+    result = identity_result()
+    files = {"target": "large.usda", "source": "small.usda"}
+    inputs = {
+        side: {"file": name, "path": f"../{name}", "sha256": file_hash(tmp_path / name)} for side, name in files.items()
+    }
+    write_result(tmp_path / "RESULT", replace(result, provenance={**result.provenance, "inputs": inputs}))
+    return tmp_path
+
+
+def test_weights_arrive_with_their_skeleton(folder: Path) -> None:
+    request = TransferRequest(
+        folder / "RESULT", folder / "weights.npz", weights=folder / "small.usda", usd=folder / "rig.usda"
+    )
+    run_transfer(request, Stages())
+    assert complaints(folder / "rig.usda") == []
+    own = read_usd_skeleton(folder / "rig.usda")
+    given = read_usd_skeleton(folder / "small.usda")
+    assert own is not None
+    assert given is not None
+    assert own.names == given.names
+    assert own.parents == given.parents
+    # The target is the source twice as large: so is its rig, in the mesh's own space, wherever the mesh stands.
+    np.testing.assert_allclose(own.heads, 2 * given.heads, atol=1e-5)
+    np.testing.assert_allclose(own.axes, given.axes, atol=1e-5)
+    mesh = read_usd_meshes(folder / "rig.usda")[0]
+    np.testing.assert_allclose(
+        mesh.attributes["skel:jointWeights"], read_attributes(folder / "small.usda")["skel:jointWeights"], atol=1e-5
+    )
+    np.testing.assert_allclose(
+        _at_rest(folder / "rig.usda", mesh.path), moved(mesh.control.positions, mesh.to_world), atol=1e-5
+    )
+    joints = TransferRequest(folder / "RESULT", folder / "rig.json", joints=folder / "small.usda")
+    run_transfer(joints, Stages())
+    np.testing.assert_allclose(read_skeleton(folder / "rig.json").heads, 2 * given.heads, atol=1e-5)
+    shapes = TransferRequest(
+        folder / "RESULT", folder / "shapes.npz", blend_shapes=(folder / "small.usda",), usd=folder / "shaped.usda"
+    )
+    run_transfer(shapes, Stages())
+    carried = read_usd_meshes(folder / "shaped.usda")[0].attributes["blendShape:smile"]
+    np.testing.assert_allclose(carried[2], [0, 0, 2], atol=1e-5)
+    assert complaints(folder / "shaped.usda") == []
+
+
+@pytest.mark.parametrize("output", ["table.csv", "arrays.npz"])
+def test_tables_of_weights_name_their_columns_by_joints(folder: Path, output: str) -> None:
+    run_transfer(TransferRequest(folder / "RESULT", folder / output, weights=folder / "small.usda"), Stages())
+    found, table = read_attributes(folder / output), read_attributes(folder / "small.usda")["skel:jointWeights"]
+    skeleton = read_usd_skeleton(folder / "small.usda")
+    assert skeleton is not None
+    assert set(found) == {"chest", "hips", "left", "right"}
+    for name, column in zip(skeleton.names, table.T, strict=True):
+        np.testing.assert_allclose(found[name], column, atol=1e-5)
+    # What was written is taken again, also with the joints that its columns are named after.
+    write_skeleton(folder / "names.json", skeleton, force=True)
+    again = folder / f"again_{output}"
+    run_transfer(
+        TransferRequest(folder / "RESULT", again, weights=folder / output, joints=folder / "names.json"), Stages()
+    )
+    assert list(read_attributes(again)) == list(found)
+
+
+def test_a_wrapped_cage_is_in_the_targets_own_units_and_axes(folder: Path) -> None:
+    (note,) = unit_notes(folder / "large.usda", folder / "small.usda")
+    assert "0.01 m a unit, Z up" in note
+    assert "results are in the target's own" in note
+    assert unit_notes(folder / "small.usda", folder / "small.usda") == ()
+    assert unit_notes(folder / "large.usda", folder / "x.obj") == ()
+    run_wrap(WrapRequest((folder / "RESULT",), folder / "wrapped.usda"), Stages())
+    assert complaints(folder / "wrapped.usda") == []
+    mesh = read_usd_meshes(folder / "wrapped.usda")[0]
+    source = read_usd_meshes(folder / "small.usda")[0].control.positions
+    # In the world, in metres with Y up, the cage lies on the source.
+    world = moved(mesh.control.positions, mesh.to_world)
+    upright = 0.01 * np.column_stack([world[:, 0], world[:, 2], -world[:, 1]])
+    np.testing.assert_allclose(upright, source, atol=2e-3)
+    np.testing.assert_allclose(
+        between_spaces(folder / "large.usda", mesh.control, folder / "x.obj", mesh.control), np.eye(4)
+    )

@@ -1,0 +1,208 @@
+"""Landmarks of one model on all others: carried along maps, corrected by a person, used from then on."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from examples.shapes import creature
+from typer.testing import CliRunner
+
+from cagemap.cli.app import app
+from cagemap.errors import FormatError
+from cagemap.example import example_pair
+from cagemap.files.landmarks.point_formats import write_points
+from cagemap.files.landmarks.points import read_points
+from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.result.folder import read_manifest, write_result
+from cagemap.jobs import Plan, plan_job, read_job, spanning_tree
+from cagemap.jobs.carry import carried_notes, carry_landmarks, with_carried
+from cagemap.jobs.detours import with_ways
+from cagemap.maps.places import cage_points_of, located
+from cagemap.mesh.landmarks import NamedPoints
+from cagemap.spectral.prepare import prepare_surface
+from cagemap.surface.surface_points import SurfacePoints
+from cagemap.tasks.requests.catalogue import COMMANDS
+
+from example_result import identity_result
+
+JOB = """output = "night"
+[options]
+vertices = 500
+[[assets]]
+name = "a"
+file = "a.obj"
+landmarks = "a.json"
+[[assets]]
+name = "b"
+file = "b.obj"
+[[assets]]
+name = "c"
+file = "c.obj"
+[[pairs]]
+source = ["a", "b"]
+target = ["a", "b"]
+[[pairs]]
+source = "b"
+target = "c"
+[carry]
+source = "a"
+folder = "marks"
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name in "abc":
+        write_mesh(tmp_path / f"{name}.obj", creature())
+    (tmp_path / "a.json").write_text(json.dumps({"points": [{"name": "nose", "vertex": 3}]}))
+    (tmp_path / "job.toml").write_text(JOB)
+    return tmp_path
+
+
+def planned(folder: Path) -> Plan:
+    job = read_job(folder / "job.toml", COMMANDS)
+    return with_carried(plan_job(job, "1", spanning_tree), job, "1")
+
+
+def test_every_other_model_gets_a_file_along_the_shortest_way(folder: Path) -> None:
+    tasks = {task.request["asset"]: task for task in planned(folder).tasks if task.kind == "carry"}
+    assert sorted(tasks) == ["b", "c"]
+    night = folder / "night"
+    # A map goes from target to source: a's landmarks go to b by the map of target a and source b.
+    assert tasks["b"].request["steps"] == [[str(night / "b__a" / "RESULT"), True]]
+    assert tasks["b"].request["back"] == str(night / "a__b" / "RESULT")
+    assert tasks["c"].request["steps"] == [
+        [str(night / "b__a" / "RESULT"), True],
+        [str(night / "b__c" / "RESULT"), False],
+    ]
+    assert tasks["c"].outputs == ("../marks/c.json",)
+    assert set(tasks["c"].needs) == {"match b -> a", "match b -> c"}
+
+
+def test_a_way_round_is_taken_where_a_map_is_doubtful(folder: Path) -> None:
+    plan = planned(folder)
+    pairs = {("a", "b"): ("a", "c", "b")}
+    matches = [replace(t, pair=("b", "c"), name="match b c") for t in plan.tasks if t.pair == ("b", "a")][:1]
+    extra = [replace(t, pair=("c", "a"), name="match c a") for t in matches]
+    around = with_ways(replace(plan, tasks=(*matches, *extra, *plan.tasks)), pairs, "1")
+    before, after = ({t.request["asset"]: t for t in p.tasks if t.kind == "carry"} for p in (plan, around))
+    assert after["b"].request["steps"][0][0].endswith("RESULT-around")
+    assert any(name.startswith("compose b -> a") for name in after["b"].needs)
+    assert after["b"].key != before["b"].key
+
+
+def test_a_file_that_somebody_edited_counts_as_landmarks_and_is_left_alone(folder: Path) -> None:
+    names = {task.name: task for task in planned(folder).tasks}
+    (folder / "marks").mkdir()
+    carried = folder / "marks" / "b.json"
+    none = np.full((1, 3), np.nan)
+    write_points(carried, NamedPoints(("nose",), np.array([5]), none, "b.obj"), creature())
+    assert {task.name: task.key for task in planned(folder).tasks} == {n: t.key for n, t in names.items()}
+    carried.write_text(carried.read_text().replace("5}", "6}"))
+    after = {task.name: task for task in planned(folder).tasks}
+    assert "carry landmarks to b" not in after
+    assert after["match a -> b"].request["target_points"] == str(carried)
+    assert after["match b -> a"].request["source_points"] == str(carried)
+    assert after["match a -> b"].key != names["match a -> b"].key
+    assert after["match b -> c"].key == names["match b -> c"].key  # c has none
+
+
+def test_mistakes_are_named(folder: Path) -> None:
+    (folder / "job.toml").write_text(JOB.replace('landmarks = "a.json"\n', ""))
+    with pytest.raises(FormatError, match=r"carry\.source: 'a' has no landmarks"):
+        planned(folder)
+    (folder / "job.toml").write_text(JOB.replace('[carry]\nsource = "a"', '[carry]\nsource = "x"'))
+    with pytest.raises(FormatError, match="no asset is called 'x'"):
+        planned(folder)
+
+
+@pytest.mark.parametrize("forward", [True, False])
+def test_points_and_curves_arrive_where_the_map_says(forward: bool, tmp_path: Path) -> None:
+    """Target and source are the same cube, the target twice as large; every vertex maps to itself."""
+    result = identity_result()
+    write_result(tmp_path / "RESULT", result)
+    start, end = (result.target, result.source) if forward else (result.source, result.target)
+    ratio = end.control.positions[0, 0] / start.control.positions[0, 0]
+    middle = start.control.positions[start.control.face_indices[:4]].mean(axis=0)
+    entries = [{"name": "corner", "vertex": 5}, {"name": "middle", "position": middle.tolist()}]
+    edge = start.control.face_indices[:3].tolist()
+    given = {"points": entries, "curves": [{"name": "rim", "vertices": edge}]}
+    (tmp_path / "given.json").write_text(json.dumps(given))
+    request = {
+        "steps": [[str(tmp_path / "RESULT"), forward]],
+        "back": None,
+        "landmarks": str(tmp_path / "given.json"),
+        "output": str(tmp_path / "carried.json"),
+    }
+    figures = carry_landmarks(request)
+    assert (figures["points"], figures["curves"], figures["look_at"]) == (2, 1, [])
+    found = read_points(tmp_path / "carried.json")
+    assert found.names == ("corner", "middle")
+    assert found.vertices.tolist() == [5, -1]
+    np.testing.assert_allclose(found.positions[1], ratio * middle, atol=1e-3)
+    np.testing.assert_allclose(found.curves[0].positions, end.control.positions[edge], atol=1e-3)
+    assert "2 landmarks carried" in carried_notes([figures])[0]
+
+
+def test_points_where_both_directions_disagree_are_to_be_looked_at(tmp_path: Path) -> None:
+    result = identity_result()
+    write_result(tmp_path / "there", result)
+    count = len(result.point_map.images)
+    images = result.point_map.images.at(np.roll(np.arange(count), 40))
+    write_result(tmp_path / "back", replace(result, point_map=replace(result.point_map, images=images)))
+    (tmp_path / "given.json").write_text(json.dumps({"points": [{"name": "corner", "vertex": 5}]}))
+    request = {
+        "steps": [[str(tmp_path / "there"), True]],
+        "back": str(tmp_path / "back"),
+        "landmarks": str(tmp_path / "given.json"),
+        "output": str(tmp_path / "carried.json"),
+    }
+    assert carry_landmarks(request)["look_at"] == ["corner"]
+
+
+def test_a_point_of_the_surface_has_a_point_of_the_cage_that_lies_there() -> None:
+    """`cage_points_of` undoes `located`, up to what creases of the cage leave without a counterpart."""
+    surface = prepare_surface(creature(), 2)
+    finest = surface.triangles(surface.finest)
+    random = np.random.default_rng(8)
+    chosen = random.integers(len(finest.triangles), size=200)
+    weights = random.dirichlet(np.ones(3), size=200)
+    points = SurfacePoints(finest, chosen, weights)
+    missed = np.linalg.norm(located(surface, cage_points_of(surface, points)).positions - points.positions, axis=1)
+    assert np.median(missed) < 1e-4
+    assert np.quantile(missed, 0.95) < 2e-3
+    corners = SurfacePoints.from_vertices(finest, np.arange(surface.control.n_vertices))
+    assert cage_points_of(surface, corners).vertices.tolist() == list(range(surface.control.n_vertices))
+
+
+@pytest.mark.slow
+def test_a_job_carries_landmarks_and_takes_the_corrected_ones(tmp_path: Path) -> None:
+    pair = example_pair(16)
+    write_mesh(tmp_path / "a.obj", pair.source)
+    write_mesh(tmp_path / "b.obj", pair.target)
+    some = NamedPoints(pair.landmarks.names, pair.landmarks.source, np.full((len(pair.landmarks), 3), np.nan), "a.obj")
+    write_points(tmp_path / "a.json", some, pair.source)
+    text = JOB.replace('[[assets]]\nname = "c"\nfile = "c.obj"\n', "").replace("500", "1500")
+    (tmp_path / "job.toml").write_text(text.replace('[[pairs]]\nsource = "b"\ntarget = "c"\n', ""))
+    runner = CliRunner()
+    first = runner.invoke(app, ["run", str(tmp_path / "job.toml"), "--workers", "2"])
+    assert first.exit_code == 0, first.output
+    assert f"{len(some.names)} landmarks carried" in first.output
+    carried = read_points(tmp_path / "marks" / "b.json")
+    assert carried.names == some.names
+    truth = pair.target.positions[pair.landmarks.target]
+    places = np.where(carried.vertices[:, None] < 0, carried.positions, pair.target.positions[carried.vertices])
+    size = np.linalg.norm(np.ptp(pair.target.positions, axis=0))
+    assert np.median(np.linalg.norm(places - truth, axis=1)) < 0.05 * size
+    entries = [{"name": n, "vertex": int(v)} for n, v in zip(some.names, pair.landmarks.target, strict=True)]
+    (tmp_path / "marks" / "b.json").write_text(json.dumps({"points": entries}))
+    again = runner.invoke(app, ["run", str(tmp_path / "job.toml"), "--workers", "2"])
+    assert again.exit_code == 0, again.output
+    manifest = read_manifest(tmp_path / "night" / "a__b" / "RESULT")
+    assert manifest["inputs"]["target_points"]["file"] == "b.json"
+    assert len(manifest["landmark_names"]) == len(some.names)
+    assert json.loads((tmp_path / "marks" / "b.json").read_text()) == {"points": entries}

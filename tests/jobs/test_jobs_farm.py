@@ -1,0 +1,111 @@
+"""Tasks by number: stable, done once, with an exit code; templates that farms accept."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from cagemap.errors import ParameterError
+from cagemap.jobs import Plan, Task
+from cagemap.jobs.farm import chosen_numbers, farm_steps, openjd_template, slurm_script
+
+
+def plan(root: Path, pairs: int = 2) -> Plan:
+    """Two surfaces; a map, a picture and a texture of each pair, in the order of `plan_job`."""
+    tasks = []
+    for i in range(pairs):
+        pair = (f"a{i}", "b")
+        match, log = f"match {i}", {"log": str(root / "log"), "root": str(root)}
+        tasks += [Task("prepare", f"prepare {i}", "k", (), log, (f"surfaces/{i}",))] if i < 2 else []
+        tasks += [Task("match", match, "k", (f"prepare {min(i, 1)}",), log, (f"{i}/map",), pair)]
+        tasks += [Task("picture", f"picture {i}", "k", (match,), log, (f"{i}/picture",), pair)]
+        tasks += [Task("transfer", f"transfer {i}", "k", (match,), log, (f"{i}/texture",), pair)]
+    return Plan(root, tuple(tasks), tuple((f"a{i}", "b") for i in range(pairs)))
+
+
+def test_outputs_of_a_pair_share_a_number_and_come_after_all_maps(tmp_path: Path) -> None:
+    steps = farm_steps(plan(tmp_path))
+    assert [(step.name, step.first, step.last) for step in steps] == [
+        ("prepare", 1, 2),
+        ("match", 3, 4),
+        ("outputs", 5, 6),
+        ("page", 7, 7),
+    ]
+    assert [task.name for task in steps[2].tasks[1]] == ["picture 1", "transfer 1"]
+
+
+def test_numbers_and_ranges() -> None:
+    assert list(chosen_numbers("3", 7)) == [3]
+    assert list(chosen_numbers("2-4", 7)) == [2, 3, 4]
+    for wrong in ("0", "8", "4-2", "2-8", "two", "-1", "1-", ""):
+        with pytest.raises(ParameterError, match="--task: expected a number or a range such as 2-5, of tasks 1 to 7"):
+            chosen_numbers(wrong, 7)
+
+
+def test_open_job_description_accepts_the_template(tmp_path: Path) -> None:
+    model = pytest.importorskip("openjd.model", reason="needs openjd-model")
+    odd = tmp_path / ("{{night}} 'of' " + "x" * 80 + ".toml")
+    template = json.loads(json.dumps(openjd_template(odd, farm_steps(plan(tmp_path)))))
+    decoded = model.decode_job_template(template=template)
+    assert (decoded.name, len(decoded.steps)) == (("--night-- -of- " + "x" * 80)[:64], 4)
+    values = model.preprocess_job_parameters(
+        job_template=decoded,
+        job_parameter_values={},
+        job_template_dir=tmp_path,
+        current_working_dir=tmp_path,
+    )
+    assert Path(values["JobFile"].value) == odd
+    job = model.create_job(job_template=decoded, job_parameter_values=values)
+    numbers = [
+        int(one["Number"].value)
+        for step in job.steps
+        for one in model.StepParameterSpaceIterator(space=step.parameterSpace)
+    ]
+    assert numbers == [1, 2, 3, 4, 5, 6, 7]
+    assert [[one.dependsOn for one in step.dependencies or ()] for step in job.steps] == [
+        [],
+        ["prepare"],
+        ["match"],
+        ["outputs"],
+    ]
+
+
+def test_the_slurm_script_runs_every_number_once_after_the_step_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stand-in for sbatch runs each array at once, as Slurm would when all before has ended."""
+    monkeypatch.setattr("cagemap.jobs.farm._SLURM_ARRAY", 4)
+    programs = tmp_path / "bin"
+    programs.mkdir()
+    (programs / "cagemap").write_text(f'#!/bin/bash\necho "$@" >> "{tmp_path}/ran"\n')
+    (programs / "sbatch").write_text(
+        f"""#!/bin/bash
+echo "$@" >> "{tmp_path}/submitted"
+id=$(wc -l < "{tmp_path}/submitted")
+while [[ $1 == -* ]]; do [[ $1 == --array=* ]] && span=${{1#--array=}}; shift; done
+for i in $(seq ${{span%-*}} ${{span#*-}}); do SLURM_ARRAY_TASK_ID=$i bash "$@"; done
+echo "$id;cluster"
+"""
+    )
+    for program in programs.iterdir():
+        program.chmod(0o755)
+    job, script = tmp_path / "it's a job.toml", tmp_path / "submit.sh"
+    script.write_text(slurm_script(job, farm_steps(plan(tmp_path, pairs=6))))
+    done = subprocess.run(
+        ["bash", str(script), "--mem=8G"],
+        env={**os.environ, "PATH": f"{programs}:{os.environ['PATH']}"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    total = 2 + 2 * 6 + 1
+    assert (tmp_path / "ran").read_text().splitlines() == [f"run {job} --task {n}" for n in range(1, total + 1)]
+    submitted = (tmp_path / "submitted").read_text().splitlines()
+    assert all("--mem=8G" in line for line in submitted)
+    after = [line.partition("afterany:")[2].partition(" ")[0] for line in submitted]
+    assert after == ["", "1", "1", "2:3", "2:3", "4:5"]

@@ -1,0 +1,344 @@
+"""Job files: every mistake at once, with its line; and the plan that a right one leads to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+from examples.shapes import cube, icosahedron, torus
+
+from cagemap.errors import FormatError, InvalidMeshError
+from cagemap.files.meshes.formats import write_mesh
+from cagemap.jobs import Job, Plan, Task, plan_job, read_job, spanning_tree
+from cagemap.jobs.job_checks import line_of
+from cagemap.jobs.job_schema import Scheme
+from cagemap.jobs.tree import shape_distribution
+from cagemap.mesh.schemes import SCHEMES
+from cagemap.tasks.requests.catalogue import COMMANDS as REAL
+from cagemap.tasks.requests.catalogue import WRITTEN
+
+
+@dataclass(frozen=True)
+class Match:
+    target: Path
+    source: Path
+    landmarks: Path | None = None
+    vertices: int | None = None
+    method: str = "elastic"
+
+
+@dataclass(frozen=True)
+class Transfer:
+    result: Path
+    output: Path
+    texture: Path | None = None
+    size: int | None = None
+
+
+COMMANDS: dict[str, type] = {"match": Match, "transfer": Transfer, "report": Transfer, "wrap": Transfer}
+HEAD = """output = "out"
+[options]
+vertices = 500
+"""
+ASSETS = "".join(f'[[assets]]\nname = "{name}"\nfile = "{name}.obj"\n' for name in ("a", "b", "c"))
+PAIRS = '[[pairs]]\nsource = "all"\ntarget = ["a", "b"]\n'
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name, mesh in (("a", cube()), ("b", torus()), ("c", icosahedron())):
+        write_mesh(tmp_path / f"{name}.obj", mesh)
+    (tmp_path / "a.png").write_bytes(b"not read here")
+    return tmp_path
+
+
+def job_of(folder: Path, text: str) -> Job:
+    (folder / "job.toml").write_text(text)
+    return read_job(folder / "job.toml", COMMANDS)
+
+
+def plan_of(folder: Path, text: str, version: str = "1") -> Plan:
+    return plan_job(job_of(folder, text), version, spanning_tree)
+
+
+def test_all_problems_are_named_at_once_with_their_lines(folder: Path) -> None:
+    text = """output = "out"
+[options]
+vertexes = 500
+vertices = "many"
+[[assets]]
+name = "a"
+file = "a.obj"
+[[assets]]
+name = "a"
+file = "missing.obj"
+[[pairs]]
+source = "a"
+target = "zebra"
+[[outputs]]
+command = "transfer"
+texture = "{source.color}"
+[[outputs]]
+command = "report"
+output = "../elsewhere.html"
+"""
+    with pytest.raises(FormatError) as caught:
+        job_of(folder, text)
+    said = str(caught.value)
+    for line, words in [
+        (3, "options.vertexes: there is no such entry"),
+        (4, "options.vertices"),
+        (9, "'a' is taken"),
+        (10, "missing.obj does not exist"),
+        (13, "no asset is called 'zebra'"),
+        (16, "no asset has a file 'color'"),
+        (19, "inside the pair's folder"),
+    ]:
+        assert any(entry.startswith(f"  line {line}:") and words in entry for entry in said.splitlines()), (line, said)
+    assert "7 problems" in said
+    assert not (folder / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("output = 3\n" + ASSETS + PAIRS, "line 1: output"),
+        ("output = 'out'\nassets = []\n" + PAIRS, "assets"),
+        (HEAD + ASSETS + "[[pairs]]\nsource = 'a'\n", "expected both source and target"),
+        (HEAD + ASSETS + "[[pairs]]\nsource = 'a'\ntarget = 'b'\ntree = 'all'\n", "source and target, or tree"),
+        (HEAD + ASSETS.replace('"a"', '"../a"') + PAIRS, "name"),
+        ("output = ", "TOML"),
+        (HEAD.replace('"out"', '"a.obj"') + ASSETS + PAIRS, "got the file a.obj"),
+    ],
+)
+def test_files_of_another_form_are_refused(folder: Path, text: str, words: str) -> None:
+    with pytest.raises(FormatError, match=words):
+        job_of(folder, text)
+
+
+def test_a_missing_job_file_is_named(tmp_path: Path) -> None:
+    (tmp_path / "empty.toml").touch()
+    with pytest.raises(FormatError, match="assets: is missing"):
+        read_job(tmp_path / "empty.toml", COMMANDS)
+    with pytest.raises(FormatError, match="expected a job file, there is no such file"):
+        read_job(tmp_path / "job.toml", COMMANDS)
+
+
+def test_lines_are_found_in_nested_tables() -> None:
+    text = "a = 1\n[b.c]\nd = 2\n[[e]]\nf = 3\n[[e]]\n[e.g]\nh = 4\n"
+    assert [
+        line_of(text, place) for place in [("a",), ("b", "c", "d"), ("e", 0, "f"), ("e", 1), ("e", 1, "g", "h")]
+    ] == [
+        1,
+        3,
+        5,
+        6,
+        8,
+    ]
+    assert line_of(text, ("e", 0, "f", "deeper")) == 5
+
+
+def test_every_surface_is_prepared_once_and_every_pair_matched_after(folder: Path) -> None:
+    plan = plan_of(folder, HEAD + ASSETS + PAIRS)
+    assert set(plan.pairs) == {("b", "a"), ("c", "a"), ("a", "b"), ("c", "b")}
+    kinds = [task.kind for task in plan.tasks]
+    assert (kinds.count("prepare"), kinds.count("match")) == (3, 4)
+    seen: set[str] = set()
+    for task in plan.tasks:
+        assert set(task.needs) <= seen
+        seen.add(task.name)
+    assert len(seen) == len(plan.tasks)
+    assert all(task.request["vertices"] == 500 for task in plan.tasks if task.kind == "match")
+
+
+def test_files_beside_an_output_go_to_the_pair_and_a_report_comes_last(folder: Path) -> None:
+    pair = '[[pairs]]\nsource = "a"\ntarget = "b"\n[[outputs]]\ncommand = "report"\n[[outputs]]\ncommand = "wrap"\n'
+    text = HEAD + ASSETS + pair + 'output = "w.obj"\ndisplacement = "{target}.exr"\n'
+    text += '[[outputs]]\ncommand = "wrap"\noutput = "v.obj"\n'
+
+    def plan(changed: str) -> Plan:
+        (folder / "job.toml").write_text(changed)
+        return plan_job(read_job(folder / "job.toml", REAL, WRITTEN), "1", spanning_tree)
+
+    tasks = [task for task in plan(text).tasks if task.kind in ("wrap", "report")]
+    assert [task.outputs for task in tasks] == [
+        ("a__b/w.obj", "a__b/b.exr"),
+        ("a__b/v.obj",),
+        ("a__b/report.html",),
+    ]
+    assert tasks[0].request["displacement"] == str(folder / "out" / "a__b" / "b.exr")
+    assert [task.after for task in tasks] == [(), (tasks[0].name,), (tasks[1].name,)]
+    with pytest.raises(FormatError, match=r"two outputs of a -> b write a__b/b\.exr"):
+        plan(text.replace("v.obj", "b.exr"))
+    with pytest.raises(FormatError, match="expected a name inside the pair"):
+        plan(text.replace("{target}.exr", "../b.exr"))
+
+
+def refusal(folder: Path, text: str) -> str:
+    """What is said of a job file with the commands' real options."""
+    (folder / "job.toml").write_text(text)
+    with pytest.raises(FormatError) as caught:
+        read_job(folder / "job.toml", REAL, WRITTEN)
+    return str(caught.value)
+
+
+def test_problems_of_form_and_of_content_are_told_together(folder: Path) -> None:
+    text = HEAD.replace("500", "-5") + ASSETS.replace("b.obj", "gone.obj") + PAIRS
+    text += 'landmark = "typo.json"\n[[outputs]]\ncommand = "transfer"\ntexture = "gone.png"\nsize = 0\n'
+    text += '[[outputs]]\ncommand = "transfer"\nresult = "elsewhere"\ntexture = "{source.colour}"\n'
+    said = refusal(folder, text)
+    for words in (
+        "line 3: options.vertices: input should be greater than or equal to 1, got -5",
+        "line 9: assets.1.file: gone.obj does not exist",
+        "line 16: pairs.0.landmark: there is no such entry",
+        "line 19: outputs.0.texture: gone.png does not exist",
+        "line 20: outputs.0.size: input should be greater than or equal to 1, got 0",
+        "line 23: outputs.1.result: there is no such entry",
+        "line 24: outputs.1.texture: no asset has a file 'colour'",
+    ):
+        assert words in said, said
+    assert said.count("\n") == 8
+
+
+def test_a_command_that_there_is_not_hides_no_other_problem(folder: Path) -> None:
+    text = HEAD.replace("500", "-5") + ASSETS.replace("b.obj", "gone.obj") + PAIRS
+    said = refusal(folder, text + '[[outputs]]\ncommand = "raport"\n')
+    for words in ("line 3: options.vertices", "line 9: assets.1.file: gone.obj", "outputs.0.command: "):
+        assert words in said, said
+
+
+def test_outputs_go_to_the_pairs_that_have_what_they_ask_for(folder: Path) -> None:
+    assets = ASSETS.replace('file = "a.obj"', 'file = "a.obj"\nfiles = { color = "a.png" }')
+    output = '[[outputs]]\ncommand = "transfer"\ntexture = "{source.color}"\noutput = "{target}.png"\n'
+    plan = plan_of(folder, HEAD + assets + PAIRS + output)
+    baked = [task for task in plan.tasks if task.kind == "transfer"]
+    assert [task.outputs for task in baked] == [("a__b/b.png",)]
+    assert baked[0].request["texture"] == str(folder / "a.png")
+    assert len(plan.left_out) == 3
+    with pytest.raises(FormatError, match="two outputs of"):
+        plan_of(folder, HEAD + assets + PAIRS + 2 * output)
+    with pytest.raises(FormatError, match="two outputs of"):
+        plan_of(folder, HEAD + assets + PAIRS + output + output.replace('"{target}.png"', '"./{target}.png"'))
+    with pytest.raises(FormatError, match=r"is called picture\.jpg"):
+        plan_of(folder, HEAD + assets + PAIRS + output.replace("{target}.png", "picture.jpg"))
+
+
+def test_keys_follow_content_options_and_code_and_nothing_else(folder: Path) -> None:
+    output = '[[outputs]]\ncommand = "report"\n'
+    text = HEAD + ASSETS + PAIRS + output
+
+    def keys(text: str, version: str = "1") -> dict[tuple[str, ...], str]:
+        tasks = plan_of(folder, text, version).tasks
+        return {(task.kind, *(task.pair or (task.request["asset"],))): task.key for task in tasks}
+
+    before = keys(text)
+    assert keys(text) == before
+    assert not set(keys(text, "2").values()) & set(before.values())
+    assert not set(keys(text.replace("500", "600")).values()) & set(before.values())
+    content = (folder / "c.obj").read_text()
+    (folder / "c.obj").write_text("# another byte\n" + content)
+    after = keys(text)
+    assert {name for name in before if before[name] != after[name]} == {name for name in before if "c" in name}
+
+
+def test_tasks_know_the_files_that_they_are_given(folder: Path) -> None:
+    plan = plan_of(folder, HEAD + ASSETS + PAIRS)
+    for task in plan.tasks:
+        given = [value for value in task.request.values() if isinstance(value, str) and Path(value).is_file()]
+        assert set(task.reads) == set(given)
+    assert any(task.reads for task in plan.tasks if task.kind == "match")
+
+
+def test_the_same_pair_with_two_choices_is_refused(folder: Path) -> None:
+    twice = PAIRS + "[[pairs]]\nsource = 'a'\ntarget = 'b'\noptions = { method = 'hfm' }\n"
+    with pytest.raises(FormatError, match="asked for twice"):
+        plan_of(folder, HEAD + ASSETS + twice)
+
+
+def test_a_tree_joins_all_along_shapes_that_are_alike(folder: Path) -> None:
+    write_mesh(folder / "d.obj", cube())
+    text = HEAD + ASSETS + '[[assets]]\nname = "d"\nfile = "d.obj"\n[[pairs]]\ntree = "all"\n'
+    pairs = set(plan_of(folder, text).pairs)
+    assert len(pairs) == 6
+    assert {("a", "d"), ("d", "a")} <= pairs
+    assert {(b, a) for a, b in pairs} == pairs
+
+
+def test_shapes_are_compared_whatever_their_place_and_size() -> None:
+    mesh = torus()
+    moved = type(mesh)(**{**mesh.__dict__, "positions": 7.0 * mesh.positions[:, [2, 0, 1]] + 3.0})
+    assert abs(shape_distribution(mesh) - shape_distribution(moved)).max() < 1e-9
+    assert abs(shape_distribution(mesh) - shape_distribution(cube())).mean() > 0.02
+
+
+def test_a_mesh_without_area_is_no_part_of_a_tree() -> None:
+    flat = cube().with_positions(np.zeros((8, 3)))
+    with pytest.raises(InvalidMeshError, match="faces with an area"):
+        shape_distribution(flat)
+
+
+def test_relative_files_start_from_the_job_file(folder: Path) -> None:
+    (folder / "textures").mkdir()
+    (folder / "textures" / "c.png").write_bytes(b"not read here")
+    output = '[[outputs]]\ncommand = "transfer"\ntexture = "textures/{source}.png"\noutput = "{target}.png"\n'
+    plan = plan_of(folder, HEAD + ASSETS + PAIRS + output)
+    textures = {task.request["texture"] for task in plan.tasks if task.kind == "transfer"}
+    assert str(folder / "textures" / "c.png") in textures
+
+
+def test_an_asset_has_a_scheme_of_its_own(folder: Path) -> None:
+    def tasks(assets: str, pairs: str = PAIRS) -> list[Task]:
+        (folder / "job.toml").write_text(HEAD + assets + pairs)
+        return list(plan_job(read_job(folder / "job.toml", REAL, WRITTEN), "1", spanning_tree).tasks)
+
+    scan = ASSETS.replace('file = "b.obj"', 'file = "b.obj"\nscheme = "none"')
+    before, after = tasks(ASSETS), tasks(scan)
+    prepared = [task for task in after if task.kind == "prepare"]
+    assert {task.request["asset"]: task.request["options"].get("scheme") for task in prepared} == {
+        "a": None,
+        "b": "none",
+        "c": None,
+    }
+    assert len(prepared) == 3  # one surface of b, as target and as source
+    known = {task.key for task in before}
+    for task in after:
+        assert (task.key not in known) == ("b" in (task.pair or (task.request["asset"],))), task.name
+    asked = {task.pair: task.request for task in after if task.kind == "match"}
+    assert (asked["a", "b"].get("source_scheme"), asked["a", "b"]["target_scheme"]) == (None, "none")
+    assert (asked["b", "a"]["source_scheme"], asked["b", "a"].get("target_scheme")) == ("none", None)
+    said = [task for task in tasks(scan, PAIRS + 'options = { target_scheme = "loop" }\n') if task.kind == "match"]
+    assert {task.request["target_scheme"] for task in said} == {"loop"}
+
+
+def test_schemes_of_assets_are_those_of_meshes() -> None:
+    assert get_args(Scheme) == tuple(SCHEMES)
+
+
+def test_values_that_no_command_takes_are_refused_with_what_to_do(folder: Path) -> None:
+    text = HEAD.replace("500", '"many"') + ASSETS.replace('"b.obj"', '"b.obj"\nscheme = "quads"') + PAIRS
+    text += '[[outputs]]\ncommand = "transfer"\nbits = 17\nmaps = [["x", "{source.typo}"]]\nspace = "world"\n'
+    said = refusal(folder, text)
+    for words in (
+        "got 'many'. Give a value of this kind.",
+        "assets.1.scheme: input should be 'catmull-clark', 'loop', 'bilinear' or 'none', got 'quads'. Choose one",
+        "outputs.0.bits: input should be 8, 16 or 32, got 17. Choose one",
+        "outputs.0.maps: no asset has a file 'typo'",
+        "outputs.0.space: input should be 'tangent' or 'object', got 'world'. Choose one",
+    ):
+        assert words in said, said
+
+
+@pytest.mark.parametrize("name", ["a.%(UDIM)d.png", "a.<UDIM>.png"])
+def test_tiles_are_files_of_an_asset_and_count_by_their_content(folder: Path, name: str) -> None:
+    text = HEAD + ASSETS.replace('"a.obj"', f'"a.obj"\nfiles = {{ color = "{name}" }}') + PAIRS
+    text += '[[outputs]]\ncommand = "transfer"\ntexture = "{source.color}"\noutput = "t.png"\n'
+    with pytest.raises(FormatError, match=r"assets\.0\.files\.color: .* does not exist"):
+        plan_of(folder, text)
+    keys = []
+    for content in (b"one", b"two"):
+        (folder / "a.1002.png").write_bytes(content)
+        keys.append(next(task.key for task in plan_of(folder, text).tasks if task.kind == "transfer"))
+    assert keys[0] != keys[1]

@@ -1,0 +1,127 @@
+"""Jobs where machines end: a disk that fills, and a scheduler and workers that are processes of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cagemap.cli.app import app
+from cagemap.example import example_pair
+from cagemap.files.landmarks.pairs import write_landmarks
+from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.result.folder import read_result
+
+from locations import FIXTURES
+
+HERE = FIXTURES
+JOB = """output = "{output}"
+[options]
+vertices = 1500
+[[assets]]
+name = "pony"
+file = "pony.obj"
+[[assets]]
+name = "deer"
+file = "deer.obj"
+[[pairs]]
+source = "pony"
+target = "deer"
+landmarks = "landmarks.json"
+[[pairs]]
+source = "deer"
+target = "pony"
+landmarks = "back.json"
+"""
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    pair = example_pair(16)
+    write_mesh(tmp_path / "deer.obj", pair.target)
+    write_mesh(tmp_path / "pony.obj", pair.source)
+    write_landmarks(tmp_path / "landmarks.json", pair.landmarks)
+    write_landmarks(tmp_path / "back.json", pair.landmarks.reversed())
+    return tmp_path
+
+
+def single(folder: Path, target: str, source: str, landmarks: str) -> np.ndarray:
+    """Images of a match by its own command."""
+    result = folder / f"alone-{target}"
+    given = ["match", "--vertices", "1500", "-o", str(result)]
+    files = {"-t": f"{target}.obj", "-s": f"{source}.obj", "--landmarks": landmarks}
+    given += [word for option, name in files.items() for word in (option, str(folder / name))]
+    said = CliRunner().invoke(app, given)
+    assert said.exit_code == 0, said.output
+    return read_result(result).image()
+
+
+def test_a_disk_that_fills_costs_only_what_does_not_fit(folder: Path) -> None:
+    """Results are whole or not there, the failures are named, and with room again the same command does the rest."""
+    unshare = shutil.which("unshare")
+    if unshare is None or subprocess.run([unshare, "-rm", "true"], capture_output=True, check=False).returncode:
+        pytest.skip("a disk of one's own needs unshare -rm, which this machine refuses")
+    (folder / "job.toml").write_text(JOB.format(output="disk/night"))
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE), *sys.path])}
+    done = subprocess.run(
+        [unshare, "-rm", sys.executable, str(HERE / "disk_runner.py"), str(folder), "64m", str(6_500_000)],
+        env=environment, capture_output=True, text=True, check=False, timeout=500,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    said = json.loads((folder / "said.json").read_text())
+    assert said["full"]["code"] == 1, said["full"]["said"]
+    assert "space left" in said["full"]["said"]
+    assert said["full"]["temporary"] == []
+    assert all(isinstance(images, list) for images in said["full"]["results"].values())
+    assert said["roomy"]["code"] == 0, said["roomy"]["said"]
+    pairs = {"pony__deer": ("deer", "pony", "landmarks.json"), "deer__pony": ("pony", "deer", "back.json")}
+    assert set(said["roomy"]["results"]) == set(pairs)
+    for name, (target, source, landmarks) in pairs.items():
+        alone = single(folder, target, source, landmarks)
+        np.testing.assert_allclose(said["roomy"]["results"][name], alone.ravel()[:3000], atol=1e-12)
+
+
+@contextmanager
+def cluster(folder: Path, workers: int) -> Iterator[str]:
+    """Address of a Dask scheduler with workers, each a process started by Dask's own commands."""
+    file, environment = folder / "scheduler.json", os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE), *sys.path])}
+    dask = [sys.executable, "-m", "dask"]
+    commands = [
+        [*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)]
+    ]
+    commands += [[*dask, "worker", "--scheduler-file", str(file), "--nthreads", "1", "--no-dashboard"]] * workers
+    with ExitStack() as stack:
+        for command in commands:
+            process = stack.enter_context(
+                subprocess.Popen(
+                    command, env=environment, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+                )
+            )
+            stack.callback(process.terminate)
+            deadline = time.monotonic() + 60
+            while not file.is_file() and time.monotonic() < deadline:
+                time.sleep(0.1)
+        yield str(json.loads(file.read_text())["address"])
+
+
+def test_a_scheduler_and_two_workers_of_their_own_give_the_same_results(folder: Path) -> None:
+    (folder / "job.toml").write_text(JOB.format(output="night"))
+    with cluster(folder, 2) as address:
+        said = CliRunner().invoke(app, ["run", str(folder / "job.toml"), "--scheduler", address])
+    assert said.exit_code == 0, said.output
+    assert "2 pairs, tasks: 6 done" in said.output
+    for target, source, landmarks in (("deer", "pony", "landmarks.json"), ("pony", "deer", "back.json")):
+        found = read_result(folder / "night" / f"{source}__{target}" / "RESULT").image()
+        np.testing.assert_allclose(found, single(folder, target, source, landmarks), atol=1e-12)

@@ -1,0 +1,155 @@
+"""The page and the table of all pairs."""
+
+from __future__ import annotations
+
+import csv
+import errno
+import sys
+from dataclasses import replace
+from html.parser import HTMLParser
+from importlib.machinery import ModuleSpec
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from cagemap.errors import FormatError
+from cagemap.files import atomic
+from cagemap.jobs import Outcome, Plan, Task, pair_rows, write_library
+from cagemap.jobs.page import PairRow, build_library_page, build_table
+
+QUALITY = {
+    "landmark_error_mean": 0.001,
+    "landmark_error_worst": 0.002,
+    "flipped_area": 0.0004,
+    "coverage": 0.99,
+    "dirichlet": 1.1,
+    "aspect_ratio_percentiles": {"50": 1.2},
+    "trusted_area": 0.95,
+    "warnings": [],
+}
+GOOD = PairRow("a", "b", "good", (), 3.25, QUALITY, 0.001, ("a__b/b.png",), b"\xff\xd8jpeg")
+
+
+class Cells(HTMLParser):
+    """Text and data-value of every cell, row by row; attributes that leave the page."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.rows: list[list[str | None]] = []
+        self.outside: list[str] = []
+        self.images = 0
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = dict(attrs)
+        if tag == "tr":
+            self.rows.append([])
+        if tag == "td":
+            self.rows[-1].append(found.get("data-value"))
+        self.images += tag == "img"
+        self.outside += [v for k, v in attrs if k in ("src", "href") and v and v.startswith(("http:", "https:", "//"))]
+
+
+def cells(page: str) -> Cells:
+    parser = Cells()
+    parser.feed(page)
+    return parser
+
+
+def test_the_page_shows_every_pair_and_needs_nothing_beside_it() -> None:
+    failed = PairRow("c", "d", "failed", ("match c -> d: <mesh> is broken & lost",), 0.5)
+    found = cells(build_library_page("night", [failed, GOOD], ["a note"]))
+    assert found.outside == []
+    assert found.images == 1
+    head, first, second = found.rows
+    assert head == []
+    assert first[1:3] == ["c → d", "0"]
+    assert second[1:5] == ["a → b", "3", "0.04", "99"]
+    assert "&lt;mesh&gt; is broken &amp; lost" in build_library_page("night", [failed])
+
+
+def test_the_table_has_all_figures(tmp_path: Path) -> None:
+    write_library(tmp_path, "night", [GOOD, replace(GOOD, source="c", cycle_error=None)])
+    with (tmp_path / "figures.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["source"] for row in rows] == ["a", "c"]
+    assert float(rows[0]["aspect_ratio_percentiles.50"]) == 1.2
+    assert (rows[0]["cycle_error"], rows[1]["cycle_error"]) == ("0.001", "")
+    assert set(build_table([GOOD])[0]) == set(rows[0])
+
+
+def test_writing_the_same_again_writes_nothing(tmp_path: Path) -> None:
+    write_library(tmp_path, "night", [GOOD])
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*") if path.suffix != ".parquet"}
+    write_library(tmp_path, "night", [GOOD])
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    write_library(tmp_path, "night", [replace(GOOD, seconds=4.0)])
+    assert "4.0" in (tmp_path / "figures.csv").read_text()
+
+
+def test_the_same_parquet_is_not_written_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a stand-in for pyarrow, which not everybody has."""
+    arrow, parquet = ModuleType("pyarrow"), ModuleType("pyarrow.parquet")
+    arrow.__spec__ = ModuleSpec("pyarrow", None)
+    vars(arrow).update(parquet=parquet, table=lambda arrays, metadata: repr((arrays, metadata)).encode())
+    vars(parquet).update(write_table=lambda table, stream: stream.write(table))
+    monkeypatch.setitem(sys.modules, "pyarrow", arrow)
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", parquet)
+    rows = [replace(GOOD, cycle_error=float("nan"))]  # which is not equal to itself
+    data = write_library(tmp_path, "night", rows)[2]
+    before = data.stat().st_mtime_ns, data.stat().st_ino
+    write_library(tmp_path, "night", rows)
+    assert (data.stat().st_mtime_ns, data.stat().st_ino) == before
+    write_library(tmp_path, "night", [replace(GOOD, seconds=4.0)])
+    assert b"4.0" in data.read_bytes()
+
+
+@pytest.mark.parametrize("full", [".csv", ".sha256"])
+def test_a_table_that_found_no_room_is_written_by_the_next_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, full: str
+) -> None:
+    """It has no place for a mark, so it and the note that says whose it is must go together."""
+    honest = atomic.os.replace
+
+    def replaced(temporary: Path, place: Path) -> None:
+        if place.suffix == full:
+            raise OSError(errno.ENOSPC, "No space left on device", str(place))
+        honest(temporary, place)
+
+    write_library(tmp_path, "night", [GOOD])
+    with monkeypatch.context() as disk:
+        disk.setattr(atomic.os, "replace", replaced)
+        with pytest.raises(FormatError, match="No space"):
+            write_library(tmp_path, "night", [replace(GOOD, seconds=4.0)])
+    write_library(tmp_path, "night", [replace(GOOD, seconds=4.0)])
+    assert "4.0" in (tmp_path / "figures.csv").read_text()
+
+
+@pytest.mark.parametrize("name", ["index.html", "figures.csv"])
+def test_a_file_that_somebody_edited_is_not_overwritten(tmp_path: Path, name: str) -> None:
+    write_library(tmp_path, "night", [GOOD])
+    edited = (tmp_path / name).read_text() + "my remark\n"
+    (tmp_path / name).write_text(edited)
+    with pytest.raises(FormatError, match="not overwritten"):
+        write_library(tmp_path, "night", [replace(GOOD, seconds=4.0)])
+    assert (tmp_path / name).read_text() == edited
+
+
+def test_rows_gather_what_the_tasks_of_a_pair_said(tmp_path: Path) -> None:
+    def task(kind: str, pair: tuple[str, str], output: str) -> Task:
+        return Task(kind, f"{kind} {pair[0]} -> {pair[1]}", "k", (), {}, (f"{pair[0]}__{pair[1]}/{output}",), pair)
+
+    pairs = (("a", "b"), ("b", "a"))
+    tasks = tuple(task(kind, pair, f"{kind}.out") for pair in pairs for kind in ("match", "transfer"))
+    outcomes = {
+        tasks[0].name: Outcome(tasks[0].name, "done", "", 2.0, {"quality": QUALITY, "warnings": []}, tasks[0].outputs),
+        tasks[1].name: Outcome(tasks[1].name, "kept", "", 1.0, {}, ("a__b/shapes/x.obj", "a__b/shapes/y.obj")),
+        tasks[2].name: Outcome(tasks[2].name, "done", "", 2.0, {"quality": QUALITY, "warnings": []}),
+        tasks[3].name: Outcome(tasks[3].name, "failed", "no texture"),
+    }
+    rows = pair_rows(Plan(tmp_path, tasks, pairs), outcomes, {("b", "a"): 0.5})
+    assert [(row.source, row.target, row.verdict) for row in rows] == [("b", "a", "failed"), ("a", "b", "good")]
+    assert rows[1].seconds == 3.0
+    assert rows[1].cycle_error == 0.5  # of target b and source a
+    assert rows[1].files == ("a__b/match.out", "a__b/shapes")  # a folder is one link
+    assert "no texture" in rows[0].messages[0]

@@ -1,0 +1,249 @@
+"""Running a plan: nothing twice, nothing half, and what fails costs only what needs it."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from importlib.machinery import ModuleSpec
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+
+from cagemap.errors import ParameterError
+from cagemap.jobs import Outcome, Plan, Task, missing_tasks, open_crew, run_plan
+from cagemap.jobs.plan import content_hash
+from cagemap.jobs.run import execute, kept_outcome
+
+from library_runner import write_name
+
+
+def task(
+    root: Path, name: str, needs: tuple[str, ...] = (), kind: str = "match", key: str = "k", **request: Any
+) -> Task:
+    request |= {"root": str(root), "log": str(root / "log")}
+    return Task(kind, name, key, needs, request, (f"{name}/out.txt",), (name, name))
+
+
+def ran(root: Path) -> list[str]:
+    log = root / "log"
+    return log.read_text().splitlines() if log.exists() else []
+
+
+def no_crew() -> Any:
+    raise AssertionError("nobody is needed")
+
+
+def test_a_task_is_done_once_and_kept(tmp_path: Path) -> None:
+    one = task(tmp_path, "one")
+    first, second = execute(one, tmp_path, write_name), execute(one, tmp_path, write_name)
+    assert (first.state, second.state) == ("done", "kept")
+    assert second.figures == {"said": "one"}
+    assert ran(tmp_path) == ["one"]
+    assert run_plan(Plan(tmp_path, (one,), ()), write_name, no_crew) == {"one": second}
+
+
+def test_another_key_or_a_lost_output_means_that_it_is_done_again(tmp_path: Path) -> None:
+    one = task(tmp_path, "one")
+    execute(one, tmp_path, write_name)
+    assert kept_outcome(tmp_path, task(tmp_path, "one", key="other")) is None
+    (tmp_path / "one" / "out.txt").write_text("half")
+    assert kept_outcome(tmp_path, one) is None
+    assert execute(one, tmp_path, write_name).state == "done"
+    (tmp_path / "one" / "out.txt").unlink()
+    assert execute(one, tmp_path, write_name).state == "done"
+    for note in (tmp_path / ".cagemap" / "done").iterdir():
+        note.write_text('{"key": 3')
+    assert kept_outcome(tmp_path, one) is None
+
+
+def test_what_came_of_a_file_that_changed_meanwhile_is_not_kept(tmp_path: Path) -> None:
+    mesh = tmp_path / "cow.obj"
+    mesh.write_text("as it was planned")
+    one = replace(task(tmp_path, "one"), reads={str(mesh): content_hash(str(mesh))})
+    assert execute(one, tmp_path, write_name).state == "done"
+
+    def save_meanwhile(task: Task) -> dict[str, Any]:
+        mesh.write_text("as it is now")
+        return write_name(task)
+
+    outcome = execute(replace(one, key="another"), tmp_path, save_meanwhile)
+    assert (outcome.state, outcome.message.partition(":")[0]) == ("failed", str(mesh))
+    # Nor is what it replaced.
+    assert kept_outcome(tmp_path, one) is None
+
+
+def test_what_a_pattern_or_a_folder_became_is_noted(tmp_path: Path) -> None:
+    """`skin.png` is written as several files, shapes as a folder; the notes of a RESULT are not the task's own."""
+    many = task(tmp_path, "one", files=["one/skin_a.png", "one/skin_b.png", "one/RESULT/manifest.json"])
+    (tmp_path / "one" / "RESULT").mkdir(parents=True)
+    assert execute(many, tmp_path, write_name).files == ("one/skin_a.png", "one/skin_b.png")
+    (tmp_path / "one" / "RESULT" / "manifest.json").write_text("another task's note")
+    assert execute(many, tmp_path, write_name).state == "kept"
+    (tmp_path / "one" / "skin_b.png").unlink()
+    assert execute(many, tmp_path, write_name).state == "done"
+    nothing = task(tmp_path, "none", files=[])
+    assert "none was written" in execute(nothing, tmp_path, write_name).message
+
+
+def test_a_task_that_only_comes_after_a_failed_one_is_done(tmp_path: Path) -> None:
+    failed = Outcome("one", "failed", "no texture")
+    assert execute(replace(task(tmp_path, "two"), after=("one",)), tmp_path, write_name, failed).state == "done"
+    assert execute(task(tmp_path, "three", ("one",)), tmp_path, write_name, failed).state == "skipped"
+
+
+@pytest.mark.parametrize(
+    ("trouble", "words"),
+    [("bad mesh", "expected a mesh"), ("bug", "internal error, KeyError"), ("full disk", "No space left")],
+)
+def test_a_failure_is_an_outcome_and_leaves_no_note(tmp_path: Path, trouble: str, words: str) -> None:
+    one = task(tmp_path, "one", trouble=trouble)
+    outcome = execute(one, tmp_path, write_name)
+    assert outcome.state == "failed"
+    assert words in outcome.message
+    assert kept_outcome(tmp_path, one) is None
+    after = execute(task(tmp_path, "two", needs=("one",)), tmp_path, write_name, outcome)
+    assert after.state == "skipped"
+    assert "one" in after.message
+    assert ran(tmp_path) == ["one"]
+
+
+def test_two_runs_at_once_do_a_task_once(tmp_path: Path) -> None:
+    one = task(tmp_path, "one", sleep=0.3)
+    barrier = threading.Barrier(2)
+
+    def run(_: int) -> Outcome:
+        barrier.wait()
+        return execute(one, tmp_path, write_name)
+
+    with ThreadPoolExecutor(2) as pool:
+        states = sorted(outcome.state for outcome in pool.map(run, range(2)))
+    assert states == ["done", "kept"]
+    assert ran(tmp_path) == ["one"]
+
+
+def test_leftovers_of_a_killed_run_are_removed_and_a_user_s_files_are_not(tmp_path: Path) -> None:
+    folder = tmp_path / "one"
+    (tmp_path / ".one.k2_ab8xz.part").mkdir(parents=True)
+    folder.mkdir()
+    (folder / ".out.x7c9_d0e.part.txt").write_text("half")
+    (folder / "thesis.tex").write_text("mine")
+    (folder / ".out.old.parts").mkdir()  # nearly such a name
+    (folder / ".out.old.parts" / "photo.raw").write_text("mine")
+    (folder / ".out.mine.part.txt").write_text("mine")
+    execute(task(tmp_path, "one"), tmp_path, write_name)
+    assert sorted(path.name for path in folder.iterdir()) == [
+        ".out.mine.part.txt",
+        ".out.old.parts",
+        "out.txt",
+        "thesis.tex",
+    ]
+    assert (folder / ".out.old.parts" / "photo.raw").read_text() == "mine"
+    assert not (tmp_path / ".one.k2_ab8xz.part").exists()
+
+
+def test_preparations_of_what_is_done_are_not_repeated(tmp_path: Path) -> None:
+    prepare, match = task(tmp_path, "prepare", kind="prepare"), task(tmp_path, "match", ("prepare",))
+    plan = Plan(tmp_path, (prepare, match), (("match", "match"),))
+    assert [t.name for t in missing_tasks(plan)] == ["prepare", "match"]
+    execute(match, tmp_path, write_name)
+    assert missing_tasks(plan) == []
+
+
+@pytest.mark.slow
+def test_dead_workers_and_bad_tasks_cost_only_what_needs_them(tmp_path: Path) -> None:
+    tasks = (
+        task(tmp_path, "good"),
+        task(tmp_path, "unlucky", trouble="die once"),
+        task(tmp_path, "deadly", trouble="die"),
+        task(tmp_path, "bad", trouble="bad mesh"),
+        *(task(tmp_path, f"after-{name}", (name,)) for name in ("good", "unlucky", "deadly", "bad")),
+    )
+    finished: list[str] = []
+    with open_crew(workers=2) as crew:
+        outcomes = run_plan(
+            Plan(tmp_path, tasks, ()), write_name, crew, lambda outcome, done, total: finished.append(outcome.name)
+        )
+    states = {name: outcome.state for name, outcome in outcomes.items()}
+    assert states == {
+        "good": "done",
+        "unlucky": "done",
+        "deadly": "failed",
+        "bad": "failed",
+        "after-good": "done",
+        "after-unlucky": "done",
+        "after-deadly": "skipped",
+        "after-bad": "skipped",
+    }
+    assert "worker died" in outcomes["deadly"].message
+    assert sorted(finished) == sorted(states)
+
+
+@pytest.mark.slow
+def test_what_waits_on_a_worker_that_dies_is_not_blamed_for_it(tmp_path: Path) -> None:
+    tasks = (task(tmp_path, "deadly", trouble="die"), *(task(tmp_path, f"good-{k}") for k in range(3)))
+    with open_crew(workers=1) as crew:  # all wait on the one that dies
+        outcomes = run_plan(Plan(tmp_path, tasks, ()), write_name, crew)
+    assert {name: outcome.state for name, outcome in outcomes.items()} == {
+        "deadly": "failed",
+        "good-0": "done",
+        "good-1": "done",
+        "good-2": "done",
+    }
+
+
+@pytest.mark.slow
+def test_a_scheduler_elsewhere_is_reached_by_its_address(tmp_path: Path) -> None:
+    from distributed import LocalCluster
+
+    tasks = (task(tmp_path, "one"), task(tmp_path, "two", ("one",)))
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        open_crew(cluster.scheduler_address) as crew,
+    ):
+        outcomes = run_plan(Plan(tmp_path, tasks, ()), write_name, crew)
+    assert [outcomes[name].state for name in ("one", "two")] == ["done", "done"]
+
+
+@pytest.mark.slow
+def test_an_address_that_does_not_answer_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with (
+        open_crew("tcp://127.0.0.1:9") as crew,
+        pytest.raises(ParameterError, match=r"127\.0\.0\.1:9 does not answer"),
+    ):
+        run_plan(Plan(tmp_path, (task(tmp_path, "one"),), ()), write_name, crew)
+
+
+def test_the_dashboard_s_address_is_told_and_workers_share_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With stand-ins for the cluster and for bokeh."""
+    import distributed
+    from distributed.system import MEMORY_LIMIT
+
+    asked: dict[str, Any] = {}
+
+    @contextmanager
+    def cluster(**options: Any) -> Iterator[None]:
+        asked.update(options)
+        yield
+
+    @contextmanager
+    def client(cluster: None) -> Iterator[SimpleNamespace]:
+        yield SimpleNamespace(dashboard_link="http://127.0.0.1:4321/status")
+
+    monkeypatch.setattr(distributed, "LocalCluster", cluster)
+    monkeypatch.setattr(distributed, "Client", client)
+    bokeh = ModuleType("bokeh")
+    bokeh.__spec__ = ModuleSpec("bokeh", None)
+    monkeypatch.setitem(sys.modules, "bokeh", bokeh)
+    told: list[str] = []
+    with open_crew(None, 3, told.append) as crew:
+        assert not told
+        crew()
+        crew()
+    assert told == ["Dask's dashboard: http://127.0.0.1:4321/status"]
+    assert asked["n_workers"] * asked["memory_limit"] == pytest.approx(MEMORY_LIMIT, abs=3)

@@ -1,0 +1,71 @@
+"""Distances along a surface, and errors of maps measured by them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from examples.shapes import icosahedron
+
+import cagemap
+from cagemap.errors import ParameterError
+from cagemap.maps.geodesic import HeatDistances
+from cagemap.maps.point_map import PointMap
+from cagemap.subdivision import level_triangles, refine
+from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import TriangleSurface
+
+
+def test_distances_on_a_sphere_are_angles() -> None:
+    refinement = refine(icosahedron(), 4)
+    places = refinement.finest.positions / np.linalg.norm(refinement.finest.positions, axis=1, keepdims=True)
+    sphere = TriangleSurface.from_faces(places, level_triangles(refinement, 4))
+    radius = np.linalg.norm(sphere.positions[0])
+    sources = SurfacePoints.from_vertices(sphere, np.array([0, 7, 500]))
+    found = HeatDistances(sphere).from_points(sources)
+    cosines = np.clip(sphere.positions @ sources.positions.T / radius**2, -1, 1)
+    exact = radius * np.arccos(cosines)
+    # The heat method rounds the cut locus off and is first order in the mesh width.
+    assert np.abs(found - exact).mean() < 0.02 * exact.mean()
+
+
+@pytest.fixture(scope="module")
+def sphere_map() -> PointMap:
+    """A sphere onto itself, every vertex mapped to a neighbour."""
+    refinement = refine(icosahedron(), 3)
+    places = refinement.finest.positions / np.linalg.norm(refinement.finest.positions, axis=1, keepdims=True)
+    sphere = TriangleSurface.from_faces(places, level_triangles(refinement, 3))
+    neighbour = np.arange(sphere.n)
+    neighbour[sphere.triangles[:, 0]] = sphere.triangles[:, 1]
+    return PointMap.from_vertices(sphere, sphere, neighbour)
+
+
+def test_errors_are_distances_along_the_source(sphere_map: PointMap) -> None:
+    """A map to antipodes misses by half a great circle, whatever the straight distance."""
+    sphere = sphere_map.source
+    opposite = SurfacePoints.nearest(sphere, -sphere.positions)
+    radius = np.linalg.norm(sphere.positions[0])
+    judged = np.arange(0, sphere.n, 60)
+    errors = cagemap.geodesic_error(PointMap(sphere, opposite), np.arange(sphere.n), judged)
+    np.testing.assert_allclose(errors, np.pi * radius, rtol=0.04)  # the cut locus is rounded off
+    identity = PointMap.from_vertices(sphere, sphere, np.arange(sphere.n))
+    assert len(cagemap.geodesic_error(identity, identity)) == 300
+    np.testing.assert_allclose(cagemap.geodesic_error(identity, identity.images), 0.0, atol=1e-12)
+    np.testing.assert_array_equal(sphere_map.nearest_vertices(), sphere_map.images.corners[
+        np.arange(sphere.n), sphere_map.barycentric.argmax(axis=1)])  # fmt: skip
+    np.testing.assert_allclose(sphere_map.to_sparse() @ sphere.positions, sphere_map.images.positions, atol=1e-14)
+
+
+def test_truth_of_some_vertices_is_enough(sphere_map: PointMap) -> None:
+    """Of the first ones, with -1 where unknown: those with a truth are judged, others are refused."""
+    truth = sphere_map.nearest_vertices()[:12].copy()
+    truth[::2] = -1
+    np.testing.assert_allclose(cagemap.geodesic_error(sphere_map, truth), np.zeros(6), atol=1e-12)
+    for vertices, wrong in (([1, 2], r"\[2\]"), ([1, 40], r"\[40\]"), ([-1], r"\[-1\]")):
+        with pytest.raises(ParameterError, match=f"whose true image is known, 6 of 12, got {wrong}"):
+            cagemap.geodesic_error(sphere_map, truth, vertices)
+    for bad in (np.full(5, -1), np.full(5, -2), np.zeros((5, 2), int), np.zeros(10**4, int), "truth"):
+        with pytest.raises(ParameterError, match="truth: expected"):
+            cagemap.geodesic_error(sphere_map, bad)
+    other = PointMap.from_vertices(*[TriangleSurface.from_faces(np.eye(3), np.array([[0, 1, 2]]))] * 2, np.arange(3))
+    with pytest.raises(ParameterError, match="truth: expected points of TriangleSurface"):
+        cagemap.geodesic_error(sphere_map, other)

@@ -1,0 +1,192 @@
+"""Maps without landmarks: every way to lie on the source is tried, and the answer says how sure it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from examples.shapes import creature, cube, voxels
+from scipy.spatial import cKDTree
+
+from cagemap.errors import InvalidLandmarksError
+from cagemap.files.result.merged_parts import merge_results
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence, MapShape, Reading
+from cagemap.maps.hypotheses.method import unreached_share
+from cagemap.maps.hypotheses.search import least_cost
+from cagemap.maps.hypotheses.starts import AS_FILED, axis_rotations, rigid_starts, rotation_name
+from cagemap.maps.masks import WHOLE, Masks
+from cagemap.maps.point_map import PointMap
+from cagemap.mesh import Bilinear, ControlMesh
+from cagemap.mesh.join import join_meshes
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.parts import extract
+from cagemap.mesh.schemes import Scheme
+from cagemap.pipeline import MatchConfig, MatchResult, match, prepare_pair, prepare_surface
+from cagemap.subdivision import refine
+from cagemap.surface.triangle_surface import TriangleSurface
+
+
+def bent(control: ControlMesh) -> ControlMesh:
+    """The same cage, swollen and bent: every vertex keeps its meaning."""
+    x, y, z = (control.positions / np.ptp(control.positions)).T
+    return control.with_positions(np.column_stack([x * (1 + 0.3 * z), y + 0.2 * z**2, z * (1 + 0.2 * y)]))
+
+
+def matched(source: ControlMesh, landmarks: Landmarks | None = None) -> MatchResult:
+    target = prepare_surface(creature(), 1)
+    return match(target, prepare_surface(source, 1), landmarks)
+
+
+def errors(result: MatchResult) -> np.ndarray:
+    """How far from its own vertex every finest vertex maps, of sqrt(area); the cages are numbered alike."""
+    return np.linalg.norm(result.point_map.images.positions - result.point_map.source.positions, axis=1)
+
+
+def test_there_are_24_rotations_and_none_mirrors() -> None:
+    rotations = axis_rotations()
+    assert len({tuple(matrix.ravel()) for matrix in rotations}) == 24
+    assert all(np.linalg.det(matrix) == pytest.approx(1.0) for matrix in rotations)
+    assert rotation_name(rotations[0]) == AS_FILED
+    assert len({rotation_name(matrix) for matrix in rotations}) == 24
+
+
+def test_boxes_agree_and_no_start_mirrors() -> None:
+    rng = np.random.default_rng(2)
+    points, others = rng.normal(size=(50, 3)) * (1, 2, 3), rng.normal(size=(80, 3)) * (3, 1, 1) + 5
+    centred = points - points.mean(axis=0)
+    for start in rigid_starts(points, others):
+        linear = np.linalg.lstsq(centred, start.positions - start.positions.mean(axis=0), rcond=None)[0]
+        assert np.linalg.det(linear) > 0, start.name
+    stretched = rigid_starts(points, others)[1].positions
+    np.testing.assert_allclose(np.ptp(stretched, axis=0), np.ptp(others, axis=0))
+    np.testing.assert_allclose(stretched.min(axis=0), others.min(axis=0), atol=1e-12)
+
+
+def test_a_bent_twin_is_found_without_landmarks_however_its_axes_lie() -> None:
+    turn = axis_rotations()[-1]
+    twin = bent(creature())
+    result = matched(twin.with_positions(twin.positions @ turn.T))
+    assert result.confidence is not None
+    assert result.confidence.verdict == SURE, result.confidence.summary()
+    assert errors(result).mean() < 0.02
+    assert result.confidence.readings[0].name == rotation_name(turn)
+
+
+@pytest.mark.slow
+def test_a_shape_that_is_its_own_double_has_two_answers_and_landmarks_choose() -> None:
+    scene = join_meshes([creature(), cube()])
+    cage = extract(scene, np.arange(creature().n_faces, scene.n_faces))
+    # Not the very same surface: that is known at once.
+    longer = cage.with_positions(cage.positions * (1.0, 1.0, 1.0003))
+    target, source = prepare_surface(cage, 3), prepare_surface(longer, 3)
+    undecided = match(target, source)
+    assert undecided.confidence is not None
+    assert undecided.confidence.verdict == TWO
+    # The message counts as the file does, also in a result of several parts, which stand one after another.
+    assert f"vertex {int(undecided.confidence.deciding or 0) + creature().n_vertices} " in undecided.confidence.message
+    merged = merge_results([undecided, undecided], {}).confidence
+    assert merged is not None
+    assert merged.message == f"the part of 6 faces: {undecided.confidence.message}"
+    # Any corner may come to lie on any other, and an edge then on any of the three that leave it.
+    other = cage.positions[0] * (-1, 1, 1)
+    places = [int(np.argmin(np.linalg.norm(cage.positions - at, axis=1))) for at in (cage.positions[0], other)]
+    pairs = Landmarks(("corner", "edge"), np.array(places), np.array(places[::-1]))
+    result = match(target, source, pairs)
+    assert result.quality.landmark_errors.max() < 1e-9
+    assert result.quality.flipped_area < 1e-3
+    assert result.quality.dirichlet < 1.05
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", [Bilinear(), None], ids=["sharp", "round"])
+def test_a_box_lies_on_itself_as_the_files_stand_although_its_sides_are_all_alike(scheme: Scheme | None) -> None:
+    """Turned upon itself it stretches affinely, which is free; the round one's samples even fall better."""
+    control = replace(voxels(list(product(range(4), repeat=3))), scheme=scheme)
+    centred = control.positions - control.positions.mean(axis=0)
+    # Not the very same surface: that is known at once.
+    box, longer = (prepare_surface(control.with_positions(centred * (x, 0.8, 1.0)), 2) for x in (1.4, 1.4003))
+    result = match(box, longer)
+    assert result.confidence is not None
+    assert result.confidence.readings[0].name == AS_FILED
+    assert errors(result).max() < 1e-3
+
+
+def test_what_a_target_costs_on_itself_shrinks_with_what_masks_leave_of_either_side() -> None:
+    surface = prepare_surface(creature(), 1)
+    whole = least_cost(prepare_pair(surface, surface))
+    part = np.where(np.arange(len(surface.vertices)) % 4 == 0, 1.0, 0.0)
+    prepared = prepare_pair(surface, surface, MatchConfig(masks=Masks(part)))
+    areas = prepared.rest.graph.areas
+    assert least_cost(prepared) == pytest.approx(whole * areas[part[: len(areas)] > 0].sum())
+    back = prepare_pair(surface, surface, MatchConfig(masks=Masks(None, part)))
+    assert 0.1 * whole < least_cost(back) < 0.5 * whole
+
+
+@pytest.mark.slow
+def test_what_looks_different_is_not_sure() -> None:
+    result = match(prepare_surface(cube(), 3), prepare_surface(creature(), 2))
+    assert result.confidence is not None
+    assert result.confidence.verdict != SURE
+
+
+def test_the_paper_s_method_asks_for_landmarks() -> None:
+    target = prepare_surface(creature(), 1)
+    with pytest.raises(InvalidLandmarksError, match="at least 3 pairs for the method hfm, got 0"):
+        match(target, target, None, MatchConfig(method="hfm"))
+
+
+def test_verdicts_follow_cost_and_gap() -> None:
+    at = np.zeros((4, 3))
+    best = Reading("a", 1e-4, at)
+    other = Reading("b", 1.05e-4, at + np.outer([0.0, 2.0, 0.0, 9.0], [0, 1, 0]))
+    two = Confidence.of((best, other), 3)
+    assert (two.verdict, two.deciding) == (TWO, 1)  # the fourth vertex is not one of the control mesh
+    assert "vertex 1" in two.message
+    assert Confidence.of((best, replace(other, cost=5e-4)), 3).verdict == SURE
+    alone = Confidence.of((best,), 3)
+    assert (alone.verdict, alone.gap, alone.deciding) == (SURE, np.inf, None)
+    assert alone.summary()["gap"] is None
+    assert Confidence.of((replace(best, cost=1.0),), 3).verdict == LOOK
+    turned = replace(best, cost=3e-4, doubt=1.1)
+    assert Confidence.of((turned,), 3).verdict == LOOK
+    assert Confidence.of((replace(turned, doubt=1.0),), 3).verdict == SURE
+    # Cheap and alone, but folded or sheared: an animal squeezed into a head.
+    assert Confidence.of((best,), 3, MapShape(folded=0.03)).verdict == LOOK
+    assert Confidence.of((best,), 3, MapShape(aspect=2.0)).verdict == LOOK
+    # Held by a landmark at its chin, so that there is no rival: most of it is right, neck, tail and thighs are not.
+    assert Confidence.of((best,), 3, MapShape(aspect=1.58, sheared=3.95)).verdict == LOOK
+    missing = Confidence.of((best,), 3, MapShape(unreached=0.04))
+    assert missing.verdict == LOOK
+    assert "nothing comes to 4 % of the source" in missing.message
+    # Legs that changed places: the mirror image fits far better.
+    assert alone.seen_mirrored(1.1).verdict == SURE
+    mirrored = alone.seen_mirrored(3.3)
+    assert (mirrored.verdict, mirrored.summary()["mirrored"]) == (LOOK, 3.3)
+    assert "mirror image 3.3 times as well" in mirrored.message
+
+
+def test_a_limb_that_nothing_comes_to_is_unreached() -> None:
+    surface = prepare_surface(creature(), 1)
+    prepared = prepare_pair(surface, surface)
+    finest = surface.triangles(surface.finest)
+    same = PointMap.from_vertices(finest, finest, np.arange(finest.n))
+    assert unreached_share(prepared, same) == 0.0
+    height = finest.positions[:, 1]
+    upper = np.flatnonzero(height > np.quantile(height, 0.3))
+    nearest = upper[cKDTree(finest.positions[upper]).query(finest.positions)[1]]
+    share = unreached_share(prepared, PointMap.from_vertices(finest, finest, nearest))
+    lower = finest.vertex_areas[height < height[upper].min() - 0.05].sum() / finest.vertex_areas.sum()
+    assert 0.5 * lower < share < finest.vertex_areas[height <= height[upper].min()].sum() / finest.vertex_areas.sum()
+    masks = replace(WHOLE, source=(height > height[upper].min()).astype(float))
+    assert unreached_share(prepare_pair(surface, surface, MatchConfig(masks=masks)), same) == 0.0
+
+
+def test_the_shape_of_a_map_counts_folds_and_shear() -> None:
+    surface = TriangleSurface.from_faces(refine(creature(), 1).finest.positions, refine(creature(), 1).finest.faces)
+    same = PointMap.from_vertices(surface, surface, np.arange(surface.n))
+    assert MapShape.of(same) == MapShape(folded=0.0, aspect=pytest.approx(1.0), sheared=pytest.approx(1.0))
+    crushed = PointMap.from_vertices(surface, surface, np.random.default_rng(1).permutation(surface.n))
+    assert MapShape.of(crushed).folded > 0.3
+    assert MapShape.of(crushed).aspect > 2.0

@@ -1,0 +1,112 @@
+"""Maps that jump across a contact are told by distances along the surfaces; maps that do not have no such places."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from examples.shapes import voxels
+
+from cagemap import pipeline
+from cagemap.deform.prepared import PreparedPair
+from cagemap.files.result.merged_parts import merge_results
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, Confidence, MapShape, Reading
+from cagemap.maps.hypotheses.jumps import JUMPING, Jumps, image_pairs
+from cagemap.maps.masks import Masks
+from cagemap.maps.point_map import PointMap
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.numerics.arrays import FloatArray
+from cagemap.pipeline import MatchConfig, match, prepare_pair, prepare_surface
+from cagemap.spectral import Surface
+from cagemap.surface.surface_points import SurfacePoints
+
+from example_result import identity_result
+
+LEG, GAP = 7, 0.05
+
+
+def legs() -> Surface:
+    """A hip with two long legs, whose inner sides nearly touch; their feet differ."""
+    cells = [(x, LEG, z) for x in range(3) for z in range(2)] + [(x, y, 0) for x in (0, 2) for y in range(LEG)]
+    mesh = voxels([*cells, (0, 0, 1), (0, 0, 2), (2, 0, 1)])
+    places = mesh.positions.copy()
+    places[:, 0] -= np.where(places[:, 0] > places[:, 0].mean(), 1.0 - GAP, 0.0)  # the gap of one cell closes
+    return prepare_surface(mesh.with_positions(places), 2)
+
+
+@pytest.fixture(scope="module")
+def surface() -> Surface:
+    return legs()
+
+
+@pytest.fixture(scope="module")
+def prepared(surface: Surface) -> PreparedPair:
+    return prepare_pair(surface, surface)
+
+
+def map_to(surface: Surface, places: FloatArray) -> PointMap:
+    mesh = surface.triangles(surface.finest)
+    found = SurfacePoints.nearest(mesh, places, mesh.vertex_normals, normal_weight=0.05)
+    return PointMap(mesh, found)
+
+
+def across(surface: Surface) -> tuple[PointMap, FloatArray]:
+    """The lower half of one leg on the other leg, as if both were one; and which vertices that is."""
+    mesh = surface.triangles(surface.finest)
+    places = mesh.positions.copy()
+    middle, knee = places[:, 0].mean(), np.quantile(places[:, 1], 0.4)
+    lower = (places[:, 0] > middle) & (places[:, 1] < knee)
+    places[lower, 0] -= 1.02 * mesh.scale
+    return map_to(surface, places), lower
+
+
+def test_the_identity_has_no_jumps(surface: Surface, prepared: PreparedPair) -> None:
+    mesh = surface.triangles(surface.finest)
+    found = Jumps.of(prepared, PointMap.from_vertices(mesh, mesh, np.arange(mesh.n)))
+    assert found == Jumps()
+    assert found.warnings(prepared) == ()
+
+
+def test_a_leg_on_the_other_leg_is_told_and_said_where(surface: Surface, prepared: PreparedPair) -> None:
+    mesh = surface.triangles(surface.finest)
+    wrong, lower = across(surface)
+    found = Jumps.of(prepared, wrong)
+    assert found.share > 0.05
+    (sentence,) = found.warnings(prepared)
+    place = np.array([float(x) for x in sentence.split("(")[1].split(")")[0].split(",")])
+    assert np.linalg.norm(mesh.positions / mesh.scale - place, axis=1).min() < 0.01
+    low = mesh.positions[:, 1] < mesh.positions[lower, 1].max()
+    assert low[found.vertex]
+    # Not sure, whatever else speaks for it.
+    best = Reading("as the files stand", 1e-4, mesh.positions)
+    assert Confidence.of((best,), 3).verdict == SURE
+    doubt = Confidence.of((best,), 3, MapShape(jumps=found.share))
+    assert doubt.verdict == LOOK
+    assert "across a contact" in doubt.message
+
+
+def test_maps_that_landmarks_decide_are_asked_too(surface: Surface, monkeypatch: pytest.MonkeyPatch) -> None:
+    wrong, _ = across(surface)
+    monkeypatch.setattr(pipeline, "elastic_map", lambda problem, progress: (wrong, ()))
+    given = Landmarks(("a", "b", "c"), np.array([0, 10, 20]), np.array([1, 10, 20]))  # not the identity
+    result = match(surface, surface, given, MatchConfig(check_landmarks=False))
+    assert "across a contact" in result.quality.warnings[0]
+
+
+def test_parts_of_one_result_keep_what_was_said_of_them() -> None:
+    part = identity_result()
+    said = f"{JUMPING} at 5.0 % of the target's area"
+    jumping = replace(part, quality=replace(part.quality, warnings=("little", said)))
+    assert merge_results([part, jumping], {}).quality.warnings[0] == said
+
+
+def test_what_is_masked_does_not_jump(surface: Surface) -> None:
+    wrong, lower = across(surface)
+    counts = np.where(wrong.target.positions[:, 1] <= wrong.target.positions[lower, 1].max() + 0.05, 0.0, 1.0)
+    assert Jumps.of(prepare_pair(surface, surface, MatchConfig(masks=Masks(target=counts))), wrong).share == 0.0
+
+
+def test_a_map_of_one_point_stays_within_its_memory() -> None:
+    places = np.zeros((4000, 3))
+    assert len(image_pairs(places, np.tile([0.0, 0.0, 1.0], (4000, 1)))) < 25 * 4000

@@ -1,0 +1,459 @@
+"""Wrong landmark pairs: found, named and not followed; correct ones left alone."""
+
+from __future__ import annotations
+
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from examples.shapes import torus, voxels
+from scipy import sparse
+
+from cagemap import BasisConfig, Landmarks, MatchConfig, MatchResult, Surface, match, prepare_surface, update_match
+from cagemap.deform.config import ElasticConfig, Stage, StartConfig
+from cagemap.deform.energy import energy_matrix
+from cagemap.deform.fit import with_cost
+from cagemap.deform.graph import ElasticGraph, cluster_graph
+from cagemap.deform.prepared import level_graph
+from cagemap.example import example_pair
+from cagemap.files.result.folder import landmark_messages
+from cagemap.maps.hypotheses.confidence import Reading
+from cagemap.maps.landmarks import check, mirrored
+from cagemap.maps.landmarks.check import DISTANCES, SIDES, LandmarkCheck, LandmarkSuspect, large_handles
+from cagemap.maps.landmarks.distances import (
+    LandmarkDistances,
+    misplaced_pairs,
+    place_by_distances,
+)
+from cagemap.maps.landmarks.sides import exchanged_sides, orientation_agreement
+from cagemap.maps.landmarks.strain import ReducedEnergy, reduced_energy, strained_pair
+from cagemap.maps.pair import Pair, point_pairs
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.topology import handle_count
+from cagemap.pipeline import match_pair, prepare_pair
+
+LEVEL = 1  # 1700 and 2200 vertices
+# A quick fit: these tests ask which landmarks are followed, not how accurate the map is.
+CONFIG = MatchConfig(
+    start=StartConfig(search_vertices=1000),
+    elastic=ElasticConfig(coarse_vertices=400, coarse=Stage(15, (5e-2, 2e-4), 1e-2), fine=Stage(3, (2e-4, 5e-5), 3e-4)),
+)
+
+
+@pytest.fixture(scope="module")
+def pair() -> tuple[Surface, Surface, Landmarks]:
+    example = example_pair(texture_size=64)
+    basis = BasisConfig(count=40)
+    return (
+        prepare_surface(example.target, LEVEL, basis),
+        prepare_surface(example.source, LEVEL, basis),
+        example.landmarks,
+    )
+
+
+@pytest.fixture(scope="module")
+def graphs(pair: tuple[Surface, Surface, Landmarks]) -> tuple[ElasticGraph, ElasticGraph]:
+    return level_graph(pair[0], LEVEL), level_graph(pair[1], LEVEL)
+
+
+def misplaced(graphs: tuple[ElasticGraph, ElasticGraph], landmarks: Landmarks) -> list[int]:
+    target = LandmarkDistances.measure(graphs[0], landmarks.target)
+    return misplaced_pairs(target, LandmarkDistances.measure(graphs[1], landmarks.source)).tolist()
+
+
+def with_source(landmarks: Landmarks, changes: dict[int, int]) -> Landmarks:
+    source = landmarks.source.copy()
+    source[list(changes)] = list(changes.values())
+    return replace(landmarks, source=source)
+
+
+def farthest(surface: Surface, vertex: int, avoid: np.ndarray) -> int:
+    positions = surface.refinement.finest.positions[: surface.control.n_vertices]
+    distances = np.linalg.norm(positions - positions[vertex], axis=1)
+    distances[avoid] = 0
+    return int(np.argmax(distances))
+
+
+def test_correct_pairs_are_left_alone(pair, graphs):
+    _, _, landmarks = pair
+    assert misplaced(graphs, landmarks) == []
+    assert misplaced((graphs[1], graphs[0]), landmarks.reversed()) == []
+
+
+def test_a_pair_on_the_wrong_limb_is_found_whichever_it_is(pair, graphs):
+    _, source, landmarks = pair
+    for i in range(0, len(landmarks), 4):
+        wrong = with_source(landmarks, {i: farthest(source, landmarks.source[i], landmarks.source)})
+        assert misplaced(graphs, wrong) == [i]
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [("nose_tip", "tail_tip"), ("hoof_front_L", "hoof_front_R"), ("knee_L", "knee_R")],
+)
+def test_two_exchanged_pairs_are_both_found(pair, graphs, first, second):
+    _, _, landmarks = pair
+    i, j = landmarks.names.index(first), landmarks.names.index(second)
+    exchanged = with_source(landmarks, {i: landmarks.source[j], j: landmarks.source[i]})
+    assert sorted(misplaced(graphs, exchanged)) == sorted([i, j])
+
+
+FEET = ["nose_tip", "tail_tip", "chest", "poll", "hoof_front_L", "hoof_front_R", "hoof_hind_L", "hoof_hind_R"]
+
+
+def among_few(landmarks: Landmarks, first: str, second: str) -> tuple[Landmarks, Landmarks]:
+    """Eight pairs, and the same with two exchanged."""
+    few = landmarks.without([i for i, name in enumerate(landmarks.names) if name not in FEET])
+    i, j = few.names.index(first), few.names.index(second)
+    return few, with_source(few, {i: few.source[j], j: few.source[i]})
+
+
+def turned(graphs: tuple[ElasticGraph, ElasticGraph], landmarks: Landmarks) -> list[str]:
+    vertices = landmarks.target, landmarks.source
+    distances, marks = [], []
+    for graph, at in zip(graphs, vertices, strict=True):
+        distances.append(LandmarkDistances.measure(graph, at))
+        marks.append((graph.positions[at], graph.normals[at]))
+    return sorted(landmarks.names[i] for i in exchanged_sides((distances[0], distances[1]), *marks) or ())
+
+
+@pytest.mark.parametrize(("first", "second"), [("hoof_front_L", "hoof_front_R"), ("hoof_hind_L", "hoof_hind_R")])
+def test_feet_exchanged_among_few_pairs_are_told_by_their_sense(pair, graphs, first, second):
+    few, exchanged = among_few(pair[2], first, second)
+    assert misplaced(graphs, exchanged) == []  # as far from everything as before
+    assert turned(graphs, exchanged) == [first, second]
+    assert turned(graphs, few) == []
+    assert turned((graphs[1], graphs[0]), few.reversed()) == []
+
+
+def test_landmarks_mirrored_as_a_whole_are_no_exchange_of_two(pair, graphs):
+    few, _ = among_few(pair[2], "hoof_front_L", "hoof_front_R")
+    left = [i for i, name in enumerate(few.names) if name.endswith("_L")]
+    right = [few.names.index(few.names[i][:-1] + "R") for i in left]
+    there = {i: few.source[j] for i, j in zip([*left, *right], [*right, *left], strict=True)}
+    assert turned(graphs, with_source(few, there)) == []
+
+
+def test_exchanged_feet_are_left_out_and_named(pair):
+    """Once the whole map was met with crossed legs, and nothing said so."""
+    _, exchanged = among_few(pair[2], "hoof_front_L", "hoof_front_R")
+    found = match(pair[0], pair[1], exchanged, CONFIG)
+    assert [(suspect.name, suspect.evidence) for suspect in found.suspects] == [
+        ("hoof_front_L", SIDES),
+        ("hoof_front_R", SIDES),
+    ]
+    assert all("opposite sense" in str(suspect) for suspect in found.suspects)
+
+
+def test_an_exchange_that_the_map_does_not_mind_is_kept_and_told(pair, monkeypatch):
+    _, exchanged = among_few(pair[2], "hoof_front_L", "hoof_front_R")
+    monkeypatch.setattr(check, "coarse_map_cost", lambda problem: 1e-4)
+    found = match(pair[0], pair[1], exchanged, CONFIG)
+    assert found.suspects == ()
+    assert "'hoof_front_L', 'hoof_front_R' seem to be exchanged" in found.landmark_check.notes[0]
+
+
+@pytest.fixture(scope="module")
+def bridged(pair: tuple[Surface, Surface, Landmarks]) -> Surface:
+    """The target with its fore hooves grown together: a face of each is gone, and a tube of four joins what is left."""
+    mesh, landmarks = pair[0].control, pair[2]
+    faces = np.split(mesh.face_indices, mesh.face_offsets[1:-1])
+    hooves = [landmarks.target[landmarks.names.index(f"hoof_front_{side}")] for side in "LR"]
+    gone = [next(i for i, face in enumerate(faces) if len(face) == 4 and vertex in face) for vertex in hooves]
+    one, other = faces[gone[0]], faces[gone[1]][::-1]
+    turns = [np.roll(other, k) for k in range(4)]
+    other = min(turns, key=lambda turn: np.linalg.norm(mesh.positions[one] - mesh.positions[turn], axis=1).sum())
+    tube = np.column_stack([one, np.roll(one, -1), np.roll(other, -1), other])
+    kept = [face for i, face in enumerate(faces) if i not in gone]
+    grown = ControlMesh.from_faces(mesh.positions, [*kept, *tube], name="grown together")
+    assert (handle_count(mesh), handle_count(grown)) == (0, 1)
+    return prepare_surface(grown, LEVEL, BasisConfig(count=40))
+
+
+def test_where_parts_have_grown_together_no_landmark_is_left_out(pair, bridged):
+    """Correct fingertips of arms that a scan had joined were left out, and the hands went elsewhere."""
+    _, exchanged = among_few(pair[2], "hoof_front_L", "hoof_front_R")
+    found = match(bridged, pair[1], exchanged, CONFIG)
+    assert found.suspects == ()
+    assert "'hoof_front_R'" in found.landmark_check.notes[0]
+    assert "one surface has handles that the other lacks" in found.landmark_check.notes[0]
+
+
+def test_an_update_leaves_none_out_where_parts_have_grown_together(pair, bridged):
+    right, exchanged = among_few(pair[2], "hoof_front_L", "hoof_front_R")
+    found = update_match(match(bridged, pair[1], right, CONFIG), exchanged, CONFIG)
+    assert found.suspects == ()
+    assert any("one surface has handles that the other lacks" in note for note in found.landmark_check.notes)
+
+
+def test_a_small_handle_is_none_that_parts_have_grown_together_by() -> None:
+    """A scan has handles of noise: with them slips were followed that are left out without them."""
+
+    def cube_with(*spans: int) -> ControlMesh:
+        block = [(x, y, z) for x in range(24) for y in range(24) for z in range(24)]
+        for y, span in enumerate(spans):  # a handle on top, over so many cubes
+            ends = [(2, 5 * y + 2, 24), (2 + span, 5 * y + 2, 24)]
+            block += [*ends, *((2 + x, 5 * y + 2, 25) for x in range(span + 1))]
+        return voxels(block)
+
+    for spans, large in (((), 0), ((2,), 0), ((2, 3, 2), 0), ((20,), 1), ((2, 20, 3), 1)):
+        mesh = cube_with(*spans)
+        assert (handle_count(mesh), large_handles(mesh)) == (len(spans), large)
+
+
+def test_cells_cut_handles_open() -> None:
+    mesh = torus(8, 5)
+    assert handle_count(mesh, np.arange(mesh.n_faces)) == 0
+    assert handle_count(mesh, np.arange(mesh.n_faces) // 20) == 0  # two tubes
+    assert handle_count(mesh, (np.arange(mesh.n_faces) == 7).astype(np.int64)) == 1  # a torus with a hole, and a face
+    assert handle_count(mesh, np.zeros(mesh.n_faces, dtype=np.int64)) == 1
+
+
+def test_fewer_than_six_pairs_are_not_judged(pair, graphs):
+    _, source, landmarks = pair
+    five = landmarks.without(range(5, len(landmarks)))
+    assert misplaced(graphs, with_source(five, {2: farthest(source, five.source[2], five.source)})) == []
+
+
+def test_a_place_by_distances_does_not_ask_the_given_place(pair, graphs):
+    """The other landmarks put a pair in the same place wherever it was given."""
+    _, source, landmarks = pair
+    target = LandmarkDistances.measure(graphs[0], landmarks.target)
+    everywhere = np.arange(len(landmarks))
+    wrong = with_source(landmarks, {3: farthest(source, landmarks.source[3], landmarks.source)})
+    found = []
+    for given in (landmarks, wrong):
+        distances = LandmarkDistances.measure(graphs[1], given.source)
+        placed = place_by_distances(target, distances, everywhere)
+        found.append(graphs[1].positions[distances.vertices[placed.node[3]]])
+    assert np.linalg.norm(found[0] - found[1]) < 0.1  # two spacings of the coarse graph, whose cells differ
+    assert np.linalg.norm(found[0] - graphs[1].positions[wrong.source[3]]) > 0.5
+
+
+def test_mirrored_landmarks_turn_the_other_way_round(pair, graphs):
+    _, _, landmarks = pair
+    target, source = (
+        (graph.positions[vertices], graph.normals[vertices])
+        for graph, vertices in zip(graphs, (landmarks.target, landmarks.source), strict=True)
+    )
+    mirror = np.array([-1.0, 1.0, 1.0])
+    assert orientation_agreement(target, source) > 0.4
+    assert orientation_agreement(target, (source[0] * mirror, source[1] * mirror)) < -0.4
+
+
+def test_the_cost_of_a_map_of_mirrored_landmarks_is_its_own(pair, monkeypatch):
+    """The manifest said the other answer's cost, and that both fit alike."""
+    target, source, landmarks = pair
+    prepared = prepare_pair(target, source, CONFIG)
+    points = Pair(target, source, point_pairs(target, source, landmarks))
+    found = match_pair(prepared, landmarks, CONFIG).point_map
+    near = np.asarray(found.images.positions[: prepared.mesh.n])
+    other = Reading("another", 3e-4, near * [-1.0, 1.0, 1.0])
+    monkeypatch.setattr(mirrored, "found_readings", lambda problem, progress: (other,))
+    doubt = mirrored.mirrored_readings(prepared, points, found)
+    given, exchanged = doubt.readings
+    assert given.cost == with_cost(prepared, near).cost
+    assert exchanged.cost == other.cost
+    assert (doubt.cost, doubt.gap) == (1e4 * given.cost, other.cost / given.cost)
+
+
+def test_the_quadratic_form_is_the_elastic_energy(graphs):
+    coarse, _ = cluster_graph(graphs[0], 100, np.array([4, 9]))
+    rng = np.random.default_rng(31)
+    positions, maps = rng.standard_normal((coarse.n, 3)), rng.standard_normal((coarse.n, 3, 3))
+    form = energy_matrix(coarse, 1e-2)
+    energy = 0.0
+    for c in range(3):
+        unknowns = np.concatenate([positions[:, c : c + 1], maps[:, c]], axis=1).ravel()
+        energy += unknowns @ (form @ unknowns)
+    # E counts directed edges by half; the form's ridge of 1e-9 is all that is left.
+    assert energy == pytest.approx(coarse.energies(positions, maps, 1e-2).sum(), rel=1e-6)
+
+
+def test_released_is_the_minimum_with_the_others_held():
+    rng = np.random.default_rng(32)
+    root, right = rng.standard_normal((40, 40)), rng.standard_normal(40)
+    matrix, landmarks = root.T @ root, rng.permutation(40)[:15]
+    energy = ReducedEnergy.of(sparse.csc_array(matrix), right, landmarks)
+    places, held = rng.standard_normal((5, 3)), np.array([0, 2, 3])
+    moved = energy.released(places, held)
+    for i in held:
+        fixed = np.concatenate([np.arange(3 * j, 3 * j + 3) for j in held if j != i])
+        free = np.setdiff1d(np.arange(40), landmarks[fixed])
+        load = right[free] - matrix[np.ix_(free, landmarks[fixed])] @ places.ravel()[fixed]
+        best = np.zeros(40)
+        best[free] = np.linalg.solve(matrix[np.ix_(free, free)], load)
+        np.testing.assert_allclose(moved[i], best[landmarks[3 * i : 3 * i + 3]] - places[i], atol=1e-9)
+    assert not moved[[1, 4]].any()
+
+
+def test_the_strain_of_many_landmarks_needs_little_memory(graphs):
+    """H of 600 landmarks by the columns of an inverse takes more than those columns; blocks of it take little."""
+    graph = graphs[0]
+    landmarks = np.linspace(0, graph.n - 1, 600).astype(np.int64)
+    coarse, _ = cluster_graph(graph, 300, landmarks)
+    columns = 8 * 12 * coarse.n * 3 * len(landmarks)
+    tracemalloc.start()
+    energy = reduced_energy(graph, graph.positions, graph.normals, landmarks)
+    strained_pair(energy, graph.positions[landmarks])
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < columns / 4
+
+
+def test_the_strained_pair_is_the_displaced_one(graphs):
+    """On a surface mapped to itself with one landmark slid along it, that one wants to go back."""
+    graph = graphs[0]
+    landmarks = np.linspace(0, 150, 12).astype(np.int64)
+    energy = reduced_energy(graph, graph.positions, graph.normals, landmarks)
+    places = graph.positions[landmarks]
+    assert strained_pair(energy, places) is None
+    near = np.argsort(np.linalg.norm(graph.positions - places[4], axis=1))
+    slid = places.copy()
+    slid[4] = next(graph.positions[v] for v in near if np.linalg.norm(graph.positions[v] - places[4]) > 0.08)
+    assert strained_pair(energy, slid) == 4
+    assert strained_pair(reduced_energy(graph, graph.positions, graph.normals, landmarks[:9]), slid[:9]) is None
+
+
+def test_a_pair_that_strains_is_kept_and_named(pair):
+    """A landmark slid along a limb says what shape alone cannot: it is met, and the strain is told."""
+    target, source, landmarks = pair
+    places = source.operators.scale * source.refinement.finest.positions[: source.control.n_vertices]
+    i = landmarks.names.index("knee_L")
+    away = np.linalg.norm(places - places[landmarks.source[i]], axis=1)
+    away[landmarks.source] = 0.0
+    slid = with_source(landmarks, {i: int(np.flatnonzero(away > 0.12)[np.argmin(away[away > 0.12])])})
+    found = match(target, source, slid, CONFIG)
+    assert found.suspects == ()
+    assert found.quality.landmark_errors.max() < 1e-12
+    assert len(found.landmark_check.strains) == len(landmarks)
+    assert int(np.argmax(found.landmark_check.strains)) == i
+    assert any("knee_L" in note and "kept" in note for note in found.landmark_check.notes)
+
+
+def test_pairs_out_of_proportion_are_kept_where_the_map_is_no_better_without(pair, monkeypatch):
+    target, source, landmarks = pair
+    wrong = with_source(landmarks, {3: farthest(source, landmarks.source[3], landmarks.source)})
+    costs = iter((1.1e-4, 1e-4))  # with all, without the accused: correct ears of a walking fox had this ratio
+    monkeypatch.setattr(check, "coarse_map_cost", lambda problem: next(costs))
+    found = match(target, source, wrong, CONFIG)
+    assert found.suspects == ()
+    assert wrong.names[3] in found.landmark_check.notes[0]
+
+
+@pytest.fixture(scope="module")
+def followed(pair) -> MatchResult:
+    return match(*pair, CONFIG)
+
+
+@pytest.fixture(scope="module")
+def misled(pair) -> tuple[int, Landmarks, MatchResult]:
+    target, source, landmarks = pair
+    wrong = with_source(landmarks, {3: farthest(source, landmarks.source[3], landmarks.source)})
+    return 3, wrong, match(target, source, wrong)
+
+
+def test_correct_pairs_are_all_met(followed):
+    assert followed.suspects == ()
+    assert followed.quality.landmark_errors.max() < 1e-12
+    assert landmark_messages(followed.manifest) == []
+
+
+def test_a_wrong_pair_is_named_and_not_followed(pair, followed, misled):
+    number, wrong, found = misled
+    _, source, landmarks = pair
+    assert [suspect.name for suspect in found.suspects] == [wrong.names[number]]
+    suspect = found.suspects[0]
+    assert suspect.evidence == DISTANCES
+    assert suspect.source_vertex == wrong.source[number]
+    # The map sends the landmark to about where it belongs, and is nearly the map of the correct pairs.
+    places = source.operators.scale * source.refinement.finest.positions
+    assert np.linalg.norm(places[suspect.nearest_vertex] - places[landmarks.source[number]]) < 0.15
+    assert suspect.distance > 0.5
+    assert found.trusted.names == tuple(np.delete(np.array(wrong.names, dtype=object), number))
+    assert found.quality.landmark_errors.max() < 1e-12
+    images = [result.point_map.pull_back(places) for result in (followed, found)]
+    assert np.linalg.norm(images[0] - images[1], axis=1).mean() < 0.03
+
+
+def test_the_result_tells_of_it(misled):
+    number, wrong, found = misled
+    assert len(found.landmark_errors) == len(wrong)
+    assert found.landmark_errors[number] == found.suspects[0].distance
+    (message,) = landmark_messages(found.manifest)
+    assert wrong.names[number] in message
+    assert "`check_landmarks=False`" in message
+
+
+def test_trusted_landmarks_are_met_even_if_wrong(pair, misled):
+    _, wrong, _ = misled
+    found = match(pair[0], pair[1], wrong, replace(CONFIG, check_landmarks=False))
+    assert found.suspects == ()
+    assert found.quality.landmark_errors.max() < 1e-12
+
+
+def test_few_pairs_are_said_not_to_be_checked(pair):
+    found = match(pair[0], pair[1], pair[2].without(range(5, len(pair[2]))), CONFIG)
+    assert found.suspects == ()
+    assert "too few" in found.landmark_check.notes[0]
+
+
+def test_shuffled_pairs_are_kept_and_noted(pair):
+    shuffled = replace(pair[2], source=np.random.default_rng(33).permutation(pair[2].source))
+    found = match(pair[0], pair[1], shuffled, CONFIG)
+    assert found.suspects == ()
+    assert "contradict" in found.landmark_check.notes[0]
+
+
+def test_landmarks_of_another_mesh_are_asked_about(pair):
+    target, source, landmarks = pair
+    # The same numbers on a mesh whose vertices are numbered otherwise, as the landmarks of another cage are.
+    count = target.control.n_vertices
+    moved = (landmarks.target + count // 3) % count
+    foreign = Landmarks(landmarks.names, moved, landmarks.source, "another", landmarks.source_name)
+    result = match(target, source, foreign, CONFIG)
+    assert result.quality.flipped_area > 0.05
+    (note,) = [note for note in result.landmark_check.notes if "are these landmarks of these meshes?" in note]
+    assert f"{100 * result.quality.flipped_area:.0f} % of the target is folded over" in note
+    assert note in landmark_messages(result.manifest)
+
+
+@pytest.mark.parametrize(
+    ("folded", "count", "asked"), [(0.2, 23, True), (0.02, 23, False), (0.2, 0, False), (0.9, 9, False)]
+)
+def test_the_question_whose_landmarks_these_are_is_asked_of_maps_that_fold(
+    folded: float, count: int, asked: bool
+) -> None:
+    suspects = tuple(LandmarkSuspect(name, i, 0.3, 5, 7, DISTANCES) for i, name in enumerate("ab"))
+    check = LandmarkCheck(suspects, ("another note",)).with_folds(folded, count)
+    assert check.with_folds(0.0, count).notes == ("another note",)
+    assert (len(check.notes) == 2) == asked
+    if asked:
+        assert "20 % of the target is folded over and 2 of 23 landmarks were left out" in check.notes[1]
+
+
+def test_a_suspect_stays_out_only_while_its_pair_is_the_same() -> None:
+    names = ("a", "b", "c")
+    before = Landmarks(names, np.array([3, 5, 9]), np.array([1, 2, 4]), "t.obj", "s.obj")
+    suspect = LandmarkSuspect("b", 1, 0.2, nearest_vertex=7, source_vertex=2, evidence=DISTANCES)
+    judged = LandmarkCheck((suspect,), strains=np.array([0.3, 0.0, 0.1]))
+    moved_up = Landmarks(("b", "d", "c"), np.array([5, 3, 9]), np.array([2, 1, 6]), "t.obj", "s.obj")
+    assert [s.pair for s in judged.still(before, moved_up).suspects] == [0]
+    # Strains go with their pairs, whatever these are called; what moved has none.
+    np.testing.assert_array_equal(judged.still(before, moved_up).strains, [0.0, 0.3, 0.0])
+    corrected = Landmarks(names, np.array([3, 5, 9]), np.array([1, 7, 4]), "t.obj", "s.obj")
+    assert judged.still(before, corrected).suspects == ()
+
+
+def test_an_update_checks_the_pairs_that_changed_and_keeps_what_was_known(pair):
+    target, source, landmarks = pair
+    before = match(target, source, landmarks, CONFIG)
+    assert before.suspects == ()
+    before = replace(before, landmark_check=LandmarkCheck(notes=("a note",)))
+    wrong = with_source(landmarks, {3: farthest(source, landmarks.source[3], landmarks.source)})
+    updated = update_match(before, wrong, CONFIG)
+    assert [suspect.pair for suspect in updated.suspects] == [3]
+    assert updated.landmark_check.notes == ("a note",)
+    trusting = update_match(before, wrong, replace(CONFIG, check_landmarks=False))
+    assert trusting.suspects == ()

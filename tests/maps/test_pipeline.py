@@ -1,0 +1,219 @@
+"""The whole method: levels chosen, identity found again, landmarks met, ground truth on real humans."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from benchmarks.truth import compare_with_truth, true_map
+from examples import shapes
+
+from cagemap import (
+    BasisConfig,
+    ControlMesh,
+    ElasticConfig,
+    Landmarks,
+    Masks,
+    MatchConfig,
+    choose_level,
+    match,
+    match_pair,
+    prepare_pair,
+    prepare_surface,
+    read_mesh,
+    refine,
+    update_match,
+)
+from cagemap.deform.config import StartConfig
+from cagemap.errors import InvalidLandmarksError, InvalidMeshError, ParameterError
+from cagemap.example import example_pair
+from cagemap.maps.pair import Pair
+from cagemap.paper.levels import ladder, search_levels
+from cagemap.subdivision import CatmullClark, Loop
+from cagemap.surface.triangle_surface import TriangleSurface
+
+BASIS = BasisConfig(count=60)
+
+
+@pytest.fixture(scope="module")
+def pony():
+    return example_pair(texture_size=64).source
+
+
+def landmarks_of(mesh: ControlMesh, new_number: np.ndarray, count: int = 12) -> Landmarks:
+    vertices = np.linspace(0, mesh.n_vertices - 1, count).astype(np.int64)
+    names = tuple(f"point {i}" for i in range(count))
+    return Landmarks(names, new_number[vertices], vertices, "target.obj", "source.obj")
+
+
+@pytest.mark.parametrize("shape", [shapes.creature, shapes.icosahedron, lambda: shapes.grid(4, 3), shapes.pyramid])
+def test_chosen_level_is_the_first_with_enough_vertices(shape):
+    """`choose_level` counts vertices without refining; refining must agree."""
+    mesh = shape()
+    refinement = refine(mesh, 4)
+    for wanted in (1, 60, 300, 1500):
+        enough = [i for i, level in enumerate(refinement.levels) if i > 0 and level.n_vertices >= 0.75 * wanted]
+        if enough:
+            assert choose_level(mesh, wanted) == enough[0]
+    with pytest.raises(ParameterError, match="vertices: expected"):
+        choose_level(mesh, 0)
+
+
+def test_chosen_level_depends_on_the_scheme():
+    """Catmull-Clark makes a quad of every corner of a triangle, Loop a quarter of the triangle."""
+    mesh = shapes.icosahedron()
+    for scheme in (CatmullClark(), Loop()):
+        sizes = [level.n_vertices for level in refine(mesh, 4, scheme).levels]
+        for level in (1, 2, 3, 4):
+            assert choose_level(replace(mesh, scheme=scheme), sizes[level]) == level
+    assert choose_level(replace(mesh, scheme=CatmullClark()), 60) < choose_level(mesh, 60)
+
+
+@pytest.mark.parametrize("method", ["hfm", "elastic"])
+def test_a_relabelled_copy_is_found_again(pony, method):
+    """The same surface with its vertices in another order: the map is the relabelling.
+
+    The spectral embedding of the two bases agrees up to rounding, so that every vertex maps to its own place; the
+    elastic fit may slide by a fraction of the sampling distance where the surface is flat.
+    """
+    rng = np.random.default_rng(61)
+    new_number = rng.permutation(pony.n_vertices)
+    positions = np.empty_like(pony.positions)
+    positions[new_number] = pony.positions
+    copy = ControlMesh(positions, pony.face_offsets, new_number[pony.face_indices], name="target.obj")
+    source = prepare_surface(pony, 2, BASIS)
+    target = prepare_surface(copy, 2, BASIS)
+    found = match(target, source, landmarks_of(pony, new_number), MatchConfig(method=method))
+    image = found.point_map.pull_back(source.refinement.finest.positions)
+    errors = np.linalg.norm(image - target.refinement.finest.positions, axis=1) * source.operators.scale
+    spacing = 1.0 / np.sqrt(source.refinement.finest.n_vertices)
+    assert errors.mean() < 0.1 * spacing
+    assert found.quality.flipped_area < (0.002 if method == "elastic" else 0.003)  # nearest points are not unfolded
+    assert found.quality.coverage > 0.99
+    if method == "elastic":
+        assert found.quality.landmark_errors.max() < 1e-12
+    np.testing.assert_allclose(found.functional_map[:8, :8].T @ found.functional_map[:8, :8], np.eye(8), atol=0.05)
+
+
+def test_added_landmarks_move_the_map_to_them_at_once():
+    """A shape against a bent one: the true map is known, and landmarks where it was missed bring the map there."""
+    cage = shapes.creature()
+    x, y, z = (cage.positions / np.ptp(cage.positions)).T
+    bent = cage.with_positions(np.column_stack([x * (1 + 0.4 * z), y + 0.3 * z**2, z * (1 + 0.4 * x)]))
+    target, source = prepare_surface(cage, 2, BASIS), prepare_surface(bent, 2, BASIS)
+    truth = source.refinement.finest.positions
+
+    def errors(result):
+        image = result.point_map.pull_back(truth)
+        return np.linalg.norm(image - truth, axis=1) * source.operators.scale
+
+    def landmarks(vertices):
+        return Landmarks(tuple(f"point {v}" for v in vertices), vertices, vertices, "target.obj", "source.obj")
+
+    few = np.linspace(0, cage.n_vertices - 1, 6).astype(np.int64)
+    config = MatchConfig()
+    before = match(target, source, landmarks(few), config)
+    worst = np.argsort(-errors(before)[: cage.n_vertices])[:3]
+    more = np.append(few, np.setdiff1d(worst, few))
+    updated = update_match(before, landmarks(more), config)
+    again = match(target, source, landmarks(more), config)
+    assert updated.quality.landmark_errors.max() < 1e-12
+    assert errors(updated)[more].max() < 1e-12
+    assert errors(updated).mean() < 0.9 * errors(before).mean()
+    assert errors(updated).mean() < 1.3 * errors(again).mean()  # it bends the map that is there: 1.15 measured
+    assert updated.quality.flipped_area < before.quality.flipped_area + 2e-3
+    same = update_match(before, landmarks(few), config)
+    assert abs(errors(same) - errors(before)).mean() < 0.05 * errors(before).mean()  # projected once more, no more
+
+
+def test_a_prepared_pair_is_matched_as_it_was_prepared_or_not_at_all():
+    """Another method, start, elastic fit or masks was not followed, without a word."""
+    surface = prepare_surface(shapes.creature(), 1, BASIS)
+    marks = landmarks_of(surface.control, np.arange(surface.control.n_vertices))
+    own = MatchConfig(
+        start=StartConfig(search_vertices=100),
+        elastic=ElasticConfig(coarse_vertices=100),
+        masks=Masks(target=np.linspace(0.5, 1.0, len(surface.vertices))),
+    )
+    plain, masked = prepare_pair(surface, surface), prepare_pair(surface, surface, own)
+    for prepared, config, fault in (
+        (plain, MatchConfig(method="paper"), "expected the method elastic.*'paper'; cagemap.match"),
+        (masked, MatchConfig(method="hfm"), "expected the method elastic"),
+        (plain, replace(own, masks=Masks()), "start and elastic that the pair was prepared with"),
+        (plain, MatchConfig(masks=own.masks), "the masks that"),
+        (masked, replace(own, masks=own.masks.reversed()), "the masks that"),
+        (masked, replace(own, elastic=ElasticConfig(coarse_vertices=50)), "the elastic that"),
+    ):
+        with pytest.raises(ParameterError, match=fault):
+            match_pair(prepared, marks, config)
+    found = match_pair(masked, marks, own)
+    for config in (MatchConfig(), replace(own, masks=Masks(target=own.masks.target.copy()))):
+        np.testing.assert_array_equal(match_pair(masked, marks, config).image(), found.image())
+
+
+def test_levels_are_walked_down_together(pony):
+    """Each step moves each side by at most one level, ends at both finest levels, and never backwards."""
+    source, target = prepare_surface(pony, 3, BASIS), prepare_surface(shapes.creature(), 2, BasisConfig(count=20))
+    nothing = np.zeros(0, dtype=np.int64)
+    steps = [(0, 0), *ladder(Pair.of_vertices(target, source, nothing, nothing), (0, 0))]
+    assert steps[-1] == (2, 3)
+    moves = np.diff(steps, axis=0)
+    assert moves.min() >= 0
+    assert moves.max() == 1
+    assert np.all(moves.sum(axis=1) > 0)
+
+
+def test_levels_without_functions_are_not_searched():
+    """A level may have vertices enough and yet no functions: a tight tolerance leaves them to finer levels."""
+    surface = prepare_surface(shapes.creature(), 2, BasisConfig(schedule=(1, 2, 57)))
+    assert search_levels(surface, surface, 100) == (2, 2)
+    usual = prepare_surface(shapes.creature(), 2, BasisConfig(schedule=(50, 10)))
+    assert search_levels(usual, surface, 100) == (0, 2)
+    assert search_levels(usual, usual, 100, 10**6) == (0, usual.finest)
+
+
+def test_wrong_input_is_refused_before_anything_expensive(pony):
+    with pytest.raises(InvalidMeshError):
+        prepare_surface(ControlMesh.from_faces(pony.positions, [[0, 1, 2]] * 3), 2)
+    with pytest.raises(ParameterError, match="level: expected 1 to"):
+        prepare_surface(pony, 0)
+    with pytest.raises(ParameterError, match="method: expected one of elastic, hfm, paper, got 'magic'"):
+        MatchConfig(method="magic")
+    surface = prepare_surface(shapes.creature(), 1, BasisConfig(count=10))
+    outside = Landmarks(("a", "b", "c"), np.array([0, 1, 9999]), np.array([0, 1, 2]), "t.obj", "s.obj")
+    with pytest.raises(InvalidLandmarksError, match="9999"):
+        match(surface, surface, outside)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("direction", ["forward", "backward"])
+@pytest.mark.parametrize(("method", "bound"), [("hfm", 2.6), ("elastic", 1.0)])
+def test_ground_truth_on_humans(shared_data, method, bound, direction):
+    """Mean error x100 of sqrt(area), 14 landmarks, 25k vertices: issue 3's bar for ours.
+
+    The hierarchical functional map, here with 150 functions, has 0.83 and 1.59; one direction's hands are its hardest.
+
+    female1605 and male1591 in other identities than the ones whose surfaces coincide.
+    """
+    humans = shared_data / "humans"
+    pairs = json.loads((humans / "landmarks" / "female1605__male1591_fps14.json").read_text())["pairs"]
+    sides = {
+        "female1605": np.array([pair["source"] for pair in pairs]),
+        "male1591": np.array([pair["target"] for pair in pairs]),
+    }
+    source_name, target_name = sides if direction == "forward" else reversed(sides)
+    target = prepare_surface(read_mesh(humans / f"{target_name}_female_old_heavy.obj"), 2)
+    source = prepare_surface(read_mesh(humans / f"{source_name}_male_young.obj"), 2)
+    names = tuple(pair["name"] for pair in pairs)
+    landmarks = Landmarks(names, sides[target_name], sides[source_name], "", "")
+    found = match(target, source, landmarks, MatchConfig(method=method))
+    neutral = (refine(read_mesh(humans / f"{name}_neutral.obj"), 2).finest for name in (target_name, source_name))
+    truth = true_map(*(TriangleSurface.from_faces(side.positions, side.faces) for side in neutral))
+    figures = compare_with_truth(found.point_map, truth)
+    assert 100 * figures.mean <= bound
+    if method == "elastic":
+        image, places = found.point_map.images.positions, found.point_map.source.positions
+        np.testing.assert_allclose(image[landmarks.target], places[landmarks.source], atol=1e-9)
+        assert figures.flipped_area < 0.0025

@@ -1,0 +1,397 @@
+"""Plain meshes (scheme none): mended and set aside by name, coarse levels below them, matched as they are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import fast_simplification
+import numpy as np
+import pytest
+from examples.shapes import creature, cube, grid, torus
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import Delaunay
+
+from cagemap.errors import InvalidMeshError, ParameterError
+from cagemap.maps.hypotheses.confidence import Confidence, Reading
+from cagemap.maps.inner import inner_reading, outer_confidence
+from cagemap.mesh import ControlMesh, Plain
+from cagemap.mesh.checks import check_mesh, require_valid
+from cagemap.mesh.join import join_meshes
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.measures import signed_volume
+from cagemap.mesh.parts import extract
+from cagemap.mesh.plain import plain_mesh, turn_faces
+from cagemap.numerics.arrays import FloatArray, read_only
+from cagemap.numerics.threads import in_threads
+from cagemap.operators import build_operators
+from cagemap.operators.coarse_levels import coarsened, prolongation, refined, simplified, uncoarsened
+from cagemap.pipeline import choose_level, match, prepare_pair, prepare_surface, update_match
+from cagemap.subdivision import finest_mesh, refine
+from cagemap.surface.closest_points import closest_among
+from cagemap.surface.flips import delaunay
+from cagemap.surface.triangles import triangle_normals, triangles
+from cagemap.wrap import wrap
+
+from cotangents import triangle_cotangents
+from plain_meshes import animal, ball, far_apart, soup
+
+
+def _closest_barycentric(corners: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Closest point of one triangle for every point.
+
+    Parameters
+    ----------
+    corners : (m, 3, 3) float64
+        Positions of the triangles' corners.
+    points : (m, 3) float64
+
+    Returns
+    -------
+    barycentric : (m, 3) float64
+        Not negative, rows sum to 1.
+    squared : (m,) float64
+        Squared distances.
+    """
+    edges = corners[:, [1, 2, 0]] - corners
+    offsets = points[:, None] - corners
+    # Of each edge's line, kept within the edge: the closest point of the border.
+    lengths = np.einsum("mkd,mkd->mk", edges, edges)
+    along = np.einsum("mkd,mkd->mk", edges, offsets) / np.where(lengths > 0, lengths, 1.0)
+    along = np.clip(along, 0.0, 1.0)
+    misses = offsets - along[:, :, None] * edges
+    squares = np.einsum("mkd,mkd->mk", misses, misses)
+    rows, edge = np.arange(len(points)), squares.argmin(axis=1)
+    barycentric = np.zeros((len(points), 3))
+    barycentric[rows, edge] = 1.0 - along[rows, edge]
+    barycentric[rows, (edge + 1) % 3] = along[rows, edge]
+    squared = squares[rows, edge]
+    # Where the foot on the plane lies inside the triangle, it is closer.
+    normals = np.cross(edges[:, 0], edges[:, 1])
+    doubled = np.einsum("md,md->m", normals, normals)
+    flat = doubled <= 1e-24 * lengths.max(axis=1) ** 2
+    opposite = np.cross(edges, offsets)  # column k: twice the area beside edge k, which corner k + 2 weighs
+    shares = np.einsum("md,mkd->mk", normals, opposite)[:, [1, 2, 0]] / np.where(flat, 1.0, doubled)[:, None]
+    inside = (shares.min(axis=1) >= 0.0) & ~flat
+    barycentric[inside] = shares[inside] / shares[inside].sum(axis=1, keepdims=True)
+    heights = np.einsum("md,md->m", normals[inside], offsets[inside, 0])
+    squared[inside] = heights**2 / doubled[inside]
+    return barycentric, squared
+
+
+def test_a_sound_mesh_keeps_its_numbers() -> None:
+    sphere = ball()
+    plain = plain_mesh(sphere)
+    assert plain.notes == ()
+    assert plain.repairs.summary() == {}
+    assert np.array_equal(plain.mesh.positions, sphere.positions)
+    assert np.array_equal(plain.mesh.face_indices, sphere.face_indices)
+    assert np.array_equal(plain.vertex_of, np.arange(sphere.n_vertices))
+    assert isinstance(plain.mesh.scheme, Plain)
+    assert plain.mesh.file_vertices is None
+
+
+def test_vertices_that_a_file_repeats_are_joined() -> None:
+    sphere = ball()
+    plain = plain_mesh(soup(sphere))
+    assert plain.mesh.n_vertices == sphere.n_vertices
+    assert plain.repairs.joined_vertices == 3 * sphere.n_faces - sphere.n_vertices
+    assert np.array_equal(plain.mesh.positions[plain.vertex_of], sphere.positions[sphere.face_indices])
+    require_valid(plain.mesh)
+
+
+def test_what_scans_have_is_mended_or_set_aside_and_said() -> None:
+    sphere = ball()
+    faces = sphere.face_indices.reshape(-1, 3)
+    n = sphere.n_vertices
+    away = sphere.positions.max() + 1.0
+    positions = np.vstack([sphere.positions, [[0, 0, away]], away + np.eye(3), [[9 * away] * 3]])
+    fin, stray, copy, twice = [*faces[0, :2], n], [n + 1, n + 2, n + 3], faces[5], [*faces[9, :2], faces[9, 0]]
+    broken = np.vstack([faces, [fin], [stray], [copy], [twice]])
+    broken[20] = broken[20, ::-1]
+    plain = plain_mesh(replace(ControlMesh.from_faces(positions, broken), name="scan"))
+    found = plain.repairs
+    assert (found.fins, found.pieces, found.pieces_vertices, found.dropped_faces) == (1, 1, 3, 2)
+    assert (found.turned_faces, found.loose_vertices) == (1, 1)
+    assert np.array_equal(plain.mesh.positions, sphere.positions)
+    assert np.array_equal(plain.vertex_of, [*range(n), -1, -1, -1, -1, -1])
+    assert np.array_equal(np.unique(plain.mesh.file_faces), plain.mesh.file_faces)
+    assert all(note.startswith("scan: ") for note in plain.notes)
+    assert len(plain.notes) == 5
+    require_valid(plain.mesh)
+
+
+def test_sheets_that_share_an_edge_or_a_point_are_cut_apart() -> None:
+    one, other = ball(), ball(2)
+    other = other.with_positions(0.5 * other.positions)
+    rows = one.face(0)
+    # The smaller ball touches the larger one in two vertices of an edge, then in one.
+    for shared in (2, 1):
+        faces = other.face_indices.reshape(-1, 3) + one.n_vertices
+        glued = other.face(0)[:shared] + one.n_vertices
+        for vertex, own in zip(glued, rows[:shared], strict=True):
+            faces = np.where(faces == vertex, own, faces)
+        both = ControlMesh.from_faces(
+            np.vstack([one.positions, other.positions]), np.vstack([one.face_indices.reshape(-1, 3), faces])
+        )
+        plain = plain_mesh(both)
+        assert plain.repairs.cut_vertices == shared
+        assert plain.repairs.pieces == 1
+        assert plain.mesh.n_faces == one.n_faces
+        require_valid(plain.mesh)
+
+
+def test_inwards_is_turned_and_faces_of_all_sizes_are_split() -> None:
+    sphere = ball()
+    corners = sphere.face_indices.reshape(-1, 3)[:, [0, 2, 1]]
+    plain = plain_mesh(ControlMesh.from_faces(sphere.positions, corners))
+    assert plain.repairs.turned_faces == sphere.n_faces
+    assert np.array_equal(plain.mesh.face_indices, sphere.face_indices)
+    mixed = cube()
+    lids = [mixed.face(0)[[0, 1, 2]], mixed.face(0)[[0, 2, 3]], *(mixed.face(i) for i in range(1, 6))]
+    split = plain_mesh(ControlMesh.from_faces(mixed.positions, lids))
+    assert split.mesh.is_triangle_mesh
+    assert split.mesh.n_faces == 12
+    assert split.repairs.split_faces == 2
+    quads = plain_mesh(mixed)
+    assert quads.mesh.n_faces == 6
+    assert quads.notes == ()
+
+
+def test_holes_stay_and_uv_sets_come_along() -> None:
+    sheet = grid(6, 5)
+    sheet = sheet.with_uvs(sheet.positions[:, :2] / 6.0, sheet.face_indices)
+    plain = plain_mesh(extract(sheet, np.delete(np.arange(sheet.n_faces), [7, 8])))
+    assert plain.repairs.openings == 2
+    assert plain.mesh.uvs is not None
+    pair = plain_mesh(join_meshes([sheet, replace(sheet, positions=sheet.positions + 9.0)]))
+    assert pair.repairs.pieces == 1
+    assert pair.repairs.pieces_share == pytest.approx(0.5)
+    assert np.array_equal(pair.mesh.uvs[pair.mesh.uv_indices], sheet.uvs[sheet.uv_indices])
+
+
+@pytest.mark.parametrize(
+    ("faces", "message"),
+    [
+        ([[0, 1, 9]], "vertex numbers"),
+        ([[0, 0, 1], [1, 1, 2]], "visit a vertex twice"),
+        ([[0, 1, 3], [1, 4, 3], [1, 2, 4], [2, 5, 4], [2, 3, 5], [3, 0, 5]], "inside and an outside"),
+    ],
+)
+def test_what_is_no_surface_is_refused_by_name(faces: list[list[int]], message: str) -> None:
+    positions = np.random.default_rng(0).normal(size=(6, 3))
+    with pytest.raises(InvalidMeshError, match=message):
+        plain_mesh(ControlMesh.from_faces(positions, faces))
+    positions[2] = np.nan
+    with pytest.raises(InvalidMeshError, match="finite positions"):
+        plain_mesh(ControlMesh.from_faces(positions, [[0, 1, 2]]))
+
+
+def test_a_mesh_of_skew_quads_looks_outwards_once_it_is_turned_round() -> None:
+    """Quads turned round by another corner are split otherwise: here both ways round enclosed less than nothing."""
+    corners = np.array([[0, 0, 0], [1, 1, 1], [1, 0, 1], [0, 1, 1], [1, 0, 0], [1, 0, 1], [1, 1, 0], [1, 1, 1]])
+    faces = [[4, 5, 1, 0], [1, 3, 2, 0], [2, 3, 7, 6], [4, 6, 7, 5], [2, 6, 4, 0], [1, 5, 7, 3]]
+    given_mesh = ControlMesh.from_faces(2.0 * corners - 1.0, faces)
+    whole = turn_faces(given_mesh, np.ones(6, dtype=bool))
+    assert signed_volume(whole) == pytest.approx(-signed_volume(given_mesh))
+    ready = plain_mesh(given_mesh).mesh
+    assert signed_volume(ready) > 0
+    assert not check_mesh(ready).problems
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_whatever_comes_out_can_be_matched_or_is_refused(data: st.DataObject) -> None:
+    """Random damage: faces on random vertices, moved onto each other, dropped and repeated."""
+    mesh = data.draw(st.sampled_from([ball(1), torus(6, 4), grid(5, 4), cube()]))
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
+    faces = [mesh.face(i) for i in range(mesh.n_faces)]
+    faces += [rng.integers(mesh.n_vertices, size=rng.integers(3, 5)) for _ in range(data.draw(st.integers(0, 6)))]
+    faces += [faces[i] for i in rng.integers(len(faces), size=data.draw(st.integers(0, 2)))]
+    faces = [faces[i] for i in rng.permutation(len(faces))[data.draw(st.integers(0, 4)) :]]
+    positions = mesh.positions.copy()
+    onto = rng.integers(mesh.n_vertices, size=(data.draw(st.integers(0, 3)), 2))
+    positions[onto[:, 0]] = positions[onto[:, 1]]
+    given_mesh = ControlMesh.from_faces(positions, faces)
+    try:
+        plain = plain_mesh(given_mesh)
+    except InvalidMeshError:
+        return
+    ready = plain.mesh
+    kept = plain.vertex_of >= 0
+    assert np.array_equal(ready.positions[plain.vertex_of[kept]], positions[kept])
+    faults = {problem.kind for problem in check_mesh(ready).problems}
+    assert faults <= {"no volume", "no area"}  # what is folded flat or a line is not mended, and refused later
+
+
+def test_closest_points_among_few_triangles_are_those_of_plain_numpy() -> None:
+    rng = np.random.default_rng(1)
+    corners, points = rng.normal(size=(40, 3, 3)), rng.normal(size=(200, 3))
+    corners[:4, 2] = 0.3 * corners[:4, 0] + 0.7 * corners[:4, 1]  # without area
+    starts = rng.integers(0, 100, size=200)
+    ranges = np.column_stack([starts, starts + rng.integers(1, 9, size=200)])
+    candidates = rng.integers(0, 40, size=120)
+    triangle, barycentric = closest_among(corners, ranges, candidates, points)
+    assert barycentric.min() >= 0
+    assert np.allclose(barycentric.sum(axis=1), 1)
+    for i, (first, last) in enumerate(ranges):
+        mine = candidates[first:last]
+        weights, squared = _closest_barycentric(corners[mine], np.repeat(points[i : i + 1], len(mine), axis=0))
+        assert triangle[i] in mine
+        if mine.min() < 4:
+            continue
+        found = np.linalg.norm(barycentric[i] @ corners[triangle[i]] - points[i])
+        assert np.isclose(found, np.sqrt(squared.min()), atol=1e-9)
+        nearest = weights[squared.argmin()] @ corners[mine[squared.argmin()]]
+        assert np.allclose(nearest, barycentric[i] @ corners[triangle[i]], atol=1e-6)
+
+
+def test_levels_below_a_plain_mesh_are_nested() -> None:
+    mesh = animal(3)
+    found = refined(mesh, 0)
+    assert found.is_plain
+    assert found.n_levels >= 1
+    assert [level.n_vertices for level in found.levels] == sorted(level.n_vertices for level in found.levels)
+    assert np.array_equal(found.finest.positions[found.places], mesh.positions)
+    assert np.array_equal(found.outer(found.finest.faces), mesh.face_indices.reshape(-1, 3))
+    numbers = np.arange(mesh.n_vertices)
+    assert np.array_equal(found.outer(found.inner(numbers)), numbers)
+    assert np.array_equal(found.outer_rows(found.inner_rows(numbers)), numbers)
+    alone, again = refine(mesh, 0), uncoarsened(found)
+    assert again.n_levels == 0
+    assert again.places is None
+    for name in ("positions", "faces", "face_parents"):
+        assert np.array_equal(getattr(again.finest, name), getattr(alone.finest, name))
+    size = np.ptp(mesh.positions, axis=0).max()
+    for coarse, fine, matrix in zip(found.levels, found.levels[1:], found.matrices, strict=False):
+        assert np.array_equal(fine.positions[: coarse.n_vertices], coarse.positions)
+        assert np.allclose(matrix.sum(axis=1), 1.0)
+        assert matrix.data.min() >= 0.0
+        # Coarse levels lie near the mesh: within a fifth of their edges' length, on average.
+        miss = np.linalg.norm(matrix @ coarse.positions - fine.positions, axis=1)
+        assert miss.mean() < 0.2 * size / np.sqrt(coarse.n_vertices)
+
+
+def test_two_meshes_are_simplified_in_threads_as_alone() -> None:
+    finest = [finest_mesh(refine(mesh, 3)) for mesh in (creature(), torus())]
+    meshes = [refine(replace(mesh, scheme=Plain()), 0) for mesh in finest]
+    alone = [coarsened(mesh) for mesh in meshes]
+    for _ in range(3):
+        for once, again in zip(alone, in_threads(coarsened, meshes, 2), strict=True):
+            for one, other in zip(once.levels, again.levels, strict=True):
+                np.testing.assert_array_equal(one.positions, other.positions)
+                np.testing.assert_array_equal(one.faces, other.faces)
+
+
+def test_a_coarse_vertex_without_triangles_is_none(monkeypatch) -> None:
+    """Vertices that collapses leave alone go to the coarse vertex of their neighbours, not to triangle 0."""
+    finest = refine(creature(), 2).finest
+    positions, faces = finest.positions, triangles(finest.faces)
+    replay = fast_simplification.replay_simplification
+    far = int(np.argmax(np.linalg.norm(positions - positions[faces[0]].mean(axis=0), axis=1)))
+
+    def left_alone(*given):
+        places, coarse, cluster = replay(*given)
+        cluster[far] = len(places)
+        return np.vstack([places, given[0][far]]), coarse, cluster
+
+    monkeypatch.setattr(fast_simplification, "replay_simplification", left_alone)
+    step = simplified(positions, faces, 600)
+    np.testing.assert_array_equal(np.unique(step.triangles), np.arange(len(step.kept)))
+    places = prolongation(positions, faces, step) @ positions[step.kept]
+    # Smoothing moves the tip of a limb by less than the length of a coarse edge.
+    assert np.linalg.norm(places[far] - positions[far]) < np.ptp(positions, axis=0).max() / np.sqrt(600)
+
+
+def test_coarse_levels_know_the_mesh_s_low_frequencies() -> None:
+    """Rayleigh quotients of coordinates, which vary slowly: prolonging them from a coarse level adds little energy."""
+    found = refined(animal(3), 0)
+    operators = build_operators(found)
+    stiffness, mass, places = operators.stiffness, operators.mass, found.finest.positions.T
+    exact = [x @ stiffness[-1] @ x / (x @ mass[-1] @ x) for x in places]
+    for level, mesh in enumerate(found.levels[:-1]):
+        coarse = [x @ stiffness[level] @ x / (x @ mass[level] @ x) for x in mesh.positions.T]
+        # 17 % on this creature of thin legs; without the smoothing step of the prolongation 100 %.
+        assert coarse == pytest.approx(exact, rel=0.25)
+
+
+def test_only_level_0_of_a_plain_mesh_exists() -> None:
+    mesh = animal(1)
+    assert choose_level(mesh, 100_000) == 0
+    for wrong in (lambda: prepare_surface(mesh, 1), lambda: refine(mesh, 1)):
+        with pytest.raises(ParameterError, match="plain mesh"):
+            wrong()
+    mixed = ControlMesh.from_faces(cube().positions, [[0, 1, 2], *(cube().face(i) for i in range(1, 6))])
+    with pytest.raises(InvalidMeshError, match="different sizes"):
+        coarsened(refine(replace(mixed, scheme=Plain()), 0))
+
+
+def test_a_plain_mesh_lies_on_itself() -> None:
+    """Shuffled numbers change nothing: rows of the result are those of the meshes given."""
+    mesh = animal(2)
+    order = np.random.default_rng(3).permutation(mesh.n_vertices)
+    shuffled = replace(mesh, positions=mesh.positions[order], face_indices=np.argsort(order)[mesh.face_indices])
+    target, source = prepare_surface(mesh, 0), prepare_surface(shuffled, 0)
+    marks = far_apart(creature().positions, 8)
+    landmarks = Landmarks(tuple(map(str, marks)), marks, np.argsort(order)[marks])
+    found = match(target, source, landmarks)
+    result = found
+    assert result.target is target
+    assert np.array_equal(result.target.vertices, mesh.positions)
+    size = np.ptp(mesh.positions, axis=0).max()
+    assert np.linalg.norm(result.image() - mesh.positions, axis=1).mean() < 0.004 * size
+    met = result.image()[landmarks.target]
+    assert np.allclose(met, shuffled.positions[landmarks.source], atol=1e-9 * size)
+    with pytest.raises(ParameterError, match="expected a cage to wrap"):
+        wrap(target.refinement, found.point_map)
+    fewer = update_match(found, landmarks.without([0]))
+    assert np.linalg.norm(fewer.image() - mesh.positions, axis=1).mean() < 0.005 * size
+
+
+def test_answers_for_a_plain_mesh_are_in_its_own_numbers() -> None:
+    mesh = animal(3)
+    surface = prepare_surface(mesh, 0)
+    prepared = prepare_pair(surface, surface)
+    known = Reading("as the files stand", 1e-4, prepared.mesh.positions)
+    assert len(known.positions) < mesh.n_vertices
+    told = outer_confidence(Confidence("sure", 1.0, 2.0, (known,), None), prepared).readings[0]
+    apart = np.linalg.norm(told.positions - surface.scale * mesh.positions, axis=1)
+    assert apart.mean() < 0.01  # rounded by smooth prolongation; of sqrt(area)
+    np.testing.assert_array_equal(inner_reading(told, prepared).positions, known.positions)
+    whole = replace(prepared, levels=(surface.inner.finest, prepared.levels[1]))
+    known = replace(known, positions=read_only(surface.inner.triangles(surface.inner.finest).positions))
+    told = outer_confidence(Confidence("sure", 1.0, 2.0, (known,), None), whole).readings[0]
+    np.testing.assert_allclose(told.positions, surface.scale * mesh.positions, atol=1e-12)
+
+
+def test_flips_make_better_triangles_between_the_same_vertices() -> None:
+    """On a plane they end at Delaunay's triangulation; on a surface they keep its border, its area and its faces."""
+    rng = np.random.default_rng(4)
+    points = np.column_stack([rng.uniform(size=(60, 2)), np.zeros(60)])
+    wanted = Delaunay(points[:, :2]).simplices.astype(np.int64)
+    turned = (
+        np.cross(points[wanted[:, 1]] - points[wanted[:, 0]], points[wanted[:, 2]] - points[wanted[:, 0]])[:, 2] < 0
+    )
+    wanted[turned] = wanted[turned, ::-1]
+    # Other heights shear the triangulation: that of the sheared points is not Delaunay's of the points.
+    sheared = Delaunay(points[:, :2] @ [[1.0, 0.0], [0.9, 0.4]]).simplices.astype(np.int64)
+    hull = {tuple(sorted(edge)) for edge in Delaunay(points[:, :2]).convex_hull.tolist()}
+    assert {tuple(sorted(edge)) for edge in Delaunay(points[:, :2] @ [[1, 0], [0.9, 0.4]]).convex_hull.tolist()} == hull
+    # Other heights shear the triangulation: that of the sheared points is not Delaunay's of the points.
+    sheared = Delaunay(points[:, :2] @ [[1.0, 0.0], [0.9, 0.4]]).simplices.astype(np.int64)
+    for faces in (wanted, sheared):
+        inwards = triangle_normals(points, faces)[:, 2] < 0
+        faces[inwards] = faces[inwards, ::-1]
+    found = delaunay(points, sheared)
+    assert {tuple(sorted(face)) for face in found.tolist()} == {tuple(sorted(face)) for face in wanted.tolist()}
+    assert not np.array_equal(np.sort(sheared, axis=1), np.sort(found, axis=1))
+    mesh = animal(2)
+    faces = mesh.face_indices.reshape(-1, 3)
+    better = delaunay(mesh.positions, faces)
+    require_valid(replace(mesh, face_indices=better.ravel()))
+    smallest = [np.percentile(_angles(mesh.positions, one).min(axis=1), 5) for one in (faces, better)]
+    assert smallest[1] >= smallest[0]
+
+
+def _angles(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    return np.arctan2(1.0, triangle_cotangents(positions, faces))

@@ -1,0 +1,124 @@
+"""Factorisations: both libraries behind one interface."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from examples import shapes
+from scipy import sparse
+
+from cagemap.errors import ParameterError, SolverError
+from cagemap.numerics import factorization
+from cagemap.numerics.factorization import factor, factor_general
+from cagemap.operators import build_operators
+from cagemap.subdivision import refine
+
+LIBRARIES = [
+    pytest.param("rslab", marks=pytest.mark.skipif(factorization.rslab is None, reason="no rslab wheel here")),
+    "superlu",
+]
+# Condition number below 1e6 times a few hundred roundings.
+SOLVED = 1e-9
+
+
+@pytest.fixture(scope="module")
+def matrices():
+    operators = build_operators(refine(shapes.creature(), 2))
+    return operators.stiffness[1], operators.mass[1]
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+@pytest.mark.parametrize("shift", [-10.0, 200.0])
+def test_solve_and_inertia(matrices, library, shift):
+    stiffness, mass = matrices
+    matrix = sparse.csr_array(stiffness - shift * mass)
+    factors = factor(matrix, library=library)
+    right_sides = np.random.default_rng(11).standard_normal((matrix.shape[0], 3))
+    solution = factors.solve(right_sides)
+    assert solution.shape == right_sides.shape
+    assert abs(matrix @ solution - right_sides).max() < SOLVED
+    np.testing.assert_allclose(factors.solve(right_sides[:, 0]), solution[:, 0], rtol=0, atol=SOLVED)
+    negative = int(np.sum(np.linalg.eigvalsh(matrix.toarray()) < 0))
+    assert negative == 0 if shift < 0 else negative > 5
+    assert factors.negative_eigenvalues == negative
+
+
+@pytest.mark.skipif(factorization.rslab is None, reason="no rslab wheel here")
+def test_ordering_is_used_again(matrices, monkeypatch):
+    stiffness, mass = matrices
+    first = factor(sparse.csr_array(stiffness + mass))
+    matrix = sparse.csr_array(stiffness - 50.0 * mass)
+    anew = factor(matrix)
+    monkeypatch.setattr(factorization, "_analyzed", lambda *_: pytest.fail("ordered once more"))
+    again = factor(matrix, like=first)
+    ones = np.ones(matrix.shape[0])
+    np.testing.assert_array_equal(again.solve(ones), anew.solve(ones))
+    assert again.negative_eigenvalues == anew.negative_eigenvalues
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+def test_general_matrix(matrices, library):
+    stiffness, _ = matrices
+    rng = np.random.default_rng(12)
+    matrix = sparse.csr_array(abs(stiffness))
+    matrix.data *= rng.uniform(-1, 1, matrix.nnz)  # of symmetric pattern only
+    rows = np.asarray(abs(matrix).sum(axis=1)).ravel()
+    matrix = sparse.csr_array(matrix + sparse.diags_array(1.5 * rows))
+    factors = factor_general(matrix, library=library)
+    right_sides = rng.standard_normal((matrix.shape[0], 2))
+    assert abs(matrix @ factors.solve(right_sides) - right_sides).max() < SOLVED
+    assert (factors.library, factors.negative_eigenvalues) == (library, None)
+
+
+@pytest.mark.parametrize(
+    "entries",
+    [
+        pytest.param([[0.0, 1.0], [1.0, 0.0]], id="no diagonal pivot"),
+        pytest.param([[1e-20, 1.0], [1.0, 1e-20]], id="entries grow"),
+    ],
+)
+def test_superlu_tells_no_inertia_that_it_does_not_know(entries):
+    matrix = sparse.csr_array(sparse.block_diag([np.array(entries), 2.0 * np.eye(3)]))
+    assert factor(matrix, library="superlu").negative_eigenvalues is None
+
+
+def test_superlu_tells_no_inertia_in_single_precision(matrices):
+    stiffness, mass = matrices
+    assert factor(stiffness + mass, library="superlu", dtype=np.float32).negative_eigenvalues is None
+
+
+def test_that_rslab_is_missing_is_said_once(matrices, monkeypatch, caplog):
+    monkeypatch.setattr(factorization, "rslab", None)
+    factorization._say_that_rslab_is_missing.cache_clear()
+
+    def work(_):
+        assert factor(matrices[0] + matrices[1]).library == "superlu"
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(work, range(8)))
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+    assert "rslab is not installed" in caplog.text
+
+
+def test_refusals(matrices):
+    stiffness, mass = matrices
+    with pytest.raises(ParameterError, match="square"):
+        factor_general(sparse.csr_array(np.ones((2, 3))))
+    with pytest.raises(ParameterError, match="library"):
+        factor_general(mass, library="magic")
+    with pytest.raises(ParameterError, match="square"):
+        factor(sparse.csr_array(np.ones((2, 3))))
+    with pytest.raises(ParameterError, match="rows"):
+        factor(sparse.csr_array(stiffness + mass)).solve(np.ones(3))
+    with pytest.raises(ParameterError, match="library"):
+        factor(mass, library="magic")
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+def test_singular_matrix_is_refused(library):
+    with pytest.raises(SolverError, match="non-singular"):
+        factor(sparse.csr_array(np.zeros((4, 4))), library=library)
+    with pytest.raises(SolverError, match="non-singular"):
+        factor_general(sparse.csr_array(np.zeros((4, 4))), library=library)

@@ -1,0 +1,150 @@
+"""Descriptors in the spectral domain: Definition 3 and Lemma 4 of the paper."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from examples import shapes
+
+from cagemap.errors import ParameterError
+from cagemap.maps.pair import Pair
+from cagemap.paper import MapWeights, solve_functional_map
+from cagemap.paper.constraints import DescriptorConfig, gather_constraints
+from cagemap.paper.descriptors import (
+    choose_filters,
+    heat_filters,
+    heat_times,
+    landmark_descriptors,
+    normalise_columns,
+    signatures,
+    wave_energies,
+    wave_filters,
+)
+from cagemap.paper.operators import multiplication_operator
+from cagemap.pipeline import prepare_surface
+from cagemap.spectral import BasisConfig
+
+RNG = np.random.default_rng(314)
+
+
+@pytest.fixture
+def spectrum():
+    return np.concatenate([[0.0], np.sort(RNG.uniform(1.0, 90.0, 19))])
+
+
+def test_lemma_4_descriptor_matrix_of_the_next_level(spectrum):
+    """K^{l+1} = S K^l S^T + Phi-bar rho(Lambda-bar) Phi-bar^T, for landmark columns and for the diagonal (eq. 12)."""
+    n_coarse, n_fine, low = 25, 60, 12
+    subdivision = RNG.random((n_fine, n_coarse))
+    phi_low, phi_band = RNG.standard_normal((n_coarse, low)), RNG.standard_normal((n_fine, 20 - low))
+    filters = heat_filters(spectrum, np.array([0.01, 0.3]))
+    phi_fine = np.hstack([subdivision @ phi_low, phi_band])
+    for column in range(2):
+        rho = filters[:, column]
+        coarse = phi_low @ np.diag(rho[:low]) @ phi_low.T
+        expected = subdivision @ coarse @ subdivision.T + phi_band @ np.diag(rho[low:]) @ phi_band.T
+        landmarks = np.array([3, 41])
+        coefficients = landmark_descriptors(phi_fine[landmarks], filters)[:, [column, 2 + column]]
+        scale = abs(expected).max()
+        np.testing.assert_allclose(phi_fine @ coefficients, expected[:, landmarks], atol=1e-12 * scale)
+        np.testing.assert_allclose(signatures(phi_fine, filters)[:, column], np.diag(expected), atol=1e-12 * scale)
+
+
+def test_heat_times_span_the_recommended_range(spectrum):
+    times = heat_times(spectrum, 16)
+    assert times[0] == pytest.approx(4 * np.log(10) / spectrum[-1])
+    assert times[-1] == pytest.approx(4 * np.log(10) / spectrum[1])
+    np.testing.assert_allclose(np.diff(np.log(times)), np.diff(np.log(times))[0])
+
+
+def test_heat_filters_scale_with_area(spectrum):
+    """lambda t has no unit: a shape twice as large at four times the time has the same filters."""
+    times = heat_times(spectrum, 5)
+    np.testing.assert_allclose(heat_filters(spectrum / 4.0, 4.0 * times), heat_filters(spectrum, times), rtol=1e-12)
+
+
+@pytest.mark.parametrize("count", [3, 8, 20, 100])
+def test_wave_filters_are_bands_of_energy(spectrum, count):
+    energies, width = wave_energies(spectrum, count)
+    filters = wave_filters(spectrum, energies, width)
+    assert np.all(np.diff(energies) > 0.0)
+    assert np.log(spectrum[1]) < energies[0]
+    assert energies[-1] < np.log(spectrum[-1])
+    nearest = np.argmin(abs(np.log(spectrum[1:])[:, None] - energies), axis=0)
+    np.testing.assert_array_equal(np.argmax(filters[1:], axis=0), nearest)
+    np.testing.assert_array_equal(filters[0], 0.0)  # the constant has no energy
+
+
+def test_filters_of_a_coarser_level_are_the_leading_rows(spectrum):
+    """Chosen once, so that the low block of F^{l+1} is F^l (eq. 15)."""
+    filters = choose_filters(spectrum, 1.1 * spectrum, 4, 5)
+    np.testing.assert_array_equal(filters.at(spectrum)[:12], filters.at(spectrum[:12]))
+    for heat, wave in ((0, 0), (10**20, 0), (-1, 20)):
+        with pytest.raises(ParameterError, match="expected 1 to 1000 filters"):
+            choose_filters(spectrum, spectrum, heat, wave)
+
+
+def test_signatures_do_not_see_signs_or_rotations_of_an_eigenspace(spectrum):
+    """A repeated eigenvalue's eigenvectors are arbitrary up to rotation; descriptors of full eigenspaces are not."""
+    repeated = spectrum.copy()
+    repeated[4:7] = repeated[4]
+    rows = RNG.standard_normal((30, 20))
+    rotation, _ = np.linalg.qr(RNG.standard_normal((3, 3)))
+    rotated = rows.copy()
+    rotated[:, 4:7] = rows[:, 4:7] @ rotation
+    rotated[:, 9] *= -1.0
+    filters = heat_filters(repeated, heat_times(repeated, 6))
+    np.testing.assert_allclose(signatures(rotated, filters), signatures(rows, filters), rtol=1e-12)
+    landmark = rotated @ landmark_descriptors(rotated[:3], filters)
+    np.testing.assert_allclose(landmark, rows @ landmark_descriptors(rows[:3], filters), atol=1e-12)
+
+
+def test_normalised_columns():
+    columns = RNG.standard_normal((5, 4))
+    columns[:, 2] = 0.0
+    np.testing.assert_allclose(np.linalg.norm(normalise_columns(columns), axis=0), [1, 1, 0, 1])
+
+
+def test_too_small_a_spectrum_is_refused():
+    with pytest.raises(ParameterError, match="at least 2 eigenvalues above 0, got 1"):
+        heat_times(np.array([0.0, 3.0]), 4)
+    with pytest.raises(ParameterError, match="expected 3 filter rows"):
+        landmark_descriptors(np.zeros((2, 3)), np.zeros((4, 5)))
+
+
+def test_multiplication_operator_is_its_definition():
+    """O~ = Phi~^+ diag(f) Phi~: the identity for a constant, and no larger than f."""
+    surface = prepare_surface(shapes.creature(), 2, BasisConfig(schedule=(40, 20)))
+    basis = surface.basis
+    constant = np.zeros(basis.count)
+    constant[0] = -3.0
+    sign = -np.sign(basis.rows(1, np.array([0]))[0, 0])
+    np.testing.assert_allclose(multiplication_operator(basis, constant), sign * np.eye(60), atol=1e-8)
+    coefficients = np.random.default_rng(17).standard_normal(basis.count)
+    found = multiplication_operator(basis, coefficients)
+    rows, mass = basis.at(1), surface.operators.mass[1]
+    function = rows @ coefficients
+    function /= np.abs(function).max()
+    expected = np.linalg.solve(basis.gram, rows.T @ (mass @ (function[:, None] * rows)))
+    np.testing.assert_allclose(found, expected, atol=1e-10)
+    assert np.abs(np.linalg.eigvals(found)).max() <= 1.05  # of a function of at most 1
+
+
+def test_products_ask_a_map_for_more_than_descriptors():
+    """The identity still satisfies all; and a surface has as many operators as were asked for."""
+    surface = prepare_surface(shapes.creature(), 1, BasisConfig(schedule=(20, 10)))
+    chosen = np.arange(0, surface.control.n_vertices, 7)
+    pair = Pair.of_vertices(surface, surface, chosen, chosen)
+    constraints = gather_constraints(pair, DescriptorConfig(products=6, product_weight=2.0))
+    assert len(constraints.target.operators) == 6
+    assert max(np.linalg.norm(operator, 2) for operator in constraints.target.operators) < 2.2
+    found = solve_functional_map(constraints, MapWeights(decay=0.0))
+    np.testing.assert_allclose(found, np.eye(30), atol=1e-6)
+    # One landmark and one filter leave much open, which multiplication by the same function closes.
+    lone = Pair.of_vertices(surface, surface, chosen[:1], chosen[:1])
+    errors = []
+    for products in (0, 1):
+        asked = DescriptorConfig(heat=1, wave=0, signature_weight=0.0, products=products, product_weight=10.0)
+        found = solve_functional_map(gather_constraints(lone, asked), MapWeights(laplacian=0.0, decay=1e-3))
+        errors.append(np.linalg.norm(found - np.eye(30)))
+    assert errors[1] < 0.9 * errors[0]

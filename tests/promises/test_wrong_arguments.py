@@ -1,0 +1,304 @@
+"""Every public name of `cagemap` refuses what it cannot use by a named error, never by one of NumPy or of Python."""
+
+from __future__ import annotations
+
+import inspect
+import operator
+import warnings
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from types import NoneType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from examples.shapes import creature, cube
+from scipy import sparse
+
+import cagemap
+from cagemap import (
+    BakeOptions,
+    BasisConfig,
+    CagemapError,
+    CatmullClark,
+    ControlMesh,
+    ElasticConfig,
+    Landmarks,
+    Loop,
+    Masks,
+    MatchConfig,
+    PointMap,
+    SurfacePoints,
+    TriangleSurface,
+)
+from cagemap.errors import ParameterError
+from cagemap.numerics.kinds import _expected, kinds_checked
+
+from example_result import identity_result
+
+FUNCTIONS = [name for name in cagemap.__all__ if inspect.isfunction(getattr(cagemap, name))]
+# Given to them are arrays and images alone, or a number.
+OF_ARRAYS = {"blend", "painted_mask", "thread_limit", "with_alpha"}
+
+
+def checked(function: Callable[..., object]) -> dict[str, tuple[type, ...]]:
+    return _expected(inspect.unwrap(function))
+
+
+def some(kinds: tuple[type, ...]) -> object:
+    """A value of one of these kinds, hollow where it is one of ours: no function gets as far as looking into it."""
+    known = {int: 1, float: 1.0, str: "x", bool: False, Path: Path("x"), NoneType: None}
+    return known[kinds[0]] if kinds[0] in known else object.__new__(kinds[0])
+
+
+@pytest.mark.parametrize("name", sorted(set(FUNCTIONS) - OF_ARRAYS))
+def test_values_of_another_kind_are_refused_by_the_name_of_their_parameter(name: str) -> None:
+    function = getattr(cagemap, name)
+    kinds = checked(function)
+    assert kinds, f"{name} looks at none of its arguments"
+    needed = {
+        parameter.name: some(kinds.get(parameter.name, (int,)))
+        for parameter in inspect.signature(function).parameters.values()
+        if parameter.default is inspect.Parameter.empty
+    }
+    for wrong in kinds:
+        with pytest.raises(ParameterError, match=f"^{name}: {wrong}: expected "):
+            function(**{**needed, wrong: object()})
+
+
+def test_a_refusal_says_what_was_given_and_where_the_right_thing_comes_from() -> None:
+    with pytest.raises(ParameterError, match=r"got a ControlMesh; prepare_surface gives one"):
+        cagemap.prepare_pair(cube(), cube())  # type: ignore[arg-type]
+    with pytest.raises(ParameterError, match=r"control: expected ControlMesh, got 'a.obj'; read_mesh or"):
+        cagemap.prepare_surface("a.obj", 1)  # type: ignore[arg-type]
+    with pytest.raises(ParameterError, match=r"levels: expected a whole number, got 1.5"):
+        cagemap.refine(cube(), 1.5)  # type: ignore[arg-type]
+
+
+def test_numbers_of_numpy_and_paths_as_text_are_of_the_right_kind() -> None:
+    @kinds_checked
+    def function(number: int, factor: float, name: str, path: str | Path, flag: bool, mesh: ControlMesh | None) -> int:
+        return number
+
+    for number, path in ((np.int32(1), "a"), (np.uint8(1), Path("a"))):
+        assert function(number, np.float32(2), "x", path, np.True_, None) == 1  # type: ignore[arg-type]
+    assert function(1, 2, "x", "a", True, cube()) == 1
+    for wrong in (True, 1.0, "1", None):
+        with pytest.raises(ParameterError, match="number: expected a whole number"):
+            function(wrong, 2, "x", "a", True, None)  # type: ignore[arg-type]
+
+
+def test_arguments_that_do_not_fit_are_refused_by_python_with_the_function_s_name() -> None:
+    with pytest.raises(TypeError, match=r"^refine\(\) missing 2 required"):
+        cagemap.refine()  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match=r"^refine\(\) got an unexpected keyword argument 'depth'"):
+        cagemap.refine(cube(), 1, depth=2)  # type: ignore[call-arg]
+
+
+@cache
+def scene() -> Any:
+    """A creature on itself."""
+    surface = cagemap.prepare_surface(creature(), 1)
+    places = np.arange(8) * 5
+    landmarks = Landmarks(tuple("abcdefgh"), places, places)
+    result = cagemap.match(surface, surface, landmarks)
+    return SimpleNamespace(
+        mesh=creature(),
+        cube=cube(),
+        surface=surface,
+        refinement=surface.refinement,
+        triangles=surface.triangles(surface.finest),
+        n=len(surface.vertices),
+        corners=creature().n_vertices,
+        landmarks=landmarks,
+        pairs=cagemap.pair_of(surface, surface, landmarks).landmarks,
+        result=result,
+        map=result.point_map,
+        byte=np.zeros((4, 4, 3), np.uint8),
+    )
+
+
+def marks(target: object, source: object = (1, 2, 3)) -> Landmarks:
+    return Landmarks(("a", "b", "c"), target, source)  # type: ignore[arg-type]
+
+
+NAN = float("nan")
+HOUSE: dict[str, Callable[[Any], object]] = {
+    # meshes
+    "positions of text": lambda s: ControlMesh.from_faces("abc", [[0, 1, 2]]),
+    "positions of two columns": lambda s: ControlMesh.from_faces(s.cube.positions[:, :2], [[0, 1, 2]]),
+    "complex positions": lambda s: ControlMesh.from_faces(s.cube.positions * 1j, [[0, 1, 2]]),
+    "no positions": lambda s: ControlMesh.from_faces(None, [[0, 1, 2]]),
+    "no faces": lambda s: ControlMesh.from_faces(s.cube.positions, None),
+    "faces of fractions": lambda s: ControlMesh.from_faces(s.cube.positions, [[0, 1, 2.5]]),
+    "an empty mesh": lambda s: cagemap.prepare_surface(ControlMesh.from_faces([], []), 1),
+    "a face beyond the vertices": lambda s: cagemap.refine(ControlMesh.from_faces(s.cube.positions, [[0, 1, 99]]), 1),
+    "a face below 0": lambda s: cagemap.refine(ControlMesh.from_faces(s.cube.positions, [[0, 1, -1]]), 1),
+    "a face of two": lambda s: cagemap.refine(ControlMesh.from_faces(s.cube.positions, [[0, 1]]), 1),
+    "places that are no numbers": lambda s: cagemap.prepare_surface(s.mesh.with_positions(s.mesh.positions * NAN), 1),
+    "too few positions": lambda s: s.mesh.with_positions(s.mesh.positions[:5]),
+    "uvs for other corners": lambda s: s.mesh.with_uvs(np.zeros((3, 2)), np.arange(5)),
+    "uvs of three": lambda s: s.mesh.with_uvs(np.zeros((3, 3)), np.zeros(len(s.mesh.face_indices), int)),
+    "uvs that are not there": lambda s: cagemap.prepare_surface(
+        s.mesh.with_uvs(np.zeros((3, 2)), np.full(len(s.mesh.face_indices), 7)), 1
+    ),
+    "a level below 0": lambda s: cagemap.refine(s.mesh, -1),
+    "a level beyond memory": lambda s: cagemap.refine(s.mesh, 40),
+    "level 0": lambda s: cagemap.prepare_surface(s.mesh, 0),
+    "Loop on quads": lambda s: cagemap.refine(s.mesh, 1, Loop()),
+    "a boundary rule": lambda s: Loop(boundary="x"),  # type: ignore[arg-type]
+    "a creasing rule": lambda s: CatmullClark(creasing="x"),  # type: ignore[arg-type]
+    "no vertices": lambda s: cagemap.choose_level(s.mesh, 0),
+    "too many vertices": lambda s: cagemap.choose_level(s.mesh, 10**12),
+    "levels of one": lambda s: cagemap.prepare_surfaces(s.mesh, s.mesh, 1),  # type: ignore[arg-type]
+    "levels of three": lambda s: cagemap.prepare_surfaces(s.mesh, s.mesh, (1, 1, 1)),  # type: ignore[arg-type]
+    # configurations
+    "a basis of nothing": lambda s: BasisConfig(count=0),
+    "a basis of a fraction": lambda s: BasisConfig(count=10.5),  # type: ignore[arg-type]
+    "an accuracy below 0": lambda s: BasisConfig(accuracy=-1),
+    "an accuracy that is no number": lambda s: BasisConfig(accuracy=NAN),
+    "an empty schedule": lambda s: BasisConfig(schedule=()),
+    "a schedule below 0": lambda s: BasisConfig(schedule=(10, -1)),
+    "a schedule as text": lambda s: BasisConfig(schedule="10,5"),  # type: ignore[arg-type]
+    "more functions than vertices": lambda s: cagemap.prepare_surface(s.cube, 1, BasisConfig(count=5000)),
+    "a schedule of too many levels": lambda s: cagemap.prepare_surface(s.cube, 1, BasisConfig(schedule=(4, 4, 4, 4))),
+    "a schedule of too many functions": lambda s: cagemap.prepare_surface(s.cube, 1, BasisConfig(schedule=(100, 4))),
+    "a method": lambda s: MatchConfig(method="x"),
+    "a method's basis": lambda s: cagemap.default_basis("x"),
+    "an answer below 0": lambda s: MatchConfig(answer=-1),
+    "an answer that is not there": lambda s: cagemap.match(s.surface, s.surface, s.landmarks, MatchConfig(answer=7)),
+    "symmetries of numbers": lambda s: MatchConfig(symmetries=(1,)),  # type: ignore[arg-type]
+    "a weight below 0": lambda s: ElasticConfig(landmark_weight=-1),
+    "a graph of nothing": lambda s: ElasticConfig(coarse_vertices=0),
+    "a tile": lambda s: BakeOptions(tile=-4),
+    "a wrap": lambda s: BakeOptions(wrap="x"),  # type: ignore[arg-type]
+    "a filter": lambda s: BakeOptions(filter="x"),  # type: ignore[arg-type]
+    "a dilation below 0": lambda s: BakeOptions(dilation=-4),
+    "no samples": lambda s: BakeOptions(supersample=0),
+    "a Laplacian": lambda s: cagemap.build_operators(s.refinement, "cot"),  # type: ignore[arg-type]
+    "no threads": lambda s: cagemap.thread_limit(0).__enter__(),  # type: ignore[attr-defined]
+    # landmarks
+    "landmarks of fractions": lambda s: marks([1.5, 2, 4]),
+    "landmarks as text": lambda s: marks("abc"),
+    "landmarks of two rows": lambda s: cagemap.match(s.surface, s.surface, marks([[1, 2, 3]], [[1, 2, 3]])),
+    "landmarks beyond the mesh": lambda s: cagemap.match(s.surface, s.surface, marks([1, 2, 9999])),
+    "landmarks below 0": lambda s: cagemap.match(s.surface, s.surface, marks([1, 2, -1])),
+    "a landmark twice": lambda s: cagemap.match(s.surface, s.surface, marks([1, 1, 3])),
+    "fewer names than landmarks": lambda s: cagemap.match(
+        s.surface, s.surface, Landmarks(("a",), np.array([1, 2]), np.array([1, 2]))
+    ),
+    "a number for names": lambda s: Landmarks(4, np.arange(4), np.arange(4)),  # type: ignore[arg-type]
+    "one name for all": lambda s: Landmarks("nose", np.arange(4), np.arange(4)),  # type: ignore[arg-type]
+    "an added landmark beyond the mesh": lambda s: cagemap.update_match(s.result, marks([1, 2, 9999])),
+    # maps
+    "a map of three": lambda s: PointMap.from_vertices(s.triangles, s.triangles, np.zeros(3, int)),
+    "a map beyond the source": lambda s: PointMap.from_vertices(s.triangles, s.triangles, np.full(s.n, s.n)),
+    "a map below 0": lambda s: PointMap.from_vertices(s.triangles, s.triangles, np.full(s.n, -1)),
+    "a map of fractions": lambda s: PointMap.from_vertices(s.triangles, s.triangles, np.full(s.n, 0.5)),
+    "a map of prepared surfaces": lambda s: PointMap.from_vertices(s.surface, s.surface, np.arange(s.n)),
+    "triangles of fractions": lambda s: PointMap.from_arrays(
+        s.triangles, s.triangles, np.full(s.n, 0.5), np.full((s.n, 3), 1 / 3)
+    ),
+    "triangles beyond": lambda s: PointMap.from_arrays(
+        s.triangles, s.triangles, np.full(s.n, 10**6), np.full((s.n, 3), 1 / 3)
+    ),
+    "coordinates of 5": lambda s: PointMap.from_arrays(s.triangles, s.triangles, np.zeros(s.n), np.full((s.n, 3), 5.0)),
+    "coordinates that are no numbers": lambda s: PointMap.from_arrays(
+        s.triangles, s.triangles, np.zeros(s.n), np.full((s.n, 3), NAN)
+    ),
+    "a matrix of another size": lambda s: PointMap.from_matrix(s.triangles, s.triangles, np.eye(3)),  # type: ignore[arg-type]
+    "a matrix of nothing": lambda s: PointMap.from_matrix(s.triangles, s.triangles, sparse.csr_array((s.n, s.n))),
+    "a matrix as text": lambda s: PointMap.from_matrix(s.triangles, s.triangles, "x"),  # type: ignore[arg-type]
+    "too few values to pull back": lambda s: s.map.pull_back(np.zeros(3)),
+    "one number to pull back": lambda s: s.map.pull_back(3.0),
+    "a triangle beyond the vertices": lambda s: TriangleSurface(s.mesh.positions, np.array([[0, 1, 999]])),
+    "a surface of nothing": lambda s: TriangleSurface.from_faces(np.zeros((0, 3)), np.zeros((0, 3), int)),
+    "a surface in the plane": lambda s: TriangleSurface(s.mesh.positions[:, :2], np.array([[0, 1, 2]])),
+    "points in the plane": lambda s: SurfacePoints.nearest(s.triangles, np.zeros((3, 2))),
+    "points that are nowhere": lambda s: SurfacePoints.nearest(s.triangles, np.full((3, 3), NAN)),
+    "places of three vertices": lambda s: cagemap.project(
+        cagemap.prepare_pair(s.surface, s.surface), np.zeros((3, 3)), s.pairs
+    ),
+    "a held vertex beyond the target": lambda s: cagemap.unfold(s.map, np.array([10**7])),
+    "a map of another target": lambda s: cagemap.judge(cagemap.prepare_surface(s.cube, 1), s.map),
+    "a level beyond": lambda s: s.surface.triangles(9),
+    "a basis of a level beyond": lambda s: s.surface.basis.at(9),
+    "too few values to project": lambda s: s.surface.basis.project(np.zeros(3), level=1),
+    "rows beyond": lambda s: s.surface.basis.rows(1, np.array([10**7])),
+    "too few values to prolong": lambda s: s.refinement.prolong(np.zeros(3), 0, 1),
+    "a product upwards": lambda s: s.refinement.product(0, 9),
+    # masks and images
+    "a mask of three": lambda s: cagemap.vertex_mask(s.refinement, np.zeros(3)),
+    "a mask of twos": lambda s: cagemap.vertex_mask(s.refinement, np.full(s.corners, 2.0)),
+    "a mask that is no number": lambda s: cagemap.vertex_mask(s.refinement, np.full(s.corners, NAN)),
+    "a mask by name": lambda s: cagemap.vertex_mask(s.refinement, "face"),  # type: ignore[arg-type]
+    "a mask of three faces": lambda s: cagemap.face_mask(s.refinement, np.zeros(3)),
+    "an edge below 0": lambda s: cagemap.soft_edge(s.triangles, np.ones(s.n), -1.0),
+    "an edge of another mask": lambda s: cagemap.soft_edge(s.triangles, np.ones(4), 0.1),
+    "a match of another mask": lambda s: cagemap.match(
+        s.surface, s.surface, s.landmarks, MatchConfig(masks=Masks(np.ones(3)))
+    ),
+    "a match of nothing": lambda s: cagemap.match(
+        s.surface, s.surface, s.landmarks, MatchConfig(masks=Masks(np.zeros(s.n)))
+    ),
+    "a painted mask without uvs": lambda s: cagemap.painted_mask(s.refinement.finest, np.zeros((4, 4), np.uint8)),
+    "words pulled back": lambda s: s.map.pull_back(np.full(s.n, "a")),
+    "complex numbers pulled back": lambda s: s.map.pull_back(np.full(s.n, 1j)),
+    "images of two sizes": lambda s: cagemap.blend(s.byte, np.zeros((5, 4, 3), np.uint8), np.zeros((4, 4, 1))),
+    "alpha of another size": lambda s: cagemap.with_alpha(s.byte, np.zeros((3, 3))),
+    "an image without uvs": lambda s: cagemap.bake(s.result, s.byte, size=16),
+    "an image of nine channels": lambda s: cagemap.write_image("x.png", np.zeros((4, 4, 9), np.uint8)),
+    "an image of float64": lambda s: cagemap.write_image("x.png", np.zeros((4, 4, 3))),
+    "an image of nothing": lambda s: cagemap.write_image("x.png", np.zeros((0, 4, 3), np.uint8)),
+    "an image as a list": lambda s: cagemap.write_image("x.png", [[1, 2], [3, 4]]),  # type: ignore[arg-type]
+    "an image that is not there": lambda s: cagemap.read_image("none.png"),
+    "landmarks that are not there": lambda s: cagemap.read_landmarks("none.json", "a", "b"),
+    "a result that is not there": lambda s: cagemap.read_result("none"),
+    "a mesh that is not there": lambda s: cagemap.read_mesh("none.obj"),
+}
+
+
+@pytest.mark.parametrize("case", HOUSE)
+def test_wrong_values_are_refused_by_name(case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    ready = scene()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # a warning of NumPy's is a wrong answer to be
+        with pytest.raises(CagemapError) as refused:
+            HOUSE[case](ready)
+    assert len(str(refused.value)) > len("expected, got")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_arrays_of_every_layout_and_type_give_the_same() -> None:
+    """Read-only arrays, single precision, lists, every second column: as good as any."""
+    s = scene()
+    values = np.arange(3.0 * s.n).reshape(s.n, 3) % 7
+    wanted = s.map.pull_back(values)
+    wide = np.repeat(values, 2, axis=1)
+    frozen = values.copy()
+    frozen.flags.writeable = False
+    for given in (values.tolist(), values.astype(np.float32), np.asfortranarray(values), wide[:, ::2], frozen):
+        np.testing.assert_allclose(s.map.pull_back(given), wanted, atol=1e-5)
+    images = s.map.triangle, s.map.barycentric
+    for triangle in (images[0].astype(np.int32), images[0].astype(float), images[0].tolist()):
+        same = PointMap.from_arrays(s.triangles, s.triangles, triangle, images[1])
+        np.testing.assert_array_equal(same.triangle, images[0])
+    for names in (np.array(["a", "b", "c"]), iter("abc"), ["a", "b", "c"]):
+        assert Landmarks(names, [0, 1, 2], [0, 1, 2]).names == ("a", "b", "c")  # type: ignore[arg-type]
+    levels: Any = np.array([1, 2])
+    assert [one.finest for one in cagemap.prepare_surfaces(s.mesh, s.mesh, levels)] == [1, 2]
+    small = marks(np.array([0, 50, 100], np.uint8), [0, 50, 100])
+    assert small.target.dtype == np.int64
+    assert operator.eq(*map(tuple, (small.target, small.source)))
+    faces = [list(map(int, s.mesh.face(face))) for face in range(s.mesh.n_faces)]
+    for positions in (s.mesh.positions.tolist(), s.mesh.positions.astype(np.float32), s.mesh.positions[::1]):
+        np.testing.assert_allclose(ControlMesh.from_faces(positions, faces).positions, s.mesh.positions, atol=1e-6)
+
+
+def test_a_map_of_another_surface_is_not_judged() -> None:
+    result = identity_result(2)
+    coarse = PointMap.from_vertices(result.target.triangles(1), result.source.triangles(1), np.arange(26))
+    with pytest.raises(ParameterError, match=r"98 finest vertices of large\.obj, got one of 26"):
+        cagemap.judge(result.target, coarse)

@@ -1,0 +1,276 @@
+"""The report: self-contained, truthful, and drawn with the right colours."""
+
+from __future__ import annotations
+
+import base64
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence, Reading
+from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
+from cagemap.maps.quality import QualityFigures
+from cagemap.maps.result import MatchResult
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.report import CarriedShape, Gallery, Rides, Weights, build_page, draw_gallery, draw_rides, write_report
+from cagemap.report.figures import PAPER, for_display
+from cagemap.report.rig_panels import _edges, _net
+from cagemap.report.verdicts import explain, overall
+
+from example_result import identity_result
+
+SIZE = (90, 70)
+
+
+@pytest.fixture(scope="module")
+def result() -> MatchResult:
+    return identity_result()
+
+
+@pytest.fixture(scope="module")
+def gallery(result: MatchResult) -> Gallery:
+    texture = np.zeros((60, 90, 3), np.uint8)
+    texture[:, :, 2] = 255
+    return draw_gallery(result, texture=texture, baked=texture, size=SIZE)
+
+
+@pytest.fixture(scope="module")
+def page(result: MatchResult, gallery: Gallery) -> str:
+    return build_page(result, gallery)
+
+
+class Outline(HTMLParser):
+    """Open tags, and whether every tag is closed."""
+
+    VOID = frozenset({"meta", "img", "br", "link"})
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stack: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.stack.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.stack.pop() == tag
+
+
+def outline(page: str) -> Outline:
+    parsed = Outline()
+    parsed.feed(page)
+    assert parsed.stack == []
+    return parsed
+
+
+def test_page_is_well_formed_and_needs_nothing_beside_it(page: str) -> None:
+    tags = outline(page).tags
+    assert not {"script", "link", "iframe"} & {tag for tag, _ in tags}
+    sources = [attributes["src"] or "" for tag, attributes in tags if tag == "img"]
+    assert len(sources) == 12
+    assert all(source.startswith("data:image/jpeg;base64,") for source in sources)
+    assert not re.search(r"https?://|url\(|@import", page)
+
+
+def test_pictures_are_jpegs_of_the_size_asked(page: str, gallery: Gallery) -> None:
+    image = next(attributes for tag, attributes in outline(page).tags if tag == "img")
+    assert (image["width"], image["height"]) == ("90", "70")
+    assert base64.b64decode((image["src"] or "").split(",")[1])[:3] == b"\xff\xd8\xff"
+    assert all(figure.target.shape == (70, 90, 3) for figure in (*gallery.looks, *gallery.maps, *gallery.trust))
+
+
+def test_names_are_escaped_and_shown(page: str) -> None:
+    assert "small → large" in page
+    assert "a &lt;b&gt;" in page
+    assert "<b>" not in page
+    assert "made for other poses" in page
+
+
+def test_figures_of_the_manifest_are_on_the_page(page: str) -> None:
+    assert "0.10 %" in page  # folded
+    assert "1.8 seconds in all, 1.5 GiB" in page
+    assert "parameters.k" in page
+    assert "0" * 64 in page
+
+
+def test_identity_draws_source_and_target_alike(gallery: Gallery) -> None:
+    for figure in (*gallery.looks, *gallery.maps):
+        assert figure.source is not None
+        # Twice the size, seen from twice as far: only rounding differs, at an edge here or there.
+        assert np.mean(np.abs(figure.source.astype(int) - figure.target)) < 0.5
+
+
+def test_texture_is_shown_where_it_is_given(result: MatchResult, gallery: Gallery) -> None:
+    def tint(picture: np.ndarray) -> np.ndarray:
+        return np.diff(picture[25:45, 35:55].reshape(-1, 3).mean(0))
+
+    assert gallery.appearance == "texture"
+    assert tint(gallery.looks[0].target)[1] > 60
+    texture = np.zeros((6, 9, 3), np.float32)
+    texture[..., 1] = 1.0
+    pulled = draw_gallery(result, texture=texture, size=SIZE)  # not baked: vertex by vertex
+    assert tint(pulled.looks[0].target)[0] > 60
+    assert tint(pulled.looks[0].target)[1] < -60
+
+
+def test_without_a_texture_material_colours_are_shown_and_without_those_a_checker(result: MatchResult) -> None:
+    assert draw_gallery(result, size=SIZE).appearance == "material colours"
+    bare = replace(result.source.control, face_materials=None, material_colors=None)
+    plain = result.source.with_control(bare)
+    assert draw_gallery(replace(result, source=plain), size=SIZE).appearance == "checker"
+    # One colour all over shows nothing.
+    white = replace(result.source.control, material_colors=np.ones_like(result.source.control.material_colors))
+    assert draw_gallery(replace(result, source=result.source.with_control(white)), size=SIZE).appearance == "checker"
+
+
+def test_progress_names_every_picture(result: MatchResult) -> None:
+    said: list[str] = []
+    draw_gallery(result, size=(30, 20), progress=said.append)
+    assert said == [f"picture {i} of 7" for i in range(1, 8)]
+
+
+@pytest.mark.parametrize(
+    ("dtype", "white"), [(np.uint8, 255), (np.uint16, 65535), (np.float32, 1.0), (np.float16, 1.0)]
+)
+def test_any_pixels_are_shown(dtype: type, white: float) -> None:
+    np.testing.assert_allclose(for_display(np.full((4, 4, 4), white, dtype)), np.ones((4, 4, 3)))
+    np.testing.assert_allclose(for_display(np.full((4, 4, 1), white, dtype)), np.ones((4, 4, 3)))
+
+
+def test_large_textures_are_averaged_down() -> None:
+    tall = np.zeros((4096, 8, 3), np.uint8)
+    tall[::2] = 255
+    shown = for_display(tall)
+    assert shown.shape == (2048, 4, 3)
+    np.testing.assert_allclose(shown, 0.5, atol=1e-6)
+
+
+def test_verdicts_follow_the_figures() -> None:
+    good = explain({"flipped_area": 0.001, "coverage": 0.999})
+    assert [merit.verdict for merit in good] == ["good", "good"]
+    assert overall(good, []) == "good"
+    assert overall(good, ["look at the ears"]) == "fair"
+    assert overall(explain({"flipped_area": 0.01}), []) == "fair"
+    assert overall(explain({"flipped_area": 0.09, "coverage": 0.999}), []) == "poor"
+    # A cow whose udder the target lacks: a remark that names the share, not a verdict on the map.
+    missing = explain({"flipped_area": 0.001, "coverage": 0.847})
+    assert overall(missing, []) == "fair"
+    assert missing[1].value == "15.30 %"
+    assert overall(explain({"flipped_area": 0.001, "coverage": 0.4}), []) == "poor"
+    assert explain({"flipped_area": None, "coverage": "many"}) == []
+
+
+def test_report_without_figures_is_still_a_page(result: MatchResult, gallery: Gallery) -> None:
+    bare = replace(result, quality=QualityFigures.of_summary({}, np.zeros(4), result.trust), timings={}, provenance={})
+    outline(build_page(bare, gallery))
+
+
+def test_pairs_that_were_left_out_are_named(result: MatchResult, gallery: Gallery) -> None:
+    check = LandmarkCheck((LandmarkSuspect("d", 2, 0.2, 7, 5, "distances"),), ("five pairs are few",))
+    quality = replace(result.quality, landmark_errors=np.zeros(3))
+    page = build_page(replace(result, landmark_check=check, quality=quality), gallery)
+    assert "landmark &#x27;d&#x27; looks wrong" in page
+    assert "five pairs are few" in page
+    assert page.count("left out</td>") == 1
+    assert "left out</td>" not in build_page(result, gallery)
+
+
+def test_two_answers_stand_side_by_side(result: MatchResult) -> None:
+    count = result.target.control.n_vertices
+    places = result.point_map.images.positions[:count]
+    exchanged = places * [-1.0, 1.0, 1.0]
+    answers = (Reading("as the files stand", 1e-4, places), Reading("mirrored & all", 1.1e-4, exchanged))
+    unsure = replace(result, confidence=Confidence(TWO, 1.0, 1.1, answers, 0))
+    gallery = draw_gallery(unsure, size=SIZE)
+    page = build_page(unsure, gallery)
+    assert len([tag for tag, _ in outline(page).tags if tag == "img"]) == 12 + 8
+    assert "Two answers" in page
+    assert page.count("the other: mirrored &amp; all, ") == 4  # alt text and caption of two views
+
+    def drawn(picture: np.ndarray) -> np.ndarray:
+        return picture[np.abs(picture / 255.0 - PAPER).max(axis=2) > 0.02].astype(float)
+
+    # The same answer again differs nowhere, so all of it is clay; the mirrored one differs away from the plane x = 0.
+    same = replace(unsure, confidence=Confidence(LOOK, 1.0, 1.1, (answers[0], answers[0]), 0))
+    redness = [np.ptp(drawn(draw_gallery(one, size=SIZE).answers[0][1].target), axis=1).max() for one in (same, unsure)]
+    assert redness[0] < 20 < 60 < redness[1]
+    for sure in (result, replace(unsure, confidence=Confidence(SURE, 1.0, 2.0, answers, 0))):
+        assert not draw_gallery(sure, size=(30, 20)).answers
+
+
+@pytest.mark.parametrize(
+    ("verdict", "heading"),
+    [(SURE, "The map looks sound."), (LOOK, "it may not be the right one"), (TWO, "it may not be the right one")],
+)
+def test_the_page_begins_with_how_sure_a_map_without_landmarks_is(
+    result: MatchResult, gallery: Gallery, verdict: str, heading: str
+) -> None:
+    answers = tuple(Reading(name, 1e-4, result.point_map.images.positions) for name in ("one", "another"))
+    page = build_page(replace(result, confidence=Confidence(verdict, 1.0, 1.5, answers, 0)), gallery)
+    assert heading in page
+    shown = "the target lies on the source one"
+    assert f"<li>{shown}" in page if verdict == SURE else f'<li class="warning">{verdict}: {shown}' in page
+
+
+def test_a_sure_map_without_landmarks_is_said_to_be_sound(result: MatchResult, gallery: Gallery) -> None:
+    places, none = result.point_map.images.positions, np.zeros(0, dtype=np.int64)
+    answers = (Reading("as the files stand", 1e-4, places), Reading("mirrored", 1.1e-4, places))
+    free = replace(
+        result,
+        landmarks=Landmarks((), none, none),
+        landmark_check=LandmarkCheck(),
+        quality=replace(result.quality, landmark_errors=np.zeros(0), warnings=()),
+    )
+    sure = build_page(replace(free, confidence=Confidence(SURE, 1.0, 2.0, answers[:1], 0)), gallery)
+    assert "The map looks sound." in sure
+    assert "no other way fits nearly as well: sure" in sure
+    assert 'class="warning"' not in sure
+    for empty in ("<h2>Landmarks</h2>", "Dots are landmarks", "Lines are curves", "<td>None</td>"):
+        assert empty not in sure
+    # A page speaks the words of the command line.
+    two = build_page(replace(free, confidence=Confidence(TWO, 1.0, 1.1, answers, 0)), gallery)
+    assert "(--answer 1)" in two
+    assert "answer=1" not in two
+
+
+def test_written_whole(result: MatchResult, tmp_path: Path) -> None:
+    write_report(tmp_path / "r.html", result, size=(40, 30))
+    assert (tmp_path / "r.html").read_text(encoding="utf-8").endswith("</html>\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["r.html"]
+
+
+def test_what_was_wrapped_and_what_rides_on_the_map_is_shown(result: MatchResult, gallery: Gallery) -> None:
+    control, source = result.target.control, result.source.control
+    rng = np.random.default_rng(1)
+    skins = [rng.dirichlet(np.ones(3), size=mesh.n_vertices) for mesh in (source, control)]
+    moves = [np.zeros((mesh.n_vertices, 3)) for mesh in (source, control)]
+    for move in moves:
+        move[:5] = 0.2
+    rides = Rides(
+        wrapped=control.with_positions(source.positions),
+        weights=Weights(*skins),
+        shapes=tuple(CarriedShape(name, *moves) for name in ("smile", "blink")),
+    )
+    panels = draw_rides(result, rides, SIZE)
+    assert [len(panel.pictures) for panel in panels] == [8, 4, 4]
+    page = build_page(result, gallery, panels)
+    assert len([tag for tag, _ in outline(page).tags if tag == "img"]) == 12 + 16
+    assert all(title in page for title in ("Wrapped", "Skinning weights", "Blend shapes", "smile, target"))
+    # The identity: the wrapped surface and the source are one, so their pictures differ by the net alone.
+    (bare, _), (netted, _) = panels[0].pictures[:2]
+    assert 0.01 < np.mean(np.abs(bare.astype(int) - netted.astype(int)).max(axis=2) > 60) < 0.6
+
+
+def test_a_net_is_the_edges_between_control_faces() -> None:
+    result = identity_result()
+    refinement = result.target.refinement
+    segments = _net(refinement)
+    edges = _edges(refinement.control)
+    assert len(segments) == len(edges) * 2**refinement.n_levels
+    assert draw_rides(result, Rides(), SIZE) == ()

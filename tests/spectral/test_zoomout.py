@@ -1,0 +1,71 @@
+"""ZoomOut: functional maps of matches, and matches that they repair."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cagemap.errors import ParameterError
+from cagemap.spectral.samples import Samples, evenly_spaced, fit_functional_map
+from cagemap.spectral.zoomout import ZoomOutSchedule, nearest_coordinates, nearest_samples, zoomout
+
+RNG = np.random.default_rng(271)
+
+
+def test_functional_map_of_a_point_map():
+    """C = Phi1^+ P12 Phi2: the identity for the identity, and composition with a permutation."""
+    rows = RNG.standard_normal((200, 9))
+    samples = Samples(rows, RNG.random(200) + 0.1, np.zeros((200, 0)))
+    np.testing.assert_allclose(fit_functional_map(samples, rows, 9), np.eye(9), atol=1e-7)
+    mixing = RNG.standard_normal((9, 9))
+    np.testing.assert_allclose(fit_functional_map(samples, rows @ mixing, 9), mixing, atol=1e-6)
+
+
+def test_zoomout_reaches_the_end_in_small_steps():
+    assert ZoomOutSchedule(20, 20).sizes(300) == [20]
+    sizes = ZoomOutSchedule(20, 300, 1.25).sizes(300)
+    assert sizes[0] == 20
+    assert sizes[-1] == 300
+    ratios = np.array(sizes[1:]) / np.array(sizes[:-1])
+    assert ratios.max() < 1.3
+    assert ratios.min() > 1.0
+    assert ZoomOutSchedule(30, 100).sizes(20) == [20]
+    for wrong in ({"first": 0}, {"first": 200}, {"factor": 1.0}):
+        with pytest.raises(ParameterError, match="a factor above 1"):
+            ZoomOutSchedule(**wrong)
+
+
+def test_samples_spread_over_the_numbering():
+    chosen = evenly_spaced(10_000, 3000)
+    assert len(chosen) == 3000
+    assert chosen[0] == 0
+    assert chosen[-1] == 9999
+    assert np.diff(chosen).max() <= 4
+    np.testing.assert_array_equal(evenly_spaced(50, 3000), np.arange(50))
+
+
+def cosines(points, count=6):
+    """(n, count^2) eigenfunctions of the unit square, lowest first."""
+    frequencies = sorted(((i, j) for i in range(count) for j in range(count)), key=lambda f: f[0] ** 2 + f[1] ** 2)
+    return np.stack(
+        [np.cos(np.pi * i * points[:, 0]) * np.cos(np.pi * j * points[:, 1]) for i, j in frequencies], axis=1
+    )
+
+
+def test_zoomout_repairs_a_rough_match():
+    """The same surface on both sides, every sample matched to one up to a fifth of the side away: the identity."""
+    points = RNG.random((400, 2))
+    samples = Samples(cosines(points), np.full(400, 1 / 400), np.zeros((400, 0)))
+    moved = points + RNG.uniform(-0.2, 0.2, points.shape)
+    rough = np.argmin(np.linalg.norm(moved[:, None] - points[None], axis=2), axis=1)
+    before = np.linalg.norm(points[rough] - points, axis=1).mean()
+    after = np.linalg.norm(points[zoomout(samples, samples, rough, ZoomOutSchedule(6, 36))] - points, axis=1).mean()
+    assert after < 0.1 * before
+
+
+def test_coordinates_beside_the_functions_tell_mirror_images_apart():
+    """Every sample has a twin on the other half with the same functions; one coordinate says which half."""
+    points, half = RNG.random((150, 2)), np.repeat([[0.0], [1.0]], 150, axis=0)
+    alike = Samples(np.vstack([cosines(points)] * 2), np.full(300, 1 / 300), 0.1 * half)
+    np.testing.assert_array_equal(nearest_coordinates(alike, alike) >= 150, half[:, 0] == 1.0)
+    np.testing.assert_array_equal(nearest_samples(alike, alike, np.eye(36)), np.arange(300))

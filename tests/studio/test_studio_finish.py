@@ -1,0 +1,328 @@
+"""The finish: the commands that it runs, and what it gives to download."""
+
+from __future__ import annotations
+
+import io
+import os
+import queue
+import time
+import zipfile
+from collections.abc import Callable
+from dataclasses import field, make_dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Annotated, Any
+from unittest.mock import patch
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from test_obj import QUICK
+from typed_request import run_typed, typed
+
+from cagemap.errors import ParameterError
+from cagemap.studio.downloads import ALL, content
+from cagemap.studio.finish import SHARED, Command, FinishOptions, commands, planned
+from cagemap.studio.finish_layout import ADVANCED, FOLDS, LEFT_OUT, SIZE, VERTICES, folds, on_the_page
+from cagemap.studio.finish_process import Made
+from cagemap.studio.opening import default_files
+from cagemap.studio.runner import Runner, outputs_of
+from cagemap.studio.state import Message, Output, RunningJob, with_message
+from cagemap.studio.worker import Done
+from cagemap.studio.workspace import Workspace
+from cagemap.tasks.detail_bakes import KINDS
+from cagemap.tasks.masks import mask_file
+from cagemap.tasks.requests.catalogue import COMMANDS, CommandOption, Key, Value, all_options
+from cagemap.tasks.requests.options import MASK_FILES, Option
+from cagemap.tasks.requests.report import ReportRequest
+from cagemap.tasks.requests.transfer import TransferRequest
+
+OPTIONS = all_options()
+SHOWN = (*(field.key for fold in FOLDS for field in fold.fields), VERTICES, SIZE)
+
+
+def test_a_finish_is_the_commands_that_one_would_type(tmp_path: Path) -> None:
+    files = default_files(tmp_path, tmp_path / "cow.obj", tmp_path / "spot.obj", tmp_path / "spot.png")
+    asked = FinishOptions(given={VERTICES: 5000, SIZE: 256, ("transfer", "unwrap"): True})
+    todo = commands(OPTIONS, files, asked, landmarks=True)
+    assert [command.title for command in todo] == ["match", "texture", "report"]
+    assert "--landmarks" in typed(todo[0].request)
+    assert "--landmarks" not in typed(commands(OPTIONS, files, FinishOptions(), landmarks=False)[0].request)
+    assert todo[1].request == TransferRequest(
+        files.result, tmp_path / "cow_from_spot.png", tmp_path / "spot.png", size=256, unwrap=True
+    )
+
+
+def test_every_option_is_on_the_page_or_left_out_for_a_reason() -> None:
+    assert {*SHOWN, *LEFT_OUT, *SHARED} <= {*OPTIONS}
+    assert len({*SHOWN}) == len(SHOWN)
+    assert not {*SHOWN} & {*LEFT_OUT}
+
+
+def test_an_option_that_is_new_to_a_request_is_on_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    grain = ("grain", Annotated[float, Option(min=0.5, max=4, help="How coarse.")], field(default=1.0))
+    more = make_dataclass("More", [grain], bases=(TransferRequest,), frozen=True)
+    monkeypatch.setitem(COMMANDS, "transfer", more)
+    options = all_options()
+    assert folds(options)[-1].title == ADVANCED
+    key = ("transfer", "grain")
+    assert [field.key for fold in folds(options)[len(FOLDS) :] for field in fold.fields] == [key]
+    files = default_files(Path("/w"), Path("/w/cow.obj"), Path("/w/spot.obj"), Path("/w/spot.png"))
+    todo = commands(options, files, FinishOptions(given={key: 2.0}), landmarks=False)
+    assert todo[1].request.grain == 2.0
+    for outside in (0.0, 5.0):
+        with pytest.raises(ParameterError, match="--grain: expected"):
+            commands(options, files, FinishOptions(given={key: outside}), landmarks=False)
+
+
+def test_words_that_the_command_line_knows_by_other_means_are_the_same() -> None:
+    assert OPTIONS["transfer", "bake"].choices == KINDS
+    assert all(mask_file(f"not:a{suffix}") is not None for suffix in MASK_FILES)
+
+
+def values(option: CommandOption) -> st.SearchStrategy[Value]:
+    """What the page may say for an option."""
+    file = Path(f"/w/{option.name}.obj")
+    made: dict[str, st.SearchStrategy[Value]] = {
+        "flag": st.booleans(),
+        "output": st.booleans(),
+        "choice": st.sampled_from(option.choices or ("none",)),
+        "several": st.sets(st.sampled_from(option.choices or ("none",))).map(lambda some: tuple(sorted(some))),
+        "whole": st.integers(int(option.least or 0), 8) if (option.least or 0) <= 8 else st.just(option.least),
+        "number": st.floats(0, 1),
+        "text": st.just("body"),
+        "name or file": st.sampled_from(["body", "not:body", "/w/mask.png"]),
+        "file": st.just(file),
+        "files": st.just((file, file.with_suffix(".npz"))),
+        "named files": st.just((("", file), ("normal map", file))),
+    }
+    return made[option.kind]
+
+
+GIVEN: Any = st.fixed_dictionaries({}, optional={key: values(OPTIONS[key]) for key in SHOWN})
+ASKED = st.builds(
+    FinishOptions,
+    texture=st.booleans(),
+    maps=st.sampled_from([(), (("roughness", Path("/w/rough.png")),)]),
+    map_form=st.sampled_from(["", ".npy", ".mhclo"]),
+    image_form=st.sampled_from(["", ".exr"]),
+    wrap=st.booleans(),
+    report=st.booleans(),
+    name=st.sampled_from(["", "hero"]),
+    given=GIVEN,
+)
+
+
+@QUICK
+@given(asked=ASKED)
+def test_the_command_line_understands_every_finish(asked: FinishOptions) -> None:
+    files = default_files(Path("/w"), Path("/w/cow.obj"), Path("/w/spot.obj"), Path("/w/spot.png"))
+    todo = commands(OPTIONS, files, asked, landmarks=True)
+    said: list[object] = []
+    for command in todo:
+        name = typed(command.request)[0]
+        with patch(f"cagemap.tasks.{name}.run_{name}", lambda request, _: (said.append(request), ("", []))[1]):
+            run_typed(command.request)  # raises where an option is unknown or a value is none
+    assert said == [command.request for command in todo]
+    written = [command.output for command in todo]
+    # No two commands write the same file, and none writes what another reads.
+    assert len(set(written)) == len(written)
+    assert not set(written) & {files.target, files.source, files.texture}
+    # Every option that is asked for is in some command, unless what it belongs to is not.
+    match, *others = [command.request for command in todo]
+    for name, value in ((name, value) for (command, name), value in asked.given.items() if command == "match"):
+        assert str(getattr(match, name)) == str(value)
+    for name in ("normal_map", "displacement", "weights", "attribute", "blend_shapes"):
+        carried = [getattr(request, name) for request in others if isinstance(request, TransferRequest)]
+        assert any(carried) == (("transfer", name) in asked.given)
+
+
+def given_values(**given: Value) -> dict[Key, Value]:
+    return {("transfer", name): value for name, value in given.items()}
+
+
+def test_own_images_lie_under_what_they_are_named_after() -> None:
+    files = default_files(Path("/w"), Path("/w/cow.obj"), Path("/w/spot.obj"), Path("/w/spot.png"))
+    own = (("", Path("/w/c.png")), ("Normal Map", Path("/w/n.png")), ("ao", Path("/w/ao.png")))
+    asked = FinishOptions(given=given_values(bases=own, normal_map=Path("/w/bumps.png"), bake=("ao",)))
+    texture, normals, baked = commands(OPTIONS, files, asked, landmarks=False)[1:4]
+    assert texture.request.bases == (("", Path("/w/c.png")),)
+    assert normals.request.bases == (("", Path("/w/n.png")),)
+    assert baked.request.bases == (("ao", Path("/w/ao.png")),)
+    with_maps = FinishOptions(maps=(("roughness", Path("/w/r.png")),), given=given_values(bases=own))
+    (color, *_) = commands(OPTIONS, files, with_maps, landmarks=False)[1].request.bases
+    assert color == ("color", Path("/w/c.png"))
+
+
+def test_links_that_lead_out_of_the_folders_are_neither_read_nor_written(tmp_path: Path) -> None:
+    inside, outside = tmp_path / "in", tmp_path / "out"
+    for folder in (inside, outside, inside / "shapes"):
+        folder.mkdir()
+    for name in ("secret.obj", "secret.png"):
+        (outside / name).write_text("secret")
+    workspace = Workspace.of(inside)
+    files = default_files(inside, inside / "cow.obj", inside / "spot.obj", inside / "spot.png")
+
+    def refused(asked: FinishOptions) -> None:
+        with pytest.raises(ParameterError, match="outside"):
+            planned(OPTIONS, workspace, files, asked, landmarks=False)
+
+    shapes = FinishOptions(given=given_values(blend_shapes=(Path("shapes"),)))
+    planned(OPTIONS, workspace, files, shapes, landmarks=False)
+    (inside / "shapes" / "smile.obj").symlink_to(outside / "secret.obj")
+    refused(shapes)
+    (inside / "skin.1001.png").touch()
+    (inside / "skin.1002.png").symlink_to(outside / "secret.png")
+    refused(FinishOptions(given=given_values(normal_map=Path("skin.<UDIM>.png"))))
+    refused(FinishOptions(given={("match", "target_mask"): "not:../out/secret.png"}))
+    with pytest.raises(ParameterError, match="outside"):  # the open texture as well
+        workspace.within(default_files(inside, files.target, files.source, inside / "skin.<UDIM>.png"))
+    (inside / "cow_from_spot.1002.png").symlink_to(outside / "secret.png")
+    refused(FinishOptions())
+    with pytest.raises(ParameterError, match="Name"):
+        planned(OPTIONS, workspace, files, FinishOptions(name="../hero"), landmarks=False)
+
+
+def test_tiles_are_listed_as_one_image_and_folders_where_they_may_be_chosen(tmp_path: Path) -> None:
+    for name in ("skin.1001.png", "skin.1002.png", "photo_1024.png", "faces/smile.obj"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    assert Workspace.of(tmp_path).listing((".png",)) == ("photo_1024.png", "skin.<UDIM>.png")
+    assert Workspace.of(tmp_path).listing((".obj", "/")) == ("faces", "faces/smile.obj")
+
+
+def test_a_name_that_is_no_text_is_not_listed_and_refused_in_words_that_are(tmp_path: Path) -> None:
+    odd = Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9.obj"))
+    for path in (odd, tmp_path / "caf\u00e9.obj"):
+        path.touch()
+    workspace = Workspace.of(tmp_path)
+    assert workspace.listing((".obj",)) == ("caf\u00e9.obj",)
+    with pytest.raises(ParameterError, match="expected the name of a file"):
+        workspace.require(odd)
+    (message,) = with_message((), "error", f"{odd}: not found")
+    assert message.text.encode()
+
+
+def test_a_message_says_where_on_the_page_its_remedy_is() -> None:
+    text = on_the_page(OPTIONS, "x.png: exists. Give another name, or allow it with force (--force).")
+    assert text.endswith("(On this page --force: Overwrite, under Files.)")
+    assert on_the_page(OPTIONS, "too many landmarks") == "too many landmarks"
+
+
+def test_downloads_are_the_outputs_and_nothing_else(tmp_path: Path) -> None:
+    (tmp_path / "RESULT").mkdir()
+    (tmp_path / "RESULT" / "map.npz").write_bytes(b"map")
+    (tmp_path / "RESULT" / "link").symlink_to("/etc/passwd")
+    (tmp_path / "cow.png").write_bytes(b"png")
+    (tmp_path / "secret.png").write_bytes(b"secret")
+    outputs = (Output(tmp_path / "RESULT", "the map"), Output(tmp_path / "cow.png", "texture"))
+    assert content(outputs, "cow.png") == (b"png", "image/png")
+    for name in ("secret.png", "../cow.png", "RESULT", "RESULT/map.npz", "", "/etc/passwd", str(tmp_path / "cow.png")):
+        assert content(outputs, name) is None
+    packed, kind = content(outputs, ALL) or (b"", "")
+    assert kind == "application/zip"
+    with zipfile.ZipFile(io.BytesIO(packed)) as archive:
+        assert {name: archive.read(name) for name in archive.namelist()} == {
+            "RESULT/map.npz": b"map",
+            "cow.png": b"png",
+        }
+    folder, kind = content(outputs, "RESULT.zip") or (b"", "")
+    with zipfile.ZipFile(io.BytesIO(folder)) as archive:
+        assert archive.namelist() == ["RESULT/map.npz"]
+    assert content((), ALL) is None
+
+
+def test_a_failing_command_gives_its_own_words_and_the_others_go_on(tmp_path: Path) -> None:
+    files = default_files(tmp_path, tmp_path / "cow.obj", tmp_path / "spot.obj", None)
+    told: list[Message] = []
+    ended: queue.Queue[Message] = queue.Queue()
+    runner = Runner(lambda _: None, lambda _: None, told.append, ended.put)
+    todo = commands(OPTIONS, files, FinishOptions(), landmarks=True)
+    runner.start(todo)
+    assert ended.get(timeout=60).kind == "error"
+    # Nothing can be done without a map.
+    assert [message.text.partition(":")[0] for message in told] == ["match"]
+    assert "cow.obj" in told[0].text
+    told.clear()
+    check = Command("check", ReportRequest(tmp_path / "none", tmp_path / "page.html"))
+    runner.start((check, todo[1], check))
+    assert ended.get(timeout=60).text.endswith(": check, report, check")
+    assert [message.kind for message in told] == ["error"] * 3
+
+
+def die(connection: Connection) -> None:
+    """A process that ends in the midst of its request."""
+    connection.recv()
+    os._exit(9)
+
+
+def leave(connection: Connection) -> None:
+    """A process that ends after its request."""
+    connection.recv()
+    connection.send(Done(Made("done")))
+
+
+def hang_up(connection: Connection) -> None:
+    """A process that is about to end after its request."""
+    leave(connection)
+    connection.close()
+    time.sleep(2)
+
+
+def runs(tmp_path: Path) -> tuple[Command, ...]:
+    return tuple(Command(title, ReportRequest(tmp_path, tmp_path / title)) for title in ("normals", "heights"))
+
+
+def test_a_command_that_takes_its_process_along_leaves_the_others_theirs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cagemap.studio.runner.serve", die)
+    told: list[Message] = []
+    ended: queue.Queue[Message] = queue.Queue()
+    Runner(lambda _: None, lambda _: None, told.append, ended.put).start(runs(tmp_path))
+    assert ended.get(timeout=60).text.endswith(": normals, heights")
+    assert [message.text for message in told] == [
+        f"{title}: the computation's process ended (exit code 9)" for title in ("normals", "heights")
+    ]
+
+
+@pytest.mark.parametrize("serve", [leave, hang_up])
+def test_a_process_that_ends_after_its_command_leaves_the_next_one_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, serve: Callable[[Connection], None]
+) -> None:
+    monkeypatch.setattr("cagemap.studio.runner.serve", serve)
+    ended: queue.Queue[Message] = queue.Queue()
+
+    def wait(_: object) -> None:
+        """Time to end between two commands."""
+        process = runner._worker._process
+        if process is not None:
+            process.join(1 if serve is hang_up else 30)
+
+    runner = Runner(wait, lambda _: None, lambda _: None, ended.put)
+    runner.start(runs(tmp_path))
+    assert ended.get(timeout=60).text == "finish: done"
+
+
+def test_a_cancelled_run_says_so_whatever_begins_after_it(tmp_path: Path) -> None:
+    ended: queue.Queue[Message] = queue.Queue()
+
+    def on_job(job: RunningJob | None) -> None:
+        if job is None:  # the next one begins
+            runner._cancelled = False
+
+    runner = Runner(on_job, lambda _: None, lambda _: None, ended.put)
+    runner._cancelled = True
+    runner._work(())
+    assert ended.get(timeout=10).text == "finish: cancelled"
+
+
+def test_what_a_command_wrote_in_folders_is_told_as_the_folder(tmp_path: Path) -> None:
+    files = default_files(tmp_path, tmp_path / "cow.obj", tmp_path / "spot.obj", None)
+    (match, *_) = commands(OPTIONS, files, FinishOptions(), landmarks=False)
+    inside = (files.result / "map.npz", files.result / "manifest.json", tmp_path / "a.png", tmp_path.parent / "b.png")
+    assert [output.path.name for output in outputs_of(match, inside)] == [files.result.name, "a.png"]
+
+
+def test_every_command_of_a_finish_is_asked_by_its_request() -> None:
+    assert {key[0] for key in OPTIONS} == {*COMMANDS}

@@ -1,0 +1,171 @@
+"""The process of a finish: it says what it wrote, ends when whoever runs it does, leaves nothing half written."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+from examples.shapes import creature
+
+from cagemap.errors import ParameterError
+from cagemap.files.atomic import write_whole
+from cagemap.files.meshes.formats import write_mesh
+from cagemap.studio.finish_process import Made, perform, serve
+from cagemap.studio.worker import STOPPED, Failure, Worker
+from cagemap.tasks.progress import Stages
+from cagemap.tasks.requests.match import MatchRequest
+from cagemap.tasks.requests.transfer import TransferRequest
+
+
+def two_creatures(folder: Path) -> tuple[Path, Path]:
+    mesh = creature()
+    write_mesh(folder / "a.obj", mesh)
+    write_mesh(folder / "b.obj", mesh.with_positions(mesh.positions * np.array([1.0, 1.1, 1.3])))
+    return folder / "a.obj", folder / "b.obj"
+
+
+def test_every_request_says_how_it_ended_and_what_it_wrote(tmp_path: Path) -> None:
+    target, source = two_creatures(tmp_path)
+    result = tmp_path / "ä R"
+    stages: list[str] = []
+    worker = Worker(stages.append, serve)
+    made = [
+        worker.run(MatchRequest(target, source, None, result, vertices=300)),
+        worker.run(TransferRequest(tmp_path / "none", tmp_path / "uvs.obj", source_uvs=True)),
+        worker.run(TransferRequest(result, tmp_path / "map.npz", write_map=True)),
+    ]
+    worker.end()
+    assert all(isinstance(one, Made) for one in made)
+    assert {result / name for name in ("manifest.json", "map.npz")} <= {*made[0].files}
+    assert made[2].files[0] == tmp_path / "map.npz"
+    assert [bool(one.failure) for one in made] == [False, True, False]
+    assert "none" in made[1].failure
+    assert made[1].files == ()
+    assert f"wrote {result}" in made[0].summary
+    assert stages
+
+
+def test_warnings_are_said_once_and_what_was_written_before_an_error_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def work(request: TransferRequest, stages: Stages) -> None:
+        for _ in range(2):
+            logging.getLogger("cagemap.files").warning("%s has no UVs: `unwrap`", "a.obj")
+        write_whole(tmp_path / "a.txt", "a")
+        raise ParameterError("exists (`force=True`)")
+
+    monkeypatch.setattr("cagemap.tasks.run_request.run_request", work)
+    made = perform(TransferRequest(tmp_path, tmp_path / "b.png"), Stages())
+    assert made.warnings == ("a.obj has no UVs: --unwrap",)
+    assert made.files == (tmp_path / "a.txt",)
+    assert made.failure == "exists (--force)"
+    assert not any(type(one).__name__ == "_Warnings" for one in logging.getLogger("cagemap").handlers)
+
+
+def test_a_request_that_is_stopped_leaves_nothing_half_written(tmp_path: Path) -> None:
+    target, source = two_creatures(tmp_path)
+    before = sorted(os.listdir(tmp_path))
+    stages: list[str] = []
+    worker = Worker(lambda stage: (stages.append(stage), worker.end() if len(stages) == 2 else None), serve)
+    stopped = worker.run(MatchRequest(target, source, None, tmp_path / "R", vertices=30_000))
+    assert isinstance(stopped, Failure)
+    assert stopped.kind == STOPPED
+    assert "exit code 0" in stopped.message  # by itself, not by force once patience is over
+    assert sorted(os.listdir(tmp_path)) == before
+    made = worker.run(MatchRequest(target, source, None, tmp_path / "R", vertices=300))  # by another process
+    assert made.failure == ""
+    worker.end()
+
+
+def test_a_request_ends_with_whoever_runs_it_and_leaves_nothing_half_written(tmp_path: Path) -> None:
+    two_creatures(tmp_path)
+    script = tmp_path / "runs.py"
+    script.write_text(
+        "from pathlib import Path\n"
+        "from cagemap.studio.finish_process import serve\n"
+        "from cagemap.studio.worker import Worker\n"
+        "from cagemap.tasks.requests.match import MatchRequest\n"
+        "if __name__ == '__main__':\n"
+        "    worker = Worker(lambda stage: print(stage, flush=True), serve)\n"
+        "    worker.run(MatchRequest(Path('a.obj'), Path('b.obj'), None, Path('R'), vertices=200_000))\n"
+    )
+    before = sorted(os.listdir(tmp_path))
+    with subprocess.Popen([sys.executable, script], cwd=tmp_path, stdout=subprocess.PIPE, text=True) as runs:
+        assert runs.stdout is not None
+        assert runs.stdout.readline()
+        children = psutil.Process(runs.pid).children(recursive=True)
+        assert children
+        runs.kill()
+        _, alive = psutil.wait_procs(children, timeout=15)
+    assert alive == []
+    assert sorted(os.listdir(tmp_path)) == before
+
+
+def wait_for_threads(connection: Connection) -> None:
+    """Serve, but every request waits for ever."""
+
+    def wait(request: object, stages: Stages) -> None:
+        stages("waits")
+        threading.Event().wait()
+
+    import cagemap.tasks.run_request
+
+    cagemap.tasks.run_request.run_request = wait  # type: ignore[assignment]
+    serve(connection)
+
+
+def test_a_request_that_waits_for_its_threads_ends_too(tmp_path: Path) -> None:
+    worker = Worker(lambda _: worker.end(), wait_for_threads)
+    stopped = worker.run(TransferRequest(tmp_path, tmp_path / "a.png"))
+    assert isinstance(stopped, Failure)
+    assert "exit code 0" in stopped.message
+
+
+def test_a_second_signal_does_not_interrupt_what_the_first_one_removes(tmp_path: Path) -> None:
+    worker = Worker(lambda _: None, remove_slowly)
+    worker.start()
+    process = worker._process
+    assert process is not None
+    assert process.pid is not None
+    ended = threading.Thread(target=worker.run, args=(TransferRequest(tmp_path, tmp_path / "a.png"),))
+    ended.start()
+    for number in (signal.SIGINT, signal.SIGTERM):  # as Ctrl-C in a terminal, and then the studio's end
+        until(lambda number=number: (tmp_path / signal.Signals(number).name).exists())
+        os.kill(process.pid, number)
+    ended.join(15)
+    assert (tmp_path / "removed").exists()
+
+
+def remove_slowly(connection: Connection) -> None:
+    """Serve, but a request waits for a signal, and takes a while to remove its files."""
+
+    def wait(request: TransferRequest, stages: Stages) -> None:
+        (request.result / "SIGINT").touch()
+        try:
+            threading.Event().wait()
+        finally:
+            (request.result / "SIGTERM").touch()
+            time.sleep(0.5)
+            (request.result / "removed").touch()
+
+    import cagemap.tasks.run_request
+
+    cagemap.tasks.run_request.run_request = wait  # type: ignore[assignment]
+    serve(connection)
+
+
+def until(done: object) -> None:
+    end = time.monotonic() + 30
+    while not done():  # type: ignore[operator]
+        assert time.monotonic() < end
+        time.sleep(0.01)

@@ -1,0 +1,290 @@
+"""Files of the studio's session: landmarks saved, kept and read again, and nothing outside its folders."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cagemap.errors import FormatError, ParameterError
+from cagemap.files.landmarks.pairs import write_landmarks
+from cagemap.files.landmarks.point_formats import POINT_FORMS
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.studio.autosave import autosave_path, read_autosave, write_autosave
+from cagemap.studio.finish import FinishOptions
+from cagemap.studio.landmark_files import points_file
+from cagemap.studio.landmarks import LandmarkList
+from cagemap.studio.session import Session
+from cagemap.tasks.requests.catalogue import Value
+
+from studio_boxes import click, click_between, session_of, until
+
+
+def test_saved_landmarks_are_read_again_and_a_persons_file_is_kept(opened: Session) -> None:
+    files = opened.state.files
+    for vertex in (0, 3, 5):
+        click(opened, "target", vertex)
+        opened.accept()
+    assert not opened.state.saved
+    assert autosave_path(files.landmarks).is_file()
+    theirs = {"source": "b.obj", "target": "a.obj", "pairs": [{"name": "mine", "source": 1, "target": 1}]}
+    files.landmarks.write_text(json.dumps(theirs))
+    opened.save()
+    assert opened.state.saved
+    assert not autosave_path(files.landmarks).exists()
+    assert json.loads(files.landmarks.with_name(f"{files.landmarks.name}.before-studio").read_text()) == theirs
+    before = opened.state.history.present.complete
+    opened.remove(1)
+    opened.load(files.landmarks)
+    assert [item.name for item in opened.state.history.present.complete] == [item.name for item in before]
+    opened.undo()
+    assert len(opened.state.history.present.complete) == 2
+
+
+def test_a_landmark_file_of_other_models_is_kept(opened: Session) -> None:
+    landmarks = opened.state.files.landmarks
+    click(opened, "target", 0)
+    opened.accept()
+    opened.save()
+    ours = landmarks.read_text()
+    write_landmarks(landmarks, Landmarks(("mine",), np.array([1]), np.array([1]), "c.obj", "d.obj"))
+    theirs = landmarks.read_text()
+    kept = landmarks.with_name(f"{landmarks.name}.before-studio")
+    for _ in range(2):  # what it saves itself is replaced as ever
+        opened.save()
+        assert kept.read_text() == theirs
+        assert landmarks.read_text() == ours
+        assert not landmarks.with_name(f"{kept.name}-2").exists()
+
+
+def test_what_another_studio_saves_or_keeps_meanwhile_is_not_lost(opened: Session) -> None:
+    """Both have the same models and landmark file open; each file is one of ours."""
+    landmarks = opened.state.files.landmarks
+    usual = autosave_path(landmarks)
+    for vertex in (0, 3):
+        click(opened, "target", vertex)
+        opened.accept()
+    opened.save()
+    write_landmarks(landmarks, Landmarks(("theirs",), np.array([1]), np.array([1]), "b.obj", "a.obj"))
+    write_autosave(usual, LandmarkList(opened.state.history.present.items[:1]))
+    saved, kept = landmarks.read_text(), usual.read_text()
+    for vertex in (5, 6):
+        click(opened, "target", vertex)
+    own = usual.with_name(f"{usual.name}.1")
+    assert usual.read_text() == kept
+    assert len(read_autosave(own, (8, 8)).items) == len(opened.state.history.present.items)
+    assert not usual.with_name(f"{usual.name}.2").exists()
+    assert [own.name in message.text for message in opened.state.messages].count(True) == 1
+    opened.save()
+    assert landmarks.with_name(f"{landmarks.name}.before-studio").read_text() == saved
+    assert "changed by others" in "".join(message.text for message in opened.state.messages)
+    assert usual.read_text() == kept
+    assert not own.exists()
+
+
+def test_a_landmark_file_that_cannot_be_read_costs_no_map(opened: Session) -> None:
+    files = opened.state.files
+    files.landmarks.write_text("{")
+    opened.open(files)
+    until(lambda: opened.state.map.revision >= 1, opened)
+    assert any("expected JSON" in message.text for message in opened.state.messages)
+
+
+def test_no_finish_begins_with_landmarks_that_were_not_saved(opened: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> None:
+        raise FormatError("full: no room. Make some.")
+
+    click(opened, "target", 0)
+    opened.accept()
+    with monkeypatch.context() as patch:
+        patch.setattr("cagemap.studio.session.save_landmarks", refused)
+        opened.finish(FinishOptions())
+    assert opened.state.finish_job is None
+    assert "no room" in opened.state.messages[-1].text
+
+
+PER_MESH = [f"both{form.ending}" for form in POINT_FORMS]
+
+
+@pytest.mark.parametrize("name", ["", "other.json", *PER_MESH])
+def test_a_click_between_vertices_stays_where_it_was(opened: Session, boxes: Path, name: str) -> None:
+    clicked = [click_between(opened, side) for side in ("target", "source")]
+    item = opened.state.history.present.complete[0]
+    for place, position, side in ((item.target, clicked[0], "target"), (item.source, clicked[1], "source")):
+        assert np.linalg.norm(np.array(place.position) - position) < 0.01 * opened.scene.shape(side).radius
+        assert max(place.weights) < 0.9
+    opened.save_as(name)
+    opened.remove(1)
+    if name not in PER_MESH:
+        assert opened.state.files.landmarks.name == (name or "b__a.json")
+        opened.load(Path(name or "b__a.json"))
+    else:
+        assert opened.state.files.landmarks.name == "b__a.json"
+        opened.load(points_file(Path(name), "target"), points_file(Path(name), "source"))
+        for side in ("target", "source"):  # Wrap's form has no mark, so that nothing is written over it
+            points_file(boxes / name, side).unlink()
+        said = [message.text for message in opened.state.messages if "order alone" in message.text]
+        assert bool(said) == (name == "both.txt")
+    again = opened.state.history.present.complete[0]
+    for side in ("target", "source"):
+        np.testing.assert_allclose(again.on(side).position, item.on(side).position, atol=1e-6)
+    for refused in ("refused.md", "refused"):
+        opened.save_as(refused)
+        assert "Choose such a name" in opened.state.messages[-1].text
+        assert not (boxes / refused).exists()
+
+
+def test_curves_of_a_file_are_used_and_saved_again(opened: Session, boxes: Path) -> None:
+    curve = {"name": "rim", "source": [0, 1, 2, 3], "target": [0, 1, 2, 3], "closed": True}
+    corners = opened.scene.target.control.face_indices[:4].tolist()
+    curve |= {"source": corners, "target": corners}
+    given = {"source": "b.obj", "target": "a.obj", "pairs": [], "curves": [curve]}
+    (boxes / "rim.json").write_text(json.dumps(given))
+    revision = opened.state.map.revision
+    opened.load(Path("rim.json"))
+    until(lambda: opened.state.map.revision > revision, opened)
+    opened.click("target", np.array([0.0, 0.0, 5.0]), np.array([0.0, 0.0, -1.0]))
+    assert opened.state.history.present.curves.names == ("rim",)
+    kept = read_autosave(autosave_path(opened.state.files.landmarks), (8, 8))
+    assert kept.curves.names == ("rim",)
+    np.testing.assert_array_equal(kept.curves.target.points.vertices, corners)
+    for name in ("other.json", "both.points.json"):
+        opened.save_as(name)
+    assert json.loads((boxes / "other.json").read_text())["curves"] == [curve]
+    opened.load(Path("both.target.points.json"), Path("both.source.points.json"))
+    np.testing.assert_array_equal(opened.state.history.present.curves.source.points.vertices, corners)
+
+
+def test_a_kill_of_the_session_loses_nothing(opened: Session, boxes: Path) -> None:
+    click(opened, "target", 4)
+    opened.rename(1, "corner")
+    other = session_of(boxes)
+    try:
+        other.open(opened.state.files)
+        until(lambda: other.state.history.present.items, other)
+        assert other.state.history.present == opened.state.history.present
+        assert any("recovered" in message.text for message in other.state.messages)
+    finally:
+        other.close()
+
+
+def test_errors_are_messages_and_paths_outside_are_refused(opened: Session, tmp_path: Path) -> None:
+    opened.load(Path("../elsewhere.json"))
+    assert opened.state.messages[-1].kind == "error"
+    assert "ParameterError" in opened.state.messages[-1].text
+    opened.save(tmp_path / "out.json")
+    assert not (tmp_path / "out.json").exists()
+    opened.accept()  # nothing waits
+    opened.mirror(1)  # nothing to mirror
+    assert opened.state.messages[-1].kind == "error"
+    opened.finish(FinishOptions(given={("transfer", "displacement"): tmp_path / "secret.png"}))
+    assert opened.state.finish_job is None
+
+
+@pytest.mark.parametrize("path", ["../x.json", "/etc/passwd", "a/../../x.json", "bad\0name", "~/../../x"])
+def test_no_word_of_the_page_reaches_outside(opened: Session, boxes: Path, path: str) -> None:
+    def listed() -> set[Path]:
+        return set(boxes.parent.rglob("*"))
+
+    before, files, history = listed(), opened.state.files, opened.state.history
+    opened.save_as(path)
+    opened.load(Path(path))
+    opened.load(files.target, Path(path))
+    for key, option in opened.options.items():
+        named: dict[str, Value] = {"file": Path(path), "files": (Path(path),), "named files": (("a", Path(path)),)}
+        named |= {"name or file": f"not:{path}.png"}
+        if option.kind in named:
+            opened.finish(FinishOptions(given={key: named[option.kind]}))
+    opened.finish(FinishOptions(maps=(("roughness", Path(path)),)))
+    opened.finish(FinishOptions(name=path))
+    for name in ("target", "source", "texture", "landmarks", "result"):
+        opened.open(replace(files, **{name: Path(path)}))
+    assert opened.state.messages[-1].kind == "error"
+    assert opened.state.files == files
+    assert opened.state.history == history
+    assert opened.state.finish_job is None
+    assert listed() == before
+
+
+def test_an_autosave_of_the_name_to_save_as_is_moved_aside(opened: Session, boxes: Path) -> None:
+    theirs = autosave_path(boxes / "other.json")
+    theirs.write_text("unsaved")
+    click(opened, "target", 0)
+    opened.accept()
+    opened.save_as("other.json")
+    click(opened, "target", 3)
+    assert theirs.with_name(f"{theirs.name}.1").read_text() == "unsaved"
+    for path in boxes.glob(".*autosave*"):
+        path.unlink()
+    opened.save_as("b__a.json")
+
+
+def test_files_are_added_under_free_names(session: Session, boxes: Path) -> None:
+    workspace = session.workspace
+    first, second = workspace.add("../x.obj", b"1"), workspace.add("x.obj", b"2")
+    assert (first.name, second.name) == ("x.obj", "x (2).obj")
+    assert first.parent == second.parent == boxes.resolve()
+    assert not session.add_file("x.sh", b"rm")
+    for path in (first, second):
+        path.unlink()
+
+
+@pytest.mark.parametrize(
+    "line",
+    [b"mtllib ../out.mtl", b" mtllib own.mtl /etc/passwd\r", b"mtllib \\\n..\\out.mtl", b"v 0 0 0\rmtllib ../out.mtl"],
+)
+def test_an_added_mesh_names_no_file_outside_the_folders(session: Session, boxes: Path, line: bytes) -> None:
+    before = sorted(boxes.iterdir())
+    with pytest.raises(ParameterError, match="got one outside"):
+        session.workspace.add("x.obj", b"v 0 0 0\n" + line + b"\nv 1 0 0\n")
+    assert sorted(boxes.iterdir()) == before
+    added = session.workspace.add("x.obj", b"mtllib my own.mtl\n")
+    added.unlink()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "(subLayers = [@../out.usda@])",
+        'def "a"(references = @/out.usda@){}',
+        'def "a"(payload = @./../out.usda@){}',
+        'def "a"(references = @elsewhere.usda@){}',
+        'def "a"(references = @./x.usda:SDF_FORMAT_ARGS:a=b@){}',
+        'def "a" {\nasset f = @/etc/passwd@\n}',
+        'def "a" {\nasset[] f.timeSamples = {0: [@../out.png@]}\n}',
+        'def "a"(clips = {dictionary b = {string templateAssetPath = "../out.###.usda"}}){}',
+        '(expressionVariables = {string A = "x"})\ndef "a"(references = @`"./${A}.usda"`@){}',
+    ],
+)
+def test_an_added_usd_file_names_no_file_outside_the_folders(session: Session, boxes: Path, words: str) -> None:
+    pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    before = sorted(boxes.iterdir())
+    text = "#usda 1.0\n" + words.replace("){}", "){\n}\n")
+    with pytest.raises(ParameterError, match="got one outside"):
+        session.workspace.add("x.usda", text.encode())
+    assert sorted(boxes.iterdir()) == before
+
+
+def test_an_added_usd_file_may_name_files_beside_it_and_a_package_its_own(session: Session, tmp_path: Path) -> None:
+    pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    from pxr import Sdf
+
+    text = b'#usda 1.0\ndef "a" {\nasset f = @./textures/a.png@\n}\n'
+    session.workspace.add("x.usda", text).unlink()
+    with pytest.raises(FormatError, match="cannot be read as USD"):
+        session.workspace.add("x.usda", b"no layer")
+    layer, image, package = tmp_path / "a.usda", tmp_path / "a.png", tmp_path / "p.usdz"
+    layer.write_bytes(text.replace(b"./textures/", b""))
+    image.write_bytes(b"png")
+    for entry, named in (("a.png", True), ("b.png", False)):
+        with Sdf.ZipFileWriter.CreateNew(str(package)) as writer:
+            writer.AddFile(str(layer), "a.usda")
+            writer.AddFile(str(image), entry)
+        if named:
+            session.workspace.add("p.usdz", package.read_bytes()).unlink()
+        else:
+            with pytest.raises(ParameterError, match=r"got one outside: a\.png"):
+                session.workspace.add("p.usdz", package.read_bytes())

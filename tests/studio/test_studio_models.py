@@ -1,0 +1,455 @@
+"""What the studio shows: clicks on the smooth surface, skins through a map, seams, and the answers of its bench."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from multiprocessing import Pipe
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from examples.shapes import creature, cube
+from scipy.spatial import cKDTree
+
+from cagemap.errors import ParameterError
+from cagemap.files.images.image import write_image
+from cagemap.files.meshes.formats import write_mesh
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.parts import extract
+from cagemap.studio.autosave import Owned
+from cagemap.studio.compute import (
+    Bench,
+    ChooseAnswer,
+    Dress,
+    FindMap,
+    Found,
+    Opened,
+    Opening,
+    OpenModels,
+    perform,
+    told_apart,
+)
+from cagemap.studio.finish import FinishOptions, commands
+from cagemap.studio.glb import Primitive, glb
+from cagemap.studio.landmark_files import load_landmarks, save_landmarks
+from cagemap.studio.landmarks import Landmark, LandmarkList
+from cagemap.studio.models import open_model, with_texture
+from cagemap.studio.opening import default_files
+from cagemap.studio.places import place_at, place_of, vertex_place
+from cagemap.studio.scene import Scene, carried_place, mirrored, part_name
+from cagemap.studio.shape import Hit, pick, shape_of
+from cagemap.studio.skins import Images, Look, crossing_triangles, faced, light_on, source_skin, texture_colors
+from cagemap.studio.state import View
+from cagemap.studio.worker import DROPPED, Failure, Worker, _serve
+from cagemap.subdivision import refine
+from cagemap.tasks.requests.catalogue import all_options
+
+
+def read_back(data: bytes) -> list[trimesh.Trimesh]:
+    return list(trimesh.load(io.BytesIO(data), file_type="glb").geometry.values())
+
+
+def test_glb_is_read_by_others_as_it_was_written() -> None:
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    colors = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0.5]])
+    data = glb(
+        [
+            Primitive(points, np.array([[0, 1, 2], [0, 2, 3]]), colors),
+            Primitive(points, np.zeros((0, 3), dtype=np.int64), colors),
+        ]
+    )
+    (mesh,) = read_back(data)
+    np.testing.assert_allclose(mesh.vertices, points)
+    np.testing.assert_array_equal(mesh.faces, [[0, 1, 2], [0, 2, 3]])
+    written = np.asarray(mesh.visual.vertex_attributes["color"][:, :3], dtype=float)
+    np.testing.assert_array_equal(written, np.rint(65535 * colors))
+
+
+@pytest.mark.parametrize("quarters", range(4))
+def test_a_source_is_seen_from_the_side_that_the_target_is_seen_from(quarters: int) -> None:
+    mesh = creature()
+    level = refine(mesh, 1)
+    target = shape_of(level)
+    about = np.linalg.matrix_power(np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]), quarters)
+    upright = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # of a file whose z is up
+    other = mesh.with_positions(mesh.positions @ about @ upright.T + [3.0, 1.0, 2.0])
+    source = shape_of(refine(other, 1), turn=upright)
+    owner = np.zeros(len(target.positions), dtype=np.int64)
+    owner[target.triangles.ravel()] = np.arange(target.triangles.size)
+    images = Images(owner // 3, np.eye(3)[owner % 3], np.ones(len(owner)))
+    seen = faced(source, target, images)
+    np.testing.assert_allclose(seen.to_view(seen.positions), target.to_view(target.positions), atol=1e-9)
+    np.testing.assert_allclose(seen.to_file(target.to_view(target.positions)), source.positions, atol=1e-9)
+    assert faced(seen, target, images) is seen
+    assert faced(source, target, None) is source
+
+
+def test_light_falls_on_every_side_and_most_on_the_first_views() -> None:
+    rng = np.random.default_rng(5)
+    normals = rng.normal(size=(500, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    light = light_on(normals)
+    assert 0.1 < light.min()
+    assert light.max() <= 1
+    np.testing.assert_allclose(normals[light.argmax()], [-0.4, 0.75, 0.6], atol=0.35)
+
+
+def test_only_a_closed_model_hides_its_inner_side() -> None:
+    box = cube()
+    inside_out = replace(box, face_indices=box.face_indices.reshape(-1, 4)[:, ::-1].ravel().copy())
+    open_box = extract(box, np.arange(5))
+    assert [shape_of(refine(mesh, 1)).encloses for mesh in (box, inside_out, open_box)] == [True, False, False]
+
+
+def test_a_model_whose_z_axis_points_up_stands_upright(tmp_path: Path) -> None:
+    mesh = creature()
+    # As its file has it: what is up lies along z, as in Blender.
+    lying = mesh.with_positions(mesh.positions[:, [0, 2, 1]] * [1.0, -1.0, 1.0])
+    for name, one in (("upright", mesh), ("lying", lying)):
+        write_mesh(tmp_path / f"{name}.obj", one)
+    upright = open_model(tmp_path / "upright.obj", None, None, 300).shape
+    turned = open_model(tmp_path / "lying.obj", None, "z", 300).shape
+    places = upright.to_view(upright.positions)
+    np.testing.assert_allclose(turned.to_view(turned.positions), places, atol=1e-6)
+    np.testing.assert_allclose(turned.turned(turned.normals), upright.normals, atol=1e-5)
+    np.testing.assert_allclose(turned.to_file(places), turned.positions, atol=1e-6)
+    # What is clicked is what is seen, in the file's own units.
+    ray = np.array([0.1, 0.2, 3.0]), np.array([-0.02, -0.05, -1.0])
+    one, other = (pick(shape, *ray) for shape in (upright, turned))
+    assert one is not None
+    assert other is not None
+    assert one.triangle == other.triangle
+    np.testing.assert_allclose(other.position[[0, 2, 1]] * [1.0, 1.0, -1.0], one.position, atol=1e-5)
+
+
+def test_a_bake_in_a_new_layout_lies_on_the_model_as_it_is_shown(tmp_path: Path) -> None:
+    """A scan is not subdivided for it, and one whose z axis points up stays upright."""
+    shape = creature().with_uvs(None, None)
+    for name in ("a.obj", "b.obj"):
+        write_mesh(tmp_path / name, shape)
+    laid_out = shape.with_uvs(shape.positions[:, :2] / 100 + 0.5, shape.face_indices)
+    write_mesh(tmp_path / "c_unwrapped.obj", laid_out)
+    write_image(tmp_path / "c.png", np.full((8, 8, 3), 90, dtype=np.uint8))
+    baked = View("baked", baked=tmp_path / "c.png", layout=tmp_path / "c_unwrapped.obj")
+    for scheme in ("none", "bilinear", None):
+        paths = tmp_path / "a.obj", tmp_path / "b.obj"
+        opening = Opening(*paths, None, 300, schemes=(scheme, scheme), ups=("z", None))
+        bench, opened = perform(Bench(), OpenModels(opening, View("plain")), lambda _: None)
+        _, dressed = perform(bench, Dress(opening, baked, None), lambda _: None)
+        (plain,), (shown,) = (read_back(skins[0]) for skins in (opened.scene.skins, dressed.skins))
+        assert cKDTree(plain.vertices).query(shown.vertices)[0].max() < 1e-6
+
+
+def test_a_usd_file_says_itself_which_axis_points_up(tmp_path: Path) -> None:
+    pytest.importorskip("pxr", reason="usd-core is not installed")
+    write_mesh(tmp_path / "a.usda", cube())
+    written = (tmp_path / "a.usda").read_text()
+    turns = {}
+    for axis in ("Y", "Z"):
+        file = tmp_path / f"{axis}.usda"
+        file.write_text(re.sub(r'upAxis = "\w"', f'upAxis = "{axis}"', written))
+        turns[axis] = [open_model(file, None, up, 300).shape.turn for up in (None, "y")]
+    np.testing.assert_allclose(turns["Y"], [np.eye(3)] * 2, atol=1e-12)
+    np.testing.assert_allclose(np.array([1.0, 2.0, 3.0]) @ turns["Z"][0], [1.0, 3.0, -2.0], atol=1e-12)
+    np.testing.assert_array_equal(turns["Z"][1], np.eye(3))
+
+
+@pytest.mark.slow
+def test_a_mesh_as_it_is_keeps_the_numbers_of_its_file(tmp_path: Path) -> None:
+    mesh = refine(creature(), 2).finest
+    points = mesh.positions
+    assert mesh.faces is not None
+    # Ahead of the creature stand vertices of a speck that is set aside.
+    speck = ControlMesh.from_faces(
+        np.concatenate([[[9.0, 0, 0], [9.1, 0, 0], [9.1, 0.1, 0], [9.0, 0.1, 0]], points]),
+        [[0, 1, 2, 3], *(mesh.faces + 4).tolist()],
+    )
+    for name in ("a.obj", "b.obj"):
+        write_mesh(tmp_path / name, speck)
+    opening = Opening(tmp_path / "a.obj", tmp_path / "b.obj", None, 300, ("none", "none"))
+    bench, opened = perform(Bench(), OpenModels(opening, View()), lambda _: None)
+    assert isinstance(opened, Opened)
+    assert any("set aside" in note for note in opened.notes)
+    shape = opened.scene.target
+    np.testing.assert_allclose(shape.positions, points)
+    files = default_files(tmp_path, opening.target, opening.source, None, opening.schemes)
+    scene = opened.scene
+    picked = landmarks(bench, 3, 40, 90)
+    save_landmarks(files.landmarks, picked, scene, files, Owned())
+    stored = json.loads(files.landmarks.read_text())["pairs"]
+    assert [pair["target"] for pair in stored] == [7, 44, 94]
+    again, _ = load_landmarks(files.landmarks, None, scene, files, Owned())
+    assert [item.target for item in again.items] == [item.target for item in picked.items]
+    # The finish says so too, and the map of a mesh onto itself takes vertices to themselves.
+    assert commands(all_options(), files, FinishOptions(), landmarks=True)[0].request.target_scheme == "none"
+    bench, found = perform(bench, FindMap(opening, landmarks(bench, 0, 17, 33, 60, 90, 120), View()), lambda _: None)
+    assert isinstance(found, Found)
+    places = found.images.on(opened.scene.source.triangles, opened.scene.source.positions)
+    assert np.median(np.linalg.norm(places - points, axis=1)) < 0.02 * shape.radius
+    assert found.known.suggestion is not None
+
+
+def test_a_click_lands_where_the_ray_meets_the_smooth_surface() -> None:
+    shape = shape_of(refine(cube(), 4))
+    for direction in ([0.0, 0.0, -1.0], [0.3, -0.2, -1.0], [1.0, 1.0, -1.0]):
+        ray = np.array(direction) / np.linalg.norm(direction)
+        hit = pick(shape, -3 * ray, ray)
+        assert hit is not None
+        # On the ray, on the near side, and on the triangle that is named.
+        view = shape.to_view(hit.position)
+        np.testing.assert_allclose(np.cross(view, ray), 0, atol=1e-12)
+        assert view @ ray < 0
+        np.testing.assert_allclose(hit.barycentric @ shape.positions[shape.triangles[hit.triangle]], hit.position)
+    assert pick(shape, np.array([5.0, 5.0, 5.0]), np.array([1.0, 0.0, 0.0])) is None
+
+
+def test_a_click_at_a_control_vertex_means_it() -> None:
+    shape = shape_of(refine(cube(), 4))
+    corner = shape.to_view(shape.positions[3])
+    ray = -corner / np.linalg.norm(corner)
+    hit = pick(shape, corner - 3 * ray, ray)
+    assert hit is not None
+    place = place_of(shape, hit)
+    np.testing.assert_allclose(place.position, shape.positions[3], atol=1e-9)
+    np.testing.assert_allclose(np.array(place.weights) @ np.eye(8)[list(place.corners)], np.eye(8)[3], atol=1e-6)
+
+
+@pytest.mark.parametrize("mesh", [cube(), creature()], ids=["cube", "creature"])
+def test_a_place_lies_where_it_was_wanted(mesh: ControlMesh) -> None:
+    shape = shape_of(refine(mesh, 4))
+    rng = np.random.default_rng(3)
+    triangles, weights = rng.integers(0, len(shape.triangles), 60), rng.dirichlet(np.ones(3), 60)
+    missed = []
+    for triangle, inside in zip(triangles, weights, strict=True):
+        position = inside @ shape.positions[shape.triangles[triangle]]
+        found = np.array(place_of(shape, Hit(int(triangle), inside, position)).position)
+        missed.append(np.linalg.norm(found - position) / shape.radius)
+        assert np.linalg.norm(np.array(place_at(shape, found).position) - found) < 0.01 * shape.radius
+    assert np.median(missed) < 1e-3
+    assert max(missed) < 0.005
+
+
+def test_parts_have_names_and_triangles_belong_to_them() -> None:
+    mesh = cube()
+    numbers = np.array([0, 0, 0, 1, 1, 1])
+    named = replace(mesh, face_objects=numbers, object_names=("head", "body"), face_materials=numbers * 0)
+    shape = shape_of(refine(replace(named, material_names=("skin",)), 2))
+    assert shape.parts == ("head", "body", "skin")
+    assert part_name(shape, 0) == "head, skin"
+    assert part_name(shape, len(shape.triangles) - 1) == "body, skin"
+    assert part_name(shape_of(refine(mesh, 2)), 0) == ""
+
+
+def identity(n: int, triangles: np.ndarray) -> Images:
+    """Every vertex of a shape to itself."""
+    first = np.zeros(n, dtype=np.int64)
+    first[triangles.ravel()] = np.repeat(np.arange(len(triangles)), 3)
+    return Images(first, (triangles[first] == np.arange(n)[:, None]).astype(float), np.ones(n))
+
+
+def unwrapped_cube():
+    """A cube whose six faces are islands of their own."""
+    mesh = cube()
+    corners = np.array([[0.02, 0.02], [0.31, 0.02], [0.31, 0.48], [0.02, 0.48]])
+    steps = np.array([[x / 3, y / 2] for y in range(2) for x in range(3)])
+    uvs = (corners[None] + steps[:, None]).reshape(-1, 2)
+    return mesh.with_uvs(uvs, np.arange(24))
+
+
+def test_every_tile_of_an_image_is_shown_on_its_faces(tmp_path: Path) -> None:
+    tiles = {1001: (255, 0, 0), 1002: (0, 255, 0), 1011: (0, 0, 255)}
+    for number, color in tiles.items():
+        side = 2 if number == 1001 else 8  # none loses detail by another one
+        write_image(tmp_path / f"skin.{number}.png", np.full((side, side, 3), color, dtype=np.uint8))
+    look = with_texture(Look(), tmp_path / "skin.<UDIM>.png")
+    places = np.array([[0.1, 0.9], [1.9, 0.1], [0.9, 1.1], [1.5, 1.5]])
+    assert look.texture is not None
+    assert look.texture.shape == (16, 16, 3)
+    np.testing.assert_allclose(texture_colors(look, places), [*np.eye(3), np.zeros(3)])
+    # The page's card has the whole of it between 0 and 1.
+    mesh = unwrapped_cube()
+    shape = shape_of(refine(mesh.with_uvs(2 * mesh.uvs, mesh.uv_indices), 1))
+    (drawn,) = read_back(source_skin(shape, look, View()))
+    assert shape.uvs.max() > 1.9
+    assert 0.9 < drawn.visual.uv.max() < 1.0
+
+
+def test_seams_are_found_where_texture_coordinates_jump() -> None:
+    shape = shape_of(refine(unwrapped_cube(), 3))
+    images = identity(len(shape.positions), shape.triangles)
+    assert shape.uvs is not None
+    uvs = images.on(shape.uv_triangles, shape.uvs)
+    crossing = crossing_triangles(shape, shape, images, uvs)
+    # Under the identity a triangle crosses a seam if it has a vertex on one and lies on another face than its image.
+    island = shape.faces
+    own = island[images.triangle[shape.triangles]]
+    np.testing.assert_array_equal(crossing, (own != own[:, :1]).any(axis=1))
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory) -> tuple[Bench, OpenModels]:
+    folder = tmp_path_factory.mktemp("models")
+    mesh = unwrapped_cube()
+    write_mesh(folder / "a.obj", mesh.with_positions(mesh.positions * [1.0, 1.2, 1.4]))
+    # Not the very same surface, which has one answer.
+    write_mesh(folder / "b.obj", mesh.with_positions(mesh.positions * [1.0, 1.2, 1.4003] + [5.0, 0.0, 0.0]))
+    write_image(folder / "t.png", np.full((8, 8, 3), [255, 0, 0], dtype=np.uint8))
+    task = OpenModels(Opening(folder / "a.obj", folder / "b.obj", folder / "t.png", 300), View())
+    bench, _ = perform(Bench(), task, lambda _: None)
+    return bench, task
+
+
+def landmarks(bench: Bench, *vertices: int) -> LandmarkList:
+    assert bench.models is not None
+    shapes = bench.models.target.shape, bench.models.source.shape
+    pairs = (Landmark(v + 1, f"v{v}", *(vertex_place(shape, v) for shape in shapes)) for v in vertices)
+    return LandmarkList(tuple(pairs))
+
+
+def test_the_bench_maps_and_follows_landmarks(opened: tuple[Bench, OpenModels]) -> None:
+    bench, task = opened
+    bench, first = perform(bench, FindMap(task.opening, landmarks(bench, *range(8)), View()), lambda _: None)
+    assert isinstance(first, Found)
+    bench, second = perform(bench, FindMap(task.opening, landmarks(bench, *range(7)), View()), lambda _: None)
+    assert isinstance(second, Found)
+    assert set(second.known.strain) == {f"v{v}" for v in range(7)}
+    _, dressed = perform(bench, Dress(task.opening, View("checker"), second.images), lambda _: None)
+    assert dressed.skins[0] != second.skin
+    # The models are translates of each other: the map carries a point to the same point, five units to the right.
+    models = bench.models
+    assert models is not None
+    scene = Scene(
+        models.target.shape,
+        models.source.shape,
+        (models.target.mirror, models.source.mirror),
+        dressed.skins,
+        second.images,
+    )
+    there = carried_place(scene, "target", vertex_place(scene.target, 0))
+    assert there is not None
+    # Within two edges of the preview's level.
+    np.testing.assert_allclose(np.array(there.position) - [5, 0, 0], scene.target.positions[0], atol=0.3)
+    back = carried_place(scene, "source", there)
+    assert back is not None
+    np.testing.assert_allclose(back.position, scene.target.positions[0], atol=0.3)
+
+
+@pytest.mark.slow
+def test_without_landmarks_the_bench_has_answers_to_choose_from(opened: tuple[Bench, OpenModels]) -> None:
+    bench, task = opened
+    with pytest.raises(ParameterError, match="answer 99"):
+        perform(bench, ChooseAnswer(task.opening, LandmarkList(), 99, View()), lambda _: None)
+    bench, first = perform(bench, FindMap(task.opening, LandmarkList(), View()), lambda _: None)
+    assert isinstance(first, Found)
+    # A box on a box: each half turn is an answer.
+    assert len(first.known.answers) > 1
+    assert first.known.confidence
+    bench, second = perform(bench, ChooseAnswer(task.opening, LandmarkList(), 1, View()), lambda _: None)
+    assert isinstance(second, Found)
+    assert second.known.chosen == 1
+    assert not np.array_equal(first.images.triangle, second.images.triangle)
+    # One landmark moves that answer, and taking it away gives it back.
+    bench, third = perform(bench, FindMap(task.opening, landmarks(bench, 0), View()), lambda _: None)
+    assert isinstance(third, Found)
+    assert set(third.known.strain) == {"v0"}
+    bench, fourth = perform(bench, FindMap(task.opening, LandmarkList(), View()), lambda _: None)
+    assert isinstance(fourth, Found)
+    np.testing.assert_array_equal(fourth.images.triangle, second.images.triangle)
+
+
+def test_every_map_suggests_a_free_vertex_until_all_are_taken(opened: tuple[Bench, OpenModels]) -> None:
+    bench, task = opened
+    taken: list[int] = []
+    for _ in range(8):
+        bench, found = perform(bench, FindMap(task.opening, landmarks(bench, *taken), View()), lambda _: None)
+        assert isinstance(found, Found)
+        assert found.known.suggestion not in (None, *taken)
+        taken.append(found.known.suggestion or 0)
+    _, found = perform(bench, FindMap(task.opening, landmarks(bench, *taken), View()), lambda _: None)
+    assert isinstance(found, Found)
+    assert found.known.suggestion is None
+
+
+def test_mirror_images_lie_across_the_plane(opened: tuple[Bench, OpenModels]) -> None:
+    bench, _ = opened
+    models = bench.models
+    assert models is not None
+    shape = models.target.shape
+    scene = Scene(shape, models.source.shape, (models.target.mirror, models.source.mirror), (b"", b""))
+    corner = vertex_place(shape, 0)
+    across = mirrored(scene, "target", corner)
+    assert across is not None
+    assert across.corners != corner.corners
+    assert mirrored(scene, "target", across) == corner
+    assert mirrored(Scene(shape, shape, (None, None), (b"", b"")), "target", corner) is None
+
+
+def test_a_failing_task_is_a_named_failure_and_the_worker_lives_on(opened: tuple[Bench, OpenModels]) -> None:
+    _, task = opened
+    stages: list[str] = []
+    worker = Worker(stages.append)
+    missing = worker.run(OpenModels(replace(task.opening, target=Path("/nowhere/a.obj")), View()))
+    assert isinstance(missing, Failure)
+    assert missing.kind == "FormatError"
+    assert "a.obj" in missing.message
+    answer = worker.run(task)
+    assert not isinstance(answer, Failure)
+    assert stages
+    worker.stop()
+    assert isinstance(worker.run(task), (Failure, type(answer)))
+    # Whatever happened to the process that was killed, the next task has one.
+    assert not isinstance(worker.run(task), Failure)
+    worker.stop()
+
+
+def test_a_task_that_is_not_wanted_ends_at_its_next_stage(
+    opened: tuple[Bench, OpenModels], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that has ended already, or is named no more, disturbs no other."""
+    _, task = opened
+    unwanted, wanted = FindMap(task.opening, LandmarkList(), View()), Dress(task.opening, View(), None)
+    here, there = Pipe()
+    worker = Worker(lambda stage: worker.drop(unwanted))
+    monkeypatch.setattr(worker, "_connected", lambda: here)
+    worker._connection = here
+
+    def work(bench: Bench, task: object, progress: Callable[[str], None]) -> tuple[Bench, object]:
+        for stage in range(10_000 if isinstance(task, FindMap) else 3):  # the unwanted one has time to hear of it
+            progress(str(stage))
+            time.sleep(1e-3)
+        return bench, type(task).__name__
+
+    monkeypatch.setattr("cagemap.studio.compute.perform", work)
+    monkeypatch.setattr("cagemap.studio.worker._step_back", lambda: None)  # it is this process that serves
+    serving = threading.Thread(target=_serve, args=(there,), daemon=True)
+    serving.start()
+    for _ in range(2):
+        assert worker.run(unwanted) == Failure(DROPPED, "the computation is not wanted any more")
+        worker.drop(unwanted)
+        assert worker.run(wanted) == "Dress"
+    here.close()
+    serving.join(10)
+    assert not serving.is_alive()
+
+
+def test_a_vertex_cannot_be_named_twice(opened: tuple[Bench, OpenModels]) -> None:
+    bench, task = opened
+    one = landmarks(bench, 0).items[0]
+    with pytest.raises(ValueError, match="one pair only"):
+        perform(bench, FindMap(task.opening, LandmarkList((one, replace(one, name="again"))), View()), lambda _: None)
+
+
+def test_answers_of_one_name_are_told_apart() -> None:
+    assert told_apart(["as filed", "turned", "as filed", "as filed"]) == (
+        "as filed",
+        "turned",
+        "as filed (2)",
+        "as filed (3)",
+    )

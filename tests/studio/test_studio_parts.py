@@ -1,0 +1,363 @@
+"""Files of several parts in the studio: which one is open, its numbers, and what becomes of landmarks on the others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from examples.shapes import creature, cube, icosahedron, triangulated
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cagemap.errors import InvalidMeshError, ParameterError
+from cagemap.files.landmarks.pairs import read_landmarks
+from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.result.folder import write_result
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.curves import CageCurves, Curves
+from cagemap.mesh.join import join_meshes
+from cagemap.mesh.landmarks import CagePoints, Landmarks
+from cagemap.mesh.parts import extract, in_one_piece, list_parts, numbers_on_part
+from cagemap.studio.autosave import Owned, autosave_path, kept_parts, read_autosave, write_autosave
+from cagemap.studio.compute import Bench, Opening, OpenModels, perform
+from cagemap.studio.finish import FinishOptions, commands
+from cagemap.studio.landmark_files import in_files, load_landmarks, on_parts, recovered_landmarks, save_landmarks
+from cagemap.studio.landmarks import Landmark, LandmarkList, keep_elsewhere, place
+from cagemap.studio.models import DENSE, open_model
+from cagemap.studio.opening import chosen_files, default_files, result_of, with_parts
+from cagemap.studio.page.part_choices import WHOLE, labels
+from cagemap.studio.pieces import take_part
+from cagemap.studio.places import vertex_place
+from cagemap.studio.scene import Scene
+from cagemap.studio.session import Session
+from cagemap.studio.skins import source_skin
+from cagemap.studio.state import View
+from cagemap.studio.worker import Failure
+from cagemap.subdivision import refine
+from cagemap.tasks.requests.catalogue import all_options
+
+from example_result import identity_result
+from studio_boxes import Idle, session_of
+
+
+def named(mesh: ControlMesh, name: str) -> ControlMesh:
+    return replace(mesh, face_objects=np.zeros(mesh.n_faces, dtype=np.int64), object_names=(name,))
+
+
+def figure() -> ControlMesh:
+    """An eye, a body and a hat, in this order, each an object."""
+    eye, body, hat = cube(), creature(), cube()
+    eye, hat = eye.with_positions(0.1 * eye.positions), hat.with_positions(hat.positions + np.array([0.0, 5.0, 0.0]))
+    return join_meshes([named(eye, "eye"), named(body, "body"), named(hat, "hat")])
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name in ("a.obj", "b.obj"):
+        write_mesh(tmp_path / name, figure())
+    return tmp_path
+
+
+def opened(folder: Path, *parts: str | None) -> Scene:
+    opening = Opening(folder / "a.obj", folder / "b.obj", None, 300, parts=(parts[0], parts[-1]))
+    _, answer = perform(Bench(), OpenModels(opening, View()), lambda _: None)
+    return answer.scene
+
+
+def test_the_largest_part_is_open_and_the_others_are_offered(folder: Path) -> None:
+    model = open_model(folder / "a.obj", None, None, 300)
+    assert model.offer.opened == "object:body"
+    assert model.offer.titles == ("object:body", "object:eye", "object:hat")
+    assert not model.offer.whole
+    assert model.control.n_faces == creature().n_faces
+    eye = open_model(folder / "a.obj", None, None, 300, "eye")
+    assert (eye.offer.opened, eye.control.n_faces) == ("object:eye", 6)
+    # Its numbers are those of the file.
+    np.testing.assert_allclose(eye.shape.file_mesh.positions[eye.shape.in_file(np.arange(8))], 0.1 * cube().positions)
+    assert eye.shape.from_file(np.array([7, 8])).tolist() == [7, -1]
+    with pytest.raises(ParameterError, match="named 'nose'"):
+        open_model(folder / "a.obj", None, None, 300, "nose")
+
+
+def test_what_is_left_alone_is_drawn_unless_it_is_hidden(folder: Path) -> None:
+    model = open_model(folder / "a.obj", None, None, 300)
+    rest = model.look.rest
+    assert rest is not None
+    assert model.shape.leaves_any
+    # The hat lies five above, the eye inside.
+    assert rest.positions[:, 1].max() > 5
+    shown, hidden = (source_skin(model.shape, model.look, View(rest=rest)) for rest in (True, False))
+    assert len(shown) > len(hidden)
+    write_mesh(folder / "one.obj", creature())
+    alone = open_model(folder / "one.obj", None, None, 300)
+    assert alone.look.rest is None
+    assert (alone.offer.titles, alone.offer.opened) == ((), None)
+
+
+def test_labels_name_every_part_once_and_the_whole_where_it_can_be_opened(folder: Path) -> None:
+    offer = open_model(folder / "a.obj", None, None, 300).offer
+    assert list(labels(offer).values()) == list(offer.titles)
+    body = creature()
+    front = (body.positions[body.face_indices].reshape(-1, 4, 3).mean(1)[:, 2] > 0).astype(np.int64)
+    write_mesh(folder / "halves.obj", replace(body, face_groups=front, group_names=("back", "front")))
+    offer = open_model(folder / "halves.obj", None, None, 300).offer
+    assert labels(offer)[WHOLE] is None
+    assert {"group:back", "group:front"} & set(offer.titles)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.integers(0, 3), min_size=18, max_size=18))
+def test_a_part_is_in_one_piece_where_its_mesh_is(numbers: list[int]) -> None:
+    mesh = join_meshes([cube(), cube(), cube()])
+    mesh = replace(mesh, face_materials=np.array(numbers), material_names=("a", "b", "c", "d"))
+    parts = [part for part in list_parts(mesh) if part.kind == "material"]
+    one = [part for part in parts if len(list_parts(replace(extract(mesh, part.faces), face_materials=None))) == 1]
+    assert [part.name for part in in_one_piece(mesh, parts)] == [part.name for part in one]
+    for part in parts:
+        taken = extract(mesh, part.faces)
+        number = numbers_on_part(taken, mesh)
+        on = np.flatnonzero(number >= 0)
+        np.testing.assert_array_equal(taken.positions[number[on]], mesh.positions[on])
+        assert len(on) == taken.n_vertices
+
+
+def list_of(scene: Scene, *vertices: int) -> LandmarkList:
+    """Landmarks at control vertices of the open parts."""
+    ends = ((vertex_place(scene.target, v), vertex_place(scene.source, v)) for v in vertices)
+    return LandmarkList(
+        tuple(Landmark(k, f"mark {v}", *end) for k, (v, end) in enumerate(zip(vertices, ends, strict=True), 1))
+    )
+
+
+def test_landmarks_of_one_part_leave_those_of_the_others_in_the_file(folder: Path) -> None:
+    files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
+    eyes, body = opened(folder, "eye"), opened(folder, "body")
+    owned = Owned()
+    save_landmarks(files.landmarks, list_of(eyes, 2, 5), eyes, files, owned)
+    found, notes = load_landmarks(files.landmarks, None, body, files, owned)
+    assert found.items == ()
+    assert any("other parts" in note for note in notes)
+    both = replace(list_of(body, 10, 20), elsewhere=found.elsewhere)
+    save_landmarks(files.landmarks, both, body, files, owned)
+    written, _ = read_landmarks(files.landmarks, "a.obj", "b.obj")
+    assert sorted(written.target.tolist()) == [2, 5, 18, 28]
+    assert [item.name for item in load_landmarks(files.landmarks, None, eyes, files, owned)[0].items] == [
+        "mark 2",
+        "mark 5",
+    ]
+    assert not list(folder.glob("*before-studio*"))
+
+
+def test_no_name_is_given_that_a_landmark_elsewhere_has(folder: Path) -> None:
+    scene = opened(folder, "eye")
+    others = Landmarks(("landmark 1",), np.array([20]), np.array([20]), "a.obj", "b.obj")
+    placed = place(LandmarkList(elsewhere=others), "target", vertex_place(scene.target, 0))
+    assert placed.items[0].name == "landmark 1 (2)"
+
+
+def test_what_was_not_saved_opens_its_part_and_waits_on_the_others(folder: Path) -> None:
+    files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
+    kept = autosave_path(files.landmarks)
+    eyes, body = opened(folder, "eye"), opened(folder, "body")
+    half = list_of(eyes, 3)
+    half = replace(half, items=(*half.items, Landmark(9, "half", vertex_place(eyes.target, 1))))
+    write_autosave(kept, in_files(half, eyes), ("object:eye", "object:eye"))
+    assert kept_parts(kept) == ("object:eye", "object:eye")
+    assert recovered_landmarks(files, eyes, Owned())[0] == half
+    elsewhere, notes = recovered_landmarks(files, body, Owned())
+    assert elsewhere.items == ()
+    assert any("half" in note for note in notes)
+    # Kept on with what is done on the body, and there when the eye is opened again.
+    more = replace(list_of(body, 30), elsewhere=elsewhere.elsewhere)
+    write_autosave(kept, in_files(more, body), ("object:body", "object:body"))
+    again, _ = recovered_landmarks(files, eyes, Owned())
+    assert [(item.name, item.target.corners) for item in again.items] == [("mark 3", half.items[0].target.corners)]
+    np.testing.assert_allclose(again.items[0].target.position, half.items[0].target.position, atol=1e-9)
+    assert [item.name for item in recovered_landmarks(files, body, Owned())[0].items] == ["mark 30"]
+    kept.write_text("{")
+    assert kept_parts(kept) == (None, None)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.lists(st.integers(0, 7 + creature().n_vertices + 8), unique=True, max_size=12), st.data())
+def test_no_landmark_of_a_file_is_lost_by_opening_a_part(vertices: list[int], data: st.DataObject) -> None:
+    whole = figure()
+    vertices = [v for v in vertices if v < whole.n_vertices]
+    scenes = hypothesis_scenes()
+    scene = scenes[data.draw(st.sampled_from(sorted(scenes)))]
+    other = scenes[data.draw(st.sampled_from(sorted(scenes)))]
+    points = CagePoints.of_vertices(np.array(vertices, dtype=np.int64))
+    given = Landmarks.of_points(tuple(map(str, vertices)), points, points, "a.obj", "b.obj")
+    kept = LandmarkList(elsewhere=given)
+    for here in (scene, other, scene):
+        found, _ = on_parts(kept, here)
+        kept = in_files(found, here)
+        left = () if kept.elsewhere is None else kept.elsewhere.names
+        assert sorted([item.name for item in found.items] + list(left)) == sorted(given.names)
+    assert all(int(item.name) in item.target.corners for item in kept.items)
+
+
+_SCENES: dict[str, Scene] = {}
+
+
+def hypothesis_scenes() -> dict[str, Scene]:
+    """The figure with each of its parts open."""
+    if not _SCENES:
+        import tempfile
+
+        with tempfile.TemporaryDirectory() as name:
+            for file in ("a.obj", "b.obj"):
+                write_mesh(Path(name) / file, figure())
+            _SCENES.update({part: opened(Path(name), part) for part in ("eye", "body", "hat")})
+    return _SCENES
+
+
+def test_the_finish_matches_the_open_parts_into_a_folder_of_their_own(folder: Path) -> None:
+    files = chosen_files(folder / "a.obj", folder / "b.obj", None, None, None, parts=("eye", None))
+    assert files is not None
+    request = commands(all_options(), files, FinishOptions(), landmarks=False)[0].request
+    assert (request.target_part, request.source_part) == ("eye", None)
+    results = {
+        result_of(files, parts).name for parts in ((None, None), ("object:eye", None), ("object:hat", "group:x/y"))
+    }
+    assert results == {"b__a_RESULT", "b__a_eye_RESULT", "b_group_x_y__a_hat_RESULT"}
+
+
+def test_no_two_parts_share_a_file(folder: Path) -> None:
+    files = default_files(folder, folder / "a.obj", folder / "b.obj", folder / "skin.png")
+    titles = (None, "object:eye", "object:/char/left/eye", "object:/char/right/eye", "material:eye", "object:::")
+    titles += ("object:" + "long" * 20 + "_L", "object:" + "long" * 20 + "_R")
+    pairs = [(target, source) for target in titles for source in titles]
+    for name in ("", "hero"):
+        asked = FinishOptions(name=name, wrap=True, map_form=".npy", given={("transfer", "material_colors"): True})
+        written = [
+            command.output
+            for pair in pairs
+            for command in commands(all_options(), with_parts(files, pair), asked, landmarks=False)
+        ]
+        assert len(set(written)) == len(written)
+    # A RESULT that was named by a person keeps its name; the pair's own gets the parts' names.
+    assert with_parts(files, ("eye", None)).result.name == "b__a_eye_RESULT"
+    mine = replace(files, result=folder / "mine")
+    assert with_parts(mine, ("eye", None)).result == mine.result
+
+
+def idle_session(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
+    """A session whose computations never give an answer."""
+    monkeypatch.setattr("cagemap.studio.preview.Worker", Idle)
+    return session_of(folder)
+
+
+def test_the_whole_file_can_be_chosen_while_a_part_has_unsaved_landmarks(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
+    session = idle_session(folder, monkeypatch)
+    session.open(replace(files, parts=("object:eye", "object:eye")))
+    session._scene = opened(folder, "eye")
+    session._edit(lambda present: place(present, "target", vertex_place(session._scene.target, 0)))
+    assert kept_parts(autosave_path(files.landmarks)) == ("object:eye", "object:eye")
+    session.choose_part("target", None)
+    assert session._preview.models.parts[0] is None
+    session.open(files)  # not named, they are those of the autosave
+    assert session._preview.models.parts == ("object:eye", "object:eye")
+    session.close()
+
+
+def test_an_autosave_of_a_part_that_is_gone_keeps_nobody_out(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
+    write_autosave(autosave_path(files.landmarks), LandmarkList(), ("object:nose", None))
+    session = idle_session(folder, monkeypatch)
+    session.open(files)
+    models = session._preview.models
+    assert models.parts == ("object:nose", None)
+    session._receive(OpenModels(models, View()), Failure("ParameterError", "no nose"))
+    assert "no nose" in session.state.messages[-1].text
+    assert session._preview.models.parts == (None, None)
+    again = session._preview.models
+    session._receive(OpenModels(again, View()), Failure("ParameterError", "no file"))
+    assert session._preview.models is again
+    session.close()
+
+
+def test_loaded_landmarks_leave_those_of_other_parts(folder: Path) -> None:
+    scene = opened(folder, "body")
+    away = Landmarks(("mark 10", "hat"), np.array([2, 5]), np.array([2, 5]), "a.obj", "b.obj")
+    before = LandmarkList(elsewhere=away)
+    loaded = keep_elsewhere(list_of(scene, 10), before)
+    assert loaded.elsewhere.names == ("mark 10 (2)", "hat")
+    np.testing.assert_array_equal(loaded.elsewhere.target, [2, 5])
+    files = default_files(folder, folder / "a.obj", folder / "b.obj", None)
+    save_landmarks(files.landmarks, loaded, scene, files, Owned())
+    assert len(read_landmarks(files.landmarks, "a.obj", "b.obj")[0]) == 3
+    # A file that has some there replaces them.
+    said = replace(list_of(scene, 10), elsewhere=away.without([0]))
+    assert keep_elsewhere(said, before).elsewhere.names == ("hat",)
+    assert keep_elsewhere(list_of(scene, 10), LandmarkList()).elsewhere is None
+
+
+def test_curves_alone_on_other_parts_are_kept_by_the_autosave(folder: Path) -> None:
+    corners = creature().face_indices[:4] + 8
+    lines = CageCurves.of_vertices((corners.tolist(),), (True,))
+    away = replace(Landmarks.none(), curves=Curves(("rim",), lines, lines))
+    kept = autosave_path(folder / "a.json")
+    write_autosave(kept, LandmarkList(elsewhere=away))
+    n = figure().n_vertices
+    assert read_autosave(kept, (n, n)).curves.names == ("rim",)
+
+
+def test_a_file_whose_one_part_is_all_of_it_can_be_shown(tmp_path: Path) -> None:
+    body = creature()
+    front = (body.positions[body.face_indices].reshape(-1, 4, 3).mean(1)[:, 2] > 0).astype(np.int64)
+    mesh = replace(body, face_materials=front, material_names=("back", "front"), object_schemes=("catmull-clark",))
+    offer = take_part(mesh, None, plain=False).offer
+    assert offer.titles
+    assert offer.opened in labels(offer).values()
+
+
+def test_a_result_opens_the_parts_that_it_is_of(folder: Path) -> None:
+    from cagemap.files.result.manifest import file_hash
+
+    result = folder / "RESULT"
+    inputs = {
+        side: {"file": name, "path": f"../{name}", "sha256": file_hash(folder / name)}
+        for side, name in (("target", "a.obj"), ("source", "b.obj"))
+    }
+    for word, opens in (("object:eye", "object:eye"), ("each", None)):
+        parameters = {"target_part": word, "source_part": None}
+        write_result(result, replace(identity_result(1), provenance={"inputs": inputs, "parameters": parameters}))
+        files = chosen_files(None, None, None, None, result)
+        assert files is not None
+        assert files.parts == (opens, None)
+
+
+def dense() -> ControlMesh:
+    mesh = triangulated(creature())
+    while mesh.n_faces < DENSE:
+        fine = refine(mesh, 1).finest
+        assert fine.faces is not None
+        mesh = ControlMesh.from_faces(fine.positions, fine.faces.tolist())
+    return mesh
+
+
+def test_a_scan_is_offered_to_be_taken_as_it_is_and_is_where_it_is_no_cage(tmp_path: Path) -> None:
+    mesh = dense()
+    write_mesh(tmp_path / "scan.obj", mesh)
+    offered = open_model(tmp_path / "scan.obj", None, None, 300)
+    assert (offered.dense, offered.scheme) == (True, None)
+    stated = open_model(tmp_path / "scan.obj", "none", None, 300)
+    assert (stated.dense, stated.scheme, len(stated.shape.positions)) == (False, "none", mesh.n_vertices)
+    # A third face at an edge: no cage.
+    faces = np.concatenate([mesh.face_indices.reshape(-1, 3), [[*mesh.face_indices[:2], mesh.n_vertices - 1]]])
+    write_mesh(tmp_path / "torn.obj", ControlMesh.from_faces(mesh.positions, faces.tolist()))
+    torn = open_model(tmp_path / "torn.obj", None, None, 300)
+    assert (torn.dense, torn.scheme) == (False, "none")
+    assert "is no cage" in torn.notes[0]
+    # A small mesh of triangles is a cage, and what is wrong with it is said.
+    small = icosahedron()
+    faces = np.concatenate([small.face_indices.reshape(-1, 3), [[*small.face_indices[:2], 9]]])
+    write_mesh(tmp_path / "small.obj", ControlMesh.from_faces(small.positions, faces.tolist()))
+    with pytest.raises(InvalidMeshError):
+        open_model(tmp_path / "small.obj", None, None, 300)

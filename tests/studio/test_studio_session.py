@@ -1,0 +1,389 @@
+"""The session behind all pages: its maps and views, what ends them, and what is shown of bakes."""
+
+from __future__ import annotations
+
+import os
+import queue
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cagemap.files.result.manifest import note_transfer
+from cagemap.studio.compute import FindMap, Found, OpenModels, Task
+from cagemap.studio.finish import FinishOptions
+from cagemap.studio.landmarks import LandmarkList
+from cagemap.studio.places import vertex_place
+from cagemap.studio.preview import Preview
+from cagemap.studio.scene import carried
+from cagemap.studio.session import Session
+from cagemap.studio.skins import Images
+from cagemap.studio.state import Files, Message, Output, RunningJob, Studio, View
+from cagemap.studio.worker import DROPPED, Failure
+from cagemap.surface.closest_points import build_tree, closest_points
+
+from studio_boxes import Idle, at_rest, click, click_between, until
+
+
+def test_it_starts_with_a_map_and_follows_clicks(opened: Session) -> None:
+    click(opened, "target", 2)
+    proposal = opened.state.proposal or pytest.fail("no proposal")
+    assert (proposal.number, proposal.side) == (1, "source")
+    assert proposal.place.position[0] > 2  # on the other box
+    click(opened, "source", 2)
+    until(lambda: opened.state.map.revision >= 2, opened)
+    there = opened.state.history.present.complete[0].target
+    np.testing.assert_allclose(there.position, vertex_place(opened.scene.target, 2).position, atol=1e-6)
+    assert set(opened.state.map.strain) == {"landmark 1"}
+    opened.undo()
+    opened.undo()
+    assert not opened.state.history.present.items
+    opened.redo()
+    opened.redo()
+    assert len(opened.state.history.present.complete) == 1
+
+
+def test_answers_about_models_that_are_no_longer_open_are_left_out(opened: Session) -> None:
+    before = opened.state
+    assert opened._preview.models is not None
+    others = replace(opened._preview.models, vertices=7)
+    opened._receive(OpenModels(others, View()), Failure("FormatError", "of another pair"))
+    assert opened.state == before
+
+
+def test_a_search_that_was_dropped_is_no_error_where_its_models_are_open_again(opened: Session) -> None:
+    """Another part, and back at once: the answer comes when its models count again."""
+    before = opened.state
+    assert opened._preview.models is not None
+    opened._receive(OpenModels(opened._preview.models, View()), Failure(DROPPED, "not wanted"))
+    assert opened.state == before
+
+
+def test_a_source_that_the_map_turns_is_turned_in_the_view(opened: Session) -> None:
+    scene = opened.scene
+    assert scene is not None
+    assert scene.images is not None
+    # About where half a turn about the vertical takes the box, which is slanted.
+    places = scene.source.centre + (scene.target.positions - scene.target.centre) * [-1.0, 1.0, -1.0]
+    triangle, weights, _ = closest_points(build_tree(scene.source.positions, scene.source.triangles), places)
+    answer = Found(Images(triangle, weights, scene.images.trust), scene.skins[0], opened.state.map)
+    opened._receive(FindMap(opened._preview.models, LandmarkList(), View()), answer)
+    until(lambda: opened.scene.source is not scene.source, opened)
+    until(lambda: at_rest(opened), opened)
+    np.testing.assert_array_equal(opened.scene.source.turn, np.diag([-1.0, 1.0, -1.0]))
+    assert opened.scene.skins[1] != scene.skins[1]
+
+
+def test_the_next_landmark_is_proposed_on_both_models(opened: Session) -> None:
+    vertex = opened.state.map.suggestion
+    opened.next_landmark()
+    waiting, proposal = opened.state.history.present.open, opened.state.proposal
+    assert waiting.target == vertex_place(opened.scene.target, vertex)
+    assert (proposal.number, proposal.side) == (waiting.number, "source")
+    revision = opened.state.map.revision
+    opened.accept()
+    until(lambda: opened.state.map.revision > revision, opened)
+    assert opened.state.map.suggestion != vertex
+    opened.next_landmark()
+    before = opened.state.proposal
+    clicked = click_between(opened, "target")  # corrected: the end moves, and the proposal with it
+    np.testing.assert_allclose(opened.state.history.present.open.target.position, clicked, atol=0.01)
+    assert opened.state.proposal != before
+
+
+def test_a_killed_computation_keeps_the_map_and_the_next_click_works(opened: Session) -> None:
+    revision = opened.state.map.revision
+    opened._preview.stop()  # as the system does where memory runs out
+    click(opened, "target", 6)
+    opened.accept()
+    until(lambda: opened.state.map.revision > revision, opened)
+    assert opened.scene.images is not None
+
+
+def test_a_fault_of_ours_is_a_message_and_the_next_click_works(
+    opened: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("a slip")
+
+    revision = opened.state.map.revision
+    with monkeypatch.context() as patch:
+        patch.setattr("cagemap.studio.session.proposed", broken)
+        click(opened, "target", 2)  # here, and where the answer of the computation is taken in
+        opened.match_again()
+        until(lambda: opened.state.preview_job is None, opened)
+    assert "internal error, ZeroDivisionError: a slip" in opened.state.messages[-1].text
+    click(opened, "target", 2)
+    opened.accept()
+    until(lambda: opened.state.map.revision > revision and opened.state.map.strain, opened)
+
+
+def test_only_the_first_opening_is_said_to_compile(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cagemap.studio.preview.Worker", Idle)
+    titles: list[str] = []
+
+    def on_job(job: RunningJob | None) -> None:
+        if job is not None:
+            titles.append(job.title)
+
+    preview = Preview(100, lambda: (LandmarkList(), View(), None), on_job, lambda *_: None)
+    for count in (1, 2):
+        preview.open(Files(Path("a.obj"), Path("b.obj"), None, Path("c.json"), Path("RESULT")))
+        end = time.monotonic() + 10
+        while len(titles) < count and time.monotonic() < end:
+            time.sleep(0.01)
+    preview.close()
+    assert ["compiles" in title for title in titles] == [True, False]
+
+
+def test_a_map_of_models_that_are_open_no_more_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both parts of a pair are chosen one after the other; opening itself goes on, its surfaces are wanted again."""
+    begun, dropped, goes_on = queue.Queue[Task](), list[Task](), threading.Event()
+
+    class Slow(Idle):
+        def run(self, task: Task) -> None:
+            begun.put(task)
+            assert goes_on.wait(10)
+            goes_on.clear()
+
+        def drop(self, task: Task) -> None:
+            dropped.append(task)
+            goes_on.set()
+
+    monkeypatch.setattr("cagemap.studio.preview.Worker", Slow)
+    preview = Preview(100, lambda: (LandmarkList(), View(), None), lambda _: None, lambda *_: None)
+    files = Files(Path("a.obj"), Path("b.obj"), None, Path("c.json"), Path("RESULT"))
+    preview.open(replace(files, parts=("one", None)))
+    assert isinstance(begun.get(timeout=10), OpenModels)
+    preview.open(replace(files, parts=("one", "two")))
+    goes_on.set()
+    assert isinstance(begun.get(timeout=10), OpenModels)
+    assert dropped == []
+    preview.find(fresh=True)
+    goes_on.set()
+    search = begun.get(timeout=10)
+    preview.open(replace(files, parts=("one", "two")))  # the same once more: the map is wanted
+    assert dropped == []
+    preview.open(files)
+    assert dropped == [search]
+    assert isinstance(begun.get(timeout=10), OpenModels)
+    preview.close()
+    goes_on.set()
+
+
+def test_cancelling_ends_what_runs(opened: Session) -> None:
+    def cancel(state: Studio, _: object) -> None:
+        if state.preview_job is not None and state.preview_job.stage:
+            opened.cancel_preview()
+
+    images = opened.scene.images
+    opened._preview.stop()  # so that the next map starts with the files, in stages
+    opened.subscribe(cancel)
+    opened.match_again()
+    until(lambda: any("cancelled" in message.text for message in opened.state.messages), opened)
+    assert opened.scene.images is images
+    opened._listeners.remove(cancel)
+
+
+def test_a_target_without_uvs_is_laid_out(opened: Session) -> None:
+    # The boxes have none.
+    assert opened.scene.target.uvs is None
+    bake = next(command for command in opened.plan(FinishOptions()) if command.title == "texture")
+    assert bake.request.unwrap
+
+
+def test_a_bake_of_a_texture_that_is_not_open_is_refused_or_says_so(
+    opened: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[list[str]] = []
+    monkeypatch.setattr(opened._runner, "start", lambda todo: begun.append([command.title for command in todo]))
+    opened._change(files=replace(opened.state.files, texture=None))
+    opened.finish(FinishOptions())
+    assert begun == []
+    assert opened.state.messages[-1].kind == "error"
+    assert "none is open. Choose one under Models" in opened.state.messages[-1].text
+    opened.finish(FinishOptions(wrap=True, report=False))
+    assert begun == [["match", "wrap"]]
+    assert "no texture is open, so none is baked" in opened.state.messages[-1].text
+    opened.finish(FinishOptions(texture=False))
+    assert begun[1:] == [["match", "report"]]
+    assert sum("none is baked" in message.text for message in opened.state.messages) == 1
+
+
+def test_a_cancelled_finish_leaves_nothing_and_the_next_one_runs(opened: Session, boxes: Path) -> None:
+    def files() -> set[Path]:
+        return {path for path in boxes.rglob("*") if path.is_file()}
+
+    def at_work() -> bool:
+        job = opened.state.finish_job
+        return job is not None and ":" in job.stage and job.fraction > 0
+
+    def said(text: str) -> bool:
+        return any(text in message.text for message in opened.state.messages)
+
+    before = files()
+    options = FinishOptions(report=False, given={("match", "vertices"): 300, ("transfer", "size"): 8})
+    opened.finish(options)
+    until(at_work, opened)
+    opened.finish(options)
+    assert said("no finish to be running")
+    opened.cancel_finish()
+    until(lambda: said("finish: cancelled"), opened)
+    assert opened.state.finish_job is None
+    assert files() == before
+    opened.finish(replace(options, texture=False))
+    until(lambda: said("finish: done"), opened)
+    assert [output.what for output in opened.state.outputs] == ["the map"]
+    # The map is there: another bake of it does not compute it again, unless something has changed; that something was
+    # made of it is noted beside it.
+    note_transfer(opened.state.files.result, {"kind": "texture", "output": "a.png"})
+    arrays = opened.state.files.result / "map.npz"
+    written = arrays.stat().st_mtime_ns
+    todo = opened.plan(replace(options, report=True))
+    left = [opened._last.left_of(todo, opened.state)]
+    assert left == [todo[1:]]
+    opened._change(messages=())
+    opened.finish(replace(options, texture=False))
+    until(lambda: said("finish: done"), opened)
+    assert [output.what for output in opened.state.outputs] == ["the map"]
+    assert arrays.stat().st_mtime_ns == written
+    last = opened._last._made
+    other = opened.plan(options.giving({("match", "vertices"): 301}))
+    click(opened, "target", 0)
+    opened.accept()
+    moved, before_that = opened.state, replace(opened.state, history=opened.state.history.undo().undo())
+    assert opened._last.left_of(todo, before_that) == todo[1:]
+    for commands, state in ((other, before_that), (todo, moved)):
+        opened._last._made = last
+        assert opened._last.left_of(commands, state) == commands
+    for changed in (opened.state.files.target, arrays):
+        opened._last._made, status = last, changed.stat()
+        os.utime(changed, ns=(1, 1))
+        assert opened._last.left_of(todo, before_that) == todo
+        os.utime(changed, ns=(status.st_atime_ns, status.st_mtime_ns))
+    for path in files() - before:
+        path.unlink()
+
+
+def test_the_view_is_drawn_anew_only_where_it_changes(opened: Session) -> None:
+    before = opened.scene.skins
+    opened.show(View(cages=True))
+    opened.show(View("colours"))
+    until(lambda: opened.scene.skins[0] != before[0] and opened.scene.skins[1] != before[1], opened)
+    opened.show(View())
+    until(lambda: opened.scene.skins == before, opened)
+
+
+def test_a_killed_computation_leaves_the_map_on_the_target(opened: Session) -> None:
+    before = opened.scene.skins
+    opened._preview.stop()
+    for view in (View("colours"), View()):
+        shown = opened.scene.skins
+        opened.show(view)
+        until(lambda shown=shown: opened.scene.skins[0] != shown[0], opened)
+    assert opened.scene.skins == before
+
+
+def test_a_view_that_changes_with_the_landmarks_is_drawn_on_both(opened: Session) -> None:
+    before = opened.scene.skins
+    with opened._lock:
+        opened.match_again()
+        opened.show(View("checker"))
+    until(lambda: opened.scene.skins[0] != before[0] and opened.scene.skins[1] != before[1], opened)
+
+
+def baked(session: Session, boxes: Path) -> Path:
+    """An image as a bake leaves it, on the model."""
+    image = boxes.resolve() / "b.png"
+    with session._lock:
+        session._change(outputs=(Output(image, "texture"),))
+        session._finishing = session.state.wish
+        session._ended(Message("note", "finish: done"))
+    assert (session.state.view.mode, session.state.view.baked) == ("baked", image)
+    return image
+
+
+def test_a_bake_is_shown_though_its_map_cannot_be_compared(
+    opened: Session, boxes: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cagemap.studio.session.led_elsewhere", lambda *_: [][0])
+    baked(opened, boxes)
+    assert [message.kind for message in opened.state.messages[-2:]] == ["error", "note"]
+
+
+def test_a_bake_of_an_earlier_map_is_not_shown_as_that_of_now(opened: Session, boxes: Path) -> None:
+    shown: list[View] = []
+    baked(opened, boxes)
+    click(opened, "target", 2)
+    assert opened.state.view.mode == "baked"  # half a landmark changes no map
+    opened.accept()
+    shown.append(opened.state.view)
+    baked(opened, boxes)
+    opened.match_again()
+    shown.append(opened.state.view)
+    baked(opened, boxes)
+    opened.undo()
+    shown.append(opened.state.view)
+    assert shown == [View()] * 3
+    # Nor is one that ends after the landmarks have changed.
+    with opened._lock:
+        opened._finishing = opened.state.wish
+        opened.redo()
+        opened._ended(Message("note", "finish: done"))
+    assert opened.state.view == View()
+    assert "before the last changes" in opened.state.messages[-1].text
+    # Nor on other models, nor while the next one is made of other options.
+    baked(opened, boxes)
+    opened.finish(FinishOptions(given={("match", "vertices"): 300}))
+    assert opened.state.view == View()
+    opened.cancel_finish()
+    until(lambda: opened.state.finish_job is None, opened)
+    until(lambda: any("cancelled" in message.text for message in opened.state.messages), opened)
+    baked(opened, boxes)
+    opened.open(opened.state.files)
+    assert opened.state.view == View()
+    until(lambda: opened.state.map.revision >= 1, opened)
+
+
+def test_what_was_baked_is_shown_where_there_is_any(opened: Session, boxes: Path) -> None:
+    opened.show_as(mode="baked")
+    assert opened.state.view.mode == "texture"
+    assert "Press Bake" in opened.state.messages[-1].text
+    image = baked(opened, boxes)
+    opened.look_at(None)
+    opened.show_as(mode="baked", cages=True)
+    assert opened.state.view == View("baked", cages=True, baked=image)
+
+
+def test_changes_of_two_pages_at_once_are_both_kept(opened: Session) -> None:
+    for vertex in (0, 3):
+        click(opened, "target", vertex)
+        opened.accept()
+    with opened._lock:
+        changes = [
+            threading.Thread(target=opened.rename, args=(1, "nose")),
+            threading.Thread(target=opened.remove, args=(2,)),
+        ]
+        for change in changes:
+            change.start()
+        time.sleep(0.2)
+        click(opened, "target", 5)
+    for change in changes:
+        change.join()
+    assert [item.name for item in opened.state.history.present.items] == ["nose", "landmark 3"]
+
+
+def test_a_probe_points_at_both_models(opened: Session) -> None:
+    scene = opened.scene
+    point = scene.target.to_view(scene.target.positions[1])
+    opened.probe("target", 3 * point, -point / np.linalg.norm(point))
+    probe = opened.state.probe
+    assert probe is not None
+    assert np.linalg.norm(np.array(probe.target) - scene.target.positions[1]) < 0.3
+    np.testing.assert_array_equal(probe.source, carried(scene, "target", np.array(probe.target)).position)
+    assert probe.source[0] > 2  # on the other box
+    opened.probe("target", np.array([9.0, 9.0, 9.0]), np.array([1.0, 0.0, 0.0]))
+    assert opened.state.probe is None

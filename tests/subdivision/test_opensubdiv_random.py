@@ -1,0 +1,303 @@
+"""Random creased cages, refined and taken to the limit by OpenSubdiv itself (Debian's libosd-dev) and by us."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from examples.shapes import bipyramid, cube, disk, grid, icosahedron, poles, pyramid, torus, triangulated
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
+from cagemap.mesh import ControlMesh
+from cagemap.subdivision import (
+    Bilinear,
+    CatmullClark,
+    Level,
+    Loop,
+    Refinement,
+    Scheme,
+    limit_normals,
+    limit_positions,
+    refine,
+)
+from cagemap.subdivision.face_varying import control_layout
+from cagemap.subdivision.limit import limit_tangents
+from cagemap.subdivision.state import control_state
+from cagemap.subdivision.topology import control_table, control_topology, topology_of_table
+
+from locations import FIXTURES
+
+PROGRAM = FIXTURES / "opensubdiv" / "refine.cpp"
+SCHEMES = {Bilinear: 0, CatmullClark: 1, Loop: 2}
+BOUNDARIES = ("none", "edge_only", "edge_and_corner")
+UV_MODES = ("none", "corners_only", "corners_plus1", "corners_plus2", "boundaries", "all")
+CREASINGS = ("uniform", "chaikin")
+TRIANGLES = ("catmull_clark", "smooth")
+# OpenSubdiv keeps sharpness in float32 (6e-8 of at most 10), and coordinates are below 5.
+TOLERANCE = 1e-6
+
+SMOOTH, DART, CREASE, CORNER = 1, 2, 4, 8
+
+
+@dataclass(frozen=True, eq=False)
+class Theirs:
+    """OpenSubdiv's levels (positions, UVs, faces, UV indices, holes) and what it says about the last one's vertices.
+
+    ``rings`` has, where its closed masks are not the limit of its own refinement, a vertex's ring and the matrix that
+    takes the ring one level further.
+    """
+
+    levels: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]
+    limits: np.ndarray
+    tangents: tuple[np.ndarray, np.ndarray]
+    rule: np.ndarray
+    valence: np.ndarray
+    semi: np.ndarray
+    boundary: np.ndarray
+    creases: np.ndarray
+    rings: dict[int, tuple[np.ndarray, np.ndarray]]
+
+
+Oracle = Callable[[ControlMesh, Scheme, int], Theirs]
+
+
+@pytest.fixture(scope="module")
+def opensubdiv(tmp_path_factory: pytest.TempPathFactory) -> Oracle:
+    compiler = shutil.which("g++") or shutil.which("c++")
+    if compiler is None:
+        pytest.skip("no C++ compiler to build the OpenSubdiv comparison with")
+    program = tmp_path_factory.mktemp("opensubdiv") / "refine"
+    built = subprocess.run([compiler, "-O1", "-o", program, PROGRAM, "-losdCPU"], capture_output=True, text=True)
+    if built.returncode:
+        pytest.skip("OpenSubdiv is not installed (Debian: libosd-dev)")
+
+    def run(mesh: ControlMesh, scheme: Scheme, levels: int) -> Theirs:
+        done = subprocess.run(
+            [program], input=_as_text(mesh, scheme, levels), capture_output=True, text=True, check=True
+        )
+        return _read(np.array(done.stdout.split(), dtype=np.float64), levels)
+
+    return run
+
+
+def _as_text(mesh: ControlMesh, scheme: Scheme, levels: int) -> str:
+    options = [
+        SCHEMES[type(scheme)],
+        BOUNDARIES.index(scheme.boundary),
+        UV_MODES.index(scheme.uv_interpolation),
+        CREASINGS.index(scheme.creasing),
+        TRIANGLES.index(scheme.triangles),
+        levels,
+    ]
+    arrays = [
+        (mesh.positions, 3),
+        (mesh.uvs, 2),
+        (mesh.face_sizes, 1),
+        (mesh.face_indices, 1),
+        (mesh.uv_indices, 1),
+        (mesh.crease_edges, 2),
+        (mesh.corner_vertices, 1),
+        (mesh.crease_sharpness, 1),
+        (mesh.corner_sharpness, 1),
+        (np.zeros(0) if mesh.hole_faces is None else mesh.hole_faces, 1),
+    ]
+    words = [str(option) for option in options]
+    for array, per_item in arrays:
+        words += [str(array.size // per_item), *(repr(value) for value in array.ravel().tolist())]
+    return " ".join(words)
+
+
+def _read(numbers: np.ndarray, levels: int) -> Theirs:
+    """All levels and the last one's limits from the program's output."""
+    result, at = [], 0
+
+    def take(count: int) -> np.ndarray:
+        nonlocal at
+        at += count
+        return numbers[at - count : at]
+
+    for _ in range(levels):
+        positions = take(3 * int(take(1)[0])).reshape(-1, 3)
+        uvs = take(3 * int(take(1)[0])).reshape(-1, 3)[:, :2]
+        count, size = take(2).astype(int)
+        rows = take(count * (2 * size + 1)).astype(int).reshape(count, 2 * size + 1)
+        result.append((positions, uvs, rows[:, :size], rows[:, size:-1], rows[:, -1] != 0))
+    rows, rings = [], {}
+    for vertex in range(len(result[-1][0])):
+        rows.append(take(14))
+        size = int(take(1)[0])
+        if size:
+            rings[vertex] = take(size).astype(int), take(size * size).reshape(size, size)
+    assert at == len(numbers)
+    table = np.array(rows)
+    rule, valence, semi, boundary, creases = table[:, 9:].astype(int).T
+    return Theirs(
+        result, table[:, :3], (table[:, 3:6], table[:, 6:9]), rule, valence, semi > 0, boundary > 0, creases, rings
+    )
+
+
+SHAPES = [
+    cube(),
+    torus(4, 5),
+    poles(3),
+    poles(7),
+    disk(5),
+    grid(4, 3),
+    pyramid(),
+    icosahedron(),
+    bipyramid(6),
+    triangulated(disk(6)),
+    triangulated(grid(3, 3)),
+    triangulated(torus(4, 4)),
+]
+# Whether an edge has just lost all its sharpness changes the surface at once (its sharpness then counts in the blend of
+# its vertex). Decimals with one digit meet that edge exactly under Chaikin's means, where OpenSubdiv's float32 decides.
+SHARPNESS = st.sampled_from([0.31, 0.53, 1.0, 1.43, 2.0, 2.71, 10.0])
+
+
+@st.composite
+def cages(draw: st.DrawFn) -> ControlMesh:
+    """A shape with disturbed vertices, UV islands, creases and corners."""
+    mesh = draw(st.sampled_from(SHAPES))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    positions = mesh.positions + 0.15 * rng.standard_normal(mesh.positions.shape)
+    # UVs of a vertex: one for each island of its faces, and here and there another for the first few of them.
+    centres = np.stack([mesh.positions[mesh.face(face)].mean(axis=0) for face in range(mesh.n_faces)])
+    sides = (centres @ rng.standard_normal((3, draw(st.integers(0, 2))))) > rng.uniform(-0.5, 0.5)
+    islands = sides @ (1 << np.arange(sides.shape[1]))
+    parted = rng.random(mesh.n_vertices) < draw(st.sampled_from([0.0, 0.1, 0.4]))
+    topology = control_topology(mesh)
+    own = parted[mesh.face_indices] & (topology.ranks < rng.integers(1, 4, mesh.n_vertices)[mesh.face_indices])
+    keys = mesh.face_indices * 16 + islands[mesh.corner_faces] + 8 * own
+    used, uv_indices = np.unique(keys, return_inverse=True)
+    # OpenSubdiv makes two of a value around whose vertex another comes in between, or one, by where it starts counting.
+    layout = topology_of_table(control_table(mesh, uv_indices, len(used)))
+    assume(layout.ranks.min() >= 0)
+    mesh = mesh.with_positions(positions).with_uvs(rng.random((len(used), 2)), uv_indices)
+    edges = np.column_stack([mesh.face_indices, mesh.face_indices[mesh.next_corners]])
+    edges = np.unique(np.sort(edges, axis=1), axis=0)
+    chosen = draw(st.lists(st.integers(0, len(edges) - 1), max_size=8, unique=True))
+    mesh = mesh.with_creases(edges[chosen], [draw(SHARPNESS) for _ in chosen])
+    corners = draw(st.lists(st.integers(0, mesh.n_vertices - 1), max_size=3, unique=True))
+    holes = draw(st.lists(st.integers(0, mesh.n_faces - 1), max_size=2, unique=True))
+    mesh = replace(mesh, hole_faces=np.array(sorted(holes), dtype=np.int64)) if holes else mesh
+    return mesh.with_corners(corners, [draw(SHARPNESS) for _ in corners])
+
+
+@st.composite
+def schemes(draw: st.DrawFn, mesh: ControlMesh) -> Scheme:
+    kinds = [CatmullClark, CatmullClark, Bilinear] + ([Loop, Loop, Loop] if mesh.is_triangle_mesh else [])
+    return draw(st.sampled_from(kinds))(
+        draw(st.sampled_from(BOUNDARIES)),
+        draw(st.sampled_from(UV_MODES)),
+        draw(st.sampled_from(CREASINGS)),
+        draw(st.sampled_from(TRIANGLES)),
+    )
+
+
+def _canonical(faces: np.ndarray, *beside: np.ndarray) -> list[np.ndarray]:
+    """Faces turned so that their lowest vertex is first, in lexicographic order; and other corner values likewise."""
+    turns = (np.argmin(faces, axis=1)[:, None] + np.arange(faces.shape[1])) % faces.shape[1]
+    turned = np.take_along_axis(faces, turns, axis=1)
+    order = np.lexsort(turned.T[::-1])
+    return [turned[order], *(np.stack([v[np.arange(len(v)), t] for t in turns.T], 1)[order] for v in beside)]
+
+
+def _agree(ours: Level, holes: np.ndarray, theirs: tuple[np.ndarray, ...]) -> np.ndarray:
+    """Compare a level; their vertex of each of ours."""
+    positions, uvs, faces, uv_indices, their_holes = theirs
+    gaps, order = cKDTree(positions).query(ours.positions)
+    assume(len(np.unique(order)) == len(positions))  # vertices in nearly one place cannot be told apart
+    assert gaps.max() < TOLERANCE
+    per_corner = np.repeat(holes[:, None], ours.faces.shape[1], axis=1)
+    mine, my_uvs, my_holes = _canonical(order[ours.faces], ours.uvs[ours.uv_indices], per_corner)
+    expected, their_uvs, their_holes = _canonical(
+        faces, uvs[uv_indices], np.repeat(their_holes[:, None], faces.shape[1], 1)
+    )
+    np.testing.assert_array_equal(mine, expected)
+    np.testing.assert_array_equal(my_holes, their_holes)
+    np.testing.assert_allclose(my_uvs, their_uvs, rtol=0, atol=TOLERANCE)
+    return order
+
+
+def _ring_limit(positions: np.ndarray, ring: np.ndarray, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Limit position and normal (its sign means nothing) by the left eigenvectors of a ring's matrix."""
+    values, vectors = np.linalg.eig(matrix.T)
+    vectors = vectors[:, np.argsort(-values.real)[:3]].real
+    limit, first, second = vectors.T @ positions[ring]
+    return limit / vectors[:, 0].sum(), np.cross(first, second)
+
+
+def _limits_agree(ours: Refinement, order: np.ndarray, theirs: Theirs) -> None:
+    """Compare limits of the first and last level, each vertex with its copy on the last, where few are semi-sharp."""
+    scheme, last = ours.scheme, theirs.levels[-1][0]
+    limits, normals, known = theirs.limits.copy(), np.cross(*theirs.tangents), ~theirs.semi
+    for vertex, (ring, matrix) in theirs.rings.items():
+        limits[vertex], normals[vertex] = _ring_limit(last, ring, matrix)
+    lengths = np.linalg.norm(normals, axis=1)
+    # Inner creases and corners have a normal on every side, interior valence 2 has none, nor has a corner of several
+    # faces, a boundary of so many that its curve no longer leads, nor a bilinear surface.
+    one = known & ((theirs.rule == SMOOTH) | (theirs.rule == DART) | (theirs.boundary & (theirs.creases == 0)))
+    one &= np.where(
+        theirs.boundary, theirs.valence <= (3 if isinstance(scheme, CatmullClark) else 5), theirs.valence > 2
+    )
+    one &= (theirs.rule != CORNER) | (theirs.valence == 1)
+    one &= (lengths > 1e-6) & (not isinstance(scheme, Bilinear))
+    normals /= np.maximum(lengths, 1e-300)[:, None]
+    curve = one & theirs.boundary & (theirs.rule == CREASE)
+    by_mask = one & ~np.isin(np.arange(len(one)), list(theirs.rings))  # the sign of the others' normals is anyone's
+    for level in (0 if isinstance(scheme, Loop) else 1, ours.n_levels):
+        mine = order[: ours.levels[level].n_vertices]
+        gaps = np.abs(limit_positions(ours, level) - limits[mine])[known[mine]]
+        assert gaps.max(initial=0) < TOLERANCE
+        cosines = np.einsum("nx,nx->n", limit_normals(ours, level), normals[mine])
+        assert np.abs(1 - cosines[by_mask[mine]]).max(initial=0) < TOLERANCE
+        assert np.abs(1 - np.abs(cosines[one[mine]])).max(initial=0) < TOLERANCE
+        along = np.cross(limit_tangents(ours, level)[0], theirs.tangents[0][mine])[curve[mine]]
+        assert np.abs(along).max(initial=0) < TOLERANCE
+
+
+def _forgets_to_follow(mesh: ControlMesh, scheme: Scheme) -> bool:
+    """Whether OpenSubdiv keeps a UV sharp that followed another one, after that one has become smooth.
+
+    It does so as long as the seam itself is semi-sharp. A fault: sharpness along a seam has no say in it otherwise.
+    """
+    state = control_state(mesh, scheme)
+    layout, _ = control_layout(mesh, state, scheme)
+    if layout.follows is None or state.sharpness is None:
+        return False
+    following = layout.follows != np.arange(len(layout.follows))
+    table, edges = state.topology.table, state.sharpness.edges
+    seam = layout.topology.edge_corners[layout.topology.table.edges, 1] < 0
+    semi = seam & ((edges > 0) & (edges < 10))[table.edges]
+    ends = np.concatenate([layout.topology.table.vertices[semi], layout.topology.table.vertices[table.following[semi]]])
+    return bool(following[ends].any())
+
+
+def _compare(data: st.DataObject, opensubdiv: Oracle) -> None:
+    mesh = data.draw(cages())
+    scheme = data.draw(schemes(mesh))
+    assume(not _forgets_to_follow(mesh, scheme))
+    ours, theirs = refine(mesh, 3, scheme), opensubdiv(mesh, scheme, 3)
+    for level, their_level in enumerate(theirs.levels, 1):
+        order = _agree(ours.levels[level], ours.holes(level), their_level)
+    _limits_agree(ours, order, theirs)
+
+
+@settings(deadline=None, max_examples=50, derandomize=True)
+@given(data=st.data())
+def test_random_creased_cages(data: st.DataObject, opensubdiv: Oracle) -> None:
+    _compare(data, opensubdiv)
+
+
+@pytest.mark.slow
+@settings(deadline=None, max_examples=2000)
+@given(data=st.data())
+def test_many_random_creased_cages(data: st.DataObject, opensubdiv: Oracle) -> None:
+    _compare(data, opensubdiv)

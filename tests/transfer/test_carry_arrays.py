@@ -1,0 +1,85 @@
+"""Values, weights and shapes as arrays: what comes back under the identity is what went in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from examples.shapes import creature, torus
+
+import cagemap
+from cagemap.errors import ParameterError
+
+from example_result import identity_result
+
+RANDOM = np.random.default_rng(3)
+
+
+@pytest.fixture(scope="module")
+def itself() -> cagemap.MatchResult:
+    return identity_result(2, (creature(), creature()))
+
+
+def test_values_of_every_place_come_back(itself: cagemap.MatchResult) -> None:
+    mesh = itself.source.control
+    counts = mesh.n_vertices, mesh.n_faces, len(mesh.face_indices), len(itself.source.vertices)
+    values = {str(n): RANDOM.random((n, 2)) for n in counts} | {"labels": RANDOM.integers(0, 9, counts[0])}
+    carried = cagemap.carry_values(itself, values)
+    assert isinstance(carried, dict)
+    assert list(carried) == list(values)
+    for name, array in values.items():
+        np.testing.assert_allclose(carried[name], array, atol=1e-12)
+    one = cagemap.carry_values(itself, values["labels"].tolist())
+    np.testing.assert_array_equal(one, values["labels"])
+
+
+def test_as_many_vertices_as_faces_are_told_apart_by_word() -> None:
+    """A torus of quads has as many vertices as faces; labels of faces are not those of vertices under a shifted map."""
+    result = identity_result(1, (torus(6, 5), torus(6, 5)))
+    count = result.source.control.n_faces
+    assert count == result.source.control.n_vertices
+    shifted = cagemap.PointMap.from_vertices(
+        result.point_map.target, result.point_map.source, np.roll(np.arange(result.point_map.target.n), 1)
+    )
+    moved = replace(result, point_map=shifted)
+    labels = np.arange(count)
+    np.testing.assert_array_equal(cagemap.carry_values(result, labels, "faces"), labels)
+    np.testing.assert_array_equal(
+        cagemap.carry_values(moved, labels), cagemap.carry_values(moved, labels, at="vertices")
+    )
+    assert not np.array_equal(cagemap.carry_values(moved, labels), cagemap.carry_values(moved, labels, at="faces"))
+
+
+def test_weights_and_shapes_come_back(itself: cagemap.MatchResult) -> None:
+    count = itself.source.control.n_vertices
+    weights = RANDOM.random((count, 6))
+    weights /= weights.sum(axis=1, keepdims=True)
+    np.testing.assert_allclose(cagemap.carry_weights(itself, weights, influences=None), weights, atol=1e-9)
+    pruned = cagemap.carry_weights(itself, weights)
+    assert ((pruned > 0).sum(axis=1) == 4).all()
+    np.testing.assert_allclose(pruned.sum(axis=1), 1.0)
+    lifted = np.tile([0.0, 0.3, 0.0], (count, 1))
+    shapes = cagemap.carry_shapes(itself, {"up": lifted, "still": 0 * lifted})
+    assert isinstance(shapes, dict)
+    np.testing.assert_allclose(shapes["up"], lifted, atol=1e-6)
+    np.testing.assert_allclose(shapes["still"], 0.0, atol=1e-9)
+    np.testing.assert_array_equal(cagemap.carry_shapes(itself, lifted), shapes["up"])
+
+
+def test_arrays_that_do_not_fit_are_refused(itself: cagemap.MatchResult) -> None:
+    count = itself.source.control.n_vertices
+    for wrong, message in (
+        (lambda: cagemap.carry_values(itself, np.zeros(3)), "values has 3 rows; expected one for each"),
+        (lambda: cagemap.carry_values(itself, 3.0), "values has 0 rows"),
+        (lambda: cagemap.carry_values(itself, np.zeros(count), at="faces"), "and at='faces' was asked for"),
+        (lambda: cagemap.carry_values(itself, np.zeros(count), at="edges"), "at: expected one of vertices, faces"),
+        (lambda: cagemap.carry_values(itself, ["a"] * count), "values: expected an array of real numbers"),
+        (lambda: cagemap.carry_weights(itself, np.zeros(count)), r"expected an array \(n, joints\)"),
+        (lambda: cagemap.carry_weights(itself, np.ones((3, 1))), f"expected {count} rows"),
+        (lambda: cagemap.carry_weights(itself, "weights"), "skinning weights: expected an array of real"),
+        (lambda: cagemap.carry_shapes(itself, {"smile": np.zeros((3, 3))}), f"expected {count} finite"),
+        (lambda: cagemap.carry_shapes(itself, {"smile": "a"}), "shape smile: expected an array of real"),
+    ):
+        with pytest.raises(ParameterError, match=message):
+            wrong()

@@ -1,0 +1,241 @@
+"""Displacement, per-vertex and per-face values, material colours, and the files that hold attributes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from examples.shapes import cube
+
+from cagemap.errors import FormatError, ParameterError
+from cagemap.files.values.attributes import read_attributes, write_attributes
+from cagemap.mesh import ControlMesh
+from cagemap.subdivision import Level, refine
+from cagemap.transfer import (
+    BakeOptions,
+    Transfer,
+    bake_displacement,
+    bake_face_colors,
+    face_colors,
+    prepare_transfer,
+    pull_back_faces,
+    unwrap,
+)
+from cagemap.transfer.attributes import encode_srgb
+from cagemap.transfer.displacement import vertex_stretch
+
+from transfer_scenes import crossed_cube, identity_map, plane, plane_map
+
+
+def scaled(level: Level, factor: float) -> Level:
+    return replace(level, positions=factor * level.positions)
+
+
+@pytest.fixture
+def tripled() -> Transfer:
+    """A target three times larger than its source, mapped onto it point by point."""
+    level = plane(8, 8)
+    return prepare_transfer(scaled(level, 3.0), level, identity_map(level))
+
+
+def heights(displacement_pixels: np.ndarray, midlevel: float, scale: float) -> np.ndarray:
+    one = np.iinfo(displacement_pixels.dtype).max if displacement_pixels.dtype.kind == "u" else 1
+    return (displacement_pixels.astype(float) / one - midlevel) * scale
+
+
+def test_float_heights_grow_with_the_surface(tripled: Transfer) -> None:
+    texture = np.random.default_rng(23).normal(0, 0.1, (40, 40, 1)).astype(np.float32)
+    baked = bake_displacement(tripled, texture, size=40)
+    assert (baked.midlevel, baked.scale) == (0.0, 1.0)
+    np.testing.assert_allclose(baked.pixels, 3 * texture, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16"])
+def test_integer_heights_keep_their_levels_and_grow_by_the_scale(tripled: Transfer, dtype: str) -> None:
+    texture = np.random.default_rng(29).integers(0, np.iinfo(dtype).max, (40, 40), endpoint=True).astype(dtype)
+    baked = bake_displacement(tripled, texture, size=40, scale=0.2)
+    np.testing.assert_array_equal(baked.pixels[:, :, 0], texture)
+    assert baked.midlevel == 0.5
+    assert baked.scale == pytest.approx(0.6, rel=1e-12)
+
+
+def test_from_16_bit_to_float_the_heights_agree(tripled: Transfer) -> None:
+    texture = np.random.default_rng(31).integers(0, 65535, (40, 40, 1)).astype(np.uint16)
+    baked = bake_displacement(tripled, texture, size=40, scale=0.2, midlevel=0.25, dtype=np.float32)
+    expected = 3 * heights(texture, 0.25, 0.2)
+    np.testing.assert_allclose(heights(baked.pixels, baked.midlevel, baked.scale), expected, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("dtype", ["float32", "uint16"])
+def test_local_stretch_is_the_map_s_own(dtype: str) -> None:
+    # The map x -> x^2 / 2 + x / 2 stretches along x only: areas on the target per area on the source 1 / (x + 1/2).
+    source, target = plane(40, 40), plane(40, 40)
+    point_map = plane_map(target, 40, 40, lambda p: np.column_stack([(p[:, 0] ** 2 + p[:, 0]) / 2, p[:, 1]]))
+    transfer = prepare_transfer(target, source, point_map)
+    texture = np.full((16, 16, 1), 0.75 if dtype == "float32" else 0.75 * 65535).astype(dtype)
+    baked = bake_displacement(transfer, texture, size=80, midlevel=0.5, scale=2.0, local_stretch=True)
+    x = (np.arange(80) + 0.5) / 80
+    got = heights(baked.pixels[:, :, 0], baked.midlevel, baked.scale)
+    # First order in the edge length 1/40, and the outermost half per cent is cut off.
+    np.testing.assert_allclose(
+        got[10:-10, 4:-4], np.broadcast_to(0.5 / np.sqrt(x + 0.5), (80, 80))[10:-10, 4:-4], rtol=0.02
+    )
+
+
+def test_stretch_of_a_similarity_is_its_factor(tripled: Transfer) -> None:
+    np.testing.assert_allclose(vertex_stretch(tripled), 3.0, rtol=1e-12)
+
+
+def test_grey_in_colour_channels_is_taken_and_colour_refused(tripled: Transfer) -> None:
+    grey = np.random.default_rng(37).integers(0, 255, (20, 20, 1)).astype(np.uint8)
+    with_alpha = np.concatenate([grey, grey, grey, 255 - grey], axis=2)
+    np.testing.assert_array_equal(bake_displacement(tripled, with_alpha, size=20).pixels, grey)
+    colour = with_alpha.copy()
+    colour[3, 4, 1] ^= 128
+    with pytest.raises(ParameterError, match="vector displacement"):
+        bake_displacement(tripled, colour, size=20)
+
+
+def test_vertex_values_keep_bounds_sums_and_linear_functions() -> None:
+    target, source = plane(7, 5), plane(13, 9)
+    transfer = prepare_transfer(target, source, plane_map(target, 13, 9, lambda p: 0.2 + 0.7 * p))
+    weights = np.random.default_rng(41).dirichlet(np.full(4, 0.3), len(source.positions))
+    pulled = transfer.point_map.pull_back(weights)
+    assert pulled.min() >= 0
+    np.testing.assert_allclose(pulled.sum(axis=1), 1, rtol=0, atol=1e-12)
+    linear = transfer.point_map.pull_back(source.positions @ (1.0, -2.0, 0.0))
+    np.testing.assert_allclose(linear, (0.2 + 0.7 * target.positions[:, :2]) @ (1.0, -2.0), rtol=0, atol=1e-12)
+    with pytest.raises(ParameterError, match="a value for each of the"):
+        transfer.point_map.pull_back(weights[:-1])
+
+
+def test_face_values_of_the_same_shape_come_back() -> None:
+    level = refine(cube(), 3).finest
+    transfer = prepare_transfer(level, level, identity_map(level))
+    labels = np.array([3, 1, 4, 1, 5, 9])
+    pulled = pull_back_faces(transfer, labels)
+    np.testing.assert_array_equal(pulled, labels)
+    assert pulled.dtype == labels.dtype
+    values = np.random.default_rng(43).random((6, 2))
+    np.testing.assert_allclose(pull_back_faces(transfer, values), values, rtol=0, atol=1e-12)
+    with pytest.raises(ParameterError, match="one for every control face"):
+        pull_back_faces(transfer, labels[:-1])
+
+
+def test_a_face_over_several_takes_the_largest_label_and_the_mean_value() -> None:
+    # One target face over 10 x 1 source faces; every refined triangle counts with its area.
+    target = replace(plane(40, 40), face_parents=np.zeros(1600, dtype=np.int64))
+    source = plane(10, 1)
+    transfer = prepare_transfer(target, source, plane_map(target, 10, 1, lambda p: p))
+    labels = np.array([7, 7, 7, 2, 2, 5, 5, 5, 5, 2])
+    assert pull_back_faces(transfer, labels).tolist() == [5]
+    np.testing.assert_allclose(pull_back_faces(transfer, labels.astype(float)), [labels.mean()], rtol=1e-9)
+
+
+def test_material_colours_are_sharp_and_antialiased() -> None:
+    source, target = plane(2, 1), plane(16, 16)
+    transfer = prepare_transfer(target, source, plane_map(target, 2, 1, lambda p: p))
+    colors = np.array([[0.0, 0.2, 1.0], [1.0, 0.2, 0.0]])
+    baked = bake_face_colors(transfer, colors, size=(32, 25))  # the boundary runs through the middle of column 12
+    first, second = (np.rint(255 * encode_srgb(color)) for color in colors)
+    assert (baked[:, :12] == first).all()
+    assert (baked[:, 13:] == second).all()
+    np.testing.assert_array_equal(
+        baked[:, 12], np.broadcast_to(np.rint(255 * encode_srgb(colors.mean(axis=0))), (32, 3))
+    )
+    linear = bake_face_colors(transfer, colors, size=(32, 25), dtype=np.float32)
+    np.testing.assert_allclose(linear[:, 12], np.broadcast_to(colors.mean(axis=0), (32, 3)), atol=1e-7)
+
+
+def test_antialiasing_everywhere_changes_nothing_away_from_boundaries() -> None:
+    control = unwrap(crossed_cube())
+    target = refine(control, 3).finest
+    transfer = prepare_transfer(target, target, identity_map(target))
+    colors = np.random.default_rng(47).random((6, 3))
+    adaptive = bake_face_colors(transfer, colors, size=64, options=BakeOptions(supersample=1))
+    full = bake_face_colors(transfer, colors, size=64, options=BakeOptions(supersample=4))
+    same = np.abs(adaptive.astype(int) - full).max(axis=2) <= 1
+    assert same.mean() > 0.9
+    pure = {tuple(c) for c in np.rint(255 * encode_srgb(colors)).astype(int)}
+    assert sum(tuple(t) in pure for t in adaptive.reshape(-1, 3)) > 0.8 * 64 * 64
+
+
+def test_srgb_encoding_has_its_known_values() -> None:
+    np.testing.assert_allclose(
+        encode_srgb(np.array([0, 0.0031308, 0.214041, 1, 2])), [0, 0.040450, 0.5, 1, 1], atol=1e-5
+    )
+
+
+def test_face_colours_come_from_materials() -> None:
+    shape: ControlMesh = cube()
+    with pytest.raises(ParameterError, match=r"\.mtl"):
+        face_colors(shape)
+    materials = np.array([0, 1, 1, 0, 0, 1])
+    known = replace(
+        shape,
+        face_materials=materials,
+        material_names=("red", "lost"),
+        material_colors=np.array([[0.9, 0, 0], [np.nan] * 3]),
+    )
+    np.testing.assert_array_equal(face_colors(known), np.where(materials[:, None] == 0, (0.9, 0, 0), 0.8))
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".npz", ".csv"])
+def test_attribute_files_come_back(tmp_path: Path, suffix: str) -> None:
+    values = np.random.default_rng(53).normal(size=11)
+    write_attributes(tmp_path / f"weight{suffix}", {"weight": values})
+    assert list(read_attributes(tmp_path / f"weight{suffix}")) == ["weight"]
+    np.testing.assert_array_equal(read_attributes(tmp_path / f"weight{suffix}")["weight"], values)
+
+
+def test_attribute_tables_keep_names_columns_and_integers(tmp_path: Path) -> None:
+    attributes = {"group": np.arange(5), "skin": np.random.default_rng(59).random((5, 2))}
+    write_attributes(tmp_path / "a.csv", attributes)
+    read = read_attributes(tmp_path / "a.csv")
+    assert list(read) == ["group", "skin_0", "skin_1"]
+    assert read["group"].dtype == np.int64
+    np.testing.assert_array_equal(np.column_stack([read["skin_0"], read["skin_1"]]), attributes["skin"])
+    (tmp_path / "plain.csv").write_text("1,2\n3,4.5\n")
+    np.testing.assert_array_equal(read_attributes(tmp_path / "plain.csv")["plain"], [[1, 2], [3, 4.5]])
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.csv", b"x,y\n1,2\n3\n", "row 3"),
+        ("a.csv", b"x\n1\nnan\n", r"rows \[1\]"),
+        ("a.csv", b"x,y\n", "found none"),
+        ("a.csv", b"", "found none"),
+        ("a.npy", b"no array", "no array of numbers"),
+        ("a.npz", b"no archive", "no archive of arrays"),
+        ("a.txt", b"1", "ending in"),
+        ("a.csv", b"x,x\n1,2\n", "different names"),
+        ("a.csv", b"x\n" + b"1" * 200_000 + b"\n", "could not read|finite"),
+        ("a.csv", b"x\n" + b"9" * 400 + b"\n", "finite"),
+        ("a.csv", b"\xff\xfe\x00", "could not read"),
+    ],
+)
+def test_bad_attribute_files_are_refused(tmp_path: Path, name: str, content: bytes, message: str) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(FormatError, match=message):
+        read_attributes(tmp_path / name)
+
+
+def test_attributes_that_do_not_fit_their_file_are_refused(tmp_path: Path) -> None:
+    two = {"a": np.zeros(2), "b": np.zeros(3)}
+    with pytest.raises(FormatError, match="one array"):
+        write_attributes(tmp_path / "a.npy", two)
+    with pytest.raises(FormatError, match="equally many"):
+        write_attributes(tmp_path / "a.csv", two)
+    with pytest.raises(FormatError, match="no such file"):
+        read_attributes(tmp_path / "none.csv")
+    np.save(tmp_path / "words.npy", np.array(["a", "b"]))
+    with pytest.raises(FormatError, match="expected numbers"):
+        read_attributes(tmp_path / "words.npy")
+    np.save(tmp_path / "vast.npy", np.array([2**63], np.uint64))
+    with pytest.raises(FormatError, match="below 2\\^63"):
+        read_attributes(tmp_path / "vast.npy")
+    (tmp_path / "long.csv").write_text("x\n12345678901234567890\n1\n")
+    np.testing.assert_array_equal(read_attributes(tmp_path / "long.csv")["x"], [1.2345678901234567e19, 1.0])

@@ -1,0 +1,178 @@
+"""Values painted on the source's cage arrive on the target's: exactly under the identity, convex under any map."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from examples.shapes import cube, icosahedron
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import sparse
+
+from cagemap.errors import ParameterError
+from cagemap.maps.point_map import PointMap
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.measures import cage_triangles
+from cagemap.subdivision import Refinement, refine, triangles
+from cagemap.subdivision.level_meshes import truncated
+from cagemap.subdivision.linear_values import corner_triangles, interpolate_linearly
+from cagemap.surface.surface_points import SurfacePoints
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.transfer import (
+    carry_uvs,
+    combine,
+    control_weights,
+    corner_nodes,
+    corner_weights,
+    prepare_transfer,
+)
+
+from transfer_scenes import crossed_cube, identity_map, plane, plane_map
+
+
+def mixed() -> ControlMesh:
+    """A pyramid with a square base on a prism: triangles and quads."""
+    points = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0), (-1, -1, 1), (1, -1, 1), (1, 1, 1), (-1, 1, 1), (0, 0, 2)]
+    faces = [
+        (3, 2, 1, 0),
+        (0, 1, 5, 4),
+        (1, 2, 6, 5),
+        (2, 3, 7, 6),
+        (3, 0, 4, 7),
+        (4, 5, 8),
+        (5, 6, 8),
+        (6, 7, 8),
+        (7, 4, 8),
+    ]
+    return ControlMesh.from_faces(points, faces)
+
+
+SHAPES = [cube, mixed, icosahedron]
+
+
+def refinements(shape: ControlMesh, level: int = 2) -> tuple[Refinement, Refinement]:
+    refined = truncated(refine(shape, level), level)
+    return refined, refined
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("level", [0, 1, 3])
+def test_identity_gives_every_kind_of_value_back(shape, level: int) -> None:
+    both = refinements(shape(), level)
+    control = both[0].control
+    transfer = prepare_transfer(both[0].finest, both[1].finest, identity_map(both[0].finest))
+    rng = np.random.default_rng(7)
+    weights = control_weights(transfer, *both)
+    values = rng.random((control.n_vertices, 3))
+    np.testing.assert_array_equal(combine(weights, values), values)
+    labels = rng.integers(-5, 5, control.n_vertices)
+    np.testing.assert_array_equal(combine(weights, labels), labels)
+    rows = rng.integers(0, 255, (control.n_vertices, 3))
+    np.testing.assert_array_equal(combine(weights, rows), rows)
+    # Every corner with a value of its own: all edges are seams, and no face has one inside.
+    corners = rng.random((len(control.face_indices), 2))
+    nodes, node_values = corner_nodes(control, corners)
+    carried = corner_weights(transfer, *both, nodes, len(node_values))
+    np.testing.assert_allclose(combine(carried.weights, node_values), corners, rtol=0, atol=1e-9)
+    assert not carried.crossed.any()
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_interpolated_values_are_convex_and_linear_functions_stay(shape) -> None:
+    control = shape()
+    refined = refine(control, 3)
+    linear = interpolate_linearly(control, control.face_indices, control.n_vertices, 3, refined.scheme)
+    assert linear.matrix.data.min() > 0
+    np.testing.assert_allclose(linear.matrix.sum(axis=1), 1, rtol=0, atol=1e-12)
+    np.testing.assert_allclose((linear.matrix @ control.positions)[: control.n_vertices], control.positions, atol=0)
+    tips = corner_triangles(control, 3, refined.scheme)
+    np.testing.assert_array_equal(linear.corners[tips, 0], control.face_indices)
+    linear = interpolate_linearly(control, control.face_indices, control.n_vertices, 0, refined.scheme)
+    tips = corner_triangles(control, 0, refined.scheme)
+    assert (linear.corners[tips] == control.face_indices[:, None]).any(axis=1).all()
+    np.testing.assert_array_equal(cage_triangles(control)[1][tips], control.corner_faces)
+
+
+def test_bilinear_on_a_square() -> None:
+    square = ControlMesh.from_faces([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], [(0, 1, 2, 3)])
+    linear = interpolate_linearly(square, square.face_indices, 4, 3, refine(square, 1).scheme)
+    x, y = (linear.matrix @ square.positions)[:, :2].T
+    np.testing.assert_allclose(linear.matrix @ np.array([0.0, 0, 1, 0]), x * y, rtol=0, atol=1e-12)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=20, deadline=None)
+def test_any_map_gives_convex_weights_and_labels_that_exist(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    both = refine(mixed(), 2), refine(cube(), 2)
+    n, t = both[0].finest.n_vertices, 2 * both[1].finest.n_faces
+    surfaces = (TriangleSurface.from_faces(side.finest.positions, side.finest.faces) for side in both)
+    point_map = PointMap.from_arrays(*surfaces, rng.integers(0, t, n), rng.dirichlet(np.ones(3), n))
+    transfer = prepare_transfer(both[0].finest, both[1].finest, point_map)
+    weights = control_weights(transfer, *both)
+    assert weights.shape == (9, 8)
+    skin = rng.dirichlet(np.full(5, 0.4), 8)
+    carried = combine(weights, skin)
+    assert carried.min() >= 0
+    np.testing.assert_allclose(carried.sum(axis=1), 1, rtol=0, atol=1e-12)
+    labels = rng.integers(0, 3, 8)
+    assert set(combine(weights, labels)) <= set(labels)
+
+
+def test_the_heavier_label_wins_and_wrong_rows_are_refused() -> None:
+    weights = sparse.csr_array(np.array([[0.3, 0.3, 0.4], [0.5, 0.0, 0.5]]))
+    assert combine(weights, np.array([7, 7, 2])).tolist() == [7, 2]  # mean would be 5; the smaller where equal
+    assert combine(weights, np.array([True, True, False])).tolist() == [True, False]
+    with pytest.raises(ParameterError, match="3 rows"):
+        combine(weights, np.arange(4))
+
+
+def test_uvs_of_the_source_come_back_with_their_seams() -> None:
+    both = refinements(crossed_cube(), 3)
+    transfer = prepare_transfer(both[0].finest, both[1].finest, identity_map(both[0].finest))
+    carried = carry_uvs(transfer, *both)
+    control = both[0].control
+    assert control.uvs is not None
+    assert control.uv_indices is not None
+    np.testing.assert_allclose(carried.uvs[carried.uv_indices], control.uvs[control.uv_indices], rtol=0, atol=1e-9)
+    assert len(carried.uvs) <= 24
+    assert len(carried.crossed) == 0
+
+
+def test_a_seam_within_a_face_is_listed() -> None:
+    # Target: 3 columns over a source of 2 columns that are two islands; the seam runs through the middle column.
+    square = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], dtype=float)
+    points = np.array([(x / 2, y, 0) for y in range(2) for x in range(3)])
+    faces = [(0, 1, 4, 3), (1, 2, 5, 4)]
+    source = ControlMesh.from_faces(points, faces).with_uvs(
+        np.concatenate([0.4 * square, 0.5 + 0.4 * square]), np.arange(8)
+    )
+    target = ControlMesh.from_faces(
+        [(x / 3, y, 0) for y in range(2) for x in range(4)], [(k, k + 1, k + 5, k + 4) for k in range(3)]
+    )
+    both = refine(target, 3), refine(source, 3)
+    # Refined positions are smoothed, so the map is given on the parameters.
+    parameters = [linear_points(side, 3) for side in (target, source)]
+    transfer = prepare_transfer(both[0].finest, both[1].finest, closest_map(parameters, both))
+    carried = carry_uvs(transfer, *both)
+    assert carried.crossed.tolist() == [1]
+    got = carried.uvs[carried.uv_indices].reshape(3, 4, 2)
+    np.testing.assert_allclose(got[0], 0.4 * square * (2 / 3, 1), atol=0.02)
+    np.testing.assert_allclose(got[2], 0.5 + 0.4 * ((1 / 3, 0) + square * (2 / 3, 1)), atol=0.02)
+
+
+def linear_points(control: ControlMesh, level: int) -> np.ndarray:
+    linear = interpolate_linearly(control, control.face_indices, control.n_vertices, level, refine(control, 1).scheme)
+    return linear.matrix @ control.positions
+
+
+def closest_map(parameters: list[np.ndarray], both: tuple[Refinement, Refinement]) -> PointMap:
+    target, source = (TriangleSurface(p, triangles(s.finest.faces)) for p, s in zip(parameters, both, strict=True))
+    return PointMap(target, SurfacePoints.nearest(source, target.positions))
+
+
+def test_a_plane_keeps_linear_values() -> None:
+    target, source = plane(3, 3), plane(9, 9)
+    transfer = prepare_transfer(target, source, plane_map(target, 9, 9, lambda p: 0.1 + 0.8 * p))
+    rows = transfer.point_map.to_sparse()
+    np.testing.assert_allclose(combine(rows, source.positions[:, 0]), 0.1 + 0.8 * target.positions[:, 0], atol=1e-12)

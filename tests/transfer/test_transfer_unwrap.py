@@ -1,0 +1,207 @@
+"""Unwrapping: whole polygons, no overlap after refinement, one density, the same every time."""
+
+from __future__ import annotations
+
+import importlib
+import itertools
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from examples.shapes import bipyramid, creature, cube, disk, icosahedron, pyramid, torus, triangulated
+
+from cagemap.errors import InvalidMeshError
+from cagemap.files.meshes.obj import read_obj
+from cagemap.mesh import ControlMesh, Plain
+from cagemap.subdivision import refine, triangles
+from cagemap.surface.triangles import triangle_areas, triangle_neighbors
+from cagemap.transfer.packing import pack_islands
+from cagemap.transfer.texels import lay_out, rasterize_band
+from cagemap.transfer.unwrap import _is_convex, _outline, unwrap
+
+SHAPES = {
+    "cube": cube(),
+    "icosahedron": icosahedron(),
+    "torus": torus(),
+    "disk": disk(7),
+    "pyramid": pyramid(),
+    "bipyramid": bipyramid(9),
+    "creature": creature(),
+}
+ANIMALS = ["spot", "cow", "red_fox"]
+
+# The function of the same name hides the module.
+layout = importlib.import_module("cagemap.transfer.unwrap")
+
+
+def check_layout(control: ControlMesh, size: int = 700) -> None:
+    """Every refined triangle is the right way round, inside the square, and alone on its texels."""
+    assert control.uvs is not None
+    assert control.uvs.min() >= 0
+    assert control.uvs.max() <= 1
+    level = refine(control, 2).finest
+    assert level.uvs is not None
+    assert level.uv_indices is not None
+    corners = triangles(level.uv_indices)
+    points = level.uvs[corners]
+    a, b = points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]
+    assert (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0] > 0).all()
+    layout = lay_out(points, triangle_neighbors(corners), size, size, band_rows=size, gutter=0)
+    backwards = lay_out(points[::-1], triangle_neighbors(corners)[::-1], size, size, band_rows=size, gutter=0)
+    first = rasterize_band(layout, 0)
+    last = len(corners) - 1 - rasterize_band(backwards, 0)
+    # The first and the last triangle over a centre differ only where it lies on an edge, to rounding.
+    assert (first[first >= 0] != last[first >= 0]).mean() < 1e-4
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_shapes(name: str) -> None:
+    check_layout(unwrap(SHAPES[name]))
+
+
+@pytest.mark.parametrize("name", ANIMALS)
+def test_animals_with_bent_and_concave_polygons(shared_data: Path, name: str) -> None:
+    control = unwrap(read_obj(shared_data / "animals" / f"{name}.obj"))
+    check_layout(control)
+    # Density: areas in the layout are those of the surface, up to what flattening costs a polygon.
+    level = refine(control, 2).finest
+    assert level.faces is not None
+    area = triangle_areas(level.positions, triangles(level.faces))
+    solid = np.bincount(np.repeat(level.face_parents, 2), area)
+    assert control.uv_indices is not None
+    assert control.uvs is not None
+    loops = control.uvs[control.uv_indices]
+    cross = loops[:, 0] * loops[control.next_corners, 1] - loops[:, 1] * loops[control.next_corners, 0]
+    flat = 0.5 * np.add.reduceat(cross, control.face_offsets[:-1])
+    ratio = flat / solid * solid.sum() / flat.sum()
+    assert np.quantile(ratio, 0.05) > 0.5
+    assert np.quantile(ratio, 0.95) < 2.0
+    assert flat.sum() > 0.3  # of the unit square
+
+
+def test_concave_polygons_become_convex_ones() -> None:
+    # A prism over a star: its caps are n-gons whose own outline would fold when refined.
+    around = np.linspace(0, 2 * np.pi, 10, endpoint=False)
+    rim = np.where(np.arange(10) % 2, 0.35, 1.0)[:, None] * np.column_stack([np.cos(around), np.sin(around)])
+    positions = np.concatenate([np.column_stack([rim, np.full(10, height)]) for height in (0.0, 0.5)])
+    sides = [[k, (k + 1) % 10, 10 + (k + 1) % 10, 10 + k] for k in range(10)]
+    star = ControlMesh.from_faces(positions, [list(range(9, -1, -1)), list(range(10, 20)), *sides])
+    check_layout(unwrap(star), 300)
+    for face in range(star.n_faces):
+        assert _is_convex(_outline(positions[star.face(face)]))
+
+
+def test_animals_come_in_few_islands(shared_data: Path) -> None:
+    control = unwrap(read_obj(shared_data / "animals" / "spot.obj"))
+    level = refine(control, 1).finest
+    assert level.uv_indices is not None
+    # 29 now, for 180 bent polygons; 59 and more without smoothing, or if mirrored charts are taken apart.
+    assert len(np.unique(_islands(triangle_neighbors(triangles(level.uv_indices))))) <= 35
+
+
+def test_a_plain_mesh_is_laid_out_as_it_is() -> None:
+    """Scans seldom have UVs."""
+    control = unwrap(replace(triangulated(torus()), scheme=Plain()))
+    assert isinstance(control.scheme, Plain)
+    check_layout(replace(control, scheme=None))
+
+
+def test_packing_keeps_the_padding_however_it_turns_out() -> None:
+    square = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], dtype=float)
+    for count in (1, 2, 3, 5):
+        islands = np.repeat(np.arange(count), 4)
+        start = np.arange(4 * count)
+        edges = np.column_stack([start, start // 4 * 4 + (start + 1) % 4])
+        packed = pack_islands(np.tile(square, (count, 1)), edges, islands, 0.05).reshape(count, 4, 2)
+        low, high = packed.min(axis=1), packed.max(axis=1)
+        assert low.min() >= 0.025 - 1e-12
+        assert high.max() <= 1 - 0.025 + 1e-12
+        np.testing.assert_allclose(high - low, (high - low)[0, 0], rtol=1e-9)  # all of one scale
+        for a in range(count):
+            for b in range(a):
+                assert np.maximum(low[a] - high[b], low[b] - high[a]).max() >= 0.05 - 1e-12
+
+
+def test_islands_keep_their_distance() -> None:
+    control = unwrap(torus(), padding=1 / 64)
+    level = refine(control, 1).finest
+    assert level.uvs is not None
+    assert level.uv_indices is not None
+    corners = triangles(level.uv_indices)
+    size = 640  # the padding is 10 texels; islands grown by 4 must not meet, nor leave the square
+    neighbors = triangle_neighbors(corners)
+    layout = lay_out(level.uvs[corners], neighbors, size, size, band_rows=size, gutter=4.0)
+    backwards = lay_out(level.uvs[corners[::-1]], neighbors[::-1], size, size, band_rows=size, gutter=4.0)
+    owner, other = rasterize_band(layout, 0), len(corners) - 1 - rasterize_band(backwards, 0)
+    island = _islands(neighbors)
+    grown = owner >= 0
+    assert (island[owner[grown]] == island[other[grown]]).all()
+    assert not grown[[0, -1]].any()
+    assert not grown[:, [0, -1]].any()
+
+
+def test_the_same_mesh_gives_the_same_layout_whatever_its_place_and_size() -> None:
+    control = torus()
+    first, again = unwrap(control), unwrap(control)
+    np.testing.assert_array_equal(first.uvs, again.uvs)
+    np.testing.assert_array_equal(first.uv_indices, again.uv_indices)
+    for factor in (1e-6, 2.0**20):
+        check_layout(unwrap(control.with_positions(control.positions * factor + 3 * factor)), 300)
+
+
+def apart(one: np.ndarray, other: np.ndarray) -> bool:
+    """The slow twin: whether an edge of either of two convex polygons has the other one on its outer side."""
+    return any(
+        all((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0] <= 1e-9 for c in second)
+        for first, second in ((one, other), (other, one))
+        for a, b in zip(first, np.roll(first, -1, axis=0), strict=True)
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_charts_that_run_over_themselves_are_found_as_one_by_one(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(layout, "_PAIRS", 50)
+    rng = np.random.default_rng(seed)
+    count = 60
+    sizes = rng.integers(3, 6, count)
+    around = [np.sort(rng.uniform(0, 2 * np.pi, size)) for size in sizes]
+    loops = [rng.uniform(0, 4, 2) + rng.uniform(0.1, 1) * np.column_stack([np.cos(a), np.sin(a)]) for a in around]
+    uvs, corner_uvs = np.concatenate(loops), np.arange(sizes.sum())
+    control = ControlMesh.from_faces(np.zeros((len(uvs), 3)), np.split(corner_uvs, np.cumsum(sizes)[:-1]))
+    chart = rng.integers(-1, 3, count)
+    found = layout._overlapping(control, uvs, corner_uvs, chart)
+    expected = {
+        (a, b)
+        for a, b in itertools.combinations(range(count), 2)
+        if chart[a] == chart[b] >= 0 and not apart(loops[a], loops[b])
+    }
+    assert len(expected) > 20
+    assert {(min(pair), max(pair)) for pair in found.tolist()} == expected
+    layout._loosen_overlaps(control, uvs, corner_uvs, chart)
+    assert not len(layout._overlapping(control, uvs, corner_uvs, chart))
+
+
+def test_degenerate_polygons_get_a_spot_of_their_own() -> None:
+    shape = cube()
+    positions = shape.positions.copy()
+    positions[1] = positions[0]  # an edge without length, and with it triangles without area
+    check_layout(unwrap(shape.with_positions(positions)), 300)
+
+
+def test_nothing_to_unwrap_is_refused() -> None:
+    with pytest.raises(InvalidMeshError, match="to unwrap"):
+        unwrap(cube().with_positions(np.zeros((8, 3))))
+    with pytest.raises(InvalidMeshError, match="to unwrap"):
+        unwrap(ControlMesh.from_faces(np.zeros((0, 3)), []))
+
+
+def _islands(neighbors: np.ndarray) -> np.ndarray:
+    """(t,) smallest triangle of each triangle's island."""
+    label = np.arange(len(neighbors))
+    while True:
+        reach = np.where(neighbors >= 0, label[neighbors], label[:, None]).min(axis=1)
+        smaller = np.minimum(label, reach)
+        if (smaller == label).all():
+            return label
+        label = smaller

@@ -1,0 +1,121 @@
+"""UDIM sets in and out, what overhangs a tile, filtering, and the texture that comes back to its own asset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from examples.shapes import grid
+
+from cagemap.files.images.image import (
+    read_image_form,
+    read_texture,
+    texture_files,
+    tile_pattern,
+    udim_path,
+    write_image,
+)
+from cagemap.maps.point_map import PointMap
+from cagemap.mesh import ControlMesh
+from cagemap.subdivision import Level, refine
+from cagemap.surface.triangle_surface import TriangleSurface
+from cagemap.transfer import BakeOptions, Transfer, bake_texture, prepare_transfer, target_tiles
+from cagemap.transfer.texture import OVERHANG, tile_cells
+from cagemap.transfer.textured_surface import TexturedSurface
+
+
+def _tiled_grid(columns: int, rows: int, margin: float = 0.02) -> ControlMesh:
+    """A bent grid whose faces lie in a UDIM tile each."""
+    mesh = grid(columns, rows)
+    unit = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]) * (1 - 2 * margin) + margin
+    uvs = np.concatenate([unit + np.array([face % columns, face // columns]) for face in range(mesh.n_faces)])
+    x, y = mesh.positions[:, 0], mesh.positions[:, 1]
+    bent = np.column_stack([x, y, 0.3 * np.sin(x) * np.cos(y)])
+    return mesh.with_positions(bent).with_uvs(uvs, np.arange(4 * mesh.n_faces))
+
+
+def _identity(target: Level, source: Level) -> Transfer:
+    surfaces = [TriangleSurface.from_faces(level.positions, level.faces) for level in (target, source)]
+    return prepare_transfer(target, source, PointMap.from_vertices(*surfaces, np.arange(target.n_vertices)))
+
+
+def _noise(size: int, seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 256, (size, size, 3), dtype=np.uint8)
+
+
+def test_an_asset_onto_itself_gives_back_its_tiles() -> None:
+    level = refine(_tiled_grid(3, 2), 4).finest
+    tiles = {1001 + column + 10 * row: _noise(256, column + 3 * row) for row in range(2) for column in range(3)}
+    assert target_tiles(TexturedSurface.from_level(level)) == sorted(tiles)
+    transfer = _identity(level, level)
+    for number, pixels in tiles.items():
+        baked = bake_texture(transfer, tiles, size=256, options=BakeOptions(tile=number))
+        inside = slice(7, 249)  # the layout covers 2 % to 98 % of a tile
+        off = np.abs(baked[inside, inside].astype(int) - pixels[inside, inside].astype(int)).max(axis=2)
+        assert np.mean(off <= 1) >= 0.999
+
+
+def test_a_checker_shrunk_by_four_does_not_alias() -> None:
+    # Squares of 8 texels, so 2 in the small image; then squares of 2, which must become an even grey.
+    level = refine(_tiled_grid(1, 1, margin=0.0), 3).finest
+    transfer = _identity(level, level)
+    rows, columns = np.indices((512, 512))
+    for square in (8, 2):
+        checker = (255 * ((rows // square + columns // square) % 2)).astype(np.uint8)[:, :, None]
+        small = bake_texture(transfer, checker, size=128)[:, :, 0].astype(float)
+        spectrum = np.abs(np.fft.fft2(small - small.mean())) / small.size
+        expected = np.zeros(spectrum.shape, dtype=bool)
+        if square == 8:
+            # A checker of 2 texels has its lines at odd multiples of a quarter of the sampling rate.
+            lines = np.array([32, 96])
+            expected[np.ix_(lines, lines)] = True
+            assert spectrum[expected].min() > 20
+        assert spectrum[~expected].max() < 2, f"squares of {square} leave {spectrum[~expected].max():.2f} elsewhere"
+
+
+def test_what_overhangs_a_tile_by_a_rounding_does_not_become_two() -> None:
+    mesh = _tiled_grid(2, 1, margin=0.0)
+    level = refine(mesh, 5).finest
+    assert target_tiles(TexturedSurface.from_level(level)) == [1001, 1002]
+    for shift in (1e-7, -1e-7, 0.4 * OVERHANG):
+        moved = refine(mesh.with_uvs(mesh.uvs + np.array([shift, 0]), mesh.uv_indices), 5).finest
+        assert target_tiles(TexturedSurface.from_level(moved)) == [1001, 1002]
+    single = _tiled_grid(1, 1, margin=0.0)
+    grown = refine(single.with_uvs((single.uvs - 0.5) * (1 + OVERHANG) + 0.5, single.uv_indices), 8).finest
+    assert target_tiles(TexturedSurface.from_level(grown)) == [0]
+    across = np.array([[[0.4, 0.5], [1.4, 0.5], [1.2, 0.9]], [[-1e-6, 0], [0, 1e-6], [0, 0]]])
+    np.testing.assert_array_equal(tile_cells(across), [[1, 0], [0, 0]])
+
+
+def test_both_spellings_of_a_set(tmp_path: Path) -> None:
+    for number in (1001, 1012):
+        write_image(udim_path(tmp_path / "skin.%(UDIM)d.png", number), _noise(8, number))
+    (tmp_path / "skin.1x01.png").write_bytes(b"")
+    assert sorted(path.name for path in tmp_path.iterdir())[:2] == ["skin.1001.png", "skin.1012.png"]
+    for name in ("skin.<UDIM>.png", "skin.%(UDIM)d.png"):
+        assert list(read_texture(tmp_path / name)) == [1001, 1012]
+        assert len(texture_files(tmp_path / name)) == 2
+        assert read_image_form(tmp_path / name) == (np.dtype(np.uint8), 3)
+        assert tile_pattern(tmp_path / name).name == "skin.<UDIM>.png"
+    assert tile_pattern("skin.png").name == "skin.<UDIM>.png"
+
+
+def test_a_gap_in_a_set_is_named() -> None:
+    level = refine(_tiled_grid(2, 1), 2).finest
+    with pytest.raises(ValueError, match="1002"):
+        bake_texture(_identity(level, level), {1001: _noise(8, 1)}, size=8, options=BakeOptions(tile=1001))
+
+
+@pytest.mark.parametrize("dtype", [np.uint16, np.float16, np.float32])
+def test_deep_pixels_and_alpha_come_back_exactly(dtype: type) -> None:
+    level = refine(_tiled_grid(1, 1, margin=0.0), 3).finest
+    rng = np.random.default_rng(8)
+    scale = 65535 if dtype is np.uint16 else 1
+    pixels = (rng.random((64, 64, 4)) * scale).astype(dtype)
+    baked = bake_texture(_identity(level, level), pixels, size=64)
+    assert baked.dtype == dtype
+    # Texels are met at their centres to rounding; one unit in the last place of half floats is 5e-4 at 1.
+    np.testing.assert_allclose(
+        baked.astype(float), pixels.astype(float), atol={np.uint16: 1, np.float16: 5e-4}.get(dtype, 1e-5)
+    )
