@@ -24,7 +24,7 @@ from cagemap.files.result.folder import read_result
 from cagemap.jobs import Consistency, Task, plan_job, read_job, spanning_tree
 from cagemap.jobs.farm import farm_steps
 from cagemap.jobs.page import PairRow
-from cagemap.tasks.job_file import COMMANDS, WRITTEN
+from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
 from cagemap.tasks.run_job import in_words
 
 JOB = """output = "night"

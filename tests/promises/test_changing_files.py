@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from examples.shapes import cube
 
-from cagemap.cli import import_map, match
+from cagemap.tasks import import_map, match
 from cagemap.files.meshes.formats import write_mesh
 from cagemap.files.result.folder import manifest as notes
 from cagemap.files.result.folder import write_result
