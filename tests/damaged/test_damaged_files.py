@@ -142,9 +142,14 @@ def mutated_arrays(arrays: dict[str, Any], rng: Generator) -> dict[str, Any]:
     if kind == 1:
         array = array.astype([np.float32, np.int8, np.uint64, np.complex64, bool, "U3"][rng.integers(6)])
     elif kind == 2:
-        array = [array[:-1], array[:0], array.ravel(), array[None], array.T, array.ravel()[:1].reshape(())][
-            rng.integers(6)
-        ]
+        array = [
+            array[:-1],
+            array[:0],
+            array.ravel(),
+            array[None],
+            array.T,
+            np.array(array.ravel()[0] if array.size else 0),
+        ][rng.integers(6)]
     elif kind == 3 and array.size:
         array = np.resize(array.ravel(), (len(np.atleast_1d(array)) + 1, *array.shape[1:]))
     elif kind == 4:

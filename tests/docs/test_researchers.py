@@ -48,8 +48,8 @@ def test_the_commands_of_table_1_run(shared_data, tmp_path):
     places = {path.name: str(path) for path in [*shared_data.rglob("*.obj"), *shared_data.rglob("*.json")]}
     assert len(commands) == 3
     for number, command in enumerate(commands):
-        words = [places.get(word, word) for word in shlex.split(re.sub(r"level [34]", "level 1", command))]
-        words = [re.sub(r"^(\d+,\d+),.*", r"\1", word) for word in words]
+        words = [places.get(word, word) for word in shlex.split(re.sub(r"level([ =])[34]", r"level\g<1>1", command))]
+        words = [re.sub(r"(schedule=\d+,\d+),.*", r"\1", word) for word in words]
         words[words.index("--output") + 1] = str(tmp_path / str(number))
         subprocess.run([sys.executable, "-m", "cagemap", *words], check=True)
         assert [one.levels for one in read_result(tmp_path / str(number)).level_maps] == [(0, 0), (1, 1)]

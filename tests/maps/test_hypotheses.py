@@ -78,8 +78,8 @@ def test_a_bent_twin_is_found_without_landmarks_however_its_axes_lie() -> None:
 def test_a_shape_that_is_its_own_double_has_two_answers_and_landmarks_choose() -> None:
     scene = join_meshes([creature(), cube()])
     cage = extract(scene, np.arange(creature().n_faces, scene.n_faces))
-    # Not the very same surface: that is known at once.
-    longer = cage.with_positions(cage.positions * (1.0, 1.0, 1.0003))
+    # Elsewhere: surfaces that lie on each other are known at once.
+    longer = cage.with_positions(cage.positions * (1.0, 1.0, 1.0003) + 5.0)
     target, source = prepare_surface(cage, 3), prepare_surface(longer, 3)
     undecided = match(target, source)
     assert undecided.confidence is not None
@@ -105,8 +105,9 @@ def test_a_box_lies_on_itself_as_the_files_stand_although_its_sides_are_all_alik
     """Turned upon itself it stretches affinely, which is free; the round one's samples even fall better."""
     control = replace(voxels(list(product(range(4), repeat=3))), scheme=scheme)
     centred = control.positions - control.positions.mean(axis=0)
-    # Not the very same surface: that is known at once.
-    box, longer = (prepare_surface(control.with_positions(centred * (x, 0.8, 1.0)), 2) for x in (1.4, 1.4003))
+    box = prepare_surface(control.with_positions(centred * (1.4, 0.8, 1.0)), 2)
+    # Elsewhere: surfaces that lie on each other are known at once.
+    longer = prepare_surface(control.with_positions(centred * (1.4003, 0.8, 1.0) + 5.0), 2)
     result = match(box, longer)
     assert result.confidence is not None
     assert result.confidence.readings[0].name == AS_FILED

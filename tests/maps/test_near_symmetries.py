@@ -103,7 +103,7 @@ BOX, STOOL = solid(lambda x, y, z: True, 2, 3, 5), solid(stool, 5, 4, 5)
     ("target", "source"),
     [
         pytest.param(BOX, turned(longer(BOX), 45), id="boxes"),
-        pytest.param(bottle(0.35), turned(bottle(0.3), 67), id="bottles"),
+        pytest.param(bottle(0.35), turned(longer(bottle(0.3)), 67), id="bottles"),
         pytest.param(starfish(0.35), turned(starfish(0.38), 144), id="starfish"),
         pytest.param(STOOL, turned(longer(STOOL), 90), id="stools"),
     ],

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from examples.shapes import cube
 
-from cagemap.tasks import import_map, match
 from cagemap.files.meshes.formats import write_mesh
-from cagemap.files.result.folder import manifest as notes
+from cagemap.files.result import manifest as notes
 from cagemap.files.result.folder import write_result
 from cagemap.files.result.manifest import input_file, note_transfer, read_manifest
+from cagemap.tasks import import_map, match
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.match import MatchRequest
