@@ -147,10 +147,10 @@ def match(
 
     Parameters
     ----------
-    target : Surface or mesh
-        M1, the surface that receives. A mesh, see `cagemap.mesh.inputs.control_mesh`, is prepared with about 200 000
+    target : Surface or ControlMesh
+        M1, the surface that receives. A mesh in any form, see `cagemap.mesh.inputs.control_mesh`, is prepared with about 200 000
         vertices; `prepare_surfaces` chooses levels, and its surfaces serve further matches.
-    source : Surface or mesh
+    source : Surface or ControlMesh
         M2, the surface that gives.
     landmarks : Landmarks or (p, 2) array, optional
         Points, and curves, that correspond; of an array pairs (target vertex, source vertex).
