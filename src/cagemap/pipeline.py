@@ -264,7 +264,7 @@ def update_match(
     """A match after landmarks were added, moved or removed: a preview at once, from the map that is there.
 
     The map responds elastically to the landmarks; its error is within a few percent of that of a new match
-    (docs/accuracy.md). Where landmarks change what goes where, an arm for a leg, match again instead.
+    (docs/lab/accuracy.md). Where landmarks change what goes where, an arm for a leg, match again instead.
 
     Parameters
     ----------
