@@ -147,10 +147,10 @@ def match(
 
     Parameters
     ----------
-    target : Surface or ControlMesh
-        M1, the surface that receives. A mesh in any form, see `cagemap.mesh.inputs.control_mesh`, is prepared with about 200 000
-        vertices; `prepare_surfaces` chooses levels, and its surfaces serve further matches.
-    source : Surface or ControlMesh
+    target : Surface, or mesh, see `cagemap.mesh.inputs.control_mesh`
+        M1, the surface that receives. A mesh is prepared with about 200 000 vertices; `prepare_surfaces` chooses
+        levels, and its surfaces serve further matches.
+    source : Surface, or mesh, see `cagemap.mesh.inputs.control_mesh`
         M2, the surface that gives.
     landmarks : Landmarks or (p, 2) array, optional
         Points, and curves, that correspond; of an array pairs (target vertex, source vertex).
