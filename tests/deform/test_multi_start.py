@@ -1,4 +1,4 @@
-"""Several coarse placements are refined, and the cheapest one wins."""
+"""Several coarse placements are refined, and the best parts of all become one."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ import pytest
 from examples.shapes import creature
 
 from cagemap.deform import search
-from cagemap.deform.config import ElasticConfig
+from cagemap.deform.best_parts import best_parts
+from cagemap.deform.config import ElasticConfig, SearchConfig
 from cagemap.deform.graph import ElasticGraph, mesh_graph
 from cagemap.deform.placement import Placement
 from cagemap.subdivision import level_triangles, refine
 from cagemap.surface.triangle_surface import TriangleSurface
+
+CONFIG = SearchConfig()
 
 
 @pytest.fixture(scope="module")
@@ -24,25 +27,63 @@ def graph() -> ElasticGraph:
     return mesh_graph(mesh, mesh.triangles)
 
 
-def test_stiff_placements_are_refined_too_and_the_cheapest_comes_first(
+def moved(graph: ElasticGraph, where: np.ndarray) -> np.ndarray:
+    return graph.positions + 3 * CONFIG.part_distance * where[:, None] * np.array([0.0, 1.0, 0.0])
+
+
+def placed(positions: np.ndarray, costs: np.ndarray) -> Placement:
+    return Placement(positions, float(costs.sum()), costs)
+
+
+def test_each_part_is_taken_from_where_it_costs_less(graph: ElasticGraph) -> None:
+    """One placement is wrong in front, the other one behind and dearer: together they are right everywhere."""
+    along = graph.positions[:, 2]
+    front, behind = along > np.quantile(along, 0.9), along < np.quantile(along, 0.2)
+    first = placed(moved(graph, front), 1e-4 + 1e-3 * front)
+    second = placed(moved(graph, behind), 1e-4 + 1e-3 * behind)
+    assert first.cost < second.cost
+    mixed = best_parts(graph, [first, second], CONFIG)
+    assert mixed is not None
+    np.testing.assert_allclose(mixed, graph.positions, atol=1e-12)
+
+
+def test_nothing_is_taken_that_is_dearer_small_or_near(graph: ElasticGraph) -> None:
+    along = graph.positions[:, 2]
+    front = along > np.quantile(along, 0.9)
+    best = placed(graph.positions, np.full(graph.n, 1e-4))
+    dearer = placed(moved(graph, front), 1e-4 + 1e-3 * front)
+    assert best_parts(graph, [best, dearer], CONFIG) is None
+    cheaper = np.full(graph.n, 1e-4) - 5e-5 * front
+    near = Placement(graph.positions + 0.5 * CONFIG.part_distance * front[:, None] / np.sqrt(3), 1.0, cheaper)
+    assert best_parts(graph, [best, near], CONFIG) is None
+    one = np.arange(graph.n) == np.argmax(along)
+    assert graph.areas[one].sum() < CONFIG.part_area
+    assert best_parts(graph, [best, Placement(moved(graph, one), 1.0, cheaper)], CONFIG) is None
+
+
+def test_refined_placements_count_and_the_best_parts_of_all_come_first(
     graph: ElasticGraph, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A stage that changes nothing, and costs that are distances: what costs too much at once is not refined."""
+    """Stages that change nothing, and costs that are distances: one placement is wrong in front, another one behind."""
+    along = graph.positions[:, 2]
+    front = moved(graph, along > np.quantile(along, 0.9))
+    behind = moved(graph, along < np.quantile(along, 0.1))
 
     def with_cost(prepared: object, positions: np.ndarray) -> Placement:
-        costs = graph.areas * ((positions - graph.positions) ** 2).sum(axis=1)
-        return Placement(positions, float(costs.sum()), costs)
+        return placed(positions, graph.areas * ((positions - graph.positions) ** 2).sum(axis=1))
 
     monkeypatch.setattr(search, "fine_fit", lambda problem, coarse: coarse.positions)
+    monkeypatch.setattr(search, "fine_stage", lambda problem, start: start)
     monkeypatch.setattr(search, "with_cost", with_cost)
     rest = SimpleNamespace(graph=graph)
     prepared = SimpleNamespace(rest=rest, elastic=ElasticConfig())
     problem: Any = SimpleNamespace(prepared=prepared, shape=SimpleNamespace(rest=rest))
-    soft, near, stiff = (Placement(graph.positions + by, cost) for by, cost in ((0.3, 1.0), (0.3001, 1.1), (0.1, 9.0)))
-    found = search.refine_best(problem, [soft, near], stiff=[stiff])
-    assert [one.positions is two.positions for one, two in zip(found, (stiff, soft), strict=True)] == [True, True]
-    assert found[0].cost < found[1].cost
-    assert len(search.refine_best(problem, [soft, stiff])) == 1  # hopeless by its coarse cost
+    coarse, hopeless = Placement(front, 1.0), Placement(behind, 9.0)
+    found = search.refine_best(problem, [coarse], refined=[with_cost(prepared, behind)])
+    assert len(found) == 3
+    assert [one.cost for one in found] == sorted(one.cost for one in found)
+    np.testing.assert_allclose(found[0].positions, graph.positions, atol=1e-12)
+    assert len(search.refine_best(problem, [coarse, hopeless])) == 1
 
 
 def test_shares_of_the_energy_are_its_terms(graph: ElasticGraph) -> None:

@@ -95,7 +95,7 @@ def test_placements_that_agree_are_doubted_where_a_limb_is_posed(
     graph, better = bent.rest.graph, Placement(bent.finest_source.positions, 0.5)
     at_rest = Placement(graph.positions, 1.0, graph=graph)
     monkeypatch.setattr(search, "coarse_fit", lambda *given: at_rest)
-    monkeypatch.setattr(search, "fine_fit", lambda *given: bent.rest.graph.positions)
+    monkeypatch.setattr(search, "refine", lambda problem, coarse: list(coarse))
     monkeypatch.setattr(search, "start_map", lambda problem: problem.prepared.finest_source.positions)
     monkeypatch.setattr(search, "mean_distance", lambda *given: 0.0)
     monkeypatch.setattr(search, "largest_limb_rotation", lambda *given: angle)
@@ -192,7 +192,8 @@ def test_only_poses_that_differ_are_fitted_in_the_other_pose(
     monkeypatch.setattr(search, "coarse_fit", lambda *given: at_rest)
     monkeypatch.setattr(search, "mean_distance", lambda *given: 1.0)
     ended = Placement(bent.finest_source.positions, 1e-4)
-    monkeypatch.setattr(search, "refine_best", lambda *given, stiff: (ended,))
+    monkeypatch.setattr(search, "refine", lambda problem, coarse: list(coarse))
+    monkeypatch.setattr(search, "refine_best", lambda *given, refined: (ended,))
     landmarks = problem.pair.landmarks
     (first,) = search.search(problem)
     forth, back = (side.positions[0].tolist() for side in (landmarks.target, landmarks.source))

@@ -150,6 +150,9 @@ class SearchConfig:
     min_distance: float = 0.001  #: mean distance of two coarse placements from which on both are refined
     max_refined: int = 3  #: coarse placements that are refined
     max_cost: float = 1.5  #: a coarse placement that costs this many times the cheapest one is not refined
+    part_distance: float = 0.02  #: distance of two placements from which on either may be the better one there
+    part_area: float = 5e-4  #: least share of the area of a part that is taken of another placement
+    part_rings: int = 3  #: rings of edges around a part that count for it, and fade
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,11 @@ Limbs turned about their axis hardly cost anything on the coarse graph; refined,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from cagemap.deform.fit import coarse_fit, fine_fit, with_cost
+from cagemap.deform.best_parts import best_parts
+from cagemap.deform.fit import coarse_fit, fine_fit, fine_stage, with_cost
 from cagemap.deform.inverse_consistency import inverse_consistent
 from cagemap.deform.placement import Placement, distinct, mean_distance
 from cagemap.deform.pose import fit_in_pose, largest_limb_rotation, pose_difference
@@ -41,18 +42,17 @@ def search(problem: Problem, progress: Progress = silent) -> tuple[Placement, ..
         start = start_map(problem)
         progress("elastic alignment")
         soft_ones, stiff_ones = zip(both_stages(start), blind.result(), strict=True)
-    if mean_distance(soft_ones[0].positions, soft_ones[1].positions, graph.areas) > config.doubtful:
-        return multi_start(problem, soft_ones, stiff_ones[0])
-    best = min(stiff_ones, key=lambda placed: placed.cost)
-    found = Placement(fine_fit(problem, best), best.cost)
-    rotation = largest_limb_rotation(problem.prepared.rest, found.positions, config.limb_area)
-    if rotation > config.limb_rotation:  # which only the mesh shows of a single elbow
-        return multi_start(problem, soft_ones, stiff_ones[0])
-    return (found,)
+    # The costs of the coarse ones differ too little to choose by; a turned elbow shows on the mesh alone.
+    refined = refine(problem, stiff_ones)
+    rotation = largest_limb_rotation(problem.prepared.rest, refined[0].positions, config.limb_area)
+    apart = mean_distance(soft_ones[0].positions, soft_ones[1].positions, graph.areas)
+    if apart <= config.doubtful and rotation <= config.limb_rotation:
+        return (refined[0],)
+    return multi_start(problem, soft_ones, refined)
 
 
-def multi_start(problem: Problem, coarse: Sequence[Placement], stiff: Placement) -> tuple[Placement, ...]:
-    """Refined placements, cheapest first, where two coarse ones are apart.
+def multi_start(problem: Problem, coarse: Sequence[Placement], refined: Sequence[Placement]) -> tuple[Placement, ...]:
+    """Placements, cheapest first, of two coarse ones that are apart and others that are refined.
 
     Spectral upsampling makes further starts of the first one. Unless there are masks, the best is moved on: where poses
     differ, it is fitted again in the source's pose (`fit_in_pose`), and made inverse consistent. Its cost stays as
@@ -61,7 +61,7 @@ def multi_start(problem: Problem, coarse: Sequence[Placement], stiff: Placement)
     rest = problem.prepared.rest
     starts = spectral_starts(coarse[0], SpectralSides.build(problem))
     more = in_threads(lambda rough: coarse_fit(problem, rough), starts)
-    first, *others = refine_best(problem, [*coarse, *more], stiff=[stiff])
+    first, *others = refine_best(problem, [*coarse, *more], refined=refined)
     if rest.masks.any:  # what is masked is fitted back as well, and drags what is not with it
         return first, *others
     moved = first.positions
@@ -71,12 +71,28 @@ def multi_start(problem: Problem, coarse: Sequence[Placement], stiff: Placement)
 
 
 def refine_best(
-    problem: Problem, coarse: Sequence[Placement], most: int | None = None, stiff: Sequence[Placement] = ()
-) -> tuple[Placement, ...]:
-    """The fine stage from the cheapest coarse placements that are apart, by the cost of the mesh."""
-    config = problem.prepared.elastic.search
-    ranked = sorted(coarse, key=lambda placed: placed.cost)
+    problem: Problem, coarse: Sequence[Placement], most: int | None = None, refined: Sequence[Placement] = ()
+) -> list[Placement]:
+    """The fine stage from the cheapest coarse placements that are apart, by the cost of the mesh, beside refined ones.
+
+    Where a cheaper one can be made of the best parts of all (`best_parts`), it comes first.
+    """
+    prepared, config = problem.prepared, problem.prepared.elastic.search
+    ranked = cheapest_first(coarse)
     hopeful = [placed for placed in ranked if placed.cost <= config.max_cost * ranked[0].cost]
     kept = distinct(hopeful, problem.shape.rest.graph.areas, config.min_distance)[: most or config.max_refined]
-    found = in_threads(lambda one: with_cost(problem.prepared, fine_fit(problem, one)), [*kept, *stiff])
-    return tuple(sorted(found, key=lambda placed: placed.cost))
+    found = cheapest_first([*refine(problem, kept), *refined])
+    mixed = best_parts(prepared.rest.graph, found, config)
+    if mixed is None:
+        return found
+    return cheapest_first([*found, with_cost(prepared, fine_stage(problem, mixed))])
+
+
+def refine(problem: Problem, coarse: Sequence[Placement]) -> list[Placement]:
+    """The fine stage from coarse placements, by the cost of the mesh."""
+    return cheapest_first(in_threads(lambda one: with_cost(problem.prepared, fine_fit(problem, one)), coarse))
+
+
+def cheapest_first(placements: Iterable[Placement]) -> list[Placement]:
+    """Placements in the order of their costs."""
+    return sorted(placements, key=lambda placed: placed.cost)
