@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from cagemap.files.result.folder import read_result
 from cagemap.jobs import Consistency, Task, plan_job, read_job, spanning_tree
 from cagemap.jobs.farm import farm_steps
 from cagemap.jobs.page import PairRow
+from cagemap.tasks import dry_run
 from cagemap.tasks.requests.catalogue import COMMANDS, WRITTEN
 from cagemap.tasks.run_job import in_words
 
@@ -95,6 +97,19 @@ def test_a_dry_run_says_what_would_be_done_and_does_nothing(folder: Path) -> Non
     assert "match pony -> deer" in said.output
     assert "core minutes" in said.output
     assert sorted(folder.iterdir()) == before
+
+
+def test_a_dry_run_shares_the_work_between_workers_but_no_task(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dry_run, "_seconds", lambda task, sizes: 600.0)
+    asked = ["run", str(folder / "job.toml"), "--dry-run", "--workers"]
+    minutes = {}
+    for workers in (1, 2, 500):
+        said = CliRunner().invoke(app, [*asked, str(workers)]).output
+        core, found = map(float, re.findall(r"about ([0-9.]+) core minutes, ([0-9.]+) minutes with", said)[0])
+        minutes[workers] = found - dry_run.STARTUP / 60
+    assert minutes[1] == pytest.approx(core, abs=0.1)
+    assert minutes[2] == pytest.approx(core / 2, abs=0.1)
+    assert minutes[500] == pytest.approx(10.0, abs=0.1)  # a task takes what it takes
 
 
 def test_a_dry_run_foresees_what_will_be_refused(folder: Path) -> None:

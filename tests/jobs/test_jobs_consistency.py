@@ -12,6 +12,7 @@ from examples.shapes import torus
 from cagemap.jobs import Plan, Task
 from cagemap.jobs.consistency import (
     Consistency,
+    _ways,
     disagreement,
     measure_consistency,
     read_consistency,
@@ -117,3 +118,9 @@ def test_outputs_of_a_doubtful_pair_are_made_from_the_way_round(tmp_path: Path) 
     order = {task.name: number for number, task in enumerate(changed.tasks)}
     assert all(order[need] < order[task.name] for task in changed.tasks for need in task.needs if need in order)
     assert not has_ways_round(Plan(tmp_path, (), pairs[:2]))
+
+
+@pytest.mark.parametrize(("error", "found"), [(0.19, False), (0.21, True)])
+def test_a_way_round_is_at_least_twice_as_good(error: float, found: bool) -> None:
+    errors = {("a", "c"): error, ("a", "b"): 0.05, ("b", "c"): 0.05}
+    assert _ways(errors, [("a", "c")]) == ({("a", "c"): ("a", "b", "c")} if found else {})
