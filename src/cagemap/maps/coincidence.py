@@ -94,7 +94,7 @@ def _snapped(points: SurfacePoints) -> FloatArray:
 
 
 def _finest(surface: Surface) -> TriangleSurface:
-    return surface.triangles(surface.finest)
+    return surface.finest_triangles
 
 
 def _cage(surface: Surface) -> TriangleSurface:

@@ -182,7 +182,7 @@ def _level_samples(surface: Surface, level: int, landmarks: SurfacePoints, weigh
     rows = functions_at(surface, level, surface.basis.count)
     coordinates = np.zeros((len(rows), 0))
     if len(landmarks) >= FEWEST_LANDMARKS:
-        vertices = near_vertices(landmarks, surface, level)
+        vertices = surface.hierarchy.on_level(level, near_vertices(landmarks, surface, level))
         coordinates = landmark_coordinates(operators.stiffness[level], operators.mass[level], vertices)
     return Samples(rows, operators.areas(level), weight * coordinates)
 
