@@ -225,8 +225,7 @@ def result_of_map(pair: Pair, found: PointMap, names: Sequence[str] = ()) -> Mat
 
 def _cage_points(surface: Surface, points: SurfacePoints) -> CagePoints:
     """Points of the control mesh for points of the finest surface."""
-    on = SurfacePoints(surface.finest_triangles, points.triangle, points.barycentric)
-    found, vertices = cage_points_of(surface, on), vertices_at(on)
+    found, vertices = cage_points_of(surface, points), vertices_at(points)
     exact = (vertices >= 0) & (vertices < surface.control.n_vertices)
     at_vertices = CagePoints.of_vertices(np.where(exact, vertices, 0))
     return CagePoints(

@@ -10,7 +10,7 @@ import numpy as np
 from cagemap.deform.config import Stage
 from cagemap.deform.constraints import Anchors, Constraints
 from cagemap.deform.prepared import CoarseShape, PreparedPair
-from cagemap.maps.pair import Pair, near_vertices
+from cagemap.maps.pair import Pair, vertices_near
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import kept
 
@@ -33,14 +33,8 @@ class Problem:
     def landmark_vertices(self) -> tuple[IndexArray, IndexArray]:
         """(p,) vertices of target and source that landmarks lie on or near, of the levels that are searched."""
         prepared, landmarks = self.prepared, self.pair.landmarks
-        target, source = (
-            surface.hierarchy.on_level(level, near_vertices(points, surface, level))
-            for points, surface, level in (
-                (landmarks.target, prepared.target, prepared.levels[0]),
-                (landmarks.source, prepared.source, prepared.levels[1]),
-            )
-        )
-        return target, source
+        target = vertices_near(landmarks.target, prepared.target, prepared.levels[0])
+        return target, vertices_near(landmarks.source, prepared.source, prepared.levels[1])
 
     @kept
     def shape(self) -> CoarseShape:

@@ -98,7 +98,7 @@ def _finest(surface: Surface) -> TriangleSurface:
 
 
 def _cage(surface: Surface) -> TriangleSurface:
-    """The control mesh, polygons in fans; of a plain mesh the numbers are those of its finest level."""
+    """The control mesh, polygons in fans; a plain mesh as it is."""
     if surface.refinement.is_plain:
         return _finest(surface)
     return TriangleSurface(surface.scale * surface.control.positions, cage_triangles(surface.control)[0], surface.scale)

@@ -173,6 +173,11 @@ def near_vertices(points: SurfacePoints, surface: Surface, finest: int | None = 
     return vertices
 
 
+def vertices_near(points: SurfacePoints, surface: Surface, level: int) -> IndexArray:
+    """(m,) different vertices of a level that points of the finest surface lie on or near, see `near_vertices`."""
+    return surface.hierarchy.on_level(level, near_vertices(points, surface, level))
+
+
 def vertices_at(points: SurfacePoints) -> IndexArray:
     """(m,) vertices that points lie on, -1 for points between them."""
     corner = points.barycentric.argmax(axis=1)
