@@ -4,7 +4,6 @@ import numpy as np
 
 import cagemap
 from cagemap.example import example_pair
-from cagemap.transfer import combine, control_weights
 
 pair = example_pair(64)
 target = cagemap.prepare_surface(pair.target, level=2)
@@ -16,9 +15,6 @@ along = pair.source.positions[:, 2]
 front = (along - along.min()) / np.ptp(along)
 weights = np.column_stack([front, 1.0 - front])
 
-transfer = cagemap.transfer_of(result)
-matrix = control_weights(transfer, target.refinement, source.refinement)
-carried = combine(matrix, weights)
-
+carried = cagemap.carry_weights(result, weights)
 print("vertices, joints:", carried.shape, "sums:", carried.sum(axis=1).min().round(9))
 np.savetxt("deer_weights.csv", carried, delimiter=",", header="front,back", comments="")

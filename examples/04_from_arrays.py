@@ -7,17 +7,16 @@ from cagemap.example import example_pair
 
 
 def as_arrays(mesh):
-    """Positions (n, 3) and a list of faces, as other programs have them."""
+    """Vertices (n, 3) and a list of faces, as other programs have them."""
     return mesh.positions, [mesh.face(i) for i in range(mesh.n_faces)]
 
 
 pair = example_pair(64)
-meshes = [cagemap.ControlMesh.from_faces(*as_arrays(mesh)) for mesh in (pair.target, pair.source)]
-target, source = (cagemap.prepare_surface(mesh, level=2) for mesh in meshes)
+deer, pony = as_arrays(pair.target), as_arrays(pair.source)
+target, source = cagemap.prepare_surfaces(deer, pony, levels=(2, 2))
 
-# Vertex numbers of both meshes, 0-based: eleven pairs of points.
-names = [f"point {i}" for i in range(11)]
-landmarks = cagemap.Landmarks(names, pair.landmarks.target[:11], pair.landmarks.source[:11])
+# Eleven rows: a vertex of the deer and one of the pony, 0-based.
+landmarks = np.column_stack([pair.landmarks.target, pair.landmarks.source])[:11]
 result = cagemap.match(target, source, landmarks)
 
 # For every vertex of the subdivided target: a triangle of the source, three weights.

@@ -12,10 +12,11 @@ target = cagemap.prepare_surface(pair.target, level=2)
 source = cagemap.prepare_surface(pair.source, level=2)
 result = cagemap.match(target, source, pair.landmarks)
 
-# Send the first landmark to a neighbour of the vertex where it was.
+# Send the landmark of the left eye to a neighbour of the vertex where it was.
+eye = pair.landmarks.names.index("eye_L")
 moved = pair.landmarks.source.copy()
 faces = [pair.source.face(i) for i in range(pair.source.n_faces)]
-moved[0] = next(face[0] for face in faces if moved[0] in face[1:])
+moved[eye] = next(face[0] for face in faces if moved[eye] in face[1:])
 landmarks = replace(pair.landmarks, source=moved)
 
 updated = cagemap.update_match(result, landmarks)

@@ -1,17 +1,19 @@
-"""Draw the pictures of docs/tutorial.md and docs/gallery.md: python docs/images/tutorial.py DIR.
+"""Draw the pictures of docs/tutorial.md: python docs/images/tutorial.py DIR.
 
-DIR has what the commands of docs/tutorial.md write.
+DIR has what the commands of docs/tutorial.md write. The picture of the report needs Chromium.
 """
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from cagemap.files.images.image import read_image, write_image
+from cagemap.files.images.image import Pixels, read_image, write_image
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.files.result.folder import read_result
 from cagemap.maps.places import located
@@ -26,24 +28,27 @@ from cagemap.pictures import (
     View,
     distinct_colors,
     draw_dots,
+    draw_segments,
     frame,
     position_colors,
     render,
     scalar_colors,
 )
 from cagemap.report.figures import for_display
+from cagemap.report.rig_panels import control_edges
 from cagemap.spectral.surface import Surface
-from cagemap.subdivision import refine
+from cagemap.subdivision import Refinement, refine
 from cagemap.transfer.textured_surface import TexturedSurface
 
 WIDTH, HEIGHT = 330, 330
 HERE = Path(__file__).parent
 BEHIND = replace(FRONT, azimuth=115.0)
+WIRE = np.full(3, 0.25)
 
 
-def model_of(side: Surface) -> Model:
-    """The finest surface of one side, in the file's lengths."""
-    surface = TexturedSurface.from_level(side.refinement.finest)
+def model_of(refinement: Refinement) -> Model:
+    """The finest surface, in the file's lengths."""
+    surface = TexturedSurface.from_level(refinement.finest)
     return Model(surface.positions, surface.triangles)
 
 
@@ -53,10 +58,27 @@ def draw(model: Model, skin: Skin | None = None, view: View = FRONT) -> Image:
     return render(model, skin or Skin(), camera, width=WIDTH, height=HEIGHT, samples=3)
 
 
-def textured(side: Surface, texture: Path) -> Skin:
+def draw_wired(refinement: Refinement, skin: Skin | None = None) -> Image:
+    """One model with the edges of its control mesh."""
+    model = model_of(refinement)
+    camera = frame(model.positions, FRONT, aspect=WIDTH / HEIGHT)
+    return draw_segments(draw(model, skin), model, camera, control_edges(refinement), WIRE)
+
+
+def screenshot(page: Path, width: int, height: int, scale: float) -> Image:
+    """The top of a page in Chromium, scaled."""
+    with TemporaryDirectory() as folder:
+        picture = Path(folder) / "page.png"
+        size = f"--window-size={width},{height}", f"--force-device-scale-factor={scale}"
+        command = ["chromium", "--headless=new", "--no-sandbox", "--hide-scrollbars", *size, f"--screenshot={picture}"]
+        subprocess.run([*command, page.resolve().as_uri()], check=True, capture_output=True)
+        return read_image(picture).pixels[..., :3]
+
+
+def textured(side: Surface, texture: Pixels) -> Skin:
     """The skin of an image over a side's UVs."""
     corners = TexturedSurface.from_level(side.refinement.finest).corner_uvs()
-    return Skin(texture=for_display(read_image(texture).pixels), corner_uvs=corners)
+    return Skin(texture=for_display(texture), corner_uvs=corners)
 
 
 def with_landmarks(side: Surface, model: Model, points: FloatArray) -> Image:
@@ -84,26 +106,26 @@ def main(folder: Path) -> None:
     """All pictures, from the files of the tutorial."""
     result: MatchResult = read_result(folder / "RESULT")
     source, target = result.source, result.target
-    pony, deer = model_of(source), model_of(target)
+    pony, deer = model_of(source.refinement), model_of(target.refinement)
     points = [located(side, of).positions for side, of in _landmarks(result)]
     save("tutorial_landmarks", with_landmarks(source, pony, points[0]), with_landmarks(target, deer, points[1]))
     finest = source.refinement.finest.positions
     images = result.point_map.images.positions / source.operators.scale
     colors = [Skin(vertex_colors=position_colors(places, finest)) for places in (finest, images)]
     save("tutorial_map", draw(pony, colors[0]), draw(deer, colors[1]))
-    baked = textured(target, folder / "deer.png")
+    paint, baked_paint = (read_image(folder / name).pixels for name in ("pony.png", "deer.png"))
+    baked = textured(target, baked_paint)
     save(
         "tutorial_texture",
-        draw(pony, textured(source, folder / "pony.png")),
+        draw(pony, textured(source, paint)),
         draw(deer, baked),
         draw(deer, baked, BEHIND),
     )
     carried = weights_of(folder / "deer_weights.csv", target)
     save("tutorial_weights", draw(pony, weights_of(folder / "pony_weights.csv", source)), draw(deer, carried))
-    surface = TexturedSurface.from_level(refine(read_mesh(folder / "deer_as_pony.obj"), 3).finest)
-    wrapped = Model(surface.positions, surface.triangles)
-    save("tutorial_wrap", draw(deer), draw(wrapped), draw(pony))
-    save("gallery", draw(deer, baked), draw(deer, carried), draw(wrapped))
+    wrapped = refine(read_mesh(folder / "deer_as_pony.obj"), 3)
+    save("tutorial_wrap", draw_wired(target.refinement), draw_wired(wrapped), draw(pony))
+    save("tutorial_report", screenshot(folder / "report.html", 1100, 760, 0.8))
 
 
 def _landmarks(result: MatchResult) -> tuple[tuple[Surface, CagePoints], ...]:

@@ -1,7 +1,7 @@
 """Dense maps between subdivision surfaces from their control meshes and a few landmarks.
 
 The public names below are imported on first use, so that ``import cagemap`` (and the command's ``--help``) stays
-light. The rooms they come from are importable too, for researchers: see docs/architecture.md.
+light. The packages they come from are importable too: see docs/architecture.md.
 """
 
 from __future__ import annotations
@@ -83,8 +83,8 @@ if TYPE_CHECKING:
     from cagemap.transfer.masks import with_alpha as with_alpha
     from cagemap.transfer.unwrap import unwrap as unwrap
 
-# The one list: room by room. `__all__`, `dir` and a test of that page follow it.
-_ROOMS = {
+# The one list, by package. `__all__`, `dir` and a test of that page follow it.
+_PACKAGES = {
     "spectral": ("BasisConfig", "HierarchicalBasis", "Surface"),
     "deform.config": ("ElasticConfig",),
     "deform.prepared": ("PreparedPair",),
@@ -132,15 +132,15 @@ _ROOMS = {
     "transfer.unwrap": ("unwrap",),
     "transfer.masks": ("bake_mask", "blend", "painted_mask", "with_alpha"),
 }
-_ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
+_PACKAGE_OF = {name: package for package, names in _PACKAGES.items() for name in names}
 
-__all__ = sorted(_ROOM_OF)
+__all__ = sorted(_PACKAGE_OF)
 
 
 def __getattr__(name: str) -> object:
-    if name not in _ROOM_OF:
+    if name not in _PACKAGE_OF:
         raise AttributeError(f"module 'cagemap' has no attribute {name!r}")
-    return getattr(import_module(f"cagemap.{_ROOM_OF[name]}"), name)
+    return getattr(import_module(f"cagemap.{_PACKAGE_OF[name]}"), name)
 
 
 def __dir__() -> list[str]:

@@ -145,10 +145,10 @@ def match(
 
     Parameters
     ----------
-    target : Surface or mesh
-        M1, the surface that receives. A mesh, see `cagemap.mesh.inputs.control_mesh`, is prepared with about 200 000
-        vertices; `prepare_surfaces` chooses levels, and its surfaces serve further matches.
-    source : Surface or mesh
+    target : Surface, or mesh, see `cagemap.mesh.inputs.control_mesh`
+        M1, the surface that receives. A mesh is prepared with about 200 000 vertices; `prepare_surfaces` chooses
+        levels, and its surfaces serve further matches.
+    source : Surface, or mesh, see `cagemap.mesh.inputs.control_mesh`
         M2, the surface that gives.
     landmarks : Landmarks or (p, 2) array, optional
         Points, and curves, that correspond; of an array pairs (target vertex, source vertex).
@@ -261,7 +261,7 @@ def update_match(
     """A match after landmarks were added, moved or removed: a preview at once, from the map that is there.
 
     The map responds elastically to the landmarks; its error is within a few percent of that of a new match
-    (docs/accuracy.md). Where landmarks change what goes where, an arm for a leg, match again instead.
+    (docs/lab/accuracy.md). Where landmarks change what goes where, an arm for a leg, match again instead.
 
     Parameters
     ----------

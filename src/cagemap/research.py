@@ -1,6 +1,6 @@
 """The steps of the method one at a time, for research: bring your own meshes, descriptors, operators, maps.
 
-Everything here is a short name for what the rooms do; docs/researchers.md walks through it.
+Everything here is a short name for what the packages do; docs/researchers.md walks through it.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def make_pair(
     target, source : Surface
     landmarks : pair of (p,) arrays
     symmetries : sequence of ((n_0 target,), (n_0 source,)) arrays
-        As in `Pair`; `cagemap.descriptors.mirror_symmetries` finds some.
+        As in `Pair`; `cagemap.mesh.mirrors.mirror_symmetries` finds some.
 
     Raises
     ------

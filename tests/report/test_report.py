@@ -18,7 +18,7 @@ from cagemap.maps.result import MatchResult
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.report import CarriedShape, Gallery, Rides, Weights, build_page, draw_gallery, draw_rides, write_report
 from cagemap.report.figures import PAPER, for_display
-from cagemap.report.rig_panels import _edges, _net
+from cagemap.report.rig_panels import _edges, control_edges
 from cagemap.report.verdicts import explain, overall
 
 from example_result import identity_result
@@ -270,7 +270,7 @@ def test_what_was_wrapped_and_what_rides_on_the_map_is_shown(result: MatchResult
 def test_a_net_is_the_edges_between_control_faces() -> None:
     result = identity_result()
     refinement = result.target.refinement
-    segments = _net(refinement)
+    segments = control_edges(refinement)
     edges = _edges(refinement.control)
     assert len(segments) == len(edges) * 2**refinement.n_levels
     assert draw_rides(result, Rides(), SIZE) == ()

@@ -46,7 +46,7 @@ def models(folder: Path) -> None:
     ("target", "source", "verdict", "heading"),
     [
         ("body", "body", "sure", "The map looks sound."),
-        ("eye", "body", "look at it", "Do not use this map as it is."),
+        ("eye", "body", "look at it", "Look at this map first: it may not be the right one."),
         ("eye", "eye", "two answers", "Two answers: which is right?"),
     ],
 )

@@ -177,7 +177,7 @@ class InverseConfig:
 
 @dataclass(frozen=True, repr=False)
 class ElasticConfig(Brief):
-    """Parameters of the fit; the defaults are the measured ones (docs/accuracy.md).
+    """Parameters of the fit; the defaults are the measured ones (docs/lab/accuracy.md).
 
     Attributes
     ----------
@@ -187,7 +187,7 @@ class ElasticConfig(Brief):
         Vertices from which on a level of the source is fine enough to fit to.
     coarse, fine : Stage
     stiff_coarse : Stage
-        Instead of `coarse` where its placements from both starts agree, see `cagemap.deform.method.placements`.
+        Instead of `coarse` where its placements from both starts agree, see `cagemap.deform.search`.
     landmark_start : Stage
         Positions from the landmarks alone; differentials are smoothed as in the stage that starts there.
     normal_weight : float

@@ -1,6 +1,6 @@
 """Search from several starts: coarse placements that are apart are refined, and the cheapest one wins.
 
-Limbs turned about their axis hardly cost anything on the coarse graph; refined, they do (docs/accuracy.md).
+Limbs turned about their axis hardly cost anything on the coarse graph; refined, they do (docs/lab/accuracy.md).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The map is an equilibrium of the fit. A moved landmark displaces its surroundings along the surface by d, which the
 coarse graph resolves: E(d, A) is quadratic, the data hold d in the source's tangent planes, and neither closest points
-nor the fine mesh are needed. The result is close to that of the whole fit (docs/accuracy.md), at a fraction of its
+nor the fine mesh are needed. The result is close to that of the whole fit (docs/lab/accuracy.md), at a fraction of its
 time.
 """
 

@@ -1,4 +1,4 @@
-"""What names of files end in, where several rooms ask; nothing is loaded for it."""
+"""Suffixes of files, for several packages; nothing is loaded for it."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""What tasks take: processor seconds, memory and room on the disk, from measured growth.
+"""What tasks take: processor seconds, memory and disk space, from measured growth.
 
-Fitted by hand to `benchmarks.library.growth` (results in benchmarks/results/growth.json, a table in docs/library.md); a
+Fitted by hand to `benchmarks.library.growth` (results in benchmarks/results/growth.json, table in docs/lab/jobs.md); a
 test keeps them within `FACTOR` of every figure there. Other machines differ by their speed as a whole.
 """
 

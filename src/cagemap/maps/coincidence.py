@@ -24,7 +24,7 @@ from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import row_lengths, triangle_centres
 
 # Lengths are in units of sqrt(source area), shares are of area. Chosen on seven cages of one body and on two other
-# bodies (docs/accuracy.md).
+# bodies (docs/lab/accuracy.md).
 
 # Places that differ by less are one: what six digits in a file leave.
 SAME = 1e-5

@@ -120,7 +120,7 @@ def _wrapped(result: MatchResult, cage: ControlMesh, views: Seen, size: tuple[in
     here, there = views.target.turn, views.source_turn
     own, other, before = _model(fine, there), _model(source, there), _model(target, here)
     colors = Skin(vertex_colors=scalar_colors(distance, 0.0, most))
-    net, rest = _net(fine) @ there, _net(target) @ here
+    net, rest = control_edges(fine) @ there, control_edges(target) @ here
     flat = [
         Model(mesh.positions @ turn, cage_triangles(mesh)[0]) for mesh, turn in ((target.control, here), (cage, there))
     ]
@@ -214,7 +214,7 @@ def _refined(target: Refinement, cage: ControlMesh) -> Refinement:
     return refine(cage, target.n_levels - level, target.scheme)
 
 
-def _net(refinement: Refinement) -> FloatArray:
+def control_edges(refinement: Refinement) -> FloatArray:
     """(e, 2, 3) pieces of the control mesh's edges on the refined surface: finest edges between control faces."""
     level = refinement.finest
     faces = np.asarray(level.faces)

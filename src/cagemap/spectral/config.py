@@ -88,7 +88,7 @@ class BasisConfig:
 
 
 # Smallest level that a basis of one level is computed at, in vertices, and in vertices for each function. With them the
-# maps of six human pairs are those of a basis within 5 % of the finest eigenvalues (docs/accuracy.md).
+# maps of six human pairs are those of a basis within 5 % of the finest eigenvalues (docs/lab/accuracy.md).
 MIN_VERTICES = 3000
 VERTICES_PER_FUNCTION = 20
 

@@ -121,7 +121,7 @@ def band_pairs(
                 f"functions, got {first} to {last}; start at a finer level"
             )
         return EigenPairs(values[first:last], np.ascontiguousarray(vectors[:, first:last]), first)
-    # Factors in double precision: on a body with slivers single precision lost every digit (docs/performance.md).
+    # Factors in double precision: on a body with slivers single precision lost every digit (docs/lab/performance.md).
     low, high = max(0, first - SOLVER.extra_pairs), min(n, last + SOLVER.extra_pairs)
     shifted, sigma = _shift_inside(stiffness, mass, low, high)
     below = shifted.negative_eigenvalues

@@ -16,7 +16,7 @@ from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import factor
 from cagemap.operators import lumped_areas
 
-# Weights of the coordinates beside the spectral ones, per sqrt(k) basis functions (measured, docs/accuracy.md).
+# Weights of the coordinates beside the spectral ones, per sqrt(k) basis functions (measured, docs/lab/accuracy.md).
 HARMONIC_WEIGHT = 3.0
 BIHARMONIC_WEIGHT = 1.0
 

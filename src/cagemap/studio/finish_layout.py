@@ -180,7 +180,7 @@ LEFT_OUT: dict[Key, str] = {
     **{("match", name): "under Landmarks" for name in ("landmarks", "target_points", "source_points", "curves")},
     ("match", "exchange_landmarks"): "landmarks on the page are always those of this direction",
     ("match", "answer"): "Answer, under Map",
-    ("match", "cache"): "for many pairs, see library.md",
+    ("match", "cache"): "for many pairs, see jobs.md",
     **{(command, "output"): _PLACE for command in ("match", "transfer", "wrap", "report")},
     ("transfer", "texture"): _OPENED,
     **{

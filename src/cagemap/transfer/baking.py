@@ -2,7 +2,7 @@
 
     texel -> point of the target -> T12 -> point of the source -> value there
 
-Each arrow is a function of its own room file: `texels` rasterises, `locate` follows the map, and a *shade* function
+Each arrow is a function of its own module: `texels` rasterises, `locate` follows the map, and a *shade* function
 gives the value at the source points. This module runs them over bands of the image, in threads, and fills the rest.
 """
 

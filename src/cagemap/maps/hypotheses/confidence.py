@@ -13,7 +13,7 @@ from cagemap.maps.quality import flipped_triangles, stretches, weighted_percenti
 from cagemap.numerics.arrays import FloatArray
 
 SURE, LOOK, TWO = "sure", "look at it", "two answers"
-# What right answers and wrong ones measure, on pairs whose truth is known and on absurd ones (docs/accuracy.md).
+# What right answers and wrong ones measure, on pairs whose truth is known and on absurd ones (docs/lab/accuracy.md).
 SURE_COST = 5e-4
 # Files nearly always agree in their axes: an answer that turns them must fit as bodies of one kind do. A striding body
 # lay back to front on a sitting one for 2.9e-4, with no rival.
@@ -35,7 +35,7 @@ SURE_SHEARED = 2.7
 # Measured: hind legs that end at the hocks leave 4 % of the source to nothing, right answers up to 1 %.
 SURE_UNREACHED = 0.02
 # Share of the target's area at which the map jumps across a contact (`Jumps`): 0 in most right maps, 9 to 38 % where
-# limbs lie on other limbs; 4 % with one hand on the hip that it touches (docs/accuracy.md).
+# limbs lie on other limbs; 4 % with one hand on the hip that it touches (docs/lab/accuracy.md).
 SURE_JUMPS = 0.02
 # How many times better the target may lie on the source's mirror image: at most 1.01 in 24 pairs of bodies and animals
 # that are sure; 3.3 and 9 where strides are opposite and legs changed places, 1.26 and more of a foot on the other.

@@ -102,7 +102,7 @@ def _changed_squared(positions: FloatArray, others: FloatArray) -> FloatArray:
     """(p, p) squared log ratios of distances in space, the common scale taken out.
 
     Their median counts the diagonal's zeros, which say that surfaces of unit area have one scale: without them as many
-    correct sets of 6 to 30 landmarks are called mirrored (9 of 1500, docs/accuracy.md), and 6 mirrored ones fewer.
+    correct sets of 6 to 30 landmarks are called mirrored (9 of 1500, docs/lab/accuracy.md), and 6 mirrored ones fewer.
     """
     apart = (np.linalg.norm(places[:, None] - places, axis=2) + SHORT for places in (positions, others))
     ratios = np.log(np.divide(*apart))

@@ -14,7 +14,7 @@ from cagemap.maps.point_map import PointMap
 # An end that costs up to this many times the best one is as good as it; measured ones of turned limbs cost 1.06 to 1.7.
 AS_GOOD = 1.15
 # How far apart, of sqrt(area), two ends put vertices of a turned limb, thin ones being as wide, and the least share of
-# the area that does so. In right maps of posed bodies and animals it is up to 2.4 % (docs/accuracy.md).
+# the area that does so. In right maps of posed bodies and animals it is up to 2.4 % (docs/lab/accuracy.md).
 TURNED_BY, TURNED_SHARE = 0.05, 0.025
 
 

@@ -70,25 +70,21 @@ class MatchRequest:
             help="Basis functions per level, such as 100,50,50,50 (the paper's); replaces -k.",
         ),
     ] = None
-    target_level: Annotated[int | None, Option(group=RESEARCH, setting=True, help="--level of the target alone.")] = (
-        None
-    )
+    target_level: Annotated[int | None, Option(group=RESEARCH, setting=True, help="level of the target alone.")] = None
     target_vertices: Annotated[
-        int | None, Option(group=RESEARCH, setting=True, min=1, help="--vertices of the target alone.")
+        int | None, Option(group=RESEARCH, setting=True, min=1, help="vertices of the target alone.")
     ] = None
-    target_k: Annotated[int | None, Option(group=RESEARCH, setting=True, help="-k of the target alone.")] = None
+    target_k: Annotated[int | None, Option(group=RESEARCH, setting=True, help="k of the target alone.")] = None
     target_schedule: Annotated[
-        str | None, Option(group=RESEARCH, setting=True, help="--schedule of the target alone.")
+        str | None, Option(group=RESEARCH, setting=True, help="schedule of the target alone.")
     ] = None
-    source_level: Annotated[int | None, Option(group=RESEARCH, setting=True, help="--level of the source alone.")] = (
-        None
-    )
+    source_level: Annotated[int | None, Option(group=RESEARCH, setting=True, help="level of the source alone.")] = None
     source_vertices: Annotated[
-        int | None, Option(group=RESEARCH, setting=True, min=1, help="--vertices of the source alone.")
+        int | None, Option(group=RESEARCH, setting=True, min=1, help="vertices of the source alone.")
     ] = None
-    source_k: Annotated[int | None, Option(group=RESEARCH, setting=True, help="-k of the source alone.")] = None
+    source_k: Annotated[int | None, Option(group=RESEARCH, setting=True, help="k of the source alone.")] = None
     source_schedule: Annotated[
-        str | None, Option(group=RESEARCH, setting=True, help="--schedule of the source alone.")
+        str | None, Option(group=RESEARCH, setting=True, help="schedule of the source alone.")
     ] = None
     laplacian: Annotated[
         str | None,
@@ -105,26 +101,26 @@ class MatchRequest:
     literal: Annotated[
         bool,
         Option(
-            "--literal", group=RESEARCH, setting=True, help="With --schedule: the paper's Definition 2 to the letter."
+            "--literal", group=RESEARCH, setting=True, help="With schedule: the paper's Definition 2 to the letter."
         ),
     ] = False
     target_laplacian: Annotated[
-        str | None, Option(group=RESEARCH, setting=True, help="--laplacian of the target alone.")
+        str | None, Option(group=RESEARCH, setting=True, help="laplacian of the target alone.")
     ] = None
     target_accuracy: Annotated[
-        float | None, Option(group=RESEARCH, setting=True, help="--accuracy of the target alone.")
+        float | None, Option(group=RESEARCH, setting=True, help="accuracy of the target alone.")
     ] = None
     target_literal: Annotated[
-        bool, Option("--target-literal", group=RESEARCH, setting=True, help="--literal of the target alone.")
+        bool, Option("--target-literal", group=RESEARCH, setting=True, help="literal of the target alone.")
     ] = False
     source_laplacian: Annotated[
-        str | None, Option(group=RESEARCH, setting=True, help="--laplacian of the source alone.")
+        str | None, Option(group=RESEARCH, setting=True, help="laplacian of the source alone.")
     ] = None
     source_accuracy: Annotated[
-        float | None, Option(group=RESEARCH, setting=True, help="--accuracy of the source alone.")
+        float | None, Option(group=RESEARCH, setting=True, help="accuracy of the source alone.")
     ] = None
     source_literal: Annotated[
-        bool, Option("--source-literal", group=RESEARCH, setting=True, help="--literal of the source alone.")
+        bool, Option("--source-literal", group=RESEARCH, setting=True, help="literal of the source alone.")
     ] = False
     method: Annotated[
         Method,
