@@ -13,9 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
+from cagemap.deform.config import ElasticConfig
 from cagemap.errors import InvalidMeshError, ParameterError
 from cagemap.files.result.folder import read_result, write_result
 from cagemap.maps.hypotheses.confidence import Confidence, Reading, at_finest
+from cagemap.maps.masks import Masks
+from cagemap.maps.pair import vertices_near
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.checks import check_mesh, require_valid
 from cagemap.mesh.join import join_meshes
@@ -27,10 +30,11 @@ from cagemap.numerics.arrays import FloatArray, read_only
 from cagemap.numerics.threads import in_threads
 from cagemap.operators import build_operators
 from cagemap.operators.coarse_levels import coarsened, prolongation, refined, simplified
-from cagemap.pipeline import choose_level, match, prepare_pair, prepare_surface, update_match
+from cagemap.pipeline import MatchConfig, choose_level, match, prepare_pair, prepare_surface, update_match
 from cagemap.subdivision import finest_mesh, refine
 from cagemap.surface.closest_points import closest_among
 from cagemap.surface.flips import delaunay
+from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangles import triangle_normals, triangles
 from cagemap.transfer.matched import transfer_of
 from cagemap.wrap import wrap
@@ -379,6 +383,36 @@ def test_a_plain_result_that_is_read_has_no_coarse_levels_until_a_match_asks(tmp
     again = update_match(result, landmarks)
     assert again.target is result.target
     assert vars(again.target)["hierarchy"].n_levels == 1
+
+
+def test_a_prepared_plain_pair_has_masks_of_its_levels() -> None:
+    mesh, cage = animal(3), prepare_surface(creature(), 2)
+    surface = prepare_surface(mesh, 0)
+    masks = Masks(np.linspace(0, 1, mesh.n_vertices), np.linspace(1, 0, len(cage.vertices)))
+    pair = prepare_pair(surface, cage, MatchConfig(masks=masks))
+    assert pair.mesh.n < mesh.n_vertices
+    level = surface.hierarchy.levels[pair.levels[0]]
+    np.testing.assert_allclose(pair.mesh.positions, surface.scale * level.positions, atol=1e-12)
+    np.testing.assert_array_equal(pair.rest.masks.target, masks.target[pair.vertices])
+    back = prepare_pair(cage, surface, MatchConfig(masks=masks.reversed(), elastic=ElasticConfig(source_vertices=3000)))
+    for one in (back, pair.reversed.reversed, back.reversed):
+        assert one.masks.any
+    np.testing.assert_array_equal(back.rest.masks.source, masks.target[pair.vertices])
+    np.testing.assert_array_equal(back.reversed.rest.masks.target, masks.target[pair.vertices])
+
+
+def test_landmarks_of_a_plain_mesh_are_found_on_coarse_levels_by_place() -> None:
+    surface = prepare_surface(animal(3), 0)
+    levels, finest = surface.hierarchy, surface.finest_triangles
+    for vertices in (levels.on_finest(0)[:5], np.arange(0, 900, 100)):
+        points = SurfacePoints.from_vertices(finest, vertices)
+        for level in range(levels.n_levels + 1):
+            near = vertices_near(points, surface, level)
+            assert len(np.unique(near)) == len(vertices)
+            places = surface.triangles(level).positions[near]
+            apart = np.linalg.norm(places - points.positions, axis=1)
+            assert (apart[levels.on_level(0, vertices) >= 0] == 0).all()
+            assert apart.max() < 0.15  # of sqrt(area)
 
 
 def test_answers_for_a_plain_mesh_are_in_its_own_numbers() -> None:

@@ -135,15 +135,30 @@ class PreparedPair:
         """Factor the target's rest shape, and order the source's triangles for closest points."""
         wanted = start.search_vertices, start.source_search_vertices or start.search_vertices
         levels = target.hierarchy.coarsest_level(wanted[0]), source.hierarchy.coarsest_level(wanted[1])
-        fitted = source.hierarchy.coarsest_level(elastic.source_vertices)
-        surface = source.triangles(fitted)
+        fitted = source.triangles(source.hierarchy.coarsest_level(elastic.source_vertices))
         with ThreadPool(1) as aside:
-            trees = aside.submit(lambda: (surface.tree, source.finest_triangles.tree))
+            trees = aside.submit(lambda: (fitted.tree, source.finest_triangles.tree))
             graph = level_graph(target, levels[0], elastic.graph)
-            part = masks.at(target.hierarchy.on_finest(levels[0]), source.hierarchy.on_finest(fitted))
-            rest = RestShape.build(graph, target.triangles(levels[0]), elastic.fine.smoothing, elastic, part)
+            made = cls._of_graph(graph, target, source, start, elastic, levels, masks)
             trees.result()
-        return cls(target, source, start, elastic, levels, rest, surface, masks)
+        return made
+
+    @classmethod
+    def _of_graph(
+        cls,
+        graph: ElasticGraph,
+        target: Surface,
+        source: Surface,
+        start: StartConfig,
+        elastic: ElasticConfig,
+        levels: tuple[int, int],
+        masks: Masks,
+    ) -> PreparedPair:
+        """The pair whose target's level has this graph."""
+        mesh, fitted = target.triangles(levels[0]), source.hierarchy.coarsest_level(elastic.source_vertices)
+        part = masks.at(target.hierarchy.on_finest(levels[0]), source.hierarchy.on_finest(fitted))
+        rest = RestShape.build(graph, mesh, elastic.fine.smoothing, elastic, part)
+        return cls(target, source, start, elastic, levels, rest, source.triangles(fitted), masks)
 
     @kept
     def source_samples(self) -> SourceSamples:
@@ -169,11 +184,6 @@ class PreparedPair:
         """Graphs of both search levels, which landmarks are judged on; made once when they are first asked for."""
         return self.rest.graph, level_graph(self.source, self.levels[1], self.elastic.graph)
 
-    @property
-    def finest_source(self) -> TriangleSurface:
-        """The source's finest surface, which maps lead to."""
-        return self.source.finest_triangles
-
     @kept
     def coincidence(self) -> Coincidence | None:
         """How the target lies on the source, None where it does not; found when first asked for."""
@@ -182,13 +192,8 @@ class PreparedPair:
     @kept
     def reversed(self) -> PreparedPair:
         """The source in the target's place and the other way round, on the same levels; made when first asked for."""
-        target, source = self.source, self.target
-        mesh, masks = target.triangles(self.levels[1]), self.masks.reversed()
-        fitted = source.hierarchy.coarsest_level(self.elastic.source_vertices)
-        part = masks.at(target.hierarchy.on_finest(self.levels[1]), source.hierarchy.on_finest(fitted))
-        rest = RestShape.build(self.graphs[1], mesh, self.elastic.fine.smoothing, self.elastic, part)
-        surface = source.triangles(fitted)
-        return PreparedPair(target, source, self.start, self.elastic, self.levels[::-1], rest, surface, masks)
+        masks, levels = self.masks.reversed(), self.levels[::-1]
+        return self._of_graph(self.graphs[1], self.source, self.target, self.start, self.elastic, levels, masks)
 
     def __repr__(self) -> str:
         return f"PreparedPair({self.target} -> {self.source})"

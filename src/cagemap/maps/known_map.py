@@ -34,7 +34,7 @@ def known_map(prepared: PreparedPair, pair: Pair) -> tuple[PointMap, Confidence]
     found = prepared.coincidence
     if found is None:
         return None
-    target, source = pair.target.finest_triangles, prepared.finest_source
+    target, source = pair.target.finest_triangles, prepared.source.finest_triangles
     point_map = PointMap(target, found.images(source))
     missed = _missed(point_map, pair)
     if missed > CONFIRMED or not _joint(point_map, masks):

@@ -50,7 +50,9 @@ def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -
     target = prepared.target.finest_triangles
     positions = carried_to_finest(prepared, fitted)
     normals = vertex_normals(positions, target.triangles)
-    found = facing_points(prepared.finest_source, positions, normals, prepared.elastic.projection_normal_weights)
+    found = facing_points(
+        prepared.source.finest_triangles, positions, normals, prepared.elastic.projection_normal_weights
+    )
     return PointMap(target, meet(found, landmarks))
 
 
