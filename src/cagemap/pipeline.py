@@ -341,9 +341,7 @@ def other_answer(
     timings: dict[str, float] = {}
     with one_blas_thread():
         with _timed(timings, "map"):
-            places = readings[index].positions
-            # Of a plain mesh all vertices are known, see `at_finest`.
-            places = places[prepared.vertices] if target.refinement.is_plain else places[: prepared.mesh.n]
+            places = readings[index].positions[prepared.vertices]
             point_map = map_of_places(prepared, places, met)
         judged = _judged(prepared, point_map, landmarks, before.landmark_check, timings, progress)
     return replace(judged, confidence=before.confidence)
