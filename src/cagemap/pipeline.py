@@ -15,9 +15,9 @@ from cagemap.deform.prepared import PreparedPair
 from cagemap.deform.problem import Problem
 from cagemap.errors import InvalidLandmarksError, ParameterError
 from cagemap.maps.elastic import elastic_map, updated_map
+from cagemap.maps.hypotheses.confidence import at_finest
 from cagemap.maps.hypotheses.jumps import Jumps
 from cagemap.maps.hypotheses.method import FEWEST_LANDMARKS, hypothesis_map
-from cagemap.maps.inner import inner_map, inner_reading, outer_confidence
 from cagemap.maps.known_map import known_map
 from cagemap.maps.landmarks.check import MIRRORED_NOTE, LandmarkCheck, checked_changes, checked_map
 from cagemap.maps.landmarks.mirrored import mirrored_readings
@@ -125,10 +125,8 @@ def prepare_pair(target: Surface, source: Surface, config: MatchConfig = MatchCo
     config.masks.require_fit(*(side.refinement.finest.n_vertices for side in (target, source)))
     with one_blas_thread():
         # The bases of a result that was read are not made yet, triangles of none.
-        in_threads(lambda surface: (surface.inner.basis, surface.inner.triangles(0)), [target, source])
-        mine, theirs = target.inner, source.inner
-        masks = config.masks.renumbered(mine.refinement.inner_rows, theirs.refinement.inner_rows)
-        return PreparedPair.build(mine, theirs, config.start, config.elastic, masks)
+        in_threads(lambda surface: (surface.basis, surface.triangles(0)), [target, source])
+        return PreparedPair.build(target, source, config.start, config.elastic, config.masks)
 
 
 @arrays_accepted
@@ -179,7 +177,6 @@ def match(
         with _timed(timings, "pair"):
             prepared = prepare_pair(target, source, config)
         return match_pair(prepared, landmarks, config, progress=progress, timings=timings)
-    target, source = target.inner, source.inner
     needed = target.finest, source.finest
     if config.method == "hfm":
         needed = search_levels(target, source, config.hfm.search_vertices, config.hfm.source_search_vertices)
@@ -196,7 +193,7 @@ def match(
         progress("quality")
         with _timed(timings, "quality"):
             quality = judge(target, point_map, pair.landmarks, landmarks.names)
-    return MatchResult(target, source, landmarks, point_map, quality, timings, level_maps=level_maps).outer()
+    return MatchResult(target, source, landmarks, point_map, quality, timings, level_maps=level_maps)
 
 
 @arrays_accepted
@@ -249,7 +246,7 @@ def match_pair(
             else:
                 point_map = elastic_map(Problem(prepared, pair), progress)[0]
         judged = _judged(prepared, point_map, landmarks, check, timings, progress)
-    found = replace(judged, confidence=None if confidence is None else outer_confidence(confidence, prepared))
+    found = replace(judged, confidence=None if confidence is None else at_finest(confidence, prepared))
     return other_answer(found, config.answer, config, progress=progress) if config.answer else found
 
 
@@ -285,8 +282,7 @@ def update_match(
     target, source = before.target, before.source
     check_landmarks(landmarks, target.control, source.control)
     prepared = before.prepared or prepare_pair(target, source, replace(config, masks=before.masks))
-    point_map = inner_map(before.point_map, target, source)
-    target, source = prepared.target, prepared.source
+    point_map = before.point_map
     check = before.landmark_check.still(before.landmarks, landmarks)
     timings: dict[str, float] = {}
     with one_blas_thread():
@@ -345,7 +341,8 @@ def other_answer(
     timings: dict[str, float] = {}
     with one_blas_thread():
         with _timed(timings, "map"):
-            point_map = map_of_places(prepared, inner_reading(readings[index], prepared).positions, met)
+            places = readings[index].positions[prepared.vertices]
+            point_map = map_of_places(prepared, places, met)
         judged = _judged(prepared, point_map, landmarks, before.landmark_check, timings, progress)
     return replace(judged, confidence=before.confidence)
 
@@ -395,8 +392,9 @@ def judge(
             f"judge: expected a map of the {len(target.vertices)} finest vertices of {target.control.name}, got one of "
             f"{point_map.target.n}: target and source may be exchanged, or the map belongs to another level"
         )
-    dense = target.triangles(target.refinement.coarsest_level(COVERAGE_SAMPLES))
-    return measure_quality(point_map, landmarks, names, coarse_triangles=dense.triangles, masks=masks)
+    level = target.hierarchy.coarsest_level(COVERAGE_SAMPLES)
+    asked = target.hierarchy.on_finest(level)[target.triangles(level).triangles]
+    return measure_quality(point_map, landmarks, names, coarse_triangles=asked, masks=masks)
 
 
 def _require_prepared_for(prepared: PreparedPair, config: MatchConfig) -> None:
@@ -406,10 +404,9 @@ def _require_prepared_for(prepared: PreparedPair, config: MatchConfig) -> None:
             f"match_pair: expected the method elastic, which alone has prepared pairs, got {config.method!r}; "
             "cagemap.match runs all methods"
         )
-    sides = prepared.target.refinement, prepared.source.refinement
-    counts = [side.finest.n_vertices for side in sides]
+    counts = [len(side.vertices) for side in (prepared.target, prepared.source)]
     config.masks.require_fit(*counts)
-    asked, known = config.masks.renumbered(*(side.inner_rows for side in sides)), prepared.rest.masks
+    asked, known = config.masks, prepared.masks
     same_masks = np.array_equal(asked.of_target(counts[0]), known.of_target(counts[0])) and np.array_equal(
         asked.of_source(counts[1]), known.of_source(counts[1])
     )
@@ -434,17 +431,16 @@ def _judged(
     timings: dict[str, float],
     progress: Progress,
 ) -> MatchResult:
-    """The result of an elastic match, with its quality, in the meshes' own numbers."""
+    """The result of an elastic match, with its quality."""
     target, source, trusted = prepared.target, prepared.source, check.trusted(landmarks)
-    points, masks = point_pairs(target, source, trusted), prepared.rest.masks
+    points, masks = point_pairs(target, source, trusted), prepared.masks
     progress("quality")
     with _timed(timings, "quality"):
         quality = judge(target, point_map, points, trusted.names, masks)
         jumps = Jumps.of(prepared, point_map).warnings(prepared)
         quality = replace(quality, warnings=(*jumps, *quality.warnings))
     check = check.with_folds(quality.flipped_area, len(landmarks))
-    found = MatchResult(target, source, landmarks, point_map, quality, timings, check, prepared=prepared, masks=masks)
-    return found.outer()
+    return MatchResult(target, source, landmarks, point_map, quality, timings, check, prepared=prepared, masks=masks)
 
 
 @contextmanager

@@ -216,17 +216,16 @@ def result_of_map(pair: Pair, found: PointMap, names: Sequence[str] = ()) -> Mat
     labels = tuple(names) or tuple(f"point {i}" for i in range(count))
     if len(labels) != count:
         raise ParameterError(f"names: expected one for each of the pair's {count} landmarks, got {len(labels)}")
-    target, source = pair.target.outer, pair.source.outer
+    target, source = pair.target, pair.source
     points = _cage_points(target, pair.landmarks.target), _cage_points(source, pair.landmarks.source)
     landmarks = Landmarks.of_points(labels, *points, target.control.name, source.control.name)
     quality = judge(pair.target, found, pair.landmarks, labels)
-    return MatchResult(pair.target, pair.source, landmarks, found, quality).outer()
+    return MatchResult(pair.target, pair.source, landmarks, found, quality)
 
 
 def _cage_points(surface: Surface, points: SurfacePoints) -> CagePoints:
     """Points of the control mesh for points of the finest surface."""
-    on = SurfacePoints(surface.triangles(surface.finest), points.triangle, points.barycentric)
-    found, vertices = cage_points_of(surface, on), vertices_at(on)
+    found, vertices = cage_points_of(surface, points), vertices_at(points)
     exact = (vertices >= 0) & (vertices < surface.control.n_vertices)
     at_vertices = CagePoints.of_vertices(np.where(exact, vertices, 0))
     return CagePoints(

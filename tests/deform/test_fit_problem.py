@@ -21,7 +21,7 @@ def problem() -> Problem:
 
 
 def test_held_vertices_come_first_each_with_its_place(problem: Problem) -> None:
-    places = problem.prepared.finest_source.positions
+    places = problem.prepared.source.finest_triangles.positions
     shape = problem.holding(np.array([60, 9]), places[[61, 8]])
     np.testing.assert_array_equal(shape.vertices[:5], [*TARGET, 60, 9])
     np.testing.assert_array_equal(shape.constraints.anchors.corners[:, 0], np.arange(5))

@@ -92,11 +92,11 @@ def test_one_limb_is_posed_where_the_body_stands_as_it_did(rest: RestShape) -> N
 def test_placements_that_agree_are_doubted_where_a_limb_is_posed(
     bent: PreparedPair, monkeypatch: pytest.MonkeyPatch, angle: float
 ) -> None:
-    graph, better = bent.rest.graph, Placement(bent.finest_source.positions, 0.5)
+    graph, better = bent.rest.graph, Placement(bent.source.finest_triangles.positions, 0.5)
     at_rest = Placement(graph.positions, 1.0, graph=graph)
     monkeypatch.setattr(search, "coarse_fit", lambda *given: at_rest)
     monkeypatch.setattr(search, "refine", lambda problem, coarse: list(coarse))
-    monkeypatch.setattr(search, "start_map", lambda problem: problem.prepared.finest_source.positions)
+    monkeypatch.setattr(search, "start_map", lambda problem: problem.prepared.source.finest_triangles.positions)
     monkeypatch.setattr(search, "mean_distance", lambda *given: 0.0)
     monkeypatch.setattr(search, "largest_limb_rotation", lambda *given: angle)
     monkeypatch.setattr(search, "multi_start", lambda *given: (better, better))
@@ -153,7 +153,7 @@ def problem_of(prepared: PreparedPair) -> Problem:
 
 
 def test_a_bent_joint_is_no_strain_in_its_own_pose(bent: PreparedPair, monkeypatch: pytest.MonkeyPatch) -> None:
-    truth, problem = bent.finest_source.positions, problem_of(bent)
+    truth, problem = bent.source.finest_triangles.positions, problem_of(bent)
     stages = []
 
     def fitted(problem: Problem, start: FloatArray) -> Placement:
@@ -185,13 +185,13 @@ def test_only_poses_that_differ_are_fitted_in_the_other_pose(
         monkeypatch.setattr(room, "pose_difference", lambda rest, positions: angle)
         monkeypatch.setattr(room, "fit_in_pose", fitted)
     monkeypatch.setattr(inverse_consistency, "fine_stage", lambda problem, start: start)
-    monkeypatch.setattr(search, "start_map", lambda problem: problem.prepared.finest_source.positions)
+    monkeypatch.setattr(search, "start_map", lambda problem: problem.prepared.source.finest_triangles.positions)
     monkeypatch.setattr(search, "spectral_starts", lambda guided, sides: [])
     monkeypatch.setattr("cagemap.deform.search.SpectralSides.build", lambda problem: None)
     at_rest = Placement(bent.rest.graph.positions, 1.0, graph=bent.rest.graph)
     monkeypatch.setattr(search, "coarse_fit", lambda *given: at_rest)
     monkeypatch.setattr(search, "mean_distance", lambda *given: 1.0)
-    ended = Placement(bent.finest_source.positions, 1e-4)
+    ended = Placement(bent.source.finest_triangles.positions, 1e-4)
     monkeypatch.setattr(search, "refine", lambda problem, coarse: list(coarse))
     monkeypatch.setattr(search, "refine_best", lambda *given, refined: (ended,))
     landmarks = problem.pair.landmarks

@@ -84,7 +84,7 @@ def test_projection_meets_landmarks_wherever_the_fit_left_them(creature_at_3: tu
     surface = surface_of(creature_at_3[0])
     prepared = prepared_at(surface, surface, surface.finest, ElasticConfig())
     pair = Pair.of_vertices(surface, surface, landmarks := np.array([3, 40, 90]), landmarks)
-    positions = prepared.finest_source.positions
+    positions = prepared.source.finest_triangles.positions
     fitted = positions.copy()
     fitted[landmarks] = positions[np.array([500, 700, 900])]  # far off: the closest triangle does not hold the landmark
     found = project(prepared, fitted, pair.landmarks)

@@ -158,7 +158,7 @@ def test_the_source_pulls_short_legs_to_where_long_ones_end() -> None:
     prepared = prepare_pair(prepare_surface(cage, 1), prepare_surface(long, 1))
     problem = Problem(prepared, pair_of(prepared.target, prepared.source, Landmarks.none())).staged(LED)
     sheet, shape = prepared.source_surface, problem.shape
-    start = shape.rest.graph.positions * prepared.finest_source.scale / prepared.mesh.scale
+    start = shape.rest.graph.positions * prepared.source.finest_triangles.scale / prepared.mesh.scale
     start[:, 1] += sheet.positions[:, 1].max() - start[:, 1].max()
     feet, ground = start[:, 1] < start[:, 1].min() + 0.02, sheet.positions[:, 1].min()
     assert (start[feet, 1] > ground + 0.35).all()

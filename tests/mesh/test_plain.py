@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import fast_simplification
 import numpy as np
@@ -12,9 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
+from cagemap.deform.config import ElasticConfig
 from cagemap.errors import InvalidMeshError, ParameterError
-from cagemap.maps.hypotheses.confidence import Confidence, Reading
-from cagemap.maps.inner import inner_reading, outer_confidence
+from cagemap.files.result.folder import read_result, write_result
+from cagemap.maps.hypotheses.confidence import Confidence, Reading, at_finest
+from cagemap.maps.masks import Masks
+from cagemap.maps.pair import vertices_near
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.checks import check_mesh, require_valid
 from cagemap.mesh.join import join_meshes
@@ -25,12 +29,14 @@ from cagemap.mesh.plain import plain_mesh, turn_faces
 from cagemap.numerics.arrays import FloatArray, read_only
 from cagemap.numerics.threads import in_threads
 from cagemap.operators import build_operators
-from cagemap.operators.coarse_levels import coarsened, prolongation, refined, simplified, uncoarsened
-from cagemap.pipeline import choose_level, match, prepare_pair, prepare_surface, update_match
+from cagemap.operators.coarse_levels import coarsened, prolongation, refined, simplified
+from cagemap.pipeline import MatchConfig, choose_level, match, prepare_pair, prepare_surface, update_match
 from cagemap.subdivision import finest_mesh, refine
 from cagemap.surface.closest_points import closest_among
 from cagemap.surface.flips import delaunay
+from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangles import triangle_normals, triangles
+from cagemap.transfer.matched import transfer_of
 from cagemap.wrap import wrap
 
 from cotangents import triangle_cotangents
@@ -252,24 +258,38 @@ def test_levels_below_a_plain_mesh_are_nested() -> None:
     assert found.is_plain
     assert found.n_levels >= 1
     assert [level.n_vertices for level in found.levels] == sorted(level.n_vertices for level in found.levels)
-    assert np.array_equal(found.finest.positions[found.places], mesh.positions)
-    assert np.array_equal(found.outer(found.finest.faces), mesh.face_indices.reshape(-1, 3))
-    numbers = np.arange(mesh.n_vertices)
-    assert np.array_equal(found.outer(found.inner(numbers)), numbers)
-    assert np.array_equal(found.outer_rows(found.inner_rows(numbers)), numbers)
-    alone, again = refine(mesh, 0), uncoarsened(found)
+    alone, again = refine(mesh, 0), found.without_coarse_levels()
     assert again.n_levels == 0
-    assert again.places is None
+    assert again.coarse_vertices is None
     for name in ("positions", "faces", "face_parents"):
         assert np.array_equal(getattr(again.finest, name), getattr(alone.finest, name))
+        assert np.array_equal(getattr(found.finest, name), getattr(alone.finest, name))
     size = np.ptp(mesh.positions, axis=0).max()
-    for coarse, fine, matrix in zip(found.levels, found.levels[1:], found.matrices, strict=False):
-        assert np.array_equal(fine.positions[: coarse.n_vertices], coarse.positions)
+    for level, (coarse, fine, matrix) in enumerate(zip(found.levels, found.levels[1:], found.matrices, strict=False)):
+        assert np.array_equal(fine.positions[found.vertices_on(level + 1, level)], coarse.positions)
+        assert np.array_equal(mesh.positions[found.on_finest(level)], coarse.positions)
         assert np.allclose(matrix.sum(axis=1), 1.0)
         assert matrix.data.min() >= 0.0
         # Coarse levels lie near the mesh: within a fifth of their edges' length, on average.
         miss = np.linalg.norm(matrix @ coarse.positions - fine.positions, axis=1)
         assert miss.mean() < 0.2 * size / np.sqrt(coarse.n_vertices)
+
+
+def test_vertices_of_levels_are_found_among_the_finest() -> None:
+    plain, cage = refined(animal(3), 0), refine(creature(), 2)
+    assert plain.n_levels == 2
+    for refinement in (plain, cage):
+        for level, mesh in enumerate(refinement.levels):
+            own = np.arange(mesh.n_vertices)
+            on_finest = refinement.on_finest(level)
+            np.testing.assert_array_equal(refinement.on_level(level, on_finest), own)
+            others = np.setdiff1d(np.arange(refinement.finest.n_vertices), on_finest)
+            assert (refinement.on_level(level, np.append(others, -1)) == -1).all()
+            for finer in range(level, refinement.n_levels + 1):
+                through = refinement.on_finest(finer)[refinement.vertices_on(finer, level)]
+                np.testing.assert_array_equal(through, on_finest)
+        below = refinement.up_to(1)
+        np.testing.assert_array_equal(below.on_finest(0), np.arange(refinement.levels[0].n_vertices))
 
 
 def test_two_meshes_are_simplified_in_threads_as_alone() -> None:
@@ -348,19 +368,66 @@ def test_a_plain_mesh_lies_on_itself() -> None:
     assert np.linalg.norm(fewer.image() - mesh.positions, axis=1).mean() < 0.005 * size
 
 
+def test_a_plain_result_that_is_read_has_no_coarse_levels_until_a_match_asks(tmp_path: Path) -> None:
+    surface = prepare_surface(animal(2), 0)
+    marks = far_apart(creature().positions, 6)
+    landmarks = Landmarks(tuple(map(str, marks)), marks, marks)
+    write_result(tmp_path / "RESULT", match(surface, surface, landmarks))
+    result = read_result(tmp_path / "RESULT")
+    np.testing.assert_allclose(result.image(), surface.vertices, atol=1e-9)
+    assert transfer_of(result).point_map is result.point_map
+    assert result.manifest["quality"]
+    assert str(result.target)
+    for side in (result.target, result.source):
+        assert "hierarchy" not in vars(side)
+    again = update_match(result, landmarks)
+    assert again.target is result.target
+    assert vars(again.target)["hierarchy"].n_levels == 1
+
+
+def test_a_prepared_plain_pair_has_masks_of_its_levels() -> None:
+    mesh, cage = animal(3), prepare_surface(creature(), 2)
+    surface = prepare_surface(mesh, 0)
+    masks = Masks(np.linspace(0, 1, mesh.n_vertices), np.linspace(1, 0, len(cage.vertices)))
+    pair = prepare_pair(surface, cage, MatchConfig(masks=masks))
+    assert pair.mesh.n < mesh.n_vertices
+    level = surface.hierarchy.levels[pair.levels[0]]
+    np.testing.assert_allclose(pair.mesh.positions, surface.scale * level.positions, atol=1e-12)
+    np.testing.assert_array_equal(pair.rest.masks.target, masks.target[pair.vertices])
+    back = prepare_pair(cage, surface, MatchConfig(masks=masks.reversed(), elastic=ElasticConfig(source_vertices=3000)))
+    for one in (back, pair.reversed.reversed, back.reversed):
+        assert one.masks.any
+    np.testing.assert_array_equal(back.rest.masks.source, masks.target[pair.vertices])
+    np.testing.assert_array_equal(back.reversed.rest.masks.target, masks.target[pair.vertices])
+
+
+def test_landmarks_of_a_plain_mesh_are_found_on_coarse_levels_by_place() -> None:
+    surface = prepare_surface(animal(3), 0)
+    levels, finest = surface.hierarchy, surface.finest_triangles
+    for vertices in (levels.on_finest(0)[:5], np.arange(0, 900, 100)):
+        points = SurfacePoints.from_vertices(finest, vertices)
+        for level in range(levels.n_levels + 1):
+            near = vertices_near(points, surface, level)
+            assert len(np.unique(near)) == len(vertices)
+            places = surface.triangles(level).positions[near]
+            apart = np.linalg.norm(places - points.positions, axis=1)
+            assert (apart[levels.on_level(0, vertices) >= 0] == 0).all()
+            assert apart.max() < 0.15  # of sqrt(area)
+
+
 def test_answers_for_a_plain_mesh_are_in_its_own_numbers() -> None:
     mesh = animal(3)
     surface = prepare_surface(mesh, 0)
     prepared = prepare_pair(surface, surface)
     known = Reading("as the files stand", 1e-4, prepared.mesh.positions)
     assert len(known.positions) < mesh.n_vertices
-    told = outer_confidence(Confidence("sure", 1.0, 2.0, (known,), None), prepared).readings[0]
+    told = at_finest(Confidence("sure", 1.0, 2.0, (known,), None), prepared).readings[0]
     apart = np.linalg.norm(told.positions - surface.scale * mesh.positions, axis=1)
     assert apart.mean() < 0.01  # rounded by smooth prolongation; of sqrt(area)
-    np.testing.assert_array_equal(inner_reading(told, prepared).positions, known.positions)
-    whole = replace(prepared, levels=(surface.inner.finest, prepared.levels[1]))
-    known = replace(known, positions=read_only(surface.inner.triangles(surface.inner.finest).positions))
-    told = outer_confidence(Confidence("sure", 1.0, 2.0, (known,), None), whole).readings[0]
+    np.testing.assert_array_equal(told.positions[prepared.vertices], known.positions)
+    whole = replace(prepared, levels=(surface.finest, prepared.levels[1]))
+    known = replace(known, positions=read_only(surface.finest_triangles.positions))
+    told = at_finest(Confidence("sure", 1.0, 2.0, (known,), None), whole).readings[0]
     np.testing.assert_allclose(told.positions, surface.scale * mesh.positions, atol=1e-12)
 
 

@@ -56,7 +56,7 @@ def test_every_method_matches_plain_files(options: tuple[str, ...], worst: float
     outcome = CliRunner().invoke(app, ["match", *_scan_files(tmp_path), *options, "-o", str(tmp_path / "RESULT")])
     assert outcome.exit_code == 0, outcome.output
     result = read_result(tmp_path / "RESULT")
-    assert result.target.finest == 0
+    assert result.target.refinement.n_levels == 0
     wanted = result.target.vertices * (1.0, 1.2, 1.0)
     assert np.linalg.norm(result.image() - wanted, axis=1).mean() < worst * np.ptp(wanted, axis=0).max()
 
@@ -109,8 +109,8 @@ def test_files_to_result_and_back(tmp_path: Path) -> None:
     _, warnings = run_match(request, Stages())
     assert any("1 smaller pieces" in text for text in warnings)
     result = read_result(tmp_path / "RESULT")
-    assert result.source.finest == 0
-    assert result.target.finest > 0
+    assert result.source.refinement.n_levels == 0
+    assert result.target.refinement.n_levels > 0
     assert result.manifest["repairs"]["source"]["pieces"] == 1
     places = np.linalg.norm(result.image() - result.target.vertices, axis=1)
     assert places.mean() < 0.01 * np.ptp(scan.positions, axis=0).max()
@@ -169,5 +169,5 @@ def test_a_stored_plain_surface_is_the_prepared_one(tmp_path: Path) -> None:
     mesh = animal(2)
     first, second = (prepared(tmp_path, mesh, 0) for _ in range(2))
     assert len(list(tmp_path.iterdir())) == 1
-    assert np.array_equal(first.inner.basis.eigenvalues, second.inner.basis.eigenvalues)
-    assert np.array_equal(first.inner.refinement.places, second.inner.refinement.places)
+    assert np.array_equal(first.basis.eigenvalues, second.basis.eigenvalues)
+    assert np.array_equal(first.hierarchy.coarse_vertices, second.hierarchy.coarse_vertices)

@@ -12,9 +12,9 @@ from cagemap.maps.curves import CurvePair
 from cagemap.maps.pair import vertices_at
 from cagemap.mesh.cage_points import CagePoints
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.spectral.surface import Surface
 from cagemap.surface.polylines import Polyline
 from cagemap.surface.surface_points import SurfacePoints
-from cagemap.surface.triangle_surface import TriangleSurface
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,13 +22,15 @@ class Anchors(CagePoints):
     """Points of the mesh of a level, or vertices of a graph, that are held, or that curves go through."""
 
     @classmethod
-    def on_mesh(cls, mesh: TriangleSurface, points: SurfacePoints, config: DataConfig = DataConfig()) -> Anchors:
+    def on_level(
+        cls, surface: Surface, level: int, points: SurfacePoints, config: DataConfig = DataConfig()
+    ) -> Anchors:
         """Points of the finest surface as points of a coarser level's mesh; vertices of both stay vertices."""
-        vertices = vertices_at(points)
+        vertices = surface.hierarchy.on_level(level, vertices_at(points))
         anchors = cls.of_vertices(vertices)
-        between = np.flatnonzero((vertices < 0) | (vertices >= mesh.n))
+        between = np.flatnonzero(vertices < 0)
         if len(between):
-            weight = config.anchor_normal_weight
+            mesh, weight = surface.triangles(level), config.anchor_normal_weight
             near = SurfacePoints.nearest(mesh, points.positions[between], points.normals[between], normal_weight=weight)
             anchors.corners[between], anchors.weights[between] = near.corners, near.barycentric
         return anchors
@@ -99,11 +101,12 @@ class CurveConstraint:
         return CurveConstraint(Anchors.of_vertices(vertices[rows]), rest, self.source)
 
 
-def curves_on_mesh(
-    mesh: TriangleSurface, pairs: Sequence[CurvePair], config: DataConfig = DataConfig()
+def curves_on_level(
+    surface: Surface, level: int, pairs: Sequence[CurvePair], config: DataConfig = DataConfig()
 ) -> tuple[CurveConstraint, ...]:
     """Curves of the finest surface on the mesh of a coarser level."""
-    anchors = [Anchors.on_mesh(mesh, pair.target.points, config) for pair in pairs]
+    mesh = surface.triangles(level)
+    anchors = [Anchors.on_level(surface, level, pair.target.points, config) for pair in pairs]
     return tuple(
         CurveConstraint(at, Polyline(at.of(mesh.positions), pair.target.closed), pair.source.line)
         for at, pair in zip(anchors, pairs, strict=True)

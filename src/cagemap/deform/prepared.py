@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cagemap.deform.config import DataConfig, ElasticConfig, GraphConfig, StartConfig
-from cagemap.deform.constraints import Anchors, Constraints, CurveConstraint, with_clusters
+from cagemap.deform.constraints import Anchors, Constraints, CurveConstraint, curves_on_level, with_clusters
 from cagemap.deform.data import SourceSamples
 from cagemap.deform.energy import ElasticEnergy, bounded_by
 from cagemap.deform.graph import ElasticGraph, cluster_graph, mesh_graph
 from cagemap.maps.coincidence import Coincidence
 from cagemap.maps.masks import WHOLE, Masks
+from cagemap.maps.pair import PointPairs
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import Factorization
 from cagemap.numerics.threads import ThreadPool, kept
@@ -109,6 +110,8 @@ class PreparedPair:
         Of the target's mesh of that level.
     source_surface : TriangleSurface
         A level of the source, to fit to.
+    masks : Masks
+        Of the finest vertices; those of ``rest`` are of ``mesh`` and ``source_surface``.
     """
 
     target: Surface
@@ -118,6 +121,7 @@ class PreparedPair:
     levels: tuple[int, int]
     rest: RestShape
     source_surface: TriangleSurface
+    masks: Masks = WHOLE
 
     @classmethod
     def build(
@@ -130,14 +134,31 @@ class PreparedPair:
     ) -> PreparedPair:
         """Factor the target's rest shape, and order the source's triangles for closest points."""
         wanted = start.search_vertices, start.source_search_vertices or start.search_vertices
-        levels = target.refinement.coarsest_level(wanted[0]), source.refinement.coarsest_level(wanted[1])
-        surface = source.triangles(source.refinement.coarsest_level(elastic.source_vertices))
+        levels = target.hierarchy.coarsest_level(wanted[0]), source.hierarchy.coarsest_level(wanted[1])
+        fitted = source.triangles(source.hierarchy.coarsest_level(elastic.source_vertices))
         with ThreadPool(1) as aside:
-            trees = aside.submit(lambda: (surface.tree, source.triangles(source.finest).tree))
+            trees = aside.submit(lambda: (fitted.tree, source.finest_triangles.tree))
             graph = level_graph(target, levels[0], elastic.graph)
-            rest = RestShape.build(graph, target.triangles(levels[0]), elastic.fine.smoothing, elastic, masks)
+            made = cls._of_graph(graph, target, source, start, elastic, levels, masks)
             trees.result()
-        return cls(target, source, start, elastic, levels, rest, surface)
+        return made
+
+    @classmethod
+    def _of_graph(
+        cls,
+        graph: ElasticGraph,
+        target: Surface,
+        source: Surface,
+        start: StartConfig,
+        elastic: ElasticConfig,
+        levels: tuple[int, int],
+        masks: Masks,
+    ) -> PreparedPair:
+        """The pair whose target's level has this graph."""
+        mesh, fitted = target.triangles(levels[0]), source.hierarchy.coarsest_level(elastic.source_vertices)
+        part = masks.at(target.hierarchy.on_finest(levels[0]), source.hierarchy.on_finest(fitted))
+        rest = RestShape.build(graph, mesh, elastic.fine.smoothing, elastic, part)
+        return cls(target, source, start, elastic, levels, rest, source.triangles(fitted), masks)
 
     @kept
     def source_samples(self) -> SourceSamples:
@@ -150,28 +171,29 @@ class PreparedPair:
         return self.target.triangles(self.levels[0])
 
     @kept
+    def vertices(self) -> IndexArray:
+        """(n,) finest target vertices that the vertices of `mesh` are."""
+        return self.target.hierarchy.on_finest(self.levels[0])
+
+    def curves(self, landmarks: PointPairs) -> tuple[CurveConstraint, ...]:
+        """The curves among landmarks, on `mesh`."""
+        return curves_on_level(self.target, self.levels[0], landmarks.curves, self.elastic.data)
+
+    @kept
     def graphs(self) -> tuple[ElasticGraph, ElasticGraph]:
         """Graphs of both search levels, which landmarks are judged on; made once when they are first asked for."""
         return self.rest.graph, level_graph(self.source, self.levels[1], self.elastic.graph)
 
-    @property
-    def finest_source(self) -> TriangleSurface:
-        """The source's finest surface, which maps lead to."""
-        return self.source.triangles(self.source.finest)
-
     @kept
     def coincidence(self) -> Coincidence | None:
         """How the target lies on the source, None where it does not; found when first asked for."""
-        return Coincidence.find(self.target, self.source, self.rest.masks)
+        return Coincidence.find(self.target, self.source, self.masks)
 
     @kept
     def reversed(self) -> PreparedPair:
         """The source in the target's place and the other way round, on the same levels; made when first asked for."""
-        target, source = self.source, self.target
-        mesh, masks = target.triangles(self.levels[1]), self.rest.masks.reversed()
-        rest = RestShape.build(self.graphs[1], mesh, self.elastic.fine.smoothing, self.elastic, masks)
-        surface = source.triangles(source.refinement.coarsest_level(self.elastic.source_vertices))
-        return PreparedPair(target, source, self.start, self.elastic, self.levels[::-1], rest, surface)
+        masks, levels = self.masks.reversed(), self.levels[::-1]
+        return self._of_graph(self.graphs[1], self.source, self.target, self.start, self.elastic, levels, masks)
 
     def __repr__(self) -> str:
         return f"PreparedPair({self.target} -> {self.source})"
@@ -179,6 +201,6 @@ class PreparedPair:
 
 def level_graph(surface: Surface, level: int, config: GraphConfig = GraphConfig()) -> ElasticGraph:
     """Graph of a level's vertices at their places on the finest surface, at unit area."""
-    faces = surface.refinement.levels[level].faces
+    faces = surface.hierarchy.levels[level].faces
     mesh = surface.triangles(level)
     return mesh_graph(mesh, mesh.triangles if faces is None else faces, config)

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cagemap.deform.config import Stage
-from cagemap.deform.constraints import Anchors, Constraints, curves_on_mesh
+from cagemap.deform.constraints import Anchors, Constraints
 from cagemap.deform.prepared import CoarseShape, PreparedPair
-from cagemap.maps.pair import Pair, near_vertices
+from cagemap.maps.pair import Pair, vertices_near
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import kept
 
@@ -33,8 +33,8 @@ class Problem:
     def landmark_vertices(self) -> tuple[IndexArray, IndexArray]:
         """(p,) vertices of target and source that landmarks lie on or near, of the levels that are searched."""
         prepared, landmarks = self.prepared, self.pair.landmarks
-        target = near_vertices(landmarks.target, prepared.target, prepared.levels[0])
-        return target, near_vertices(landmarks.source, prepared.source, prepared.levels[1])
+        target = vertices_near(landmarks.target, prepared.target, prepared.levels[0])
+        return target, vertices_near(landmarks.source, prepared.source, prepared.levels[1])
 
     @kept
     def shape(self) -> CoarseShape:
@@ -44,7 +44,7 @@ class Problem:
     def holding(self, vertices: IndexArray, places: FloatArray) -> CoarseShape:
         """The clusters where some vertices (q,) of the target's mesh are held at places (q, 3) beside the landmarks."""
         rest, landmarks = self.prepared.rest, self.pair.landmarks
-        curves = curves_on_mesh(self.prepared.mesh, landmarks.curves, self.prepared.elastic.data)
+        curves = self.prepared.curves(landmarks)
         held, wanted = (
             np.concatenate([self.landmark_vertices[0], vertices]),
             np.vstack([landmarks.source.positions, places]),
@@ -54,9 +54,9 @@ class Problem:
     @kept
     def constraints(self) -> Constraints:
         """Landmarks and curves on the mesh that the fine stage deforms."""
-        mesh, landmarks, config = self.prepared.mesh, self.pair.landmarks, self.prepared.elastic.data
-        anchors = Anchors.on_mesh(mesh, landmarks.target, config)
-        return Constraints(anchors, landmarks.source.positions, curves_on_mesh(mesh, landmarks.curves, config))
+        prepared, landmarks = self.prepared, self.pair.landmarks
+        anchors = Anchors.on_level(prepared.target, prepared.levels[0], landmarks.target, prepared.elastic.data)
+        return Constraints(anchors, landmarks.source.positions, prepared.curves(landmarks))
 
     @kept
     def reversed(self) -> Problem:

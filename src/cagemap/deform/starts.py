@@ -32,7 +32,7 @@ def start_map(problem: Problem) -> FloatArray:
     prepared, vertices, held = problem.prepared, problem.shape.vertices, problem.landmark_vertices
     levels, areas = prepared.levels, problem.shape.rest.graph.areas
     areas = areas * prepared.rest.masks.for_vertices(vertices).of_target(len(vertices))
-    candidates = evenly_spaced(prepared.source.refinement.levels[levels[1]].n_vertices, START_SAMPLES)
+    candidates = evenly_spaced(prepared.source.hierarchy.levels[levels[1]].n_vertices, START_SAMPLES)
     candidates = np.union1d(candidates, held[1])
     of_curves = curve_vertices(problem)
     sides = [
@@ -41,7 +41,7 @@ def start_map(problem: Problem) -> FloatArray:
     ]
     target, source = in_threads(lambda side: _with_coordinates(*side), sides)
     match = zoomout(target, source, nearest_coordinates(target, source), prepared.start.zoomout)
-    return prepared.finest_source.positions[candidates[match]]
+    return prepared.source.triangles(levels[1]).positions[candidates[match]]
 
 
 def curve_vertices(problem: Problem) -> tuple[list[IndexArray], list[IndexArray]]:
@@ -84,7 +84,7 @@ class SpectralSides:
     def build(cls, problem: Problem) -> SpectralSides:
         """Evaluate the bases."""
         prepared, shape = problem.prepared, problem.shape
-        level = prepared.source.refinement.coarsest_level(prepared.elastic.source_vertices)
+        level = prepared.source.hierarchy.coarsest_level(prepared.elastic.source_vertices)
         vertices = evenly_spaced(prepared.source_surface.n, PLACES)
         places, normals = prepared.source_surface.positions[vertices], prepared.source_surface.vertex_normals[vertices]
         sides = (
@@ -112,7 +112,8 @@ def spectral_starts(fitted: Placement, sides: SpectralSides) -> list[FloatArray]
 
 def basis_rows(surface: Surface, level: int, vertices: IndexArray) -> FloatArray:
     """(q, k) values of all basis functions at vertices of a level, which are vertices of all finer ones."""
-    return surface.basis.rows(max(level, surface.basis.last_level), vertices)
+    fine = max(level, surface.basis.last_level)
+    return surface.basis.rows(fine, surface.hierarchy.vertices_on(fine, level)[vertices])
 
 
 def _with_coordinates(

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from cagemap.deform.config import ElasticConfig
-from cagemap.deform.constraints import add_curves, curves_on_mesh, with_clusters
+from cagemap.deform.constraints import add_curves, with_clusters
 from cagemap.deform.energy import ElasticEnergy, any_map
 from cagemap.deform.graph import ElasticGraph, cluster_graph, extrapolate
 from cagemap.deform.minimise import minimise
@@ -57,9 +57,9 @@ def linear_update(problem: Problem, before: PointMap) -> FloatArray:
     prepared, landmarks, held = problem.prepared, problem.pair.landmarks, problem.landmark_vertices[0]
     graph, mesh, config = prepared.rest.graph, prepared.mesh, prepared.elastic
     size = min(config.coarse_vertices, graph.n)
-    every, curves = with_clusters(curves_on_mesh(mesh, landmarks.curves, config.data), held, size, config.data)
+    every, curves = with_clusters(prepared.curves(landmarks), held, size, config.data)
     coarse, vertices = cluster_graph(graph, size, every, config.graph)
-    positions = before.images.at(slice(0, graph.n)).positions
+    positions = before.images.at(prepared.vertices).positions
     normals = vertex_normals(positions, mesh.triangles)[vertices]
     offsets = landmarks.source.positions - landmarks.target.interpolate(before.images.positions)
     blocks, right = np.zeros((coarse.n, 3, 3)), np.zeros((coarse.n, 3))

@@ -94,11 +94,11 @@ def _snapped(points: SurfacePoints) -> FloatArray:
 
 
 def _finest(surface: Surface) -> TriangleSurface:
-    return surface.triangles(surface.finest)
+    return surface.finest_triangles
 
 
 def _cage(surface: Surface) -> TriangleSurface:
-    """The control mesh, polygons in fans; of a plain mesh the numbers are those of its finest level."""
+    """The control mesh, polygons in fans; a plain mesh as it is."""
     if surface.refinement.is_plain:
         return _finest(surface)
     return TriangleSurface(surface.scale * surface.control.positions, cage_triangles(surface.control)[0], surface.scale)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cagemap.maps.places import inner_points, on_surface
+from cagemap.maps.places import on_surface
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh.curves import CageCurves, Curves
 from cagemap.mesh.topology import edge_table
@@ -83,7 +83,7 @@ class CurveMiss:
 def curve_pairs(target: Surface, source: Surface, curves: Curves) -> tuple[CurvePair, ...]:
     """Curves of control meshes as curves of the finest surfaces."""
     sides = [
-        surface_curves(surface.refinement, surface.triangles(surface.finest), lines) if len(lines) else ()
+        surface_curves(surface.refinement, surface.finest_triangles, lines) if len(lines) else ()
         for surface, lines in ((target, curves.target), (source, curves.source))
     ]
     return tuple(CurvePair(*made) for made in zip(curves.names, *sides, strict=True))
@@ -102,7 +102,7 @@ def surface_curves(refinement: Refinement, finest: TriangleSurface, curves: Cage
     # An edge of a plain mesh is straight already.
     chains = np.full((len(ends), 1), -1) if refinement.is_plain else refined_edges(refinement, ends, level)
     on_edge = chains[:, -1] >= 0
-    at_ends = on_surface(finest, inner_points(refinement, curves.points))
+    at_ends = on_surface(finest, curves.points)
     found = []
     for i, closed in enumerate(curves.closed.tolist()):
         own = np.flatnonzero(curves.curve_of[segments[:, 0]] == i)

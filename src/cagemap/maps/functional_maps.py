@@ -23,5 +23,5 @@ def functional_map_of(target: Surface, source: Surface, point_map: PointMap) -> 
     )
     weights = sampled.barycentric
     pulled = np.asarray(sum(weights[:, i, None] * at_corners[places.reshape(-1, 3)[:, i]] for i in range(3)))
-    samples = Samples(at_vertices, target.triangles(target.finest).vertex_areas[chosen], np.zeros((len(chosen), 0)))
+    samples = Samples(at_vertices, target.finest_triangles.vertex_areas[chosen], np.zeros((len(chosen), 0)))
     return fit_functional_map(samples, pulled, target.basis.count)

@@ -28,26 +28,25 @@ def known_map(prepared: PreparedPair, pair: Pair) -> tuple[PointMap, Confidence]
     Landmarks and curves move closest points a little, and landmarks are met exactly. Where they are missed by more than
     `CONFIRMED`, or masks keep different parts, they contradict: a map is fitted then.
     """
-    masks, landmarks = prepared.rest.masks, pair.landmarks
+    masks, landmarks = prepared.masks, pair.landmarks
     if same_surface(pair, masks):
         return identity_map(prepared, pair)
     found = prepared.coincidence
     if found is None:
         return None
-    target, source = pair.target.triangles(pair.target.finest), prepared.finest_source
+    target, source = pair.target.finest_triangles, prepared.source.finest_triangles
     point_map = PointMap(target, found.images(source))
     missed = _missed(point_map, pair)
     if missed > CONFIRMED or not _joint(point_map, masks):
         return None
     if missed > SAME:
         moved = linear_update(Problem(prepared, pair), point_map)
-        shifts = moved - point_map.images.at(slice(len(moved))).positions
-        refinement = pair.target.refinement
-        shifts = refinement.prolong(shifts, prepared.levels[0], refinement.n_levels)
+        shifts = moved - point_map.images.at(prepared.vertices).positions
+        shifts = pair.target.hierarchy.prolong(shifts, prepared.levels[0], pair.target.finest)
         point_map = PointMap(target, meet(found.images(source, shifts), landmarks))
     apart = f"{100 * found.gap:.2f} % of the model's size apart"
     name = f"as it stands, {apart}: vertices go to the closest points of the same side"
-    reading = Reading(name, found.gap**2, point_map.images.at(slice(prepared.mesh.n)).positions)
+    reading = Reading(name, found.gap**2, point_map.images.at(prepared.vertices).positions)
     return point_map, Confidence.of((reading,), pair.target.control.n_vertices)
 
 
@@ -56,7 +55,7 @@ def same_surface(pair: Pair, masks: Masks = WHOLE) -> bool:
 
     Landmarks, curves and masks may: the left arm alone of the target and the right arm alone of the source differ.
     """
-    target, source = pair.target.triangles(pair.target.finest), pair.source.triangles(pair.source.finest)
+    target, source = pair.target.finest_triangles, pair.source.finest_triangles
     if target.n != source.n or not np.array_equal(target.triangles, source.triangles):
         return False
     if masks.target is not None and masks.source is not None and not np.array_equal(masks.target, masks.source):
@@ -70,7 +69,7 @@ def same_surface(pair: Pair, masks: Masks = WHOLE) -> bool:
 
 def identity_map(prepared: PreparedPair, pair: Pair) -> tuple[PointMap, Confidence]:
     """Every vertex to itself, and how sure that is."""
-    target, source = pair.target.triangles(pair.target.finest), pair.source.triangles(pair.source.finest)
+    target, source = pair.target.finest_triangles, pair.source.finest_triangles
     found = PointMap.from_vertices(target, source, np.arange(target.n))
     moved = (source.positions - target.positions).mean(axis=0)
     reading = Reading(ONE_SURFACE, 0.0, prepared.mesh.positions + moved)

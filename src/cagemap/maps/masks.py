@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +10,6 @@ from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers
 from cagemap.surface.surface_points import SurfacePoints
-
-Rows = Callable[[FloatArray], FloatArray]
 
 # A mask that leaves less of a surface than this leaves nothing to match.
 LEAST = 1e-4
@@ -28,7 +25,7 @@ class Masks:
     Attributes
     ----------
     target : (n1,) float64 or None
-        Of the target's finest vertices; the first ones are those of coarser levels. None where all of it counts.
+        Of the target's finest vertices; a fit has those of its levels. None where all of it counts.
     source : (n2,) float64 or None
     """
 
@@ -56,25 +53,25 @@ class Masks:
         """The same with the source in the target's place."""
         return Masks(self.source, self.target)
 
-    def renumbered(self, target: Rows, source: Rows) -> Masks:
-        """The same after functions that put the rows of finest vertices of either surface in another order."""
+    def at(self, target: IndexArray, source: IndexArray) -> Masks:
+        """The same of some vertices of target and source, in their order."""
         mine, theirs = self.target, self.source
-        return Masks(None if mine is None else target(mine), None if theirs is None else source(theirs))
+        return Masks(None if mine is None else mine[target], None if theirs is None else theirs[source])
 
     def for_vertices(self, vertices: IndexArray) -> Masks:
         """The same of some target vertices, in their order."""
         return self if self.target is None else Masks(self.target[vertices], self.source)
 
     def of_target(self, n: int) -> FloatArray:
-        """(n,) of the first target vertices."""
-        return np.ones(n) if self.target is None else self.target[:n]
+        """(n,) of all target vertices, also where none is masked."""
+        return np.ones(n) if self.target is None else self.target
 
     def of_source(self, n: int) -> FloatArray:
-        """(n,) of the first source vertices."""
-        return np.ones(n) if self.source is None else self.source[:n]
+        """(n,) of all source vertices, also where none is masked."""
+        return np.ones(n) if self.source is None else self.source
 
     def at_source(self, points: SurfacePoints) -> FloatArray:
-        """(m,) at points of some level of the source."""
+        """(m,) at points of the source."""
         if self.source is None:
             return np.ones(len(points))
         return np.minimum(points.interpolate(self.of_source(points.surface.n)), 1.0)

@@ -115,7 +115,7 @@ class Pair:
         symmetries: tuple[SymmetryPair, ...] = (),
     ) -> Pair:
         """Two surfaces with landmarks at control vertices, which are vertices of all levels."""
-        surfaces = target.triangles(target.finest), source.triangles(source.finest)
+        surfaces = target.finest_triangles, source.finest_triangles
         return cls(target, source, PointPairs.of_vertices(*surfaces, target_vertices, source_vertices), symmetries)
 
     @property
@@ -134,34 +134,35 @@ class Pair:
 
 
 def near_vertices(points: SurfacePoints, surface: Surface, finest: int | None = None) -> IndexArray:
-    """(m,) different vertices that points of the finest surface lie on or near: for steps that know no other points.
+    """(m,) different finest vertices that points lie on or near: for steps that know no other points.
 
-    Points between vertices get a free vertex of a level that basis and search have in common, coarse enough to be one
-    of theirs and fine enough to be near.
+    All are vertices of the level below too. Points between vertices get a free vertex of a level that basis and search
+    have in common, coarse enough to be one of theirs and fine enough to be near.
 
     Parameters
     ----------
     points : SurfacePoints
     surface : Surface
     finest : int, optional
-        Level that all these vertices are of, where that is a coarser one.
+        Level that has all these vertices, where that is a coarser one.
 
     Raises
     ------
     ParameterError
         If there are more points than vertices.
     """
-    vertices = vertices_at(points)
-    if ((vertices >= 0) & (vertices < surface.refinement.levels[0].n_vertices)).all():
+    vertices, levels = vertices_at(points), surface.hierarchy
+    if (levels.on_level(0, vertices) >= 0).all():
         return vertices
-    common = min(surface.basis.last_level, surface.refinement.coarsest_level(NEAR_VERTICES))
-    level = surface.triangles(common if finest is None else min(common, finest))
-    between = np.flatnonzero((vertices < 0) | (vertices >= level.n))
-    tree = cKDTree(level.positions)
+    common = min(surface.basis.last_level, levels.coarsest_level(NEAR_VERTICES))
+    common = common if finest is None else min(common, finest)
+    between = np.flatnonzero(levels.on_level(common, vertices) < 0)
+    tree = cKDTree(surface.triangles(common).positions)
     count = min(len(points) + 1, tree.n)
     _, nearest = tree.query(points.positions[between], k=count)
     taken = set(vertices.tolist())
-    for place, near in zip(between, np.asarray(nearest).reshape(len(between), count), strict=True):
+    nearest = levels.on_finest(common)[np.asarray(nearest).reshape(len(between), count)]
+    for place, near in zip(between, nearest, strict=True):
         free = next((int(vertex) for vertex in near if int(vertex) not in taken), None)
         if free is None:
             raise ParameterError(
@@ -170,6 +171,11 @@ def near_vertices(points: SurfacePoints, surface: Surface, finest: int | None = 
         vertices[place] = free
         taken.add(free)
     return vertices
+
+
+def vertices_near(points: SurfacePoints, surface: Surface, level: int) -> IndexArray:
+    """(m,) different vertices of a level that points of the finest surface lie on or near, see `near_vertices`."""
+    return surface.hierarchy.on_level(level, near_vertices(points, surface, level))
 
 
 def vertices_at(points: SurfacePoints) -> IndexArray:

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.mesh.measures import cage_triangles
 from cagemap.spectral import Surface
-from cagemap.subdivision import Refinement
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.surface.triangles import normalized
@@ -23,12 +22,7 @@ INVERSE_STEPS = 8
 
 def located(surface: Surface, points: CagePoints) -> SurfacePoints:
     """Points of a control mesh on the finest surface, see `on_surface`."""
-    return on_surface(surface.triangles(surface.finest), inner_points(surface.refinement, points))
-
-
-def inner_points(refinement: Refinement, points: CagePoints) -> CagePoints:
-    """Points of a control mesh between finest vertices."""
-    return points if refinement.places is None else CagePoints(refinement.inner(points.corners), points.weights)
+    return on_surface(surface.finest_triangles, points)
 
 
 def on_surface(finest: TriangleSurface, points: CagePoints) -> SurfacePoints:
@@ -67,7 +61,7 @@ def cage_points_of(surface: Surface, points: SurfacePoints) -> CagePoints:
     points : SurfacePoints
         Of the finest surface.
     """
-    finest = surface.triangles(surface.finest)
+    finest = surface.finest_triangles
     triangles, _ = cage_triangles(surface.control)
     cage = TriangleSurface(finest.positions[: surface.control.n_vertices], triangles, finest.scale)
     aims = points.positions

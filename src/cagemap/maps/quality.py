@@ -248,7 +248,7 @@ def measure_quality(
     landmark_names : sequence of str, optional
         Used in warnings.
     coarse_triangles : (t, 3) int64, optional
-        A coarser level's triangles of the target, whose vertices come first: what coverage asks, on dense meshes.
+        A coarser level's triangles between vertices of the target: what coverage asks, on dense meshes.
     masks : Masks
         Shares are those of what counts; trust and the landmarks' errors do not ask.
     """

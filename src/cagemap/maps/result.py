@@ -12,7 +12,6 @@ from cagemap.errors import ParameterError
 from cagemap.maps.curves import CurveMiss, curve_miss, curve_pairs
 from cagemap.maps.functional_maps import functional_map_of
 from cagemap.maps.hypotheses.confidence import Confidence
-from cagemap.maps.inner import inner_map, outer_map
 from cagemap.maps.landmarks.check import LandmarkCheck, LandmarkSuspect
 from cagemap.maps.level_map import LevelMap
 from cagemap.maps.masks import WHOLE, Masks
@@ -105,28 +104,12 @@ class MatchResult:
         if self.known_spectral is not None:
             return self.known_spectral
         with one_blas_thread():
-            target, source = self.target.inner, self.source.inner
-            bases = in_threads(lambda surface: surface.basis, [target, source])
+            bases = in_threads(lambda surface: surface.basis, [self.target, self.source])
             if self.level_maps:
                 functional_map = self.level_maps[-1].functional_map
             else:
-                inside = inner_map(self.point_map, self.target, self.source)
-                functional_map = functional_map_of(target, source, inside)
+                functional_map = functional_map_of(self.target, self.source, self.point_map)
         return SpectralMap(functional_map, *(basis.eigenvalues for basis in bases))
-
-    def outer(self) -> MatchResult:
-        """The same in the plain meshes' own numbers, where it was found on levels below them."""
-        target, source = self.target, self.source
-        if target.outer is target and source.outer is source:
-            return self
-        return replace(
-            self,
-            target=target.outer,
-            source=source.outer,
-            point_map=outer_map(self.point_map, target, source),
-            quality=replace(self.quality, trust=target.refinement.outer_rows(self.quality.trust)),
-            masks=self.masks.renumbered(target.refinement.outer_rows, source.refinement.outer_rows),
-        )
 
     def at_level(self, level: int) -> MatchResult:
         """The map of one of the target's levels as a result of its own: to write, bake, draw and judge.
@@ -141,12 +124,13 @@ class MatchResult:
         ParameterError
             If no map of that level was found.
         """
-        if level == self.target.finest:
+        finest = self.target.refinement.n_levels
+        if level == finest:
             return self
         plain = self.target.refinement.is_plain or self.source.refinement.is_plain
         known = {} if plain else {found.levels[0]: found for found in self.level_maps if found.points is not None}
         if level not in known:
-            has = ", ".join(map(str, sorted({*known, self.target.finest})))
+            has = ", ".join(map(str, sorted({*known, finest})))
             raise ParameterError(
                 f"level {level}: expected one of the target's levels with a map, {has}. The methods hfm and paper find "
                 "one for each level that they go through, of surfaces that are subdivided"
@@ -156,7 +140,7 @@ class MatchResult:
         sides = zip((self.target, self.source), found.levels, strict=True)
         target, source = (Surface(truncated(side.refinement, on), side.config) for side, on in sides)
         point_map = PointMap.from_arrays(
-            target.triangles(target.finest), source.triangles(source.finest), found.points.triangle,
+            target.finest_triangles, source.finest_triangles, found.points.triangle,
             found.points.barycentric,
         )  # fmt: skip
         trusted = self.trusted

@@ -8,7 +8,7 @@ coarse triangle, so that S^l prolongs functions as a subdivision matrix does.
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import fast_simplification
 import numpy as np
@@ -59,8 +59,8 @@ def refined(control: ControlMesh, level: int, scheme: Scheme | None = None) -> R
 def coarsened(plain: Refinement) -> Refinement:
     """Coarse levels of a plain mesh (a Refinement without steps), which becomes the finest level.
 
-    Vertices are renumbered, those of the coarsest level first, so that vertex i of a level is vertex i of every finer
-    one; ``places`` holds the new numbers. Faces keep their order. Time and memory are linear in the mesh's size.
+    The mesh keeps its numbers. Vertex i of a coarse level is vertex i of every finer coarse level, and vertex
+    ``coarse_vertices[i]`` of the mesh. Time and memory are linear in the mesh's size.
     """
     control, dense = plain.control, plain.finest
     if dense.faces is None:
@@ -75,29 +75,20 @@ def coarsened(plain: Refinement) -> Refinement:
             break
         steps.append(step)
         surfaces.append((surfaces[-1][0][step.kept], step.triangles))
-    # From the coarsest level up; `order` holds the vertices of the step in their new order.
+    if not steps:
+        return plain
+    # From the coarsest level up; `order` holds the vertices of a step's mesh in the order of its level.
     positions, faces = surfaces[-1]
     order, levels, matrices = np.arange(len(positions)), [Level(positions, faces, np.arange(len(faces)))], []
     for step, (positions, faces) in zip(reversed(steps), reversed(surfaces[:-1]), strict=True):
-        coarse, others = order, np.delete(np.arange(len(positions)), step.kept)
-        order = np.concatenate([step.kept[coarse], others])
-        matrix = sparse.csr_array(prolongation(positions, faces, step)[order][:, coarse])
+        matrix, coarse = sparse.csr_array(prolongation(positions, faces, step)[:, order]), step.kept[order]
+        if step is not steps[0]:
+            order = np.concatenate([coarse, np.delete(np.arange(len(positions)), step.kept)])
+            matrix = sparse.csr_array(matrix[order])
+            levels.append(Level(positions[order], np.argsort(order)[faces], np.arange(len(faces))))
         matrix.sort_indices()
         matrices.append(matrix)
-        levels.append(Level(positions[order], np.argsort(order)[faces], np.arange(len(faces))))
-    places = np.argsort(order)
-    levels[-1] = replace(dense, positions=control.positions[order], faces=places[dense.faces])
-    return Refinement(control, plain.scheme, tuple(matrices), tuple(levels), places)
-
-
-def uncoarsened(refinement: Refinement) -> Refinement:
-    """The plain mesh alone, in its own numbering: undoes `coarsened`."""
-    if refinement.places is None:
-        return refinement
-    finest, order = refinement.finest, np.argsort(refinement.places)
-    assert finest.faces is not None
-    mesh = replace(finest, positions=refinement.control.positions, faces=order[finest.faces])
-    return Refinement(refinement.control, refinement.scheme, (), (mesh,))
+    return Refinement(control, plain.scheme, tuple(matrices), (*levels, dense), coarse)
 
 
 def simplified(positions: FloatArray, triangles: IndexArray, count: int) -> _Simplified:

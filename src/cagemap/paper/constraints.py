@@ -200,7 +200,7 @@ def eigenvalues(surface: Surface, level: int) -> FloatArray:
 def signature_functions(surface: Surface, filters: Filters, level: int) -> FloatArray:
     """Signatures diag(Phi~ rho_t(Lambda~) Phi~^T) at the vertices of a level (Definition 3); (n_level, q)."""
     at_eigenvalues = filters.at(eigenvalues(surface, level))
-    values = np.empty((surface.refinement.levels[level].n_vertices, at_eigenvalues.shape[1]))
+    values = np.empty((surface.hierarchy.levels[level].n_vertices, at_eigenvalues.shape[1]))
     for part, block in surface.basis.row_blocks(level):
         values[part] = signatures(block, at_eigenvalues)
     return values
@@ -265,8 +265,8 @@ def _spectral_data(
 ) -> SpectralData:
     basis = surface.basis
     at_eigenvalues, level = filters.at(basis.eigenvalues), basis.last_level
-    # Vertex i of the control mesh is vertex i of every level.
-    columns = [normalise_columns(landmark_descriptors(basis.rows(level, landmarks), at_eigenvalues))]
+    rows = basis.rows(level, surface.hierarchy.on_level(level, landmarks))
+    columns = [normalise_columns(landmark_descriptors(rows, at_eigenvalues))]
     if curves:
         columns.append(normalise_columns(landmark_descriptors(curve_rows(surface, curves), at_eigenvalues)))
     if config.signature_weight > 0.0:
@@ -275,7 +275,7 @@ def _spectral_data(
     descriptors, projections = np.hstack(columns), []
     for symmetry in symmetries:
         check_symmetry(symmetry, surface.control)
-        projections.append(symmetry_operator(basis, symmetry_at(surface.refinement, symmetry, level)))
+        projections.append(symmetry_operator(basis, symmetry_at(surface.hierarchy, symmetry, level)))
     # The same descriptors on both surfaces, for both have as many.
     steps = np.linspace(0, descriptors.shape[1], min(config.products, descriptors.shape[1]), endpoint=False)
     products = [multiplication_operator(basis, descriptors[:, int(step)]) for step in steps]

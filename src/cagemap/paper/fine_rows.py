@@ -71,24 +71,24 @@ def spectral_rows(
     values = functions_at(surface, base, functions)
     values = values if mixing is None else values @ mixing
     if coordinates is not None:
-        values = np.hstack([values, surface.refinement.prolong(coordinates.values, coordinates.level, base)])
-    return SpectralRows(surface.refinement.product(level, base) if level > base else None, np.ascontiguousarray(values))
+        values = np.hstack([values, surface.hierarchy.prolong(coordinates.values, coordinates.level, base)])
+    return SpectralRows(surface.hierarchy.product(level, base) if level > base else None, np.ascontiguousarray(values))
 
 
 def functions_at(surface: Surface, level: int, functions: int) -> FloatArray:
     """Phi~(x, :) of the leading functions at all vertices of a level; (n_level, functions).
 
-    Where the level does not have as many, vertex i stands for vertex i of the last level that adds some.
+    Where the level does not have as many, they are taken at its vertices on the last level that adds some.
     """
     basis = surface.basis
     if functions <= basis.size(level):
         return basis.at(level)[:, :functions]
-    return basis.rows(basis.last_level, np.arange(surface.refinement.levels[level].n_vertices))[:, :functions]
+    return basis.rows(basis.last_level, surface.hierarchy.vertices_on(basis.last_level, level))[:, :functions]
 
 
 def blocks(surface: Surface, level: int) -> Iterator[IndexArray]:
     """Vertices of a level in blocks that are coherent on the surface: ordered by control face."""
-    mesh = surface.refinement.levels[level]
+    mesh = surface.hierarchy.levels[level]
     if mesh.faces is None:
         order = np.arange(mesh.n_vertices)
     else:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from cagemap.errors import ParameterError
 from cagemap.maps.level_map import LevelMap
-from cagemap.maps.pair import LevelPair, Pair, Progress, near_vertices, silent
+from cagemap.maps.pair import LevelPair, Pair, Progress, silent, vertices_near
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.brief import Brief
@@ -182,7 +182,7 @@ def _level_samples(surface: Surface, level: int, landmarks: SurfacePoints, weigh
     rows = functions_at(surface, level, surface.basis.count)
     coordinates = np.zeros((len(rows), 0))
     if len(landmarks) >= FEWEST_LANDMARKS:
-        vertices = near_vertices(landmarks, surface, level)
+        vertices = vertices_near(landmarks, surface, level)
         coordinates = landmark_coordinates(operators.stiffness[level], operators.mass[level], vertices)
     return Samples(rows, operators.areas(level), weight * coordinates)
 

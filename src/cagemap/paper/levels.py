@@ -53,7 +53,7 @@ def search_levels(target: Surface, source: Surface, vertices: int, source_vertic
         functions = min(ENOUGH_FUNCTIONS, surface.basis.count)
         enough = (
             i
-            for i, level in enumerate(surface.refinement.levels)
+            for i, level in enumerate(surface.hierarchy.levels)
             if len(level.positions) >= wanted and surface.basis.size(i) >= functions
         )
         return next(enough, surface.finest)
@@ -167,7 +167,7 @@ def start_map(pair: Pair, start: ArrayLike, sizes: tuple[int, int]) -> FloatArra
         If the start is neither.
     """
     given = real_numbers(start, "start")
-    counts = [len(level.positions) for level in pair.target.refinement.levels]
+    counts = [len(level.positions) for level in pair.target.hierarchy.levels]
     n2 = pair.source.refinement.finest.n_vertices
     if given.ndim == 1 and len(given) in counts:
         match = whole_numbers(given, "start")
@@ -206,19 +206,19 @@ def _parents(surface: Surface, coarse: int, fine: int) -> sparse.csr_array:
     """Coarse vertices whose matches give a target vertex its candidates; itself where the level stays."""
     if fine == coarse:
         return sparse.csr_array(sparse.eye_array(_size(surface, fine)))
-    return strongest_parents(surface.refinement.matrices[coarse])
+    return strongest_parents(surface.hierarchy.matrices[coarse])
 
 
 def _children(surface: Surface, coarse: int, fine: int) -> sparse.csc_array:
     """Source vertices that a coarse source vertex offers: its column of S_2^l; its neighbours where the level stays."""
     if fine == coarse:
         return _neighbours(surface, fine)
-    return sparse.csc_array(surface.refinement.matrices[coarse])
+    return sparse.csc_array(surface.hierarchy.matrices[coarse])
 
 
 def _neighbours(surface: Surface, level: int) -> sparse.csc_array:
     """Which vertices of a level share a face."""
-    faces = surface.refinement.levels[level].faces
+    faces = surface.hierarchy.levels[level].faces
     corners = surface.triangles(level).triangles if faces is None else faces
     of = np.repeat(np.arange(len(corners)), corners.shape[1])
     on = sparse.csr_array((np.ones(corners.size), (of, corners.ravel())), shape=(len(corners), _size(surface, level)))
@@ -232,4 +232,4 @@ def _areas(surface: Surface, level: int) -> FloatArray:
 
 
 def _size(surface: Surface, level: int) -> int:
-    return len(surface.refinement.levels[level].positions)
+    return len(surface.hierarchy.levels[level].positions)

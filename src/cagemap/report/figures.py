@@ -290,7 +290,7 @@ class _Marks:
 
 
 def _marks(surface: Surface, points: CagePoints, lines: CageCurves, turn: FloatArray) -> _Marks:
-    finest = surface.triangles(surface.finest)
+    finest = surface.finest_triangles
     found = surface_curves(surface.refinement, finest, lines) if len(lines) else ()
     curves = tuple(Polyline(curve.line.positions @ turn / finest.scale, curve.closed) for curve in found)
     return _Marks(surface.vertices[points.nearest_vertices] @ turn, curves)

@@ -244,7 +244,7 @@ def _provenance(result: MatchResult) -> str:
     for side_name, side in (("source", result.source), ("target", result.target)):
         entries[side_name] = (
             f"{side.control.name}: {side.control.n_vertices} control vertices, {side.control.n_faces} faces, "
-            f"{side.refinement.scheme} to level {side.finest}"
+            f"{side.refinement.scheme} to level {side.refinement.n_levels}"
         )
     for group in ("parameters", "versions", "inputs"):
         entries |= flattened(group, manifest.get(group) or {})

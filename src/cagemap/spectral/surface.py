@@ -12,7 +12,7 @@ from cagemap.mesh.measures import cage_triangles
 from cagemap.numerics.arrays import FloatArray, IndexArray, read_only
 from cagemap.numerics.threads import kept, one_blas_thread
 from cagemap.operators import Operators, build_operators
-from cagemap.operators.coarse_levels import coarsened, uncoarsened
+from cagemap.operators.coarse_levels import coarsened
 from cagemap.operators.polygons import named_laplacian
 from cagemap.spectral.bands import hierarchical_basis
 from cagemap.spectral.basis import HierarchicalBasis
@@ -35,7 +35,7 @@ def operators_for(refinement: Refinement, config: BasisConfig) -> Operators:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Surface:
-    """One subdivision surface with what follows from it: its operators, its basis, the triangles of its levels.
+    """One surface with what follows from it: its levels, their operators, basis and triangles.
 
     They are made when they are first asked for, and kept: a surface serves every pair that it is part of.
     `cagemap.prepare_surface` makes operators and basis at once; those of a result that was read are made if a new
@@ -44,62 +44,47 @@ class Surface:
     Attributes
     ----------
     refinement : Refinement
+        As asked for: of a plain mesh the mesh alone. `hierarchy` has the levels that maps are found on.
     config : BasisConfig
         Of the basis.
-    given : Surface or None
-        The plain mesh as it was given, where this surface has coarse levels below one (`inner`).
     """
 
     refinement: Refinement
     config: BasisConfig = MAP_BASIS
-    given: Surface | None = None
 
     @classmethod
     def of(
-        cls, refinement: Refinement, operators: Operators, basis: HierarchicalBasis, config: BasisConfig | None = None
+        cls, hierarchy: Refinement, operators: Operators, basis: HierarchicalBasis, config: BasisConfig | None = None
     ) -> Surface:
-        """A surface whose operators and basis are there already; of a plain mesh, on the levels below it."""
+        """A surface whose operators and basis are there already, on its `hierarchy`."""
         config = BasisConfig(schedule=basis.schedule) if config is None else config
-        given = None
-        if refinement.places is not None:
-            given = cls(uncoarsened(refinement), config)
-        surface = cls(refinement, config, given)
-        vars(surface).update(operators=operators, basis=basis)  # where cached properties look
-        if given is None:
-            return surface
-        vars(given)["inner"] = surface
-        return given
+        surface = cls(hierarchy.without_coarse_levels(), config)
+        vars(surface).update(hierarchy=hierarchy, operators=operators, basis=basis)  # where cached properties look
+        return surface
 
     @kept
-    def inner(self) -> Surface:
-        """The surface that maps are found on: this one, or that of a plain mesh with coarse levels below it.
+    def hierarchy(self) -> Refinement:
+        """All levels: those of the refinement, or the coarse levels of a plain mesh and the mesh, which is the finest.
 
-        Vertices of the finest level then stand in another order, see `cagemap.operators.coarse_levels.coarsened`.
+        Everything below that takes the number of a level counts these.
         """
-        if self.refinement.is_plain and self.given is None:
-            return Surface(coarsened(self.refinement), self.config, self)
-        return self
-
-    @property
-    def outer(self) -> Surface:
-        """Undo `inner`."""
-        return self if self.given is None else self.given
+        return coarsened(self.refinement) if self.refinement.is_plain else self.refinement
 
     @kept
     def operators(self) -> Operators:
         """Mass and stiffness of every level (paper, section 4.1), up to the one that ``config.vertices`` says."""
-        return operators_for(self.refinement, self.config)
+        return operators_for(self.hierarchy, self.config)
 
     @kept
     def basis(self) -> HierarchicalBasis:
         """The hierarchical basis (paper, section 4)."""
         with one_blas_thread():
-            return hierarchical_basis(self.refinement, self.operators, self.config)
+            return hierarchical_basis(self.hierarchy, self.operators, self.config)
 
     @property
     def is_prepared(self) -> bool:
-        """Whether the basis has been made, of a plain mesh that of the levels below it."""
-        return "basis" in vars(self.inner if "inner" in vars(self) else self)
+        """Whether the basis has been made."""
+        return "basis" in vars(self)
 
     @kept
     def scale(self) -> float:
@@ -116,12 +101,12 @@ class Surface:
 
     @property
     def finest(self) -> int:
-        """Number of the finest level."""
-        return len(self.refinement.levels) - 1
+        """Number of the finest level of the hierarchy."""
+        return self.hierarchy.n_levels
 
     @property
     def vertices(self) -> FloatArray:
-        """(n, 3) vertices of the finest level, in the file's lengths; those of coarser levels come first."""
+        """(n, 3) vertices of the finest level, in the file's lengths."""
         return read_only(self.refinement.finest.positions)
 
     @property
@@ -140,21 +125,27 @@ class Surface:
         ParameterError
             If there is no such level.
         """
-        if not 0 <= level < len(self.refinement.levels):
-            raise ParameterError(f"level: expected 0 to {len(self.refinement.levels) - 1}, got {level}")
-        return self._levels[level]
+        if not 0 <= level <= self.finest:
+            raise ParameterError(f"level: expected 0 to {self.finest}, got {level}")
+        return self.finest_triangles if level == self.finest else self._coarse_triangles[level]
 
     @kept
-    def _levels(self) -> tuple[TriangleSurface, ...]:
-        places = self.scale * self.vertices
+    def finest_triangles(self) -> TriangleSurface:
+        """The triangles of the finest level, see `triangles`; asks for no coarse levels."""
+        triangles = level_triangles(self.refinement, self.refinement.n_levels)
+        return TriangleSurface(self.scale * self.vertices, triangles, self.scale)
+
+    @kept
+    def _coarse_triangles(self) -> tuple[TriangleSurface, ...]:
+        places, levels = self.finest_triangles.positions, self.hierarchy
         return tuple(
-            TriangleSurface(places[: mesh.n_vertices], level_triangles(self.refinement, level), self.scale)
-            for level, mesh in enumerate(self.refinement.levels)
+            TriangleSurface(places[levels.on_finest(level)], level_triangles(levels, level), self.scale)
+            for level in range(self.finest)
         )
 
     def with_control(self, control: ControlMesh) -> Surface:
         """The same surface from a control mesh with another layout or other materials."""
-        return replace(self, refinement=refine(control, self.finest, self.refinement.scheme))
+        return replace(self, refinement=refine(control, self.refinement.n_levels, self.refinement.scheme))
 
     def require_operators(self, level: int, method: str) -> None:
         """Refuse a surface whose operators end below a level whose operators a method needs.
@@ -171,5 +162,5 @@ class Surface:
             )
 
     def __repr__(self) -> str:
-        basis = self.inner.basis if self.is_prepared else "not prepared"
-        return f"Surface({self.control.name}, levels 0 to {self.finest}, {basis})"
+        basis = self.basis if self.is_prepared else "not prepared"
+        return f"Surface({self.control.name}, levels 0 to {self.refinement.n_levels}, {basis})"

@@ -15,7 +15,7 @@ from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.mesh.measures import cage_triangles
 from cagemap.mesh.mesh_report import first_few
 from cagemap.mesh.schemes import SCHEMES, Bilinear, CatmullClark, Loop, Plain, Scheme
-from cagemap.numerics.arrays import Array, FloatArray, IndexArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.threads import kept
 from cagemap.subdivision.face_varying import Layout, refined_layout
 from cagemap.subdivision.matrices import subdivision_matrix
@@ -91,19 +91,19 @@ class Refinement:
     scheme : CatmullClark, Loop, Bilinear or Plain
     matrices : tuple of (n_{l+1}, n_l) csr_array
         ``matrices[l]`` is S^l. Rows sum to 1 and have the order vertices, edges, faces (Loop: vertices, edges), so that
-        vertex i of a level is vertex i of every finer one.
+        vertex i of a level is vertex i of every finer one. Above a plain mesh see ``coarse_vertices``.
     levels : tuple of Level
         ``levels[0]`` is the control mesh, ``levels[-1]`` the finest.
-    places : (n,) int64 or None
-        Finest vertex of every control vertex of a plain mesh with coarse levels (`cagemap.operators.coarse_levels`);
-        None where control vertices keep their numbers.
+    coarse_vertices : (n_{L-1},) int64 or None
+        Of a plain mesh with coarse levels (`cagemap.operators.coarse_levels`): finest vertices that the vertices of the
+        level below are. None where they are the first ones, as in a subdivision.
     """
 
     control: ControlMesh
     scheme: Scheme
     matrices: tuple[csr_array, ...]
     levels: tuple[Level, ...]
-    places: IndexArray | None = None
+    coarse_vertices: IndexArray | None = None
 
     @property
     def finest(self) -> Level:
@@ -122,28 +122,45 @@ class Refinement:
 
     def up_to(self, level: int) -> Refinement:
         """The levels from 0 to this one."""
-        return replace(self, matrices=self.matrices[:level], levels=self.levels[: level + 1])
+        known = self.coarse_vertices if level == self.n_levels else None
+        return replace(self, matrices=self.matrices[:level], levels=self.levels[: level + 1], coarse_vertices=known)
+
+    def without_coarse_levels(self) -> Refinement:
+        """The refinement as asked for: of a plain mesh the mesh alone, without `coarse_vertices` and their levels."""
+        if self.coarse_vertices is None:
+            return self
+        return replace(self, matrices=(), levels=self.levels[-1:], coarse_vertices=None)
 
     @property
     def is_plain(self) -> bool:
         """Whether the finest level is the control mesh itself."""
         return isinstance(self.scheme, Plain)
 
-    def inner(self, vertices: IndexArray) -> IndexArray:
-        """Finest vertices that control vertices are."""
-        return vertices if self.places is None else self.places[vertices]
+    def on_finest(self, level: int) -> IndexArray:
+        """(n_level,) finest vertices that the vertices of a level are."""
+        return self.vertices_on(self.n_levels, level)
 
-    def outer(self, vertices: IndexArray) -> IndexArray:
-        """Control vertices that finest vertices are: undoes `inner`. Of a subdivision, the first ones are."""
-        return vertices if self.places is None else np.argsort(self.places)[vertices]
+    def vertices_on(self, fine: int, coarse: int) -> IndexArray:
+        """(n_coarse,) vertices of the fine level that the vertices of the coarse level are."""
+        self._check_order(fine, coarse)
+        n = self.levels[coarse].n_vertices
+        if self.coarse_vertices is None or fine < self.n_levels or coarse == self.n_levels:
+            return np.arange(n)
+        return self.coarse_vertices[:n]
 
-    def inner_rows(self, values: Array) -> Array:
-        """Rows of the finest vertices from rows as they are stored, which of a plain mesh follow the control mesh."""
-        return values if self.places is None else values[np.argsort(self.places)]  # type: ignore[return-value]
+    def on_level(self, level: int, vertices: IndexArray) -> IndexArray:
+        """(m,) vertices of a level that finest vertices are; -1 for those that the level lacks, and for -1."""
+        if self.coarse_vertices is not None and level < self.n_levels:
+            vertices = np.where(vertices < 0, -1, self._coarse_numbers[vertices])
+        return np.where(vertices < self.levels[level].n_vertices, vertices, -1)
 
-    def outer_rows(self, values: Array) -> Array:
-        """Undo `inner_rows`."""
-        return values if self.places is None else values[self.places]  # type: ignore[return-value]
+    @kept
+    def _coarse_numbers(self) -> IndexArray:
+        """(n,) vertex of the last coarse level that every finest vertex of a plain mesh is, or -1."""
+        assert self.coarse_vertices is not None
+        numbers = np.full(self.finest.n_vertices, -1)
+        numbers[self.coarse_vertices] = np.arange(len(self.coarse_vertices))
+        return numbers
 
     def holes(self, level: int) -> BoolArray:
         """(m_level,) faces that shape the surface but are no part of it; see `control_holes`."""

@@ -50,10 +50,11 @@ def run_functions(request: FunctionsRequest, stages: Stages) -> Outcome:
     level = choose_level(control, DEFAULT_VERTICES) if request.level is None else request.level
     require_size(control, level)
     surface = prepare_surface(control, level, basis, progress=stages)
-    at = surface.finest if request.at is None else request.at
-    if at > surface.finest:
-        raise ParameterError(f"--at: expected a level from 0 to {surface.finest}, got {at}")
-    if at < surface.inner.basis.last_level and basis.schedule is None and surface.given is None:
+    finest = surface.refinement.n_levels
+    at = finest if request.at is None else request.at
+    if at > finest:
+        raise ParameterError(f"--at: expected a level from 0 to {finest}, got {at}")
+    if at < surface.basis.last_level and basis.schedule is None and not surface.refinement.is_plain:
         # Functions of a coarser level than the usual one are computed there.
         surface = prepare_surface(control, level, replace(basis, schedule=(*(0 for _ in range(at)), request.k)))
     stages("functions")
@@ -93,25 +94,24 @@ def functions_at(
         signatures and kernels ``heat_times``, ``wave_energies``; with kernels ``points``. Kernel j of point i is column
         ``i q + j``.
     """
-    inner = surface.inner
-    on = inner.finest if surface.refinement.is_plain else level
-    rows, eigenvalues = research.eigenfunctions(inner, on)
-    found = {"eigenvalues": eigenvalues, "vertex_areas": surface.triangles(level).vertex_areas}
+    on = surface.finest if surface.refinement.is_plain else level
+    rows, eigenvalues = research.eigenfunctions(surface, on)
+    found = {"eigenvalues": eigenvalues, "vertex_areas": surface.triangles(on).vertex_areas}
     heat, wave = filters
     values: dict[str, FloatArray] = {EIGENFUNCTIONS: rows}
     if set(kinds) - {EIGENFUNCTIONS}:
-        made = research.heat_and_wave_filters(inner, inner, heat, wave)
+        made = research.heat_and_wave_filters(surface, surface, heat, wave)
         found |= {"heat_times": made.times, "wave_energies": made.energies}
-        both = research.signature_functions(inner, made, on)
+        both = research.signature_functions(surface, made, on)
         values |= {"heat-signatures": both[:, :heat], "wave-signatures": both[:, heat:]}
         if any(kind.endswith("kernels") for kind in kinds):
             found["points"] = points.astype(np.float64)
-            kernels = research.landmark_functions(inner, made, inner.refinement.inner(points), on)
+            kernels = research.landmark_functions(surface, made, points, on)
             table = kernels.reshape(len(rows), len(points), heat + wave)
             values["heat-kernels"] = table[:, :, :heat].reshape(len(rows), -1)
             values["wave-kernels"] = table[:, :, heat:].reshape(len(rows), -1)
     for kind, name in zip(kinds, _names(kinds), strict=True):
-        found[name] = inner.refinement.outer_rows(values[kind])
+        found[name] = values[kind]
     return found
 
 

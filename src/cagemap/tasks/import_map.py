@@ -41,7 +41,7 @@ def run_map(request: MapRequest, stages: Stages) -> tuple[str, list[str]]:
     level = None if request.level is not None else source_level(request.map, source.refinement)
     if level is not None and level != source.refinement.n_levels:
         source = Surface(source.refinement.up_to(level))
-    places = target.triangles(target.finest), source.triangles(source.finest)
+    places = target.finest_triangles, source.finest_triangles
     # A map may count the vertices of any level: those of a coarser one are the first of every finer one.
     point_map = dense_map(read_images(request.map, places[1]), target.refinement, places[0])
     options = MaskOptions(request.target_mask, request.source_mask, request.mask_edge)

@@ -136,7 +136,7 @@ def read_masks(options: MaskOptions, controls: tuple[ControlMesh, ControlMesh], 
 def masks_on(given: GivenMasks, surfaces: tuple[Surface, Surface]) -> Masks:
     """Masks of two prepared surfaces, which may be parts of their files."""
     target, source = (
-        None if mask is None else mask.on(surface.refinement, surface.triangles(surface.finest))
+        None if mask is None else mask.on(surface.refinement, surface.finest_triangles)
         for mask, surface in zip(given, surfaces, strict=True)
     )
     return Masks(target, source)

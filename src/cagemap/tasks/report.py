@@ -51,7 +51,7 @@ def run_report(request: ReportRequest, stages: Stages) -> Outcome:
     pixels = shown_texture.pixels if isinstance(shown_texture, Image) else None  # tiles are not shown
     baked = None
     for entry in known:
-        shown = entry.get("level", whole.target.finest) == result.target.finest
+        shown = entry.get("level", whole.target.refinement.n_levels) == result.target.refinement.n_levels
         if shown and texture is not None and _same(folder / entry["image"], texture):
             try:
                 result, baked = _baked(folder, result, entry)
@@ -86,7 +86,7 @@ def rides_of(folder: Path, result: MatchResult) -> Rides:
 def _wrapped(rides: Rides, folder: Path, entry: dict[str, Any], result: MatchResult) -> Rides:
     cage = read_mesh(folder / entry["output"])
     level = int(entry.get("fit_level", 0))
-    if level > result.target.finest:
+    if level > result.target.refinement.n_levels:
         raise FormatError(f"{entry['output']}: is a wrapped net of level {level}, finer than the map that is shown")
     rows = file_rows(folder, result.manifest, "target", result.target.control)
     if rows is not None and level == 0 and cage.n_vertices == rows.whole.n_vertices:

@@ -196,7 +196,7 @@ def read_result(folder: str | Path) -> MatchResult:
         for prefix, entry in (("target", record.target), ("source", record.source))
     ]
     target, source = in_threads(lambda side: side.surface(root / ARRAYS, record), read)
-    finest = target.triangles(target.finest), source.triangles(source.finest)
+    finest = target.finest_triangles, source.finest_triangles
     sizes["t2"] = len(finest[1].triangles)
     arrays = check_arrays(root / ARRAYS, stored, _FORMS, sizes, REMEDY)
     _check_parts(root, arrays, finest[1].triangles, record)
@@ -324,7 +324,7 @@ def _manifest(result: MatchResult) -> dict[str, Any]:
         prefix: {
             "name": side.control.name,
             "scheme": scheme_to_entry(side.refinement.scheme),
-            "level": side.finest,
+            "level": side.refinement.n_levels,
             "control_vertices": side.control.n_vertices,
             "control_faces": side.control.n_faces,
             "vertices": len(side.vertices),

@@ -66,7 +66,8 @@ def read_level_maps(
     if functional_map is None or not entries:
         return ()
     target, source = surfaces
-    levels, finest = [(entry.target, entry.source) for entry in entries], (target.finest, source.finest)
+    levels = [(entry.target, entry.source) for entry in entries]
+    finest = target.refinement.n_levels, source.refinement.n_levels
     if levels[-1] != finest or any(one > finest[0] or other > finest[1] for one, other in levels):
         raise FormatError(f"{path}: expected levels of maps that end at {finest}, the manifest has {levels}. {remedy}")
     maps = []

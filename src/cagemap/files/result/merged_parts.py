@@ -61,7 +61,7 @@ def merge_results(parts: Sequence[MatchResult], provenance: dict[str, Any]) -> M
         return replace(first, provenance=provenance)
     target, target_numbers = _merge_sides([part.target for part in parts])
     source, source_numbers = _merge_sides([part.source for part in parts])
-    mine, theirs = target.triangles(target.finest), source.triangles(source.finest)
+    mine, theirs = target.finest_triangles, source.finest_triangles
     split = 2 if source.faces.shape[1] == 4 else 1
     triangle, barycentric = np.empty(mine.n, dtype=np.int64), np.empty((mine.n, 3))
     for part, here, there in zip(parts, target_numbers, source_numbers, strict=True):
@@ -180,7 +180,7 @@ def _merged_checks(parts: Sequence[MatchResult]) -> LandmarkCheck:
 
 def _merge_sides(sides: Sequence[Surface]) -> tuple[Surface, list[_Numbers]]:
     refinements = [side.refinement for side in sides]
-    level, scheme = sides[0].finest, refinements[0].scheme
+    level, scheme = refinements[0].n_levels, refinements[0].scheme
     if any((one.n_levels, one.scheme) != (level, scheme) for one in refinements):
         raise ParameterError(
             "parts: expected all to have the same level and scheme, got different ones; match one by one"

@@ -41,7 +41,7 @@ from cagemap.subdivision import Refinement, Scheme, default_scheme
 from cagemap.subdivision.counts import vertex_counts
 
 FORMAT = "cagemap-surface"
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 SUFFIX = ".surface.npz"
 
 _BASIS_ARRAYS = ("eigenvalues", "residuals", "indices", "gram")
@@ -90,8 +90,7 @@ def save_surface(path: str | Path, surface: Surface, *, force: bool = False) -> 
     FormatError
         If the file cannot be written.
     """
-    control, inner = surface.control, surface.inner
-    operators, basis = inner.operators, inner.basis
+    control, operators, basis = surface.control, surface.operators, surface.basis
     header = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
@@ -99,7 +98,7 @@ def save_surface(path: str | Path, surface: Surface, *, force: bool = False) -> 
         "name": control.name,
         "material_names": list(control.material_names),
         "scheme": scheme_to_entry(surface.refinement.scheme),
-        "level": inner.finest,
+        "level": surface.finest,
         "scale": operators.scale,
         "bands": len(basis.bands),
         "operators": len(operators.mass),

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from cagemap.deform.prepared import PreparedPair
 from cagemap.maps.point_map import PointMap
 from cagemap.maps.quality import flipped_triangles, stretches, weighted_percentiles
 from cagemap.numerics.arrays import FloatArray
@@ -235,3 +236,22 @@ class Confidence:
             "jumps": self.shape.jumps,
             "mirrored": self.mirrored,
         }
+
+
+def at_finest(confidence: Confidence, prepared: PreparedPair) -> Confidence:
+    """Answers for the level that is deformed, as answers for all vertices of a plain target.
+
+    The vertex that decides gets its number in the target's file too, where the target is a part of it.
+    """
+    target, numbers = prepared.target, prepared.target.control.file_vertices
+    if numbers is not None and confidence.deciding is not None:
+        confidence = replace(confidence, file_vertex=int(numbers[confidence.deciding]))
+    if not target.refinement.is_plain:
+        return confidence
+
+    def prolonged(reading: Reading) -> Reading:
+        places = np.array(target.hierarchy.prolong(reading.positions, prepared.levels[0], target.finest))
+        places[prepared.vertices] = reading.positions  # prolonged, those that are known would be smoothed
+        return replace(reading, positions=places)
+
+    return replace(confidence, readings=tuple(prolonged(reading) for reading in confidence.readings))

@@ -47,7 +47,7 @@ class Jumps:
     def of(cls, prepared: PreparedPair, found: PointMap) -> Jumps:
         """Measure a map on the target's level that is deformed."""
         target, source = prepared.graphs
-        images = found.images.at(slice(0, target.n))
+        images = found.images.at(prepared.vertices)
         places, normals = images.positions, images.normals
         once = target.heads < target.tails
         edges = np.column_stack([target.heads[once], target.tails[once]])

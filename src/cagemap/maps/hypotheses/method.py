@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 from scipy.spatial import cKDTree
 
 from cagemap.deform.fit import with_cost
@@ -53,8 +52,7 @@ def hypothesis_map(prepared: PreparedPair, pair: Pair, progress: Progress = sile
     if confidence.verdict == SURE:
         confidence = confidence.seen_mirrored(mirrored_gain(problem, readings[0].positions))
     if confidence.deciding is not None:
-        vertex = pair.target.refinement.outer(np.array([confidence.deciding]))
-        confidence = replace(confidence, deciding=int(vertex[0]))
+        confidence = replace(confidence, deciding=int(prepared.vertices[confidence.deciding]))
     return found, confidence
 
 
@@ -74,6 +72,6 @@ def half_way(problem: Problem, reading: Reading) -> FloatArray:
 def unreached_share(prepared: PreparedPair, found: PointMap) -> float:
     """Share of the source's area, where it is not masked, that lies `FAR` or farther from what the map leads to."""
     mesh, samples = prepared.mesh, prepared.source_samples
-    image = build_tree(found.images.at(slice(0, mesh.n)).positions, mesh.triangles)
+    image = build_tree(found.images.at(prepared.vertices).positions, mesh.triangles)
     far = closest_points(image, samples.points)[2] > FAR
     return float(samples.areas[far].sum() / max(samples.areas.sum(), 1e-12))

@@ -69,7 +69,7 @@ def least_cost(prepared: PreparedPair) -> float:
     its samples may fall better. Under masks a fit costs less because less of it counts, and so does this.
     """
     target, rest, own = prepared.target, prepared.rest, replace(prepared.rest, masks=WHOLE)
-    surface = target.triangles(target.refinement.coarsest_level(prepared.elastic.source_vertices))
+    surface = target.triangles(target.hierarchy.coarsest_level(prepared.elastic.source_vertices))
     on_itself = replace(prepared, rest=own, source_surface=surface)
     counts = rest.graph.areas @ rest.masks.of_target(rest.graph.n), prepared.source_samples.areas.sum()
     return float(min(counts)) * with_cost(on_itself, rest.graph.positions).cost

@@ -53,7 +53,9 @@ class Tips:
     def of(cls, problem: Problem) -> Tips:
         """Those that are neither masked nor at a landmark."""
         (target, source), landmarks = problem.prepared.graphs, problem.pair.landmarks
-        masks, found = problem.prepared.rest.masks, []
+        prepared, found = problem.prepared, []
+        searched = prepared.source.hierarchy.on_finest(prepared.levels[1])
+        masks = prepared.masks.at(prepared.vertices, searched)
         for graph, counts, given in (
             (target, masks.of_target(target.n), landmarks.target.positions),
             (source, masks.of_source(source.n), landmarks.source.positions),

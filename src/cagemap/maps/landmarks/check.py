@@ -339,7 +339,7 @@ def _distances(problem: Problem) -> tuple[LandmarkDistances, LandmarkDistances]:
 def _suspect(pair: Pair, found: PointMap, names: Sequence[str], place: int, evidence: str) -> LandmarkSuspect:
     """A pair that a map was made without, and where that map puts it."""
     at_vertex, near = vertices_at(pair.landmarks.source), pair.source_landmarks
-    given = int(pair.source.refinement.outer(np.where(at_vertex < 0, near, at_vertex))[place])
+    given = int(np.where(at_vertex < 0, near, at_vertex)[place])
     return LandmarkSuspect(names[place], place, *miss(pair, found, place), source_vertex=given, evidence=evidence)
 
 
@@ -347,15 +347,14 @@ def miss(pair: Pair, point_map: PointMap, landmark: int) -> tuple[float, int]:
     """How far from its source place a map puts a landmark, of sqrt(area), and the control vertex nearest to there."""
     only = pair.landmarks.only([landmark])
     place = only.target.interpolate(point_map.images.positions)
-    control = pair.source.triangles(pair.source.finest).positions[: pair.source.control.n_vertices]
-    nearest = np.argmin(np.linalg.norm(control - place, axis=1, keepdims=True), axis=0)
-    return float(landmark_errors(point_map, only)[0]), int(pair.source.refinement.outer(nearest)[0])
+    control = pair.source.finest_triangles.positions[: pair.source.control.n_vertices]
+    return float(landmark_errors(point_map, only)[0]), int(np.linalg.norm(control - place, axis=1).argmin())
 
 
 def strain(problem: Problem, point_map: PointMap) -> tuple[ReducedEnergy, FloatArray]:
     """Energy of the landmarks' places at a map that holds them, and these places."""
     graph = problem.prepared.rest.graph
-    found = point_map.images.at(slice(0, graph.n))
+    found = point_map.images.at(problem.prepared.vertices)
     energy = reduced_energy(graph, found.positions, found.normals, problem.landmark_vertices[0])
     return energy, problem.pair.landmarks.source.positions
 

@@ -41,7 +41,7 @@ def mirrored_readings(
     exchange = exchanged_pairs(prepared.mesh, pair.landmarks, best.positions)
     if len(exchange) < FEWEST_LANDMARKS:
         return None
-    places = given.images.at(slice(0, prepared.rest.graph.n)).positions
+    places = given.images.at(prepared.vertices).positions
     cost = with_cost(prepared, places).cost
     readings = (
         Reading(AS_GIVEN, cost, places),

@@ -36,6 +36,6 @@ def turned_limbs(ends: Sequence[Placement], found: PointMap, prepared: PreparedP
             readings = (Reading(AS_GIVEN, best.cost, best.answer), Reading(TURNED, other.cost, other.positions))
             gap = other.cost / max(best.cost, 1e-12)
             farthest = apart[: target.control.n_vertices].argmax()
-            deciding = int(target.refinement.outer(np.array([farthest]))[0])
+            deciding = int(prepared.vertices[farthest])
             return Confidence(LOOK, 1e4 * best.cost, gap, readings, deciding, MapShape.of(found))
     return None

@@ -47,10 +47,12 @@ def project(prepared: PreparedPair, fitted: FloatArray, landmarks: PointPairs) -
     fitted = real_numbers(fitted, "fitted")
     if fitted.shape != (count, 3) or not np.all(np.isfinite(fitted)):
         raise ParameterError(f"fitted: expected finite places ({count}, 3), as `fit` gives them, got {fitted.shape}")
-    target = prepared.target.triangles(prepared.target.finest)
+    target = prepared.target.finest_triangles
     positions = carried_to_finest(prepared, fitted)
     normals = vertex_normals(positions, target.triangles)
-    found = facing_points(prepared.finest_source, positions, normals, prepared.elastic.projection_normal_weights)
+    found = facing_points(
+        prepared.source.finest_triangles, positions, normals, prepared.elastic.projection_normal_weights
+    )
     return PointMap(target, meet(found, landmarks))
 
 
@@ -127,12 +129,12 @@ def carried_to_finest(prepared: PreparedPair, fitted: FloatArray) -> FloatArray:
     ``y_v = sum_k S_vk (x_k + A_k (p_v - p_k))``. Exact for affine deformations, and close to smooth ones to the second
     order.
     """
-    refinement, level = prepared.target.refinement, prepared.levels[0]
+    refinement, level = prepared.target.hierarchy, prepared.levels[0]
     if not refinement.is_plain:
         return refined_positions(refinement, level, fitted)
     maps, _ = prepared.rest.energy.differentials(fitted)
-    rest = prepared.target.triangles(refinement.n_levels).positions
-    shifts = fitted - np.einsum("nab,nb->na", maps, rest[: len(fitted)])
+    rest = prepared.target.finest_triangles.positions
+    shifts = fitted - np.einsum("nab,nb->na", maps, rest[prepared.vertices])
     blended = refinement.prolong(np.hstack([shifts, maps.reshape(-1, 9)]), level, refinement.n_levels)
     return np.asarray(blended[:, :3] + np.einsum("nab,nb->na", blended[:, 3:].reshape(-1, 3, 3), rest))
 
