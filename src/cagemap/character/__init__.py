@@ -1,0 +1,1 @@
+"""A character: body, passengers (clothes, eyes, hair), skeleton, animations; and carrying it to another body."""
