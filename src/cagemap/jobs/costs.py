@@ -15,8 +15,8 @@ FACTOR = 2.0
 STARTUP = 5.0
 # What a match without landmarks takes in addition: constant, per 1000 control vertices.
 SEARCH = (6.0, 0.4)
-# Vertices of the level that a surface is prepared on, and bytes that each of them has in the store (150 functions).
-PREPARED, STORED = 20_000, 560
+# Vertices of the level that a surface is prepared on, and bytes that each of them has in the store (100 functions).
+PREPARED, STORED = 20_000, 400
 # Bytes of a RESULT for every finest vertex of both surfaces, and of a picture on the page.
 RESULT, PICTURE = 105, 14_000
 # Bytes of memory of a worker: constant, per finest vertex and per control vertex of both surfaces.

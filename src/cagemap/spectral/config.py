@@ -40,7 +40,7 @@ class BasisConfig:
         lambda of the last two.
     """
 
-    count: int = 150
+    count: int = 100
     schedule: tuple[int, ...] | None = None
     accuracy: float = 1e-5
     literal: bool = False
@@ -92,8 +92,11 @@ class BasisConfig:
 MIN_VERTICES = 3000
 VERTICES_PER_FUNCTION = 20
 
-# The basis of the default method. Operators of 20 000 vertices: eigenvalues of finer ones differ by well below 1 %.
-MAP_BASIS = BasisConfig(vertices=20_000)
+# The basis of the default method. Operators of 20 000 vertices, and this accuracy, change eigenvalues by less than 1 %;
+# more functions make maps no better (docs/lab/accuracy.md).
+MAP_BASIS = BasisConfig(accuracy=1e-3, vertices=20_000)
+# Functions of the method "hfm".
+HFM_FUNCTIONS = 150
 # Functions per level of the paper's Table 1.
 PAPER_SCHEDULE = (100, 50, 50, 50)
 

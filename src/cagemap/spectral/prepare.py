@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import islice
 
 import numpy as np
@@ -16,7 +17,7 @@ from cagemap.numerics.kinds import kinds_checked
 from cagemap.numerics.threads import ThreadPool, in_threads, one_blas_thread
 from cagemap.operators.coarse_levels import refined
 from cagemap.spectral.bands import hierarchical_basis
-from cagemap.spectral.config import MAP_BASIS, PAPER_SCHEDULE, BasisConfig
+from cagemap.spectral.config import HFM_FUNCTIONS, MAP_BASIS, PAPER_SCHEDULE, BasisConfig
 from cagemap.spectral.surface import Surface, operators_for
 from cagemap.subdivision import default_scheme
 from cagemap.subdivision.counts import vertex_counts
@@ -63,7 +64,7 @@ def choose_level(control: MeshLike, vertices: int) -> int:
 
 @kinds_checked
 def default_basis(method: str, level: int = len(PAPER_SCHEDULE) - 1) -> BasisConfig:
-    """The basis of a method: 150 functions of one level; for "paper" a schedule of the paper's Table 1.
+    """The basis of a method: functions of one level; for "paper" a schedule of the paper's Table 1.
 
     Parameters
     ----------
@@ -78,7 +79,9 @@ def default_basis(method: str, level: int = len(PAPER_SCHEDULE) - 1) -> BasisCon
     """
     if method not in METHODS:
         raise ParameterError(f"method: expected one of {', '.join(METHODS)}, got '{method}'")
-    return BasisConfig(schedule=PAPER_SCHEDULE[: level + 1]) if method == "paper" else MAP_BASIS
+    if method == "paper":
+        return BasisConfig(schedule=PAPER_SCHEDULE[: level + 1])
+    return replace(MAP_BASIS, count=HFM_FUNCTIONS) if method == "hfm" else MAP_BASIS
 
 
 @arrays_accepted

@@ -139,7 +139,7 @@ FOLDS = (
             "match",
             ("method", "Method", (), "elastic meets landmarks exactly; hfm and paper are functional maps"),
             ("level", "Level", (), "subdivision level of both, in place of Vertices"),
-            ("k", "Functions", (), "basis functions of each surface; empty: 150"),
+            ("k", "Functions", (), "basis functions of each surface; empty: 100"),
             ("trust_landmarks", "Trust landmarks", (), "meet every landmark, also one that looks wrong"),
             ("symmetry", "Symmetry", (), "method paper: use mirror symmetry where both meshes have it"),
             ("boundary", "Boundary"),

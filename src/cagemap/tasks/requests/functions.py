@@ -35,7 +35,7 @@ class FunctionsRequest:
     at: Annotated[
         int | None, Option(min=0, help="Level at whose vertices the functions are given.  [default: the finest]")
     ] = None
-    k: Annotated[int, Option("-k", min=1, help="Basis functions.")] = 150
+    k: Annotated[int, Option("-k", min=1, help="Basis functions.")] = 100
     schedule: Annotated[str | None, Option(help="Basis functions per level, such as 100,50,50,50; replaces -k.")] = None
     laplacian: Annotated[
         str, Option(help="mean, alexa-wardetzky or de-goes-butts-desbrun, these with :LAMBDA or not.")

@@ -59,7 +59,7 @@ class MatchRequest:
             "-k",
             group=RESEARCH,
             min=3,
-            help="Basis functions of each surface.  [default: 150]",
+            help="Basis functions of each surface.  [default: 100]",
         ),
     ] = None
     schedule: Annotated[
