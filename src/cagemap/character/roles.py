@@ -19,9 +19,10 @@ _PASSENGERS = re.compile(
 )
 
 
-def is_passenger(name: str) -> bool:
-    """Whether a part's name is that of something worn or set in."""
-    return _PASSENGERS.search(name) is not None
+def role(name: str) -> str:
+    """The word in a part's name that says what is worn or set in, in lower case; '' where there is none."""
+    found = _PASSENGERS.search(name)
+    return "" if found is None else found[0].lower()
 
 
 def body_of(parts: Sequence[Part], name: str | None = None) -> Part:
@@ -40,5 +41,5 @@ def body_of(parts: Sequence[Part], name: str | None = None) -> Part:
             listed = first_few([part.name for part in parts])
             raise ParameterError(f"expected a part named {name!r}, there is none. It has {listed}.")
         return found[0]
-    candidates = [part for part in parts if not is_passenger(part.name)] or list(parts)
+    candidates = [part for part in parts if not role(part.name)] or list(parts)
     return max(candidates, key=lambda part: float(face_areas(part.mesh).sum()))

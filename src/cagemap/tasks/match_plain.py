@@ -8,7 +8,7 @@ from cagemap.mesh.landmarks import check_landmarks
 from cagemap.mesh.plain import PlainMesh, plain_mesh
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.topology import handle_count
-from cagemap.numerics.arrays import IndexArray
+from cagemap.mesh.weld import Welded, unwelded
 from cagemap.numerics.threads import in_threads
 from cagemap.tasks.match_parts import PartInputs
 
@@ -24,10 +24,10 @@ def ready_inputs(given: PartInputs) -> PartInputs:
         If landmarks do not fit the meshes.
     """
     check_landmarks(given.landmarks, given.target, given.source)
-    ready = dict(zip(("target", "source"), in_threads(_ready, [given.target, given.source]), strict=True))
+    ready = dict(zip(("target", "source"), in_threads(ready_mesh, [given.target, given.source]), strict=True))
     plain = {side: one for side, one in ready.items() if isinstance(one, PlainMesh)}
-    meshes = [one.mesh if isinstance(one, PlainMesh) else one for one in ready.values()]
-    numbers = [one.renumber if isinstance(one, PlainMesh) else _same for one in ready.values()]
+    meshes = [one.mesh for one in ready.values()]
+    numbers = [one.vertex_of.__getitem__ for one in ready.values()]
     notes = [note for one in plain.values() for note in one.notes]
     repairs = {side: one.repairs.summary() for side, one in plain.items()}
     landmarks = given.landmarks.renumbered(*numbers)
@@ -53,12 +53,14 @@ def _handle_notes(*meshes: ControlMesh) -> list[str]:
     ]
 
 
-def _ready(mesh: ControlMesh) -> ControlMesh | PlainMesh:
-    """A cage as it is, or a plain mesh mended, once it is checked."""
-    ready = plain_mesh(mesh) if isinstance(mesh.scheme, Plain) else mesh
-    require_valid(ready.mesh if isinstance(ready, PlainMesh) else ready)
+def ready_mesh(mesh: ControlMesh) -> PlainMesh | Welded:
+    """A cage as it is, or a plain mesh repaired, once it is checked; ``mesh``, ``vertex_of`` and ``notes`` of either.
+
+    Raises
+    ------
+    InvalidMeshError
+        If it cannot be matched.
+    """
+    ready = plain_mesh(mesh) if isinstance(mesh.scheme, Plain) else unwelded(mesh)
+    require_valid(ready.mesh)
     return ready
-
-
-def _same(vertices: IndexArray) -> IndexArray:
-    return vertices

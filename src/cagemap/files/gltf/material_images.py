@@ -1,0 +1,144 @@
+"""Images of materials in a glTF document, and how texture coordinates find them."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cagemap.errors import FormatError
+from cagemap.files.gltf.entries import Document, image_bytes
+from cagemap.files.gltf.primitives import material_names
+from cagemap.files.gltf.textures import texture_slots
+from cagemap.files.images.image import Image, read_image, write_image
+from cagemap.numerics.arrays import FloatArray
+
+_TRANSFORM = "KHR_texture_transform"
+_WEBP = "EXT_texture_webp"
+
+
+@dataclass(frozen=True, eq=False)
+class MaterialImage:
+    """The texture in one slot of a material.
+
+    Attributes
+    ----------
+    material, slot : str
+        Such as "body" and "baseColorTexture".
+    image : int
+        Its number in the document.
+    uv_set : str
+        Name of the UV set that it belongs to.
+    transform : (3, 3) float64
+        Texture coordinates (u, v, 1), v down, times it are those of the image.
+    """
+
+    material: str
+    slot: str
+    image: int
+    uv_set: str
+    transform: FloatArray = field(repr=False)
+
+    @property
+    def is_normal_map(self) -> bool:
+        """Whether its colours are directions in tangent space."""
+        return self.slot.lower().endswith("normaltexture")
+
+    def on_image(self, uvs: FloatArray) -> FloatArray:
+        """Texture coordinates (m, 2) of the mesh, v up, as those of the image, v up."""
+        down = np.column_stack([uvs[:, 0], 1.0 - uvs[:, 1], np.ones(len(uvs))]) @ self.transform
+        return np.column_stack([down[:, 0], 1.0 - down[:, 1]])
+
+
+def material_images(document: Document, material: str) -> tuple[MaterialImage, ...]:
+    """All textures of a material.
+
+    Raises
+    ------
+    FormatError
+        If there is no such material, or a texture of it is not in the document.
+    """
+    number = _number(document, material)
+    entry = document.entry("materials", number)
+    return tuple(_image(document, material, slot, holder) for slot, holder in texture_slots(entry))
+
+
+def read_material_image(document: Document, found: MaterialImage) -> Image:
+    """The pixels of an image of a document.
+
+    Raises
+    ------
+    FormatError
+        If it cannot be read.
+    """
+    data, suffix = image_bytes(document, found.image)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / f"image{suffix}"
+        file.write_bytes(data)
+        try:
+            return read_image(file)
+        except FormatError as error:
+            raise FormatError(str(error).replace(str(file), f"{document.file}: images {found.image}")) from None
+
+
+def png_bytes(image: Image) -> bytes:
+    """An image as a PNG file."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "image.png"
+        write_image(file, image)
+        return file.read_bytes()
+
+
+def with_copied_materials(document: Document, copies: Sequence[tuple[str, str]]) -> Document:
+    """A document with copies of materials (name, name of the copy), whose textures have no transform and the first UVs.
+
+    A copy of the same name takes the place of its material.
+    """
+    top = json.loads(json.dumps(document.json))
+    for name, new_name in copies:
+        number = _number(document, name)
+        entry: dict[str, Any] = json.loads(json.dumps(top["materials"][number])) | {"name": new_name}
+        for _, holder in texture_slots(entry):
+            holder.pop("texCoord", None)
+            extensions = holder.get("extensions", {})
+            extensions.pop(_TRANSFORM, None)
+            if not extensions:
+                holder.pop("extensions", None)
+        if name == new_name:
+            top["materials"][number] = entry
+        else:
+            top["materials"].append(entry)
+    return Document(top, document.buffers, document.file)
+
+
+def _number(document: Document, material: str) -> int:
+    names = material_names(document)
+    if material not in names:
+        raise FormatError(f"{document.file}: expected a material named {material!r}, there is none. Export it again.")
+    return names.index(material)
+
+
+def _image(document: Document, material: str, slot: str, holder: dict[str, Any]) -> MaterialImage:
+    where = f"material {material}: {slot}"
+    texture = document.entry("textures", holder["index"], where)
+    webp = document.table(document.table(texture, "extensions", where), _WEBP, where)
+    source = texture.get("source", webp.get("source"))
+    document.entry("images", source, where)
+    stated = document.table(document.table(holder, "extensions", where), _TRANSFORM, where)
+    uv_set = document.whole(stated.get("texCoord", holder.get("texCoord", 0)), f"{where}: texCoord", 0, 15)
+    assert source is not None
+    return MaterialImage(material, slot, int(source), f"TEXCOORD_{uv_set}", _transform(document, stated, where))
+
+
+def _transform(document: Document, stated: dict[str, Any], where: str) -> FloatArray:
+    """Scale, rotate, shift, for (u, v, 1) as rows, v down (KHR_texture_transform)."""
+    offset = document.numbers(stated.get("offset", [0, 0]), f"{where}: offset", 2)
+    scale = document.numbers(stated.get("scale", [1, 1]), f"{where}: scale", 2)
+    angle = float(document.numbers([stated.get("rotation", 0)], f"{where}: rotation", 1)[0])
+    c, s = np.cos(angle), np.sin(angle)
+    return np.diag([*scale, 1.0]) @ np.array([[c, -s, 0], [s, c, 0], [*offset, 1.0]])

@@ -1,0 +1,217 @@
+"""A character carried to another body: weights, shapes, skeleton, animations, passengers and textures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from cagemap.character.passenger_pieces import Kind
+from cagemap.character.passengers import carry_passengers
+from cagemap.character.retarget import retarget
+from cagemap.character.roles import body_of, role
+from cagemap.character.skeleton import carry_rig
+from cagemap.character.values import Animation, Character, Part
+from cagemap.errors import ParameterError
+from cagemap.maps.result import MatchResult
+from cagemap.mesh.landmarks import Landmarks
+from cagemap.mesh.parts import extract, numbers_on_part
+from cagemap.mesh.plain import PlainMesh
+from cagemap.mesh.weld import Welded
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.pipeline import choose_level, match, prepare_surfaces
+from cagemap.tasks.carry_arrays import carry_shapes, carry_weights
+from cagemap.tasks.match_plain import ready_mesh
+from cagemap.tasks.progress import Stages
+
+# Finest vertices of a body that is subdivided; plain ones are matched as they are.
+BODY_VERTICES = 100_000
+
+
+@dataclass(frozen=True, eq=False)
+class CarriedCharacter:
+    """A character on another body, and what tells how it came about.
+
+    Attributes
+    ----------
+    character : Character
+        In the file units of the body. Its first part is the body, under the name of the character's.
+    result : MatchResult
+        From the body to the character's body.
+    notes : tuple of str
+    """
+
+    character: Character
+    result: MatchResult = field(repr=False)
+    notes: tuple[str, ...] = ()
+
+
+def carry_character(
+    target: Character,
+    source: Character,
+    landmarks: Landmarks | None = None,
+    *,
+    bodies: tuple[str | None, str | None] = (None, None),
+    passengers: Sequence[str] | None = None,
+    kinds: Mapping[str, Kind] | None = None,
+    influences: int | None = 4,
+    stages: Stages | None = None,
+) -> CarriedCharacter:
+    """Rig and dress a body like a character.
+
+    Parameters
+    ----------
+    target : Character
+        The body, as one part; other parts of it are kept and follow it.
+    source : Character
+        With a body among its parts; everything else is a passenger.
+    landmarks : Landmarks, optional
+        Between the two bodies.
+    bodies : (str or None, str or None)
+        Names of the target's and of the source's body; by default `body_of` finds them.
+    passengers : sequence of str, optional
+        Names of the passengers to carry. Default: all whose like the target has not among its own parts.
+    kinds : mapping of str to kind, optional
+        See `carry_passengers`.
+    influences : int, optional
+        Joints that may move a vertex of the body; None for all.
+    stages : Stages, optional
+
+    Raises
+    ------
+    InvalidMeshError
+        If a body cannot be matched.
+    ParameterError
+        If there is no part of a name given.
+    """
+    stages = Stages() if stages is None else stages
+    to, of = body_of(target.parts, bodies[0]), body_of(source.parts, bodies[1])
+    chosen, notes = _chosen(source, of, target, to, passengers)
+    found = _match(to, of, landmarks or Landmarks.none(), stages)
+    result = found.result
+    notes += [note for one in found.ready for note in one.notes]
+    left = _set_aside(of, found.ready[1])
+    riders = [*chosen, *([] if left is None else [left])]
+    stages("weights and shapes")
+    weights, shapes = _body_weights(found, influences), _body_shapes(found)
+    body = replace(to, name=of.name, weights=weights, shapes={**shapes, **to.shapes})
+    own = [_following(part, body) for part in target.parts if part is not to]
+    stages("passengers")
+    carried = carry_passengers(result, [part.mesh for part in riders], kinds=kinds)
+    dressed = [
+        replace(
+            part,
+            mesh=part.mesh.with_positions(one.positions),
+            shapes={name: one.carry_offsets(offsets) for name, offsets in part.shapes.items()},
+        )
+        for part, one in zip(riders, carried, strict=True)
+    ]
+    rig, animations = None, tuple[Animation, ...]()
+    if source.rig is not None:
+        stages("skeleton and animations")
+        rig = carry_rig(result.point_map, source.rig)
+        animations = tuple(retarget(one, source.rig, rig) for one in source.animations)
+    return CarriedCharacter(Character((body, *own, *dressed), rig, animations), result, tuple(notes))
+
+
+@dataclass(frozen=True, eq=False)
+class _Bodies:
+    """Two bodies as given, as they were matched, and the map."""
+
+    given: tuple[Part, Part]
+    ready: tuple[PlainMesh | Welded, PlainMesh | Welded]
+    result: MatchResult
+
+    @property
+    def source_rows(self) -> IndexArray:
+        """For every vertex of the source's mesh that was matched, a vertex of the one given."""
+        vertex_of = self.ready[1].vertex_of
+        given = np.flatnonzero(vertex_of >= 0)[::-1]  # of several the first
+        rows = np.zeros(self.ready[1].mesh.n_vertices, dtype=np.int64)
+        rows[vertex_of[given]] = given
+        return rows
+
+    def on_target(self, values: FloatArray) -> FloatArray:
+        """Values at the vertices of the target as given: those of pieces that were set aside are the nearest ones'."""
+        vertex_of, places = self.ready[0].vertex_of, self.given[0].mesh.positions
+        known = vertex_of >= 0
+        rows = np.where(known, vertex_of, 0)
+        if not known.all():
+            nearest = cKDTree(places[known]).query(places[~known])[1]
+            rows[~known] = vertex_of[known][nearest]
+        return np.asarray(values[rows])
+
+
+def _match(target: Part, source: Part, landmarks: Landmarks, stages: Stages) -> _Bodies:
+    ready = ready_mesh(target.mesh), ready_mesh(source.mesh)
+    landmarks = landmarks.renumbered(*(one.vertex_of.__getitem__ for one in ready))
+    stages("prepare")
+    levels = choose_level(ready[0].mesh, BODY_VERTICES), choose_level(ready[1].mesh, BODY_VERTICES)
+    surfaces = prepare_surfaces(ready[0].mesh, ready[1].mesh, levels)
+    return _Bodies((target, source), ready, match(*surfaces, landmarks, progress=stages))
+
+
+def _body_weights(bodies: _Bodies, influences: int | None) -> sparse.csr_array | None:
+    weights = bodies.given[1].weights
+    if weights is None:
+        return None
+    carried = carry_weights(bodies.result, weights[bodies.source_rows].toarray(), influences=influences)
+    return sparse.csr_array(bodies.on_target(carried))
+
+
+def _body_shapes(bodies: _Bodies) -> dict[str, FloatArray]:
+    shapes = bodies.given[1].shapes
+    if not shapes:
+        return {}
+    rows = bodies.source_rows
+    carried = carry_shapes(bodies.result, {name: offsets[rows] for name, offsets in shapes.items()})
+    assert isinstance(carried, dict)
+    return {name: bodies.on_target(offsets) for name, offsets in carried.items()}
+
+
+def _set_aside(body: Part, ready: PlainMesh | Welded) -> Part | None:
+    """Pieces of a body's mesh that are not matched, as a part of their own."""
+    mesh = body.mesh
+    kept = np.maximum.reduceat(ready.vertex_of[mesh.face_indices], mesh.face_offsets[:-1]) >= 0
+    if kept.all():
+        return None
+    taken = extract(mesh, np.flatnonzero(~kept))
+    number = numbers_on_part(taken, mesh)
+    rows = np.zeros(taken.n_vertices, dtype=np.int64)
+    rows[number[number >= 0]] = np.flatnonzero(number >= 0)
+    return Part(
+        f"{body.name} pieces",
+        replace(taken, name=f"{body.name} pieces"),
+        None if body.weights is None else body.weights[rows],
+        {name: offsets[rows] for name, offsets in body.shapes.items()},
+    )
+
+
+def _following(part: Part, body: Part) -> Part:
+    """A part of the target with the weights of the body's nearest vertices."""
+    if body.weights is None:
+        return part
+    return replace(part, weights=body.weights[cKDTree(body.mesh.positions).query(part.mesh.positions)[1]])
+
+
+def _chosen(
+    source: Character, body: Part, target: Character, own: Part, names: Sequence[str] | None
+) -> tuple[list[Part], list[str]]:
+    """The passengers that are carried, and what is said of the others."""
+    there = [part for part in source.parts if part is not body]
+    if names is not None:
+        known = {part.name for part in there}
+        missing = [name for name in names if name not in known]
+        if missing:
+            raise ParameterError(
+                f"passengers: expected names of parts of the character ({', '.join(sorted(known)) or 'it has none'}), "
+                f"got {', '.join(missing)}"
+            )
+        return [part for part in there if part.name in names], []
+    taken = {role(part.name) for part in target.parts if part is not own} - {""}
+    left = [part.name for part in there if role(part.name) in taken]
+    notes = [f"{', '.join(left)}: the body has its own and keeps them; name them as passengers to carry them"]
+    return [part for part in there if part.name not in left], notes if left else []
