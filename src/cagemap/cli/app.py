@@ -13,7 +13,7 @@ import typer
 
 from cagemap import __version__
 from cagemap.cli.command import command_class, of_typer
-from cagemap.cli.commands import functions, map_file, match, report, run, studio, transfer, wrap
+from cagemap.cli.commands import functions, map_file, match, report, rig, run, studio, transfer, wrap
 from cagemap.cli.console import say, set_verbosity
 from cagemap.tasks.requests.options import (
     BoundaryOption,
@@ -198,6 +198,7 @@ def refine(
 
 _command()(match)
 _command()(transfer)
+_command()(rig)
 _command()(report)
 
 

@@ -14,6 +14,7 @@ from cagemap.tasks.requests.functions import FunctionsRequest
 from cagemap.tasks.requests.import_map import MapRequest
 from cagemap.tasks.requests.match import MatchRequest
 from cagemap.tasks.requests.report import ReportRequest
+from cagemap.tasks.requests.rig import RigRequest
 from cagemap.tasks.requests.run import RunRequest
 from cagemap.tasks.requests.studio import StudioRequest
 from cagemap.tasks.requests.transfer import TransferRequest
@@ -75,6 +76,19 @@ def wrap(request: WrapRequest, stages: Stages) -> Outcome:
     from cagemap.tasks.wrap import run_wrap
 
     return run_wrap(request, stages)
+
+
+@asks(RigRequest)
+@in_stages
+def rig(request: RigRequest, stages: Stages) -> Outcome:
+    """Rig, texture, dress and animate a body like a character.
+
+    Joints, weights, blend shapes, textures, clothes, eyes, hair and animations of the character go to the body, as one
+    file. The body's mesh stays as it is; what it has of its own, such as eyes, stays and follows it.
+    """
+    from cagemap.tasks.rig_character import run_rig
+
+    return run_rig(request, stages)
 
 
 @asks(ReportRequest)

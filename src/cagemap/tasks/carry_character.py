@@ -140,8 +140,7 @@ class _Bodies:
         known = vertex_of >= 0
         rows = np.where(known, vertex_of, 0)
         if not known.all():
-            nearest = cKDTree(places[known]).query(places[~known])[1]
-            rows[~known] = vertex_of[known][nearest]
+            rows[~known] = vertex_of[known][nearest(places[known], places[~known])]
         return np.asarray(values[rows])
 
 
@@ -194,7 +193,12 @@ def _following(part: Part, body: Part) -> Part:
     """A part of the target with the weights of the body's nearest vertices."""
     if body.weights is None:
         return part
-    return replace(part, weights=body.weights[cKDTree(body.mesh.positions).query(part.mesh.positions)[1]])
+    return replace(part, weights=body.weights[nearest(body.mesh.positions, part.mesh.positions)])
+
+
+def nearest(places: FloatArray, asked: FloatArray) -> IndexArray:
+    """(m,) number of the nearest of some places (n, 3) for others (m, 3)."""
+    return np.asarray(cKDTree(places).query(asked)[1], dtype=np.int64)
 
 
 def _chosen(

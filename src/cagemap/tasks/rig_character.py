@@ -1,0 +1,210 @@
+"""`cagemap rig`: a body rigged, textured, dressed and animated like a character, as one file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cagemap.character.passenger_pieces import Kind
+from cagemap.character.roles import body_of
+from cagemap.character.values import Character, Part
+from cagemap.errors import FormatError, ParameterError
+from cagemap.files.atomic import check_outputs
+from cagemap.files.gltf.build import character_glb
+from cagemap.files.gltf.character import character_of
+from cagemap.files.gltf.document import GLTF_SUFFIXES, read_document, write_document
+from cagemap.files.gltf.entries import Document
+from cagemap.files.gltf.material_images import (
+    MaterialImage,
+    material_images,
+    png_bytes,
+    read_material_image,
+    with_copied_materials,
+)
+from cagemap.files.landmarks.pairs import read_landmarks
+from cagemap.files.meshes.formats import read_mesh
+from cagemap.maps.hypotheses.confidence import SURE
+from cagemap.maps.result import MatchResult
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.landmarks import Landmarks, check_landmarks
+from cagemap.mesh.measures import face_centres
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.tasks.carry_character import CarriedCharacter, carry_character, nearest
+from cagemap.tasks.progress import Outcome, Stages
+from cagemap.tasks.requests.rig import RigRequest
+from cagemap.transfer import Transfer, bake_texture, prepare_transfer, pull_back_faces, target_tiles, unwrap
+from cagemap.transfer.vectors import bake_normal_map
+
+_DOUBT = "the bodies may be matched wrongly: look at the result, and give --landmarks where it is wrong"
+
+
+def run_rig(request: RigRequest, stages: Stages) -> Outcome:
+    """Carry all of a character to another body and write one file; returns a summary and warnings."""
+    _require_paths(request)
+    stages("read")
+    document = read_document(request.like)
+    source = character_of(document)
+    target = _read_body(request.body)
+    to, of = _body(target, request.body_part, request.body), _body(source, request.like_part, request.like)
+    landmarks = _landmarks(request, to, of)
+    if to.mesh.uvs is None and of.mesh.uvs is not None:
+        stages("unwrap")
+        unwrapped = replace(to, mesh=unwrap(to.mesh))
+        target = replace(target, parts=tuple(unwrapped if part is to else part for part in target.parts))
+        to = unwrapped
+    carried = carry_character(
+        target,
+        source,
+        landmarks,
+        bodies=(to.name, of.name),
+        passengers=_names(request.passengers),
+        kinds=_kinds(request),
+        influences=request.influences or None,
+        stages=stages,
+    )
+    stages("textures")
+    dressed, document, images, notes = _textured(carried, source, of, document, request.size)
+    stages("write")
+    made = character_glb(dressed, document, images)
+    _require_readable(made, dressed)
+    write_document(request.output, made, force=request.force)
+    return _summary(request, dressed, carried), [*carried.notes, *notes, *_doubts(carried.result)]
+
+
+def _require_paths(request: RigRequest) -> None:
+    for path, what in ((request.like, "the character"), (request.output, "the file to write")):
+        if path.suffix.lower() not in GLTF_SUFFIXES:
+            raise FormatError(
+                f"{path}: expected {what} as {', '.join(GLTF_SUFFIXES)}, got '{path.suffix}'. Export it as GLB."
+            )
+    inputs = [request.body, request.like, *([] if request.landmarks is None else [request.landmarks])]
+    check_outputs([request.output], inputs, force=request.force)
+
+
+def _read_body(path: Path) -> Character:
+    """The parts of a glTF file, or the mesh of any other."""
+    if path.suffix.lower() in GLTF_SUFFIXES:
+        found = character_of(read_document(path))
+        return Character(found.parts)
+    mesh = read_mesh(path)
+    return Character((Part(path.stem, mesh),))
+
+
+def _body(character: Character, name: str | None, path: Path) -> Part:
+    try:
+        return body_of(character.parts, name)
+    except ParameterError as error:
+        raise ParameterError(f"{path}: {error}") from None
+
+
+def _landmarks(request: RigRequest, target: Part, source: Part) -> Landmarks:
+    """Landmarks of the files' meshes as vertices of the two bodies."""
+    if request.landmarks is None:
+        return Landmarks.none()
+    meshes = [read_mesh(path) for path in (request.body, request.like)]
+    given, _ = read_landmarks(request.landmarks, request.body, request.like)
+    check_landmarks(given, *meshes)
+    found = [
+        nearest(part.mesh.positions, mesh.positions[points.nearest_vertices])
+        for part, mesh, points in zip((target, source), meshes, (given.target_points, given.source_points), strict=True)
+    ]
+    return Landmarks(given.names, found[0], found[1])
+
+
+def _names(words: str | None) -> list[str] | None:
+    if words is None:
+        return None
+    return [] if words == "none" else [word.strip() for word in words.split(",") if word.strip()]
+
+
+def _kinds(request: RigRequest) -> dict[str, Kind]:
+    kinds: dict[str, Kind] = dict.fromkeys(_names(request.rigid) or [], "rigid")
+    return kinds | dict.fromkeys(_names(request.cloth) or [], "cloth")
+
+
+def _textured(
+    carried: CarriedCharacter, source: Character, of: Part, document: Document, size: int | None
+) -> tuple[Character, Document, dict[tuple[str, str], bytes], list[str]]:
+    """The character with its body's materials, the document with them, and their images in the body's layout."""
+    result, (body, *others) = carried.result, carried.character.parts
+    given = of.mesh
+    if given.face_materials is None:
+        return carried.character, document, {}, []
+    notes = []
+    others_use = {name for part in source.parts if part is not of for name in part.mesh.material_names}
+    copies = {name: f"{name} {of.name}" if name in others_use else name for name in given.material_names if name}
+    if body.mesh.material_names and any(body.mesh.material_names):
+        notes.append(f"the body's own materials ({', '.join(body.mesh.material_names)}) give way to the character's")
+    transfer = _transfer(result, result.source.control)
+    mesh = replace(
+        body.mesh,
+        face_materials=_carried_materials(result, transfer, body.mesh),
+        material_names=tuple(copies.get(name, name) for name in given.material_names),
+        material_colors=given.material_colors,
+    )
+    images = {}
+    for name, copy in copies.items():
+        for found in material_images(document, name):
+            images[copy, found.slot] = _baked(found, document, result, size)
+    if images and target_tiles(transfer.target) != [0]:
+        raise ParameterError(
+            f"{body.mesh.name}: expected texture coordinates in one unit square, which glTF needs, got several tiles. "
+            "Give a body without texture coordinates, which is then unwrapped, or with all of them in one tile."
+        )
+    dressed = replace(carried.character, parts=(replace(body, mesh=mesh), *others))
+    return dressed, with_copied_materials(document, list(copies.items())), images, notes
+
+
+def _transfer(result: MatchResult, source: ControlMesh, uvs: FloatArray | None = None) -> Transfer:
+    """The match in the form that bakes need, the source with other texture coordinates."""
+    level, target = result.source.refinement.finest, result.target.refinement
+    if uvs is not None and source.uv_indices is not None:
+        layout = uvs, source.uv_indices.reshape(level.n_faces, -1)
+        level = replace(level, lay=lambda: layout)
+    return prepare_transfer(target.finest, level, result.point_map, result.masks, target.holes(target.n_levels))
+
+
+def _carried_materials(result: MatchResult, transfer: Transfer, mesh: ControlMesh) -> IndexArray:
+    """The character's material of every face of a body, of pieces that were not matched the nearest face's."""
+    matched, source = result.target.control, result.source.control
+    assert source.face_materials is not None
+    found = pull_back_faces(transfer, source.face_materials, n_target_faces=matched.n_faces)
+    return np.asarray(found[nearest(face_centres(matched), face_centres(mesh))])
+
+
+def _baked(found: MaterialImage, document: Document, result: MatchResult, size: int | None) -> bytes:
+    image = read_material_image(document, found)
+    source = result.source.control.with_uv_set(found.uv_set)
+    assert source.uvs is not None
+    transfer = _transfer(result, source, found.on_image(source.uvs))
+    height, width = image.size if size is None else (size, size)
+    pixels = image.pixels
+    bake = bake_normal_map if found.is_normal_map and pixels.shape[2] >= 3 else bake_texture
+    return png_bytes(replace(image, pixels=bake(transfer, pixels, size=(height, width)), channel_names=()))
+
+
+def _require_readable(document: Document, character: Character) -> None:
+    """Read what is about to be written, as its user will."""
+    found = character_of(document)
+    names = {part.name: part.mesh.n_faces for part in found.parts}
+    missing = [part.name for part in character.parts if part.name not in names]
+    if missing:
+        raise AssertionError(f"parts that cannot be read back: {missing}")
+
+
+def _doubts(result: MatchResult) -> list[str]:
+    return [] if result.confidence is None or result.confidence.verdict == SURE else [_DOUBT]
+
+
+def _summary(request: RigRequest, character: Character, carried: CarriedCharacter) -> str:
+    body, *others = character.parts
+    lines = [f"wrote {request.output}: {request.body.name} like {request.like.name}"]
+    if character.rig is not None:
+        tracks = f", {len(character.animations)} animations" if character.animations else ""
+        lines.append(f"  {len(character.rig.names)} joints{tracks}")
+    lines.append(f"  body: {body.mesh.n_vertices} vertices, {len(body.shapes)} shapes")
+    if others:
+        lines.append(f"  with it: {', '.join(part.name for part in others)}")
+    return "\n".join(lines)
