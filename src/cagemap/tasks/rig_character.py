@@ -28,13 +28,15 @@ from cagemap.files.meshes.formats import read_mesh
 from cagemap.maps.hypotheses.confidence import SURE
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh
+from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.landmarks import Landmarks, check_landmarks
 from cagemap.mesh.measures import face_centres
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.surface.triangles import fan_triangles
 from cagemap.tasks.carry_character import CarriedCharacter, carry_character, nearest
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.rig import RigRequest
-from cagemap.transfer import Transfer, bake_texture, prepare_transfer, pull_back_faces, target_tiles, unwrap
+from cagemap.transfer import Transfer, bake_texture, prepare_transfer, pull_back_faces, tile_cells, unwrap
 from cagemap.transfer.vectors import bake_normal_map
 
 _DOUBT = "the bodies may be matched wrongly: look at the result, and give --landmarks where it is wrong"
@@ -49,11 +51,10 @@ def run_rig(request: RigRequest, stages: Stages) -> Outcome:
     target = _read_body(request.body)
     to, of = _body(target, request.body_part, request.body), _body(source, request.like_part, request.like)
     landmarks = _landmarks(request, to, of)
-    if to.mesh.uvs is None and of.mesh.uvs is not None:
-        stages("unwrap")
-        unwrapped = replace(to, mesh=unwrap(to.mesh))
-        target = replace(target, parts=tuple(unwrapped if part is to else part for part in target.parts))
-        to = unwrapped
+    if of.mesh.uvs is not None:
+        laid_out = replace(to, mesh=_in_one_square(to.mesh))
+        target = replace(target, parts=tuple(laid_out if part is to else part for part in target.parts))
+        to = laid_out
     carried = carry_character(
         target,
         source,
@@ -113,6 +114,28 @@ def _landmarks(request: RigRequest, target: Part, source: Part) -> Landmarks:
     return Landmarks(given.names, found[0], found[1])
 
 
+def _in_one_square(mesh: ControlMesh) -> ControlMesh:
+    """A mesh with UVs in the unit square, as glTF has images: unwrapped, or its tiles side by side.
+
+    The UVs in tiles stay as a second set.
+    """
+    if mesh.uvs is None or mesh.uv_indices is None:
+        return unwrap(mesh)
+    corners, faces = fan_triangles(mesh.face_offsets, np.arange(len(mesh.face_indices)))
+    cells = np.zeros((mesh.n_faces, 2))
+    cells[faces] = tile_cells(mesh.uvs[mesh.uv_indices[corners]])
+    tiles, number = np.unique(cells, axis=0, return_inverse=True)
+    if not tiles.any():
+        return mesh
+    side = int(np.ceil(np.sqrt(len(tiles))))
+    shift = np.column_stack([np.arange(len(tiles)) % side, np.arange(len(tiles)) // side]) - tiles
+    of_corner = np.repeat(number.ravel(), mesh.face_sizes)
+    keys, indices = np.unique(np.column_stack([mesh.uv_indices, of_corner]), axis=0, return_inverse=True)
+    before = UvSet("TEXCOORD_1", mesh.uvs, mesh.uv_indices)
+    packed = mesh.with_uvs((mesh.uvs[keys[:, 0]] + shift[keys[:, 1]]) / side, indices.ravel().astype(np.int64))
+    return replace(packed, uv_name="TEXCOORD_0", uv_sets=(before,))
+
+
 def _names(words: str | None) -> list[str] | None:
     if words is None:
         return None
@@ -148,11 +171,6 @@ def _textured(
     for name, copy in copies.items():
         for found in material_images(document, name):
             images[copy, found.slot] = _baked(found, document, result, size)
-    if images and target_tiles(transfer.target) != [0]:
-        raise ParameterError(
-            f"{body.mesh.name}: expected texture coordinates in one unit square, which glTF needs, got several tiles. "
-            "Give a body without texture coordinates, which is then unwrapped, or with all of them in one tile."
-        )
     dressed = replace(carried.character, parts=(replace(body, mesh=mesh), *others))
     return dressed, with_copied_materials(document, list(copies.items())), images, notes
 
