@@ -1,0 +1,185 @@
+"""`cagemap rig`: a body rigged, textured, dressed and animated like a character."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from cagemap.character.poses import pose_at
+from cagemap.character.values import Character, Part, posed
+from cagemap.files.gltf.build import character_glb
+from cagemap.files.gltf.character import character_of, read_character
+from cagemap.files.gltf.document import read_document, write_document
+from cagemap.files.gltf.material_images import material_images, read_material_image
+from cagemap.files.meshes.formats import write_mesh
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.measures import face_areas
+
+from command_line import Run
+from example_character import ball, bare_body, character, write_character
+
+
+@pytest.fixture(scope="module")
+def body() -> ControlMesh:
+    return bare_body(2)
+
+
+@pytest.fixture
+def files(tmp_path: Path, body: ControlMesh, monkeypatch: pytest.MonkeyPatch) -> Character:
+    """C.glb, a character, and B.glb, its bare body, where the test stands."""
+    monkeypatch.chdir(tmp_path)
+    made = character(body)
+    write_character(Path("C.glb"), made)
+    write_mesh("B.glb", body)
+    return made
+
+
+def _rig(run: Run, *words: object) -> Character:
+    outcome = run("rig", "B.glb", "--like", "C.glb", "-o", "OUT.glb", *words)
+    assert outcome.code == 0, outcome.err
+    return read_character("OUT.glb")
+
+
+def _part(of: Character, name: str) -> Part:
+    return next(part for part in of.parts if part.name == name)
+
+
+def _same_order(part: Part, like: Part, most: float = 1e-5) -> np.ndarray:
+    """Vertex of ``part`` at the place of each vertex of ``like``."""
+    apart = np.linalg.norm(part.mesh.positions[None] - like.mesh.positions[:, None], axis=2)
+    assert apart.min(axis=1).max() < most
+    return apart.argmin(axis=1)
+
+
+def test_the_same_body_gets_back_what_the_character_has(run: Run, files: Character) -> None:
+    """Weights, shapes, joints, passengers, animation and texture, to single precision and a texel."""
+    made = _rig(run)
+    assert {part.name for part in made.parts} == {"body", "hat", "eye"}
+    assert made.rig is not None
+    assert files.rig is not None
+    assert made.rig.names == files.rig.names
+    np.testing.assert_allclose(made.rig.bind, files.rig.bind, atol=1e-5)
+    for given in files.parts:
+        found = _part(made, given.name)
+        rows = _same_order(found, given)
+        assert found.weights is not None
+        assert given.weights is not None
+        np.testing.assert_allclose(found.weights[rows].toarray(), given.weights.toarray(), atol=1e-5)
+        for name, offsets in given.shapes.items():
+            np.testing.assert_allclose(found.shapes[name][rows], offsets, atol=1e-5)
+    (nod,) = made.animations
+    (before,) = files.animations
+    np.testing.assert_allclose(pose_at(made.rig, nod, 0.7), pose_at(files.rig, before, 0.7), atol=1e-5)
+    # At seams of islands of 64 texels a texel holds what is on both sides; colours of other places differ by 0.2.
+    assert _image_error() < 0.03
+
+
+def _image_error() -> float:
+    """Mean difference of the two bodies' colours, each looked up in its own image at the same vertices."""
+    colours = []
+    for name in ("C.glb", "OUT.glb"):
+        document = read_document(name)
+        part = _part(character_of(document), "body")
+        (image,) = material_images(document, "body")
+        pixels = read_material_image(document, image).pixels[..., :3] / 255.0
+        mesh = part.mesh
+        assert mesh.uvs is not None
+        assert mesh.uv_indices is not None
+        uv = mesh.uvs[mesh.uv_indices.reshape(-1, 3)].mean(axis=1)
+        size = np.array(pixels.shape[:2])
+        rows = np.clip(((1 - uv[:, 1]) * size[0]).astype(int), 0, size[0] - 1)
+        columns = np.clip((uv[:, 0] * size[1]).astype(int), 0, size[1] - 1)
+        found = pixels[rows, columns]
+        centres = mesh.positions[mesh.face_indices.reshape(-1, 3)].mean(axis=1)
+        colours.append(found[np.lexsort(centres.round(4).T)])
+    return float(np.abs(colours[0] - colours[1]).mean())
+
+
+def test_a_body_moved_and_scaled_moves_like_the_character(run: Run, files: Character, body: ControlMesh) -> None:
+    """Every vertex of every part, posed: the character's, scaled by 2, turned and shifted."""
+    turn = Rotation.from_rotvec([0.0, 0.4, 0.0]).as_matrix()
+    write_mesh("B.glb", body.with_positions(2 * body.positions @ turn + [0.1, 0.2, 0.3]), force=True)
+    made = _rig(run)
+    assert made.rig is not None
+    assert files.rig is not None
+    poses = [pose_at(of.rig, of.animations[0], 1.0) for of in (files, made) if of.rig is not None]
+    for given in files.parts:
+        found = _part(made, given.name)
+        moved = replace(given, mesh=given.mesh.with_positions(2 * given.mesh.positions @ turn + [0.1, 0.2, 0.3]))
+        rows = _same_order(found, moved, 1e-2)
+        expected = 2 * posed(given, files.rig, poses[0]) @ turn + [0.1, 0.2, 0.3]
+        # The map is found, not given: a thousandth of the size.
+        size = float(np.ptp(body.positions, axis=0).max())
+        np.testing.assert_allclose(posed(found, made.rig, poses[1])[rows], expected, atol=2e-3 * size)
+
+
+def test_what_the_body_has_of_its_own_stays_and_follows(run: Run, files: Character, body: ControlMesh) -> None:
+    own = ball("my_eye", body.positions[np.argmax(body.positions[:, 1])] - [0, 0.3, 0], 0.1)
+    write_document("B.glb", character_glb(Character((Part("skin", body), Part("my_eye", own)))), force=True)
+    outcome = run("rig", "B.glb", "--like", "C.glb", "-o", "OUT.glb", "--force")
+    assert outcome.code == 0, outcome.err
+    assert "eye: the body has its own and keeps them" in outcome.err
+    made = read_character("OUT.glb")
+    assert {part.name for part in made.parts} == {"body", "hat", "my_eye"}
+    kept = _part(made, "my_eye")
+    assert kept.weights is not None
+    np.testing.assert_allclose(np.sort(kept.mesh.positions, axis=0), np.sort(own.positions, axis=0), atol=1e-5)
+    np.testing.assert_allclose(kept.weights.sum(axis=1), 1.0, atol=1e-6)
+
+
+def test_passengers_are_chosen_by_name(run: Run, files: Character) -> None:
+    assert {part.name for part in _rig(run, "--passengers", "none").parts} == {"body"}
+    made = _rig(run, "--passengers", "hat", "--force")
+    assert {part.name for part in made.parts} == {"body", "hat"}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--passengers", "cape"], "expected names of parts of the character (eye, hat), got cape"),
+        (["--body-part", "leg"], "expected a part named 'leg', there is none"),
+        (["--like", "B.obj"], "expected the character as .glb, .gltf, .vrm, got '.obj'"),
+        (["-o", "OUT.fbx"], "expected the file to write as .glb, .gltf, .vrm, got '.fbx'"),
+        (["-o", "C.glb"], "C.glb"),
+        (["--landmarks", "missing.json"], "missing.json"),
+    ],
+)
+def test_refusals_name_what_is_wrong(run: Run, files: Character, words: list[str], said: str) -> None:
+    before = Path("C.glb").read_bytes()
+    outcome = run("rig", "B.glb", *(["--like", "C.glb"] if "--like" not in words else []), "-o", "OUT.glb", *words)
+    assert outcome.code == 2
+    assert said in outcome.err
+    assert not Path("OUT.glb").exists()
+    assert Path("C.glb").read_bytes() == before
+
+
+def test_a_file_of_others_is_not_replaced(run: Run, files: Character) -> None:
+    Path("OUT.glb").write_bytes(b"mine")
+    outcome = run("rig", "B.glb", "--like", "C.glb", "-o", "OUT.glb")
+    assert outcome.code == 2
+    assert Path("OUT.glb").read_bytes() == b"mine"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("body_file", ["target_B_body.glb", "target_B_soma18056.glb"])
+def test_a_real_character_on_another_body(
+    run: Run, shared_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body_file: str
+) -> None:
+    """Joints within 1.5 % of sqrt(area) of the truth in the mean; eleven parts, five shapes, the animation."""
+    monkeypatch.chdir(tmp_path)
+    rigs = shared_data / "characters" / "rigs"
+    outcome = run("rig", rigs / body_file, "--like", rigs / "character_A.glb", "-o", "OUT.glb")
+    assert outcome.code == 0, outcome.err
+    made, truth = read_character("OUT.glb"), read_character(rigs / "truth" / "character_B.glb")
+    assert made.rig is not None
+    assert truth.rig is not None
+    assert made.rig.names == truth.rig.names
+    assert {part.name for part in made.parts} == {part.name for part in truth.parts}
+    assert len(_part(made, "body").shapes) == 5
+    assert len(made.animations) == 1
+    size = float(np.sqrt(face_areas(_part(truth, "body").mesh).sum()))
+    assert np.linalg.norm(made.rig.heads - truth.rig.heads, axis=1).mean() < 0.015 * size
