@@ -1,0 +1,79 @@
+"""A rig carried to another body."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from cagemap.character.poses import pose_at, to_parents, to_world
+from cagemap.character.retarget import retarget
+from cagemap.character.skeleton import carry_rig
+from cagemap.character.values import Rig
+
+from example_rigs import body_moved, dance, person
+
+STILL = (1.0, np.eye(3), np.zeros(3))
+MOVED = (2.5, Rotation.from_rotvec((0.4, -1.1, 0.7)).as_matrix(), np.array([3.0, -1.0, 2.0]))
+
+
+def moved(transforms: np.ndarray, scale: float, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """Joints of a body after it is scaled, turned and shifted; their own scales stay."""
+    result = transforms.copy()
+    result[:, :3, :3] = transforms[:, :3, :3] @ turn
+    result[:, 3, :3] = scale * transforms[:, 3, :3] @ turn + shift
+    return result
+
+
+def stooping(rig: Rig) -> Rig:
+    """The rig at rest in another pose than that of its bind matrices."""
+    local = rig.local.copy()
+    local[1, :3, :3] = local[1, :3, :3] @ Rotation.from_rotvec((0.5, 0.1, 0.0)).as_matrix()
+    local[5, 3, :3] *= 1.1
+    return replace(rig, local=local)
+
+
+@pytest.mark.parametrize("rig", [person(), person(one_frame=True), stooping(person())])
+def test_identity_gives_the_same_rig_back(rig: Rig) -> None:
+    carried = carry_rig(body_moved(*STILL), rig)
+    assert carried.names == rig.names
+    np.testing.assert_array_equal(carried.parents, rig.parents)
+    np.testing.assert_allclose(carried.bind, rig.bind, rtol=0, atol=1e-9)
+    scale = np.abs(rig.local).max()
+    np.testing.assert_allclose(carried.local / scale, rig.local / scale, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("rig", [person(), person(one_frame=True), stooping(person())])
+@pytest.mark.parametrize("cubic", [False, True])
+def test_rig_and_poses_move_with_the_body(rig: Rig, cubic: bool) -> None:
+    carried = carry_rig(body_moved(*MOVED), rig)
+    np.testing.assert_allclose(carried.bind, moved(rig.bind, *MOVED), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(
+        to_world(carried.local, carried.parents), moved(to_world(rig.local, rig.parents), *MOVED), rtol=0, atol=1e-8
+    )
+    animation = dance(rig, cubic=cubic)
+    again = retarget(animation, rig, carried)
+    for time in (0.0, 0.2, 0.5, 1.3, 9.0):
+        expected = moved(pose_at(rig, animation, time), *MOVED)
+        np.testing.assert_allclose(pose_at(carried, again, time), expected, rtol=0, atol=1e-7)
+
+
+def test_axes_along_bones_stay_along_bones() -> None:
+    rig = person()
+    bind = rig.bind.copy()
+    for joint, child in ((4, 5), (5, 6), (7, 8)):  # the second axis of a joint points to its child
+        along = rig.heads[child] - rig.heads[joint]
+        along /= np.linalg.norm(along)
+        across = np.cross(along, (0.3, 0.2, 1.0))
+        across /= np.linalg.norm(across)
+        bind[joint, :3, :3] = [across, along, np.cross(across, along)]
+    rig = replace(rig, bind=bind, local=to_parents(bind, rig.parents))
+    still, turned = body_moved(*STILL), body_moved(1.0, np.diag([1.4, 0.8, 1.0]), np.zeros(3))
+    carried = carry_rig(replace(turned, images=still.images), rig)
+    for joint, child in ((4, 5), (5, 6), (7, 8)):
+        along = carried.heads[child] - carried.heads[joint]
+        np.testing.assert_allclose(carried.bind[joint, 1, :3], along / np.linalg.norm(along), atol=1e-12)
+        np.testing.assert_allclose(np.linalg.det(carried.bind[joint, :3, :3]), 1, atol=1e-12)
+    np.testing.assert_allclose(to_world(carried.local, carried.parents), carried.bind, atol=1e-12)
