@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cagemap.character.bones import humanoid_names
-from cagemap.character.values import Animation, Rig, Track
+from cagemap.character.values import Animation, Channel, Rig, Track
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.rotations import nearest_rotations
@@ -17,7 +17,7 @@ from cagemap.numerics.rotations import nearest_rotations
 # error; else both have the same axes.
 _TURN_ERROR = 0.5
 # Weight of the joints' axes in that fit: they decide where all joints lie on a line.
-_AXES_WEIGHT = 1e-3
+_AXES_WEIGHT = 1e-9
 # Joints that poses leave where they are in the body.
 _TORSO = (
     *("hips", "spine", "chest", "upperChest", "neck", "head"),
@@ -138,6 +138,17 @@ def decomposed(transform: FloatArray) -> tuple[FloatArray, FloatArray, FloatArra
         scale = -scale
     rotation = transform[:3, :3] / np.where(scale == 0, 1.0, scale)[:, None]
     return transform[3, :3], rotation, scale
+
+
+def rest_keys(rig: Rig, joints: list[int], channels: tuple[Channel, ...]) -> tuple[Track, ...]:
+    """Tracks of one key that hold joints as they are at rest."""
+    tracks = []
+    for joint in joints:
+        translation, rotation, scale = decomposed(rig.local[joint])
+        turned = Rotation.from_matrix(rotation.T).as_quat()
+        keys = {"translation": translation, "rotation": turned, "scale": scale}
+        tracks += [Track(joint, channel, np.zeros(1), keys[channel][None]) for channel in channels]
+    return tuple(tracks)
 
 
 def pose_towards(

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cagemap.character.bones import humanoid_names
-from cagemap.character.poses import require_joints, to_parents, turn_and_scale
+from cagemap.character.poses import require_joints, rest_keys, to_parents, turn_and_scale
 from cagemap.character.values import Animation, Rig, Track
 from cagemap.errors import ParameterError
 from cagemap.numerics.arrays import FloatArray, IndexArray
@@ -49,12 +49,16 @@ def retarget(animation: Animation, source: Rig, target: Rig, *, reference: Float
     if reference is not None and reference.shape != target.bind.shape:
         raise ParameterError(f"reference: expected one transform a joint {target.bind.shape}, got {reference.shape}")
     pairs = joint_pairs(source, target)
+    given = animation.tracks
+    if reference is not None:  # joints that do not move stand as in the reference pose
+        turned = {track.joint for track in given if track.channel == "rotation"}
+        given += rest_keys(source, [joint for joint in pairs if joint not in turned], ("rotation",))
     posed = target if reference is None else replace(target, bind=reference)
     turn, size = turn_and_scale(source, posed, pairs)
     sides = _Axes.of(source), _Axes.of(posed)
     ratio = _Lengths.between(source, target, size)
     tracks = []
-    for track in animation.tracks:
+    for track in given:
         if track.joint in pairs:
             joints = track.joint, pairs[track.joint]
             values = track.values

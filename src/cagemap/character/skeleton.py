@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from cagemap.character.poses import decomposed, least_rotation, pose_at, to_parents, turn_and_scale
+from cagemap.character.poses import least_rotation, pose_at, rest_keys, to_parents, turn_and_scale
 from cagemap.character.retarget import retarget
-from cagemap.character.values import Animation, Rig, Track
+from cagemap.character.values import Animation, Rig
 from cagemap.maps.point_map import PointMap
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.rotations import nearest_rotations
@@ -57,16 +56,8 @@ def _rest_pose(rig: Rig) -> Animation:
     """One key of every joint whose transform at rest is not that of the bind pose."""
     bound = to_parents(rig.bind, rig.parents)
     apart = np.abs(rig.local - bound).max(axis=(1, 2))
-    tracks, once = [], np.zeros(1)
-    for joint in np.flatnonzero(apart > _SAME * max(1.0, float(np.ptp(rig.heads)))).tolist():
-        translation, rotation, scale = decomposed(rig.local[joint])
-        turned = Rotation.from_matrix(rotation.T).as_quat()
-        tracks += [
-            Track(joint, "translation", once, translation[None]),
-            Track(joint, "rotation", once, turned[None]),
-            Track(joint, "scale", once, scale[None]),
-        ]
-    return Animation("rest", tuple(tracks))
+    joints = np.flatnonzero(apart > _SAME * max(1.0, float(np.ptp(rig.heads)))).tolist()
+    return Animation("rest", rest_keys(rig, joints, ("translation", "rotation", "scale")))
 
 
 def _with_bones(rig: Rig, heads: FloatArray, turns: FloatArray) -> FloatArray:

@@ -1,0 +1,140 @@
+"""Poses at a time, and poses brought together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicHermiteSpline
+from scipy.spatial.transform import Rotation, Slerp
+
+from cagemap.character.poses import least_rotation, pose_at, pose_towards, to_parents, to_world, value_at
+from cagemap.character.retarget import joint_pairs, retarget
+from cagemap.character.values import Animation, Rig, Track
+from cagemap.errors import ParameterError
+
+from example_rigs import dance, person
+
+TIMES = np.array([0.0, 0.5, 2.0])
+QUATERNIONS = Rotation.random(3, rng=np.random.default_rng(3)).as_quat()
+
+
+@pytest.mark.parametrize("signs", [(1, 1, 1), (1, -1, 1)])
+def test_rotations_are_interpolated_as_scipy_does(signs: tuple[int, int, int]) -> None:
+    track = Track(0, "rotation", TIMES, QUATERNIONS * np.array(signs)[:, None])
+    slerp = Slerp(TIMES, Rotation.from_quat(QUATERNIONS))
+    for time in np.linspace(0, 2, 23):
+        apart = Rotation.from_quat(value_at(track, time)) * slerp(time).inv()
+        assert apart.magnitude() < 1e-7
+
+
+def test_splines_steps_and_ends() -> None:
+    rng = np.random.default_rng(4)
+    keys = rng.standard_normal((3, 3, 3))
+    spline = Track(0, "translation", TIMES, keys, "CUBICSPLINE")
+    for left in (0, 1):  # scipy's spline has one slope a key, glTF's two
+        slopes = np.stack([keys[left, 2], keys[left + 1, 0]])
+        expected = CubicHermiteSpline(TIMES[left : left + 2], keys[left : left + 2, 1], slopes)
+        for time in np.linspace(TIMES[left], TIMES[left + 1], 7):
+            np.testing.assert_allclose(value_at(spline, time), expected(time), atol=1e-12)
+    turning = Track(0, "rotation", TIMES, rng.standard_normal((3, 3, 4)), "CUBICSPLINE")
+    np.testing.assert_allclose(np.linalg.norm(value_at(turning, 0.7)), 1)
+    steps = Track(0, "scale", TIMES, keys[:, 0], "STEP")
+    for time, key in ((-1.0, 0), (0.4999, 0), (0.5, 1), (1.9, 1), (2.0, 2), (9.0, 2)):
+        np.testing.assert_array_equal(value_at(steps, time), keys[key, 0])
+    once = Track(0, "scale", TIMES[:1], keys[:1, 0])
+    np.testing.assert_array_equal(value_at(once, 3.0), keys[0, 0])
+
+
+def test_channels_replace_their_part_of_a_joint() -> None:
+    rig = person()
+    np.testing.assert_allclose(pose_at(rig, Animation("none", ()), 1.0), rig.bind, atol=1e-12)
+    turn = Rotation.from_rotvec((0.0, 0.0, np.pi / 2))
+    tracks = (Track(4, "rotation", TIMES[:1], turn.as_quat()[None]), Track(4, "scale", TIMES[:1], np.full((1, 3), 2.0)))
+    local = to_parents(pose_at(rig, Animation("one", tracks), 0.0), rig.parents)
+    np.testing.assert_allclose(local[4, :3, :3], 2 * turn.as_matrix().T, atol=1e-9)
+    np.testing.assert_allclose(local[4, 3, :3], rig.local[4, 3, :3], atol=1e-9)
+    np.testing.assert_allclose(np.delete(local, 4, axis=0), np.delete(rig.local, 4, axis=0), atol=1e-9)
+    with pytest.raises(ParameterError, match="another rig"):
+        pose_at(rig, Animation("far", (replace(tracks[0], joint=10),)), 0.0)
+
+
+def test_an_animation_of_its_own_rig_stays_as_it_is() -> None:
+    rig = person()
+    animation = dance(rig, cubic=True)
+    for before, after in zip(animation.tracks, retarget(animation, rig, rig).tracks, strict=True):
+        np.testing.assert_allclose(after.values, before.values, atol=1e-9)
+
+
+def test_a_rig_with_other_names_and_axes_moves_alike() -> None:
+    source = person()
+    names = {"Hips": "pelvis", "Spine": "spine_01", "Neck": "neck_01", "Head": "head", "LeftUpLeg": "thigh_l"}
+    names |= {"LeftLeg": "calf_l", "LeftFoot": "foot_l", "LeftArm": "upperarm_l", "LeftForeArm": "lowerarm_l"}
+    names |= {"LeftHand": "hand_l"}
+    bind = source.bind.copy()
+    bind[:, :3, :3] = Rotation.random(len(bind), rng=np.random.default_rng(8)).as_matrix()
+    target = Rig(tuple(names[name] for name in source.names), source.parents, to_parents(bind, source.parents), bind)
+    assert joint_pairs(source, target) == {joint: joint for joint in range(len(bind))}
+    animation = dance(source)
+    again = retarget(animation, source, target)
+    for time in (0.0, 0.3, 2.0):
+        before, after = pose_at(source, animation, time), pose_at(target, again, time)
+        np.testing.assert_allclose(after[:, 3], before[:, 3], atol=1e-7)
+        turns = [
+            np.linalg.inv(rig.bind)[:, :3, :3] @ now[:, :3, :3] for rig, now in ((source, before), (target, after))
+        ]
+        np.testing.assert_allclose(turns[1], turns[0], atol=1e-7)
+
+
+def raised(rig: Rig, angle: float) -> Rig:
+    """The rig bound with its arm raised."""
+    local = to_parents(rig.bind, rig.parents)
+    world = rig.bind.copy()
+    for joint, parent in enumerate(rig.parents):
+        world[joint] = local[joint] @ world[parent] if parent >= 0 else world[joint]
+        if rig.names[joint] == "LeftArm":
+            world[joint, :3, :3] = world[joint, :3, :3] @ Rotation.from_rotvec((0, 0, -angle)).as_matrix()
+    return replace(rig, bind=world, local=to_parents(world, rig.parents))
+
+
+def test_poses_come_together() -> None:
+    low = person()
+    high = raised(low, 0.8)
+    assert np.linalg.norm(high.heads - low.heads, axis=1).max() > 0.3
+    np.testing.assert_allclose(pose_towards(low, high)[:, 3], high.bind[:, 3], atol=1e-9)
+    np.testing.assert_allclose(pose_towards(low, low), low.bind, atol=1e-9)
+    # The whole rig turned: its pose stays, and it is not turned back.
+    turn = Rotation.from_rotvec((0.0, 1.2, 0.0)).as_matrix()
+    turned = high.bind.copy()
+    turned[:, :3] = turned[:, :3] @ np.block([[turn, np.zeros((3, 1))], [np.zeros((1, 3)), 1]])
+    turned[:, 3, :3] = turned[:, 3, :3] @ turn
+    other = replace(high, bind=turned, local=to_parents(turned, high.parents))
+    np.testing.assert_allclose(pose_towards(low, other)[:, 3], high.bind[:, 3], atol=1e-9)
+    with pytest.raises(ParameterError, match="humanoid bones in common"):
+        pose_towards(replace(low, names=tuple("abcdefghij")), high)
+
+
+def test_motion_is_relative_to_the_common_pose() -> None:
+    low = person()
+    high = raised(low, 0.8)
+    animation = dance(low)
+    again = retarget(animation, low, high, reference=pose_towards(high, low))
+    for time in (0.0, 0.5):
+        np.testing.assert_allclose(pose_at(high, again, time)[:, 3], pose_at(low, animation, time)[:, 3], atol=1e-7)
+
+
+def test_least_rotation() -> None:
+    rng = np.random.default_rng(0)
+    for start, end in [*rng.standard_normal((5, 2, 3)), ((0, 0, 2), (0, 0, -3)), ((1, 2, 3), (2, 4, 6))]:
+        start, end = np.array(start, dtype=float), np.array(end, dtype=float)
+        turn = least_rotation(start, end)
+        np.testing.assert_allclose(start @ turn / np.linalg.norm(start), end / np.linalg.norm(end), atol=1e-12)
+        angle = Rotation.from_matrix(turn).magnitude()
+        np.testing.assert_allclose(np.cos(angle), start @ end / np.linalg.norm(start) / np.linalg.norm(end), atol=1e-9)
+    np.testing.assert_array_equal(least_rotation(np.zeros(3), np.ones(3)), np.eye(3))
+
+
+def test_worlds_and_parents_are_inverse() -> None:
+    rig = person()
+    np.testing.assert_allclose(to_world(rig.local, rig.parents), rig.bind, atol=1e-12)
