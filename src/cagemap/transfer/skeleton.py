@@ -9,9 +9,11 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.rotations import nearest_rotations
 
 # Weights fall with the fourth power of the distance: a joint in a limb is carried by the ring of surface around it.
-_POWER = 2.0
+_POWER = 2
 # No closer than this, in units of sqrt(area), counts as closer.
 _CLOSEST = 1e-3
+# Vertices at a time: their weights stay in the processor's cache.
+_BLOCK = 1024
 
 
 def carry_joints(point_map: PointMap, joints: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -35,18 +37,29 @@ def carry_joints(point_map: PointMap, joints: FloatArray) -> tuple[FloatArray, F
     """
     source = point_map.images.positions
     target = point_map.target.positions
-    carried, linear = np.empty((len(joints), 3)), np.empty((len(joints), 3, 3))
-    for row, joint in enumerate(np.asarray(joints, dtype=np.float64) * point_map.source.scale):
-        offsets = source - joint
-        squared = np.einsum("nd,nd->n", offsets, offsets) + _CLOSEST**2
-        weights = point_map.target.vertex_areas / squared**_POWER
-        weights /= weights.sum()
-        before, after = weights @ source, weights @ target
-        moved = source - before
-        moments = np.einsum("n,na,nb->ab", weights, moved, moved)
-        # A flat neighbourhood says nothing across it: there, the map is a scaled rotation's.
-        moments += 1e-9 * np.trace(moments) * np.eye(3)
-        mixed = np.einsum("n,na,nb->ab", weights, moved, target - after)
-        linear[row] = np.linalg.solve(moments, mixed)
-        carried[row] = after + (joint - before) @ linear[row]
-    return carried / point_map.target.scale, nearest_rotations(linear)
+    count = len(source)
+    # Moments about a common place: one product gives those of many joints.
+    center = source.mean(axis=0), target.mean(axis=0)
+    source, target = source - center[0], target - center[1]
+    products = [np.einsum("na,nb->nab", source, side).reshape(count, 9) for side in (source, target)]
+    table = np.concatenate([np.ones((count, 1)), source, target, *products], axis=1)
+    squares = np.einsum("nd,nd->n", source, source)
+    places = np.asarray(joints, dtype=np.float64) * point_map.source.scale - center[0]
+    floors = np.einsum("jd,jd->j", places, places)[:, None] + _CLOSEST**2
+    sums = np.zeros((len(places), table.shape[1]))
+    for start in range(0, count, _BLOCK):
+        block = slice(start, start + _BLOCK)
+        squared = (-2 * places) @ source[block].T
+        squared += squares[block]
+        squared += floors
+        np.maximum(squared, _CLOSEST**2, out=squared)
+        sums += (point_map.target.vertex_areas[block] / squared**_POWER) @ table[block]
+    sums /= sums[:, :1]
+    before, after = sums[:, 1:4], sums[:, 4:7]
+    moments = sums[:, 7:16].reshape(-1, 3, 3) - before[:, :, None] * before[:, None]
+    mixed = sums[:, 16:].reshape(-1, 3, 3) - before[:, :, None] * after[:, None]
+    # A flat neighbourhood says nothing across it: there, the map is a scaled rotation's.
+    moments += 1e-9 * np.trace(moments, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    linear = np.linalg.solve(moments, mixed)
+    carried = center[1] + after + np.einsum("ja,jab->jb", places - before, linear)
+    return carried / point_map.target.scale, nearest_rotations(np.asarray(linear))

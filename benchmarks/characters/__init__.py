@@ -1,0 +1,1 @@
+"""A rigged character carried to another body, against what is known (``python -m benchmarks.characters``)."""
