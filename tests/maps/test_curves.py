@@ -14,11 +14,10 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from cagemap.cli.app import app
-from cagemap.deform.constants import CURVE_POINTS
 from cagemap.deform.constraints import Anchors, CurveConstraint
 from cagemap.deform.prepared import PreparedPair
 from cagemap.deform.problem import Problem
-from cagemap.deform.starts import curve_vertices
+from cagemap.deform.starts import CURVE_POINTS, curve_vertices
 from cagemap.errors import FormatError, InvalidLandmarksError
 from cagemap.files.landmarks.pairs import read_landmarks, write_landmarks
 from cagemap.files.landmarks.point_formats import write_points

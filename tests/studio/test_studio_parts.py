@@ -22,13 +22,13 @@ from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.mesh.parts import extract, in_one_piece, list_parts, numbers_on_part
 from cagemap.studio.autosave import Owned, autosave_path, kept_parts, read_autosave, write_autosave
 from cagemap.studio.compute import Bench, Opening, OpenModels, perform
+from cagemap.studio.file_parts import take_part
 from cagemap.studio.finish import FinishOptions, commands
 from cagemap.studio.landmark_files import in_files, load_landmarks, on_parts, recovered_landmarks, save_landmarks
 from cagemap.studio.landmarks import Landmark, LandmarkList, keep_elsewhere, place
 from cagemap.studio.models import DENSE, open_model
 from cagemap.studio.opening import chosen_files, default_files, result_of, with_parts
 from cagemap.studio.page.part_choices import WHOLE, labels
-from cagemap.studio.pieces import take_part
 from cagemap.studio.places import vertex_place
 from cagemap.studio.scene import Scene
 from cagemap.studio.session import Session

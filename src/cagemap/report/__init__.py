@@ -12,7 +12,7 @@ from cagemap.numerics.kinds import kinds_checked
 from cagemap.report.figures import HEIGHT, WIDTH, Figure, Gallery, Pixels, Progress, draw_gallery, draw_thumbnail
 from cagemap.report.page import build_page
 from cagemap.report.rig_panels import NOTHING, CarriedShape, Panel, Rides, Weights, draw_rides
-from cagemap.report.seen import seen
+from cagemap.report.viewpoints import seen
 
 __all__ = [
     "CarriedShape",
