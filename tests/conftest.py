@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
 # Before NumPy is loaded: test processes run side by side, and BLAS threads that wait for each other's cores spin.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Tests and the processes that they start load the same modules again and again: 6 of 10 s of collection is compiling.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -74,8 +78,8 @@ def browser(chromium_held: Chromium, request: pytest.FixtureRequest) -> Any:
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Run:
-    """Runs commands in an empty folder."""
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_pages: None) -> Run:
+    """Runs commands in an empty folder; reports have small pictures."""
     from command_line import runner
 
     monkeypatch.chdir(tmp_path)

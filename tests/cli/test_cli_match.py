@@ -42,7 +42,7 @@ def pair_files(pair: ExamplePair, tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_a_match_without_landmarks_says_how_sure_it_is(run: Run, pair_files: Path, small_pages: None) -> None:
+def test_a_match_without_landmarks_says_how_sure_it_is(run: Run, pair_files: Path) -> None:
     outcome = run("match", *MATCH[:4], "--level", 1, "-k", 20, "-o", "R")
     assert outcome.code == 0, outcome.err
     assert "no landmarks" in outcome.out

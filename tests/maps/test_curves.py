@@ -463,7 +463,7 @@ def test_the_command_takes_curves_and_says_how_they_are_met(tmp_path: Path) -> N
     said = CliRunner().invoke(
         app,
         ["match", "-t", str(tmp_path / "bar.obj"), "-s", str(tmp_path / "slid.obj"), "-o", str(tmp_path / "RESULT"),
-         "--landmarks", str(tmp_path / "ends.json"), "--curves", str(tmp_path / "rings.json"), "--level", "3"],
+         "--landmarks", str(tmp_path / "ends.json"), "--curves", str(tmp_path / "rings.json"), "--level", "2"],
     )  # fmt: skip
     assert said.exit_code == 0, said.output
     assert "3 curves missed by 0.0" in said.output
