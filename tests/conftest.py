@@ -36,6 +36,12 @@ def small_pages(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(inspect.unwrap(write_report).__kwdefaults__, "size", (24, 18))
 
 
+@pytest.fixture
+def one_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Matches from one start, where a test asks for something else than the best map: half the time."""
+    monkeypatch.setattr("cagemap.deform.search.multi_start", lambda problem, coarse, refined: tuple(refined))
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Folder of real control meshes beside the checkout; tests that need it skip where it is absent."""
