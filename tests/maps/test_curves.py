@@ -81,7 +81,7 @@ def ends_of(mesh: ControlMesh) -> Landmarks:
 @pytest.fixture(scope="module")
 def surfaces() -> tuple:
     mesh = bar()
-    return prepare_surfaces(mesh, slid(mesh), (3, 3))
+    return prepare_surfaces(mesh, slid(mesh), (2, 2))
 
 
 @pytest.fixture(scope="module")

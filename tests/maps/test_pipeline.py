@@ -113,7 +113,7 @@ def test_added_landmarks_move_the_map_to_them_at_once():
         return Landmarks(tuple(f"point {v}" for v in vertices), vertices, vertices, "target.obj", "source.obj")
 
     few = np.linspace(0, cage.n_vertices - 1, 6).astype(np.int64)
-    config = MatchConfig(start=StartConfig(search_vertices=600))
+    config = MatchConfig()
     before = match(target, source, landmarks(few), config)
     worst = np.argsort(-errors(before)[: cage.n_vertices])[:3]
     more = np.append(few, np.setdiff1d(worst, few))
