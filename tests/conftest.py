@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
 # Before NumPy is loaded: test processes run side by side, and BLAS threads that wait for each other's cores spin.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Tests and the processes that they start load the same modules again and again: 6 of 10 s of collection is compiling.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -30,6 +34,12 @@ def small_pages(monkeypatch: pytest.MonkeyPatch) -> None:
     from cagemap.report import write_report
 
     monkeypatch.setitem(inspect.unwrap(write_report).__kwdefaults__, "size", (24, 18))
+
+
+@pytest.fixture
+def one_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Matches from one start, where a test asks for something else than the best map: half the time."""
+    monkeypatch.setattr("cagemap.deform.search.multi_start", lambda problem, coarse, refined: tuple(refined))
 
 
 @pytest.fixture(scope="session")
@@ -74,8 +84,8 @@ def browser(chromium_held: Chromium, request: pytest.FixtureRequest) -> Any:
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Run:
-    """Runs commands in an empty folder."""
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_pages: None) -> Run:
+    """Runs commands in an empty folder; reports have small pictures."""
     from command_line import runner
 
     monkeypatch.chdir(tmp_path)

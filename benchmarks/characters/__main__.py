@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from cagemap.files.gltf.character import read_character
 from scipy import sparse
 from scipy.spatial import cKDTree
 
@@ -21,6 +20,7 @@ from cagemap.character.poses import pose_at, to_parents
 from cagemap.character.retarget import retarget
 from cagemap.character.skeleton import carry_rig
 from cagemap.character.values import Animation, Character, Part, Rig, posed
+from cagemap.files.gltf.character import read_character
 from cagemap.files.meshes.obj import read_obj
 from cagemap.maps.result import MatchResult
 from cagemap.mesh import ControlMesh

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from cagemap.deform.problem import Problem
 from cagemap.deform.search import refine_best
+from cagemap.maps.hypotheses.candidates import coarse_fits, rough_fits
 from cagemap.maps.hypotheses.confidence import SURE_COST, SURE_TURNED_COST
-from cagemap.maps.hypotheses.search import coarse_fits, rough_fits
 from cagemap.maps.hypotheses.tips import Tips, led_by_tips
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.numerics.threads import one_blas_thread

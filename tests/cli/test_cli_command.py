@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 from typer.testing import CliRunner
 
-from cagemap.cli.command import asks, in_stages
+from cagemap.cli.request_command import asks, in_stages
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.wrap import WrapRequest
 from cagemap.wrap import WrapConfig
@@ -69,7 +69,7 @@ def test_wrap_is_asked_for_what_the_library_does_by_itself() -> None:
 def test_what_no_command_uses_is_loaded_when_it_is_asked_for_after_all() -> None:
     asked = """
 import sys
-from cagemap.cli.command import UNUSED, load_when_used
+from cagemap.cli.request_command import UNUSED, load_when_used
 load_when_used(UNUSED)
 import numpy, scipy.linalg
 print(any(name.startswith(f"{late}.") for name in sys.modules for late in UNUSED))

@@ -25,6 +25,8 @@ from cagemap.tasks.match import MatchRequest, match_config, read_inputs
 
 from command_line import MATCH, Run
 
+COARSE = ["--level", 1, "-k", 20, "--set", "method.search_vertices=300"]
+
 
 @pytest.fixture(scope="module")
 def pair() -> ExamplePair:
@@ -42,7 +44,7 @@ def pair_files(pair: ExamplePair, tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_a_match_without_landmarks_says_how_sure_it_is(run: Run, pair_files: Path, small_pages: None) -> None:
+def test_a_match_without_landmarks_says_how_sure_it_is(run: Run, pair_files: Path) -> None:
     outcome = run("match", *MATCH[:4], "--level", 1, "-k", 20, "-o", "R")
     assert outcome.code == 0, outcome.err
     assert "no landmarks" in outcome.out
@@ -55,7 +57,7 @@ def test_a_match_without_landmarks_says_how_sure_it_is(run: Run, pair_files: Pat
     assert run("report", "R").code == 0
 
 
-def test_landmarks_come_from_one_file_for_each_mesh(run: Run, pair_files: Path) -> None:
+def test_landmarks_come_from_one_file_for_each_mesh(run: Run, pair_files: Path, one_start: None) -> None:
     landmarks = read_landmarks(pair_files / "landmarks.json", "deer.obj", "pony.obj")[0]
     for side, vertices in (("deer", landmarks.target), ("pony", landmarks.source)):
         mesh = read_mesh(pair_files / f"{side}.obj")
@@ -63,7 +65,7 @@ def test_landmarks_come_from_one_file_for_each_mesh(run: Run, pair_files: Path) 
         points = NamedPoints(names, np.append(vertices, 0), np.full((len(names), 3), np.nan))
         write_points(pair_files / f"{side}.pp", points, mesh)
     files = ["--target-points", "deer.pp", "--source-points", "pony.pp"]
-    outcome = run("match", *MATCH[:4], *files, "--level", 1, "-k", 20, "-o", "R")
+    outcome = run("match", *MATCH[:4], *files, *COARSE, "-o", "R")
     assert outcome.code == 0, outcome.err
     assert "only deer" in outcome.err
     found = read_result(pair_files / "R")
@@ -73,8 +75,8 @@ def test_landmarks_come_from_one_file_for_each_mesh(run: Run, pair_files: Path) 
     assert run("match", *MATCH[:4], *files[:2], "-o", "S").code == 2
 
 
-def test_match_from_files_to_a_result(run: Run, pair_files: Path) -> None:
-    outcome = run("match", *MATCH, "--level", 1, "-k", 20, "-o", "R")
+def test_match_from_files_to_a_result(run: Run, pair_files: Path, one_start: None) -> None:
+    outcome = run("match", *MATCH, *COARSE, "-o", "R")
     assert outcome.code == 0, outcome.err
     assert "deer.obj" in outcome.out
     result = read_result(pair_files / "R")
@@ -100,7 +102,7 @@ def test_a_wrong_landmark_is_left_out_with_a_warning_unless_trusted(
     away[source] = 0.0
     source[wrong] = np.argmax(away)
     write_landmarks(pair_files / "landmarks.json", replace(pair.landmarks, source=source))
-    outcome = run("match", *MATCH, "--level", 1, "-k", 20, "-o", "R")
+    outcome = run("match", *MATCH, *COARSE, "-o", "R")
     assert outcome.code == 0, outcome.err
     said = " ".join(outcome.err.split())
     assert "landmark 'hoof_hind_L' looks wrong and was left out" in said
@@ -113,7 +115,7 @@ def test_a_wrong_landmark_is_left_out_with_a_warning_unless_trusted(
     assert [suspect["name"] for suspect in result.manifest["landmark_check"]["suspects"]] == ["hoof_hind_L"]
     assert result.landmark_errors[wrong] > 0.3
     assert np.delete(result.landmark_errors, wrong).max() < 1e-9
-    outcome = run("match", *MATCH, "--level", 1, "-k", 20, "-o", "R", "--trust-landmarks")
+    outcome = run("match", *MATCH, *COARSE, "-o", "R", "--trust-landmarks")
     assert "looks wrong" not in outcome.err
     assert read_result(pair_files / "R").landmark_errors.max() < 1e-9
 

@@ -55,7 +55,7 @@ def test_images_that_cannot_be_are_refused_in_words(
     assert expected in outcome.err
 
 
-def test_report_is_written(run: Run, result_folder: Path, small_pages: None) -> None:
+def test_report_is_written(run: Run, result_folder: Path) -> None:
     outcome = run("report", "R", "-o", "r.html")
     assert outcome.code == 0, outcome.err
     assert "r.html" in outcome.out

@@ -144,8 +144,10 @@ def test_a_target_that_is_no_usd_is_written_with_its_textures(folder: Path) -> N
     assert complaints(folder / "asset.usda") == []
 
 
-@pytest.mark.parametrize("name", ["look.usda", "look.usdc", "look.usd"])
-@pytest.mark.parametrize("target", ["there", "gone"])
+@pytest.mark.parametrize(
+    ("name", "target"),
+    [("look.usda", "there"), ("look.usdc", "there"), ("look.usd", "there"), ("look.usda", "gone")],
+)
 def test_several_transfers_share_a_layer(folder: Path, name: str, target: str) -> None:
     """Weights, values, shapes and textures in one file; the same commands make the same file again."""
     rng, layer = np.random.default_rng(2), folder / name

@@ -12,10 +12,10 @@ from scipy.spatial import cKDTree
 
 from cagemap.errors import InvalidLandmarksError
 from cagemap.files.result.merged_parts import merge_results
+from cagemap.maps.hypotheses.candidates import least_cost
 from cagemap.maps.hypotheses.confidence import LOOK, SURE, TWO, Confidence, MapShape, Reading
 from cagemap.maps.hypotheses.method import unreached_share
-from cagemap.maps.hypotheses.search import least_cost
-from cagemap.maps.hypotheses.starts import AS_FILED, axis_rotations, rigid_starts, rotation_name
+from cagemap.maps.hypotheses.rigid_starts import AS_FILED, axis_rotations, rigid_starts, rotation_name
 from cagemap.maps.masks import WHOLE, Masks
 from cagemap.maps.point_map import PointMap
 from cagemap.mesh import Bilinear, ControlMesh

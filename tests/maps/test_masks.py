@@ -241,7 +241,14 @@ def _faces(control: ControlMesh, name: str) -> np.ndarray:
 
 def _run_match(folder: Path, name: str, **options: object) -> None:
     request = MatchRequest(
-        folder / "target.obj", folder / "source.obj", folder / "landmarks.json", folder / name, level=2, k=20, **options
+        folder / "target.obj",
+        folder / "source.obj",
+        folder / "landmarks.json",
+        folder / name,
+        level=2,
+        k=20,
+        parameter=("search_vertices=500",),
+        **options,
     )
     with Stages() as stages:
         run_match(request, stages)

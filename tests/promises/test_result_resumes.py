@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import cagemap
-from cagemap import BasisConfig, Landmarks, MatchResult
+from cagemap import BasisConfig, Landmarks, MatchConfig, MatchResult
+from cagemap.deform.config import ElasticConfig, SearchConfig
 from cagemap.errors import ParameterError
 from cagemap.example import example_pair
 from cagemap.maps.hypotheses.confidence import Confidence, Reading
@@ -34,7 +35,8 @@ def matched(landmarks: Landmarks) -> MatchResult:
     away[source] = 0.0
     source[wrong] = np.argmax(away)
     surfaces = cagemap.prepare_surfaces(pair.target, pair.source, (1, 1), CONFIG)
-    return cagemap.match(*surfaces, replace(landmarks, source=source))
+    one_start = ElasticConfig(search=SearchConfig(doubtful=np.inf, limb_rotation=np.inf))
+    return cagemap.match(*surfaces, replace(landmarks, source=source), MatchConfig(elastic=one_start))
 
 
 @pytest.fixture(scope="module")

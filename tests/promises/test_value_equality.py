@@ -15,6 +15,7 @@ import cagemap
 from cagemap.deform.config import ElasticConfig
 from cagemap.files.images.image import Image
 from cagemap.pipeline import MatchConfig
+from cagemap.research import gather_constraints
 
 from example_result import identity_result
 
@@ -62,7 +63,7 @@ def test_values_show_themselves_in_a_line() -> None:
     image = Image(np.zeros((4, 8, 3), dtype=np.uint8), (), "sRGB")
     values = (mesh, result, result.landmarks, pair, cagemap.transfer_of(result), image, result.target.operators)
     values += (pair.landmarks, result.quality, result.spectral, cagemap.Masks(target=np.ones(4)))
-    values += (cagemap.weld_mesh(mesh), cagemap.plain_mesh(mesh))
+    values += (cagemap.weld_mesh(mesh), cagemap.plain_mesh(mesh), gather_constraints(pair))
     for value in values:
         assert re.fullmatch(rf"{type(value).__name__}\(.{{10,250}}\)", repr(value)), repr(value)
         assert "array" not in repr(value)

@@ -37,9 +37,9 @@ from cagemap.report import (
 from cagemap.report.marks import SOURCE, TARGET, find_marks, with_marks
 from cagemap.report.models import pack
 from cagemap.report.page import MAX_TEXTURE_BYTES, encoded_texture
-from cagemap.report.seen import seen
 from cagemap.report.shown import reached, shown_surface, shown_surfaces
 from cagemap.report.verdicts import explain, overall, sentence
+from cagemap.report.viewpoints import seen
 from cagemap.spectral import BasisConfig, Surface
 from cagemap.subdivision import refine
 

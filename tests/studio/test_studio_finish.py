@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 import queue
-import time
 import zipfile
 from collections.abc import Callable
 from dataclasses import field, make_dataclass
@@ -15,6 +14,7 @@ from typing import Annotated, Any
 from unittest.mock import patch
 
 import pytest
+from ending_processes import die, hang_up, leave
 from hypothesis import given
 from hypothesis import strategies as st
 from test_obj import QUICK
@@ -24,11 +24,9 @@ from cagemap.errors import ParameterError
 from cagemap.studio.downloads import ALL, content
 from cagemap.studio.finish import SHARED, Command, FinishOptions, commands, planned
 from cagemap.studio.finish_layout import ADVANCED, FOLDS, LEFT_OUT, SIZE, VERTICES, folds, on_the_page
-from cagemap.studio.finish_process import Made
 from cagemap.studio.opening import default_files
 from cagemap.studio.runner import Runner, outputs_of
 from cagemap.studio.state import Message, Output, RunningJob, with_message
-from cagemap.studio.worker import Done
 from cagemap.studio.workspace import Workspace
 from cagemap.tasks.detail_bakes import KINDS
 from cagemap.tasks.masks import mask_file
@@ -248,25 +246,6 @@ def test_a_failing_command_gives_its_own_words_and_the_others_go_on(tmp_path: Pa
     runner.start((check, todo[1], check))
     assert ended.get(timeout=60).text.endswith(": check, report, check")
     assert [message.kind for message in told] == ["error"] * 3
-
-
-def die(connection: Connection) -> None:
-    """A process that ends in the midst of its request."""
-    connection.recv()
-    os._exit(9)
-
-
-def leave(connection: Connection) -> None:
-    """A process that ends after its request."""
-    connection.recv()
-    connection.send(Done(Made("done")))
-
-
-def hang_up(connection: Connection) -> None:
-    """A process that is about to end after its request."""
-    leave(connection)
-    connection.close()
-    time.sleep(2)
 
 
 def runs(tmp_path: Path) -> tuple[Command, ...]:

@@ -28,6 +28,7 @@ from cagemap.tasks.requests.transfer import TransferRequest
 
 
 def two_creatures(folder: Path) -> tuple[Path, Path]:
+    """Files of two shapes, whose match takes a while."""
     mesh = creature()
     write_mesh(folder / "a.obj", mesh)
     write_mesh(folder / "b.obj", mesh.with_positions(mesh.positions * np.array([1.0, 1.1, 1.3])))
@@ -35,12 +36,12 @@ def two_creatures(folder: Path) -> tuple[Path, Path]:
 
 
 def test_every_request_says_how_it_ended_and_what_it_wrote(tmp_path: Path) -> None:
-    target, source = two_creatures(tmp_path)
+    target, _ = two_creatures(tmp_path)
     result = tmp_path / "ä R"
     stages: list[str] = []
     worker = Worker(stages.append, serve)
     made = [
-        worker.run(MatchRequest(target, source, None, result, vertices=300)),
+        worker.run(MatchRequest(target, target, None, result, vertices=300)),
         worker.run(TransferRequest(tmp_path / "none", tmp_path / "uvs.obj", source_uvs=True)),
         worker.run(TransferRequest(result, tmp_path / "map.npz", write_map=True)),
     ]
@@ -82,7 +83,7 @@ def test_a_request_that_is_stopped_leaves_nothing_half_written(tmp_path: Path) -
     assert stopped.kind == STOPPED
     assert "exit code 0" in stopped.message  # by itself, not by force once patience is over
     assert sorted(os.listdir(tmp_path)) == before
-    made = worker.run(MatchRequest(target, source, None, tmp_path / "R", vertices=300))  # by another process
+    made = worker.run(MatchRequest(target, target, None, tmp_path / "R", vertices=300))  # by another process
     assert made.failure == ""
     worker.end()
 

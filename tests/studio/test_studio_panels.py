@@ -9,13 +9,13 @@ from types import SimpleNamespace
 from typing import Any
 from unittest.mock import MagicMock
 
+from cagemap.studio.file_parts import NOTHING
 from cagemap.studio.landmarks import History, Landmark, LandmarkList
 from cagemap.studio.opening import default_files
 from cagemap.studio.page.choices import NONE, Choices
 from cagemap.studio.page.panels import FORMS, MOST_ANSWERS, SetupPanel, WorkPanel, with_ending
 from cagemap.studio.page.texts import parts_text
 from cagemap.studio.page.view import Marker, ModelView
-from cagemap.studio.pieces import NOTHING
 from cagemap.studio.state import Files, MapState, Studio
 from cagemap.studio.workspace import Workspace
 

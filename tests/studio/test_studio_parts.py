@@ -22,13 +22,13 @@ from cagemap.mesh.landmarks import CagePoints, Landmarks
 from cagemap.mesh.parts import extract, in_one_piece, list_parts, numbers_on_part
 from cagemap.studio.autosave import Owned, autosave_path, kept_parts, read_autosave, write_autosave
 from cagemap.studio.compute import Bench, Opening, OpenModels, perform
+from cagemap.studio.file_parts import take_part
 from cagemap.studio.finish import FinishOptions, commands
 from cagemap.studio.landmark_files import in_files, load_landmarks, on_parts, recovered_landmarks, save_landmarks
 from cagemap.studio.landmarks import Landmark, LandmarkList, keep_elsewhere, place
-from cagemap.studio.models import DENSE, open_model
+from cagemap.studio.models import open_model
 from cagemap.studio.opening import chosen_files, default_files, result_of, with_parts
 from cagemap.studio.page.part_choices import WHOLE, labels
-from cagemap.studio.pieces import take_part
 from cagemap.studio.places import vertex_place
 from cagemap.studio.scene import Scene
 from cagemap.studio.session import Session
@@ -333,17 +333,20 @@ def test_a_result_opens_the_parts_that_it_is_of(folder: Path) -> None:
         assert files.parts == (opens, None)
 
 
-def dense() -> ControlMesh:
+def dense(count: int) -> ControlMesh:
     mesh = triangulated(creature())
-    while mesh.n_faces < DENSE:
+    while mesh.n_faces < count:
         fine = refine(mesh, 1).finest
         assert fine.faces is not None
         mesh = ControlMesh.from_faces(fine.positions, fine.faces.tolist())
     return mesh
 
 
-def test_a_scan_is_offered_to_be_taken_as_it_is_and_is_where_it_is_no_cage(tmp_path: Path) -> None:
-    mesh = dense()
+def test_a_scan_is_offered_to_be_taken_as_it_is_and_is_where_it_is_no_cage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cagemap.studio.models.DENSE", 1000)
+    mesh = dense(1000)
     write_mesh(tmp_path / "scan.obj", mesh)
     offered = open_model(tmp_path / "scan.obj", None, None, 300)
     assert (offered.dense, offered.scheme) == (True, None)

@@ -30,7 +30,7 @@ from cagemap.transfer.detail import (
     detail_over,
     own_transfer,
 )
-from cagemap.transfer.exact import Aim, Landing, corner_samples, lookup_matrix, make_exact
+from cagemap.transfer.exact_corners import Aim, Landing, corner_samples, lookup_matrix, make_exact
 from cagemap.transfer.occlusion import ambient_occlusion
 from cagemap.transfer.texels import texel_coordinates
 

@@ -21,7 +21,7 @@ from cagemap.subdivision import Refinement, refine
 from cagemap.surface.closest_points import closest_points
 from cagemap.surface.surface_points import SurfacePoints
 from cagemap.surface.triangle_surface import TriangleSurface
-from cagemap.transfer.meeting import meet
+from cagemap.transfer.normal_rays import meet
 from cagemap.wrap import WrapConfig, level_mesh, missing_detail, wrap
 from cagemap.wrap.counterpart import counterpart
 from cagemap.wrap.fit import fit_net
@@ -354,7 +354,7 @@ def test_a_fit_that_went_astray_is_tried_with_more_pull_of_the_map(
     assert twice.residual.mean <= once.residual.mean
 
 
-@pytest.mark.parametrize("suffix", ["npy", "npz", "mtx", "vts"])
+@pytest.mark.parametrize("suffix", ["npy", "npz"])  # vertices, and points of triangles
 def test_anyone_s_map_wraps_without_a_match(run: Run, result_folder: Path, suffix: str) -> None:
     """Our own map, written out and given back as a file; no level is named, and the match's is not the default one."""
     place = result_folder.parent
@@ -376,7 +376,6 @@ def test_anyone_s_map_wraps_without_a_match(run: Run, result_folder: Path, suffi
 def test_the_report_shows_the_wrapped_cage_while_it_is_there(
     run: Run,
     result_folder: Path,
-    small_pages: None,
 ) -> None:
     pytest.importorskip("embreex")
     assert not run("wrap", "R", "-o", "new.obj").code

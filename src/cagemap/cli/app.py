@@ -1,4 +1,4 @@
-"""Commands and their options; the work is in the modules beside this one, imported only when a command runs."""
+"""The typer application with all commands; their work is imported only when a command runs."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import typer
 
 from cagemap import __version__
-from cagemap.cli.command import command_class, of_typer
 from cagemap.cli.commands import functions, map_file, match, report, rig, run, studio, transfer, wrap
 from cagemap.cli.console import say, set_verbosity
+from cagemap.cli.request_command import command_class, of_typer
 from cagemap.tasks.requests.options import (
     BoundaryOption,
     CreasingOption,

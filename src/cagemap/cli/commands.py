@@ -6,9 +6,9 @@ from typing import Any
 
 from typer import Exit
 
-from cagemap.cli.command import asks, in_stages
 from cagemap.cli.console import say
 from cagemap.cli.progress import ShownStages
+from cagemap.cli.request_command import asks, in_stages
 from cagemap.tasks.progress import Outcome, Stages
 from cagemap.tasks.requests.functions import FunctionsRequest
 from cagemap.tasks.requests.import_map import MapRequest

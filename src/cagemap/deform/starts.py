@@ -7,15 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cagemap.deform.constants import (
-    CURVE_POINTS,
-    FURTHER_GROWTH,
-    LAST_FUNCTIONS,
-    NORMAL_LENGTH,
-    PLACES,
-    START_SAMPLES,
-    TRUSTED_FUNCTIONS,
-)
 from cagemap.deform.energy import deformed_normals
 from cagemap.deform.placement import Placement
 from cagemap.deform.problem import Problem
@@ -25,6 +16,19 @@ from cagemap.spectral.landmark_coordinates import landmark_coordinates
 from cagemap.spectral.samples import Samples, evenly_spaced
 from cagemap.spectral.surface import Surface
 from cagemap.spectral.zoomout import ZoomOutSchedule, nearest_coordinates, zoomout
+
+# Source vertices that a start is sought among: twice as many as there are vertices to start.
+START_SAMPLES = 3000
+# What a fit makes of a start: basis functions trusted of it, the factor by which spectral upsampling of its match lets
+# their number grow, and where it ends.
+TRUSTED_FUNCTIONS = (8, 20)
+FURTHER_GROWTH = 1.5
+LAST_FUNCTIONS = 100
+# Source points that it is matched with, and how far apart, of sqrt(area), opposite normals count there.
+PLACES = 3000
+NORMAL_LENGTH = 0.1
+# Points of a curve on which its coordinate is 1.
+CURVE_POINTS = 40
 
 
 def start_map(problem: Problem) -> FloatArray:

@@ -26,7 +26,7 @@ SPACING = 4.0 * np.pi
 AGREEMENT = 0.5
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SpectralData:
     """Descriptors and operators of one surface; the leading blocks are those of the coarser levels (eq. 15).
 
@@ -43,6 +43,10 @@ class SpectralData:
     eigenvalues: FloatArray
     descriptors: FloatArray
     operators: tuple[FloatArray, ...] = ()
+
+    def __repr__(self) -> str:
+        sizes = f"{self.count} functions, {self.descriptors.shape[1]} descriptors, {len(self.operators)} operators"
+        return f"SpectralData({sizes})"
 
     @property
     def count(self) -> int:

@@ -35,7 +35,7 @@ from cagemap.report.rig_panels import (
     draw_poses,
     draw_rides,
 )
-from cagemap.report.seen import seen
+from cagemap.report.viewpoints import seen
 
 __all__ = [
     "CarriedShape",

@@ -35,7 +35,7 @@ from cagemap.pictures import (
     scalar_colors,
     to_display,
 )
-from cagemap.report.seen import Seen, seen
+from cagemap.report.viewpoints import Seen, seen
 from cagemap.spectral import Surface
 from cagemap.surface.polylines import Polyline
 from cagemap.transfer import face_colors

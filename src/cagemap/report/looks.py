@@ -13,8 +13,8 @@ from cagemap.report.figures import Pixels, for_display
 from cagemap.report.marks import SOURCE, TARGET, find_marks
 from cagemap.report.models import Look, Models, Shape
 from cagemap.report.rig_panels import NOTHING, Rides, refined_wrap
-from cagemap.report.seen import Seen
 from cagemap.report.shown import MAX_VERTICES, ShownSurface, reached, shown_surfaces
+from cagemap.report.viewpoints import Seen
 from cagemap.transfer import face_colors
 from cagemap.transfer.textured_surface import TexturedSurface
 

@@ -27,7 +27,7 @@ from cagemap.pictures import (
     scalar_colors,
 )
 from cagemap.report.figures import PAPER
-from cagemap.report.seen import Seen, seen
+from cagemap.report.viewpoints import Seen, seen
 from cagemap.subdivision import Refinement, level_triangles, refine
 from cagemap.surface.closest_points import closest_points
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.operators.coarse_levels import simplified
-from cagemap.report.seen import Seen
+from cagemap.report.viewpoints import Seen
 from cagemap.spectral import Surface
 from cagemap.surface.closest_points import build_tree, closest_points
 from cagemap.transfer.textured_surface import TexturedSurface

@@ -1,4 +1,4 @@
-"""A surface as matches know it: everything that depends on one control mesh only."""
+"""The central value `Surface`: everything that depends on one control mesh only."""
 
 from __future__ import annotations
 

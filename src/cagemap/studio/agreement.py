@@ -6,7 +6,7 @@ import numpy as np
 
 from cagemap.errors import CagemapError
 from cagemap.files.result.folder import read_result
-from cagemap.maps.hypotheses.search import DIFFERENT
+from cagemap.maps.hypotheses.candidates import DIFFERENT
 from cagemap.studio.finish import MAP
 from cagemap.studio.scene import Scene
 from cagemap.studio.state import Output
@@ -15,7 +15,7 @@ from cagemap.studio.state import Output
 def led_elsewhere(scene: Scene | None, outputs: tuple[Output, ...]) -> tuple[str, ...]:
     """What to say where the map of a finish is another answer than the one that is shown; nothing where it is not.
 
-    Two answers of a search differ by as much on average (`DIFFERENT` of `cagemap.maps.hypotheses.search`).
+    Two answers of a search differ by as much on average (`DIFFERENT` of `cagemap.maps.hypotheses.candidates`).
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ from cagemap.mesh.weld import Welded, unwelded, weld_mesh, weld_tolerance
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pictures import UP_AXES, Y_UP
 from cagemap.pipeline import choose_level
-from cagemap.studio.pieces import NOTHING, Offer, Taken, rest_of, take_part
+from cagemap.studio.file_parts import NOTHING, Offer, Taken, rest_of, take_part
 from cagemap.studio.shape import Original, Shape, shape_of
 from cagemap.studio.skins import Look
 from cagemap.subdivision import refine, with_options

@@ -9,8 +9,8 @@ import numpy as np
 
 from cagemap.mesh.landmarks import CagePoints
 from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.studio.file_parts import NOTHING, Offer
 from cagemap.studio.landmarks import LandmarkList, Place, Proposal, Side, other
-from cagemap.studio.pieces import NOTHING, Offer
 from cagemap.studio.places import place_at, places_of
 from cagemap.studio.shape import Hit, Shape
 from cagemap.studio.skins import Images, faced

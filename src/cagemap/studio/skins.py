@@ -11,8 +11,8 @@ from cagemap.files.images.image import Pixels
 from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.pictures.camera import turn_between
 from cagemap.pictures.colors import position_colors, to_linear
+from cagemap.studio.file_parts import Rest
 from cagemap.studio.glb import Primitive, glb
-from cagemap.studio.pieces import Rest
 from cagemap.studio.shape import Shape
 from cagemap.studio.state import Mode, View
 from cagemap.transfer.locate import triangle_frames

@@ -35,10 +35,10 @@ from cagemap.transfer.baking import (
     unit,
 )
 from cagemap.transfer.displacement import Displacement, scale_ratio
-from cagemap.transfer.exact import Landing, corner_samples, make_exact
+from cagemap.transfer.exact_corners import Landing, corner_samples, make_exact
 from cagemap.transfer.locate import TexelSamples
 from cagemap.transfer.lookups import plan_samples
-from cagemap.transfer.meeting import REACH, Met, meet
+from cagemap.transfer.normal_rays import REACH, Met, meet
 from cagemap.transfer.texels import texel_coordinates
 from cagemap.transfer.texture import Pixels, lay_texture, look_up
 from cagemap.transfer.vectors import Green, Space, Turn, bake_turned, check_space, displacement_order, normal_encoder

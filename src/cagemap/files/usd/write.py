@@ -16,7 +16,7 @@ from cagemap.errors import FormatError, ParameterError
 from cagemap.files.atomic import atomic_path
 from cagemap.files.ownership import mark
 from cagemap.files.text import text_name
-from cagemap.files.usd.earlier import add_earlier
+from cagemap.files.usd.earlier_results import add_earlier
 from cagemap.files.usd.face_sets import named_faces
 from cagemap.files.usd.material import bind_textures
 from cagemap.files.usd.primvars import BLEND_SHAPE, JOINT_WEIGHTS

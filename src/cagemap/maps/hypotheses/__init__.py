@@ -1,1 +1,1 @@
-"""A map without landmarks: how the target may lie on the source, which of the ways is right, and how sure that is."""
+"""A map without landmarks: candidate alignments, the best of them, and how sure it is."""

@@ -10,10 +10,10 @@ from cagemap.deform.fit import with_cost
 from cagemap.deform.inverse_consistency import inverse_consistent
 from cagemap.deform.prepared import PreparedPair
 from cagemap.deform.problem import Problem
+from cagemap.maps.hypotheses.candidates import found_readings
 from cagemap.maps.hypotheses.confidence import SURE, Confidence, MapShape, Reading
 from cagemap.maps.hypotheses.jumps import Jumps
 from cagemap.maps.hypotheses.mirror import mirrored_gain
-from cagemap.maps.hypotheses.search import found_readings
 from cagemap.maps.hypotheses.tips import AS_CHEAP, OF_ONE_KIND
 from cagemap.maps.pair import Pair, Progress, silent
 from cagemap.maps.point_map import PointMap

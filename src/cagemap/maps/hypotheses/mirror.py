@@ -14,8 +14,8 @@ from cagemap.deform.constraints import Constraints
 from cagemap.deform.fit import coarse_fit
 from cagemap.deform.placement import Placement, distinct
 from cagemap.deform.problem import Problem
-from cagemap.maps.hypotheses.search import ALIKE, rough_problem
-from cagemap.maps.hypotheses.starts import rigid_starts
+from cagemap.maps.hypotheses.candidates import ALIKE, rough_problem
+from cagemap.maps.hypotheses.rigid_starts import rigid_starts
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import in_threads, thread_limit
 from cagemap.surface.closest_points import closest_points

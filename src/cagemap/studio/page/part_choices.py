@@ -7,9 +7,9 @@ from typing import Any
 
 import viser
 
+from cagemap.studio.file_parts import Offer
 from cagemap.studio.landmarks import SIDES, Side
 from cagemap.studio.page.choices import NONE, put
-from cagemap.studio.pieces import Offer
 from cagemap.studio.scene import Scene
 from cagemap.studio.session import Session
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields
 from enum import StrEnum
+from functools import cache
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin, get_type_hints
@@ -134,10 +135,16 @@ def request_of(options: Options, command: str, values: Mapping[str, Value]) -> R
     for name, value in values.items():
         if (command, name) in options:
             options[command, name].require(value)
-    request: Request = TypeAdapter(COMMANDS[command]).validate_python(dict(values))
+    request: Request = _validator(COMMANDS[command]).validate_python(dict(values))
     return request
 
 
+@cache
+def _validator(request: type) -> TypeAdapter[Any]:
+    return TypeAdapter(request)  # building one takes longer than everything else about a request
+
+
+@cache
 def options_of(command: str, request: type) -> tuple[CommandOption, ...]:
     """Options of one command; what is no option of the command line is left out."""
     hints = get_type_hints(request, include_extras=True)

@@ -1,4 +1,4 @@
-"""Parts of a file: which can be opened, the one that is, and what is left alone around it."""
+"""Parts of a file: those that can be opened, the opened one, and the rest."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ways in which one shape may lie on another, before anything is known: rigid, by boxes and principal axes.
+"""Rigid starts without landmarks: rotations that align boxes and principal axes of both shapes.
 
 A start is a rough position on the source for every vertex of the target's coarse graph. All are orientation-preserving:
 the elastic energy cannot turn a mirrored start over, so that left stays left.

@@ -1,4 +1,4 @@
-"""Commands from requests: a dataclass whose fields are annotated with typer's options says each of them once."""
+"""Typer commands made from request dataclasses, whose fields are annotated with their options."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From many rough ways to lie on the source to the few that are fitted to the end, ranked by what they cost."""
+"""Candidate alignments without landmarks: many rough starts, of which the best are fitted and ranked by cost."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cagemap.deform.problem import Problem
 from cagemap.deform.search import refine_best
 from cagemap.deform.starts import SpectralSides, spectral_starts
 from cagemap.maps.hypotheses.confidence import Reading
-from cagemap.maps.hypotheses.starts import AS_FILED, rigid_starts
+from cagemap.maps.hypotheses.rigid_starts import AS_FILED, rigid_starts
 from cagemap.maps.hypotheses.tips import OF_ONE_KIND, Tips, led_by_tips
 from cagemap.maps.masks import WHOLE
 from cagemap.maps.pair import Progress, silent

@@ -27,7 +27,7 @@ from cagemap.surface.surface_points import nearest_facing
 from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer.baking import Transfer
 from cagemap.transfer.locate import TexelSamples
-from cagemap.transfer.meeting import REACH
+from cagemap.transfer.normal_rays import REACH
 from cagemap.transfer.texture import OVERHANG, tile_cells
 
 # Corners that share all their texels cannot all be right: lookups are weighed against this much change of texels.

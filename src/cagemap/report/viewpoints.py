@@ -1,4 +1,4 @@
-"""From where both surfaces of a result are seen."""
+"""Viewpoints from which both surfaces of a result are drawn."""
 
 from __future__ import annotations
 

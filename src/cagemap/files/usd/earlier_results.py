@@ -1,4 +1,4 @@
-"""Results that an earlier transfer wrote to a USD layer: they stay where another one is written to it."""
+"""Keep the results of earlier transfers in a USD layer to which another one is written."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a normal of the source meets a detailed mesh over it."""
+"""Intersections of the source's normals with a detailed mesh over it."""
 
 from __future__ import annotations
 
