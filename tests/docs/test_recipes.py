@@ -126,7 +126,7 @@ def test_torch():
     names = run(9)
     expected = names["T"].to_sparse().T @ (2 * (names["source"].vertices - names["target"].vertices))
     np.testing.assert_allclose(names["functions"][1].grad.numpy(), expected, atol=1e-9)
-    assert names["C"].shape == (150, 150)
+    assert names["C"].shape == (100, 100)
 
 
 def test_diffusion_net():
