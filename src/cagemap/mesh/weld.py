@@ -53,7 +53,7 @@ def unwelded(mesh: ControlMesh) -> Welded:
 
 
 @arrays_accepted
-def weld_mesh(mesh: MeshLike, tolerance: float | None = None) -> Welded:
+def weld_mesh(mesh: MeshLike, tolerance: float | None = None, *, offsets: FloatArray | None = None) -> Welded:
     """Join border vertices at the same place; the first of them stays.
 
     Vertices with faces all around them stay apart, so that surfaces which only touch are not joined. Corners of a face
@@ -66,6 +66,9 @@ def weld_mesh(mesh: MeshLike, tolerance: float | None = None) -> Welded:
     tolerance : float, optional
         Largest distance between vertices that are joined, in units of the bounding-box diagonal; 0 joins equal ones
         only. Default: `weld_tolerance`, or 0 where that finds none.
+    offsets : (n, 3 k) float64, optional
+        Offsets in k blend shapes: vertices that are joined are at the same place in each of them too, so that closed
+        lips stay two.
 
     Raises
     ------
@@ -87,8 +90,8 @@ def weld_mesh(mesh: MeshLike, tolerance: float | None = None) -> Welded:
         raise ParameterError(
             f"{mesh.name}: expected a weld tolerance from 0 to 0.1 of the bounding-box diagonal, got {tolerance}"
         )
-    used = (weld_tolerance(mesh) or 0.0) if tolerance is None else tolerance
-    first = coincident_vertices(mesh, used)
+    used = (weld_tolerance(mesh, offsets=offsets) or 0.0) if tolerance is None else tolerance
+    first = coincident_vertices(mesh, used, offsets=offsets)
     joined = np.flatnonzero(first != np.arange(mesh.n_vertices))
     if not len(joined):
         note = f"{mesh.name}: no border vertices {_within(used)} to weld"
@@ -192,7 +195,9 @@ def _pieces(mesh: ControlMesh) -> str:
     return f"{count} piece{'s' * (count != 1)}"
 
 
-def coincident_vertices(mesh: ControlMesh, tolerance: float = 0.0, *, collapse: bool = False) -> IndexArray:
+def coincident_vertices(
+    mesh: ControlMesh, tolerance: float = 0.0, *, collapse: bool = False, offsets: FloatArray | None = None
+) -> IndexArray:
     """(n,) lowest of the vertices that every vertex coincides with: on borders, and within a tolerance.
 
     Vertices that have faces all around stay apart: surfaces that touch, such as closed lips, are not joined.
@@ -205,10 +210,13 @@ def coincident_vertices(mesh: ControlMesh, tolerance: float = 0.0, *, collapse: 
         Largest distance, in units of the bounding-box diagonal.
     collapse : bool
         Join the ends of edges of length zero too, wherever they are.
+    offsets : (n, 3 k) float64, optional
+        As `weld_mesh` takes them.
     """
     edges = edge_table(mesh)
     border = np.unique(edges.vertices[edges.face_counts == 1])
-    links = [border[_close_pairs(mesh.positions[border], tolerance * _diagonal(mesh))]]
+    places = mesh.positions if offsets is None else np.column_stack([mesh.positions, offsets])
+    links = [border[_close_pairs(places[border], tolerance * _diagonal(mesh))]]
     if collapse:
         ends = edges.vertices
         links.append(ends[np.all(mesh.positions[ends[:, 0]] == mesh.positions[ends[:, 1]], axis=1)])
@@ -219,7 +227,7 @@ def coincident_vertices(mesh: ControlMesh, tolerance: float = 0.0, *, collapse: 
     return np.unique(labels, return_index=True)[1][labels].astype(np.int64)
 
 
-def weld_tolerance(mesh: ControlMesh) -> float | None:
+def weld_tolerance(mesh: ControlMesh, *, offsets: FloatArray | None = None) -> float | None:
     """Smallest of `TOLERANCES` that leaves the fewest connected pieces; None where none leaves fewer than there are.
 
     A tolerance that joins vertices of one face that lie apart is not considered.
@@ -227,7 +235,7 @@ def weld_tolerance(mesh: ControlMesh) -> float | None:
     following = mesh.face_indices[mesh.next_corners]
     best, fewest = None, _count_pieces(mesh, np.arange(mesh.n_vertices))
     for tolerance in TOLERANCES:
-        labels = coincident_vertices(mesh, tolerance)
+        labels = coincident_vertices(mesh, tolerance, offsets=offsets)
         joined = labels[mesh.face_indices] == labels[following]
         if np.any(mesh.positions[mesh.face_indices[joined]] != mesh.positions[following[joined]]):
             break

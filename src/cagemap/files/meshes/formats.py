@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from cagemap.errors import FormatError
+from cagemap.files.gltf.document import GLTF_SUFFIXES
+from cagemap.files.gltf.read import read_gltf
 from cagemap.files.gltf.write import write_glb
 from cagemap.files.meshes.obj import obj_files, read_obj, write_obj
 from cagemap.files.meshes.off import read_off, write_off
@@ -21,6 +23,7 @@ from cagemap.mesh.inputs import MeshLike, arrays_accepted
 from cagemap.numerics.kinds import kinds_checked
 
 _READERS = {".obj": read_obj, ".ply": read_ply, ".off": read_off, ".stl": read_stl}
+_READERS |= dict.fromkeys(GLTF_SUFFIXES, read_gltf)
 _READERS |= dict.fromkeys(USD_SUFFIXES, read_usd)
 MESH_SUFFIXES = tuple(_READERS)
 _WRITERS: dict[str, Callable[..., object]] = {
@@ -34,7 +37,7 @@ _WRITERS |= dict.fromkeys((".usd", ".usda", ".usdc"), write_usd)
 
 @kinds_checked
 def read_mesh(path: str | Path) -> ControlMesh:
-    """Read a mesh of an ``.obj``, ``.ply``, ``.off``, ``.stl`` or USD file, as numbered there; arrays are read-only.
+    """Read a mesh of an OBJ, PLY, OFF, STL, glTF, VRM or USD file, as numbered there; arrays are read-only.
 
     Raises
     ------

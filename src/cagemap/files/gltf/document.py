@@ -1,0 +1,205 @@
+"""The container of glTF 2.0: JSON and buffers of `.glb`, `.gltf` and `.vrm` files, read and written.
+
+Everything that is not understood stays in the JSON and is written back as it was.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import struct
+from pathlib import Path
+from typing import Any, NoReturn
+
+from cagemap.errors import FormatError
+from cagemap.files.atomic import write_whole
+from cagemap.files.gltf.draco import DRACO, without_draco
+from cagemap.files.gltf.entries import REMEDY, Document, image_bytes, resource, view_bytes
+from cagemap.files.ownership import mark
+from cagemap.files.text import read_bytes
+from cagemap.numerics.arrays import shown
+
+__all__ = [
+    "GLTF_SUFFIXES",
+    "Document",
+    "glb_bytes",
+    "image_bytes",
+    "packed",
+    "read_document",
+    "view_bytes",
+    "write_document",
+]
+
+GLTF_SUFFIXES = (".glb", ".gltf", ".vrm")
+# Required extensions that change nothing of what is read here; of others, geometry or textures would be misread.
+_UNDERSTOOD = {DRACO, "KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual", "VRM"}
+_UNDERSTOOD_FAMILIES = ("KHR_materials_", "VRMC_")
+_TRANSFORM = "`gltf-transform cp IN.glb OUT.glb` (npm package @gltf-transform/cli) writes the file without it"
+_WAYS_ROUND = {
+    "EXT_meshopt_compression": _TRANSFORM,
+    "KHR_meshopt_compression": _TRANSFORM,
+    "KHR_texture_basisu": "`gltf-transform ktxdecompress IN.glb OUT.glb` (npm package @gltf-transform/cli) writes "
+    "PNG textures",
+    "EXT_mesh_gpu_instancing": "Export it without instancing",
+}
+_HEAD, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
+
+
+def read_document(path: str | Path) -> Document:
+    """Read a glTF 2.0 file with its buffers; nothing is fetched from a network.
+
+    Raises
+    ------
+    FormatError
+        If the file is no glTF 2.0, is cut short, lacks a buffer, names files outside its folder, or requires an
+        extension that is not understood.
+    """
+    file = Path(path)
+    content = read_bytes(file, "a glTF file")
+    text, blob = _chunks(file, content) if content[:4] == b"glTF" else (content, None)
+    document = Document(_parsed(file, text), (), file)
+    asset = document.table(document.json, "asset", "glTF")
+    if str(asset.get("version", "")).partition(".")[0] != "2":
+        document.refuse("asset", f"expected glTF version 2.0, got {shown(asset.get('version'))}", "Export it as 2.0.")
+    _require_understood(document)
+    buffers = tuple(_buffer(document, number, blob) for number in range(len(document.entries("buffers"))))
+    return without_draco(Document(document.json, buffers, file))
+
+
+def _chunks(file: Path, content: bytes) -> tuple[bytes, bytes | None]:
+    """JSON and binary chunk of a GLB."""
+    if len(content) < _HEAD.size + _CHUNK.size:
+        raise FormatError(f"{file}: expected a GLB, got {len(content)} bytes. The file is cut short. {REMEDY}")
+    _, version, length = _HEAD.unpack_from(content)
+    if version != 2:
+        raise FormatError(f"{file}: expected GLB version 2, got {version}. Export it as glTF 2.0.")
+    if length > len(content):
+        raise FormatError(
+            f"{file}: expected a GLB of {length} bytes, got {len(content)}. The file is cut short. {REMEDY}"
+        )
+    found: dict[bytes, bytes] = {}
+    at = _HEAD.size
+    while at + _CHUNK.size <= length:
+        size, kind = _CHUNK.unpack_from(content, at)
+        at += _CHUNK.size
+        if at + size > length:
+            raise FormatError(f"{file}: a chunk of {size} bytes ends after the file of {length} bytes. {REMEDY}")
+        found.setdefault(kind, content[at : at + size])
+        at += size
+    if b"JSON" not in found:
+        raise FormatError(f"{file}: expected a JSON chunk in the GLB, got none. {REMEDY}")
+    return found[b"JSON"], found.get(b"BIN\0")
+
+
+def _parsed(file: Path, text: bytes) -> dict[str, Any]:
+    def constant(word: str) -> NoReturn:
+        raise ValueError(f"the number {word}")
+
+    try:
+        parsed = json.loads(text.decode("utf-8-sig"), parse_constant=constant)
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"{file}: expected glTF, a JSON document, got something else ({error}). {REMEDY}") from None
+    if not isinstance(parsed, dict) or "asset" not in parsed:
+        raise FormatError(f"{file}: expected glTF, a JSON object with an asset, got other JSON. {REMEDY}")
+    return parsed
+
+
+def _require_understood(document: Document) -> None:
+    for name in document.entries("extensionsRequired"):
+        if not isinstance(name, str) or not (name in _UNDERSTOOD or name.startswith(_UNDERSTOOD_FAMILIES)):
+            way = _WAYS_ROUND.get(str(name), "Export it without this extension")
+            raise FormatError(f"{document.file}: requires the extension {name}, which cagemap does not read. {way}.")
+
+
+def _buffer(document: Document, number: int, blob: bytes | None) -> bytes:
+    entry, where = document.entry("buffers", number), f"buffers {number}"
+    length = document.whole(entry.get("byteLength"), f"{where}: byteLength", 1)
+    uri = entry.get("uri")
+    if uri is None and (number or blob is None):
+        document.refuse(where, "has no data in the file")
+    data = blob if uri is None else resource(document, uri, where)
+    assert data is not None
+    if len(data) < length:
+        document.refuse(where, f"expected {length} bytes, got {len(data)}. The data is cut short")
+    return data[:length]
+
+
+def packed(document: Document) -> Document:
+    """The same with one buffer, which holds its images too, and cagemap's mark."""
+    parts: list[bytes] = []
+    length = 0
+
+    def add(data: bytes) -> int:
+        nonlocal length
+        start = length
+        parts.extend((data, b"\0" * (-len(data) % 4)))
+        length += len(data) + -len(data) % 4
+        return start
+
+    starts = [add(buffer) for buffer in document.buffers]
+    views = []
+    for number, view in enumerate(document.entries("bufferViews")):
+        own = document.whole(document.entry("bufferViews", number).get("buffer"), "bufferViews", 0, len(starts) - 1)
+        moved = starts[own] + document.whole(view.get("byteOffset", 0), f"bufferViews {number}")
+        views.append(view | {"buffer": 0, "byteOffset": moved} if moved else view | {"buffer": 0})
+    images = []
+    for number in range(len(document.entries("images"))):
+        entry = document.entry("images", number)
+        if "uri" in entry:
+            data, suffix = image_bytes(document, number)
+            views.append({"buffer": 0, "byteOffset": add(data), "byteLength": len(data)})
+            kept = {name: value for name, value in entry.items() if name != "uri"}
+            entry = kept | {"bufferView": len(views) - 1, "mimeType": f"image/{suffix[1:].replace('jpg', 'jpeg')}"}
+        images.append(entry)
+    asset = document.table(document.json, "asset", "glTF")
+    extras = asset.get("extras", {})
+    marked = {"extras": extras | {"mark": mark()}} if isinstance(extras, dict) else {}
+    changed: dict[str, Any] = {"bufferViews": views, "images": images}
+    if parts:
+        first = document.entry("buffers", 0) if document.buffers else {}
+        changed["buffers"] = [{name: v for name, v in first.items() if name != "uri"} | {"byteLength": length}]
+    # The asset first: marks are searched for near the start of a file.
+    top = {"asset": asset | marked} | {name: value for name, value in document.json.items() if name != "asset"}
+    top |= {name: value for name, value in changed.items() if value}
+    return Document(top, (b"".join(parts),) if parts else (), document.file)
+
+
+def glb_bytes(document: Document) -> bytes:
+    """A document as one binary file."""
+    document = packed(document)
+    text = _dumped(document)
+    text += b" " * (-len(text) % 4)
+    chunks = [_CHUNK.pack(len(text), b"JSON"), text]
+    for blob in document.buffers:
+        chunks += [_CHUNK.pack(len(blob), b"BIN\0"), blob]
+    return b"".join([_HEAD.pack(b"glTF", 2, _HEAD.size + sum(map(len, chunks))), *chunks])
+
+
+def _dumped(document: Document) -> bytes:
+    try:
+        return json.dumps(document.json, separators=(",", ":"), allow_nan=False).encode()
+    except ValueError:
+        raise FormatError(f"{document.file}: holds numbers that are not finite. {REMEDY}") from None
+
+
+def write_document(path: str | Path, document: Document, *, force: bool = False) -> None:
+    """Write a document as one file, with buffers and images inside: `.glb` and `.vrm` binary, `.gltf` as text.
+
+    Raises
+    ------
+    FormatError
+        If the suffix is another one, or the file cannot be written.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in GLTF_SUFFIXES:
+        raise FormatError(f"{path}: expected a name ending in {', '.join(GLTF_SUFFIXES)}. Give another name.")
+    if suffix != ".gltf":
+        write_whole(path, glb_bytes(document), force=force)
+        return
+    whole = packed(document)
+    inside = [
+        entry | {"uri": "data:application/octet-stream;base64," + base64.b64encode(data).decode()}
+        for entry, data in zip(whole.entries("buffers"), whole.buffers, strict=True)
+    ]
+    top = whole.json | ({"buffers": inside} if inside else {})
+    write_whole(path, _dumped(Document(top, whole.buffers, whole.file)), force=force)

@@ -1,0 +1,223 @@
+"""Mesh nodes of a glTF scene as parts of a character: in the bind pose, in world space, welded at seams."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy import sparse
+
+from cagemap.character.values import Part
+from cagemap.errors import FormatError
+from cagemap.files.gltf.entries import Document
+from cagemap.files.gltf.nodes import Nodes, distinct, read_nodes
+from cagemap.files.gltf.primitives import VertexArrays, read_vertex_arrays
+from cagemap.files.gltf.skins import Joints, Skin, invertible, nearest_joint, read_joints, read_skins, rounded
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.parts import extract
+from cagemap.mesh.plain import turn_faces
+from cagemap.mesh.weld import weld_mesh
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class ReadPart:
+    """A mesh node.
+
+    Attributes
+    ----------
+    part : Part
+    node : int
+        Its number in the document.
+    stored : int
+        Vertices in the file.
+    notes : tuple of str
+        What was welded.
+    """
+
+    part: Part
+    node: int
+    stored: int
+    notes: tuple[str, ...] = field(repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What `read_scene` finds."""
+
+    document: Document
+    nodes: Nodes
+    joints: Joints | None
+    parts: tuple[ReadPart, ...]
+
+
+def read_scene(document: Document) -> Scene:
+    """Mesh nodes of the scene that is shown, and the joints of all skins.
+
+    Skinned meshes are in their bind pose, their node's own transform is ignored, as glTF has it. Several skins share
+    one bind pose: meshes bound in another one are posed. A mesh below a joint follows that joint.
+
+    Raises
+    ------
+    FormatError
+        If the scene has no triangles, or arrays do not fit together.
+    """
+    nodes = read_nodes(document)
+    skins = read_skins(document, nodes)
+    joints = read_joints(document, nodes, skins)
+    parts = []
+    for node in nodes.order:
+        entry = document.entry("nodes", node)
+        if node not in nodes.in_scene or entry.get("mesh") is None:
+            continue
+        document.entry("meshes", entry["mesh"], f"nodes {node}")
+        name = nodes.names[node] if entry.get("name") else document.name("meshes", int(entry["mesh"]))
+        arrays = read_vertex_arrays(document, int(entry["mesh"]), name or nodes.names[node])
+        if arrays is not None:
+            part = _placed(document, nodes, skins, joints, node, arrays)
+            parts += [] if part is None else [part]
+    if not parts:
+        raise FormatError(f"{document.file}: expected triangles in the scene, got none. Export it with its meshes.")
+    return Scene(document, nodes, joints, tuple(_distinct(parts)))
+
+
+def _distinct(parts: list[ReadPart]) -> list[ReadPart]:
+    names = distinct([one.part.name for one in parts])
+    return [
+        replace(one, part=replace(one.part, name=name, mesh=replace(one.part.mesh, name=name)))
+        for name, one in zip(names, parts, strict=True)
+    ]
+
+
+def _placed(
+    document: Document, nodes: Nodes, skins: tuple[Skin, ...], joints: Joints | None, node: int, arrays: VertexArrays
+) -> ReadPart | None:
+    """A mesh node's part; None for one that is scaled to nothing."""
+    stated = document.entry("nodes", node).get("skin")
+    weights, changes, whole = None, None, nodes.world[node]
+    if stated is not None and joints is not None:
+        skin = skins[document.whole(stated, f"nodes {node}: skin", 0, len(skins) - 1)]
+        if arrays.joints.shape[1]:
+            weights = _weights(document, arrays, skin, joints, node)
+            whole = skin.to_world
+            changes = np.tile(whole, (len(joints.rig.names), 1, 1))
+            of = joints.joint_of[skin.nodes]
+            changes[of] = skin.inverse_bind @ joints.rig.bind[of]
+    elif joints is not None and (above := nearest_joint(nodes, joints, node)) >= 0:
+        count = arrays.control.n_vertices
+        weights = sparse.csr_array(
+            (np.ones(count), (np.arange(count), np.full(count, above))), shape=(count, len(joints.rig.names))
+        )
+        whole = _bound(arrays, whole, joints.rig.bind[above], nodes.world[np.flatnonzero(joints.joint_of == above)[0]])
+    if abs(np.linalg.det(whole[:3, :3])) < 1e-12 * max(np.abs(whole[:3, :3]).max(), 1e-30) ** 3:
+        _log.warning("%s: %s is scaled to nothing and left out", document.file, arrays.control.name)
+        return None
+    arrays = _transformed(arrays, whole, weights, changes)
+    return _welded(arrays, weights, node)
+
+
+def _weights(document: Document, arrays: VertexArrays, skin: Skin, joints: Joints, node: int) -> sparse.csr_array:
+    """(n, j) weights of the rig's joints; rows sum to 1. Vertices without weights follow the skin's first joint."""
+    used = arrays.weights > 0.0
+    numbers = np.where(used, arrays.joints, 0)
+    if numbers.max(initial=0) >= len(skin.nodes) or numbers.min(initial=0) < 0:
+        document.refuse(f"nodes {node}", f"expected weights of the {len(skin.nodes)} joints of its skin, got others")
+    values = np.where(used, arrays.weights, 0.0)
+    sums = values.sum(axis=1)
+    loose = sums <= 0.0
+    values[loose, 0] = 1.0
+    values /= np.where(loose, 1.0, sums)[:, None]
+    if loose.any():
+        _log.warning(
+            "%s: %d vertices of %s have no weights and follow %s",
+            *(document.file, int(loose.sum()), arrays.control.name, joints.rig.names[joints.joint_of[skin.nodes[0]]]),
+        )
+    rows = np.repeat(np.arange(len(values)), values.shape[1])
+    columns = joints.joint_of[skin.nodes][numbers.ravel()]
+    table = sparse.csr_array((values.ravel(), (rows, columns)), shape=(len(values), len(joints.rig.names)))
+    table.sum_duplicates()
+    table.eliminate_zeros()
+    return table
+
+
+def _bound(arrays: VertexArrays, world: FloatArray, bind: FloatArray, rest: FloatArray) -> FloatArray:
+    """A node's transform in the bind pose of the joint that it follows."""
+    if not invertible(rest[None]).all():
+        return world
+    return rounded(world @ np.linalg.inv(rest) @ bind, world, _as_rows(arrays))
+
+
+def _as_rows(arrays: VertexArrays) -> FloatArray:
+    return np.column_stack([arrays.control.positions, np.ones(arrays.control.n_vertices)])
+
+
+def _transformed(
+    arrays: VertexArrays, whole: FloatArray, weights: sparse.csr_array | None, changes: FloatArray | None
+) -> VertexArrays:
+    """A mesh in the world; by each joint's own transform where a skin was bound in another pose than the rig."""
+    points = _as_rows(arrays)
+    alike = changes is None or all(rounded(one, whole, points) is whole for one in _used(weights, changes))
+    if alike and np.array_equal(whole, np.eye(4)):
+        return arrays
+    if weights is None or changes is None or alike:
+        placed = points @ whole
+        turned = {name: offsets @ whole[:3, :3] for name, offsets in arrays.shapes.items()}
+    else:
+        blended = np.asarray(weights @ changes.reshape(len(changes), 16)).reshape(-1, 4, 4)
+        placed = np.einsum("na,nab->nb", points, blended)
+        turned = {n: np.einsum("na,nab->nb", s, blended[:, :3, :3]) for n, s in arrays.shapes.items()}
+    if not np.isfinite(placed).all() or np.abs(placed).max() > 1e100:
+        raise FormatError(f"{arrays.control.name}: expected places of a moderate size, got others. Export it again.")
+    control = arrays.control.with_positions(placed[:, :3])
+    if np.linalg.det(whole[:3, :3]) < 0.0:
+        control = turn_faces(control, np.ones(control.n_faces, dtype=bool))
+    return replace(arrays, control=control, shapes=turned)
+
+
+def _used(weights: sparse.csr_array | None, changes: FloatArray) -> FloatArray:
+    """Transforms of the joints that move anything."""
+    return changes if weights is None else changes[np.unique(weights.indices)]
+
+
+def _welded(arrays: VertexArrays, weights: sparse.csr_array | None, node: int) -> ReadPart:
+    """The surface with UV seams: copies of a vertex are one, with weights and offsets of the first."""
+    given = arrays.control
+    offsets = np.column_stack(list(arrays.shapes.values())) if arrays.shapes else None
+    welded = weld_mesh(given, offsets=offsets)
+    mesh = welded.mesh
+    if mesh.file_vertices is None:
+        mesh = extract(mesh, np.arange(mesh.n_faces))
+    kept, faces = mesh.file_vertices, mesh.file_faces
+    assert kept is not None
+    assert faces is not None
+    mesh = _with_merged_uvs(mesh)
+    part = Part(
+        given.name,
+        mesh,
+        None if weights is None else weights[kept],
+        {name: shape[kept] for name, shape in arrays.shapes.items()},
+    )
+    return ReadPart(part, node, given.n_vertices, welded.notes if mesh.file_copies is not None else ())
+
+
+def _with_merged_uvs(mesh: ControlMesh) -> ControlMesh:
+    """Corners of one vertex with equal texture coordinates share them: normals alone make no UV seam."""
+    if mesh.uvs is None or mesh.uv_indices is None:
+        return mesh
+    sets = [UvSet(mesh.uv_name, mesh.uvs, mesh.uv_indices), *mesh.uv_sets]
+    first, *others = (UvSet(one.name, *_merged(mesh.face_indices, one)) for one in sets)
+    return replace(mesh, uvs=first.uvs, uv_indices=first.uv_indices, uv_sets=tuple(others))
+
+
+def _merged(vertices: IndexArray, uv_set: UvSet) -> tuple[FloatArray, IndexArray]:
+    uvs = uv_set.uvs[uv_set.uv_indices]
+    order = np.lexsort((uvs[:, 1], uvs[:, 0], vertices))
+    fresh = (np.diff(vertices[order]) != 0) | (np.diff(uvs[order], axis=0) != 0.0).any(axis=1)
+    numbers = np.concatenate([[0], np.cumsum(fresh)])
+    indices = np.empty(len(order), dtype=np.int64)
+    indices[order] = numbers
+    return uvs[order][np.concatenate([[True], fresh])], indices

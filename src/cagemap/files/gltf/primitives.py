@@ -1,0 +1,206 @@
+"""Meshes of glTF as arrays: triangles of all their primitives, with everything that belongs to a vertex."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from cagemap.files.gltf.accessors import read_accessor
+from cagemap.files.gltf.entries import Document
+from cagemap.files.gltf.nodes import distinct
+from cagemap.mesh import ControlMesh, Plain
+from cagemap.mesh.control_mesh import UvSet
+from cagemap.mesh.join import join_meshes
+from cagemap.numerics.arrays import FloatArray, IndexArray, shown
+
+_log = logging.getLogger(__name__)
+
+TRIANGLES, STRIP, FAN = 4, 5, 6
+_LINES = (0, 1, 2, 3)  # points and lines
+# Of one vertex; files have one or two sets of four.
+_MOST_SETS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class VertexArrays:
+    """A mesh as stored: vertices split at seams, in the mesh's own space.
+
+    Attributes
+    ----------
+    control : ControlMesh
+        Triangles with materials, UV sets and colours.
+    joints : (n, q) int64
+        Numbers in the skin's list of joints; no columns where a mesh has none.
+    weights : (n, q) float64
+    shapes : dict of str to (n, 3) float64
+    """
+
+    control: ControlMesh
+    joints: IndexArray = field(repr=False)
+    weights: FloatArray = field(repr=False)
+    shapes: dict[str, FloatArray] = field(repr=False)
+
+
+def material_names(document: Document) -> tuple[str, ...]:
+    """Different names of all materials; those without have one of their number."""
+    count = len(document.entries("materials"))
+    return distinct([document.name("materials", number) or f"material {number}" for number in range(count)])
+
+
+def shape_names(document: Document, number: int, count: int) -> tuple[str, ...]:
+    """Different names of a mesh's morph targets: ``targetNames`` of the mesh's extras, or numbers."""
+    extras = document.entry("meshes", number).get("extras")
+    stated = extras.get("targetNames") if isinstance(extras, dict) else None
+    stated = stated if isinstance(stated, list) else []
+    words = [word for word in stated[:count] if isinstance(word, str)]
+    named = [word.encode("utf-8", "replace").decode() for word in words] if len(words) == count else []
+    return distinct(named or [f"shape {target}" for target in range(count)])
+
+
+def read_vertex_arrays(document: Document, number: int, name: str) -> VertexArrays | None:
+    """A mesh of a document; None where it has no triangles.
+
+    Primitives that share their vertices share them here.
+
+    Raises
+    ------
+    FormatError
+        If its accessors do not fit together.
+    """
+    where = f"meshes {number}"
+    primitives = document.entries("primitives", document.entry("meshes", number), where)
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for place, primitive in enumerate(primitives):
+        if not isinstance(primitive, dict):
+            document.refuse(f"{where}, primitive {place}", f"expected an object, got {shown(primitive)}")
+        if primitive.get("mode", TRIANGLES) in _LINES:
+            _log.warning("%s: points and lines of %s are left out", document.file, name)
+            continue
+        groups.setdefault(repr((primitive.get("attributes"), primitive.get("targets"))), []).append(primitive)
+    read = [_group(document, where, number, group, name) for group in groups.values()]
+    read = [one for one in read if one.control.n_faces]
+    if not read:
+        return None
+    if len(read) == 1:
+        return read[0]
+    width = max(one.joints.shape[1] for one in read)
+    sizes = [one.control.n_vertices for one in read]
+    names = dict.fromkeys(shape for one in read for shape in one.shapes)
+    return VertexArrays(
+        join_meshes([one.control for one in read]),
+        np.concatenate([np.pad(one.joints, ((0, 0), (0, width - one.joints.shape[1]))) for one in read]),
+        np.concatenate([np.pad(one.weights, ((0, 0), (0, width - one.weights.shape[1]))) for one in read]),
+        {
+            shape: np.concatenate(
+                [one.shapes.get(shape, np.zeros((size, 3))) for one, size in zip(read, sizes, strict=True)]
+            )
+            for shape in names
+        },
+    )
+
+
+def _group(document: Document, where: str, number: int, group: list[dict[str, Any]], name: str) -> VertexArrays:
+    """Primitives with the same vertices."""
+    attributes = document.table(group[0], "attributes", where)
+    if "POSITION" not in attributes:
+        document.refuse(where, "has a primitive without positions")
+    positions = read_accessor(document, attributes["POSITION"], f"{where}: POSITION", ("VEC3",)).astype(np.float64)
+    count = len(positions)
+
+    def read(attribute: str, *shapes: str) -> Any:
+        place = f"{where}: {attribute}"
+        return read_accessor(document, attributes[attribute], place, shapes, count).astype(np.float64)
+
+    triangles = [_triangles(document, where, primitive, count) for primitive in group]
+    corners = np.concatenate(triangles)
+    control = ControlMesh(positions, np.arange(0, 3 * len(corners) + 1, 3), corners.ravel(), scheme=Plain(), name=name)
+    control = _with_materials(document, where, control, [primitive.get("material") for primitive in group], triangles)
+    sets = [attribute for attribute in attributes if attribute.startswith("TEXCOORD_")]
+    for attribute in sorted(sets, reverse=True):
+        # glTF counts v from the top.
+        uvs = read(attribute, "VEC2") * [1.0, -1.0] + [0.0, 1.0]
+        others = () if control.uvs is None else (UvSet(control.uv_name, control.uvs, control.face_indices),)
+        control = replace(
+            control.with_uvs(uvs, control.face_indices), uv_name=attribute, uv_sets=(*others, *control.uv_sets)
+        )
+    if "COLOR_0" in attributes:
+        control = replace(control, vertex_colors=read("COLOR_0", "VEC3", "VEC4")[:, :3])
+    joints, weights = [np.zeros((count, 0))], [np.zeros((count, 0))]
+    for one in range(_MOST_SETS):
+        if {f"JOINTS_{one}", f"WEIGHTS_{one}"} <= set(attributes):
+            joints.append(read(f"JOINTS_{one}", "VEC4"))
+            weights.append(read(f"WEIGHTS_{one}", "VEC4"))
+    return VertexArrays(
+        control,
+        np.concatenate(joints, axis=1).astype(np.int64),
+        np.concatenate(weights, axis=1),
+        _shapes(document, where, number, group[0], count),
+    )
+
+
+def _shapes(
+    document: Document, where: str, number: int, primitive: dict[str, Any], count: int
+) -> dict[str, FloatArray]:
+    targets = document.entries("targets", primitive, where)
+    found = {}
+    for name, target in zip(shape_names(document, number, len(targets)), targets, strict=True):
+        if not isinstance(target, dict):
+            document.refuse(where, f"expected an object as a morph target, got {shown(target)}")
+        if "POSITION" in target:
+            offsets = read_accessor(document, target["POSITION"], f"{where}: shape {name}", ("VEC3",), count)
+            found[name] = offsets.astype(np.float64)
+    return found
+
+
+def _with_materials(
+    document: Document, where: str, control: ControlMesh, stated: list[Any], triangles: list[IndexArray]
+) -> ControlMesh:
+    if all(material is None for material in stated):
+        return control
+    names = material_names(document)
+    words: dict[str, int] = {}
+    numbers, colors = [], []
+    for material in stated:
+        entry = {} if material is None else document.entry("materials", material, where)
+        word = "" if material is None else names[int(material)]
+        if word not in words:
+            words[word] = len(words)
+            colors.append(_color(document, entry, where))
+        numbers.append(words[word])
+    return replace(
+        control,
+        face_materials=np.repeat(np.array(numbers, dtype=np.int64), [len(faces) for faces in triangles]),
+        material_names=tuple(words),
+        material_colors=np.array(colors),
+    )
+
+
+def _color(document: Document, material: dict[str, Any], where: str) -> list[float]:
+    factor = document.table(material, "pbrMetallicRoughness", where).get("baseColorFactor")
+    return [np.nan] * 3 if factor is None else document.numbers(factor, f"{where}: color", 4)[:3].tolist()
+
+
+def _triangles(document: Document, where: str, primitive: dict[str, Any], count: int) -> IndexArray:
+    """(t, 3) vertices; strips and fans as separate triangles, without those that only turn a strip."""
+    stated = primitive.get("indices")
+    if stated is None:
+        indices = np.arange(count)
+    else:
+        indices = read_accessor(document, stated, f"{where}: indices", ("SCALAR",))
+        if indices.dtype.kind != "i" or indices.min() < 0 or indices.max() >= count:
+            document.refuse(where, f"expected indices of its {count} vertices, got {indices.min()} to {indices.max()}")
+    mode = document.whole(primitive.get("mode", TRIANGLES), f"{where}: mode", TRIANGLES, FAN)
+    if mode == TRIANGLES:
+        if len(indices) % 3:
+            document.refuse(where, f"expected three indices a triangle, got {len(indices)}")
+        return indices.reshape(-1, 3)
+    if mode == FAN:
+        faces = np.column_stack([np.full(max(len(indices) - 2, 0), indices[0]), indices[1:-1], indices[2:]])
+    else:
+        faces = np.column_stack([indices[:-2], indices[1:-1], indices[2:]])
+        faces[1::2, :2] = faces[1::2, 1::-1]
+    apart = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    return np.asarray(faces[apart])
