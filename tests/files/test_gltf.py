@@ -34,7 +34,7 @@ def _array(document: dict, blob: bytes, number: int) -> np.ndarray:
     accessor = document["accessors"][number]
     view = document["bufferViews"][accessor["bufferView"]]
     columns = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}[accessor["type"]]
-    dtype = {5126: "<f4", 5125: "<u4"}[accessor["componentType"]]
+    dtype = {5126: "<f4", 5125: "<u4", 5123: "<u2"}[accessor["componentType"]]
     part = blob[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
     array = np.frombuffer(part, dtype).reshape(accessor["count"], columns)
     if "min" in accessor:

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cagemap.files.gltf.write import INDICES, VERTICES, Binary
+from cagemap.files.gltf.binary import INDICES, VERTICES, Binary
+from cagemap.files.gltf.document import glb_bytes
 
 # Colours are linear: 8 bits would show steps in the dark.
 _WHITE = 65535
@@ -102,4 +103,4 @@ def glb(primitives: Sequence[Primitive], texture: bytes | None = None) -> bytes:
         document["images"] = [{"bufferView": binary.view(texture), "mimeType": "image/jpeg"}]
         document["samplers"] = [{"magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497}]
         document["textures"] = [{"source": 0, "sampler": 0}]
-    return binary.packed(document)
+    return glb_bytes(binary.document(document))

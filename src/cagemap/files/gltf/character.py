@@ -9,11 +9,11 @@ import numpy as np
 
 from cagemap.character.values import Animation, Channel, Character, Interpolation, Track
 from cagemap.files.gltf.accessors import read_accessor
+from cagemap.files.gltf.animations import animation_names, in_rig
 from cagemap.files.gltf.document import Document, read_document
-from cagemap.files.gltf.nodes import distinct, read_nodes
+from cagemap.files.gltf.nodes import read_nodes
 from cagemap.files.gltf.parts import Scene, read_scene
 from cagemap.files.gltf.skins import Joints
-from cagemap.numerics.arrays import FloatArray
 
 _TYPES = {"translation": "VEC3", "rotation": "VEC4", "scale": "VEC3"}
 
@@ -66,9 +66,7 @@ def read_animations(scene: Scene) -> tuple[Animation, ...]:
     """Animations of the joints; channels of other nodes and of morph weights stay in the document."""
     document = scene.document
     found = []
-    count = len(document.entries("animations"))
-    names = distinct([document.name("animations", number) or f"animation {number}" for number in range(count)])
-    for number, name in enumerate(names):
+    for number, name in enumerate(animation_names(document)):
         entry, where = document.entry("animations", number), f"animations {number}"
         tracks = [] if scene.joints is None else _tracks(document, scene.joints, entry, where)
         found.append(Animation(name, tuple(tracks)))
@@ -109,43 +107,10 @@ def _track(
     values = values.astype(np.float64)
     if keys == 3:
         values = values.reshape(len(times), 3, -1)
-    values = _in_rig(values, channel, joints.above[node], tangents=keys == 3)
+    values = in_rig(values, channel, joints.above[node], tangents=keys == 3)
     if channel == "rotation" and keys == 1:
         lengths = np.linalg.norm(values, axis=-1, keepdims=True)
         if not (lengths > 0.0).all():
             document.refuse(where, "expected rotations, got quaternions of length 0")
         values = values / lengths
     return Track(int(joints.joint_of[node]), channel, times, values, interpolation)
-
-
-def _in_rig(values: FloatArray, channel: Channel, above: FloatArray, *, tangents: bool) -> FloatArray:
-    """Values of a track, stated in the space of the joint's node, in that of its parent in the rig."""
-    if np.array_equal(above, np.eye(4)):
-        return values
-    scale = float(np.cbrt(abs(np.linalg.det(above[:3, :3]))))
-    if channel == "scale":
-        return values * scale
-    if channel == "translation":
-        moved = values @ above[:3, :3]
-        if tangents:
-            moved[:, 1] += above[3, :3]
-            return moved
-        return moved + above[3, :3]
-    return _product(quaternion(above[:3, :3] / scale), values)
-
-
-def _product(first: FloatArray, second: FloatArray) -> FloatArray:
-    """(..., 4) the rotation ``second``, then ``first``; linear in both."""
-    axis, angle = first[:3], first[3]
-    inner, w = second[..., :3], second[..., 3:]
-    turned = angle * inner + w * axis + np.cross(axis, inner)
-    return np.concatenate([turned, angle * w - inner @ axis[:, None]], axis=-1)
-
-
-def quaternion(turn: FloatArray) -> FloatArray:
-    """(4,) x, y, z, w of a rotation (3, 3) for points as rows."""
-    from scipy.spatial.transform import Rotation
-
-    u, _, vt = np.linalg.svd(turn)
-    nearest = u @ vt
-    return np.asarray(Rotation.from_matrix(nearest.T * np.linalg.det(nearest)).as_quat())

@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
+from cagemap.files.gltf.binary import COMPONENTS, INDICES, VERTICES, Binary
 from cagemap.files.gltf.entries import Document, view_bytes
 
 DRACO = "KHR_draco_mesh_compression"
-_COMPONENTS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
-_SHAPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 
 
 def without_draco(document: Document) -> Document:
@@ -43,10 +42,7 @@ class _Plain:
     def __init__(self, document: Document) -> None:
         self._given = document
         self._meshes: list[Any] = list(document.entries("meshes"))
-        self._accessors: list[Any] = list(document.entries("accessors"))
-        self._views: list[Any] = list(document.entries("bufferViews"))
-        self._chunks: list[bytes] = []
-        self._length = 0
+        self._binary = Binary(document)
 
     def decompress(self, number: int, place: int) -> None:
         """Replace one primitive of a mesh."""
@@ -58,12 +54,13 @@ class _Plain:
         decoded = _decoded(given, bytes(view_bytes(given, packed.get("bufferView"), where)), where)
         attributes = given.table(primitive, "attributes", where)
         arrays = {entry["unique_id"]: np.asarray(entry["data"]) for entry in decoded.attributes}
-        changed = {
-            name: self._accessor(attributes.get(name), arrays.get(unique), where)
-            for name, unique in given.table(packed, "attributes", where).items()
-            if not isinstance(unique, list | dict)
-        }
-        indices = self._accessor(primitive.get("indices"), np.asarray(decoded.faces, np.uint32).reshape(-1), where)
+        listed = given.table(packed, "attributes", where).items()
+        named = {name: arrays.get(unique) for name, unique in listed if not isinstance(unique, list | dict)}
+        named |= _normalised({name: values for name, values in named.items() if name.startswith("WEIGHTS_")})
+        changed = {name: self._accessor(attributes.get(name), values, where) for name, values in named.items()}
+        indices = self._accessor(
+            primitive.get("indices"), np.asarray(decoded.faces, np.uint32).reshape(-1), where, INDICES
+        )
         kept = {name: value for name, value in extensions.items() if name != DRACO}
         plain = {name: value for name, value in primitive.items() if name != "extensions"}
         plain |= {"attributes": attributes | changed, "indices": indices, "mode": 4}
@@ -74,39 +71,39 @@ class _Plain:
     def document(self) -> Document:
         """What came out."""
         given = self._given
-        buffers = [*given.entries("buffers"), {"byteLength": self._length}]
-        top = given.json | {"meshes": self._meshes, "accessors": self._accessors, "bufferViews": self._views}
-        top["buffers"] = buffers
+        top = given.json | {"meshes": self._meshes}
         for name in ("extensionsUsed", "extensionsRequired"):
             if left := [one for one in given.entries(name) if one != DRACO]:
                 top[name] = left
             else:
                 top.pop(name, None)
-        return Document(top, (*given.buffers, b"".join(self._chunks)), given.file)
+        return self._binary.document(top)
 
-    def _accessor(self, number: object, array: NDArray[Any] | None, where: str) -> int:
+    def _accessor(self, number: object, array: NDArray[Any] | None, where: str, target: int = VERTICES) -> int:
         """Number of an accessor for decompressed values: that of the file with data."""
         entry = self._given.entry("accessors", number, where)
         kind = "" if array is None else f"{array.dtype.kind}{array.dtype.itemsize}"
-        if array is None or kind not in _COMPONENTS or not array.size or array.size != len(array) * array[0].size:
+        if array is None or kind not in COMPONENTS or not array.size:
             self._given.refuse(where, "its Draco data lacks an attribute that it lists")
-        if array.size // len(array) not in _SHAPES:
+        columns = array.size // len(array)
+        if columns > 4:
             self._given.refuse(where, "its Draco data has attributes of more than four columns")
-        data = np.ascontiguousarray(array).tobytes()
-        view = {"buffer": len(self._given.buffers), "byteOffset": self._length, "byteLength": len(data)}
-        self._views.append(view)
-        self._chunks.append(data + b"\0" * (-len(data) % 4))
-        self._length += len(self._chunks[-1])
-        stated: dict[str, Any] = {
-            "bufferView": len(self._views) - 1,
-            "byteOffset": 0,
-            "componentType": _COMPONENTS[kind],
-        }
-        stated |= {"count": len(array), "type": _SHAPES[array.size // len(array)]}
+        kept: dict[str, Any] = {name: entry[name] for name in ("name", "normalized", "extras") if name in entry}
         if {"min", "max"} <= set(entry) and kind == "f4":
-            stated |= {end: getattr(array, end)(axis=0).tolist() for end in ("min", "max")}
-        self._accessors.append(entry | stated)
-        return len(self._accessors) - 1
+            kept |= {end: getattr(array, end)(axis=0).tolist() for end in ("min", "max")}
+        return self._binary.accessor(array.reshape(-1) if columns == 1 else array.reshape(-1, columns), target, **kept)
+
+
+def _normalised(weights: dict[str, NDArray[Any] | None]) -> dict[str, NDArray[Any] | None]:
+    """Weights whose sums the compression has moved away from 1."""
+    known = [values for values in weights.values() if values is not None]
+    if not known or any(values.dtype.kind != "f" or values.shape != known[0].shape for values in known):
+        return weights
+    sums = np.sum(known, axis=(0, 2), dtype=np.float64)[:, None]
+    return {
+        name: None if values is None else (values / np.where(sums > 0.0, sums, 1.0)).astype(np.float32)
+        for name, values in weights.items()
+    }
 
 
 def _decoded(document: Document, data: bytes, where: str) -> Any:

@@ -142,8 +142,13 @@ def image_bytes(document: Document, number: object) -> tuple[bytes, str]:
     data = (
         bytes(view_bytes(document, entry.get("bufferView"), where)) if uri is None else resource(document, uri, where)
     )
-    signatures = {b"\x89PNG": ".png", b"\xff\xd8\xff": ".jpg", b"RIFF": ".webp"}
-    suffix = next((suffix for start, suffix in signatures.items() if data.startswith(start)), None)
+    suffix = image_suffix(data)
     if suffix is None:
         document.refuse(where, "expected a PNG or JPEG image, got other data", "Export it with PNG textures.")
     return data, suffix
+
+
+def image_suffix(data: bytes) -> str | None:
+    """Suffix of an image's file by its first bytes; None for other data."""
+    signatures = {b"\x89PNG": ".png", b"\xff\xd8\xff": ".jpg", b"RIFF": ".webp"}
+    return next((suffix for start, suffix in signatures.items() if data.startswith(start)), None)

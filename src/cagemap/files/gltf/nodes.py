@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cagemap.files.gltf.document import Document
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
+# Of the length of a transform's axes.
+_SHEAR, _ROUNDING = 1e-4, 1e-9
 _REST = {"translation": [0.0] * 3, "rotation": [0.0, 0.0, 0.0, 1.0], "scale": [1.0] * 3}
 
 
@@ -141,3 +144,16 @@ def transform(translation: FloatArray, quaternion: FloatArray, scale: FloatArray
     made[:3, :3] = scale[:, None] * rotation_matrix(quaternion)
     made[3, :3] = translation
     return made
+
+
+def decomposed(matrix: FloatArray) -> dict[str, list[float]]:
+    """Translation, rotation and scale of a transform (4, 4), as a node states them; ``matrix`` where it has shear."""
+    scale = np.linalg.norm(matrix[:3, :3], axis=1)
+    if np.linalg.det(matrix[:3, :3]) < 0.0:
+        scale = -scale
+    turn = matrix[:3, :3] / np.where(scale == 0.0, 1.0, scale)[:, None]
+    if (scale == 0.0).any() or np.abs(turn @ turn.T - np.eye(3)).max() > _SHEAR:
+        return {"matrix": matrix.ravel().tolist()}
+    rotation = Rotation.from_matrix(turn.T).as_quat()
+    parts = {"translation": matrix[3, :3], "rotation": rotation, "scale": scale}
+    return {name: part.tolist() for name, part in parts.items() if np.abs(part - _REST[name]).max() > _ROUNDING}

@@ -1,0 +1,92 @@
+"""Arrays and other bytes that a glTF document is given, in a buffer of their own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.files.gltf.entries import Document
+from cagemap.numerics.arrays import FloatArray, IndexArray
+
+# What an array in the file is for.
+VERTICES, INDICES = 34962, 34963
+# By kind and size: one type has different letters on different systems.
+COMPONENTS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
+SHAPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+
+
+class Binary:
+    """What a document holds beside its JSON, and what is added to it."""
+
+    def __init__(self, document: Document | None = None) -> None:
+        self._given = Document({}, (), Path("new.glb")) if document is None else document
+        self._chunks: list[bytes] = []
+        self._length = 0
+        self._views: list[dict[str, Any]] = list(self._given.entries("bufferViews"))
+        self._accessors: list[dict[str, Any]] = list(self._given.entries("accessors"))
+
+    def view(self, data: bytes, target: int | None = None) -> int:
+        """Add bytes; returns the number of their buffer view."""
+        entry = {"buffer": len(self._given.buffers), "byteOffset": self._length, "byteLength": len(data)}
+        self._views.append(entry if target is None else entry | {"target": target})
+        self._chunks.append(data + b"\0" * (-len(data) % 4))
+        self._length += len(self._chunks[-1])
+        return len(self._views) - 1
+
+    def accessor(self, array: NDArray[Any], target: int | None = None, **extra: Any) -> int:
+        """Add an array (n,) or (n, q) of single precision or whole numbers; returns its accessor's number."""
+        data = np.ascontiguousarray(array)
+        return self._add({"bufferView": self.view(data.tobytes(), target)} | _form(data) | extra)
+
+    def places(self, values: FloatArray) -> int:
+        """Add positions (n, 3), with the bounds that the standard asks for."""
+        table = values.astype("<f4")
+        return self.accessor(table, VERTICES, min=table.min(axis=0).tolist(), max=table.max(axis=0).tolist())
+
+    def offsets(self, values: FloatArray) -> int:
+        """Add offsets (n, 3) of a blend shape: those that are not zero, where most are."""
+        table = values.astype("<f4")
+        bounds = {"min": table.min(axis=0).tolist(), "max": table.max(axis=0).tolist()}
+        rows = np.flatnonzero(table.any(axis=1))
+        if 16 * len(rows) > 12 * len(table):
+            return self.accessor(table, VERTICES, **bounds)
+        rows = rows if len(rows) else np.zeros(1, dtype=np.int64)
+        numbers = _small(rows)
+        sparse = {
+            "count": len(rows),
+            "indices": {"bufferView": self.view(numbers.tobytes()), "componentType": _form(numbers)["componentType"]},
+            "values": {"bufferView": self.view(table[rows].tobytes())},
+        }
+        return self._add(_form(table) | bounds | {"sparse": sparse})
+
+    def indices(self, corners: IndexArray) -> int:
+        """Add vertices of triangles, (3 t,)."""
+        return self.accessor(_small(corners), INDICES)
+
+    def document(self, top: dict[str, Any]) -> Document:
+        """The document with another JSON, to which accessors, views and the buffer are added."""
+        buffers = list(self._given.entries("buffers"))
+        data = b"".join(self._chunks)
+        if data:
+            buffers.append({"byteLength": len(data)})
+        lists = {"accessors": self._accessors, "bufferViews": self._views, "buffers": buffers}
+        blobs = (*self._given.buffers, data) if data else self._given.buffers
+        return Document(top | {name: values for name, values in lists.items() if values}, blobs, self._given.file)
+
+    def _add(self, entry: dict[str, Any]) -> int:
+        self._accessors.append(entry)
+        return len(self._accessors) - 1
+
+
+def _form(array: NDArray[Any]) -> dict[str, Any]:
+    columns = 1 if array.ndim == 1 else array.shape[1]
+    kind = COMPONENTS[f"{array.dtype.kind}{array.dtype.itemsize}"]
+    return {"componentType": kind, "count": len(array), "type": SHAPES[columns]}
+
+
+def _small(numbers: IndexArray) -> NDArray[Any]:
+    """Numbers in two bytes where they fit; the largest of a type means something else."""
+    return numbers.astype("<u2" if numbers.max(initial=0) < 65535 else "<u4")

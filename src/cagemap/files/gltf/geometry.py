@@ -1,0 +1,106 @@
+"""Control meshes as meshes of glTF: fans of triangles, one primitive a material, vertices parted at UV seams."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from cagemap.files.gltf.binary import VERTICES, Binary
+from cagemap.mesh import ControlMesh
+from cagemap.mesh.control_mesh import UvSet
+from cagemap.numerics.arrays import FloatArray, IndexArray
+from cagemap.surface.triangles import fan_triangles, vertex_normals
+
+
+def mesh_entry(
+    binary: Binary,
+    mesh: ControlMesh,
+    materials: Sequence[int | None],
+    *,
+    weights: sparse.csr_array | None = None,
+    shapes: Mapping[str, FloatArray] | None = None,
+) -> dict[str, Any]:
+    """Entry of ``meshes`` for a control mesh, its arrays added to ``binary``.
+
+    Parameters
+    ----------
+    binary : Binary
+    mesh : ControlMesh
+        Normals are those of its vertices. Creases and infinite colours have no place in the format.
+    materials : sequence of int or None
+        Number in the document of each of its materials.
+    weights : (n, j) csr_array, optional
+        Of the joints of the skin of its node; all influences are written, four a set.
+    shapes : dict of str to (n, 3) float64, optional
+    """
+    corners, corner_faces = fan_triangles(mesh.face_offsets, np.arange(len(mesh.face_indices)))
+    sets = _uv_sets(mesh)
+    first, numbers = _split([mesh.face_indices, *(one.uv_indices for one in sets)])
+    triangles, vertices = numbers[corners], mesh.face_indices[first]
+    normals = vertex_normals(mesh.positions, mesh.face_indices[corners])
+    normals[~normals.any(axis=1)] = [0.0, 0.0, 1.0]
+    attributes = {
+        "POSITION": binary.places(mesh.positions[vertices]),
+        "NORMAL": binary.accessor(normals[vertices].astype("<f4"), VERTICES),
+    }
+    for number, one in enumerate(sets):
+        # glTF counts v from the top.
+        uvs = one.uvs[one.uv_indices[first]] * [1.0, -1.0] + [0.0, 1.0]
+        attributes[f"TEXCOORD_{number}"] = binary.accessor(uvs.astype("<f4"), VERTICES)
+    if mesh.vertex_colors is not None and np.isfinite(mesh.vertex_colors).all():
+        attributes["COLOR_0"] = binary.accessor(mesh.vertex_colors[vertices].astype("<f4"), VERTICES)
+    if weights is not None:
+        attributes |= _skinning(binary, weights[vertices])
+    common: dict[str, Any] = {"attributes": attributes}
+    if shapes:
+        common["targets"] = [{"POSITION": binary.offsets(offsets[vertices])} for offsets in shapes.values()]
+    numbers_of = np.zeros(mesh.n_faces, dtype=np.int64) if mesh.face_materials is None else mesh.face_materials
+    primitives = []
+    for number in np.unique(numbers_of[corner_faces]).tolist():
+        chosen = triangles[numbers_of[corner_faces] == number].ravel()
+        primitive = common | {"indices": binary.indices(chosen)}
+        material = materials[number] if mesh.face_materials is not None else None
+        primitives.append(primitive if material is None else primitive | {"material": material})
+    named = {"extras": {"targetNames": list(shapes)}} if shapes else {}
+    return {"primitives": primitives} | named
+
+
+def _uv_sets(mesh: ControlMesh) -> list[UvSet]:
+    """All UV sets in the order of their names in glTF, others as the mesh has them."""
+    if mesh.uvs is None or mesh.uv_indices is None:
+        return []
+    sets = [UvSet(mesh.uv_name, mesh.uvs, mesh.uv_indices), *mesh.uv_sets]
+    named = all(one.name.startswith("TEXCOORD_") for one in sets)
+    return sorted(sets, key=lambda one: (len(one.name), one.name)) if named else sets
+
+
+def _split(indices: Sequence[IndexArray]) -> tuple[IndexArray, IndexArray]:
+    """A corner of each vertex to write, and the vertex of every corner; equal where all indices are."""
+    keys = np.zeros(len(indices[0]), dtype=np.int64)
+    for one in indices:
+        keys = np.unique(keys * (int(one.max(initial=0)) + 1) + one, return_inverse=True)[1].astype(np.int64)
+    _, first = np.unique(keys, return_index=True)
+    return first, keys
+
+
+def _skinning(binary: Binary, weights: sparse.csr_array) -> dict[str, int]:
+    """Attributes of weights (n, j): the largest first, in sets of four."""
+    counts = np.diff(weights.indptr)
+    rows = np.repeat(np.arange(len(counts)), counts)
+    order = np.lexsort((-weights.data, rows))
+    rank = np.arange(len(rows)) - weights.indptr[rows]
+    columns = 4 * max(1, -(-int(counts.max(initial=1)) // 4))
+    joints, values = np.zeros((len(counts), columns), dtype=np.int64), np.zeros((len(counts), columns))
+    joints[rows, rank], values[rows, rank] = weights.indices[order], weights.data[order]
+    values = (values / np.maximum(values.sum(axis=1, keepdims=True), 1e-30)).astype("<f4")
+    joints[values == 0.0] = 0
+    kind = "u1" if weights.shape[1] <= 256 else "<u2"
+    found = {}
+    for one in range(columns // 4):
+        four = slice(4 * one, 4 * one + 4)
+        found[f"JOINTS_{one}"] = binary.accessor(joints[:, four].astype(kind), VERTICES)
+        found[f"WEIGHTS_{one}"] = binary.accessor(values[:, four], VERTICES)
+    return found

@@ -1,0 +1,84 @@
+"""Textures of materials in glTF documents."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from cagemap.errors import FormatError
+from cagemap.files.gltf.binary import Binary
+from cagemap.files.gltf.entries import Document, image_suffix
+from cagemap.files.gltf.primitives import material_names
+
+_COLOR = "baseColorTexture"
+
+
+def texture_slots(material: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Slots of a material that have a texture, those of extensions too: name, and the object that says which."""
+    for name, value in material.items():
+        if not isinstance(value, dict):
+            continue
+        if name.endswith("Texture") and isinstance(value.get("index"), int):
+            yield name, value
+        elif name != "extras":
+            yield from texture_slots(value)
+
+
+def with_images(document: Document, images: Mapping[tuple[str, str], bytes]) -> Document:
+    """A document with images (PNG or JPEG) in slots of materials, by the names of both.
+
+    The sampler and the other settings of a slot stay. A material without that slot gets it; only
+    ``baseColorTexture``, ``normalTexture``, ``occlusionTexture`` and ``emissiveTexture`` can be added.
+
+    Raises
+    ------
+    FormatError
+        If there is no such material or slot, or the bytes are no image.
+    """
+    if not images:
+        return document
+    binary, top = Binary(document), json.loads(json.dumps(document.json))
+    textures, pictures = top.setdefault("textures", []), top.setdefault("images", [])
+    names = material_names(document)
+    for (name, slot), data in images.items():
+        if name not in names:
+            known = ", ".join(names) or "none"
+            raise FormatError(f"{document.file}: expected the name of a material ({known}), got {name!r}.")
+        holder = _slot(top["materials"][names.index(name)], slot, document)
+        suffix = image_suffix(data)
+        if suffix is None:
+            raise FormatError(f"{document.file}: expected a PNG or JPEG image for {slot} of {name}, got other data.")
+        picture = {"bufferView": binary.view(data), "mimeType": f"image/{suffix[1:].replace('jpg', 'jpeg')}"}
+        texture = textures[holder["index"]] if "index" in holder else {}
+        # Extensions of a texture name other images.
+        texture = {key: value for key, value in texture.items() if key != "extensions"}
+        own = texture.get("source")
+        if "index" not in holder or _users(top, holder["index"]) > 1:
+            holder["index"] = len(textures)
+            textures.append(texture)
+        if own is None or sum(other.get("source") == own for other in textures) > 1:
+            own = len(pictures)
+            pictures.append({})
+        pictures[own] = {key: value for key, value in pictures[own].items() if key not in ("uri", "name")} | picture
+        textures[holder["index"]] = texture | {"source": own}
+    return binary.document(top)
+
+
+def _users(top: dict[str, Any], texture: int) -> int:
+    """Number of slots that have a texture."""
+    slots = (holder for material in top["materials"] for _, holder in texture_slots(material))
+    return sum(holder["index"] == texture for holder in slots)
+
+
+def _slot(material: dict[str, Any], slot: str, document: Document) -> dict[str, Any]:
+    for name, holder in texture_slots(material):
+        if name == slot:
+            return holder
+    if slot == _COLOR:
+        material = material.setdefault("pbrMetallicRoughness", {})
+    elif slot not in ("normalTexture", "occlusionTexture", "emissiveTexture"):
+        raise FormatError(f"{document.file}: expected a texture slot of glTF, got {slot!r}.")
+    material[slot] = {}
+    found: dict[str, Any] = material[slot]
+    return found
