@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cagemap.numerics.arrays import FloatArray
+import numpy as np
+
+from cagemap.numerics.arrays import FloatArray, IndexArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,3 +27,18 @@ class Skeleton:
     heads: FloatArray
     tails: FloatArray
     axes: FloatArray | None = None
+
+
+def tails_of(heads: FloatArray, parents: IndexArray) -> FloatArray:
+    """Tails (j, 3) of joints with heads (j, 3) and parents (j,), -1 for a root: the middle of a joint's children.
+
+    A joint without children is half as long as the one above it.
+    """
+    tails = heads.copy()
+    for number, parent in enumerate(parents):
+        children = np.flatnonzero(parents == number)
+        if len(children):
+            tails[number] = heads[children].mean(axis=0)
+        elif parent >= 0:
+            tails[number] = heads[number] + 0.5 * (heads[number] - heads[parent])
+    return tails

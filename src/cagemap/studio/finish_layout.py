@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from cagemap.files.gltf.document import GLTF_SUFFIXES
 from cagemap.files.usd.read import USD_SUFFIXES
 from cagemap.studio.finish import SHARED
 from cagemap.studio.workspace import IMAGES, MESHES, TABLES
@@ -59,6 +60,7 @@ MORE_IMAGES, DETAIL, RIG, WRAP, MATCH, MASKS, FILES, ADVANCED = (
     "Files",
     "Advanced",
 )
+_RIGGED = (*USD_SUFFIXES, *GLTF_SUFFIXES)
 _VALUES = (*TABLES, ".json", *USD_SUFFIXES)
 _HELD = "the target's own, kept outside the masks: FILE under the texture, NAME=FILE under another (normal map, ao)"
 _MASK = "match and bake only this: a part's name, or a file; not:... for all but that"
@@ -93,10 +95,10 @@ FOLDS = (
         RIG,
         _of(
             "transfer",
-            ("weights", "Skin weights", (".csv", ".npz", *USD_SUFFIXES), "of the source's cage, a column a joint"),
+            ("weights", "Skin weights", (".csv", ".npz", *_RIGGED), "of the source's cage, a column a joint"),
             ("influences", "Influences", (), "joints a vertex at most; 0: all"),
-            ("joints", "Joints", (".json", *USD_SUFFIXES), "skeleton of the source"),
-            ("blend_shapes", "Blend shapes", (".obj", ".npz", *USD_SUFFIXES, FOLDERS), "of the source's cage"),
+            ("joints", "Joints", (".json", *_RIGGED), "skeleton of the source"),
+            ("blend_shapes", "Blend shapes", (".obj", ".npz", *_RIGGED, FOLDERS), "of the source's cage"),
             ("attribute", "Attribute", _VALUES, "any values at the source's vertices, faces or corners; vertex groups"),
         ),
     ),

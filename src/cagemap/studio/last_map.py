@@ -43,7 +43,7 @@ def _decided_by(match: Command, state: Studio) -> object:
     if files is None or any(getattr(match.request, name, None) for name in _MASKS):
         return None
     models = files.target, files.source
-    if any(model.suffix.lower() in USD_SUFFIXES for model in models):
+    if any(model.suffix.lower() in (*USD_SUFFIXES, ".gltf") for model in models):
         return None
     return match, state.wish, _stamps(models)
 

@@ -11,6 +11,8 @@ from typing import Any
 
 from cagemap.errors import CagemapError, InvalidMeshError, ParameterError
 from cagemap.files.atomic import check_outputs
+from cagemap.files.gltf.contents import Contents, read_contents
+from cagemap.files.gltf.document import GLTF_SUFFIXES
 from cagemap.files.meshes.formats import check_mesh_path, mesh_files, read_mesh, read_whole, write_mesh
 from cagemap.mesh import ControlMesh
 from cagemap.mesh.checks import UNREFINED, check_mesh, require_valid
@@ -38,11 +40,13 @@ def check_files(
     for path in paths:
         try:
             mesh, report = _checked(path, subdivision, weld)
+            holds = _contents(path)
         except CagemapError as error:
             parts.append(f"{path}\n  cannot be read: {error}")
             sound = False
             continue
-        parts.append(str(report) + _part_lines(mesh))
+        listed = _part_lines(mesh, pieces=holds is None)
+        parts.append(str(report) + ("" if holds is None else f"\n{holds}") + listed)
         sound &= not report.problems
     return "\n\n".join(parts), sound
 
@@ -55,11 +59,13 @@ def check_values(
     for path in paths:
         try:
             mesh, report = _checked(path, subdivision, weld)
+            holds = _contents(path)
         except CagemapError as error:
             found.append({"file": str(path), "usable": False, "error": str(error)})
             continue
         parts = [{"name": part.title, "faces": len(part.faces)} for part in _parts(mesh)]
-        found.append({"file": str(path), "usable": report.is_valid, **asdict(report), "parts": parts})
+        held = {} if holds is None else {"contents": asdict(holds)}
+        found.append({"file": str(path), "usable": report.is_valid, **asdict(report), "parts": parts, **held})
     return json.dumps(found, indent=1, default=int), all(one["usable"] for one in found)
 
 
@@ -84,6 +90,11 @@ def _checked(path: Path, subdivision: SubdivisionRequest, weld: str | None) -> t
     return mesh, replace(report, notes=(*report.notes, *said))
 
 
+def _contents(path: Path) -> Contents | None:
+    """What a glTF file holds beside its surface."""
+    return read_contents(path) if path.suffix.lower() in GLTF_SUFFIXES else None
+
+
 def _parts(mesh: ControlMesh) -> tuple[Part, ...]:
     try:
         return list_parts(mesh)
@@ -91,9 +102,15 @@ def _parts(mesh: ControlMesh) -> tuple[Part, ...]:
         return ()  # what keeps the mesh from having parts is among its problems
 
 
-def _part_lines(mesh: ControlMesh) -> str:
-    """Objects, groups, materials and components with their sizes, where there is anything to choose from."""
+def _part_lines(mesh: ControlMesh, *, pieces: bool = True) -> str:
+    """Objects, groups, materials and components with their sizes, where there is anything to choose from.
+
+    Without ``pieces`` no components, and what has the faces of another part once.
+    """
     found = _parts(mesh)
+    if not pieces:
+        different = {part.faces.tobytes(): part for part in reversed(found) if part.kind != "component"}
+        found = tuple(reversed(different.values()))
     if len(found) < 2:
         return ""
     width = max(len(part.title) for part in found[:MOST_PARTS])
@@ -118,6 +135,9 @@ def refine_file(
     welded = weld_asked(read_mesh(path), weld)
     control = subdivision.applied(welded.mesh)
     check_outputs(mesh_files(output, control), [path], force=force)
+    if level == 0 and isinstance(control.scheme, Plain) and not structure_problems(control):
+        write_mesh(output, control, like=path, force=force)
+        return "\n".join([*welded.notes, f"wrote {output}"])
     require_valid(control, allowed=UNREFINED)
     require_size(control, level)
     refinement = refine_mesh(control, level)

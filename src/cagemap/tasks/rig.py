@@ -9,6 +9,8 @@ import numpy as np
 
 from cagemap.errors import ParameterError
 from cagemap.files.atomic import all_or_nothing, check_outputs
+from cagemap.files.gltf.document import GLTF_SUFFIXES
+from cagemap.files.gltf.values import gltf_skeleton
 from cagemap.files.meshes.mhclo import bind, write_mhclo
 from cagemap.files.result.folder import note_transfer, read_files, stated_path
 from cagemap.files.result.maps import write_map
@@ -41,7 +43,7 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
     check_outputs([request.output], [request.weights], force=request.force)
     rows = file_rows(request.result, result.manifest, "source", result.source.control)
     given = read_attributes(request.weights, result.source.control, rows)
-    if JOINT_WEIGHTS in given:  # a USD file: its other primvars are no weights
+    if JOINT_WEIGHTS in given:  # a USD or glTF file: other primvars are no weights
         given = {JOINT_WEIGHTS: given[JOINT_WEIGHTS]}
     _require_rows(given, result.source.control, rows, request)
     table = np.column_stack([np.asarray(array, dtype=np.float64).reshape(len(array), -1) for array in given.values()])
@@ -55,6 +57,8 @@ def transfer_weights(request: TransferRequest, result: MatchResult, stages: Stag
         _require_joints(given, skeleton, request)
     elif request.weights.suffix.lower() in USD_SUFFIXES:
         skeleton = read_usd_skeleton(request.weights, result.source.control)
+    elif request.weights.suffix.lower() in GLTF_SUFFIXES:
+        skeleton = gltf_skeleton(request.weights)
     stages("weights")
     try:
         carried = carry_weights(result, skin, influences=request.influences or None)

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cagemap.character.values import Animation, Channel, Track
+from cagemap.files.gltf.accessors import read_accessor
 from cagemap.files.gltf.binary import Binary
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.nodes import distinct
@@ -71,6 +72,25 @@ def animation_names(document: Document) -> tuple[str, ...]:
     """Different names of all animations; those without have one of their number."""
     count = len(document.entries("animations"))
     return distinct([document.name("animations", number) or f"animation {number}" for number in range(count)])
+
+
+def animation_lengths(document: Document) -> tuple[float, ...]:
+    """Seconds of every animation, of joints or of anything else.
+
+    Raises
+    ------
+    FormatError
+        If times are no numbers.
+    """
+    found = []
+    for number in range(len(document.entries("animations"))):
+        where = f"animations {number}"
+        samplers = document.entries("samplers", document.entry("animations", number), where)
+        inputs = [sampler.get("input") for sampler in samplers if isinstance(sampler, dict)]
+        different = [one for place, one in enumerate(inputs) if one not in inputs[:place]]
+        ends = [float(read_accessor(document, one, where, ("SCALAR",)).max()) for one in different]
+        found.append(max(ends, default=0.0))
+    return tuple(found)
 
 
 def _kept(

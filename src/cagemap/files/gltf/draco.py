@@ -97,9 +97,9 @@ class _Plain:
 def _normalised(weights: dict[str, NDArray[Any] | None]) -> dict[str, NDArray[Any] | None]:
     """Weights whose sums the compression has moved away from 1."""
     known = [values for values in weights.values() if values is not None]
-    if not known or any(values.dtype.kind != "f" or values.shape != known[0].shape for values in known):
+    if not known or any(values.dtype.kind != "f" or values.shape != (len(known[0]), 4) for values in known):
         return weights
-    sums = np.sum(known, axis=(0, 2), dtype=np.float64)[:, None]
+    sums = np.asarray(np.sum(known, axis=(0, 2), dtype=np.float64, keepdims=True))[0]
     return {
         name: None if values is None else (values / np.where(sums > 0.0, sums, 1.0)).astype(np.float32)
         for name, values in weights.items()

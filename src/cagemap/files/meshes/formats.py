@@ -9,6 +9,7 @@ import numpy as np
 
 from cagemap.errors import FormatError
 from cagemap.files.gltf.document import GLTF_SUFFIXES
+from cagemap.files.gltf.like import write_glb_like
 from cagemap.files.gltf.read import read_gltf
 from cagemap.files.gltf.write import write_glb
 from cagemap.files.meshes.obj import obj_files, read_obj, write_obj
@@ -66,7 +67,8 @@ def write_mesh(path: str | Path, mesh: MeshLike, *, like: str | Path | None = No
     mesh : mesh, see `cagemap.mesh.inputs.control_mesh`
     like : path, optional
         The file that it was read from: between USD files units, up axis and the prim's transform are kept, and a
-        ``.glb`` of a USD file is in metres with Y up.
+        ``.glb`` of a USD file is in metres with Y up. A ``.glb`` of a glTF file keeps all else that is in it, where
+        vertices and faces are the same.
     force : bool
 
     Raises
@@ -79,6 +81,8 @@ def write_mesh(path: str | Path, mesh: MeshLike, *, like: str | Path | None = No
     original = Path(like) if like is not None and Path(like).suffix.lower() in USD_SUFFIXES else None
     if suffix in USD_SUFFIXES and original is not None:
         write_usd(path, mesh, space=stage_space(original), force=force)
+    elif suffix == ".glb" and like is not None and Path(like).suffix.lower() in GLTF_SUFFIXES:
+        write_glb_like(path, mesh, like, force=force)
     elif suffix == ".glb" and original is not None:
         write_glb(path, mesh, to_metres=to_standard(original, mesh), force=force)
     else:

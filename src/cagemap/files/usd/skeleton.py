@@ -12,7 +12,7 @@ from cagemap.files.usd.primvars import integers
 from cagemap.files.usd.read import identifiers, named_damage, one_mesh, open_stage, read_usd_meshes, usd_modules
 from cagemap.files.usd.transforms import moved
 from cagemap.mesh import ControlMesh
-from cagemap.mesh.skeleton import Skeleton
+from cagemap.mesh.skeleton import Skeleton, tails_of
 from cagemap.numerics.arrays import FloatArray, IndexArray
 
 
@@ -64,15 +64,8 @@ def _named(joints: list[str], placed: FloatArray) -> Skeleton:
     names = leaves if len(set(leaves)) == len(leaves) else joints
     parents = _parents(joints)
     heads = placed[:, 3, :3]
-    tails = heads.copy()
-    for number, parent in enumerate(parents):
-        children = np.flatnonzero(parents == number)
-        if len(children):
-            tails[number] = heads[children].mean(axis=0)
-        elif parent >= 0:
-            tails[number] = heads[number] + 0.5 * (heads[number] - heads[parent])
     above = tuple(names[parent] if parent >= 0 else "" for parent in parents)
-    return Skeleton(tuple(names), above, heads, tails, placed[:, :3, :3])
+    return Skeleton(tuple(names), above, heads, tails_of(heads, parents), placed[:, :3, :3])
 
 
 def _parents(joints: list[str]) -> IndexArray:

@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path
+from cagemap.files.gltf.document import GLTF_SUFFIXES
+from cagemap.files.gltf.values import gltf_weights
 from cagemap.files.npz import read_npy, read_npz, write_npy, write_npz
 from cagemap.files.suffixes import VALUE_SUFFIXES
 from cagemap.files.text import is_number, require_file
+from cagemap.files.usd.primvars import JOINT_WEIGHTS
 from cagemap.files.usd.read import USD_SUFFIXES, in_world, one_mesh, read_usd_meshes
 from cagemap.files.values.part_numbering import FileRows, prim_rows, taken
 from cagemap.files.values.vertex_groups import groups_text, read_groups
@@ -29,7 +32,7 @@ def read_attributes(path: str | Path, control: ControlMesh | None = None, rows: 
     An ``.npy`` holds one array, named like the file; an ``.npz`` any number; a ``.csv`` one column each, with names in
     its first line, or one array of all columns, named like the file, without. A ``.json`` holds vertex groups
     (`vertex_groups`), each a weight for every vertex of the mesh. A USD file holds the primvars of its
-    mesh, skinning and blend shapes (`cagemap.files.usd.primvars`).
+    mesh, skinning and blend shapes (`cagemap.files.usd.primvars`), a glTF file the skinning weights of its meshes.
 
     Parameters
     ----------
@@ -53,6 +56,8 @@ def read_attributes(path: str | Path, control: ControlMesh | None = None, rows: 
     require_file(file, "a file of attributes")
     if file.suffix.lower() in USD_SUFFIXES:
         return _read_usd(file, control)
+    if file.suffix.lower() in GLTF_SUFFIXES:
+        return taken({JOINT_WEIGHTS: gltf_weights(file)}, rows)
     check_attribute_path(file)
     if file.suffix.lower() == ".json":
         if control is None:

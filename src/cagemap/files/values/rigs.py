@@ -9,9 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cagemap.errors import FormatError
 from cagemap.files.atomic import atomic_path, check_outputs, write_whole
+from cagemap.files.gltf.document import GLTF_SUFFIXES
+from cagemap.files.gltf.values import gltf_shapes, gltf_skeleton
 from cagemap.files.meshes.formats import mesh_files, read_mesh, write_mesh
 from cagemap.files.npz import read_npz, write_npz
 from cagemap.files.ownership import mark
@@ -29,7 +32,8 @@ from cagemap.numerics.arrays import FloatArray
 def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skeleton:
     """Read a list of joints: ``[{"name": ..., "parent": ... or null, "head": [x, y, z], "tail": [x, y, z]}, ...]``.
 
-    A joint may have its own ``"axes"``, three directions. A USD file has the skeleton that its mesh is bound to.
+    A joint may have its own ``"axes"``, three directions. A USD file has the skeleton that its mesh is bound to, a
+    glTF file the joints of all its skins.
 
     Parameters
     ----------
@@ -43,6 +47,8 @@ def read_skeleton(path: str | Path, control: ControlMesh | None = None) -> Skele
         If the file is no such list, a name comes twice, or a parent is missing.
     """
     file = Path(path)
+    if file.suffix.lower() in GLTF_SUFFIXES:
+        return gltf_skeleton(file)
     if file.suffix.lower() in USD_SUFFIXES:
         found = read_usd_skeleton(file, control)
         if found is None:
@@ -97,7 +103,8 @@ def read_shapes(paths: Sequence[Path], rest: ControlMesh, rows: FileRows | None 
     Parameters
     ----------
     paths : sequence of Path
-        OBJ or PLY files with the cage's faces, ``.npz`` files of named displacements, or folders of these; USD files.
+        OBJ or PLY files with the cage's faces, ``.npz`` files of named displacements, or folders of these; USD
+        and glTF files.
     rest : ControlMesh
     rows : FileRows, optional
         Of a cage that is a part of a file: shapes of the whole file are taken at the part.
@@ -126,6 +133,8 @@ def read_shapes(paths: Sequence[Path], rest: ControlMesh, rows: FileRows | None 
 def _shapes_of(file: Path, rest: ControlMesh, rows: FileRows | None) -> dict[str, FloatArray]:
     if file.suffix.lower() == ".npz":
         return _read_offsets(file, rest, rows)
+    if file.suffix.lower() in GLTF_SUFFIXES:
+        return {name: _checked_offsets(file, name, a, rest) for name, a in taken(gltf_shapes(file), rows).items()}
     if file.suffix.lower() not in USD_SUFFIXES:
         return {file.stem: _read_shape(file, rest, rows)}
     own = {n: values for n, values in read_attributes(file, rest).items() if n.startswith(BLEND_SHAPE)}
@@ -153,19 +162,22 @@ def _read_offset(file: Path, mesh: ControlMesh, rest: ControlMesh) -> FloatArray
 
 def _read_offsets(file: Path, rest: ControlMesh, rows: FileRows | None) -> dict[str, FloatArray]:
     arrays = taken(read_npz(file, "Write it again, with one array (vertices, 3) for each shape."), rows)
-    for name, array in arrays.items():
-        if array.shape != (rest.n_vertices, 3) or array.dtype.kind not in "iuf":
-            raise FormatError(
-                f"{file}: expected displacements of shape ({rest.n_vertices}, 3) in '{name}', one a vertex of "
-                f"{rest.name}, found {array.dtype} of shape {array.shape}"
-            )
-        unknown = np.flatnonzero(~np.isfinite(array).all(axis=1))
-        if len(unknown):
-            raise FormatError(
-                f"{file}: expected finite displacements in '{name}', found others at {len(unknown)} vertices of "
-                f"{rest.name}, such as {unknown[:5].tolist()} (0-based). Write it again, with 0 where nothing moves."
-            )
-    return {name: array.astype(np.float64) for name, array in arrays.items()}
+    return {name: _checked_offsets(file, name, array, rest) for name, array in arrays.items()}
+
+
+def _checked_offsets(file: Path, name: str, array: NDArray[Any], rest: ControlMesh) -> FloatArray:
+    if array.shape != (rest.n_vertices, 3) or array.dtype.kind not in "iuf":
+        raise FormatError(
+            f"{file}: expected displacements of shape ({rest.n_vertices}, 3) in '{name}', one a vertex of "
+            f"{rest.name}, found {array.dtype} of shape {array.shape}"
+        )
+    unknown = np.flatnonzero(~np.isfinite(array).all(axis=1))
+    if len(unknown):
+        raise FormatError(
+            f"{file}: expected finite displacements in '{name}', found others at {len(unknown)} vertices of "
+            f"{rest.name}, such as {unknown[:5].tolist()} (0-based). Write it again, with 0 where nothing moves."
+        )
+    return array.astype(np.float64)
 
 
 def write_shapes(

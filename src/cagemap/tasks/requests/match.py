@@ -36,10 +36,11 @@ class MatchRequest:
     """What the user asked for, as said on the command line."""
 
     target: Annotated[
-        Path, Option("--target", "-t", group=INPUT, help="Mesh that receives, .obj, .ply, .off, .stl or USD.")
+        Path,
+        Option("--target", "-t", group=INPUT, help="Mesh that receives, .obj, .ply, .off, .stl, glTF, VRM or USD."),
     ]
     source: Annotated[
-        Path, Option("--source", "-s", group=INPUT, help="Mesh that gives, .obj, .ply, .off, .stl or USD.")
+        Path, Option("--source", "-s", group=INPUT, help="Mesh that gives, .obj, .ply, .off, .stl, glTF, VRM or USD.")
     ]
     landmarks: Annotated[Path | None, Option(group=LANDMARKS, help="JSON file of pairs of corresponding points.")]
     output: Annotated[Path, Option("-o", "--output", group=OUTPUT, help="RESULT folder to write.")]

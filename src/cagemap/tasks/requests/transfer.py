@@ -69,10 +69,10 @@ class TransferRequest:
         False
     )
     weights: Annotated[
-        Path | None, Option(help="Skinning weights of the source's cage, a column a joint: .csv, .npz.")
+        Path | None, Option(help="Skinning weights of the source's cage, a column a joint: .csv, .npz, glTF.")
     ] = None
     influences: Annotated[int, Option(min=0, help="Weights: at most so many joints a vertex; 0 for all.")] = 4
-    joints: Annotated[Path | None, Option(help="Skeleton of the source, .json; with --weights its names.")] = None
+    joints: Annotated[Path | None, Option(help="Skeleton of the source, .json, glTF; with --weights its names.")] = None
     blend_shapes: Annotated[
         tuple[Path, ...], Option(help="Shapes of the source's cage: .obj, .npz, folder; may be repeated.")
     ] = ()
