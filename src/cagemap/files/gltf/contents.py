@@ -14,6 +14,7 @@ from cagemap.files.gltf.entries import Document, image_bytes
 from cagemap.files.gltf.parts import read_scene
 from cagemap.files.gltf.primitives import material_names
 from cagemap.files.gltf.textures import texture_slots
+from cagemap.files.text import whole_characters
 from cagemap.mesh.measures import face_areas
 from cagemap.mesh.mesh_report import first_few
 
@@ -95,7 +96,7 @@ def read_contents(path: str | Path) -> Contents:
     parts = [one.part for one in scene.parts]
     body = int(np.argmax([face_areas(part.mesh).sum() for part in parts]))
     weights = [part.weights for part in parts if part.weights is not None]
-    used = [name for name in document.entries("extensionsUsed") if isinstance(name, str)]
+    used = [whole_characters(name) for name in document.entries("extensionsUsed") if isinstance(name, str)]
     return Contents(
         body=parts[body].name,
         passengers=tuple(part.name for number, part in enumerate(parts) if number != body),

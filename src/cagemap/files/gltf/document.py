@@ -15,8 +15,9 @@ from cagemap.errors import FormatError
 from cagemap.files.atomic import write_whole
 from cagemap.files.gltf.draco import DRACO, without_draco
 from cagemap.files.gltf.entries import REMEDY, Document, image_bytes, resource, view_bytes
+from cagemap.files.gltf.structure import require_structure
 from cagemap.files.ownership import mark
-from cagemap.files.text import read_bytes
+from cagemap.files.text import read_bytes, whole_characters
 from cagemap.numerics.arrays import shown
 
 __all__ = [
@@ -62,6 +63,7 @@ def read_document(path: str | Path) -> Document:
     if str(asset.get("version", "")).partition(".")[0] != "2":
         document.refuse("asset", f"expected glTF version 2.0, got {shown(asset.get('version'))}", "Export it as 2.0.")
     _require_understood(document)
+    require_structure(document)
     buffers = tuple(_buffer(document, number, blob) for number in range(len(document.entries("buffers"))))
     return without_draco(Document(document.json, buffers, file))
 
@@ -108,7 +110,8 @@ def _require_understood(document: Document) -> None:
     for name in document.entries("extensionsRequired"):
         if not isinstance(name, str) or not (name in _UNDERSTOOD or name.startswith(_UNDERSTOOD_FAMILIES)):
             way = _WAYS_ROUND.get(str(name), "Export it without this extension")
-            raise FormatError(f"{document.file}: requires the extension {name}, which cagemap does not read. {way}.")
+            word = whole_characters(str(name))
+            raise FormatError(f"{document.file}: requires the extension {word}, which cagemap does not read. {way}.")
 
 
 def _buffer(document: Document, number: int, blob: bytes | None) -> bytes:

@@ -14,7 +14,7 @@ from urllib.parse import unquote, unquote_to_bytes
 import numpy as np
 
 from cagemap.errors import FormatError
-from cagemap.files.text import read_bytes
+from cagemap.files.text import read_bytes, whole_characters
 from cagemap.numerics.arrays import FloatArray, shown
 
 _DATA_URI = re.compile(r"data:([^,;]*)((?:;[^,;]*)*),")
@@ -90,7 +90,7 @@ class Document:
     def name(self, kind: str, number: int) -> str:
         """The name of an entry, '' where it has none."""
         stated = self.entry(kind, number).get("name")
-        return stated.encode("utf-8", "replace").decode() if isinstance(stated, str) else ""
+        return whole_characters(stated) if isinstance(stated, str) else ""
 
 
 def resource(document: Document, uri: object, where: str) -> bytes:

@@ -11,6 +11,7 @@ import numpy as np
 from cagemap.files.gltf.accessors import read_accessor
 from cagemap.files.gltf.entries import Document
 from cagemap.files.gltf.nodes import distinct
+from cagemap.files.text import whole_characters
 from cagemap.mesh import ControlMesh, Plain
 from cagemap.mesh.control_mesh import UvSet
 from cagemap.mesh.join import join_meshes
@@ -56,7 +57,7 @@ def shape_names(document: Document, number: int, count: int) -> tuple[str, ...]:
     stated = extras.get("targetNames") if isinstance(extras, dict) else None
     stated = stated if isinstance(stated, list) else []
     words = [word for word in stated[:count] if isinstance(word, str)]
-    named = [word.encode("utf-8", "replace").decode() for word in words] if len(words) == count else []
+    named = [whole_characters(word) for word in words] if len(words) == count else []
     return distinct(named or [f"shape {target}" for target in range(count)])
 
 

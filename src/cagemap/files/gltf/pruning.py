@@ -21,7 +21,7 @@ def without_unused(document: Document) -> Document:
     Meshes, textures and images stay, used or not, since extensions name them by number.
     """
     used = document.entries("extensionsUsed")
-    if not all(name in _KNOWN or str(name).startswith(_KNOWN_FAMILIES) for name in used):
+    if not all(str(name) in _KNOWN or str(name).startswith(_KNOWN_FAMILIES) for name in used):
         return document
     top = json.loads(json.dumps(document.json))
     top["accessors"] = _kept(top.get("accessors", []), list(_of_accessors(top)))

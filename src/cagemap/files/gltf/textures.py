@@ -50,7 +50,7 @@ def with_images(document: Document, images: Mapping[tuple[str, str], bytes]) -> 
         if suffix is None:
             raise FormatError(f"{document.file}: expected a PNG or JPEG image for {slot} of {name}, got other data.")
         picture = {"bufferView": binary.view(data), "mimeType": f"image/{suffix[1:].replace('jpg', 'jpeg')}"}
-        texture = textures[holder["index"]] if "index" in holder else {}
+        texture = document.entry("textures", holder["index"], name) if "index" in holder else {}
         # Extensions of a texture name other images.
         texture = {key: value for key, value in texture.items() if key != "extensions"}
         own = texture.get("source")

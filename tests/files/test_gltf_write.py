@@ -1,0 +1,306 @@
+"""Writing glTF: what is not understood stays, characters go into documents, and others read what is written."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cagemap.character.values import Character
+from cagemap.errors import FormatError
+from cagemap.files.gltf.build import character_glb
+from cagemap.files.gltf.character import character_of, read_character
+from cagemap.files.gltf.document import Document, image_bytes, read_document, write_document
+from cagemap.files.meshes.formats import read_mesh, write_mesh
+from cagemap.files.ownership import is_own
+from cagemap.tasks.mesh_commands import refine_file
+
+from gltf_scenes import arm
+
+READ = ("Fox.glb", "MorphStressTest.gltf", "mh_male_young.vrm", "saturday06_skinned_morph_vrm0.vrm")
+READ += ("mh_male_young_draco.glb",)
+PNG = b"\x89PNG" + bytes(20)
+
+
+def _textured() -> Document:
+    """An arm whose two meshes share one image, with an extension that nobody knows."""
+    document = arm()
+    json_ = document.json | {
+        "extensionsUsed": ["ACME_springs"],
+        "extensions": {"ACME_springs": {"joint": 2}},
+        "materials": [
+            {"name": name, "pbrMetallicRoughness": {"baseColorTexture": {"index": 0, "texCoord": 0}}}
+            for name in ("sleeve", "ball")
+        ],
+        "samplers": [{"magFilter": 9728}],
+        "textures": [{"source": 0, "sampler": 0}],
+        "images": [{"bufferView": len(document.json["bufferViews"]), "mimeType": "image/png", "name": "skin"}],
+    }
+    view = {"buffer": 0, "byteOffset": len(document.buffers[0]), "byteLength": len(PNG)}
+    json_["bufferViews"] = [*document.json["bufferViews"], view]
+    json_["buffers"] = [{"byteLength": len(document.buffers[0]) + len(PNG)}]
+    for number, mesh in enumerate(json_["meshes"]):
+        mesh["primitives"][0]["material"] = number
+    return replace(document, json=json_, buffers=(document.buffers[0] + PNG,))
+
+
+def _same(one: Character, other: Character, tolerance: float = 1e-6) -> None:
+    for part, again in zip(one.parts, other.parts, strict=True):
+        assert part.name == again.name
+        assert part.mesh.n_faces == again.mesh.n_faces
+        assert part.mesh.material_names == again.mesh.material_names
+        corners = part.mesh.positions[part.mesh.face_indices], again.mesh.positions[again.mesh.face_indices]
+        np.testing.assert_allclose(*corners, atol=tolerance)
+        assert list(part.shapes) == list(again.shapes)
+        for name in part.shapes:
+            offsets = part.shapes[name][part.mesh.face_indices], again.shapes[name][again.mesh.face_indices]
+            np.testing.assert_allclose(*offsets, atol=tolerance)
+        if part.weights is not None and again.weights is not None:
+            rows = part.weights[part.mesh.face_indices] - again.weights[again.mesh.face_indices]
+            assert np.abs(rows).max() < 1e-6
+    assert (one.rig is None) == (other.rig is None)
+    if one.rig is not None and other.rig is not None:
+        assert one.rig.names == other.rig.names
+        np.testing.assert_allclose(one.rig.local, other.rig.local, atol=tolerance)
+        np.testing.assert_allclose(one.rig.bind, other.rig.bind, atol=tolerance)
+        for animation, again_moving in zip(one.animations, other.animations, strict=True):
+            for track, also in zip(animation.tracks, again_moving.tracks, strict=True):
+                assert (track.joint, track.channel) == (also.joint, also.channel)
+                np.testing.assert_allclose(track.values, also.values, atol=tolerance)
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".gltf", ".vrm"])
+def test_a_document_comes_back_as_it_was(suffix: str, tmp_path: Path) -> None:
+    document = _textured()
+    document.json["nodes"][2]["extras"] = {"note": ["kept", 1.5]}
+    path = tmp_path / f"copy{suffix}"
+    write_document(path, document)
+    assert is_own(path)
+    again = read_document(path)
+    for name in set(document.json) - {"asset", "bufferViews", "buffers"}:
+        assert again.json[name] == document.json[name]
+    _same(character_of(document), character_of(again))
+    assert image_bytes(again, 0) == (PNG, ".png")
+
+
+def test_images_beside_a_gltf_are_packed(tmp_path: Path) -> None:
+    document = _textured()
+    (tmp_path / "skin.png").write_bytes(PNG)
+    json_ = document.json | {"images": [{"uri": "skin.png", "name": "skin"}]}
+    path = tmp_path / "out.glb"
+    write_document(path, replace(document, json=json_, file=tmp_path / "in.gltf"))
+    assert image_bytes(read_document(path), 0)[0] == PNG
+
+
+@pytest.mark.parametrize("above", [None, {"scale": [0.1, 0.1, 0.1], "rotation": [0.5, 0.5, 0.5, 0.5]}])
+def test_a_character_in_its_document_and_alone(above: dict[str, Any] | None, tmp_path: Path) -> None:
+    document = arm(above=above)
+    character = character_of(document)
+    for name, made in (("in.glb", character_glb(character, document)), ("alone.glb", character_glb(character))):
+        write_document(tmp_path / name, made)
+        again = read_character(tmp_path / name)
+        _same(character, again)
+
+
+def test_what_is_no_joint_stays_in_the_document() -> None:
+    document = _textured()
+    made = character_glb(character_of(document), document)
+    assert made.json["extensions"] == document.json["extensions"]
+    assert [node["name"] for node in made.json["nodes"]] == ["armature", "upper", "lower", "ball", "strip"]
+    assert made.json["nodes"][4]["translation"] == [7, 7, 7]
+    paths = [(c["target"]["node"], c["target"]["path"]) for c in made.json["animations"][0]["channels"]]
+    assert sorted(paths) == [(1, "translation"), (2, "rotation"), (4, "translation")]
+
+
+def test_joints_move_and_join() -> None:
+    document = arm()
+    character = character_of(document)
+    rig = character.rig
+    assert rig is not None
+    lifted, tip = rig.local.copy(), np.eye(4)
+    lifted[1, 3, 1] = 0.25
+    tip[3, 0] = 1.0
+    bind = np.stack([rig.bind[0], lifted[1] @ rig.bind[0], tip @ lifted[1] @ rig.bind[0]])
+    grown = replace(
+        rig,
+        names=(*rig.names, "tip"),
+        parents=np.array([-1, 0, 1]),
+        local=np.concatenate([lifted, tip[None]]),
+        bind=bind,
+    )
+    parts = tuple(replace(part, weights=None) for part in character.parts)
+    again = character_of(character_glb(replace(character, rig=grown, parts=parts), document))
+    assert again.rig is not None
+    assert again.rig.names == ("upper", "lower", "tip")
+    np.testing.assert_allclose(again.rig.bind, bind, atol=1e-6)
+    np.testing.assert_allclose(again.rig.local, grown.local, atol=1e-6)
+
+
+def test_a_new_image_for_one_of_two_materials_that_share_one() -> None:
+    document = _textured()
+    other = b"\xff\xd8\xff" + bytes(9)
+    made = character_glb(character_of(document), document, {("sleeve", "baseColorTexture"): other})
+    slots = [material["pbrMetallicRoughness"]["baseColorTexture"] for material in made.json["materials"]]
+    images = [image_bytes(made, made.json["textures"][slot["index"]]["source"]) for slot in slots]
+    assert images == [(other, ".jpg"), (PNG, ".png")]
+    assert slots[0]["texCoord"] == 0
+    assert made.json["textures"][slots[0]["index"]]["sampler"] == 0
+    with pytest.raises(FormatError, match="sleeve, ball"):
+        character_glb(character_of(document), document, {("hat", "baseColorTexture"): other})
+
+
+def test_a_new_image_of_one_material_replaces_the_old_one() -> None:
+    document = _textured()
+    document.json["materials"].pop()
+    del document.json["meshes"][1]["primitives"][0]["material"]
+    del document.json["extensionsUsed"]
+    other = b"\xff\xd8\xff" + bytes(9)
+    made = character_glb(character_of(document), document, {("sleeve", "baseColorTexture"): other})
+    assert len(made.json["images"]) == len(made.json["textures"]) == 1
+    assert image_bytes(made, 0) == (other, ".jpg")
+    assert PNG not in made.buffers[0]
+    added = character_glb(character_of(document), document, {("sleeve", "normalTexture"): other})
+    assert len(added.json["images"]) == 2
+
+
+def test_more_than_four_influences_and_256_joints(tmp_path: Path) -> None:
+    character = character_of(arm())
+    rig, strip = character.rig, character.parts[1]
+    assert rig is not None
+    count = 300
+    many = replace(
+        rig,
+        names=tuple(f"j{number}" for number in range(count)),
+        parents=np.arange(-1, count - 1),
+        local=np.tile(np.eye(4), (count, 1, 1)),
+        bind=np.tile(np.eye(4), (count, 1, 1)),
+    )
+    from scipy import sparse
+
+    table = np.zeros((strip.mesh.n_vertices, count))
+    table[:, 290:296] = [0.3, 0.1, 0.2, 0.15, 0.05, 0.2]
+    part = replace(strip, weights=sparse.csr_array(table))
+    write_document(tmp_path / "many.glb", character_glb(Character((part,), many)))
+    again = read_character(tmp_path / "many.glb").parts[0].weights
+    assert again is not None
+    np.testing.assert_allclose(again.toarray(), table, atol=1e-7)
+
+
+def test_a_mesh_with_other_faces_is_written_alone(tmp_path: Path) -> None:
+    write_document(tmp_path / "arm.glb", arm())
+    mesh = read_mesh(tmp_path / "arm.glb")
+    moved = mesh.with_positions(mesh.positions + [0, 0, 1])
+    write_mesh(tmp_path / "moved.glb", moved, like=tmp_path / "arm.glb")
+    again = read_character(tmp_path / "moved.glb")
+    assert again.rig is not None
+    np.testing.assert_allclose(again.parts[1].mesh.positions[:, 2], 1.0)
+    half = replace(mesh, face_offsets=mesh.face_offsets[:3], face_indices=mesh.face_indices[:6], face_objects=None)
+    write_mesh(tmp_path / "half.glb", half, like=tmp_path / "arm.glb")
+    assert read_character(tmp_path / "half.glb").rig is None
+
+
+def _inside(path: Path) -> dict[str, Any]:
+    """What an independent reader finds."""
+    pygltflib = pytest.importorskip("pygltflib")
+    gltf = pygltflib.GLTF2().load(str(path))
+    ends = []
+    for animation in gltf.animations:
+        inputs = [gltf.accessors[sampler.input] for sampler in animation.samplers]
+        ends.append(round(max(entry.max[0] for entry in inputs), 5))
+    places = [[gltf.accessors[primitive.attributes.POSITION] for primitive in mesh.primitives] for mesh in gltf.meshes]
+    targets = [len(mesh.primitives[0].targets or []) for mesh in gltf.meshes]
+    names = [(mesh.extras or {}).get("targetNames") for mesh in gltf.meshes]
+    return {
+        "nodes": [node.name for node in gltf.nodes],
+        "low": [np.min([entry.min for entry in mesh], axis=0) for mesh in places],
+        "high": [np.max([entry.max for entry in mesh], axis=0) for mesh in places],
+        "morphs": (targets, names),
+        "skins": [[gltf.nodes[joint].name for joint in skin.joints] for skin in gltf.skins],
+        "animations": [animation.name for animation in gltf.animations],
+        "ends": ends,
+        "materials": [material.name for material in gltf.materials],
+        "images": len(gltf.images),
+        "extensions": sorted(gltf.extensions or {}),
+    }
+
+
+def _box(found: dict[str, Any]) -> tuple[list[Any], list[Any]]:
+    return found.pop("low"), found.pop("high")
+
+
+@pytest.mark.parametrize("name", READ)
+def test_round_trips_by_an_independent_reader(name: str, tmp_path: Path, shared_data: Path) -> None:
+    """`refine --level 0` and a plain copy: bounding boxes, skins, morphs, lengths of animations."""
+    given = shared_data / "characters" / "foreign" / name
+    if "draco" in name:
+        pytest.importorskip("DracoPy")
+    before = _inside(given)
+    low, high = _box(before)
+    refine_file(given, 0, tmp_path / "refined.glb")
+    write_document(tmp_path / "copied.glb", read_document(given))
+    for path in (tmp_path / "refined.glb", tmp_path / "copied.glb"):
+        after = _inside(path)
+        size = np.max(np.ptp([low, high], axis=0))
+        np.testing.assert_allclose(_box(after), (low, high), atol=2e-5 * size)
+        assert after == before
+
+
+VALIDATE = """
+const fs = require('fs'), validator = require(process.argv[1]);
+(async () => {
+  for (const file of process.argv.slice(2)) {
+    const report = await validator.validateBytes(new Uint8Array(fs.readFileSync(file)), {maxIssues: 0});
+    const errors = report.issues.messages.filter(one => one.severity === 0);
+    console.log(JSON.stringify({file, errors: errors.slice(0, 5), count: report.issues.numErrors}));
+  }
+})();
+"""
+
+
+def _validator() -> str:
+    """Folder of the Khronos validator; the test skips where it is not installed."""
+    if shutil.which("node") is None:
+        pytest.skip("node is not installed, which runs the Khronos validator")
+    found = subprocess.run(
+        ["node", "-p", "require.resolve('gltf-validator')"], capture_output=True, text=True, check=False
+    )
+    if found.returncode:
+        pytest.skip("the npm package gltf-validator is not installed (npm install gltf-validator; NODE_PATH)")
+    return found.stdout.strip()
+
+
+@pytest.mark.slow
+def test_the_khronos_validator_finds_no_errors(tmp_path: Path, shared_data: Path) -> None:
+    validator = _validator()
+    pytest.importorskip("DracoPy")
+    place = shared_data / "characters"
+    files = [*(place / "foreign" / name for name in READ), place / "rigs" / "character_A.glb"]
+    files.append(place / "rigs" / "target_B_body.glb")
+    written = []
+    for file in files:
+        document = read_document(file)
+        character = character_of(document)
+        for kind, made in (
+            ("copied", document),
+            ("built", character_glb(character, document)),
+            ("alone", character_glb(character)),
+        ):
+            written.append(tmp_path / f"{file.stem}_{kind}.glb")
+            write_document(written[-1], made)
+        written.append(tmp_path / f"{file.stem}_mesh.glb")
+        write_mesh(written[-1], read_mesh(file))
+    write_document(tmp_path / "made.glb", character_glb(character_of(arm()), arm()))
+    reports = subprocess.run(
+        ["node", "-e", VALIDATE, validator, *map(str, written), str(tmp_path / "made.glb")],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    assert len(reports.splitlines()) == len(written) + 1
+    assert [line for line in reports.splitlines() if json.loads(line)["count"]] == []
