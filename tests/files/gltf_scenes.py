@@ -30,8 +30,9 @@ class Maker:
         array = np.asarray(values, dtype=dtype)
         columns = 1 if array.ndim == 1 else array[0].size
         bounds: dict[str, Any] = {}
-        if columns == 3 and array.dtype.kind == "f":
-            bounds = {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
+        if columns in (1, 3) and array.dtype.kind == "f":
+            rows = array.reshape(-1, columns)
+            bounds = {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
         entry = {"bufferView": self.view(array.tobytes()), "componentType": _KINDS[array.dtype.str[1:]]}
         entry |= {"count": len(array), "type": _SHAPES[columns]} | bounds | extra
         self.accessors.append(entry)

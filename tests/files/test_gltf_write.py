@@ -19,6 +19,7 @@ from cagemap.files.gltf.character import character_of, read_character
 from cagemap.files.gltf.document import Document, image_bytes, read_document, write_document
 from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.files.ownership import is_own
+from cagemap.mesh.parts import extract
 from cagemap.tasks.mesh_commands import refine_file
 
 from gltf_scenes import arm
@@ -195,12 +196,12 @@ def test_more_than_four_influences_and_256_joints(tmp_path: Path) -> None:
 def test_a_mesh_with_other_faces_is_written_alone(tmp_path: Path) -> None:
     write_document(tmp_path / "arm.glb", arm())
     mesh = read_mesh(tmp_path / "arm.glb")
-    moved = mesh.with_positions(mesh.positions + [0, 0, 1])
+    moved = mesh.with_positions(mesh.positions + np.array([0, 0, 1]))
     write_mesh(tmp_path / "moved.glb", moved, like=tmp_path / "arm.glb")
     again = read_character(tmp_path / "moved.glb")
     assert again.rig is not None
     np.testing.assert_allclose(again.parts[1].mesh.positions[:, 2], 1.0)
-    half = replace(mesh, face_offsets=mesh.face_offsets[:3], face_indices=mesh.face_indices[:6], face_objects=None)
+    half = extract(mesh, np.array([1, 2]))
     write_mesh(tmp_path / "half.glb", half, like=tmp_path / "arm.glb")
     assert read_character(tmp_path / "half.glb").rig is None
 
@@ -208,7 +209,8 @@ def test_a_mesh_with_other_faces_is_written_alone(tmp_path: Path) -> None:
 def _inside(path: Path) -> dict[str, Any]:
     """What an independent reader finds."""
     pygltflib = pytest.importorskip("pygltflib")
-    gltf = pygltflib.GLTF2().load(str(path))
+    binary = path.read_bytes()[:4] == b"glTF"
+    gltf = pygltflib.GLTF2().load_binary(str(path)) if binary else pygltflib.GLTF2().load_json(str(path))
     ends = []
     for animation in gltf.animations:
         inputs = [gltf.accessors[sampler.input] for sampler in animation.samplers]
@@ -247,7 +249,8 @@ def test_round_trips_by_an_independent_reader(name: str, tmp_path: Path, shared_
     for path in (tmp_path / "refined.glb", tmp_path / "copied.glb"):
         after = _inside(path)
         size = np.max(np.ptp([low, high], axis=0))
-        np.testing.assert_allclose(_box(after), (low, high), atol=2e-5 * size)
+        # Draco rounds, and the file states the bounds before.
+        np.testing.assert_allclose(_box(after), (low, high), atol=(1e-4 if "draco" in name else 1e-6) * size)
         assert after == before
 
 
