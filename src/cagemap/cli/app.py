@@ -181,6 +181,12 @@ def refine(
     uv_interpolation: UvOption = None,
     creasing: CreasingOption = None,
     weld: WeldOption = None,
+    quads: Annotated[
+        bool,
+        typer.Option(
+            "--quads", show_default=False, help="Join triangles to the quads that an exporter split.  [default: off]"
+        ),
+    ] = False,
     force: Force = False,
 ) -> None:
     """Subdivide a control mesh.
@@ -193,7 +199,7 @@ def refine(
     from cagemap.tasks.subdivision import SubdivisionRequest
 
     subdivision = SubdivisionRequest(scheme, boundary, uv_interpolation, creasing)
-    say(refine_file(mesh, level, output, subdivision=subdivision, weld=weld, force=force))
+    say(refine_file(mesh, level, output, subdivision=subdivision, weld=weld, quads=quads, force=force))
 
 
 _command()(match)

@@ -19,6 +19,7 @@ from cagemap.mesh.checks import UNREFINED, check_mesh, require_valid
 from cagemap.mesh.mesh_report import MeshReport, Problem
 from cagemap.mesh.parts import Part, list_parts
 from cagemap.mesh.plain import plain_mesh
+from cagemap.mesh.quads import join_quads
 from cagemap.mesh.schemes import Plain
 from cagemap.mesh.structure_checks import structure_problems
 from cagemap.mesh.weld import weld_tolerance
@@ -127,24 +128,35 @@ def refine_file(
     *,
     subdivision: SubdivisionRequest = SubdivisionRequest(),
     weld: str | None = None,
+    quads: bool = False,
     force: bool = False,
 ) -> str:
-    """Refine a mesh file into another; returns the table of levels, and what was welded."""
+    """Refine a mesh file into another; returns the table of levels, and what was welded and joined."""
     check_mesh_path(output)
     check_outputs([output], [path], force=force)
     welded = weld_asked(read_mesh(path), weld)
-    control = subdivision.applied(welded.mesh)
+    mesh, notes = _with_quads(welded.mesh, welded.notes) if quads else (welded.mesh, welded.notes)
+    control = subdivision.applied(mesh)
     check_outputs(mesh_files(output, control), [path], force=force)
     if level == 0 and isinstance(control.scheme, Plain) and not structure_problems(control):
         write_mesh(output, control, like=path, force=force)
-        return "\n".join([*welded.notes, f"wrote {output}"])
+        return "\n".join([*notes, f"wrote {output}"])
     require_valid(control, allowed=UNREFINED)
     require_size(control, level)
     refinement = refine_mesh(control, level)
     write_mesh(output, finest_mesh(refinement), like=path, force=force)
     tolerance = weld_tolerance(control)
     seams = "" if tolerance is None else f"note: {control.name} is split at seams, --weld {tolerance:g} joins them"
-    return "\n".join(filter(None, [*welded.notes, str(refinement), seams, f"wrote {output}"]))
+    return "\n".join(filter(None, [*notes, str(refinement), seams, f"wrote {output}"]))
+
+
+def _with_quads(mesh: ControlMesh, notes: tuple[str, ...]) -> tuple[ControlMesh, tuple[str, ...]]:
+    """The mesh with its triangles joined in pairs, to be subdivided as quads are; a glTF says that it is plain."""
+    joined, count = join_quads(mesh)
+    left = int((joined.face_sizes == 3).sum())
+    scheme = None if isinstance(joined.scheme, Plain) else joined.scheme
+    note = f"{mesh.name}: {count} pairs of triangles are joined to quads, {left} triangles stay"
+    return replace(joined, scheme=scheme), (*notes, note)
 
 
 def require_size(control: ControlMesh, level: int) -> None:

@@ -1,0 +1,133 @@
+"""Join pairs of triangles into the quads that they were before an exporter split them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cagemap.errors import InvalidMeshError
+from cagemap.mesh.control_mesh import ControlMesh
+from cagemap.mesh.faces import with_corners_of
+from cagemap.mesh.inputs import MeshLike, arrays_accepted
+from cagemap.mesh.structure_checks import structure_problems
+from cagemap.mesh.topology import adjacent_corners, edge_table
+from cagemap.numerics.arrays import FloatArray, IndexArray, pair_keys
+
+# Degrees: pairs with a larger fold, or with a corner further from 90, are no quad.
+_MOST_FOLDED, _MOST_SKEWED = 90.0, 75.0
+# Degrees that pairs of faces which follow each other in the file may be worse: exporters write quads so.
+_IN_ORDER = 60.0
+# Share of all triangles: where so many pairs begin at even faces, the file holds quads one after the other.
+_MOST_EVEN = 0.9
+
+
+@arrays_accepted
+def join_quads(mesh: MeshLike) -> tuple[ControlMesh, int]:
+    """Join triangles in pairs; also the number of quads made.
+
+    A pair shares an edge that is no crease and no seam of UVs, materials or objects. Where a triangle could be in
+    several quads, faces that follow each other and corners near 90 degrees decide. Vertices keep their numbers.
+
+    Parameters
+    ----------
+    mesh : mesh, see `cagemap.mesh.inputs.control_mesh`
+
+    Raises
+    ------
+    InvalidMeshError
+        If the arrays are no mesh.
+
+    Examples
+    --------
+    >>> from cagemap import ControlMesh
+    >>> square = ControlMesh.from_faces([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], [(0, 1, 2), (0, 2, 3)])
+    >>> join_quads(square)[0].face_sizes
+    array([4])
+    """
+    broken = structure_problems(mesh)
+    if broken:
+        raise InvalidMeshError(f"{mesh.name}: expected a mesh, got {broken[0]}")
+    following = mesh.next_corners
+    quads = _candidates(mesh, following)
+    first, second = mesh.corner_faces[quads[:, 0]], mesh.corner_faces[quads[:, 2]]
+    places = mesh.positions[mesh.face_indices[quads]]
+    cost = _skew(places)
+    sound = (_fold(places) < _MOST_FOLDED) & (cost < _MOST_SKEWED)
+    in_order, even = np.abs(first - second) == 1, np.minimum(first, second) % 2 == 0
+    cost -= np.where(in_order, _IN_ORDER, 0.0)
+    if 2 * np.sum(in_order & even & sound) >= _MOST_EVEN * mesh.n_faces:
+        cost -= np.where(in_order & even, 180.0, 0.0)
+        sound |= in_order & even
+    chosen = quads[sound][_matched(first[sound], second[sound], cost[sound], mesh.n_faces)]
+    if not len(chosen):
+        return mesh, 0
+    pairs = np.sort(mesh.corner_faces[chosen[:, [0, 2]]], axis=1)
+    sizes = mesh.face_sizes.copy()
+    sizes[pairs[:, 0]] = 4
+    kept = np.ones(mesh.n_faces, dtype=bool)
+    kept[pairs[:, 1]] = False
+    faces = np.flatnonzero(kept)
+    offsets = np.concatenate([[0], np.cumsum(sizes[faces])]).astype(np.int64)
+    corners = np.repeat(mesh.face_offsets[faces] - offsets[:-1], sizes[faces]) + np.arange(offsets[-1])
+    place = np.empty(mesh.n_faces, dtype=np.int64)
+    place[faces] = offsets[:-1]
+    corners[place[pairs[:, 0]][:, None] + np.arange(4)] = chosen
+    return with_corners_of(mesh, faces, offsets, corners), len(chosen)
+
+
+def _candidates(mesh: ControlMesh, following: IndexArray) -> IndexArray:
+    """(q, 4) corners of all quads that two triangles make."""
+    edges = edge_table(mesh)
+    one, other = adjacent_corners(edges)
+    faces = mesh.corner_faces
+    heads = mesh.face_indices[following]
+    fits = (edges.face_counts[edges.corner_edges[one]] == 2) & (mesh.face_indices[one] == heads[other])
+    fits &= (mesh.face_sizes[faces[one]] == 3) & (mesh.face_sizes[faces[other]] == 3)
+    for labels in (mesh.face_materials, mesh.face_objects, mesh.face_groups):
+        if labels is not None:
+            fits &= labels[faces[one]] == labels[faces[other]]
+    sets = [] if mesh.uv_indices is None else [mesh.uv_indices, *(uv_set.uv_indices for uv_set in mesh.uv_sets)]
+    for uvs in sets:
+        fits &= (uvs[one] == uvs[following[other]]) & (uvs[following[one]] == uvs[other])
+    if mesh.crease_edges is not None and len(mesh.crease_edges):
+        own = pair_keys(np.column_stack([mesh.face_indices[one], heads[one]]), mesh.n_vertices)
+        fits &= ~np.isin(own, pair_keys(mesh.crease_edges, mesh.n_vertices))
+    one, other = one[fits], other[fits]
+    return np.column_stack([one, following[following[other]], other, following[following[one]]])
+
+
+def _fold(places: FloatArray) -> FloatArray:
+    """(q,) degrees between the normals of both triangles of quads (q, 4, 3) that are split from corner 0 to 2."""
+    a, b, c, d = places.transpose(1, 0, 2)
+    return _angle(np.cross(b - a, c - a), np.cross(c - a, d - a))
+
+
+def _skew(places: FloatArray) -> FloatArray:
+    """(q,) degrees that the worst corner of quads (q, 4, 3) is from 90."""
+    ahead, back = np.roll(places, -1, axis=1) - places, np.roll(places, 1, axis=1) - places
+    return np.abs(_angle(ahead, back) - 90.0).max(axis=1, initial=0.0)
+
+
+def _angle(one: FloatArray, other: FloatArray) -> FloatArray:
+    lengths = np.linalg.norm(one, axis=-1) * np.linalg.norm(other, axis=-1)
+    cosine = np.einsum("...x,...x->...", one, other) / np.where(lengths > 0.0, lengths, 1.0)
+    return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def _matched(first: IndexArray, second: IndexArray, cost: FloatArray, n_faces: int) -> NDArray[np.bool_]:
+    """(q,) which pairs of faces are joined: in rounds, those that are the best one of both."""
+    rank = np.empty(len(cost), dtype=np.int64)
+    rank[np.argsort(cost, kind="stable")] = np.arange(len(cost))
+    chosen = np.zeros(len(cost), dtype=bool)
+    open_pairs = np.arange(len(cost))
+    while len(open_pairs):  # the best of all is always joined
+        best = np.full(n_faces, len(cost), dtype=np.int64)
+        for side in (first, second):
+            np.minimum.at(best, side[open_pairs], rank[open_pairs])
+        own = rank[open_pairs]
+        won = open_pairs[(best[first[open_pairs]] == own) & (best[second[open_pairs]] == own)]
+        chosen[won] = True
+        taken = np.zeros(n_faces, dtype=bool)
+        taken[first[won]] = taken[second[won]] = True
+        open_pairs = open_pairs[~taken[first[open_pairs]] & ~taken[second[open_pairs]]]
+    return chosen
