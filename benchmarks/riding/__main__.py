@@ -1,7 +1,8 @@
 """``python -m benchmarks.riding [PART ...] [--out FILE]``: what rides on a map, measured against what is known.
 
 identity (the same body on both sides), back (weights and normal maps onto another cage of the same shape and back),
-shapes, joints (between bodies of known truth), binding (.mhclo). Each row is printed, and appended to FILE as JSON.
+shapes, joints (between bodies of known truth), rig (MakeHuman's weights on other cages), binding (.mhclo). Each row is
+printed, and appended to FILE as JSON.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from scipy import sparse
 
 import cagemap
 from benchmarks.accuracy.posed import landmarks_of
@@ -34,6 +36,7 @@ from cagemap.pipeline import choose_level, match, prepare_surface
 from cagemap.spectral import Surface
 from cagemap.subdivision import finest_mesh, refine
 from cagemap.surface.triangles import normalized
+from cagemap.tasks.carry_arrays import carry_weights
 from cagemap.tasks.match import MatchRequest, run_match
 from cagemap.tasks.progress import Stages
 from cagemap.tasks.requests.transfer import TransferRequest
@@ -221,6 +224,29 @@ def shapes() -> Iterator[Row]:
         )
 
 
+def rig() -> Iterator[Row]:
+    """MakeHuman's weights of `base` (all influences) on two other cages: another body, another, and the same one."""
+    with np.load(DATA / "characters" / "rigs" / "weights_body.npz") as file:
+        skin = sparse.csr_array((file["data"], file["indices"], file["indptr"]), shape=tuple(file["shape"])).toarray()
+    skin /= skin.sum(axis=1, keepdims=True)
+    for target in ("soma18056", "female1605"):
+        with np.load(DATA / "humans" / "ground_truth" / f"base__{target}.npz") as truth:
+            true = np.einsum("nk,nkj->nj", truth["b_to_a_bary"], skin[truth["b_to_a_verts"]])
+            known = truth["b_to_a_valid"]
+        true /= true.sum(axis=1, keepdims=True)
+        for of, to in (("female_old_heavy", "male_young"), ("male_young", "neutral"), ("male_young", "male_young")):
+            found = _found(target, "base", of, to)
+            off = {
+                count: 0.5 * np.abs(carry_weights(found, skin, influences=count) - true).sum(axis=1)[known]
+                for count in (4, None)
+            }
+            yield (
+                f"rig of base, {to}, on {target}, {of}",
+                f"total variation {off[4].mean():.3f} at four a vertex, {off[None].mean():.3f} with all "
+                f"(median {np.median(off[None]):.3f})",
+            )
+
+
 def _known(target: str, source: str) -> np.ndarray:
     """(n,) control vertices of the target with a true place on the source: on a closed mouth a mouth bag has none."""
     folder = DATA / "humans" / "ground_truth"
@@ -271,6 +297,7 @@ PARTS: dict[str, Callable[[], Iterator[Row]]] = {
     "normals": normals_back,
     "shapes": shapes,
     "joints": joints,
+    "rig": rig,
     "binding": binding,
 }
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cagemap.character.bones import CONVENTIONS, PARENTS, TABLES, bones_above, humanoid_names
+from cagemap.character.bones import CONVENTIONS, PARENTS, TABLES, bones_above, humanoid_names, mirrored_joints
 from cagemap.character.values import Rig
 
 # Names and parents as the programs write them.
@@ -124,6 +124,12 @@ def test_joints_on_wrong_parents_and_unknown_ones_are_left_out() -> None:
         "leftUpperLeg",
     }
     assert humanoid_names(rig_of(["b_Tail01", "b_Tail02"], ["", "b_Tail01"])) == {}
+
+
+def test_joints_of_the_other_side() -> None:
+    names = ["hips", "LeftArm", "RightArm", "CC_Base_L_Thigh", "CC_Base_R_Thigh", "calf_r", "calf_l", "toe.L", "Lid"]
+    assert mirrored_joints(names).tolist() == [0, 2, 1, 4, 3, 6, 5, 7, 8]
+    assert mirrored_joints(["finger1-1.L", "spine", "finger1-1.R"]).tolist() == [2, 1, 0]
 
 
 def test_parents_are_bones() -> None:

@@ -57,7 +57,7 @@ def test_channels_replace_their_part_of_a_joint() -> None:
     np.testing.assert_allclose(local[4, 3, :3], rig.local[4, 3, :3], atol=1e-9)
     np.testing.assert_allclose(np.delete(local, 4, axis=0), np.delete(rig.local, 4, axis=0), atol=1e-9)
     with pytest.raises(ParameterError, match="another rig"):
-        pose_at(rig, Animation("far", (replace(tracks[0], joint=10),)), 0.0)
+        pose_at(rig, Animation("far", (replace(tracks[0], joint=11),)), 0.0)
 
 
 def test_an_animation_of_its_own_rig_stays_as_it_is() -> None:
@@ -71,7 +71,7 @@ def test_a_rig_with_other_names_and_axes_moves_alike() -> None:
     source = person()
     names = {"Hips": "pelvis", "Spine": "spine_01", "Neck": "neck_01", "Head": "head", "LeftUpLeg": "thigh_l"}
     names |= {"LeftLeg": "calf_l", "LeftFoot": "foot_l", "LeftArm": "upperarm_l", "LeftForeArm": "lowerarm_l"}
-    names |= {"LeftHand": "hand_l"}
+    names |= {"LeftHand": "hand_l", "RightUpLeg": "thigh_r"}
     bind = source.bind.copy()
     bind[:, :3, :3] = Rotation.random(len(bind), rng=np.random.default_rng(8)).as_matrix()
     target = Rig(tuple(names[name] for name in source.names), source.parents, to_parents(bind, source.parents), bind)
@@ -87,14 +87,15 @@ def test_a_rig_with_other_names_and_axes_moves_alike() -> None:
         np.testing.assert_allclose(turns[1], turns[0], atol=1e-7)
 
 
-def raised(rig: Rig, angle: float) -> Rig:
-    """The rig bound with its arm raised."""
+def raised(rig: Rig, angle: float, name: str = "LeftArm", axis: int = 2) -> Rig:
+    """The rig bound with its arm raised, or another joint turned."""
     local = to_parents(rig.bind, rig.parents)
     world = rig.bind.copy()
     for joint, parent in enumerate(rig.parents):
         world[joint] = local[joint] @ world[parent] if parent >= 0 else world[joint]
-        if rig.names[joint] == "LeftArm":
-            world[joint, :3, :3] = world[joint, :3, :3] @ Rotation.from_rotvec((0, 0, -angle)).as_matrix()
+        if rig.names[joint] == name:
+            turn = Rotation.from_rotvec(-angle * np.eye(3)[axis]).as_matrix()
+            world[joint, :3, :3] = world[joint, :3, :3] @ turn
     return replace(rig, bind=world, local=to_parents(world, rig.parents))
 
 
@@ -112,7 +113,13 @@ def test_poses_come_together() -> None:
     other = replace(high, bind=turned, local=to_parents(turned, high.parents))
     np.testing.assert_allclose(pose_towards(low, other)[:, 3], high.bind[:, 3], atol=1e-9)
     with pytest.raises(ParameterError, match="humanoid bones in common"):
-        pose_towards(replace(low, names=tuple("abcdefghij")), high)
+        pose_towards(replace(low, names=tuple("abcdefghijk")), high)
+
+
+def test_a_bent_back_is_a_pose_and_no_turned_rig() -> None:
+    straight = person()
+    bent = raised(straight, 0.9, "Spine", 0)
+    np.testing.assert_allclose(pose_towards(straight, bent)[:, 3], bent.bind[:, 3], atol=1e-9)
 
 
 def test_motion_is_relative_to_the_common_pose() -> None:

@@ -28,7 +28,7 @@ from cagemap.surface.triangle_surface import TriangleSurface
 from cagemap.transfer import control_weights, prepare_transfer
 from cagemap.transfer.blend_shapes import carry_shape, contacts, prepare_shapes
 from cagemap.transfer.skeleton import carry_joints
-from cagemap.transfer.skin import carry_skin, filled_in, normalised_skin
+from cagemap.transfer.skin import carry_skin, chosen_joints, filled_in, mirrored_skin, normalised_skin
 
 from command_line import Run
 from example_result import identity_result, textured_cube
@@ -426,3 +426,30 @@ def test_shapes_of_a_body_come_back_exactly_under_the_identity(shared_data: Path
     carrier = prepare_shapes(body, body, same_vertices(body, body))
     shape = old.positions - young.positions
     np.testing.assert_allclose(carry_shape(carrier, shape), shape, rtol=0, atol=1e-9)
+
+
+def test_chosen_joints_are_carried_and_others_share_the_rest() -> None:
+    rng = np.random.default_rng(2)
+    carried, own = rng.dirichlet(np.ones(5), 40), rng.dirichlet(np.ones(5), 40)
+    own[3] = (0.25, 0.75, 0, 0, 0)  # all of chosen joints
+    mixed = chosen_joints(carried, own, np.array([0, 1]))
+    np.testing.assert_allclose(mixed.sum(axis=1), 1, atol=1e-12)
+    np.testing.assert_array_equal(mixed[:, :2], carried[:, :2])
+    np.testing.assert_array_equal(mixed[3], carried[3])
+    others = np.arange(40) != 3
+    shares = mixed[others, 2:] / mixed[others, 2:].sum(axis=1, keepdims=True)
+    np.testing.assert_allclose(shares, own[others, 2:] / own[others, 2:].sum(axis=1, keepdims=True), atol=1e-12)
+    np.testing.assert_array_equal(chosen_joints(carried, own, np.arange(5)), carried)
+    with pytest.raises(ParameterError, match=r"joints: expected 0 to 4, got \[5\]"):
+        chosen_joints(carried, own, np.array([5]))
+    with pytest.raises(ParameterError, match="one shape"):
+        chosen_joints(carried, own[1:], np.array([0]))
+
+
+def test_mirrored_weights_are_symmetric() -> None:
+    skin = np.random.default_rng(2).dirichlet(np.ones(3), 4)
+    vertices, joints = np.array([1, 0, 2, 3]), np.array([0, 2, 1])
+    even = mirrored_skin(skin, vertices, joints)
+    np.testing.assert_allclose(even, even[vertices][:, joints], atol=1e-15)
+    np.testing.assert_allclose(even.sum(axis=1), 1)
+    np.testing.assert_allclose(mirrored_skin(even, vertices, joints), even, atol=1e-15)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import chain, product
 
+import numpy as np
+
 from cagemap.character.values import Rig
+from cagemap.numerics.arrays import IndexArray
 
 SIDES = ("left", "right")
 
@@ -62,6 +65,10 @@ jaw                   head                  =                    Jaw            
 
 # Prefixes that say nothing of the bone: of a namespace or object, of Rigify's deforming bones, of Khronos' samples.
 _PREFIX = re.compile(r"^.*[:|/]|^(DEF[-_]|Skeleton_)")
+# Sides in names: words, or a letter of its own.
+_SIDE_WORD = re.compile(r"[Ll]eft|[Rr]ight|LEFT|RIGHT|(?<![A-Za-z])[LlRr](?![A-Za-z])")
+_SIDE_PAIRS = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("l", "r"), ("L", "R"))
+_OTHER_SIDE = {one: other for pair in _SIDE_PAIRS for one, other in (pair, pair[::-1])}
 # Numbers that some exporters append to every name.
 _SUFFIX = re.compile(r"_\d+$")
 
@@ -125,6 +132,13 @@ def _named(rig: Rig, names: tuple[str, ...], table: Mapping[str, tuple[str, ...]
         if above < 0 or kept[above] in bones_above(bone_of[joint]):
             kept[joint] = bone_of[joint]
     return {bone: joint for bone, joint in chosen.items() if kept.get(joint) == bone}
+
+
+def mirrored_joints(names: Sequence[str]) -> IndexArray:
+    """Joint on the other side (j,) of each joint, by left and right in the names; itself where none is."""
+    numbers = {name: joint for joint, name in enumerate(names)}
+    others = [_SIDE_WORD.sub(lambda word: _OTHER_SIDE[word.group()], name, count=1) for name in names]
+    return np.array([numbers.get(other, joint) for joint, other in enumerate(others)], dtype=np.int64)
 
 
 def bones_above(bone: str) -> list[str]:

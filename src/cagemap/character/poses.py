@@ -23,6 +23,7 @@ _TORSO = (
     *("hips", "spine", "chest", "upperChest", "neck", "head"),
     *(side + bone for side in ("left", "right") for bone in ("Shoulder", "UpperArm", "UpperLeg")),
 )
+_PELVIS = ("hips", "spine", "leftUpperLeg", "rightUpperLeg")
 _LIMBS = (
     ("UpperLeg", "LowerLeg"),
     ("LowerLeg", "Foot"),
@@ -209,13 +210,20 @@ def least_rotation(start: FloatArray, end: FloatArray) -> FloatArray:
 
 def turn_and_scale(source: Rig, target: Rig, pairs: Mapping[int, int]) -> tuple[FloatArray, float]:
     """Rotation (3, 3) and scale that take the source's bind pose, as a whole, to the target's; directions are rows."""
-    bones = humanoid_names(source)
-    torso = {bones[bone] for bone in _TORSO if bones.get(bone) in pairs}
-    own, other = (np.array(list(joints), dtype=np.int64) for joints in (pairs, pairs.values()))
-    chosen = np.isin(own, list(torso)) if len(torso) > 3 else np.ones(len(own), dtype=bool)
-    if not chosen.any():
+    if not pairs:
         return np.eye(3), 1.0
-    before, after = source.heads[own[chosen]], target.heads[other[chosen]]
+    bones = humanoid_names(source)
+    named = [[bones[bone] for bone in names if bones.get(bone) in pairs] for names in (_TORSO, _PELVIS)]
+    sets = [np.array(joints) for joints in named if len(joints) > 3] or [np.array(list(pairs))]
+    # A bent back turns the torso, not the pelvis.
+    fits = [_best_turn(source, target, own, np.array([pairs[joint] for joint in own.tolist()])) for own in sets]
+    turned = all(error <= _TURN_ERROR * plain for _, _, error, plain in fits)
+    return (fits[0][0] if turned else np.eye(3)), fits[0][1]
+
+
+def _best_turn(source: Rig, target: Rig, own: IndexArray, other: IndexArray) -> tuple[FloatArray, float, float, float]:
+    """Rotation and scale that fit joints best, their error, and the error without rotation."""
+    before, after = source.heads[own], target.heads[other]
     before, after = before - before.mean(axis=0), after - after.mean(axis=0)
     sizes = float(np.linalg.norm(before)), float(np.linalg.norm(after))
     scale = sizes[1] / sizes[0] if min(sizes) > 0 else 1.0
@@ -224,4 +232,5 @@ def turn_and_scale(source: Rig, target: Rig, pairs: Mapping[int, int]) -> tuple[
     mixed = mixed + _AXES_WEIGHT * np.einsum("jab,jac->bc", *axes) / len(own)
     turn = nearest_rotations(mixed[None])[0]
     errors = [float(np.linalg.norm(scale * before @ rotation - after)) for rotation in (turn, np.eye(3))]
-    return (np.eye(3) if errors[0] > _TURN_ERROR * errors[1] else turn), scale
+    # Rounding is no reason to turn.
+    return turn, scale, errors[0] + 1e-9 * sizes[1], errors[1]

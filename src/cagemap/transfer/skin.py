@@ -8,7 +8,7 @@ from scipy import sparse
 
 from cagemap.deform.graph import ElasticGraph
 from cagemap.errors import ParameterError
-from cagemap.numerics.arrays import FloatArray
+from cagemap.numerics.arrays import FloatArray, IndexArray
 from cagemap.numerics.factorization import factor
 
 # Sums of weights that differ less from 1 are rounding: such rows stay as they are.
@@ -140,3 +140,47 @@ def normalised(skin: FloatArray, sums: FloatArray) -> FloatArray:
     present = skin.sum(axis=1)
     factors = np.divide(sums, present, out=np.ones_like(present), where=present > 0)
     return skin * np.where(np.abs(factors - 1) > 1e-12, factors, 1.0)[:, None]
+
+
+def chosen_joints(carried: FloatArray, own: FloatArray, chosen: IndexArray) -> FloatArray:
+    """Weights (n, j) of which the chosen joints' are carried; the mesh's own of all others share what is left.
+
+    Parameters
+    ----------
+    carried, own : (n, j) float64
+        Rows sum to 1; of ``own`` also to 0 where a vertex has no weights yet.
+    chosen : (q,) int64
+        Columns. Rows whose own weights are all of chosen joints take all carried ones.
+
+    Raises
+    ------
+    ParameterError
+        If the two are of other shapes, or a joint is not among them.
+    """
+    if carried.shape != own.shape:
+        raise ParameterError(f"skinning weights: expected two tables of one shape, got {carried.shape} and {own.shape}")
+    wrong = [int(joint) for joint in chosen if not 0 <= joint < carried.shape[1]]
+    if wrong:
+        raise ParameterError(f"joints: expected 0 to {carried.shape[1] - 1}, got {wrong[:5]}")
+    taken = np.zeros(carried.shape[1], dtype=bool)
+    taken[chosen] = True
+    kept = np.where(taken, 0.0, own)
+    present = kept.sum(axis=1)
+    left = 1.0 - carried[:, taken].sum(axis=1)
+    factors = np.divide(left, present, out=np.zeros_like(left), where=present > 0)
+    result = np.where(taken, carried, kept * factors[:, None])
+    return np.where((present > 0)[:, None], result, carried)
+
+
+def mirrored_skin(skin: FloatArray, vertices: IndexArray, joints: IndexArray) -> FloatArray:
+    """Mean of skinning weights (n, j) and of their mirror image.
+
+    Parameters
+    ----------
+    skin : (n, j) float64
+    vertices : (n,) int64
+        Vertex at each vertex's mirror image, see `cagemap.mesh.mirrors`.
+    joints : (j,) int64
+        Joint on the other side, or the joint itself, see `cagemap.character.bones.mirrored_joints`.
+    """
+    return 0.5 * (skin + skin[vertices][:, joints])
