@@ -415,14 +415,3 @@ def test_vertex_groups_come_back_under_the_identity(run: Run, result_folder: Pat
         assert refused.code
         assert words in refused.err
         assert not (place / "never.json").exists()
-
-
-def test_shapes_of_a_body_come_back_exactly_under_the_identity(shared_data: Path) -> None:
-    """Lips and nostrils are folds across which a walk from one corner can end on the wrong side."""
-    young, old = (
-        read_mesh(shared_data / "humans" / f"male1591_{identity}.obj") for identity in ("neutral", "female_old_heavy")
-    )
-    body = refine(young, 2)
-    carrier = prepare_shapes(body, body, same_vertices(body, body))
-    shape = old.positions - young.positions
-    np.testing.assert_allclose(carry_shape(carrier, shape), shape, rtol=0, atol=1e-9)
