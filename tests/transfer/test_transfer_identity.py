@@ -15,7 +15,7 @@ from cagemap.surface.triangles import normalized
 from cagemap.transfer import BakeOptions, bake_texture, prepare_transfer, unwrap
 from cagemap.transfer.baking import make_canvas
 from cagemap.transfer.blend_shapes import carry_shape, prepare_shapes
-from cagemap.transfer.locate import locate_centers, locate_samples, map_surface
+from cagemap.transfer.locate import locate_centers, locate_samples, map_surface, whole_triangles
 from cagemap.transfer.texels import rasterize_band
 from cagemap.transfer.textured_surface import TexturedSurface
 from cagemap.transfer.vectors import bake_normal_map, bake_vector_displacement
@@ -80,6 +80,20 @@ def test_walks_begin_in_the_triangle_that_holds_all_corners(crumpled: Level) -> 
     mapped = map_surface(surface, surface, identity_map(crumpled))
     np.testing.assert_array_equal(mapped.whole, np.arange(count))
     np.testing.assert_array_equal(locate_centers(mapped), np.arange(count))
+
+
+def test_corners_at_corners_edges_and_insides_of_one_triangle_are_in_it() -> None:
+    """Also where one corner alone lies at the vertex of the lowest number."""
+    level = plane(3, 3)
+    source = TriangleSurface.from_faces(level.positions, level.faces)
+    rng = np.random.default_rng(7)
+    within = np.repeat(np.arange(len(source.triangles)), 40)
+    shares = rng.random((len(within), 3, 3)) * rng.integers(0, 2, (len(within), 3, 3))
+    kept = (shares.sum(axis=2) > 0).all(axis=1) & (shares.sum(axis=1) > 0).all(axis=1)
+    within, shares = within[kept], shares[kept] / shares[kept].sum(axis=2, keepdims=True)
+    corners = np.arange(3 * len(within)).reshape(-1, 3)
+    found = whole_triangles(corners, source.triangles, np.repeat(within, 3), shares.reshape(-1, 3))
+    np.testing.assert_array_equal(found, within)
 
 
 def test_parts_of_one_triangle_are_found_in_it_and_others_in_none() -> None:
