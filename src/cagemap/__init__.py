@@ -62,6 +62,8 @@ if TYPE_CHECKING:
     from cagemap.spectral import BasisConfig as BasisConfig
     from cagemap.spectral import HierarchicalBasis as HierarchicalBasis
     from cagemap.spectral import Surface as Surface
+    from cagemap.spectral.mesh_eigenpairs import eigenpairs as eigenpairs
+    from cagemap.spectral.mesh_eigenpairs import operators_for_diffusion_net as operators_for_diffusion_net
     from cagemap.subdivision import CatmullClark as CatmullClark
     from cagemap.subdivision import Loop as Loop
     from cagemap.subdivision import Refinement as Refinement
@@ -86,6 +88,7 @@ if TYPE_CHECKING:
 # The one list, by package. `__all__`, `dir` and a test of that page follow it.
 _PACKAGES = {
     "spectral": ("BasisConfig", "HierarchicalBasis", "Surface"),
+    "spectral.mesh_eigenpairs": ("eigenpairs", "operators_for_diffusion_net"),
     "deform.config": ("ElasticConfig",),
     "deform.prepared": ("PreparedPair",),
     "errors": ("CagemapError",),

@@ -1,35 +1,52 @@
 """The steps of the method one at a time, for research: bring your own meshes, descriptors, operators, maps.
 
-Everything here is a short name for what the packages do; docs/researchers.md walks through it.
+Everything here is a short name for what the packages do; docs/researchers.md walks through it, docs/recipes.md has
+short programs. A map is a `PointMap` of the finest levels, a functional map C12 of any size, or a source vertex for
+every target vertex of a level: `zoomout`, `elastic`, `project`, `unfold`, `judge`, `point_map`, `functional_map_of` and
+the ``start`` of `paper_map` and `hfm_map` take each of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cagemap.deform.prepared import PreparedPair
+from cagemap.deform.problem import Problem
 from cagemap.errors import ParameterError
-from cagemap.maps.functional_maps import functional_map_of as _functional_map_of
+from cagemap.maps.elastic import elastic_map
+from cagemap.maps.functional_maps import from_bases, to_bases
+from cagemap.maps.given import MapLike, checked, functional_map_from, places_of, zoomed_out
 from cagemap.maps.level_map import LevelMap
 from cagemap.maps.pair import LevelPair, Pair, SymmetryPair, vertices_at
 from cagemap.maps.places import cage_points_of
 from cagemap.maps.point_map import PointMap
+from cagemap.maps.projection.project import held_vertices
+from cagemap.maps.projection.project import project as _project
+from cagemap.maps.projection.project import unfold as _unfold
+from cagemap.maps.quality import QualityFigures
 from cagemap.mesh.inputs import control_mesh
 from cagemap.mesh.landmarks import CagePoints, Landmarks
-from cagemap.numerics.arrays import FloatArray, IndexArray, real_numbers, whole_numbers
+from cagemap.numerics.arrays import FloatArray, IndexArray, array_of, real_numbers, whole_numbers
+from cagemap.numerics.tensors import tensors
 from cagemap.paper.constraints import Constraints, DescriptorConfig, MapWeights, gather_constraints, signature_functions
 from cagemap.paper.descriptors import Filters, choose_filters, landmark_descriptors
 from cagemap.paper.equations import extend_functional_map, solve_functional_map
-from cagemap.paper.hfm import HfmConfig, hfm_map
+from cagemap.paper.hfm import HfmConfig
+from cagemap.paper.hfm import hfm_map as _hfm_map
 from cagemap.paper.levels import basis_sizes, ladder, recover_points, search_full, search_level, search_levels
-from cagemap.paper.method import PaperConfig, paper_map
+from cagemap.paper.method import PaperConfig
+from cagemap.paper.method import paper_map as _paper_map
 from cagemap.paper.operators import check_symmetry
-from cagemap.pipeline import MAP_BASIS, MatchResult, judge, prepare_surface
+from cagemap.pipeline import MAP_BASIS, MatchResult, prepare_pair, prepare_surface
+from cagemap.pipeline import judge as _judge
 from cagemap.spectral import BasisConfig, Surface
+from cagemap.spectral.zoomout import ZoomOutSchedule
 from cagemap.surface.surface_points import SurfacePoints
 
 __all__ = [
@@ -38,28 +55,57 @@ __all__ = [
     "HfmConfig",
     "MapWeights",
     "PaperConfig",
+    "ZoomOutSchedule",
     "control_mesh",
     "eigenfunctions",
+    "elastic",
+    "from_bases",
     "functional_map",
     "functional_map_of",
     "gather_constraints",
     "heat_and_wave_filters",
     "hfm_map",
+    "judge",
     "landmark_functions",
     "make_pair",
     "paper_map",
     "point_map",
     "prepare",
+    "project",
     "recover_points",
     "result_of_map",
     "signature_functions",
+    "tensors",
+    "to_bases",
     "transport",
+    "unfold",
+    "zoomout",
 ]
 
 
 SIDES = ("target", "source")
 # As many functions as a match reads, and operators of every level.
 EVERY_LEVEL = replace(MAP_BASIS, vertices=None)
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def _starts_anywhere(method: Callable[P, R]) -> Callable[P, R]:
+    """The method with a ``start`` that may be a `PointMap` too."""
+
+    @wraps(method)
+    def started(*args: P.args, **kwargs: P.kwargs) -> R:
+        pair, start = args[0] if args else kwargs.get("pair"), kwargs.get("start")
+        if isinstance(start, PointMap) and isinstance(pair, Pair):
+            kwargs["start"] = functional_map_from(pair, start)
+        return method(*args, **kwargs)
+
+    return started
+
+
+paper_map = _starts_anywhere(_paper_map)
+hfm_map = _starts_anywhere(_hfm_map)
 
 
 def prepare(mesh: Any, level: int, basis: BasisConfig = EVERY_LEVEL, name: str = "mesh") -> Surface:
@@ -142,33 +188,93 @@ def functional_map(
     return found
 
 
-def point_map(pair: Pair, matrix: FloatArray) -> PointMap:
+def point_map(pair: Pair, found: MapLike) -> PointMap:
     """T12 from a functional map as it is: full search on a coarse level, candidates below, vertex to point (5.4).
 
     Parameters
     ----------
     pair : Pair
         Its landmarks are not used.
-    matrix : (k1, k2) array
-        C12 on the leading basis functions of both surfaces.
+    found : map
+        C12 on the leading basis functions of both surfaces. Vertex maps of the finest level and point maps stay as they
+        are; those of coarser levels go through C12.
     """
-    matrix = real_numbers(matrix, "functional map")
-    k1, k2 = matrix.shape
-    if k1 > pair.target.basis.count or k2 > pair.source.basis.count:
-        raise ParameterError(
-            f"expected a functional map of at most {(pair.target.basis.count, pair.source.basis.count)}, "
-            f"got {matrix.shape}"
-        )
+    given = checked(pair, found)
+    if isinstance(given, PointMap):
+        return given
+    if given.ndim == 1 and len(given) == len(pair.target.vertices):
+        vertices = given.astype(np.int64)
+        return PointMap.from_vertices(pair.target.finest_triangles, pair.source.finest_triangles, vertices)
+    matrix = functional_map_from(pair, given)
     start = search_levels(pair.target, pair.source, HfmConfig().search_vertices)
-    found = LevelMap(start, matrix, search_full(pair, matrix, start))
+    matched = LevelMap(start, matrix, search_full(pair, matrix, start))
     for levels in ladder(pair, start):
-        found = LevelMap(levels, matrix, search_level(pair, matrix, levels, found))
-    return recover_points(pair, found)
+        matched = LevelMap(levels, matrix, search_level(pair, matrix, levels, matched))
+    return recover_points(pair, matched)
 
 
-def functional_map_of(pair: Pair, found: PointMap) -> FloatArray:
-    """C12 = Phi~1^+ P12 Phi~2 of a point map of the finest levels (2.1.2), on a sample of its vertices; (k1, k2)."""
-    return _functional_map_of(pair.target, pair.source, found)
+def functional_map_of(pair: Pair, found: MapLike) -> FloatArray:
+    """C12 = Phi~1^+ P12 Phi~2 of a point or vertex map (2.1.2), on a sample of its vertices; (k1, k2)."""
+    return functional_map_from(pair, found)
+
+
+def zoomout(pair: Pair, start: MapLike, schedule: ZoomOutSchedule = ZoomOutSchedule()) -> FloatArray:
+    """C12 (k1, k2) by ZoomOut from any map: fitted and searched with more and more functions, on samples."""
+    return zoomed_out(pair, start, schedule)
+
+
+def elastic(pair: Pair, start: MapLike | None = None, prepared: PreparedPair | None = None) -> PointMap:
+    """T12 by the elastic fit from any map: deformed, projected, unfolded, with the landmarks met.
+
+    Parameters
+    ----------
+    pair : Pair
+        With two landmarks or more its fit from them competes with that from the start.
+    start : map, optional
+        Default: ZoomOut from landmark coordinates, as in `cagemap.match`.
+    prepared : PreparedPair, optional
+        `cagemap.prepare_pair` of the two surfaces, to keep for several calls.
+
+    Raises
+    ------
+    InvalidLandmarksError
+        If there are fewer than two landmarks and no start.
+    ParameterError
+        If the start is no map of this pair.
+    """
+    problem = Problem(prepare_pair(pair.target, pair.source) if prepared is None else prepared, pair)
+    places = None
+    if start is not None:
+        places = places_of(pair, start, problem.prepared.vertices[problem.shape.vertices])
+    return elastic_map(problem, start=places)[0]
+
+
+def project(pair: Pair, start: MapLike, prepared: PreparedPair | None = None) -> PointMap:
+    """T12 of closest points: a subdivision surface through the images of about 3000 vertices, with landmarks met.
+
+    Parameters
+    ----------
+    pair : Pair
+    start : map, or (n, 3) array
+        Or places, at the source's unit area, of the vertices of ``prepared.mesh``.
+    prepared : PreparedPair, optional
+        As in `elastic`.
+    """
+    prepared = prepare_pair(pair.target, pair.source) if prepared is None else prepared
+    places = None if isinstance(start, PointMap) else array_of(start)
+    if places is None or places.shape != (prepared.mesh.n, 3):
+        places = places_of(pair, start, prepared.vertices)
+    return _project(prepared, places, pair.landmarks)
+
+
+def unfold(pair: Pair, found: MapLike) -> PointMap:
+    """T12 without most of its folds, see `cagemap.unfold`; images of landmarks stay."""
+    return _unfold(point_map(pair, found), held_vertices(pair.landmarks))
+
+
+def judge(pair: Pair, found: MapLike) -> QualityFigures:
+    """Quality figures of any map without knowing the true one, see `cagemap.judge`."""
+    return _judge(pair.target, point_map(pair, found), pair.landmarks)
 
 
 def transport(pair: Pair, matrix: FloatArray, values: FloatArray, level: int, to: int) -> FloatArray:
@@ -219,7 +325,7 @@ def result_of_map(pair: Pair, found: PointMap, names: Sequence[str] = ()) -> Mat
     target, source = pair.target, pair.source
     points = _cage_points(target, pair.landmarks.target), _cage_points(source, pair.landmarks.source)
     landmarks = Landmarks.of_points(labels, *points, target.control.name, source.control.name)
-    quality = judge(pair.target, found, pair.landmarks, labels)
+    quality = _judge(pair.target, found, pair.landmarks, labels)
     return MatchResult(pair.target, pair.source, landmarks, found, quality)
 
 

@@ -19,13 +19,24 @@ from cagemap.maps.pair import Progress, silent
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.threads import ThreadPool, in_threads
 
+# Landmarks that a similarity needs.
+FEWEST_LANDMARKS = 2
 
-def search(problem: Problem, progress: Progress = silent) -> tuple[Placement, ...]:
+
+def search(problem: Problem, progress: Progress = silent, start: FloatArray | None = None) -> tuple[Placement, ...]:
     """Placements of the target's mesh, the cheapest first; several only where it was not clear from the start.
 
     The coarse stage starts from the spectral map and from the landmarks alone. Where these two end apart, or a limb is
     posed otherwise, limbs may be turned (`multi_start`). Elsewhere no joint needs the soft stage, and the stiff one
     spreads the strain more evenly.
+
+    Parameters
+    ----------
+    problem : Problem
+    progress : callable
+    start : (k, 3) float64, optional
+        Places on the source of the coarse shape's vertices, instead of the spectral map. It alone counts where there
+        are fewer than two landmarks.
     """
     progress("functional map")
     elastic, graph = problem.prepared.elastic, problem.shape.rest.graph
@@ -37,9 +48,11 @@ def search(problem: Problem, progress: Progress = silent) -> tuple[Placement, ..
         """By the soft coarse stage and by the stiff one."""
         return in_threads(lambda stage: coarse_fit(stage[0], rough, stage[1]), [(problem, None), (stiff, stiff_shape)])
 
+    if start is not None and len(problem.pair.landmarks) < FEWEST_LANDMARKS:
+        return tuple(refine(problem, both_stages(start)))
     with ThreadPool(1) as aside:  # from the landmarks alone, while the functional map is made
         blind = aside.submit(both_stages, None)
-        start = start_map(problem)
+        start = start_map(problem) if start is None else start
         progress("elastic alignment")
         soft_ones, stiff_ones = zip(both_stages(start), blind.result(), strict=True)
     # The costs of the coarse ones differ too little to choose by; a turned elbow shows on the mesh alone.

@@ -14,15 +14,19 @@ from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.kinds import kinds_checked
 
 
-def elastic_map(problem: Problem, progress: Progress = silent) -> tuple[PointMap, tuple[Placement, ...]]:
+def elastic_map(
+    problem: Problem, progress: Progress = silent, start: FloatArray | None = None
+) -> tuple[PointMap, tuple[Placement, ...]]:
     """Point map T12 of the finest levels, and the placements that `search` found; the first is the map's own.
+
+    ``start`` as in `search`.
 
     Raises
     ------
     InvalidLandmarksError
-        If there are fewer than two landmarks.
+        If there are fewer than two landmarks and no start.
     """
-    placements = search(problem, progress)
+    placements = search(problem, progress, start)
     progress("closest points")
     return map_of_places(problem.prepared, placements[0].answer, problem.pair.landmarks), placements
 

@@ -1,0 +1,207 @@
+"""Lowest eigenpairs of a mesh's Laplacian to a given residual, and the operators that DiffusionNet takes."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import linalg, sparse
+
+from cagemap.errors import InvalidMeshError, ParameterError, SolverError
+from cagemap.mesh.inputs import MeshLike, arrays_accepted
+from cagemap.mesh.measures import cage_triangles
+from cagemap.numerics.arrays import FloatArray, grouped_sums
+from cagemap.numerics.factorization import factor
+from cagemap.numerics.kinds import kinds_checked
+from cagemap.numerics.products import multiply
+from cagemap.numerics.threads import one_blas_thread, parts
+from cagemap.operators.laplacian import stiffness, vertex_areas
+from cagemap.spectral.config import SOLVER
+from cagemap.spectral.eigenpairs import EigenPairs, band_pairs, residual_norms, shifted_matrix
+from cagemap.spectral.surface import Surface
+from cagemap.surface.triangle_surface import TriangleSurface
+
+# Columns that are solved and multiplied at a time.
+COLUMNS = 64
+# Inverse iterations after the Krylov space; one is enough unless the accuracy is near rounding.
+MAX_ITERATIONS = 4
+# Of DiffusionNet's operators: residual of eigenpairs, share added to norms, largest cosine of normal and first axis.
+DIFFUSION_NET_ACCURACY = 1e-7
+EPSILON = 1e-6
+MAX_COSINE = 0.9
+
+
+@arrays_accepted
+def eigenpairs(mesh: MeshLike, k: int, accuracy: float = 1e-5) -> EigenPairs:
+    """The k lowest eigenpairs W x = lambda M x of a mesh as it is, not subdivided.
+
+    Parameters
+    ----------
+    mesh : mesh, see `cagemap.mesh.inputs.control_mesh`
+        Triangles, quads (mean of both triangulations) or polygons (fans). It may have boundaries, several parts
+        and edges of more than two faces.
+    k : int
+    accuracy : float
+        Largest relative residual of a pair, from 1e-12 to 1e-2; see Notes.
+
+    Returns
+    -------
+    EigenPairs
+        ``values`` (k,), ascending, and ``vectors`` (n, k) float64, M-orthonormal, in the mesh's own unit of length.
+
+    Raises
+    ------
+    InvalidMeshError
+        If a vertex has no area around it.
+    ParameterError
+        If k or the accuracy is out of range.
+    SolverError
+        If the residual is not reached.
+
+    Notes
+    -----
+    W is the cotangent matrix `cagemap.operators.stiffness`, M = diag `cagemap.operators.vertex_areas`. Every pair has
+    ``||W x - lambda M x||_{M^-1} <= accuracy max(lambda, 4 pi / area)`` with ``||x||_M = 1``, so that an eigenvalue of
+    (W, M) is within that bound of lambda, and within its square over the gap to the next ones (Kato and Temple). The
+    inertia of W - tau M proves that none below the last was missed.
+    """
+    if not 1e-12 <= accuracy <= 1e-2:
+        raise ParameterError(f"accuracy: expected a residual from 1e-12 to 1e-2, got {accuracy:g}")
+    sizes = np.unique(mesh.face_sizes)
+    uniform = len(sizes) == 1 and sizes[0] in (3, 4)
+    faces = mesh.face_indices.reshape(-1, sizes[0]) if uniform else cage_triangles(mesh)[0]
+    weights, areas = stiffness(mesh.positions, faces), vertex_areas(mesh.positions, faces)
+    with one_blas_thread():
+        return mass_lumped_pairs(weights, areas, k, accuracy)
+
+
+def mass_lumped_pairs(weights: sparse.csr_array, areas: FloatArray, k: int, accuracy: float) -> EigenPairs:
+    """`eigenpairs` of a stiffness matrix (n, n) and vertex areas (n,)."""
+    empty = np.flatnonzero(~(areas > 0))
+    if len(empty):
+        raise InvalidMeshError(
+            f"eigenpairs: expected an area around every vertex, found none at {len(empty)} of them, such as "
+            f"{empty[:3].tolist()}; remove vertices without faces (cagemap.plain_mesh does)"
+        )
+    if not 1 <= k <= len(areas):
+        raise ParameterError(f"k: expected 1 to {len(areas)} pairs, the mesh's vertices, got {k}")
+    mass = sparse.csr_array(sparse.diags_array(areas))
+    # The iteration may be in single precision; the polishing below takes its rounding away.
+    found = band_pairs(weights, mass, 0, k, accuracy=max(min(accuracy, SOLVER.single_accuracy), 1e-10))
+    values, vectors = np.array(found.values), np.array(found.vectors, dtype=np.float64)
+    shift = -4.0 * np.pi / float(areas.sum())
+    shifted = None
+    for _ in range(MAX_ITERATIONS):
+        if shifted is not None or found.vectors.dtype == np.float64:
+            worst = _worst_residual(weights, areas, values, vectors)
+            if worst <= accuracy:
+                return EigenPairs(values, vectors, 0)
+        shifted = factor(shifted_matrix(weights, mass, shift)) if shifted is None else shifted
+        for part in parts(k, COLUMNS):
+            vectors[:, part] = (values[part] - shift) * shifted.solve(areas[:, None] * vectors[:, part])
+        # In ascending order every vector loses what inverse iteration has amplified in it of those below.
+        triangle = linalg.cholesky(vectors.T @ (areas[:, None] * vectors))
+        vectors = np.ascontiguousarray(linalg.solve_triangular(triangle, vectors.T, trans="T", overwrite_b=True).T)
+        for part in parts(k, COLUMNS):
+            some = vectors[:, part]
+            values[part] = np.einsum("ij,ij->j", some, multiply(weights, some))
+    worst = _worst_residual(weights, areas, values, vectors)
+    if worst <= accuracy:
+        return EigenPairs(values, vectors, 0)
+    raise SolverError(
+        f"eigenpairs: expected residuals up to {accuracy:g}, reached {worst:.1e}; ask for a lower accuracy"
+    )
+
+
+def _worst_residual(weights: sparse.csr_array, areas: FloatArray, values: FloatArray, vectors: FloatArray) -> float:
+    """The largest of `residual_norms`."""
+    return max(
+        float(
+            residual_norms(
+                values[part], multiply(weights, vectors[:, part]), areas[:, None] * vectors[:, part], areas
+            ).max()
+        )
+        for part in parts(len(values), COLUMNS)
+    )
+
+
+@kinds_checked
+def operators_for_diffusion_net(
+    surface: Surface, level: int | None = None, count: int = 128, regularisation: float = 1e-5
+) -> tuple[FloatArray, sparse.csr_array, FloatArray, FloatArray, sparse.csr_array, sparse.csr_array]:
+    """Mass, L, evals, evecs, gradX, gradY of the triangles of a level, as DiffusionNet defines them.
+
+    Its network takes them in this order (`diffusion_net.geometry.get_operators`, Sharp et al. 2022).
+
+    Parameters
+    ----------
+    surface : Surface
+    level : int, optional
+        Of ``surface.hierarchy``; default: the finest.
+    count : int
+        Number of eigenpairs.
+    regularisation : float
+        Added to the 2 x 2 least-squares matrix of every gradient, in squared lengths at unit area. The default is
+        DiffusionNet's; it shrinks gradients where edges are shorter than some 0.005.
+
+    Returns
+    -------
+    mass : (n,) float64
+        Vertex areas; their sum is 1 on the finest level.
+    L : (n, n) CSR array
+        Cotangent matrix, positive semi-definite.
+    evals : (count,) float64
+    evecs : (n, count) float64
+        L x = lambda diag(mass) x, mass-orthonormal.
+    gradX, gradY : (n, n) CSR arrays
+        Least-squares gradient over the edges at a vertex, in tangent axes. X is the projection of the first axis of
+        space, or of the second where the normal is within 26 degrees of the first; Y = normal x X.
+
+    Raises
+    ------
+    ParameterError
+        If the level or count is out of range.
+    """
+    triangles = surface.finest_triangles if level is None else surface.triangles(level)
+    if not 0.0 < regularisation < np.inf:
+        raise ParameterError(f"regularisation: expected a number above 0, got {regularisation}; 1e-5 is DiffusionNet's")
+    weights = stiffness(triangles.positions, triangles.triangles)
+    areas = vertex_areas(triangles.positions, triangles.triangles)
+    with one_blas_thread():
+        pairs = mass_lumped_pairs(weights, areas, count, DIFFUSION_NET_ACCURACY)
+    gradients = _edge_gradients(triangles, weights, regularisation)
+    return areas, weights, np.maximum(pairs.values, 0.0), np.asarray(pairs.vectors), *gradients
+
+
+def _edge_gradients(
+    triangles: TriangleSurface, weights: sparse.csr_array, regularisation: float
+) -> tuple[sparse.csr_array, sparse.csr_array]:
+    """Least-squares gradients in tangent axes: at vertex i, (sum_j e_j e_j^T + eps)^-1 sum_j e_j (f_j - f_i)."""
+    rows, columns = (np.asarray(at, dtype=np.int64) for at in weights.tocoo().coords)
+    edges = np.flatnonzero(rows != columns)
+    rows, columns = rows[edges], columns[edges]
+    along = triangles.positions[columns] - triangles.positions[rows]
+    components = np.stack([np.einsum("ed,ed->e", along, axis[rows]) for axis in _tangent_axes(triangles)], axis=1)
+    n = triangles.n
+    squares = np.zeros((n, 2, 2))
+    for i, j in ((0, 0), (0, 1), (1, 1)):
+        squares[:, i, j] = squares[:, j, i] = np.bincount(rows, components[:, i] * components[:, j], n)
+    squares[:, [0, 1], [0, 1]] += regularisation
+    entries = np.einsum("eij,ej->ei", np.linalg.inv(squares)[rows], components)
+    diagonal = np.arange(n)
+    places = np.concatenate([rows, diagonal]), np.concatenate([columns, diagonal])
+    x, y = (
+        sparse.csr_array((np.concatenate([part, -np.bincount(rows, part, n)]), places), shape=(n, n))
+        for part in entries.T
+    )
+    return x, y
+
+
+def _tangent_axes(triangles: TriangleSurface) -> tuple[FloatArray, FloatArray]:
+    """(n, 3) X and Y axes of the tangent planes; normals are means of the unit normals of the faces around."""
+    doubled = 2.0 * triangles.areas[:, None]
+    of_faces = triangles.normals * doubled / (doubled + EPSILON)
+    normals = sum(grouped_sums(corner, of_faces, triangles.n) for corner in triangles.triangles.T)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    axis = np.where(np.abs(normals[:, :1]) < MAX_COSINE, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    x = axis - normals * np.einsum("nd,nd->n", axis, normals)[:, None]
+    x /= np.linalg.norm(x, axis=1, keepdims=True) + EPSILON
+    return x, np.cross(normals, x)
