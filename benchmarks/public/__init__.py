@@ -1,1 +1,4 @@
-"""Public sets of shapes with known correspondence: FAUST, FAUST_r, SMAL_r, SHREC'20. The data lies in no repository."""
+"""Public sets of shapes with known correspondence: FAUST and its parts, SMAL_r, SHREC'19, SHREC'20, TOSCA.
+
+The data lies in no repository.
+"""

@@ -90,7 +90,7 @@ def measure(arguments: argparse.Namespace) -> tuple[list[dict], list[str]]:
             left -= 1
             row = dict(zip(KEY, (public.name, target, source, count, *more), strict=True))
             try:
-                row |= measured(public, shapes[target], shapes[source], at, count)
+                row |= measured(public, *shapes.pair(target, source), at, count)
             except UNREADABLE as error:
                 failed.append(f"{source} -> {target}: {error}")
                 print(f"{failed[-1]}, {left} left", flush=True)
@@ -127,8 +127,8 @@ def markdown(rows: list[dict], failed: list[str]) -> str:
         "and was trained on nothing.",
         "",
         "| set | landmarks | scheme | pairs | mean | median pair | worst pair | above 5 | of largest | folds % | "
-        "left out | s | published |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+        "left out | s | peak MB | published |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     order = ("set", "landmarks", "scheme", "vertices", "points")
     for key, group in groupby(
@@ -139,7 +139,8 @@ def markdown(rows: list[dict], failed: list[str]) -> str:
         others = [np.mean([row[name] for row in some]) for name in ("of_largest", "flipped", "left_out", "seconds")]
         mine = [f"{value:.2f}" for value in (means.mean(), np.median(means))]
         cells = [SETS[key[0]].about, key[1], key[2], len(some), *mine, f"{means.max():.1f}", int((means > 5).sum())]
-        cells += [f"{value:.2f}" for value in others]
+        peaks = [row["peak_mb"] for row in some if "peak_mb" in row]
+        cells += [*(f"{value:.2f}" for value in others), f"{max(peaks):.0f}" if peaks else "-"]
         lines.append("| " + " | ".join(map(str, [*cells, SETS[key[0]].published])) + " |")
     codes = {row.get("code") for row in rows}
     if len(codes) > 1:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from benchmarks.public.sets import Marks, PublicSet, more_landmarks
 from cagemap.files.meshes.formats import read_mesh
 from cagemap.maps.geodesic import BATCH, HeatDistances
 from cagemap.maps.places import located
+from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import Landmarks
 from cagemap.mesh.plain import plain_mesh
 from cagemap.mesh.schemes import SCHEMES
@@ -27,6 +29,8 @@ class Shape:
     surface: Surface
     marks: Marks
     places: SurfacePoints
+    mesh: ControlMesh  # of the file
+    numbers: np.ndarray | None  # of its vertices on the surface's mesh, where that is another
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,17 +65,27 @@ class Shapes:
             self.known[name] = self._prepared(name)
         return self.known[name]
 
+    def pair(self, target: str, source: str) -> tuple[Shape, Shape]:
+        """Both shapes, with the target's points that this pair knows."""
+        receiving = self[target]
+        marks = self.public.pair_marks(self.root, target, source, receiving.mesh)
+        if marks is not None:
+            marks = marks if receiving.numbers is None else marks.renumbered(receiving.numbers)
+            receiving = replace(receiving, marks=marks, places=located(receiving.surface, marks.points))
+        return receiving, self[source]
+
     def _prepared(self, name: str) -> Shape:
-        control = replace(read_mesh(self.files[name]), name=name)
-        marks = self.public.marks(self.root, name, control)
+        given = control = replace(read_mesh(self.files[name]), name=name)
+        marks, numbers = self.public.marks(self.root, name, control), None
         if self.scheme == "none":
             plain = plain_mesh(control)
-            marks, level, control = marks.renumbered(plain.vertex_of), 0, plain.mesh
+            numbers, level, control = plain.vertex_of, 0, plain.mesh
+            marks = marks.renumbered(numbers)
         else:
             control = replace(control, scheme=SCHEMES[self.scheme]())
             level = choose_level(control, self.vertices)
         surface = prepare_surface(control, level)
-        return Shape(surface, marks, located(surface, marks.points))
+        return Shape(surface, marks, located(surface, marks.points), given, numbers)
 
 
 def receiver(shape: Shape, points: int) -> Receiver:
@@ -89,13 +103,12 @@ def receiver(shape: Shape, points: int) -> Receiver:
 def measured(public: PublicSet, target: Shape, source: Shape, at: Receiver, count: int) -> dict:
     """One row: errors x100 of sqrt(area), and of the largest distance, of a match with so many landmarks."""
     ids = more_landmarks(public, target.marks, source.marks, target.places.positions, count)
-    landmarks = Landmarks.of_points(
-        tuple(map(str, ids)),
-        target.marks.of(ids),
-        source.marks.of(ids),
-        target.surface.control.name,
-        source.surface.control.name,
-    )
+    landmarks = Landmarks.none()
+    if ids:
+        names = target.surface.control.name, source.surface.control.name
+        landmarks = Landmarks.of_points(
+            tuple(map(str, ids)), target.marks.of(ids), source.marks.of(ids), names[0], names[1]
+        )
     start = time.process_time()
     result = match(target.surface, source.surface, landmarks)
     seconds = time.process_time() - start
@@ -108,6 +121,7 @@ def measured(public: PublicSet, target: Shape, source: Shape, at: Receiver, coun
         "flipped": 100 * result.quality.flipped_area,
         "left_out": len(result.suspects),
         "seconds": seconds,
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         "sizes": [target.places.surface.n, source.places.surface.n],
     }
 

@@ -19,6 +19,10 @@ from cagemap.mesh import ControlMesh
 from cagemap.mesh.landmarks import CagePoints
 
 FAUST_VERTICES = 6890
+# Lists of pairs.
+LISTS = {"shrec20": "test-set*.txt", "tosca": "test_pairs.txt"}
+# Parts of PFAUST have the names of whole bodies, in folders of their own; here they get this prefix.
+PART, PART_FOLDER, PART_POINTS = "part of ", "partial_off", "partial_corr"
 # Of meshes; where a shape has several, the last counts: SHREC's lists and points are those of its .obj files.
 ENDINGS = ("ply", "off", "obj")
 
@@ -85,11 +89,15 @@ class PublicSet:
             "faust_r": r"tr_reg_0(8|9)\d",
             "smal_r": r"(cougar|hippo|horse).*",
             "shrec20": r".*",
+            "shrec19": r"\d+",
+            "tosca": r"\d+_[a-z]+_\d+",
+            "pfaust": r"tr_reg_0(8|9)\d",
         }
         found: dict[str, list[Path]] = {}
         for path in sorted(path for ending in ENDINGS for path in root.rglob(f"*.{ending}")):
             if re.fullmatch(patterns[self.name], path.stem, re.IGNORECASE):
-                found.setdefault(path.stem, []).append(path)
+                part = PART if self.name == "pfaust" and path.parent.name == PART_FOLDER else ""
+                found.setdefault(part + path.stem, []).append(path)
         named = {}
         for shape, paths in found.items():
             ending = max((path.suffix[1:] for path in paths), key=ENDINGS.index)
@@ -101,9 +109,15 @@ class PublicSet:
     def pairs(self, root: Path, count: int | None) -> list[tuple[str, str]]:
         """Target and source: those of the test sets, both ways, or all of the shapes; a sample, always the same."""
         shapes = self.shapes(root)
-        lists = sorted(root.rglob("test-set*.txt")) if self.name == "shrec20" else []
+        lists = sorted(root.rglob(LISTS[self.name])) if self.name in LISTS else []
         listed = [pair for path in lists for pair in _listed(path, shapes)]
         found = list(dict.fromkeys([*listed, *((b, a) for a, b in listed)])) or list(permutations(sorted(shapes), 2))
+        if self.name == "pfaust":  # a part receives from a whole body
+            parts = [shape for shape in shapes if shape.startswith(PART)]
+            found = [(part, whole) for part in parts for whole in shapes if not whole.startswith(PART)]
+        if self.name == "shrec19":  # directed maps; 40 is a scan with holes that papers leave out
+            sides = [path.stem.split("_")[::-1] for path in _map_files(root).values()]
+            found = [(b, a) for b, a in sides if "40" not in (a, b) and a in shapes and b in shapes]
         if count is None or count >= len(found):
             return found
         return sorted(random.Random(2020).sample(found, count), key=found.index)
@@ -117,14 +131,26 @@ class PublicSet:
             return Marks(ids, CagePoints.of_vertices(ids))
         if self.name == "shrec20":
             return _barycentric(_only(root, shape, "mat"), mesh)
-        path = _only(root, shape, "vts")
-        try:
-            vertices = np.loadtxt(path, dtype=np.int64, ndmin=1) - 1
-        except ValueError as error:
-            raise SetError(f"{path}: expected a vertex number a line, got something else ({error})") from error
-        if vertices.ndim != 1 or not len(vertices) or vertices.min() < 0 or vertices.max() >= mesh.n_vertices:
-            raise SetError(f"{path}: expected a vertex from 1 to {mesh.n_vertices} a line, got others")
-        return Marks(np.arange(len(vertices)), CagePoints.of_vertices(vertices))
+        if self.name == "shrec19":
+            return _numbered(np.arange(mesh.n_vertices))
+        if shape.startswith(PART):
+            name = shape.removeprefix(PART)
+            vertices = _vertices(_only(root, f"{PART_POINTS}/{name}", "vts"), mesh.n_vertices)
+            kept = np.flatnonzero(np.loadtxt(_only(root, f"masks/{name}", "vts"), dtype=np.int64, ndmin=1))
+            if len(kept) != len(vertices):
+                raise SetError(
+                    f"{root}: expected as many points in {PART_POINTS}/{name}.vts as ones in masks/{name}.vts, got "
+                    f"{len(vertices)} and {len(kept)}"
+                )
+            return Marks(kept, CagePoints.of_vertices(vertices))
+        folder = "corres/" if self.name == "pfaust" else ""
+        return _numbered(_vertices(_only(root, folder + shape, "vts"), mesh.n_vertices))
+
+    def pair_marks(self, root: Path, target: str, source: str, mesh: ControlMesh) -> Marks | None:
+        """Known points of a target where they belong to the pair: vertices of the source are the template."""
+        if self.name != "shrec19":
+            return None
+        return _numbered(_vertices(_map_files(root)[f"{source}_{target}"], mesh.n_vertices))
 
 
 _FAUST_R_7 = tuple(number - 1 for number in (2026, 3560, 2, 4489, 1971, 3406, 388))
@@ -148,6 +174,24 @@ SETS = {
             "SMAL remeshed, cougars, hippos, horses",
             {6: (3162, 1931, 3731, 1399, 1111, 1001)},
             "learned, no landmarks: 2.5 - 2.6 (2026), 2.8 - 3.4 HybridFMaps; 38 ZoomOut",
+        ),
+        PublicSet(
+            "shrec19",
+            "SHREC'19 humans of any connectivity, directed maps of the set, without scan 40",
+            {0: ()},
+            "-",
+        ),
+        PublicSet(
+            "tosca",
+            "TOSCA non-isometric 5k (Ren et al. 2018), its pairs both ways",
+            {0: ()},
+            "-",
+        ),
+        PublicSet(
+            "pfaust",
+            "PFAUST, parts of FAUST_r 080-099 to whole bodies",
+            {7: _FAUST_R_7},
+            "-",
         ),
         PublicSet(
             "shrec20",
@@ -195,6 +239,31 @@ def _listed(path: Path, shapes: dict[str, Path]) -> list[tuple[str, str]]:
             if unknown:
                 raise SetError(f"{path}: expected names of shapes, got {', '.join(unknown)}")
             found.append((names[0], names[1]))
+    return found
+
+
+def _numbered(vertices: np.ndarray) -> Marks:
+    """Points of a template that are vertices, in its order."""
+    return Marks(np.arange(len(vertices)), CagePoints.of_vertices(vertices))
+
+
+def _vertices(path: Path, count: int) -> np.ndarray:
+    """Vertices of a file with a number from 1 in each line, from 0."""
+    try:
+        vertices = np.loadtxt(path, dtype=np.int64, ndmin=1) - 1
+    except ValueError as error:
+        raise SetError(f"{path}: expected a vertex number a line, got something else ({error})") from error
+    if vertices.ndim != 1 or not len(vertices) or vertices.min() < 0 or vertices.max() >= count:
+        raise SetError(f"{path}: expected a vertex from 1 to {count} a line, got others")
+    return vertices
+
+
+def _map_files(root: Path) -> dict[str, Path]:
+    """Maps of SHREC'19: file i_j has a vertex of j for every vertex of i."""
+    found = {path.stem: path for ending in ("txt", "map") for path in sorted(root.rglob(f"*_*.{ending}"))}
+    found = {name: path for name, path in found.items() if re.fullmatch(r"\d+_\d+", name)}
+    if not found:
+        raise SetError(f"{root}: expected maps such as corres/1_2.map, found none")
     return found
 
 

@@ -12,13 +12,13 @@ import pytest
 from examples.shapes import creature, grid, triangulated
 from scipy.io import savemat
 
-from cagemap.files.meshes.formats import write_mesh
+from cagemap.files.meshes.formats import read_mesh, write_mesh
 from cagemap.mesh import ControlMesh
 
 from locations import ROOT
 
 sys.path.insert(0, str(ROOT))
-from benchmarks.public import sets
+from benchmarks.public import partial, sets
 from benchmarks.public.__main__ import main
 from benchmarks.public.sets import SETS, more_landmarks
 
@@ -136,11 +136,14 @@ def test_faust_is_known_by_the_order_of_its_vertices(tmp_path: Path) -> None:
 def test_the_landmarks_are_those_that_others_published() -> None:
     """FAUST_r from 1 (Panine et al. 2022), the others from 0 (Riva et al. 2026)."""
     given = {name: next(iter(one.landmarks.values())) for name, one in SETS.items()}
+    assert given.pop("pfaust") == given["faust_r"]
     assert [number + 1 for number in given.pop("faust_r")] == [2026, 3560, 2, 4489, 1971, 3406, 388]
     assert given == {
         "faust": (412, 5891, 6593, 3323, 2119),
         "smal_r": (3162, 1931, 3731, 1399, 1111, 1001),
         "shrec20": (9, 19, 48, 41, 16, 32),
+        "shrec19": (),
+        "tosca": (),
     }
 
 
@@ -159,6 +162,84 @@ def test_of_several_formats_of_a_shape_the_obj_file_counts(shrec: Path) -> None:
     for ending in ("off", "ply"):
         write_mesh(shrec / "models" / f"one.{ending}", grid(3, 3))
     assert {path.suffix for path in sets.SETS["shrec20"].shapes(shrec).values()} == {".obj"}
+
+
+@pytest.fixture
+def shrec19(tmp_path: Path) -> Path:
+    """Body 1 and body 2 in another order; the map says where the vertices of 1 are on 2. 40 is left out."""
+    root = tmp_path / "SHREC19"
+    for folder in ("off", "corres"):
+        (root / folder).mkdir(parents=True)
+    for number, mesh in zip(("1", "2"), bodies().values(), strict=True):
+        write_mesh(root / "off" / f"{number}.off", mesh)
+    write_mesh(root / "off" / "40.off", bodies()["one"])
+    np.savetxt(root / "corres" / "1_2.map", numbers("two", bodies()["two"]) + 1, fmt="%d")
+    np.savetxt(root / "corres" / "1_40.map", np.arange(3), fmt="%d")
+    return root
+
+
+def test_maps_of_shrec19_are_directed(shrec19: Path) -> None:
+    """Every vertex of 1 has one of 2: 2 receives, since its known points are sought on 1."""
+    public = sets.SETS["shrec19"]
+    assert public.pairs(shrec19, None) == [("2", "1")]
+    one, two = bodies().values()
+    assert public.pair_marks(shrec19, "2", "1", two).points.corners[:, 0].tolist() == numbers("two", two).tolist()
+    assert public.marks(shrec19, "1", one).ids.tolist() == list(range(one.n_vertices))
+    np.savetxt(shrec19 / "corres" / "1_2.map", [one.n_vertices + 1], fmt="%d")
+    with pytest.raises(sets.SetError, match="expected a vertex from 1 to"):
+        public.pair_marks(shrec19, "2", "1", two)
+    (shrec19 / "corres" / "1_2.map").unlink()
+    (shrec19 / "corres" / "1_40.map").unlink()
+    with pytest.raises(sets.SetError, match="expected maps such as"):
+        public.pairs(shrec19, None)
+
+
+def test_pairs_of_tosca_are_those_of_its_list(tmp_path: Path) -> None:
+    public = sets.SETS["tosca"]
+    for folder in ("vtx_5k", "vtx_5k/corres"):
+        (tmp_path / folder).mkdir()
+    for name in ("8_gorilla_01", "8_man_02", "8_woman_03"):
+        write_mesh(tmp_path / "vtx_5k" / f"{name}.off", bodies()["one"])
+        for ending in ("vts", "sym.vts"):
+            np.savetxt(tmp_path / "vtx_5k" / "corres" / f"{name}.{ending}", [1, 2, 3], fmt="%d")
+    (tmp_path / "test_pairs.txt").write_text("8_gorilla_01\t8_man_02\n")
+    assert public.pairs(tmp_path, None) == [("8_gorilla_01", "8_man_02"), ("8_man_02", "8_gorilla_01")]
+    marks = public.marks(tmp_path, "8_man_02", bodies()["one"])
+    assert marks.points.corners[:, 0].tolist() == [0, 1, 2]
+
+
+@pytest.fixture
+def pfaust(faust_r: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setitem(sets.SETS, "pfaust", replace(SETS["pfaust"], landmarks={6: IDS}))
+    monkeypatch.setattr(partial, "RADIUS", 0.15)
+    partial.main([str(faust_r), str(tmp_path / "PFAUST"), "--holes", "1"])
+    return tmp_path / "PFAUST"
+
+
+def test_parts_are_one_piece_and_keep_their_points(pfaust: Path) -> None:
+    public = sets.SETS["pfaust"]
+    assert set(public.pairs(pfaust, None)) == {
+        (f"part of tr_reg_{part}", f"tr_reg_{whole}") for part in ("080", "091") for whole in ("080", "091")
+    }
+    for shape, mesh in zip(("tr_reg_080", "tr_reg_091"), bodies().values(), strict=True):
+        part = read_mesh(public.shapes(pfaust)[f"part of {shape}"])
+        assert 0.5 < part.n_vertices / mesh.n_vertices < 0.98
+        marks, every = public.marks(pfaust, f"part of {shape}", part), public.marks(pfaust, shape, mesh)
+        np.testing.assert_allclose(marks.points.of(part.positions), every.of(marks.ids).of(mesh.positions), atol=1e-6)
+    (pfaust / "masks" / "tr_reg_080.vts").write_text("1\n")
+    with pytest.raises(sets.SetError, match="as many points in"):
+        public.marks(pfaust, "part of tr_reg_080", read_mesh(public.shapes(pfaust)["part of tr_reg_080"]))
+
+
+@pytest.mark.slow
+def test_maps_and_parts_are_measured(shrec19: Path, pfaust: Path, tmp_path: Path) -> None:
+    (row,) = run("shrec19", shrec19, tmp_path / "out", "--landmarks", "6", "--scheme", "none")
+    assert row["mean"] < 11.0
+    assert row["peak_mb"] > 10.0
+    rows = run("pfaust", pfaust, tmp_path / "parts", "--scheme", "none")
+    assert len(rows) == 4
+    assert max(row["mean"] for row in rows) < 15.0
+    assert "| peak MB |" in (tmp_path / "parts" / "public.md").read_text()
 
 
 @pytest.mark.slow

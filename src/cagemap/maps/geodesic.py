@@ -5,13 +5,15 @@ Crane, Weischedel and Wardetzky 2013: heat flows for a short time, its normalise
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from cagemap.errors import ParameterError
 from cagemap.maps.point_map import PointMap
-from cagemap.numerics.arrays import FloatArray, array_of, whole_numbers
+from cagemap.numerics.arrays import FloatArray, array_of, real_numbers, whole_numbers
 from cagemap.numerics.factorization import factor
 from cagemap.numerics.kinds import kinds_checked
 from cagemap.operators.laplacian import stiffness, vertex_areas
@@ -26,7 +28,10 @@ BATCH = 50
 
 @kinds_checked
 def geodesic_error(
-    point_map: PointMap, truth: PointMap | SurfacePoints | ArrayLike, vertices: ArrayLike | None = None
+    point_map: PointMap,
+    truth: PointMap | SurfacePoints | ArrayLike,
+    vertices: ArrayLike | None = None,
+    distances: Callable[[int], ArrayLike] | None = None,
 ) -> FloatArray:
     """Geodesic distances on the source between the images of target vertices and their true images.
 
@@ -44,6 +49,10 @@ def geodesic_error(
     vertices : (s,) array, optional
         Target vertices to judge. Default: 300 of those whose truth is known, evenly spaced by number. Time is linear
         in s: two solves on the source for each.
+    distances : callable, optional
+        Another library's distances: takes a source vertex, gives (n2,) in the unit of ``point_map.source.positions``,
+        such as ``potpourri3d.MeshHeatMethodDistanceSolver(positions, triangles).compute_distance``. True images count
+        as their triangle's nearest corner then.
 
     Returns
     -------
@@ -53,7 +62,7 @@ def geodesic_error(
     Raises
     ------
     ParameterError
-        If the truth does not fit the map, or is not known at a vertex to be judged.
+        If the truth does not fit the map, is not known at a vertex to be judged, or distances have another length.
     """
     true_images, known = _true_images(point_map, truth)
     if vertices is None:
@@ -69,15 +78,32 @@ def geodesic_error(
                 f"{wrong[:5].tolist()}"
             )
     true_images, images = true_images.at(chosen), point_map.images.at(chosen)
+    if distances is not None:
+        return _errors_by(distances, images, true_images)
     solver = HeatDistances(point_map.source)
     errors = np.empty(len(chosen))
     for start in range(0, len(chosen), BATCH):
         rows = np.arange(start, min(start + BATCH, len(chosen)))
-        distances = solver.from_points(true_images.at(rows))
+        found = solver.from_points(true_images.at(rows))
         at = images.at(rows)
-        errors[rows] = np.einsum("mk,mkm->m", at.barycentric, distances[at.corners])
+        errors[rows] = np.einsum("mk,mkm->m", at.barycentric, found[at.corners])
     # No way along the surface is shorter than the straight line; near its source the method rounds.
     return np.maximum(errors, np.linalg.norm(images.positions - true_images.positions, axis=1))
+
+
+def _errors_by(distances: Callable[[int], ArrayLike], images: SurfacePoints, true_images: SurfacePoints) -> FloatArray:
+    """(s,) distances of images from the vertices nearest to the true ones, by another library."""
+    nearest = true_images.corners[np.arange(len(true_images)), true_images.barycentric.argmax(axis=1)]
+    errors = np.empty(len(images))
+    for vertex in np.unique(nearest):
+        found, rows = real_numbers(distances(int(vertex)), "distances"), np.flatnonzero(nearest == vertex)
+        if found.shape != (images.surface.n,):
+            raise ParameterError(
+                f"distances: expected ({images.surface.n},) from vertex {vertex}, one for each source vertex, got "
+                f"{found.shape}"
+            )
+        errors[rows] = images.at(rows).interpolate(found)
+    return errors
 
 
 def _true_images(
