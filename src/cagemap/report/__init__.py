@@ -9,25 +9,59 @@ from cagemap.files.atomic import write_whole
 from cagemap.maps.result import MatchResult
 from cagemap.numerics.arrays import FloatArray
 from cagemap.numerics.kinds import kinds_checked
-from cagemap.report.figures import HEIGHT, WIDTH, Figure, Gallery, Pixels, Progress, draw_gallery, draw_thumbnail
-from cagemap.report.page import build_page
-from cagemap.report.rig_panels import NOTHING, CarriedShape, Panel, Rides, Weights, draw_rides
+from cagemap.report.figures import (
+    HEIGHT,
+    WIDTH,
+    Figure,
+    Gallery,
+    Pixels,
+    Progress,
+    draw_gallery,
+    draw_thumbnail,
+    for_display,
+)
+from cagemap.report.looks import SOURCE_PICTURE, TARGET_PICTURE, report_models
+from cagemap.report.models import Models
+from cagemap.report.page import Texture, build_page, encoded_texture
+from cagemap.report.rig_panels import (
+    NOTHING,
+    CarriedShape,
+    Panel,
+    Passenger,
+    Pose,
+    Rides,
+    Weights,
+    draw_passengers,
+    draw_poses,
+    draw_rides,
+)
 from cagemap.report.seen import seen
 
 __all__ = [
     "CarriedShape",
     "Figure",
     "Gallery",
+    "Models",
     "Panel",
+    "Passenger",
+    "Pose",
     "Rides",
     "Weights",
     "build_page",
     "check_page_path",
     "draw_gallery",
+    "draw_passengers",
+    "draw_poses",
     "draw_rides",
     "draw_thumbnail",
+    "report_models",
     "write_report",
 ]
+
+
+# Bytes of a page, and vertices of its models: the first number whose page is small enough.
+MAX_BYTES = 5_000_000
+MODEL_SIZES = 60_000, 30_000, 15_000, 6000
 
 
 def check_page_path(path: str | Path) -> None:
@@ -85,5 +119,22 @@ def write_report(
     check_page_path(path)
     views = seen(result, upright, reason)
     gallery = draw_gallery(result, texture=texture, baked=baked, size=size, progress=progress, views=views)
-    page = build_page(result, gallery, draw_rides(result, rides, size, views))
+    panels = draw_rides(result, rides, size, views)
+    textures = _textures(result, texture, baked)
+    for most in MODEL_SIZES:
+        models = report_models(result, views, texture=texture, baked=baked, rides=rides, most=most)
+        page = build_page(result, gallery, panels, models, textures)
+        if len(page) <= MAX_BYTES:
+            break
     write_whole(path, page.encode("utf-8", "xmlcharrefreplace"), force=force)
+
+
+def _textures(result: MatchResult, texture: Pixels | None, baked: Pixels | None) -> tuple[Texture, ...]:
+    """The pictures that the models wear."""
+    source, target = (Path(side.control.name).stem for side in (result.source, result.target))
+    shown = []
+    if texture is not None and result.source.control.uvs is not None:
+        shown.append(encoded_texture(SOURCE_PICTURE, f"{source} (source)", for_display(texture)))
+        if baked is not None and result.target.control.uvs is not None:
+            shown.append(encoded_texture(TARGET_PICTURE, f"{target} (target), baked", for_display(baked)))
+    return tuple(shown)

@@ -1,9 +1,10 @@
-"""The report as one HTML page that needs nothing beside it: pictures are data URIs, no scripts, no addresses."""
+"""The report as one HTML page that needs nothing beside it: pictures, models and scripts are inside."""
 
 from __future__ import annotations
 
 import base64
 import tempfile
+from dataclasses import dataclass
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -17,33 +18,156 @@ from cagemap.files.ownership import mark
 from cagemap.files.result.folder import assurance, landmark_messages
 from cagemap.maps.hypotheses.confidence import SURE, TWO
 from cagemap.maps.result import MatchResult
+from cagemap.numerics.arrays import FloatArray
 from cagemap.pictures import Image, distinct_colors
 from cagemap.report.figures import Figure, Gallery
+from cagemap.report.marks import Mark, with_marks
+from cagemap.report.models import Models, pack
 from cagemap.report.rig_panels import Panel
-from cagemap.report.verdicts import explain, overall
+from cagemap.report.verdicts import explain, overall, sentence
 
-_VERDICTS = {
-    "good": "The map looks sound.",
-    "fair": "The map is usable; look at the places named below.",
-    "poor": "Do not use this map as it is.",
-}
-# In place of "usable", where a map with few landmarks or none is not sure.
-_UNSURE = "Look at this map first: it may not be the right one."
-_STYLE = "style.css"
+# Of one texture, as JPEG: two of them leave room for the models in a page of 5 MB.
+MAX_TEXTURE_BYTES = 700_000
+
+_STYLE, _VIEWER, _THREE = "style.css", "viewer.js", "three/three.min.js"
+_QUALITY = 90  # of JPEG pictures
 
 
-def build_page(result: MatchResult, gallery: Gallery, panels: tuple[Panel, ...] = ()) -> str:
-    """HTML text of the report; panels show what was made with the map."""
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """A texture of the page, which its models wear: the id that they know it by, a caption, and a JPEG's bytes."""
+
+    id: str
+    caption: str
+    content: bytes
+    size: tuple[int, int]
+
+
+def build_page(
+    result: MatchResult,
+    gallery: Gallery,
+    panels: tuple[Panel, ...] = (),
+    models: Models | None = None,
+    textures: tuple[Texture, ...] = (),
+) -> str:
+    """HTML text of the report.
+
+    Parameters
+    ----------
+    result : MatchResult
+    gallery : Gallery
+        Still pictures, for browsers without WebGL and for print.
+    panels : tuple of Panel
+        What was made with the map.
+    models : Models, optional
+        What turns.
+    textures : tuple of Texture
+        What the models wear.
+    """
     manifest = result.manifest
     quality = manifest.get("quality") or {}
+    marks = () if models is None else models.marks
     warnings = landmark_messages(manifest) + [str(text) for text in (quality.get("warnings") or [])]
     merits = explain(quality)
     verdict = overall(merits, warnings)
     title = f"{_stem(result.source.control.name)} → {_stem(result.target.control.name)}"
-    style = resources.files("cagemap.report").joinpath(_STYLE).read_text(encoding="utf-8")
+    made = [_fold(escape(panel.title), escape(panel.lead), _panel(panel)) for panel in panels]
     sections = [
-        _header(result, title, verdict),
-        _warnings(warnings, [*filter(None, [assurance(manifest)]), *map(str, manifest.get("notes") or [])]),
+        _header(result, title, sentence(merits, verdict, unsure=_unsure(result), marked=bool(marks)), verdict),
+        "" if models is None else _viewer(result, models),
+        _stills(result, gallery),
+        _marks(marks),
+        _warnings(
+            [with_marks(in_options(text), marks) for text in warnings],
+            [*filter(None, [assurance(manifest)]), *map(str, manifest.get("notes") or [])],
+        ),
+        _answers(result, gallery),
+        _textures(textures),
+        *made,
+        _fold("Numbers", "how good the map is, measured without knowing the true one", _numbers(result, merits)),
+        _fold("Landmarks", "how far each is missed, as a share of the model's size", _landmarks(result))
+        if len(result.landmarks)
+        else "",
+        _fold("Curves", "distance between a curve and its counterpart, both ways", _curves(result))
+        if len(result.curves)
+        else "",
+        _fold(
+            "How it was made", _time_summary(manifest), _timings(manifest.get("timings") or {}) + _provenance(result)
+        ),
+    ]
+    scripts = "" if models is None else _scripts(models, result)
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta name="generator" content="{mark()}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)} · cagemap</title>\n<style>\n{_resource(_STYLE)}</style>\n</head>\n<body>\n<main>\n"
+        + "\n".join(section for section in sections if section)
+        + f"\n</main>\n{scripts}</body>\n</html>\n"
+    )
+
+
+def encoded_texture(id: str, caption: str, pixels: FloatArray) -> Texture:
+    """A texture for the page: as large as `MAX_TEXTURE_BYTES` allow."""
+    while True:
+        image = np.round(255 * pixels).astype(np.uint8)
+        content = _jpeg(image, 85)
+        if len(content) <= MAX_TEXTURE_BYTES or max(pixels.shape[:2]) <= 256:
+            return Texture(id, caption, content, (image.shape[1], image.shape[0]))
+        height, width = (length // 2 * 2 for length in pixels.shape[:2])
+        pixels = pixels[:height, :width].reshape(height // 2, 2, width // 2, 2, 3).mean(axis=(1, 3))
+
+
+def _resource(name: str) -> str:
+    return resources.files("cagemap.report").joinpath(name).read_text(encoding="utf-8")
+
+
+def _unsure(result: MatchResult) -> bool:
+    return result.confidence is not None and result.confidence.verdict != SURE
+
+
+def _scripts(models: Models, result: MatchResult) -> str:
+    described, arrays = pack(models, result)
+    return (
+        f'<script type="application/json" id="models">{described}</script>\n'
+        f'<script type="text/plain" id="models-data">{arrays}</script>\n'
+        f"<script>\n{_resource(_THREE)}</script>\n<script>\n{_resource(_VIEWER)}</script>\n"
+    )
+
+
+def _viewer(result: MatchResult, models: Models) -> str:
+    """The models that turn, and what they are coloured by; shown where the browser can."""
+    source, target = (escape(_stem(side.control.name)) for side in (result.source, result.target))
+    looks = "".join(
+        f'<label><input type="radio" name="look" value="{k}"{" checked" if k == 0 else ""}>'
+        f"<span>{escape(look.name)}</span></label>"
+        for k, look in enumerate(models.looks)
+    )
+    names = "".join(f'<option value="{k}">{escape(one.name)}</option>' for k, one in enumerate(models.shapes, start=1))
+    shapes = f'<label>Shape <select><option value="0">at rest</option>{names}</select></label>' if names else ""
+    dots = '<label><input type="checkbox" name="landmarks" checked> Landmarks</label>' if len(result.landmarks) else ""
+    views = "".join(
+        f'<button type="button" data-view="{view}">{said}</button>'
+        for view, said in (("front", "Front"), ("side", "Side"), ("back", "Back"), ("start", "Reset"))
+    )
+    return (
+        '<section id="viewer" aria-label="Models">\n<div class="tools">'
+        f'<fieldset class="looks"><legend class="unseen">Colour by</legend>{looks}</fieldset>{shapes}{dots}'
+        f'<div class="views">{views}</div></div>\n<div class="glass">'
+        f'<canvas tabindex="0" role="img" aria-describedby="viewer-help" '
+        f'aria-label="{source}, the source, and {target}, the target, which turn together"></canvas>'
+        f'<div class="layer"></div><p class="name source">{source}<small>source</small></p>'
+        f'<p class="name target">{target}<small>target</small></p></div>\n'
+        '<div class="below"><p class="legend" aria-live="polite"></p>'
+        '<p class="help" id="viewer-help">Drag or arrow keys: turn · right button: move · click, then wheel: zoom</p>'
+        "</div>\n</section>"
+    )
+
+
+def _stills(result: MatchResult, gallery: Gallery) -> str:
+    """The same as pictures."""
+    dots = " Dots are landmarks: equal dots should sit on equal places." if len(result.landmarks) else ""
+    lines = " Lines are curves: equal lines should lie on equal places." if len(result.curves) else ""
+    parts = [
         _section(
             f"The {escape(gallery.appearance)}, transferred",
             "Left the source as it came, right the target with what it received, from the same directions. "
@@ -52,58 +176,84 @@ def build_page(result: MatchResult, gallery: Gallery, panels: tuple[Panel, ...] 
         ),
         _section(
             "The map as colours",
-            "Points of equal colour correspond; the faint checker shows stretch."
-            + (" Dots are landmarks: equal dots should sit on equal places." if len(result.landmarks) else "")
-            + (" Lines are curves: equal lines should lie on equal places." if len(result.curves) else ""),
+            f"Points of equal colour correspond; the faint checker shows stretch.{dots}{lines}",
             "".join(_pair(figure, result) for figure in gallery.maps),
         ),
-        _answers(result, gallery),
         _section(
             "Where to trust it",
             "The target. Grey: unfolded and stretched little. Red: folded or stretched strongly; look there first.",
             '<div class="pair">' + "".join(_picture(f.target, f.view) for f in gallery.trust) + "</div>",
         ),
-        _section(
-            "What was matched",
-            "Dark: masked, neither matched nor transferred. The target shows both masks, the source its own.",
-            "".join(_pair(figure, result) for figure in gallery.masks),
-        )
-        if gallery.masks
-        else "",
-        *(_section(escape(panel.title), escape(panel.lead), _panel(panel)) for panel in panels),
-        _section("Quality", "Measured on this map, without knowing the true one.", _merits(merits)),
-        _section("Landmarks", "Miss as a share of the model's size.", _landmarks(result))
-        if len(result.landmarks)
-        else "",
-        _section("Curves", "Distance between a curve and its counterpart, both ways.", _curves(result))
-        if len(result.curves)
-        else "",
-        _section("Time", _time_summary(manifest), _timings(manifest.get("timings") or {})),
-        _section("How it was made", "", _provenance(result)),
     ]
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        f'<meta name="generator" content="{mark()}">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)} · cagemap</title>\n<style>\n{style}</style>\n</head>\n<body>\n<main>\n"
-        + "\n".join(section for section in sections if section)
-        + "\n</main>\n</body>\n</html>\n"
+    if gallery.masks:
+        parts.append(
+            _section(
+                "What was matched",
+                "Dark: masked, neither matched nor transferred. The target shows both masks, the source its own.",
+                "".join(_pair(figure, result) for figure in gallery.masks),
+            )
+        )
+    return f'<div class="stills">\n{"".join(parts)}\n</div>'
+
+
+def _marks(marks: tuple[Mark, ...]) -> str:
+    """The list of marked places, each once."""
+    first = {mark.number: (place, mark) for place, mark in reversed(list(enumerate(marks)))}
+    items = "".join(
+        f'<li><span class="number" aria-hidden="true">{number}</span><span>{escape(_capital(mark.text))}</span>'
+        f'<button type="button" data-mark="{place}" aria-label="Show mark {number}">Show</button></li>'
+        for number, (place, mark) in sorted(first.items())
     )
+    return _section("Look here", "", f'<ul class="marks">{items}</ul>') if items else ""
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _textures(textures: tuple[Texture, ...]) -> str:
+    figures = "".join(
+        f'<figure><img id="{one.id}" src="{_uri(one.content)}" width="{one.size[0]}" height="{one.size[1]}" '
+        f'alt="{escape(one.caption)}"><figcaption>{escape(one.caption)}</figcaption></figure>'
+        for one in textures
+    )
+    return _fold("Textures", "as they lie in the layouts", f'<div class="pair">{figures}</div>') if figures else ""
+
+
+def _fold(title: str, lead: str, body: str) -> str:
+    return f"<details>\n<summary>{title}<small>{lead}</small></summary>\n{body}\n</details>"
+
+
+def _numbers(result: MatchResult, merits: list[Any]) -> str:
+    chips = [
+        f"{len(result.target.vertices):,} target vertices",
+        f"{len(result.source.vertices):,} source vertices",
+        f"{len(result.landmarks)} landmark{'' if len(result.landmarks) == 1 else 's'}",
+    ]
+    listed = "".join(f"<li>{chip.replace(',', ' ')}</li>" for chip in chips)
+    return f'<ul class="chips">{listed}</ul>{_merits(merits)}'
 
 
 def data_uri(image: Image) -> str:
     """The picture as a JPEG data URI."""
+    return _uri(_jpeg(image, _QUALITY))
+
+
+def _uri(content: bytes) -> str:
+    return f"data:image/jpeg;base64,{base64.b64encode(content).decode('ascii')}"
+
+
+def _jpeg(image: Image, quality: int) -> bytes:
     height, width = image.shape[:2]
     spec = oiio.ImageSpec(width, height, 3, oiio.UINT8)
-    spec.attribute("compression", "jpeg:90")
+    spec.attribute("compression", f"jpeg:{quality}")
     buffer = oiio.ImageBuf(spec)
     buffer.set_pixels(oiio.ROI(0, width, 0, height, 0, 1, 0, 3), np.ascontiguousarray(image))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "picture.jpg"
         if not buffer.write(str(path)):
             raise FormatError(f"report: a picture could not be encoded ({buffer.geterror()}). Is the disk full?")
-        encoded = base64.b64encode(path.read_bytes()).decode("ascii")
-    return f"data:image/jpeg;base64,{encoded}"
+        return path.read_bytes()
 
 
 def _stem(name: str) -> str:
@@ -115,26 +265,15 @@ def _section(title: str, lead: str, body: str) -> str:
     return f"<section>\n<h2>{title}</h2>\n{lead_html}\n{body}\n</section>"
 
 
-def _header(result: MatchResult, title: str, verdict: str) -> str:
-    manifest = result.manifest
-    chips = [
-        f"{len(result.target.vertices):,} target vertices",
-        f"{len(result.source.vertices):,} source vertices",
-        f"{len(result.landmarks)} landmark{'' if len(result.landmarks) == 1 else 's'}",
-    ]
-    unsure = result.confidence is not None and result.confidence.verdict != SURE
-    said = _UNSURE if unsure and verdict == "fair" else _VERDICTS[verdict]
-    seconds = _total(manifest.get("timings") or {})
-    chips += [f"{seconds:.1f} s"] if seconds else []
+def _header(result: MatchResult, title: str, said: str, verdict: str) -> str:
     return (
         f'<header>\n<p class="brand">cagemap</p>\n<h1>{escape(title)}</h1>\n'
-        f'<p class="verdict {verdict}">{said}</p>\n'
-        '<ul class="chips">' + "".join(f"<li>{chip.replace(',', ' ')}</li>" for chip in chips) + "</ul>\n</header>"
+        f'<p class="verdict {verdict}">{escape(said)}</p>\n</header>'
     )
 
 
 def _warnings(warnings: list[str], notes: list[str]) -> str:
-    items = [f'<li class="warning">{escape(in_options(text))}</li>' for text in warnings]
+    items = [f'<li class="warning">{escape(text)}</li>' for text in warnings]
     items += [f"<li>{escape(text)}</li>" for text in notes]
     return f'<ul class="notes">{"".join(items)}</ul>' if items else ""
 
@@ -189,19 +328,19 @@ def _merits(merits: list[Any]) -> str:
 
 
 def _landmarks(result: MatchResult) -> str:
-    count, names = len(result.landmarks), result.landmark_names
+    names = result.landmark_names
     left_out = {suspect.pair for suspect in result.suspects}
-    vertices = [points.nearest_vertices for points in (result.landmarks.source_points, result.landmarks.target_points)]
     rows = []
-    for number, color in enumerate(distinct_colors(count)):
+    for number, color in enumerate(distinct_colors(len(names))):
         red, green, blue = np.round(color * 255).astype(int)
         error = 100 * float(result.landmark_errors[number])
         rows.append(
-            f'<tr><td><span class="dot" style="background:rgb({red},{green},{blue})"></span>'
-            f"{escape(names[number])}</td><td>{vertices[0][number]}</td><td>{vertices[1][number]}</td>"
-            f"<td>{error:.2f} %{', left out' if number in left_out else ''}</td></tr>"
+            f'<tr><td><span class="dot" style="background:rgb({red},{green},{blue})"></span>{escape(names[number])}</td>'
+            f"<td>{error:.2f} %{', left out' if number in left_out else ''}</td>"
+            f'<td><button type="button" data-landmark="{number}" aria-label="Show {escape(names[number])}">Show</button>'
+            "</td></tr>"
         )
-    head = "<tr><th>landmark</th><th>source vertex</th><th>target vertex</th><th>miss</th></tr>"
+    head = "<tr><th>landmark</th><th>miss</th><td></td></tr>"
     return f'<table class="columns">{head}{"".join(rows)}</table>'
 
 

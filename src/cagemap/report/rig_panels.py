@@ -35,6 +35,7 @@ _CLAY = np.array([0.86, 0.84, 0.80])
 _WIRE = np.array([0.13, 0.28, 0.36])
 # Shapes that a page shows; the largest ones.
 _MOST_SHAPES = 4
+_MOST_POSES = 4
 # The colours of distances, and of offsets, end here: the rest of the surface is further, or moves more.
 _SHOWN, _MOVED = 0.95, 0.995
 
@@ -57,6 +58,24 @@ class CarriedShape:
 
 
 @dataclass(frozen=True, eq=False)
+class Passenger:
+    """Clothes, hair or a prop: as it sits on the source, and as carried to the target, in the lengths of their files."""
+
+    name: str
+    source: ControlMesh
+    target: ControlMesh
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A pose: positions of the control vertices of both, (n2, 3) and (n1, 3), in their own units."""
+
+    name: str
+    source: FloatArray
+    target: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class Rides:
     """What a report shows beside the map.
 
@@ -66,11 +85,15 @@ class Rides:
         The target's cage, or the net of a finer level, in the source's shape.
     weights : Weights or None
     shapes : tuple of CarriedShape
+    passengers : tuple of Passenger
+    poses : tuple of Pose
     """
 
     wrapped: ControlMesh | None = None
     weights: Weights | None = None
     shapes: tuple[CarriedShape, ...] = field(default=())
+    passengers: tuple[Passenger, ...] = field(default=())
+    poses: tuple[Pose, ...] = field(default=())
 
 
 NOTHING = Rides()
@@ -106,13 +129,17 @@ def draw_rides(
         panels.append(_weights(result, rides.weights, views, size))
     if rides.shapes:
         panels.append(_shapes(result, rides.shapes, views, size))
+    if rides.passengers:
+        panels.append(draw_passengers(result, rides.passengers, views, size))
+    if rides.poses:
+        panels.append(draw_poses(result, rides.poses, views, size))
     return tuple(panels)
 
 
 def _wrapped(result: MatchResult, cage: ControlMesh, views: Seen, size: tuple[int, int]) -> Panel:
     """Source and wrapped surface with its net, how far apart they are, and the cages."""
     target, source = result.target.refinement, result.source.refinement
-    fine = _refined(target, cage)
+    fine = refined_wrap(target, cage)
     surface = result.point_map.source
     places = fine.finest.positions
     _, _, distance = closest_points(surface.tree, surface.scale * places)
@@ -185,6 +212,54 @@ def _shapes(result: MatchResult, shapes: tuple[CarriedShape, ...], views: Seen, 
     return Panel("Blend shapes", lead, tuple(_drawn(jobs, size)))
 
 
+def draw_passengers(result: MatchResult, passengers: Sequence[Passenger], views: Seen, size: tuple[int, int]) -> Panel:
+    """Both bodies with what they wear, a colour for each passenger."""
+    palette = distinct_colors(len(passengers))
+    sides = (
+        (result.source.refinement, [one.source for one in passengers], views.source_turn, "source"),
+        (result.target.refinement, [one.target for one in passengers], views.target.turn, "target"),
+    )
+    jobs = []
+    for view in (FRONT, BACK):
+        for refinement, worn, turn, role in sides:
+            whole = _model(refinement, turn)
+            parts = [Model(mesh.positions @ turn, cage_triangles(mesh)[0]) for mesh in worn]
+            colors = [np.broadcast_to(_CLAY, whole.positions.shape)]
+            colors += [np.tile(color, (len(part.positions), 1)) for color, part in zip(palette, parts, strict=True)]
+            skin = Skin(vertex_colors=np.concatenate(colors))
+            jobs.append(
+                (_joined([whole, *parts]), skin, view, None, f"{refinement.control.name} ({role}), {view.name}")
+            )
+    names = ", ".join(one.name for one in passengers)
+    return Panel("Passengers", f"What the source wears, on the target: {names}.", tuple(_drawn(jobs, size)))
+
+
+def draw_poses(result: MatchResult, poses: Sequence[Pose], views: Seen, size: tuple[int, int]) -> Panel:
+    """Both models in every pose."""
+    jobs = []
+    for pose in poses[:_MOST_POSES]:
+        for refinement, positions, turn, role in (
+            (result.source.refinement, pose.source, views.source_turn, "source"),
+            (result.target.refinement, pose.target, views.target.turn, "target"),
+        ):
+            moved = refinement.prolong(positions - refinement.control.positions, 0, refinement.n_levels)
+            model = Model(
+                (refinement.finest.positions + moved) @ turn, level_triangles(refinement, refinement.n_levels)
+            )
+            jobs.append((model, _clay(model), FRONT, None, f"{pose.name}, {role}"))
+    lead = "The same poses on both. Joints should bend at equal places, without dents."
+    if len(poses) > _MOST_POSES:
+        lead += f" The first {_MOST_POSES} of {len(poses)}."
+    return Panel("Poses", lead, tuple(_drawn(jobs, size)))
+
+
+def _joined(models: Sequence[Model]) -> Model:
+    """Several models as one."""
+    first = np.cumsum([0, *(len(model.positions) for model in models[:-1])])
+    triangles = [model.triangles + start for model, start in zip(models, first, strict=True)]
+    return Model(np.concatenate([model.positions for model in models]), np.concatenate(triangles))
+
+
 _Job = tuple[Model, Skin, View, FloatArray | None, str]
 
 
@@ -208,7 +283,7 @@ def _model(refinement: Refinement, turn: FloatArray) -> Model:
     return Model(refinement.finest.positions @ turn, level_triangles(refinement, refinement.n_levels))
 
 
-def _refined(target: Refinement, cage: ControlMesh) -> Refinement:
+def refined_wrap(target: Refinement, cage: ControlMesh) -> Refinement:
     """The surface over a wrapped cage, as fine as the target's."""
     level = next(level for level in range(target.n_levels) if target.levels[level].n_vertices == cage.n_vertices)
     return refine(cage, target.n_levels - level, target.scheme)

@@ -19,24 +19,27 @@ class Merit:
         What it is called, its number with its unit, and a sentence on how to read it.
     verdict : str
         "good", "fair" or "poor".
+    finding : str
+        The figure as the end of a sentence.
     """
 
     label: str
     value: str
     meaning: str
     verdict: str
+    finding: str
 
 
 def explain(quality: dict[str, Any]) -> list[Merit]:
     """Figures of a manifest's ``quality``, each with a verdict; unknown or missing ones are left out."""
     merits = []
-    for read, label, show, meaning, good, fair in _FIGURES:
+    for read, label, show, meaning, good, fair, finding in _FIGURES:
         value = read(quality)
         if value is None:
             continue
         badness = abs(value)
         verdict = "good" if badness <= good else "fair" if badness <= fair else "poor"
-        merits.append(Merit(label, show(value), meaning, verdict))
+        merits.append(Merit(label, show(value), meaning, verdict, finding.format(show(value))))
     return merits
 
 
@@ -44,6 +47,30 @@ def overall(merits: list[Merit], warnings: list[str]) -> str:
     """One word for all: the worst verdict, at best "fair" where there are warnings."""
     verdicts = {merit.verdict for merit in merits} | ({"fair"} if warnings else set())
     return next((verdict for verdict in ("poor", "fair") if verdict in verdicts), "good")
+
+
+def sentence(merits: list[Merit], verdict: str, *, unsure: bool = False, marked: bool = True) -> str:
+    """The verdict for people: one sentence that names the worst figure.
+
+    Parameters
+    ----------
+    merits : list of Merit
+    verdict : str
+        See `overall`.
+    unsure : bool
+        Whether the map, with few landmarks or none, may be another than the right one.
+    marked : bool
+        Whether the page has marked places.
+    """
+    worst = next((merit.finding for merit in merits if merit.verdict == verdict), "")
+    if verdict == "good":
+        return "The map looks sound."
+    if verdict == "poor":
+        return f"Do not use this map as it is: {worst}."
+    if unsure:
+        return "Look at this map first: it may not be the right one."
+    advice = "look at the marked places" if marked else "read the remarks below"
+    return f"The map is usable; {worst}: {advice}." if worst else f"The map is usable; {advice}."
 
 
 def _get(quality: dict[str, Any], *names: str) -> float | None:
@@ -61,8 +88,9 @@ def _missing(name: str) -> Callable[[dict[str, Any]], float | None]:
     return read
 
 
-# reader, label, format, meaning, good up to, fair up to (of the value as read)
-_FIGURES: list[tuple[Callable[[dict[str, Any]], float | None], str, Callable[[float], str], str, float, float]] = [
+_Figure = tuple[Callable[[dict[str, Any]], float | None], str, Callable[[float], str], str, float, float, str]
+# reader, label, format, meaning, good up to, fair up to (of the value as read), finding
+_FIGURES: list[_Figure] = [
     (
         lambda q: _get(q, "landmark_error_mean"),
         "Landmarks, mean miss",
@@ -71,6 +99,7 @@ _FIGURES: list[tuple[Callable[[dict[str, Any]], float | None], str, Callable[[fl
         "0 is exact; 1 % of a person is about a finger's width.",
         0.005,
         0.04,
+        "landmarks miss by {} of the model's size",
     ),
     (
         lambda q: _get(q, "landmark_error_worst"),
@@ -79,6 +108,7 @@ _FIGURES: list[tuple[Callable[[dict[str, Any]], float | None], str, Callable[[fl
         "The same for the landmark that is met worst. Pairs that were left out do not count.",
         0.01,
         0.15,
+        "a landmark misses by {} of the model's size",
     ),
     (
         lambda q: _get(q, "flipped_area"),
@@ -87,6 +117,7 @@ _FIGURES: list[tuple[Callable[[dict[str, Any]], float | None], str, Callable[[fl
         "Part of the target where the map runs backwards over itself. A texture is mirrored or smeared there.",
         0.005,
         0.08,
+        "{} of the target is folded over",
     ),
     (
         _missing("coverage"),
@@ -96,6 +127,7 @@ _FIGURES: list[tuple[Callable[[dict[str, Any]], float | None], str, Callable[[fl
         0.02,
         # A part that the target lacks (an udder, a mouth) leaves the rest of the map as good as it is.
         0.5,
+        "{} of the source arrives nowhere",
     ),
     (
         lambda q: _get(q, "dirichlet"),
@@ -105,6 +137,7 @@ _FIGURES: list[tuple[Callable[[dict[str, Any]], float | None], str, Callable[[fl
         "smoother.",
         2.0,
         10.0,
+        "it stretches strongly (stretch energy {})",
     ),
     (
         lambda q: _get(q, "aspect_ratio_percentiles", "50"),
@@ -113,15 +146,17 @@ _FIGURES: list[tuple[Callable[[dict[str, Any]], float | None], str, Callable[[fl
         "How much longer than wide a small circle becomes, in the middle half of the surface.",
         2.0,
         4.0,
+        "it distorts strongly ({} in the middle)",
     ),
     (
         _missing("trusted_area"),
         "Not to be trusted",
         lambda x: _PERCENT.format(100 * x),
-        "How far the map is from unfolded and little stretched, averaged over the target; the red places in the "
-        "pictures above.",
+        "How far the map is from unfolded and little stretched, averaged over the target; the red places of "
+        "the look *Doubt*.",
         0.10,
         # Folds have a verdict of their own above; a toy and its living model differ by this much stretch alone.
         0.60,
+        "{} of the target is folded or stretched",
     ),
 ]
