@@ -16,6 +16,7 @@ from cagemap.report.rig_panels import NOTHING, Rides, refined_wrap
 from cagemap.report.seen import Seen
 from cagemap.report.shown import MAX_VERTICES, ShownSurface, reached, shown_surfaces
 from cagemap.transfer import face_colors
+from cagemap.transfer.textured_surface import TexturedSurface
 
 # Ids of the pictures of a page that models wear.
 SOURCE_PICTURE, TARGET_PICTURE = "source-texture", "target-texture"
@@ -61,31 +62,33 @@ def report_models(
         *([] if first is None else [first.look]),
         Look(
             "Checker",
-            "The source's checker, carried to the target: squares stay squares where the map keeps shape.",
+            "The source's checker on both. Squares stay squares where the map keeps shape.",
             kind="checker",
         ),
         Look(
             "Places",
-            "Equal colours are equal places. Point at a model to see the counterpart on the other.",
+            "Equal colours are equal places. Point at one model: a ring marks the same place.",
             kind="places",
         ),
         Look(
-            "Doubt",
-            "Red on the target: folded or stretched strongly. Red on the source: nothing from here arrives.",
+            "Problems",
+            "Red: folded or stretched strongly; on the source: nothing from here arrives.",
             kind="doubt",
         ),
     ]
     if result.masks.any:
         own, joint = result.masks.of_source(len(result.source.vertices)), result.masks.joint(result.point_map)
         shown = [scalar_colors(values, 0.0, 1.0) for values in (own[source.vertices], joint[target.vertices])]
-        looks.append(Look("Masks", "Dark parts were masked: neither matched nor transferred.", *shown))
+        looks.append(Look("Masks", "Dark parts were masked: neither matched nor transferred.", shown[0], shown[1]))
     if rides.weights is not None:
         palette = distinct_colors(rides.weights.source.shape[1])
         shown = [
             _at_vertices(side, _joint_colors(values, palette))
             for side, values in ((source, rides.weights.source), (target, rides.weights.target))
         ]
-        looks.append(Look("Weights", "One colour for each joint, mixed where several hold a vertex.", *shown))
+        looks.append(
+            Look("Weights", "One colour for each joint, mixed where several hold a vertex.", shown[0], shown[1])
+        )
     return Models(
         target,
         source,
@@ -129,17 +132,15 @@ def _first_look(
     if not np.ptp(own, axis=0).any():  # one colour all over shows nothing
         return None
     palette, material = np.unique(own, axis=0, return_inverse=True)
-    keys = np.repeat(material.ravel()[source.control_faces][:, None], 3, axis=1)
+    corners = np.repeat(material.ravel()[source.control_faces][:, None], 3, axis=1)
     per_face = len(result.source_triangles) // len(result.source.faces)
     received = own[full.face_parents[map_triangles // per_face]]
     look = Look("Materials", "Left the source's materials, right the same on the target.", None, received)
-    return _FirstLook(look, {SOURCE: keys}, {SOURCE: palette})
+    return _FirstLook(look, {SOURCE: corners}, {SOURCE: palette})
 
 
 def _corner_uvs(result: MatchResult) -> FloatArray:
     """(t, 3, 2) texture coordinates of the source's finest triangles."""
-    from cagemap.transfer.textured_surface import TexturedSurface
-
     return TexturedSurface.from_level(result.source.refinement.finest).corner_uvs()
 
 

@@ -83,7 +83,7 @@ def find_marks(
 
 
 def places(chosen: NDArray[np.bool_], shown: ShownSurface) -> list[tuple[int, float]]:
-    """The largest connected places of chosen vertices (n,): a vertex in the middle of each, and its share of the area."""
+    """The largest connected places of chosen vertices (n,): a vertex in the middle of each, its share of the area."""
     triangles = shown.triangles
     areas = triangle_areas(shown.positions, triangles)
     inside = chosen[triangles].sum(axis=1) >= 2

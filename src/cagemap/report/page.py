@@ -144,7 +144,7 @@ def _viewer(result: MatchResult, models: Models) -> str:
     )
     names = "".join(f'<option value="{k}">{escape(one.name)}</option>' for k, one in enumerate(models.shapes, start=1))
     shapes = f'<label>Shape <select><option value="0">at rest</option>{names}</select></label>' if names else ""
-    dots = '<label><input type="checkbox" name="landmarks" checked> Landmarks</label>' if len(result.landmarks) else ""
+    dots = '<label><input type="checkbox" name="landmarks"> Landmarks</label>' if len(result.landmarks) else ""
     views = "".join(
         f'<button type="button" data-view="{view}">{said}</button>'
         for view, said in (("front", "Front"), ("side", "Side"), ("back", "Back"), ("start", "Reset"))
@@ -158,7 +158,7 @@ def _viewer(result: MatchResult, models: Models) -> str:
         f'<div class="layer"></div><p class="name source">{source}<small>source</small></p>'
         f'<p class="name target">{target}<small>target</small></p></div>\n'
         '<div class="below"><p class="legend" aria-live="polite"></p>'
-        '<p class="help" id="viewer-help">Drag or arrow keys: turn · right button: move · click, then wheel: zoom</p>'
+        '<p class="help" id="viewer-help">Drag: turn · right button: move · click, then wheel: zoom</p>'
         "</div>\n</section>"
     )
 
@@ -333,11 +333,11 @@ def _landmarks(result: MatchResult) -> str:
     rows = []
     for number, color in enumerate(distinct_colors(len(names))):
         red, green, blue = np.round(color * 255).astype(int)
-        error = 100 * float(result.landmark_errors[number])
+        error, name = 100 * float(result.landmark_errors[number]), escape(names[number])
         rows.append(
-            f'<tr><td><span class="dot" style="background:rgb({red},{green},{blue})"></span>{escape(names[number])}</td>'
+            f'<tr><td><span class="dot" style="background:rgb({red},{green},{blue})"></span>{name}</td>'
             f"<td>{error:.2f} %{', left out' if number in left_out else ''}</td>"
-            f'<td><button type="button" data-landmark="{number}" aria-label="Show {escape(names[number])}">Show</button>'
+            f'<td><button type="button" data-landmark="{number}" aria-label="Show {name}">Show</button>'
             "</td></tr>"
         )
     head = "<tr><th>landmark</th><th>miss</th><td></td></tr>"

@@ -59,7 +59,7 @@ class CarriedShape:
 
 @dataclass(frozen=True, eq=False)
 class Passenger:
-    """Clothes, hair or a prop: as it sits on the source, and as carried to the target, in the lengths of their files."""
+    """Clothes, hair or a prop: as it sits on the source, and as carried to the target, in their files' lengths."""
 
     name: str
     source: ControlMesh

@@ -153,7 +153,7 @@ _FIGURES: list[_Figure] = [
         "Not to be trusted",
         lambda x: _PERCENT.format(100 * x),
         "How far the map is from unfolded and little stretched, averaged over the target; the red places of "
-        "the look *Doubt*.",
+        "the view Problems.",
         0.10,
         # Folds have a verdict of their own above; a toy and its living model differ by this much stretch alone.
         0.60,

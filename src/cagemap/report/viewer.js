@@ -142,14 +142,15 @@
   function points(landmarks) {
     if (!landmarks.length) return null;
     const geometry = new THREE.BufferGeometry();
-    const flat = landmarks.flatMap(([x, y, z, nx, ny, nz]) => [x + 0.006 * nx, y + 0.006 * ny, z + 0.006 * nz]);
+    const flat = landmarks.flatMap(([x, y, z, nx, ny, nz]) => [x + 0.004 * nx, y + 0.004 * ny, z + 0.004 * nz]);
     geometry.setAttribute('position', new THREE.BufferAttribute(new Float32Array(flat), 3));
     const colors = new Uint8Array(scene.landmark_colors.flat());
     geometry.setAttribute('tint', new THREE.BufferAttribute(colors, 3, true));
     const material = new THREE.ShaderMaterial({
-      uniforms: {size: {value: 11}},
+      uniforms: {size: {value: 10}},
       vertexShader: `attribute vec3 tint; varying vec3 vTint; uniform float size;
-        void main() { vTint = tint; gl_PointSize = size; gl_Position = projectionMatrix * viewMatrix * vec4(position, 1.0); }`,
+        void main() { vTint = tint; gl_PointSize = size;
+          gl_Position = projectionMatrix * (viewMatrix * vec4(position, 1.0) + vec4(0.0, 0.0, 0.04, 0.0)); }`,
       fragmentShader: `varying vec3 vTint;
         void main() {
           float r = length(gl_PointCoord - 0.5) * 2.0;
@@ -184,7 +185,7 @@
     SIDES.forEach((name, i) => { sides[name].box = {x: stacked ? 0 : i * w, y: stacked ? i * h : 0, w, h}; });
     camera.aspect = w / h;
     const before = fit;
-    fit = 0.98 / Math.sin(14 * Math.PI / 180) / Math.min(1, 0.92 * w / h);
+    fit = 0.92 / Math.sin(14 * Math.PI / 180) / Math.min(1, 0.92 * w / h);
     camera.position.sub(controls.target).multiplyScalar(fit / before).add(controls.target);
     camera.updateProjectionMatrix();
     root.classList.toggle('stacked', stacked);
@@ -196,7 +197,7 @@
     const {clientWidth: width, clientHeight: height} = canvas;
     renderer.setPixelRatio(value);
     renderer.setSize(width, height, false);
-    for (const side of Object.values(sides)) if (side.dots) side.dots.material.uniforms.size.value = 11 * value;
+    for (const side of Object.values(sides)) if (side.dots) side.dots.material.uniforms.size.value = 10 * value;
     changed();
   }
 
@@ -270,7 +271,7 @@
       const inside = x > box.x && x < box.x + box.w && y > box.y && y < box.y + box.h;
       pin.style.transform = `translate(${x}px, ${y}px) translate(-50%, -50%)`;
       pin.classList.toggle('behind', !facing);
-      pin.hidden = !inside || !moved.value === false && shape !== 0;
+      pin.hidden = !inside || shape !== 0;
     }
   }
 
